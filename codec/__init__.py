@@ -1,0 +1,1 @@
+"""Splats and cameras in, chunk payloads out, and back: arrays only, no files."""

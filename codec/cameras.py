@@ -1,0 +1,87 @@
+"""Pinhole cameras, and the sets of views that scenes are scored on and judged by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import DataError
+
+# How far a rotation's rows may be from orthonormal: files carry them as rounded decimals.
+_ROTATION_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """One pinhole view, world to camera, OpenCV axes (x right, y down, z forward).
+
+    Parameters
+    ----------
+    width, height : int
+        Image size, px; pixel (0, 0) has its centre at (0.5, 0.5).
+    fx, fy, cx, cy : float
+        Focal lengths and principal point, px.
+    rotation : (3, 3) float64
+        World to camera: ``x_camera = rotation @ x_world + translation``.
+    translation : (3,) float64
+        Scene units.
+    name : str
+        What the source calls it, often an image's file name.
+
+    Raises
+    ------
+    DataError
+        ``bad-camera``: a size below 1, a focal length that is not positive and finite, or a
+        rotation that is not one.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        label = f"camera {self.name!r}"
+        rotation = np.ascontiguousarray(self.rotation, dtype=np.float64)
+        translation = np.ascontiguousarray(self.translation, dtype=np.float64)
+        object.__setattr__(self, "rotation", rotation)
+        object.__setattr__(self, "translation", translation)
+        if rotation.shape != (3, 3) or translation.shape != (3,):
+            raise DataError(
+                "bad-camera",
+                f"{label}: rotation {rotation.shape} and translation {translation.shape}, "
+                "expected (3, 3) and (3,)",
+            )
+        if not 1 <= self.width <= 65535 or not 1 <= self.height <= 65535:
+            raise DataError(
+                "bad-camera", f"{label}: size {self.width}x{self.height}, expected 1 to 65535"
+            )
+        intrinsics = np.array([self.fx, self.fy, self.cx, self.cy], dtype=np.float64)
+        if not np.isfinite(intrinsics).all() or self.fx <= 0 or self.fy <= 0:
+            raise DataError(
+                "bad-camera",
+                f"{label}: fx {self.fx}, fy {self.fy}, cx {self.cx}, cy {self.cy}, "
+                "expected finite values and positive focal lengths",
+            )
+        if not np.isfinite(rotation).all() or not np.isfinite(translation).all():
+            raise DataError("bad-camera", f"{label}: NaN or infinite pose")
+        error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+        if error > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
+            raise DataError(
+                "bad-camera",
+                f"{label}: the rotation is off orthonormal by {error:.3g} or mirrored, "
+                f"expected a proper rotation within {_ROTATION_TOLERANCE}",
+            )
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Centre in world coordinates, (3,) float64."""
+        centre: NDArray[np.float64] = -self.rotation.T @ self.translation
+        return centre

@@ -1,0 +1,101 @@
+"""The one tree of errors: what was found, where, what was expected, and a stable reason code."""
+
+from __future__ import annotations
+
+
+class CogsplatError(Exception):
+    """Base of every refusal.
+
+    Parameters
+    ----------
+    code : str
+        Stable reason code (lower case, hyphens); the same in every implementation of the format.
+    message : str
+        What was found, where, and what was expected.
+
+    Attributes
+    ----------
+    exit_code : int
+        What the command line exits with: 3 invalid data, 4 input/output, 5 limit, 130 interrupted.
+    """
+
+    exit_code = 3
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+        self.message = message
+
+
+class FormatError(CogsplatError):
+    """A file breaks the rules of its format.
+
+    Parameters
+    ----------
+    code, message : str
+        As in `CogsplatError`.
+    clause : str
+        The SPEC clause that was broken, such as ``"4.2"``; empty for foreign formats.
+    offset : int or None
+        Byte offset in the file, where known.
+    """
+
+    def __init__(
+        self, code: str, message: str, *, clause: str = "", offset: int | None = None
+    ) -> None:
+        if clause:
+            message = f"{message} (SPEC {clause})"
+        super().__init__(code, message)
+        self.clause = clause
+        self.offset = offset
+
+
+class TruncatedError(FormatError):
+    """The bytes end early; more of the same file would help.
+
+    Parameters
+    ----------
+    needed : int
+        File length in bytes that would have sufficed; 0 where not known.
+    """
+
+    def __init__(
+        self,
+        code: str,
+        message: str,
+        *,
+        clause: str = "",
+        offset: int | None = None,
+        needed: int = 0,
+    ) -> None:
+        super().__init__(code, message, clause=clause, offset=offset)
+        self.needed = needed
+
+
+class UnsupportedError(CogsplatError):
+    """Valid, but newer or more than this build does."""
+
+
+class DataError(CogsplatError):
+    """Splats or cameras that cannot be used: NaN rows, zero quaternions, views that see nothing."""
+
+
+class LimitError(CogsplatError):
+    """A limit of the caller's was reached."""
+
+    exit_code = 5
+
+
+class StorageError(CogsplatError):
+    """Reading or writing failed below the format: missing file, disk full, permission, network."""
+
+    exit_code = 4
+
+
+class Cancelled(CogsplatError):  # noqa: N818 - an interruption, not a fault
+    """The caller asked for the work to stop."""
+
+    exit_code = 130
+
+    def __init__(self, message: str = "cancelled") -> None:
+        super().__init__("cancelled", message)

@@ -1,0 +1,202 @@
+"""A scene as arrays: validated, in the field's terms, and cut or joined by rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import DataError
+
+F32 = NDArray[np.float32]
+
+MAX_SH_DEGREE = 3
+
+
+def sh_coefficients(degree: int) -> int:
+    """Return K, the number of SH coefficients per channel at `degree`, DC included."""
+    return (degree + 1) ** 2
+
+
+@dataclass(frozen=True)
+class SceneInfo:
+    """What a scene says of itself beside its splats.
+
+    Parameters
+    ----------
+    origin : tuple of float
+        World position of the means' zero, scene units, float64.
+    axes : str
+        Directions of +x, +y, +z: R right / L left, U up / D down, F front / B back.
+        ``"RDF"`` is what 3DGS training writes.
+    colour_space : str
+        Space of the rendered colour, ``"srgb"`` (display-referred) or ``"linear"``.
+    kernel_px : float
+        Variance in px² that the renderer adds to projected covariances: 0.3 in 3DGS, 0.1 in
+        Mip-Splatting.
+    antialiased : bool
+        Whether opacities are rescaled by the area that kernel adds (Mip-Splatting, section 4.2).
+    """
+
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    axes: str = "RDF"
+    colour_space: str = "srgb"
+    kernel_px: float = 0.3
+    antialiased: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """N splats as C-ordered float32 arrays.
+
+    Parameters
+    ----------
+    means : (N, 3) float32
+        Centres, scene units.
+    scales : (N, 3) float32
+        Natural logarithm of the standard deviations.
+    quats : (N, 4) float32
+        Rotations, wxyz, any non-zero norm.
+    opacities : (N,) float32
+        Logit; ±inf is legal.
+    sh0 : (N, 3) float32
+        DC coefficient per channel.
+    shN : (N, K-1, 3) float32
+        Higher SH coefficients, K = (degree + 1)².
+    info : SceneInfo
+        Frame, colour space and anti-aliasing of the scene.
+
+    Raises
+    ------
+    DataError
+        ``bad-shape`` or ``bad-dtype``: an array does not fit the others.
+
+    Notes
+    -----
+    Construction checks shapes only and copies nothing that is already float32 and C-ordered.
+    `invalid_rows` finds rows whose values cannot be drawn.
+    """
+
+    means: F32
+    scales: F32
+    quats: F32
+    opacities: F32
+    sh0: F32
+    shN: F32  # noqa: N815 - the field's name
+    info: SceneInfo = field(default_factory=SceneInfo)
+
+    def __post_init__(self) -> None:
+        n = len(self.means)
+        expected: dict[str, tuple[int, ...]] = {
+            "means": (n, 3),
+            "scales": (n, 3),
+            "quats": (n, 4),
+            "opacities": (n,),
+            "sh0": (n, 3),
+        }
+        for name, shape in expected.items():
+            array = getattr(self, name)
+            if array.shape != shape:
+                raise DataError("bad-shape", f"{name} has shape {array.shape}, expected {shape}")
+        rest = self.shN.shape
+        legal = [sh_coefficients(d) - 1 for d in range(MAX_SH_DEGREE + 1)]
+        if len(rest) != 3 or rest[0] != n or rest[2] != 3 or rest[1] not in legal:
+            raise DataError("bad-shape", f"shN has shape {rest}, expected ({n}, {legal}, 3)")
+        for name in (*expected, "shN"):
+            array = getattr(self, name)
+            if array.dtype != np.float32:
+                raise DataError("bad-dtype", f"{name} is {array.dtype}, expected float32")
+            if not array.flags.c_contiguous:
+                object.__setattr__(self, name, np.ascontiguousarray(array))
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """SH degree, 0 to 3."""
+        return {0: 0, 3: 1, 8: 2, 15: 3}[self.shN.shape[1]]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        arrays = (self.means, self.scales, self.quats, self.opacities, self.sh0, self.shN)
+        return sum(array.nbytes for array in arrays)
+
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_] | slice) -> Splats:
+        """Return the chosen rows, copied (a slice gives views)."""
+        return replace(
+            self,
+            means=self.means[rows],
+            scales=self.scales[rows],
+            quats=self.quats[rows],
+            opacities=self.opacities[rows],
+            sh0=self.sh0[rows],
+            shN=self.shN[rows],
+        )
+
+    def with_sh_degree(self, degree: int) -> Splats:
+        """Return the scene cut to an SH degree no higher than its own; arrays are views if kept."""
+        if not 0 <= degree <= MAX_SH_DEGREE:
+            raise ValueError(f"SH degree {degree}, expected 0 to {MAX_SH_DEGREE}")
+        if degree >= self.sh_degree:
+            return self
+        return replace(self, shN=np.ascontiguousarray(self.shN[:, : sh_coefficients(degree) - 1]))
+
+    def invalid_rows(self) -> NDArray[np.bool_]:
+        """Mark rows that cannot be drawn: NaN anywhere, ±inf but in opacities, zero quaternions.
+
+        Returns
+        -------
+        (N,) bool
+        """
+        n = len(self)
+        bad = np.isnan(self.opacities)
+        for array in (self.means, self.scales, self.quats, self.sh0, self.shN):
+            bad |= ~np.isfinite(array.reshape(n, -1)).all(axis=1)
+        with np.errstate(invalid="ignore", over="ignore"):
+            norm = np.square(self.quats.astype(np.float64)).sum(axis=1)
+        bad |= ~(norm > 0.0)
+        return bad
+
+    def require_valid(self) -> Splats:
+        """Return self, or raise if a row cannot be drawn.
+
+        Raises
+        ------
+        DataError
+            ``invalid-rows``, naming the first row and the count.
+        """
+        bad = self.invalid_rows()
+        count = int(bad.sum())
+        if count:
+            raise DataError(
+                "invalid-rows",
+                f"{count} of {len(self)} splats hold NaN, infinite values or a zero quaternion, "
+                f"the first is row {int(bad.argmax())}; expected finite rows "
+                "(--drop-invalid leaves them out)",
+            )
+        return self
+
+
+def empty(degree: int, n: int = 0, info: SceneInfo | None = None) -> Splats:
+    """Return `n` splats of zeros with unit quaternions at an SH degree."""
+    quats = np.zeros((n, 4), np.float32)
+    quats[:, 0] = 1.0
+    return Splats(
+        means=np.zeros((n, 3), np.float32),
+        scales=np.zeros((n, 3), np.float32),
+        quats=quats,
+        opacities=np.zeros(n, np.float32),
+        sh0=np.zeros((n, 3), np.float32),
+        shN=np.zeros((n, sh_coefficients(degree) - 1, 3), np.float32),
+        info=info or SceneInfo(),
+    )
+
+
+def concatenate(parts: list[Splats]) -> Splats:
+    """Join scenes of one SH degree row-wise; `info` is the first one's."""
+    names = ("means", "scales", "quats", "opacities", "sh0", "shN")
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return replace(parts[0], **joined)

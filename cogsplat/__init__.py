@@ -1,0 +1,1 @@
+"""Cloud-Optimized Gaussian Splats: encode, decode, read and write splat scenes."""

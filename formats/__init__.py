@@ -1,0 +1,1 @@
+"""Bytes: the COGS container, foreign scene formats and camera formats."""
