@@ -1,0 +1,33 @@
+"""What a file is that is not what was asked for, by its first bytes, for messages."""
+
+from __future__ import annotations
+
+from .cogs_layout import MAGIC
+
+_MAGICS = (
+    (MAGIC, "a COGS file"),
+    (MAGIC[::-1], "a COGS magic in reverse byte order"),
+    (b"version https://git-lfs", "a Git LFS pointer in place of the file"),
+    (b"ply", "a PLY file"),
+    (b"\x1f\x8b", "gzip, as SPZ up to version 3"),
+    (b"NGSP", "SPZ version 4"),
+    (b"PK\x03\x04", "a ZIP file, as SOG"),
+    (b"RAD0", "Spark RAD"),
+    (b"\x28\xb5\x2f\xfd", "zstd data"),
+    (b"glTF", "binary glTF"),
+    (b"\x89PNG", "a PNG image"),
+    (b"RIFF", "a RIFF file, as WebP"),
+    (b"<", "markup, as an error page of a server"),
+    (b"{", "a JSON object"),
+    (b"[", "a JSON array"),
+)
+
+
+def describe(head: bytes) -> str:
+    """Say what a file is that starts with these bytes, as in "is ..., expected ..."."""
+    if not head:
+        return "an empty file"
+    for magic, name in _MAGICS:
+        if head.startswith(magic):
+            return f"{name} (it starts with {head[:8].hex(' ')})"
+    return f"a file that starts with {head[:8].hex(' ')}"
