@@ -1,0 +1,423 @@
+"""What every splat adds to the pictures of a set of views: the measure that order is made from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import sh
+from .cameras import Camera
+from .errors import DataError
+from .kernels import kernel
+from .progress import Progress, silent
+from .projection import (
+    ALPHA_MIN,
+    FLAT,
+    NARROW,
+    NEAR,
+    OPACITY,
+    SHEAR,
+    Footprints,
+    X,
+    Y,
+    project,
+)
+from .rasterise import ALPHA_MAX, TRANSMITTANCE_MIN, falloff
+from .splats import MAX_SH_DEGREE, Splats, sh_coefficients
+from .threads import ordered_map, thread_count
+from .tiles import TILE, TileLists, tile_lists
+from .views import jitter
+
+_ALPHA_MIN = np.float32(ALPHA_MIN)
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+_HALF = np.float32(0.5)
+_PIXELS = TILE * TILE
+# Unsigned, so that no index is checked for counting from the end: such checks stop vectorisation.
+_TILE = np.uintp(TILE)
+_BASES = sh_coefficients(MAX_SH_DEGREE)
+_RANGES_PER_THREAD = 4
+
+# Columns of a pair's or a footprint's sums.
+_WEIGHT, _SQUARE, _PEAK = range(3)
+# Rows of a tile's lanes.
+_SQUARES, _PEAKS, _ROW = np.uintp(TILE), np.uintp(2 * TILE), np.uintp(3 * TILE)
+
+# PRoGS, section 3.1 (Zoomers et al. 2024): a pixel's K largest weights count.
+TOP_K = 20
+
+
+@dataclass(frozen=True)
+class ScoreConfig:
+    """What counts as contribution.
+
+    Parameters
+    ----------
+    top_k : int
+        Weights counted per pixel, the largest ones; 0 for all.
+    jitter : bool
+        Also score copies of the cameras that step back and turn (`views.jitter`), so that what
+        the capture path hides is not worth nothing.
+    near : float
+        Means at or before this camera-space depth are not drawn, scene units.
+    threads : int
+        0 for every core this process may use. The scores do not depend on it.
+    """
+
+    top_k: int = TOP_K
+    jitter: bool = True
+    near: float = NEAR
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        if self.top_k < 0:
+            raise ValueError(f"top_k {self.top_k}, expected 0 (all) or more")
+        if not self.near > 0.0:
+            raise ValueError(f"near {self.near}, expected more than 0")
+        thread_count(self.threads)
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Sums over views and pixels of the weights w = T·alpha with which a splat was blended.
+
+    Parameters
+    ----------
+    contribution : (N,) float64
+        Sum over a view's pixels of w, where w is among the pixel's top K; mean over the given
+        views, plus, with jitter, the mean over their jittered copies (PRoGS, section 3.1). px
+        per view.
+    colour_sensitivity : (N,) float64
+        Largest change of the mean unclamped pixel (sum over RGB's one channel) per change of one
+        SH coefficient: the maximum over 16 bases of the sum over views of ``|Y| · contribution in
+        the view``, over the views' pixels (Niedermayr et al. 2024, section 3.1). With jitter, the
+        two sets of views count half each. Top K makes it a lower bound.
+    energy : (N,) float64
+        Sum of w² over all weights, per pixel of the views: a colour error Δ of the splat alone
+        costs ``energy · Δ²`` of mean squared error. With jitter, the two sets count half each.
+    peak : (N,) float32
+        Largest w in any pixel of any view.
+    seen : (N,) int32
+        Views in which it was blended into a pixel.
+    num_pixels : int
+        Pixels of all views, jittered ones included.
+    """
+
+    contribution: NDArray[np.float64]
+    colour_sensitivity: NDArray[np.float64]
+    energy: NDArray[np.float64]
+    peak: NDArray[np.float32]
+    seen: NDArray[np.int32]
+    num_pixels: int
+
+
+@dataclass(frozen=True, eq=False)
+class _ViewScores:
+    """One view's sums: rows of the scene (M,), and (M, 3) float64 Σw, Σw², largest w."""
+
+    index: NDArray[np.int32]
+    sums: NDArray[np.float64]
+
+
+@kernel
+def _weigh(
+    first: int,
+    last: int,
+    lists_first: int,
+    starts: NDArray[np.int64],
+    members: NDArray[np.int32],
+    ellipse: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    width: int,
+    height: int,
+    top_k: int,
+    sums: NDArray[np.float32],
+) -> None:
+    """Sum the weights of every pair of a tile and a splat, for the tiles ``first`` to ``last``.
+
+    The same walk as `rasterise._blend`, a row of 16 pixels at a time, with sums per splat in place
+    of colours per pixel.
+    """
+    tiles_x = (width + TILE - 1) // TILE
+    live = np.empty(_PIXELS, np.float32)
+    # Σw, Σw², largest w by column of the tile, and the weights of one row.
+    lanes = np.empty(4 * TILE, np.float32)
+    # The largest weights of each pixel so far, with their pairs; once there are K, the smallest is
+    # the one to beat.
+    best = np.empty((_PIXELS, top_k), np.float32)
+    owners = np.empty((_PIXELS, top_k), np.int64)
+    filled = np.zeros(_PIXELS, np.int32)
+    smallest = np.zeros(_PIXELS, np.int32)
+    bar = np.zeros(_PIXELS, np.float32)
+    for tile in range(first, last):
+        top = tile // tiles_x * TILE
+        left = tile % tiles_x * TILE
+        num_rows = min(TILE, height - top)
+        num_columns = min(TILE, width - left)
+        live[:] = _ZERO
+        filled[:] = 0
+        bar[:] = _ZERO
+        for y in range(num_rows):
+            for x in range(num_columns):
+                live[y * TILE + x] = _ONE
+        unfinished = num_rows * num_columns
+        begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
+        for pair in range(begin, end):
+            i = members[pair]
+            narrow = ellipse[i, NARROW]
+            shear = ellipse[i, SHEAR]
+            flat = ellipse[i, FLAT]
+            opacity = ellipse[i, OPACITY]
+            centre_x = ellipse[i, X] - np.float32(left) - _HALF
+            centre_y = ellipse[i, Y] - np.float32(top) - _HALF
+            lanes[:] = _ZERO
+            finished = 0
+            for y in range(max(rows[i, 0] - top, 0), min(rows[i, 1] - top, num_rows)):
+                dy = np.float32(y) - centre_y
+                row_x = centre_x + shear * dy
+                row_exponent = -flat * dy * dy
+                base = np.uintp(y * TILE)
+                above_bar = 0
+                for lane in range(_TILE):
+                    at = base + lane
+                    u = narrow * (np.float32(lane) - row_x)
+                    alpha = min(ALPHA_MAX, opacity * falloff(row_exponent - u * u))
+                    before = live[at]
+                    after = before * (_ONE - alpha)
+                    touched = alpha >= _ALPHA_MIN
+                    goes_on = after >= TRANSMITTANCE_MIN
+                    weight = before * alpha if touched & goes_on else _ZERO
+                    finished += int(touched & (before > _ZERO) & ~goes_on)
+                    live[at] = (after if goes_on else _ZERO) if touched else before
+                    lanes[lane] += weight
+                    lanes[lane + _SQUARES] += weight * weight
+                    lanes[lane + _PEAKS] = max(lanes[lane + _PEAKS], weight)
+                    lanes[lane + _ROW] = weight
+                    above_bar += int(weight > bar[at])
+                if top_k > 0 and above_bar > 0:
+                    for lane in range(_TILE):
+                        at = base + lane
+                        weight = lanes[lane + _ROW]
+                        if weight > bar[at]:
+                            count = filled[at]
+                            if count < top_k:
+                                best[at, count] = weight
+                                owners[at, count] = pair
+                                filled[at] = count + 1
+                                if count + 1 < top_k:
+                                    continue
+                            else:
+                                best[at, smallest[at]] = weight
+                                owners[at, smallest[at]] = pair
+                            # Of equal weights the furthest yields, as in a stable sort.
+                            low = 0
+                            for k in range(1, top_k):
+                                if best[at, k] < best[at, low] or (
+                                    best[at, k] == best[at, low] and owners[at, k] > owners[at, low]
+                                ):
+                                    low = k
+                            smallest[at] = low
+                            bar[at] = best[at, low]
+            weights = _ZERO
+            squares = _ZERO
+            peak = _ZERO
+            for lane in range(_TILE):
+                weights += lanes[lane]
+                squares += lanes[lane + _SQUARES]
+                peak = max(peak, lanes[lane + _PEAKS])
+            sums[pair, _WEIGHT] = weights if top_k == 0 else _ZERO
+            sums[pair, _SQUARE] = squares
+            sums[pair, _PEAK] = peak
+            unfinished -= finished
+            if unfinished == 0:
+                for rest in range(pair + 1, end):
+                    sums[rest, :] = _ZERO
+                break
+        if top_k > 0:
+            for pixel in range(num_rows * TILE):
+                for k in range(filled[pixel]):
+                    sums[owners[pixel, k], _WEIGHT] += best[pixel, k]
+
+
+@kernel
+def _gather(
+    members: NDArray[np.int32], pair_sums: NDArray[np.float32], sums: NDArray[np.float64]
+) -> None:
+    """Add up the tiles of each footprint, in the order of the lists."""
+    for pair in range(len(members)):
+        i = members[pair]
+        sums[i, _WEIGHT] += pair_sums[pair, _WEIGHT]
+        sums[i, _SQUARE] += pair_sums[pair, _SQUARE]
+        sums[i, _PEAK] = max(sums[i, _PEAK], pair_sums[pair, _PEAK])
+
+
+_terms = kernel(sh.terms)
+
+
+@kernel
+def _accumulate(
+    index: NDArray[np.int32],
+    sums: NDArray[np.float64],
+    means: NDArray[np.float32],
+    position: NDArray[np.float64],
+    view_share: float,
+    pixel_share: float,
+    contribution: NDArray[np.float64],
+    bases: NDArray[np.float64],
+    energy: NDArray[np.float64],
+    peak: NDArray[np.float32],
+    seen: NDArray[np.int32],
+) -> None:
+    """Add one view to the scene's sums."""
+    for row in range(len(index)):
+        if not sums[row, _PEAK] > 0.0:
+            continue
+        i = index[row]
+        weight = sums[row, _WEIGHT]
+        contribution[i] += view_share * weight
+        energy[i] += pixel_share * sums[row, _SQUARE]
+        peak[i] = max(peak[i], np.float32(sums[row, _PEAK]))
+        seen[i] += 1
+        x = means[i, 0] - position[0]
+        y = means[i, 1] - position[1]
+        z = means[i, 2] - position[2]
+        inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
+        values = _terms(x * inverse, y * inverse, z * inverse)
+        share = pixel_share * weight
+        bases[i, 0] += share * sh.C0
+        for k in range(_BASES - 1):
+            bases[i, k + 1] += share * abs(values[k])
+
+
+def _weigh_tiles(
+    lists: TileLists, footprints: Footprints, camera: Camera, top_k: int, threads: int
+) -> NDArray[np.float32]:
+    sums = np.empty((len(lists.members), 3), np.float32)
+
+    def weigh(tiles: tuple[int, int]) -> None:
+        _weigh(
+            tiles[0],
+            tiles[1],
+            lists.first,
+            lists.starts,
+            lists.members,
+            footprints.ellipse,
+            footprints.rows,
+            camera.width,
+            camera.height,
+            top_k,
+            sums,
+        )
+
+    parts = 1 if threads == 1 else threads * _RANGES_PER_THREAD
+    for _ in ordered_map(weigh, lists.split(parts), threads):
+        pass
+    return sums
+
+
+def _score_view(splats: Splats, camera: Camera, config: ScoreConfig, threads: int) -> _ViewScores:
+    footprints = project(
+        splats,
+        camera,
+        kernel_px=splats.info.kernel_px,
+        antialiased=splats.info.antialiased,
+        near=config.near,
+    )
+    sums = np.zeros((len(footprints), 3), np.float64)
+    for lists in tile_lists(footprints, camera.width, camera.height):
+        pair_sums = _weigh_tiles(lists, footprints, camera, config.top_k, threads)
+        _gather(lists.members, pair_sums, sums)
+    return _ViewScores(footprints.index, sums)
+
+
+def score(
+    splats: Splats,
+    cameras: Sequence[Camera],
+    config: ScoreConfig | None = None,
+    *,
+    progress: Progress = silent,
+) -> Scores:
+    """Measure what each splat adds to what the cameras see, in one pass over the views.
+
+    Parameters
+    ----------
+    splats : Splats
+        Drawn with the kernel and anti-aliasing of ``splats.info``. Rows that cannot be drawn score
+        0.
+    cameras : sequence of Camera
+        In the frame of the means.
+    config : ScoreConfig or None
+        None for the defaults.
+    progress : Progress
+        Called with ``("score", views done, views)``; raising from it stops the work.
+
+    Returns
+    -------
+    Scores
+        The same, bit for bit, for any number of threads.
+
+    Raises
+    ------
+    DataError
+        ``no-cameras`` for an empty list, ``cameras-see-nothing`` when no splat reaches a pixel.
+    """
+    config = config or ScoreConfig()
+    if not cameras:
+        raise DataError("no-cameras", "0 cameras to score with, expected at least 1")
+    sets = [list(cameras)]
+    if config.jitter:
+        sets.append(jitter(splats, cameras))
+    views: list[Camera] = []
+    shares: list[tuple[float, float]] = []
+    for members in sets:
+        pixels = sum(camera.width * camera.height for camera in members)
+        views += members
+        shares += [(1.0 / len(members), 1.0 / (pixels * len(sets)))] * len(members)
+
+    n = len(splats)
+    contribution = np.zeros(n, np.float64)
+    energy = np.zeros(n, np.float64)
+    bases = np.zeros((n, _BASES), np.float64)
+    peak = np.zeros(n, np.float32)
+    seen = np.zeros(n, np.int32)
+    threads = thread_count(config.threads)
+    by_view = len(views) >= threads
+    results = ordered_map(
+        lambda camera: _score_view(splats, camera, config, 1 if by_view else threads),
+        views,
+        threads if by_view else 1,
+    )
+    progress("score", 0, len(views))
+    for done, result in enumerate(results):
+        view_share, pixel_share = shares[done]
+        _accumulate(
+            result.index,
+            result.sums,
+            splats.means,
+            views[done].position,
+            view_share,
+            pixel_share,
+            contribution,
+            bases,
+            energy,
+            peak,
+            seen,
+        )
+        progress("score", done + 1, len(views))
+    if not seen.any():
+        raise DataError(
+            "cameras-see-nothing",
+            f"none of {n} splats reaches a pixel of the {len(cameras)} cameras, expected cameras "
+            "in the frame of the scene",
+        )
+    return Scores(
+        contribution=contribution,
+        colour_sensitivity=bases.max(axis=1),
+        energy=energy,
+        peak=peak,
+        seen=seen,
+        num_pixels=sum(camera.width * camera.height for camera in views),
+    )

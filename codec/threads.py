@@ -1,0 +1,57 @@
+"""Work spread over threads whose results come back in order, whatever the number of threads."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+# Results that wait for an earlier, slower one: enough to keep every thread busy, little memory.
+_AHEAD = 2
+
+
+def thread_count(threads: int) -> int:
+    """Return how many threads `threads` asks for; 0 means every core this process may use.
+
+    Raises
+    ------
+    ValueError
+        A negative number.
+    """
+    if threads < 0:
+        raise ValueError(f"{threads} threads, expected 0 (all cores) or more")
+    if threads:
+        return threads
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def ordered_map(
+    function: Callable[[Item], Result], items: Iterable[Item], threads: int
+) -> Iterator[Result]:
+    """Apply a function to every item on `threads` threads and yield the results in item order.
+
+    At most ``threads + 2`` items are under way or waiting to be taken. When the function raises, or
+    the caller leaves the loop, items that have not begun are dropped.
+    """
+    if threads <= 1:
+        yield from map(function, items)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        waiting: deque[Future[Result]] = deque()
+        try:
+            for item in items:
+                waiting.append(pool.submit(function, item))
+                if len(waiting) >= threads + _AHEAD:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
