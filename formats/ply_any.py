@@ -7,6 +7,7 @@ such a file is met.
 from __future__ import annotations
 
 import importlib
+import io
 import os
 from typing import BinaryIO
 
@@ -70,11 +71,14 @@ def read_columns(
             f"{where}: {_layout(header)}; without plyfile (pip install 'cogsplat[encode]') only "
             "binary_little_endian files whose first element is vertex, all of floats, are read",
         ) from error
-    # A copy, because plyfile closes the text files it has read.
+    # A copy, because a text stream closes the file below it.
     with os.fdopen(os.dup(file.fileno()), "rb") as copy:
         copy.seek(0)
+        text = header.format == "ascii"
+        # plyfile refuses comments beyond ASCII, which its own text stream would give it.
+        stream = io.TextIOWrapper(copy, "ascii", "backslashreplace") if text else copy
         try:
-            vertices = plyfile.PlyData.read(copy)["vertex"].data
+            vertices = plyfile.PlyData.read(stream)["vertex"].data
         except OSError:
             raise
         # Whatever a foreign parser trips over here, it is the file's fault.
