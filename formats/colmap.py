@@ -255,15 +255,16 @@ class _Reader:
         return count
 
     def name(self, what: str) -> str:
-        start = self.offset
         data = self.file.read(_MAX_NAME_BYTES)
         end = data.find(b"\0")
+        if end < 0 and len(data) < _MAX_NAME_BYTES:
+            raise self.truncated(len(data) + 1, f"the name of {what}")
         if end < 0:
             raise FormatError(
                 "colmap-malformed",
-                f"{self.where}: the name of {what} at byte {start} has no end within "
-                f"{len(data)} bytes, expected a zero byte",
-                offset=start,
+                f"{self.where}: the name of {what} at byte {self.offset} is longer than "
+                f"{_MAX_NAME_BYTES - 1} bytes, expected a zero byte",
+                offset=self.offset,
             )
         self.offset += end + 1
         self.file.seek(self.offset)
