@@ -13,13 +13,12 @@ from cogsplat.codec.splats import Splats
 
 from .atomic import StrPath, atomic_write, open_for_read, storage_errors
 from .ply_any import read_columns
+from .ply_comments import parse_scene_info, scene_comments
 from .ply_header import (
     PlyHeader,
     check_size,
     match_fields,
-    parse_scene_info,
     read_header,
-    scene_comments,
     splat_fields,
 )
 

@@ -1,0 +1,86 @@
+"""What a scene says of itself, as PLY comments that start with ``cogsplat``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from cogsplat.codec.errors import DataError, FormatError
+from cogsplat.codec.splats import SceneInfo
+
+_COMMENT = "cogsplat"
+_AXES = ({"R", "L"}, {"U", "D"}, {"F", "B"})
+
+
+def scene_comments(info: SceneInfo) -> list[str]:
+    """Return the comments that say what differs from a default `SceneInfo`.
+
+    Raises
+    ------
+    DataError
+        ``bad-scene-info``: a value that `parse_scene_info` would refuse.
+    """
+    default = SceneInfo()
+    comments = []
+    if info.origin != default.origin:
+        comments.append(f"{_COMMENT} origin {' '.join(repr(float(v)) for v in info.origin)}")
+    if info.axes != default.axes:
+        comments.append(f"{_COMMENT} axes {info.axes}")
+    if info.colour_space != default.colour_space:
+        comments.append(f"{_COMMENT} colour_space {info.colour_space}")
+    if info.kernel_px != default.kernel_px:
+        comments.append(f"{_COMMENT} kernel_px {float(info.kernel_px)!r}")
+    if info.antialiased != default.antialiased:
+        comments.append(f"{_COMMENT} antialiased {str(bool(info.antialiased)).lower()}")
+    try:
+        parse_scene_info(comments, "scene info")
+    except FormatError as error:
+        raise DataError("bad-scene-info", error.message) from error
+    return comments
+
+
+def parse_scene_info(comments: Sequence[str], where: str) -> SceneInfo:
+    """Return what the comments that start with ``cogsplat`` say; unknown keys are skipped.
+
+    Raises
+    ------
+    FormatError
+        ``ply-bad-comment``: a known key with a value that it cannot have.
+    """
+    default = SceneInfo()
+    origin, axes, colour_space = default.origin, default.axes, default.colour_space
+    kernel_px, antialiased = default.kernel_px, default.antialiased
+    for comment in comments:
+        match comment.split(" "):
+            case ["cogsplat", "origin", x, y, z] if _finite(x, y, z):
+                origin = (float(x), float(y), float(z))
+            case ["cogsplat", "axes", name] if _is_axes(name):
+                axes = name
+            case ["cogsplat", "colour_space", ("srgb" | "linear") as name]:
+                colour_space = name
+            case ["cogsplat", "kernel_px", value] if _finite(value) and float(value) >= 0:
+                kernel_px = float(value)
+            case ["cogsplat", "antialiased", ("true" | "false") as value]:
+                antialiased = value == "true"
+            case [
+                "cogsplat",
+                ("origin" | "axes" | "colour_space" | "kernel_px" | "antialiased") as key,
+                *_,
+            ]:
+                raise FormatError(
+                    "ply-bad-comment",
+                    f"{where}: {comment[:80]!r}, expected a value that {key} can have",
+                )
+    return SceneInfo(origin, axes, colour_space, kernel_px, antialiased)
+
+
+def _finite(*words: str) -> bool:
+    try:
+        return all(math.isfinite(float(word)) for word in words)
+    except ValueError:
+        return False
+
+
+def _is_axes(name: str) -> bool:
+    """Tell whether there is one letter for each of right/left, up/down, front/back."""
+    return len(name) == 3 and all(len(pair & set(name)) == 1 for pair in _AXES)
