@@ -23,6 +23,8 @@ _GUARD = 0.3
 # footprint is rounded to float32; the test of alpha decides.
 _SLACK_PX = 0.01
 _SLACK = 1e-6
+# Footprints beyond this, in px or its powers, are left out: their squares would leave float32.
+_HUGE = 1e18
 
 # Columns of `Footprints.ellipse`.
 X, Y, NARROW, SHEAR, FLAT, OPACITY, HALF_WIDTH, HALF_HEIGHT = range(8)
@@ -162,7 +164,10 @@ def _project(
             continue
         narrow = math.sqrt(0.5 * var_y / det)
         shear = cov / var_y
-        if not (narrow < math.inf and abs(shear) < math.inf):
+        flat = 0.5 / var_y
+        if not (abs(px) < _HUGE and abs(py) < _HUGE and abs(shear) < _HUGE):
+            continue
+        if not (narrow < _HUGE and flat < _HUGE):
             continue
         index[count] = i
         depths[count] = z
@@ -170,7 +175,7 @@ def _project(
         ellipse[count, Y] = py
         ellipse[count, NARROW] = narrow
         ellipse[count, SHEAR] = shear
-        ellipse[count, FLAT] = 0.5 / var_y
+        ellipse[count, FLAT] = flat
         ellipse[count, OPACITY] = opacity
         ellipse[count, HALF_WIDTH] = half_width
         ellipse[count, HALF_HEIGHT] = half_height

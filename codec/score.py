@@ -48,6 +48,8 @@ _SQUARES, _PEAKS, _ROW = np.uintp(TILE), np.uintp(2 * TILE), np.uintp(3 * TILE)
 
 # PRoGS, section 3.1 (Zoomers et al. 2024): a pixel's K largest weights count.
 TOP_K = 20
+# No pixel blends more: ln(1e-4) / ln(1 - 1/255) = 2344 splats of the least alpha.
+_MOST_WEIGHTS = 2346
 
 
 @dataclass(frozen=True)
@@ -91,10 +93,10 @@ class Scores:
         views, plus, with jitter, the mean over their jittered copies (PRoGS, section 3.1). px
         per view.
     colour_sensitivity : (N,) float64
-        Largest change of the mean unclamped pixel (sum over RGB's one channel) per change of one
-        SH coefficient: the maximum over 16 bases of the sum over views of ``|Y| · contribution in
-        the view``, over the views' pixels (Niedermayr et al. 2024, section 3.1). With jitter, the
-        two sets of views count half each. Top K makes it a lower bound.
+        Largest change that one SH coefficient makes to the mean unclamped pixel of its channel,
+        per unit: the maximum over all 16 bases of the sum over views of ``|Y| · contribution in the
+        view``, over the views' pixels (Niedermayr et al. 2024, section 3.1). With jitter, the given
+        and the jittered views count half each. Top K makes it a lower bound.
     energy : (N,) float64
         Sum of w² over all weights, per pixel of the views: a colour error Δ of the splat alone
         costs ``energy · Δ²`` of mean squared error. With jitter, the two sets count half each.
@@ -326,9 +328,10 @@ def _score_view(splats: Splats, camera: Camera, config: ScoreConfig, threads: in
         antialiased=splats.info.antialiased,
         near=config.near,
     )
+    top_k = config.top_k if config.top_k < _MOST_WEIGHTS else 0
     sums = np.zeros((len(footprints), 3), np.float64)
     for lists in tile_lists(footprints, camera.width, camera.height):
-        pair_sums = _weigh_tiles(lists, footprints, camera, config.top_k, threads)
+        pair_sums = _weigh_tiles(lists, footprints, camera, top_k, threads)
         _gather(lists.members, pair_sums, sums)
     return _ViewScores(footprints.index, sums)
 

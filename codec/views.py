@@ -130,7 +130,7 @@ def shell(splats: Splats, count: int = 48, size: int = 400) -> list[Camera]:
     Parameters
     ----------
     splats : Splats
-        Rows that are not finite are left out.
+        Rows whose means or scales are not finite are left out.
     count : int
         Number of views.
     size : int
@@ -154,7 +154,8 @@ def shell(splats: Splats, count: int = 48, size: int = 400) -> list[Camera]:
         raise ValueError(f"{count} views of {size} px, expected at least 1 of each")
     with np.errstate(over="ignore"):
         weights = 1.0 / (1.0 + np.exp(-splats.opacities.astype(np.float64)))
-    usable = np.isfinite(splats.means).all(axis=1) & (weights > 0.0)
+    usable = np.isfinite(splats.means).all(axis=1) & np.isfinite(splats.scales).all(axis=1)
+    usable &= weights > 0.0
     if not usable.any():
         raise DataError(
             "empty-scene", f"none of {len(splats)} splats has any opacity, expected at least 1"
@@ -165,8 +166,10 @@ def shell(splats: Splats, count: int = 48, size: int = 400) -> list[Camera]:
     inner = _quantile(distances, weights, _INNER_SHARE)
     outer = _quantile(distances, weights, _OUTER_SHARE)
     # A scene of one point still has an extent.
-    outer = max(outer, float(np.exp(np.median(splats.scales[usable].max(axis=1)))), 1e-6)
-    inner = max(inner, 0.1 * outer)
+    scale = float(np.median(splats.scales[usable].max(axis=1)))
+    least = math.exp(min(max(scale, math.log(1e-6)), math.log(1e6)))
+    outer = max(outer, least)
+    inner = max(inner, least, 0.1 * outer)
     encloses = outer > _ENCLOSING * inner
 
     views: list[Camera] = []

@@ -1,0 +1,147 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.score import ScoreConfig, score
+from cogsplat.codec.splats import concatenate, empty
+from cogsplat.codec.views import hold_out, jitter, roam, shell, visible_depth
+
+
+def _named(count):
+    return [replace(oracle.camera(angle=0.3 * k), name=str(k)) for k in range(count)]
+
+
+def test_every_eighth_camera_is_held_out():
+    train, held = hold_out(_named(50), 8)
+    assert [camera.name for camera in held] == ["0", "8", "16", "24", "32", "40", "48"]
+    assert len(train) == 43
+    assert not {camera.name for camera in train} & {camera.name for camera in held}
+
+
+def test_zero_holds_out_none_and_one_holds_out_all():
+    cameras = _named(3)
+    assert hold_out(cameras, 0) == (cameras, [])
+    assert hold_out(cameras, 1) == ([], cameras)
+    with pytest.raises(ValueError, match="expected 0"):
+        hold_out(cameras, -1)
+
+
+def test_visible_depth_is_the_median_over_means_in_the_picture():
+    splats = empty(0, 6)
+    camera = replace(oracle.camera(), rotation=np.eye(3), translation=np.zeros(3))
+    splats.means[:] = [[0, 0, 1], [0, 0, 2], [0.1, 0, 9], [5, 0, 3], [0, 0, -4], [0, 0, 0.1]]
+    assert visible_depth(splats, camera) == 2.0
+
+
+def test_visible_depth_ignores_what_is_not_finite_and_is_zero_for_nothing():
+    splats = oracle.scene(0, n=9)
+    expected = visible_depth(splats, oracle.camera())
+    broken = splats.take(np.arange(9))
+    broken.means[:] = np.nan
+    broken.means[4] = np.inf
+    assert visible_depth(concatenate([splats, broken]), oracle.camera()) == expected
+    assert visible_depth(broken, oracle.camera()) == 0.0
+    assert visible_depth(empty(0), oracle.camera()) == 0.0
+
+
+def test_roam_moves_back_and_turns_alternately():
+    splats, cameras = oracle.scene(1), _named(3)
+    views = roam(splats, cameras)
+    assert [view.name for view in views] == [
+        "0-back", "0-turned", "1-back", "1-turned", "2-back", "2-turned",
+    ]  # fmt: skip
+    for index, camera in enumerate(cameras):
+        moved, turned = views[2 * index], views[2 * index + 1]
+        forward, right = camera.rotation[2], camera.rotation[0]
+        np.testing.assert_allclose(
+            moved.position, camera.position - 0.3 * visible_depth(splats, camera) * forward
+        )
+        np.testing.assert_array_equal(moved.rotation, camera.rotation)
+        np.testing.assert_allclose(turned.position, camera.position, atol=1e-12)
+        np.testing.assert_allclose(turned.rotation[1], camera.rotation[1])
+        assert turned.rotation[2] @ forward == pytest.approx(math.cos(math.radians(20)))
+        assert (turned.rotation[2] @ right > 0) == (index % 2 == 0)
+        assert (moved.fx, moved.width, turned.cy) == (camera.fx, camera.width, camera.cy)
+
+
+def test_roam_of_a_camera_that_sees_nothing_only_turns():
+    camera = oracle.camera(distance=-50.0)
+    moved, turned = roam(oracle.scene(0), [camera])
+    np.testing.assert_array_equal(moved.translation, camera.translation)
+    assert not np.allclose(turned.rotation, camera.rotation)
+
+
+def test_jitter_is_the_rule_of_roam():
+    splats, cameras = oracle.scene(1), _named(2)
+    for first, second in zip(jitter(splats, cameras), roam(splats, cameras), strict=True):
+        np.testing.assert_array_equal(first.rotation, second.rotation)
+        np.testing.assert_array_equal(first.translation, second.translation)
+
+
+@pytest.mark.parametrize("size", [0.01, 1.0, 1000.0])
+def test_shell_sees_scenes_of_any_size(size):
+    splats = oracle.scene(2, n=200)
+    scaled = replace(
+        splats,
+        means=splats.means * np.float32(size) + np.float32(7.0),
+        scales=splats.scales + np.float32(math.log(size)),
+    )
+    cameras = shell(scaled, count=10, size=64)
+    assert len(cameras) == 10
+    scores = score(scaled, cameras, ScoreConfig(jitter=False))
+    assert (scores.seen >= 3).mean() > 0.9
+    middle = np.median(scaled.means, axis=0)
+    for camera in cameras:
+        towards = middle - camera.position
+        assert camera.rotation[2] @ towards > 0.8 * np.linalg.norm(towards)
+
+
+def test_shell_of_an_enclosing_scene_also_looks_out():
+    subject = oracle.scene(3, n=150)
+    around = oracle.scene(4, n=100)
+    far = around.means / np.linalg.norm(around.means, axis=1, keepdims=True) * np.float32(40)
+    background = replace(around, means=far, scales=around.scales + np.float32(3))
+    cameras = shell(concatenate([subject, background]), count=12, size=48)
+    outward = [camera for camera in cameras if np.linalg.norm(camera.position) < 2.0]
+    assert len(outward) == 4
+    scores = score(concatenate([subject, background]), cameras, ScoreConfig(jitter=False))
+    assert (scores.seen > 0).mean() > 0.95
+
+
+def test_shell_is_the_same_every_time():
+    splats = oracle.scene(5)
+    for first, second in zip(shell(splats, count=5), shell(splats, count=5), strict=True):
+        np.testing.assert_array_equal(first.rotation, second.rotation)
+        np.testing.assert_array_equal(first.translation, second.translation)
+
+
+def test_shell_of_one_splat_sees_it():
+    splats = empty(0, 1)
+    splats.means[0] = [3.0, -2.0, 1.0]
+    splats.scales[0] = -4.0
+    scores = score(splats, shell(splats, count=4, size=32), ScoreConfig(jitter=False))
+    assert scores.seen[0] == 4
+
+
+def test_shell_survives_splats_that_are_not_finite():
+    splats = oracle.scene(6)
+    splats.means[0] = np.nan
+    splats.opacities[1] = np.inf
+    splats.opacities[2] = np.nan
+    splats.scales[3] = np.nan
+    assert len(shell(splats, count=3)) == 3
+
+
+def test_shell_of_nothing_is_refused():
+    invisible = empty(0, 3)
+    invisible.opacities[:] = -np.inf
+    for splats in (empty(0), invisible):
+        with pytest.raises(DataError) as caught:
+            shell(splats)
+        assert caught.value.code == "empty-scene"
+    with pytest.raises(ValueError, match="expected at least 1"):
+        shell(oracle.scene(0), count=0)
