@@ -25,6 +25,9 @@ _DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _PERMISSION = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _NOT_FOUND = frozenset({errno.ENOENT, errno.ENOTDIR})
 
+# .<target>.<process>-<machine><random>.tmp
+_TEMPORARY = re.compile(r"\..+\.([0-9]{1,10})-([0-9a-f]{8})[0-9a-f]{8}\.tmp")
+
 
 class TargetExistsError(StorageError):
     """The output is there already and was not to be replaced; a fault of usage, so exit code 2.
@@ -48,7 +51,10 @@ def storage_error(error: OSError, path: StrPath) -> StorageError:
 
     Its code is ``disk-full``, ``permission``, ``not-found``, ``not-a-file`` or ``io``.
     """
-    where = error.filename if isinstance(error.filename, str) else os.fspath(path)
+    where = error.filename
+    # The name of a temporary says nothing to whoever asked for the output.
+    if not isinstance(where, str) or _TEMPORARY.fullmatch(Path(where).name):
+        where = os.fspath(path)
     reason = error.strerror or str(error)
     if error.errno in _DISK_FULL:
         return StorageError("disk-full", f"{where}: {reason}, expected room to write")
@@ -178,11 +184,10 @@ def _remove_stale(folder: Path) -> None:
     # Windows has no harmless way to ask whether a process lives: os.kill would end it.
     if os.name != "posix":
         return
-    ours = re.compile(rf"\..+\.([0-9]{{1,10}})-{_host()}[0-9a-f]{{8}}\.tmp")
     with os.scandir(folder) as entries:
-        matches = [(entry.path, ours.fullmatch(entry.name)) for entry in entries]
+        matches = [(entry.path, _TEMPORARY.fullmatch(entry.name)) for entry in entries]
     for name, match in matches:
-        if match and not _is_alive(int(match[1])):
+        if match and match[2] == _host() and not _is_alive(int(match[1])):
             # Another process may be clearing the same file.
             Path(name).unlink(missing_ok=True)
 

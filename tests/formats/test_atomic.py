@@ -127,6 +127,20 @@ def test_a_full_device_itself() -> None:
     assert caught.value.code == "disk-full"
 
 
+def test_messages_name_the_output_and_not_its_temporary(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "a.bin"
+
+    def busy(source: Path, destination: Path) -> None:
+        raise OSError(errno.EACCES, "busy", str(source), None, str(destination))
+
+    monkeypatch.setattr(Path, "replace", busy)
+    with pytest.raises(StorageError) as caught:
+        write(target, b"x")
+    assert caught.value.message.startswith(f"{target}: busy")
+
+
 @pytest.mark.parametrize("force", [False, True])
 def test_a_folder_is_no_target(tmp_path: Path, force: bool) -> None:
     with pytest.raises(StorageError, match="a folder") as caught:
