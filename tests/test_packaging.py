@@ -1,0 +1,110 @@
+"""The wheel holds the packages and nothing else, and what it holds works by itself."""
+
+import importlib.metadata
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("codec", "formats", "tools")
+EXTRAS = ("numba", "scipy", "sklearn", "PIL", "plyfile", "skimage", "threadpoolctl")
+
+# What the core install must be able to import.
+CORE = (
+    "cogsplat",
+    "cogsplat.codec.decoder",
+    "cogsplat.formats.cogs_reader",
+    "cogsplat.formats.ply",
+    "cogsplat.tools.synth",
+)
+
+# `setuptools` of pyproject.toml; older ones do not know its licence field.
+OLDEST_SETUPTOOLS = 77
+
+
+def newest_setuptools_is_here() -> bool:
+    try:
+        version = importlib.metadata.version("setuptools")
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return int(version.split(".")[0]) >= OLDEST_SETUPTOOLS
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Copy what the wheel is made of: building in place would leave folders behind."""
+    tree = tmp_path_factory.mktemp("tree")
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tree / name)
+    leave = shutil.ignore_patterns("__pycache__", "node_modules", "*.egg-info")
+    for name in ("cogsplat", *PACKAGES):
+        shutil.copytree(ROOT / name, tree / name, symlinks=True, ignore=leave)
+    return tree
+
+
+@pytest.fixture(scope="module")
+def wheel(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> zipfile.Path:
+    out = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-input"]
+    command += ["--disable-pip-version-check", "--wheel-dir", str(out)]
+    if newest_setuptools_is_here():
+        command.append("--no-build-isolation")
+    built = subprocess.run(
+        [*command, str(tree)], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+    )
+    assert built.returncode == 0, built.stdout + built.stderr
+    (path,) = out.iterdir()
+    return zipfile.Path(path)
+
+
+@pytest.mark.slow
+def test_wheel_is_the_tree_and_nothing_else(tree: Path, wheel: zipfile.Path) -> None:
+    names = [name for name in wheel.root.namelist() if not name.endswith("/")]
+    assert len(names) == len(set(names))
+    inside = {name for name in names if ".dist-info/" not in name}
+    expected = {"cogsplat/__init__.py", "cogsplat/py.typed"}
+    for package in PACKAGES:
+        sources = (tree / package).rglob("*.py")
+        expected |= {f"cogsplat/{path.relative_to(tree).as_posix()}" for path in sources}
+    assert inside == expected
+    notes = {name.split("/", 1)[1] for name in names if ".dist-info/" in name}
+    assert "licenses/LICENSE" in notes
+    assert "entry_points.txt" in notes
+
+
+@pytest.mark.slow
+def test_links_in_the_import_package_lead_to_the_packages() -> None:
+    for name in PACKAGES:
+        link = ROOT / "cogsplat" / name
+        assert link.is_symlink()
+        assert link.readlink() == Path("..") / name
+
+
+@pytest.mark.slow
+def test_core_alone_imports_from_the_wheel(wheel: zipfile.Path, tmp_path: Path) -> None:
+    """What decodes and inspects works with no extra installed."""
+    wheel.root.extractall(tmp_path)
+    program = [
+        "import sys",
+        f"sys.path.insert(0, {str(tmp_path)!r})",
+        f"sys.modules.update(dict.fromkeys({EXTRAS!r}))",
+        f"import {', '.join(CORE)}",
+        "print(cogsplat.__file__, cogsplat.codec.splats.__file__)",
+    ]
+    # -P keeps the current folder off the path, -s the user's own packages.
+    command = [sys.executable, "-P", "-s", "-c", "\n".join(program)]
+    done = subprocess.run(
+        command,
+        cwd=tmp_path,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    for path in done.stdout.split():
+        assert Path(path).is_relative_to(tmp_path)
