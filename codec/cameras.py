@@ -71,7 +71,7 @@ class Camera:
                 "expected finite values and positive focal lengths",
             )
         if not np.isfinite(rotation).all() or not np.isfinite(translation).all():
-            raise DataError("bad-camera", f"{label}: NaN or infinite pose")
+            raise DataError("bad-camera", f"{label}: NaN or infinite pose, expected finite numbers")
         error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
         if error > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
             raise DataError(

@@ -104,6 +104,8 @@ class Scores:
         Largest w in any pixel of any view.
     seen : (N,) int32
         Views in which it was blended into a pixel.
+    covered : (N,) int32
+        Views whose image its footprint reaches, whether or not something hides it there.
     num_pixels : int
         Pixels of all views, jittered ones included.
     """
@@ -113,7 +115,21 @@ class Scores:
     energy: NDArray[np.float64]
     peak: NDArray[np.float32]
     seen: NDArray[np.int32]
+    covered: NDArray[np.int32]
     num_pixels: int
+
+
+def unscored(splats: int) -> Scores:
+    """Return scores for a scene that no view was rendered of: nothing known, nothing pruned."""
+    return Scores(
+        contribution=np.zeros(splats, np.float64),
+        colour_sensitivity=np.zeros(splats, np.float64),
+        energy=np.zeros(splats, np.float64),
+        peak=np.zeros(splats, np.float32),
+        seen=np.zeros(splats, np.int32),
+        covered=np.zeros(splats, np.int32),
+        num_pixels=0,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,6 +402,7 @@ def score(
     bases = np.zeros((n, _BASES), np.float64)
     peak = np.zeros(n, np.float32)
     seen = np.zeros(n, np.int32)
+    covered = np.zeros(n, np.int32)
     threads = thread_count(config.threads)
     by_view = len(views) >= threads
     results = ordered_map(
@@ -409,6 +426,7 @@ def score(
             peak,
             seen,
         )
+        covered[result.index] += 1
         progress("score", done + 1, len(views))
     if not seen.any():
         raise DataError(
@@ -422,5 +440,6 @@ def score(
         energy=energy,
         peak=peak,
         seen=seen,
+        covered=covered,
         num_pixels=sum(camera.width * camera.height for camera in views),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -154,7 +155,7 @@ class Splats:
         n = len(self)
         bad = np.isnan(self.opacities)
         for array in (self.means, self.scales, self.quats, self.sh0, self.shN):
-            bad |= ~np.isfinite(array.reshape(n, -1)).all(axis=1)
+            bad |= ~np.isfinite(array.reshape(n, math.prod(array.shape[1:]))).all(axis=1)
         with np.errstate(invalid="ignore", over="ignore"):
             norm = np.square(self.quats.astype(np.float64)).sum(axis=1)
         bad |= ~(norm > 0.0)
@@ -197,6 +198,12 @@ def empty(degree: int, n: int = 0, info: SceneInfo | None = None) -> Splats:
 
 def concatenate(parts: list[Splats]) -> Splats:
     """Join scenes of one SH degree row-wise; `info` is the first one's."""
-    names = ("means", "scales", "quats", "opacities", "sh0", "shN")
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return replace(parts[0], **joined)
+    return replace(
+        parts[0],
+        means=np.concatenate([part.means for part in parts]),
+        scales=np.concatenate([part.scales for part in parts]),
+        quats=np.concatenate([part.quats for part in parts]),
+        opacities=np.concatenate([part.opacities for part in parts]),
+        sh0=np.concatenate([part.sh0 for part in parts]),
+        shN=np.concatenate([part.shN for part in parts]),
+    )

@@ -1,1 +1,255 @@
-"""Cloud-Optimized Gaussian Splats: encode, decode, read and write splat scenes."""
+"""Cloud-Optimized Gaussian Splats: encode, decode, read and write splat scenes.
+
+``read`` and ``write`` move scenes between files and arrays in any format, ``encode`` and ``decode``
+between scenes and COGS files, ``open`` gives a COGS file chunk by chunk.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .codec.cameras import Camera
+from .codec.errors import (
+    Cancelled,
+    CogsplatError,
+    DataError,
+    FormatError,
+    LimitError,
+    StorageError,
+    TruncatedError,
+    UnsupportedError,
+)
+from .codec.progress import Progress, silent
+from .codec.splats import SceneInfo, Splats
+from .formats.cogs_reader import CogsFile, Limits, open_cogs
+from .formats.source import FileSource, PrefixSource, Source
+
+if TYPE_CHECKING:
+    from .codec.encoder import EncodeConfig
+    from .codec.score import ScoreConfig, Scores
+
+__all__ = [
+    "Camera",
+    "Cancelled",
+    "CogsFile",
+    "CogsplatError",
+    "DataError",
+    "FormatError",
+    "LimitError",
+    "Limits",
+    "SceneInfo",
+    "Splats",
+    "StorageError",
+    "TruncatedError",
+    "UnsupportedError",
+    "decode",
+    "encode",
+    "open",
+    "read",
+    "read_cameras",
+    "write",
+]
+
+try:
+    __version__ = version("cogsplat")
+except PackageNotFoundError:  # a bare checkout on the path, never installed
+    __version__ = "0+unknown"
+
+_Path = str | os.PathLike[str]
+
+
+def open(path: _Path | Source, *, partial: bool = False, limits: Limits | None = None) -> CogsFile:
+    """Open a COGS file without decoding it.
+
+    Parameters
+    ----------
+    path : path or Source
+        A local file, or anything that reads ranges.
+    partial : bool
+        Accept a file that is still being received.
+    limits : Limits, optional
+        What may be allocated for it.
+
+    Returns
+    -------
+    CogsFile
+        A context manager with ``root``, ``chunks`` and ``decode``.
+
+    Raises
+    ------
+    CogsplatError
+        The file cannot be read or breaks SPEC.
+    """
+    source = FileSource(Path(path)) if isinstance(path, str | os.PathLike) else path
+    try:
+        return open_cogs(source, partial=partial, limits=limits)
+    except BaseException:
+        source.close()
+        raise
+
+
+def decode(
+    path: _Path | Source,
+    *,
+    chunks: tuple[int, int] | None = None,
+    splats: int | None = None,
+    size_bytes: int | None = None,
+    sh_degree: int | None = None,
+    limits: Limits | None = None,
+    threads: int = 0,
+    progress: Progress = silent,
+) -> Splats:
+    """Decode a COGS file, or a part of it.
+
+    Parameters
+    ----------
+    path : path or Source
+    chunks : tuple of int, optional
+        Half-open range of chunks.
+    splats : int, optional
+        Whole chunks from the first until there are at least so many splats.
+    size_bytes : int, optional
+        Only what is complete in the first so many bytes of the file.
+    sh_degree : int, optional
+        Highest SH degree wanted, 0 to 3.
+    limits : Limits, optional
+    threads : int
+        0 uses all cores.
+    progress : Progress
+
+    Returns
+    -------
+    Splats
+        Float32, C order, in stored order.
+
+    Raises
+    ------
+    CogsplatError
+        The file cannot be read, is short, or breaks SPEC.
+    ValueError
+        More than one of `chunks`, `splats` and `size_bytes`, or a range outside the file.
+    """
+    if sum(x is not None for x in (chunks, splats, size_bytes)) > 1:
+        raise ValueError("more than one of chunks, splats and size_bytes")
+    source = FileSource(Path(path)) if isinstance(path, str | os.PathLike) else path
+    if size_bytes is not None:
+        source = PrefixSource(source, size_bytes)
+    with open(source, partial=size_bytes is not None, limits=limits) as file:
+        wanted: range | None = None
+        if chunks is not None:
+            first, last = chunks
+            if not 0 <= first <= last <= file.num_chunks:
+                raise ValueError(f"chunks {first}:{last}, expected a range in 0:{file.num_chunks}")
+            wanted = range(first, last)
+        elif splats is not None:
+            wanted = range(file.chunks_for_splats(splats))
+        return file.decode(wanted, sh_degree=sh_degree, threads=threads, progress=progress)
+
+
+def encode(
+    scene: Splats | _Path,
+    path: _Path,
+    *,
+    cameras: Sequence[Camera] | _Path | None = None,
+    scores: Scores | None = None,
+    config: EncodeConfig | None = None,
+    score_config: ScoreConfig | None = None,
+    force: bool = False,
+    progress: Progress = silent,
+) -> int:
+    """Encode a scene into a COGS file.
+
+    Parameters
+    ----------
+    scene : Splats or path
+        A path is read in whatever format it has.
+    path : path
+        The file to write, beside and renamed.
+    cameras : sequence of Camera or path, optional
+        Views to score on: cameras, a ``cameras.json`` or a COLMAP folder. Without them, a shell of
+        virtual views.
+    scores : Scores, optional
+        Of an earlier `score`; then no views are rendered.
+    config : EncodeConfig, optional
+    score_config : ScoreConfig, optional
+    force : bool
+        Replace an existing file.
+    progress : Progress
+        Raising `Cancelled` from it stops the work and leaves no file.
+
+    Returns
+    -------
+    int
+        Bytes written.
+
+    Raises
+    ------
+    CogsplatError
+        The scene or the cameras cannot be used, or the file cannot be written.
+    """
+    from .codec import encoder
+    from .codec.score import ScoreConfig, score
+    from .codec.views import shell
+    from .formats import cogs
+    from .formats.atomic import refuse_existing
+
+    # Before minutes of work, not after.
+    refuse_existing(path, force=force)
+    splats = scene if isinstance(scene, Splats) else read(scene)
+    splats.require_valid()
+    config = config or encoder.EncodeConfig()
+    views: Sequence[Camera] = []
+    if cameras is not None:
+        given = isinstance(cameras, str | os.PathLike)
+        views = read_cameras(cameras) if given else cameras  # type: ignore[arg-type, assignment]
+    first_view = views[0] if views else None
+    if scores is None and len(splats):
+        settings = score_config or ScoreConfig(threads=config.threads)
+        scores = score(splats, views or shell(splats), settings, progress=progress)
+    encoded = encoder.encode(splats, scores, config, progress=progress)
+    return cogs.save(
+        Path(path), encoded, writer=f"cogsplat {__version__}", first_view=first_view, force=force
+    )
+
+
+def read(path: _Path) -> Splats:
+    """Read a scene in any format, COGS included.
+
+    Raises
+    ------
+    CogsplatError
+        The file cannot be read, or is of no known format.
+    """
+    from .formats.registry import is_cogs, read_scene
+
+    return decode(path) if is_cogs(path) else read_scene(path)
+
+
+def write(path: _Path, splats: Splats, *, force: bool = False) -> None:
+    """Write a scene in the format that the extension of `path` names; `encode` writes COGS.
+
+    Raises
+    ------
+    CogsplatError
+        The extension names no format that can be written, or the file cannot be.
+    """
+    from .formats.registry import write_scene
+
+    write_scene(path, splats, force=force)
+
+
+def read_cameras(path: _Path) -> list[Camera]:
+    """Read cameras from a ``cameras.json`` or a COLMAP folder.
+
+    Raises
+    ------
+    CogsplatError
+        They cannot be read.
+    """
+    from .formats.camera_files import read_cameras as read_camera_files
+
+    return read_camera_files(path)

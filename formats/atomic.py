@@ -100,6 +100,27 @@ def open_for_read(path: StrPath) -> BufferedReader:
         return Path(path).open("rb")
 
 
+def refuse_existing(path: StrPath, *, force: bool) -> None:
+    """Refuse an existing output before the work that would fill it.
+
+    Raises
+    ------
+    TargetExistsError
+        ``exists``: `path` is there and `force` is not set. Exit code 2.
+    StorageError
+        ``not-found`` where its folder is not there, ``permission``, ``not-a-file`` or ``io``.
+    """
+    with storage_errors(path):
+        target = Path(os.path.realpath(path))
+        mode = _mode_of(target)
+        if mode is None:
+            target.parent.stat()
+            return
+        _require_regular(Path(path), mode)
+        if not force:
+            raise TargetExistsError(path)
+
+
 @contextmanager
 def atomic_write(path: StrPath, force: bool = False) -> Iterator[BinaryIO]:
     """Give a binary file that becomes `path` when the block ends well.

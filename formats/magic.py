@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from .cogs_layout import MAGIC
+from typing import Final
 
-_MAGICS = (
-    (MAGIC, "a COGS file"),
-    (MAGIC[::-1], "a COGS magic in reverse byte order"),
+COGS_MAGIC: Final = b"\x89COGS\r\n\x1a"
+"""First bytes of a COGS file (SPEC 3.1): not ASCII, and line ends that a text transfer breaks."""
+
+_MAGICS: Final = (
+    (COGS_MAGIC, "a COGS file"),
+    (COGS_MAGIC[::-1], "a COGS magic in reverse byte order"),
     (b"version https://git-lfs", "a Git LFS pointer in place of the file"),
     (b"ply", "a PLY file"),
     (b"\x1f\x8b", "gzip, as SPZ up to version 3"),

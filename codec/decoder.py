@@ -1,0 +1,244 @@
+"""From segment payloads to rows: chunk heads, chunk tails and codebooks (SPEC 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import streams
+from .errors import FormatError
+from .splats import Splats, sh_coefficients
+from .streams import KEPT, SH_BANDS, Attribute, Kind, StoredStream
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeCodebook:
+    """Rows of normalised shapes.
+
+    Parameters
+    ----------
+    scales : (C, 3) float32
+        Natural logarithm, without the splat's scale factor.
+    quats : (C, 4) float32
+        Unit, wxyz, w ≥ 0.
+    """
+
+    scales: F32
+    quats: F32
+
+    def __len__(self) -> int:
+        return len(self.scales)
+
+
+@dataclass(frozen=True, eq=False)
+class ColourCodebook:
+    """Rows of SH coefficients above DC.
+
+    Parameters
+    ----------
+    shN : (C, K-1, 3) float32
+        Zeros in the bands that were not read.
+    """
+
+    shN: F32  # noqa: N815 - the field's name
+
+    def __len__(self) -> int:
+        return len(self.shN)
+
+
+Codebook = ShapeCodebook | ColourCodebook
+
+
+def decode_shape_codebook(payload: memoryview, rows: int, where: str) -> ShapeCodebook:
+    """Return the rows of a shape codebook segment (SPEC 7.1)."""
+    found = _Streams(streams.unpack(payload, where, rows), where, rows)
+    book = ShapeCodebook(np.empty((rows, 3), np.float32), np.empty((rows, 4), np.float32))
+    found.take(Attribute.SCALES).read_numbers(book.scales)
+    found.take(Attribute.QUATS).read_quats(book.quats)
+    found.finish()
+    return book
+
+
+def decode_colour_codebook(
+    payloads: Mapping[int, memoryview], rows: int, degree: int, where: str
+) -> ColourCodebook:
+    """Return the rows of a colour codebook from its band segments (SPEC 7.1).
+
+    Parameters
+    ----------
+    payloads : mapping of int to memoryview
+        Band (1 to `degree`) to the bytes of its segment.
+    rows, degree : int
+        Of the codebook and of the result.
+    where : str
+        Names the codebook in messages.
+    """
+    coefficients = np.zeros((rows, sh_coefficients(degree) - 1, 3), np.float32)
+    for band, payload in payloads.items():
+        label = f"{where}, band {band}"
+        found = _Streams(streams.unpack(payload, label, rows), label, rows)
+        _read_band(found, band, coefficients)
+        found.finish()
+    return ColourCodebook(coefficients)
+
+
+def decode_head(
+    payload: memoryview, codebooks: Mapping[int, Codebook], out: Splats, where: str
+) -> None:
+    """Write a chunk head's means, opacities, sh0, scales and quats into the rows of `out`.
+
+    Parameters
+    ----------
+    payload : memoryview
+        The segment's bytes, its CRC already checked.
+    codebooks : mapping of int to Codebook
+        At least those the segment needs.
+    out : Splats
+        The chunk's rows, as views of a larger scene; shN is left alone.
+    where : str
+        Names the segment in messages.
+
+    Raises
+    ------
+    FormatError, UnsupportedError, LimitError
+        The payload breaks SPEC 6 or 7.2.
+    """
+    rows = len(out)
+    found = _Streams(streams.unpack(payload, where, rows), where, rows)
+    found.take(Attribute.MEANS).read_means(out.means)
+    found.take(Attribute.OPACITIES).read_numbers(out.opacities[:, None])
+    found.take(Attribute.SH0).read_numbers(out.sh0)
+    if found.has(Attribute.SHAPE):
+        shape = found.take(Attribute.SHAPE)
+        kept = ShapeCodebook(
+            np.empty((shape.kept, 3), np.float32), np.empty((shape.kept, 4), np.float32)
+        )
+        if shape.kept:
+            found.take_kept(Attribute.SCALES, shape.kept).read_numbers(kept.scales)
+            found.take_kept(Attribute.QUATS, shape.kept).read_quats(kept.quats)
+        book = codebooks.get(shape.codebook)
+        if not isinstance(book, ShapeCodebook):
+            raise _no_codebook(shape, "shape")
+        _gather(book.scales, kept.scales, shape, out.scales)
+        _gather(book.quats, kept.quats, shape, out.quats)
+        factor = np.empty((rows, 1), np.float32)
+        found.take(Attribute.SCALE_FACTOR).read_numbers(factor)
+        np.add(out.scales, factor, out=out.scales)
+    else:
+        found.take(Attribute.SCALES).read_numbers(out.scales)
+        found.take(Attribute.QUATS).read_quats(out.quats)
+    found.finish()
+
+
+def decode_tail(
+    payload: memoryview, codebooks: Mapping[int, Codebook], out: F32, where: str
+) -> None:
+    """Write a chunk tail's shN into the rows of `out`.
+
+    Parameters
+    ----------
+    payload, codebooks, where
+        As in `decode_head`.
+    out : (n, K-1, 3) float32
+        The chunk's rows; K may be lower than the file's, and the bands above are skipped.
+
+    Raises
+    ------
+    FormatError, UnsupportedError, LimitError
+        The payload breaks SPEC 6 or 7.3.
+    """
+    rows = len(out)
+    found = _Streams(streams.unpack(payload, where, rows), where, rows)
+    if found.has(Attribute.SHN):
+        colour = found.take(Attribute.SHN)
+        kept = np.zeros((colour.kept, *out.shape[1:]), np.float32)
+        if colour.kept:
+            for band in range(1, 4):
+                _read_band(found, band, kept, kept=True)
+        book = codebooks.get(colour.codebook)
+        if not isinstance(book, ColourCodebook) or book.shN.shape[1] < out.shape[1]:
+            raise _no_codebook(colour, "colour")
+        _gather(book.shN[:, : out.shape[1]], kept, colour, out)
+    else:
+        for band in range(1, 4):
+            _read_band(found, band, out)
+    found.finish()
+
+
+def _gather(book: F32, kept: F32, stream: StoredStream, out: F32) -> None:
+    rows = np.concatenate([book, kept]) if len(kept) else book
+    np.take(rows, stream.read_indices(len(book)), axis=0, out=out)
+
+
+def _read_band(found: _Streams, band: int, out: F32, *, kept: bool = False) -> None:
+    """Fill one band of (n, K-1, 3) `out`: zeros where the stream is absent, nothing if K is low."""
+    attribute = SH_BANDS[band - 1]
+    first, last = band * band - 1, (band + 1) * (band + 1) - 1
+    wanted = out.shape[1] >= last
+    if not found.has(attribute, kept=kept):
+        if wanted:
+            out[:, first:last] = 0
+        return
+    stream = found.take_kept(attribute, len(out)) if kept else found.take(attribute)
+    if wanted:
+        values = np.empty((len(out), (last - first) * 3), np.float32)
+        stream.read_numbers(values)
+        out[:, first:last] = values.reshape(len(out), last - first, 3)
+
+
+def _no_codebook(stream: StoredStream, what: str) -> FormatError:
+    return FormatError(
+        "codebook-missing",
+        f"{stream.where}: codebook {stream.codebook}, expected a {what} codebook that the segment "
+        "needs",
+        clause="6.7",
+    )
+
+
+class _Streams:
+    """The streams of one payload, each to be taken exactly once."""
+
+    def __init__(self, stored: list[StoredStream], where: str, rows: int) -> None:
+        self._stored = {(s.attribute, s.flags & KEPT): s for s in stored}
+        self._where = where
+        self._rows = rows
+
+    def has(self, attribute: Attribute, *, kept: bool = False) -> bool:
+        return (attribute, KEPT if kept else 0) in self._stored
+
+    def take(self, attribute: Attribute) -> StoredStream:
+        return self._take(attribute, 0, self._rows)
+
+    def take_kept(self, attribute: Attribute, rows: int) -> StoredStream:
+        return self._take(attribute, KEPT, rows)
+
+    def _take(self, attribute: Attribute, flag: int, rows: int) -> StoredStream:
+        stream = self._stored.pop((attribute, flag), None)
+        name = attribute.name.lower() + (" kept" if flag else "")
+        if stream is None:
+            raise FormatError(
+                "stream-missing", f"{self._where}: no stream for {name}, expected one", clause="7"
+            )
+        if stream.rows != rows:
+            raise FormatError(
+                "stream-rows",
+                f"{stream.where}: {stream.rows} rows, expected {rows}",
+                clause="6.2",
+            )
+        if stream.kind == Kind.VQ and attribute not in (Attribute.SHAPE, Attribute.SHN):
+            raise FormatError(
+                "stream-kind", f"{stream.where}: kind VQ, expected numbers", clause="6.2"
+            )
+        return stream
+
+    def finish(self) -> None:
+        if self._stored:
+            names = sorted(s.label for s in self._stored.values())
+            raise FormatError(
+                "stream-unexpected", f"{self._where}: {names} have no place here", clause="7"
+            )

@@ -1,0 +1,230 @@
+"""From a scene to chunk payloads: score, order, prune, cut, quantise (SPEC 6, 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import allocation, chunking, profile_near, profile_vq
+from .chunk import Payloads
+from .codebook import TrainingConfig
+from .errors import DataError
+from .extent import box
+from .order import ORDERS, order_rows
+from .profile_near import NearBounds
+from .progress import Progress, silent
+from .prune import PruneConfig, kept_rows
+from .score import Scores, unscored
+from .splats import Splats
+from .threads import ordered_map, thread_count
+
+PROFILES: Final = ("vq", "near")
+
+
+@dataclass(frozen=True)
+class EncodeConfig:
+    """How a scene is encoded.
+
+    Parameters
+    ----------
+    profile : str
+        ``vq`` or ``near``.
+    quality_db : float
+        Nominal PSNR of the `vq` profile, dB; sets all steps and what is kept out of the codebooks.
+    order : str
+        One of `order.ORDERS`.
+    chunk_splats : int
+        Most splats in a chunk.
+    morton : bool
+        Whether to sort by Morton code inside the chunk.
+    prune : PruneConfig or None
+        What may be dropped; None keeps every splat.
+    near : NearBounds
+        Error bounds of the `near` profile.
+    training : TrainingConfig
+    threads : int
+        0 uses all cores; the bytes do not depend on it.
+    """
+
+    profile: str = "vq"
+    quality_db: float = 36.0
+    order: str = "contribution"
+    chunk_splats: int = chunking.DEFAULT_LARGEST
+    morton: bool = True
+    prune: PruneConfig | None = field(default_factory=PruneConfig)
+    near: NearBounds = field(default_factory=NearBounds)
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        if self.profile not in PROFILES:
+            raise ValueError(f"profile {self.profile!r}, expected one of {PROFILES}")
+        if self.order not in ORDERS:
+            raise ValueError(f"order {self.order!r}, expected one of {ORDERS}")
+        if not 1 <= self.chunk_splats <= chunking.MAX_CHUNK_SPLATS:
+            raise ValueError(
+                f"chunks of {self.chunk_splats} splats, expected 1 to {chunking.MAX_CHUNK_SPLATS}"
+            )
+        if not 10 <= self.quality_db <= 90:
+            raise ValueError(f"quality {self.quality_db} dB, expected 10 to 90")
+
+
+@dataclass(frozen=True)
+class EncodedCodebook:
+    """A codebook's payloads.
+
+    Parameters
+    ----------
+    attribute : str
+        ``shape`` or ``colour``.
+    rows : int
+    payloads : tuple of bytes
+        One for a shape codebook, one per SH band for a colour codebook.
+    """
+
+    attribute: str
+    rows: int
+    payloads: tuple[bytes, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedChunk:
+    """A chunk's payloads and its row of the chunk table.
+
+    Parameters
+    ----------
+    splats : int
+    payloads : Payloads
+    box : (6,) float64
+        What its splats reach, scene units.
+    contribution : float
+    """
+
+    splats: int
+    payloads: Payloads
+    box: NDArray[np.float64]
+    contribution: float
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedScene:
+    """A scene ready for a container.
+
+    Parameters
+    ----------
+    scene : Splats
+        No rows: SH degree and `info` of the scene.
+    splats : int
+    pruned : int
+        Rows of the source that were dropped.
+    box : (6,) float64
+    codebooks, chunks : sequence
+    """
+
+    scene: Splats
+    splats: int
+    pruned: int
+    box: NDArray[np.float64]
+    codebooks: Sequence[EncodedCodebook]
+    chunks: Sequence[EncodedChunk]
+
+
+def encode(
+    splats: Splats,
+    scores: Scores | None,
+    config: EncodeConfig | None = None,
+    *,
+    progress: Progress = silent,
+) -> EncodedScene:
+    """Encode a scene.
+
+    Parameters
+    ----------
+    splats : Splats
+        Rows must be valid (`Splats.require_valid`).
+    scores : Scores or None
+        Of these splats, row by row. None where nothing was scored: every splat counts the same,
+        none is pruned for its contribution, and the order by contribution is the source's.
+    config : EncodeConfig, optional
+    progress : Progress
+        Called with ``codebooks`` and ``chunks`` as stages.
+
+    Returns
+    -------
+    EncodedScene
+        The same bytes for any number of threads.
+
+    Raises
+    ------
+    DataError
+        ``invalid-rows``, or ``scores-mismatch`` where the scores are another scene's.
+    """
+    config = config or EncodeConfig()
+    splats.require_valid()
+    scores = unscored(len(splats)) if scores is None else scores
+    if len(scores.contribution) != len(splats):
+        raise DataError(
+            "scores-mismatch",
+            f"scores of {len(scores.contribution)} splats for a scene of {len(splats)}",
+        )
+    kept = kept_rows(splats, scores, config.prune)
+    rows = order_rows(config.order, splats, scores)
+    rows = rows[kept[rows]]
+    slices = chunking.plan_chunks(len(rows), config.chunk_splats)
+    ordered = splats.take(rows)
+    codebooks, encode_run = _profile(ordered, scores, rows, config, progress)
+
+    def encode_one(run: slice) -> EncodedChunk:
+        part = rows[run]
+        return EncodedChunk(
+            splats=len(part),
+            payloads=encode_run(run),
+            box=box(ordered.take(run)),
+            contribution=float(scores.contribution[part].sum()),
+        )
+
+    chunks: list[EncodedChunk] = []
+    progress("chunks", 0, len(slices))
+    for chunk in ordered_map(encode_one, slices, thread_count(config.threads)):
+        chunks.append(chunk)
+        progress("chunks", len(chunks), len(slices))
+    boxes = np.array([chunk.box for chunk in chunks]).reshape(-1, 6)
+    whole = np.zeros(6)
+    if len(boxes):
+        whole = np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
+    return EncodedScene(
+        splats.take(slice(0, 0)), len(rows), len(splats) - len(rows), whole, codebooks, chunks
+    )
+
+
+def _profile(
+    ordered: Splats,
+    scores: Scores,
+    rows: NDArray[np.int64],
+    config: EncodeConfig,
+    progress: Progress,
+) -> tuple[Sequence[EncodedCodebook], Callable[[slice], Payloads]]:
+    """Return the codebooks of a profile and what encodes one run of the ordered scene."""
+    if config.profile == "near" or len(rows) == 0:
+        bound = profile_near.mean_bound(ordered, config.near)
+        return [], lambda run: profile_near.encode_chunk(
+            ordered.take(run), bound, config.near, config.morton
+        )
+    plan = profile_vq.plan(
+        ordered,
+        allocation.floor_energy(scores)[rows],
+        allocation.slope(scores, config.quality_db),
+        training=config.training,
+        threads=config.threads,
+        progress=progress,
+    )
+    codebooks = [EncodedCodebook("shape", plan.shape_rows, (plan.shape_payload,))]
+    if plan.colour_rows:
+        codebooks.append(EncodedCodebook("colour", plan.colour_rows, plan.colour_payloads))
+    return codebooks, lambda run: profile_vq.encode_chunk(
+        ordered, plan, np.arange(run.start, run.stop), config.morton
+    )

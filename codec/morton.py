@@ -1,0 +1,161 @@
+"""Morton order of quantised means, and the deltas that store it (SPEC 6.5)."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import FormatError
+
+U8 = NDArray[np.uint8]
+U32 = NDArray[np.uint32]
+U64 = NDArray[np.uint64]
+
+MAX_AXIS_BITS: Final = 21
+"""Three axes of 21 bits fill a 63-bit code."""
+
+MAX_LEVELS: Final = 1 << MAX_AXIS_BITS
+
+_MAX_CLASS: Final = 3 * MAX_AXIS_BITS
+
+# Masks that spread 21 bits to every third bit, halving the group at each step.
+_SPREAD: Final = (
+    (32, 0x001F00000000FFFF),
+    (16, 0x001F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+
+
+def _spread(values: U64) -> U64:
+    for shift, mask in _SPREAD:
+        values = (values | (values << np.uint64(shift))) & np.uint64(mask)
+    return values
+
+
+def _gather(values: U64) -> U64:
+    values = values & np.uint64(_SPREAD[-1][1])
+    masks = [mask for _, mask in _SPREAD]
+    for index in range(len(_SPREAD) - 1, -1, -1):
+        shift = _SPREAD[index][0]
+        mask = masks[index - 1] if index else 0x1FFFFF
+        values = (values | (values >> np.uint64(shift))) & np.uint64(mask)
+    return values
+
+
+def interleave(codes: U32) -> U64:
+    """Return Morton codes of (n, 3) axis codes below 2^21: x in bit 0, y in bit 1, z in bit 2."""
+    wide = codes.astype(np.uint64)
+    morton: U64 = (
+        _spread(wide[:, 0])
+        | (_spread(wide[:, 1]) << np.uint64(1))
+        | (_spread(wide[:, 2]) << np.uint64(2))
+    )
+    return morton
+
+
+def deinterleave(morton: U64) -> U32:
+    """Return the (n, 3) axis codes of Morton codes."""
+    out = np.empty((len(morton), 3), np.uint32)
+    for axis in range(3):
+        out[:, axis] = _gather(morton >> np.uint64(axis))
+    return out
+
+
+def pack_deltas(morton: U64) -> tuple[U8, U8]:
+    """Return the class and the bits plane of ascending Morton codes.
+
+    Parameters
+    ----------
+    morton : (n,) uint64
+        Ascending.
+
+    Returns
+    -------
+    classes : (n,) uint8
+        Bit length of each code's difference to the one before (the first one's to 0).
+    bits : (m,) uint8
+        Every difference without its leading one, lowest bit first, packed without gaps.
+    """
+    deltas = np.diff(morton, prepend=np.uint64(0))
+    classes = _bit_length(deltas)
+    lengths = np.maximum(classes.astype(np.int64) - 1, 0)
+    starts = np.cumsum(lengths) - lengths
+    total = int(lengths.sum())
+    # One row per bit: which difference it belongs to, and which bit of it.
+    owner = np.repeat(np.arange(len(deltas)), lengths)
+    bit = np.arange(total) - starts[owner]
+    values = (deltas[owner] >> bit.astype(np.uint64)) & np.uint64(1)
+    return classes, np.packbits(values.astype(np.uint8), bitorder="little")
+
+
+def _bit_length(values: U64) -> U8:
+    length = np.zeros(len(values), np.uint8)
+    rest = values.copy()
+    for shift in (32, 16, 8, 4, 2, 1):
+        large = rest >= (np.uint64(1) << np.uint64(shift))
+        length[large] += np.uint8(shift)
+        rest[large] >>= np.uint64(shift)
+    return length + (values > 0).astype(np.uint8)
+
+
+def bits_length(classes: U8, where: str) -> int:
+    """Return the length in bytes of the bits plane that belongs to a class plane.
+
+    Raises
+    ------
+    FormatError
+        ``morton-class``: a class above 63.
+    """
+    if len(classes) and int(classes.max()) > _MAX_CLASS:
+        raise FormatError(
+            "morton-class",
+            f"{where}: class {int(classes.max())}, expected at most {_MAX_CLASS}",
+            clause="6.5",
+        )
+    # bincount keeps this exact and cheap for any number of rows.
+    counts = np.bincount(classes, minlength=_MAX_CLASS + 1)
+    bits = int((counts[1:] * np.arange(len(counts) - 1)).sum())
+    return bits + 7 >> 3
+
+
+def unpack_deltas(classes: U8, bits: U8, where: str) -> U64:
+    """Return the Morton codes of a class and a bits plane.
+
+    Raises
+    ------
+    FormatError
+        ``morton-padding``: bits behind the last difference are not zero; ``morton-range``: the
+        sum leaves 63 bits.
+    """
+    lengths = np.maximum(classes, 1).astype(np.int64) - 1
+    ends = np.cumsum(lengths)
+    starts = ends - lengths
+    total = int(ends[-1]) if len(ends) else 0
+    if total & 7 and int(bits[-1]) >> (total & 7):
+        raise FormatError(
+            "morton-padding", f"{where}: padding bits are set, expected zeros", clause="6.5"
+        )
+    # Two 8-byte windows a difference: 7 bits of offset and up to 62 of value do not fit one.
+    padded = np.zeros(len(bits) + 16, np.uint8)
+    padded[: len(bits)] = bits
+    windows = np.lib.stride_tricks.as_strided(
+        padded.view(), (len(padded) - 7, 8), (1, 1), writeable=False
+    )
+    first = starts >> 3
+    shift = (starts & 7).astype(np.uint64)
+    low = np.ascontiguousarray(windows[first]).view("<u8")[:, 0] >> shift
+    if int(lengths.max(initial=0)) > 56:
+        high = padded[first + 8].astype(np.uint64)
+        low = low | ((high << np.uint64(56)) << (np.uint64(8) - shift))
+    width = lengths.astype(np.uint64)
+    deltas = (low & ((np.uint64(1) << width) - np.uint64(1))) | (np.uint64(1) << width)
+    deltas[classes == 0] = 0
+    codes = np.cumsum(deltas, dtype=np.uint64)
+    # Differences are below 2^63, so that the first step out of range shows as bit 63.
+    if len(codes) and bool((codes >> np.uint64(63)).any()):
+        raise FormatError("morton-range", f"{where}: a code needs more than 63 bits", clause="6.5")
+    return codes

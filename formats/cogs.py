@@ -1,0 +1,117 @@
+"""From an encoded scene to a COGS file: the order of its segments and its root."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encoder import EncodedChunk, EncodedScene
+
+from . import cogs_layout as layout
+from .cogs_layout import SegmentKind
+from .cogs_root import ChunkTable, CodebookEntry, Root, no_segments
+from .cogs_writer import Segment, write_cogs
+
+# Heads of this share of the splats come before any SH: shape first, gloss later.
+_PLAIN_SHARE: Final = 0.25
+
+
+def save(
+    path: Path,
+    scene: EncodedScene,
+    *,
+    writer: str,
+    first_view: Camera | None = None,
+    force: bool = False,
+) -> int:
+    """Write an encoded scene as a COGS file.
+
+    Parameters
+    ----------
+    path : Path
+    scene : EncodedScene
+    writer : str
+        Name and version of the program, for the root.
+    first_view : Camera, optional
+        Where a viewer starts.
+    force : bool
+        Replace an existing file.
+
+    Returns
+    -------
+    int
+        Bytes written.
+
+    Raises
+    ------
+    StorageError
+        ``exists``, ``disk-full``, ``permission``, ``not-found`` or ``io``.
+    """
+    return write_cogs(path, build_root(scene, writer, first_view), segments(scene), force=force)
+
+
+def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = None) -> Root:
+    """Return the root of an encoded scene; the writer fills in its segment table."""
+    chunks = scene.chunks
+    count = len(chunks)
+    none = np.zeros(count, np.uint32)
+    table = ChunkTable(
+        splats=np.array([chunk.splats for chunk in chunks], np.uint32),
+        box=_outward(chunks),
+        contribution=np.array([chunk.contribution for chunk in chunks], np.float64),
+        layer=none,
+        cell=none,
+        object=none,
+    )
+    return Root(
+        writer=writer,
+        splats=scene.splats,
+        sh_degree=scene.scene.sh_degree,
+        info=scene.scene.info,
+        box=scene.box,
+        codebooks=[CodebookEntry(book.attribute, book.rows) for book in scene.codebooks],
+        first_view=first_view,
+        segments=no_segments(),
+        chunks=table,
+    )
+
+
+def _outward(chunks: Sequence[EncodedChunk]) -> NDArray[np.float32]:
+    """Return the boxes as float32, rounded outward so that they still hold their splats."""
+    wide = np.array([chunk.box for chunk in chunks], np.float64).reshape(-1, 6)
+    limit = float(np.finfo(np.float32).max)
+    narrow = np.clip(wide, -limit, limit).astype(np.float32)
+    low = np.where(narrow[:, :3] > wide[:, :3], np.nextafter(narrow[:, :3], -np.inf), narrow[:, :3])
+    high = np.where(narrow[:, 3:] < wide[:, 3:], np.nextafter(narrow[:, 3:], np.inf), narrow[:, 3:])
+    return np.concatenate([low, high], axis=1).astype(np.float32)
+
+
+def segments(scene: EncodedScene) -> list[Segment]:
+    """Return the segments of a scene in the order a client should receive them (SPEC 5.1)."""
+    out: list[Segment] = []
+    shapes = [(i, book) for i, book in enumerate(scene.codebooks) if book.attribute == "shape"]
+    colours = [(i, book) for i, book in enumerate(scene.codebooks) if book.attribute == "colour"]
+    for number, book in shapes:
+        out.append(Segment(SegmentKind.SHAPE_CODEBOOK, number, book.payloads[0]))
+    waiting: list[Segment] = []
+    plain, sent = True, 0
+    for number, chunk in enumerate(scene.chunks):
+        parts = chunk.payloads
+        out.append(Segment(SegmentKind.HEAD, number, parts.head, parts.head_needs))
+        if parts.tail is not None:
+            waiting.append(Segment(SegmentKind.TAIL, number, parts.tail, parts.tail_needs))
+        sent += chunk.splats
+        if plain and sent >= _PLAIN_SHARE * scene.splats:
+            plain = False
+            for index, book in colours:
+                for kind, payload in zip(layout.COLOUR_BANDS, book.payloads, strict=False):
+                    out.append(Segment(kind, index, payload))
+        if not plain:
+            out += waiting
+            waiting = []
+    return out
