@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from . import streams
 from .errors import FormatError
-from .splats import Splats, sh_coefficients
+from .splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from .streams import KEPT, SH_BANDS, Attribute, Kind, StoredStream
 
 F32 = NDArray[np.float32]
@@ -34,6 +34,11 @@ class ShapeCodebook:
     def __len__(self) -> int:
         return len(self.scales)
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of both arrays."""
+        return self.scales.nbytes + self.quats.nbytes
+
 
 @dataclass(frozen=True, eq=False)
 class ColourCodebook:
@@ -49,6 +54,11 @@ class ColourCodebook:
 
     def __len__(self) -> int:
         return len(self.shN)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the array."""
+        return self.shN.nbytes
 
 
 Codebook = ShapeCodebook | ColourCodebook
@@ -136,7 +146,12 @@ def decode_head(
 
 
 def decode_tail(
-    payload: memoryview, codebooks: Mapping[int, Codebook], out: F32, where: str
+    payload: memoryview,
+    codebooks: Mapping[int, Codebook],
+    out: F32,
+    where: str,
+    *,
+    sh_degree: int = MAX_SH_DEGREE,
 ) -> None:
     """Write a chunk tail's shN into the rows of `out`.
 
@@ -146,6 +161,8 @@ def decode_tail(
         As in `decode_head`.
     out : (n, K-1, 3) float32
         The chunk's rows; K may be lower than the file's, and the bands above are skipped.
+    sh_degree : int
+        Of the file; bands above it have no place in a tail.
 
     Raises
     ------
@@ -154,18 +171,19 @@ def decode_tail(
     """
     rows = len(out)
     found = _Streams(streams.unpack(payload, where, rows), where, rows)
+    bands = range(1, sh_degree + 1)
     if found.has(Attribute.SHN):
         colour = found.take(Attribute.SHN)
         kept = np.zeros((colour.kept, *out.shape[1:]), np.float32)
         if colour.kept:
-            for band in range(1, 4):
+            for band in bands:
                 _read_band(found, band, kept, kept=True)
         book = codebooks.get(colour.codebook)
         if not isinstance(book, ColourCodebook) or book.shN.shape[1] < out.shape[1]:
             raise _no_codebook(colour, "colour")
         _gather(book.shN[:, : out.shape[1]], kept, colour, out)
     else:
-        for band in range(1, 4):
+        for band in bands:
             _read_band(found, band, out)
     found.finish()
 

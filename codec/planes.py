@@ -15,8 +15,8 @@ U8 = NDArray[np.uint8]
 ZSTD_FLAG: Final = 0x8000_0000
 """Bit 31 of a plane's word: the plane is a zstd frame; the other bits are its stored length."""
 
-MAX_PLANE_BYTES: Final = 64 * 1024 * 1024
-"""Largest decoded plane, bytes (SPEC 9)."""
+MAX_PLANE_BYTES: Final = 8 * 1024 * 1024
+"""Largest decoded plane, bytes (SPEC 9.1)."""
 
 MAX_WINDOW_BYTES: Final = 8 * 1024 * 1024
 """Largest zstd window a reader must provide: what browsers accept (RFC 9659)."""
@@ -72,7 +72,8 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
     Raises
     ------
     FormatError
-        ``plane-length``, ``zstd-frame``, ``zstd-size``, ``zstd-window``, ``zstd-dictionary``.
+        ``plane-length``, ``zstd-frame``, ``zstd-size``, ``zstd-window``, ``zstd-dictionary``,
+        ``zstd-checksum``.
     """
     if length > MAX_PLANE_BYTES:
         raise FormatError(
@@ -117,6 +118,13 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
         raise FormatError(
             "zstd-dictionary",
             f"{where}: dictionary {parameters.dict_id}, expected none",
+            clause="6.3",
+        )
+    # Decoders for browsers do not verify it: a wrong one would be an error in some readers only.
+    if parameters.has_checksum:
+        raise FormatError(
+            "zstd-checksum",
+            f"{where}: the frame has a checksum, expected none beside the segment's CRC",
             clause="6.3",
         )
     try:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from . import grid as grids
 from . import morton
-from .errors import FormatError, LimitError, UnsupportedError
+from .errors import FormatError, UnsupportedError
 from .grid import ENTRY_BYTES, Grid
 from .planes import ZSTD_FLAG, pack_plane, unpack_plane
 
@@ -224,11 +224,13 @@ class StoredStream:
     @property
     def codebook(self) -> int:
         """Codebook that a vq stream names."""
+        self._require(Kind.VQ)
         return int(_VQ.unpack(self._params(_VQ.size))[0])
 
     @property
     def kept(self) -> int:
         """Rows of its own that a vq stream refers to."""
+        self._require(Kind.VQ)
         kept = int(_VQ.unpack(self._params(_VQ.size))[1])
         if kept > self.rows:
             raise FormatError(
@@ -372,7 +374,6 @@ class StoredStream:
 
     def read_indices(self, size: int) -> U32:
         """Return the (rows,) indices of a vq stream into a codebook of `size` rows and its own."""
-        self._require(Kind.VQ)
         kept = self.kept
         total = size + kept
         planes = self._planes([self.rows] * grids.code_bytes(total))
@@ -401,7 +402,8 @@ def _read_grid_planes(stream: StoredStream, grid: Grid, first: int, extra: int, 
         column = out[:, component]
         levels = int(grid.levels[component])
         if count == 0:
-            column[:] = grid.minimum[component]
+            # As any other code, which makes +0 of a minimum of -0.
+            column[:] = grid.minimum[component] + np.float32(0)
             continue
         planes = [stream.plane(plane + byte, stream.rows) for byte in range(count)]
         plane += count
@@ -443,10 +445,10 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
     Raises
     ------
     FormatError
-        ``stream-record``: a record leaves the payload, is unknown, or bytes are left over;
-        ``stream-duplicate``; ``stream-rows``.
+        ``stream-record``: a record leaves the payload, does not fit its attribute, or bytes are
+        left over; ``stream-count``; ``stream-duplicate``; ``stream-rows``.
     UnsupportedError
-        ``stream-kind-unknown``: an attribute or a kind of a later version.
+        ``stream-attribute-unknown``, ``stream-kind-unknown``: of a later version.
     """
     if len(payload) < _COUNT.size:
         raise FormatError(
@@ -454,8 +456,10 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
         )
     (count,) = _COUNT.unpack_from(payload)
     if count > MAX_STREAMS:
-        raise LimitError(
-            "stream-count", f"{where}: {count} streams, expected at most {MAX_STREAMS} (SPEC 9.1)"
+        raise FormatError(
+            "stream-count",
+            f"{where}: {count} streams, expected at most {MAX_STREAMS}",
+            clause="9.1",
         )
     position = _COUNT.size
     heads: list[tuple[Attribute, Kind, int, int, memoryview, U32, str]] = []

@@ -25,6 +25,9 @@ MAX_ROOT_END: Final = 16384
 FIRST_READ: Final = 65536
 """What a reader asks for first (SPEC 8.1)."""
 
+MAX_FILE_BYTES: Final = (1 << 53) - 1
+"""Lengths up to here are exact in a float64, and so in a browser (SPEC 9.1)."""
+
 MAX_PAGE_BYTES: Final = 1 << 20
 MAX_PAGES: Final = 128
 MAX_SEGMENTS: Final = 1 << 20
@@ -48,6 +51,8 @@ COLOUR_BANDS: Final = (
     SegmentKind.COLOUR_BAND2,
     SegmentKind.COLOUR_BAND3,
 )
+
+CODEBOOK_KINDS: Final = (SegmentKind.SHAPE_CODEBOOK, *COLOUR_BANDS)
 
 SKIPPABLE_KIND: Final = 128
 
@@ -109,7 +114,7 @@ def unpack_preamble(data: bytes, where: str) -> Preamble:
     UnsupportedError
         ``version-major``.
     """
-    if data[: len(MAGIC)] != MAGIC[: len(data)] or not data:
+    if data[: len(MAGIC)] != MAGIC[: len(data)]:
         raise FormatError(
             "not-cogs",
             f"{where}: is {describe(data)}, expected a COGS file",
@@ -119,7 +124,7 @@ def unpack_preamble(data: bytes, where: str) -> Preamble:
     if len(data) < PREAMBLE_BYTES:
         raise TruncatedError(
             "preamble-truncated",
-            f"{where}: {len(data)} bytes, expected a preamble of {PREAMBLE_BYTES}",
+            f"{where}: ends after {len(data)} bytes, expected a preamble of {PREAMBLE_BYTES}",
             clause="3.1",
             offset=0,
             needed=PREAMBLE_BYTES,
@@ -150,11 +155,11 @@ def unpack_preamble(data: bytes, where: str) -> Preamble:
             clause="3.3",
             offset=12,
         )
-    if not PREAMBLE_BYTES + root_length <= file_length <= 1 << 53:
+    if not PREAMBLE_BYTES + root_length <= file_length <= MAX_FILE_BYTES:
         raise FormatError(
             "file-length",
             f"{where}: states {file_length} bytes, expected at least "
-            f"{PREAMBLE_BYTES + root_length} and at most 2^53",
+            f"{PREAMBLE_BYTES + root_length} and at most {MAX_FILE_BYTES}",
             clause="3.3",
             offset=16,
         )

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cogsplat.codec import decoder
 from cogsplat.codec.decoder import Codebook
 from cogsplat.codec.errors import FormatError, LimitError, TruncatedError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, empty, sh_coefficients
+from cogsplat.codec.threads import ordered_map, thread_count
 
-from . import cogs_layout as layout
-from . import cogs_root, strict_msgpack
+from . import cogs_root
+from .cogs_index import Index, codebook_kinds, read_index
 from .cogs_layout import SegmentKind
-from .cogs_root import ChunkTable, CodebookEntry, Root, SegmentTable
+from .cogs_root import Root
 from .source import Source
 
 # Means, scales, quats, opacities and sh0 of one splat, float32.
@@ -37,9 +35,9 @@ class Limits:
     Parameters
     ----------
     decoded_bytes : int
-        Bytes of all decoded arrays together.
+        Bytes of the decoded arrays and codebooks together.
     expansion : int
-        Decoded bytes per byte of the file, for results above 64 MiB.
+        Those bytes per byte of the source, where they are more than 64 MiB.
     """
 
     decoded_bytes: int = 1 << 35
@@ -67,18 +65,17 @@ class CogsFile:
         Bytes that a partial source lacks; 0 for a complete one.
     """
 
-    def __init__(self, source: Source, root: Root, limits: Limits, file_length: int) -> None:
-        self.root = root
+    def __init__(self, source: Source, index: Index, limits: Limits) -> None:
         self._source = source
+        self._index = index
         self._limits = limits
-        self.file_length = file_length
-        self.missing_bytes = max(0, file_length - source.size)
-        self.segments = root.segments
-        self.chunks = root.chunks
-        self.offsets: NDArray[np.int64] = np.zeros(0, np.int64)
+        self.root = index.root
+        self.file_length = index.file_length
+        self.missing_bytes = max(0, index.file_length - source.size)
+        self.segments = index.segments
+        self.chunks = index.chunks
+        self.offsets = index.offsets
         self._codebooks: dict[tuple[int, int], Codebook] = {}
-        self._head_rows: NDArray[np.int64] = np.zeros(0, np.int64)
-        self._tail_rows: NDArray[np.int64] = np.zeros(0, np.int64)
 
     def __enter__(self) -> CogsFile:
         return self
@@ -113,15 +110,14 @@ class CogsFile:
     def complete_chunks(self) -> int:
         """Return how many chunks, counted from the first, have heads that can be decoded."""
         for chunk in range(self.num_chunks):
-            row = int(self._head_rows[chunk])
-            if not (self._present(row) and self._needs_present(row)):
+            if not self._complete(int(self._index.heads[chunk]), 0):
                 return chunk
         return self.num_chunks
 
-    def has_tail(self, chunk: int) -> bool:
-        """Whether a chunk's shN can be decoded, or there is none to decode."""
-        row = int(self._tail_rows[chunk])
-        return row < 0 or (self._present(row) and self._needs_present(row))
+    def has_tail(self, chunk: int, sh_degree: int = MAX_SH_DEGREE) -> bool:
+        """Whether a chunk's shN can be decoded up to an SH degree, or there is none to decode."""
+        row = int(self._index.tails[chunk])
+        return row < 0 or self._complete(row, min(sh_degree, self.root.sh_degree))
 
     def chunks_for_splats(self, splats: int) -> int:
         """Return how many whole chunks hold at least `splats` splats, or all chunks there are."""
@@ -191,10 +187,12 @@ class CogsFile:
             raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
         wanted = list(range(self.complete_chunks()) if chunks is None else chunks)
         for chunk in wanted:
-            if not 0 <= chunk < self.num_chunks:
-                raise ValueError(f"chunk {chunk}, expected 0 to {self.num_chunks - 1}")
+            self._require_chunk(chunk)
         degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)
         counts = [int(self.chunks.splats[chunk]) for chunk in wanted]
+        # Codebooks first, on this thread, so that the workers only read them.
+        for chunk in wanted:
+            self._load_codebooks(chunk, degree)
         self._check_size(sum(counts), degree)
         out = _allocate(sum(counts), degree, self.root)
         stops = np.cumsum(counts).tolist()
@@ -202,25 +200,12 @@ class CogsFile:
             (chunk, out.take(slice(stop - count, stop)))
             for chunk, count, stop in zip(wanted, counts, stops, strict=True)
         ]
-        # Codebooks first, on this thread, so that the workers only read them.
-        for chunk in wanted:
-            self._load_codebooks(chunk, degree)
-        workers = min(threads or os.cpu_count() or 1, len(tasks))
-        done = 0
-        if workers <= 1:
-            for chunk, rows in tasks:
-                self._decode_chunk(chunk, rows)
-                done += 1
-                progress("decode", done, len(tasks))
-            return out
-        with ThreadPoolExecutor(workers) as pool:
-            try:
-                for _ in pool.map(lambda task: self._decode_chunk(*task), tasks):
-                    done += 1
-                    progress("decode", done, len(tasks))
-            except BaseException:
-                pool.shutdown(wait=True, cancel_futures=True)
-                raise
+
+        def decode_one(task: tuple[int, Splats]) -> None:
+            self._decode_chunk(*task)
+
+        for done, _ in enumerate(ordered_map(decode_one, tasks, thread_count(threads)), start=1):
+            progress("decode", done, len(tasks))
         return out
 
     def iter_chunks(self, *, sh_degree: int | None = None) -> Iterator[Splats]:
@@ -246,6 +231,9 @@ class CogsFile:
                     offset=int(self.offsets[row]),
                 )
             progress("verify", row + 1, len(self.segments))
+        # Codebooks that no chunk needs are part of the file too.
+        for book in range(len(self.root.codebooks)):
+            self._load_codebook(book, self.root.sh_degree)
         for chunk in range(self.num_chunks):
             self.decode([chunk])
 
@@ -254,30 +242,44 @@ class CogsFile:
         mask = (self.segments.kind == kind) & (self.segments.owner == owner)
         return [int(row) for row in np.flatnonzero(mask)]
 
+    def _require_chunk(self, chunk: int) -> None:
+        if not 0 <= chunk < self._index.all_chunks:
+            raise ValueError(f"chunk {chunk}, expected 0 to {self._index.all_chunks - 1}")
+        if chunk >= self.num_chunks:
+            raise self._not_there(f"chunk {chunk}: the index page that lists it")
+
+    def _not_there(self, what: str) -> TruncatedError:
+        return TruncatedError(
+            "file-truncated",
+            f"{self.name}: {what} is behind the {self._source.size} bytes there are, "
+            f"expected {self.file_length}",
+            clause="3.3",
+            needed=self.file_length,
+        )
+
     def _present(self, row: int) -> bool:
         return bool(self.offsets[row] + self.segments.length[row] <= self._source.size)
 
-    def _needs_present(self, row: int) -> bool:
-        return all(
-            self._present(need)
-            for book in self._needed(row)
-            for need in self._codebook_rows(book, self.root.sh_degree)
+    def _complete(self, row: int, degree: int) -> bool:
+        """Whether a segment and the codebooks it needs are there, up to an SH degree."""
+        return self._present(row) and all(
+            self._codebook_rows(book, degree) is not None for book in self._needed(row)
         )
 
     def _needed(self, row: int) -> list[int]:
         needs = int(self.segments.needs[row])
         return [book for book in range(len(self.root.codebooks)) if needs >> book & 1]
 
-    def _codebook_rows(self, book: int, degree: int) -> list[int]:
-        kinds: Sequence[SegmentKind]
-        if self.root.codebooks[book].attribute == "shape":
-            kinds = [SegmentKind.SHAPE_CODEBOOK]
-        else:
-            kinds = layout.COLOUR_BANDS[:degree]
-        return [row for kind in kinds for row in self.segment_rows(kind, book)]
+    def _codebook_rows(self, book: int, degree: int) -> list[int] | None:
+        """Return the segments of a codebook up to an SH degree, None where one is not there."""
+        kinds = codebook_kinds(self.root.codebooks[book].attribute, degree)
+        found = self._index.codebooks[book]
+        rows = [found[kind] for kind in kinds if kind in found]
+        return rows if len(rows) == len(kinds) and all(map(self._present, rows)) else None
 
     def _check_size(self, splats: int, degree: int) -> None:
         size = splats * (_HEAD_ROW_BYTES + 12 * (sh_coefficients(degree) - 1))
+        size += sum(book.nbytes for book in self._codebooks.values())
         limits = self._limits
         allowed = min(
             limits.decoded_bytes, max(_SMALL_RESULT, limits.expansion * self._source.size)
@@ -285,24 +287,30 @@ class CogsFile:
         if size > allowed:
             raise LimitError(
                 "decoded-size",
-                f"{self.name}: {splats} splats take {size} bytes, expected at most {allowed} "
-                f"from a file of {self._source.size} bytes (SPEC 9.2)",
+                f"{self.name}: {splats} splats and codebooks take {size} bytes, "
+                f"expected at most {allowed} from {self._source.size} bytes (SPEC 9.2)",
             )
 
     def _load_codebooks(self, chunk: int, degree: int) -> None:
-        rows = [int(self._head_rows[chunk])]
-        if degree and self._tail_rows[chunk] >= 0 and self.has_tail(chunk):
-            rows.append(int(self._tail_rows[chunk]))
+        rows = [int(self._index.heads[chunk])]
+        tail = int(self._index.tails[chunk])
+        if degree and tail >= 0 and self.has_tail(chunk, degree):
+            rows.append(tail)
         for row in rows:
             for book in self._needed(row):
-                entry = self.root.codebooks[book]
-                key = (book, degree if entry.attribute == "colour" else 0)
+                key = self._codebook_key(book, degree)
                 if key not in self._codebooks:
-                    self._codebooks[key] = self._load_codebook(book, entry, degree)
+                    self._codebooks[key] = self._load_codebook(book, degree)
 
-    def _load_codebook(self, book: int, entry: CodebookEntry, degree: int) -> Codebook:
+    def _codebook_key(self, book: int, degree: int) -> tuple[int, int]:
+        return book, degree if self.root.codebooks[book].attribute == "colour" else 0
+
+    def _load_codebook(self, book: int, degree: int) -> Codebook:
+        entry = self.root.codebooks[book]
         where = f"{self.name}: codebook {book}"
         rows = self._codebook_rows(book, degree)
+        if rows is None:
+            raise self._not_there(f"a segment of codebook {book}")
         # Nothing is allocated for rows that no segment brings.
         self._check_size(entry.rows, degree)
         if entry.attribute == "shape":
@@ -312,27 +320,23 @@ class CogsFile:
 
     def _decode_chunk(self, chunk: int, out: Splats) -> None:
         degree = out.sh_degree
-        head = int(self._head_rows[chunk])
+        head = int(self._index.heads[chunk])
         where = f"{self.name}: chunk {chunk}"
         payload = self.read_segment(head)
         decoder.decode_head(payload, self._books(head, degree), out, f"{where} head")
         if not degree:
             return
-        tail = int(self._tail_rows[chunk])
-        if tail < 0 or not self.has_tail(chunk):
+        tail = int(self._index.tails[chunk])
+        if tail < 0 or not self.has_tail(chunk, degree):
             out.shN[:] = 0
             return
         payload = self.read_segment(tail)
-        decoder.decode_tail(payload, self._books(tail, degree), out.shN, f"{where} tail")
+        books = self._books(tail, degree)
+        decoder.decode_tail(payload, books, out.shN, f"{where} tail", sh_degree=self.root.sh_degree)
 
     def _books(self, row: int, degree: int) -> dict[int, Codebook]:
-        books: dict[int, Codebook] = {}
-        for book in self._needed(row):
-            colour = self.root.codebooks[book].attribute == "colour"
-            loaded = self._codebooks.get((book, degree if colour else 0))
-            if loaded is not None:
-                books[book] = loaded
-        return books
+        keys = {book: self._codebook_key(book, degree) for book in self._needed(row)}
+        return {book: self._codebooks[key] for book, key in keys.items()}
 
 
 def open_cogs(source: Source, *, partial: bool = False, limits: Limits | None = None) -> CogsFile:
@@ -358,171 +362,7 @@ def open_cogs(source: Source, *, partial: bool = False, limits: Limits | None = 
     UnsupportedError
         A newer major version, or something that must be understood and is not.
     """
-    name = source.name
-    first = source.read(0, min(layout.FIRST_READ, source.size))
-    preamble = layout.unpack_preamble(first[: layout.PREAMBLE_BYTES], name)
-    root_end = layout.PREAMBLE_BYTES + preamble.root_length
-    if len(first) < root_end:
-        raise TruncatedError(
-            "root-truncated",
-            f"{name}: {len(first)} bytes, expected a root up to byte {root_end}",
-            clause="3.3",
-            needed=root_end,
-        )
-    data = first[layout.PREAMBLE_BYTES : root_end]
-    if zlib.crc32(data) != preamble.root_crc:
-        raise FormatError(
-            "root-crc", f"{name}: the root's CRC does not match", clause="3.3", offset=64
-        )
-    root = cogs_root.parse_root(strict_msgpack.unpack(data, f"{name}: root"), f"{name}: root")
-    if source.size < preamble.file_length and not partial:
-        raise TruncatedError(
-            "file-truncated",
-            f"{name}: {source.size} bytes, expected {preamble.file_length}",
-            clause="3.3",
-            needed=preamble.file_length,
-        )
-    if source.size > preamble.file_length:
-        raise FormatError(
-            "file-trailing",
-            f"{name}: {source.size} bytes, expected {preamble.file_length}",
-            clause="3.3",
-            offset=preamble.file_length,
-        )
-    file = CogsFile(source, root, limits or Limits(), preamble.file_length)
-    _load_tables(file, source, root_end)
-    return file
-
-
-def _load_tables(file: CogsFile, source: Source, root_end: int) -> None:
-    root = file.root
-    segments, chunks = [root.segments], [root.chunks]
-    offsets = [_offsets(root.segments, root_end)]
-    position = root_end + int(root.segments.length.sum(dtype=np.uint64))
-    whole = True
-    for number, entry in enumerate(root.pages):
-        where = f"{file.name}: index page {number}"
-        end = position + entry.length
-        if end > file.file_length:
-            raise _leaves(file, end)
-        if end > source.size:
-            whole = False
-            break
-        data = source.read(position, entry.length)
-        if zlib.crc32(data) != entry.crc:
-            raise FormatError(
-                "page-crc", f"{where}: its CRC does not match", clause="5.6", offset=position
-            )
-        page = cogs_root.parse_page(strict_msgpack.unpack(data, where), entry, where)
-        segments.append(page[0])
-        chunks.append(page[1])
-        offsets.append(_offsets(page[0], end))
-        position = end + entry.span
-    if whole and position != file.file_length:
-        raise _leaves(file, position)
-    file.segments = SegmentTable(
-        *(np.concatenate([getattr(t, n) for t in segments]) for n in _SEGMENT_COLUMNS)
-    )
-    file.chunks = ChunkTable(
-        *(np.concatenate([getattr(t, n) for t in chunks]) for n in _CHUNK_COLUMNS)
-    )
-    file.offsets = np.concatenate(offsets)
-    _check_tables(file, whole)
-
-
-_SEGMENT_COLUMNS: Final = ("kind", "owner", "length", "crc", "hash", "needs")
-_CHUNK_COLUMNS: Final = ("splats", "box", "contribution", "layer", "cell", "object")
-
-
-def _offsets(table: SegmentTable, start: int) -> NDArray[np.int64]:
-    lengths = table.length.astype(np.int64)
-    offsets: NDArray[np.int64] = start + np.cumsum(lengths) - lengths
-    return offsets
-
-
-def _leaves(file: CogsFile, end: int) -> FormatError:
-    return FormatError(
-        "segments-length",
-        f"{file.name}: index and segments end at byte {end}, the file at {file.file_length}",
-        clause="5.1",
-    )
-
-
-def _check_tables(file: CogsFile, whole: bool) -> None:
-    """Check what the tables say of one another (SPEC 5.3 to 5.5)."""
-    table, chunks, root = file.segments, file.chunks, file.root
-
-    def refuse(code: str, message: str, clause: str) -> FormatError:
-        return FormatError(code, f"{file.name}: {message}", clause=clause)
-
-    heads = np.flatnonzero(table.kind == SegmentKind.HEAD)
-    if not np.array_equal(table.owner[heads], np.arange(len(heads))) or len(heads) != len(chunks):
-        raise refuse(
-            "chunk-heads",
-            f"{len(heads)} heads of {len(chunks)} chunks, expected one each, in chunk order",
-            "5.4",
-        )
-    tails = np.flatnonzero(table.kind == SegmentKind.TAIL)
-    owners = table.owner[tails]
-    if len(np.unique(owners)) != len(owners) or (len(owners) and owners.max() >= len(chunks)):
-        raise refuse(
-            "chunk-tails",
-            f"tails of chunks {owners.tolist()[:8]}, expected one at most for each of "
-            f"{len(chunks)} chunks",
-            "5.4",
-        )
-    if len(tails) and root.sh_degree == 0:
-        raise refuse("chunk-tails", "tails in a scene of SH degree 0, expected none", "5.4")
-    total = int(chunks.splats.sum(dtype=np.uint64))
-    if total > root.splats or (whole and total != root.splats):
-        raise refuse(
-            "splat-count", f"chunks of {total} splats, the root states {root.splats}", "5.4"
-        )
-    books = len(root.codebooks)
-    if len(table) and int(table.needs.max()) >> books:
-        raise refuse(
-            "needs-range", f"a segment needs a codebook above the {books} there are", "5.3"
-        )
-    _check_codebooks(file, whole, refuse)
-    file._head_rows = heads.astype(np.int64)
-    file._tail_rows = np.full(len(chunks), -1, np.int64)
-    file._tail_rows[owners] = tails
-
-
-def _check_codebooks(
-    file: CogsFile, whole: bool, refuse: Callable[[str, str, str], FormatError]
-) -> None:
-    table, root = file.segments, file.root
-    found: set[tuple[int, int]] = set()
-    for row in np.flatnonzero(
-        (table.kind >= SegmentKind.SHAPE_CODEBOOK) & (table.kind < layout.SKIPPABLE_KIND)
-    ):
-        kind, owner = SegmentKind(int(table.kind[row])), int(table.owner[row])
-        if owner >= len(root.codebooks) or (kind, owner) in found:
-            raise refuse(
-                "codebook-segments",
-                f"segment {row}, {kind.name.lower()} of codebook {owner}: there is none, or it is "
-                "the second",
-                "5.5",
-            )
-        shape = root.codebooks[owner].attribute == "shape"
-        if shape != (kind == SegmentKind.SHAPE_CODEBOOK):
-            raise refuse(
-                "codebook-segments",
-                f"segment {row}: {kind.name.lower()} in a codebook of "
-                f"{root.codebooks[owner].attribute!r}",
-                "5.5",
-            )
-        found.add((kind, owner))
-    if not whole:
-        return
-    for number, entry in enumerate(root.codebooks):
-        kinds: Sequence[SegmentKind] = [SegmentKind.SHAPE_CODEBOOK]
-        if entry.attribute == "colour":
-            kinds = layout.COLOUR_BANDS[: root.sh_degree]
-        missing = [kind.name.lower() for kind in kinds if (kind, number) not in found]
-        if missing:
-            raise refuse("codebook-segments", f"codebook {number} has no {missing}", "5.5")
+    return CogsFile(source, read_index(source, partial=partial), limits or Limits())
 
 
 def _allocate(rows: int, degree: int, root: Root) -> Splats:

@@ -14,6 +14,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.chunking import MAX_CHUNK_SPLATS
 from cogsplat.codec.errors import DataError, FormatError, UnsupportedError
 from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo
+from cogsplat.codec.streams import MAX_CODEBOOK_ROWS
 
 from . import cogs_layout as layout
 from .strict_msgpack import Value
@@ -320,7 +321,7 @@ def parse_segments(value: Value, where: str) -> SegmentTable:
         ``segment-kind-unknown``, ``root-must-understand``.
     """
     table = _Map(value, f"{where}, segments", "5.3")
-    kind = table.column("kind", "u1", None)
+    kind = table.column("kind", "u1", None).astype(np.uint8)
     rows = len(kind)
     owner = table.column("owner", "<u4", rows)
     length = table.column("length", "<u4", rows)
@@ -329,17 +330,17 @@ def parse_segments(value: Value, where: str) -> SegmentTable:
     needs = table.column("needs", "<u4", rows)
     table.finish()
     known = [int(k) for k in layout.SegmentKind]
-    for row, number in enumerate(kind.tolist()):
-        if number not in known and number < layout.SKIPPABLE_KIND:
-            raise UnsupportedError(
-                "segment-kind-unknown",
-                f"{where}, segment {row}: kind {number}, expected {known} or "
-                f"{layout.SKIPPABLE_KIND} and above (SPEC 5.2)",
-            )
+    unknown = np.flatnonzero((kind < layout.SKIPPABLE_KIND) & ~np.isin(kind, known))
+    if len(unknown):
+        raise UnsupportedError(
+            "segment-kind-unknown",
+            f"{where}, segment {unknown[0]}: kind {kind[unknown[0]]}, expected {known} or "
+            f"{layout.SKIPPABLE_KIND} and above (SPEC 5.2)",
+        )
     if rows and int(length.min()) == 0:
         raise table.error("length", "a segment of 0 bytes, expected at least 1")
     return SegmentTable(
-        kind.astype(np.uint8),
+        kind,
         owner.astype(np.uint32),
         length.astype(np.uint32),
         crc.astype(np.uint32),
@@ -439,7 +440,7 @@ def _axes(root: _Map) -> str:
 
 def _codebook(value: Value, where: str) -> CodebookEntry:
     book = _Map(value, f"{where}, codebooks", "5.5")
-    entry = CodebookEntry(book.text("attribute"), book.integer("rows", 1, 1 << 16))
+    entry = CodebookEntry(book.text("attribute"), book.integer("rows", 1, MAX_CODEBOOK_ROWS))
     book.finish()
     if entry.attribute not in CODEBOOK_ATTRIBUTES:
         raise UnsupportedError(
@@ -457,7 +458,7 @@ def _page(value: Value, where: str) -> PageEntry:
         crc=page.integer("crc", 0, (1 << 32) - 1),
         segments=page.integer("segments", 1, layout.MAX_SEGMENTS),
         chunks=page.integer("chunks", 0, layout.MAX_SEGMENTS),
-        span=page.integer("span", 1, 1 << 53),
+        span=page.integer("span", 1, layout.MAX_FILE_BYTES),
     )
     page.finish()
     return entry

@@ -27,7 +27,8 @@ class Segment:
 
     Parameters
     ----------
-    kind : SegmentKind
+    kind : int
+        `SegmentKind`, or 128 and above for what readers may skip.
     owner : int
         Chunk or codebook it belongs to.
     payload : bytes
@@ -35,7 +36,7 @@ class Segment:
         Codebooks needed to decode it.
     """
 
-    kind: SegmentKind
+    kind: int
     owner: int
     payload: bytes
     needs: tuple[int, ...] = ()

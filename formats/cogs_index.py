@@ -1,0 +1,268 @@
+"""The index of a file: root and pages read, checked against one another, segments located.
+
+SPEC 3 to 5 say what is checked, SPEC 8.1 in which order.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import FormatError, TruncatedError
+
+from . import cogs_layout as layout
+from . import cogs_root, strict_msgpack
+from .cogs_layout import SegmentKind
+from .cogs_root import ChunkTable, Root, SegmentTable
+from .source import Source
+
+I64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Index:
+    """What is known of a file before any segment is read.
+
+    Parameters
+    ----------
+    root : Root
+    file_length : int
+        Bytes the preamble states.
+    segments : SegmentTable
+        Of the root and of all pages that are there.
+    chunks : ChunkTable
+        Likewise.
+    offsets : (s,) int64
+        Byte offset of each segment.
+    heads, tails : (c,) int64
+        Row of each chunk's head and tail in `segments`; -1 where there is no tail.
+    codebooks : sequence of mapping of SegmentKind to int
+        For each codebook, the rows of its segments by kind; a page that is not there may lack some.
+    all_chunks : int
+        Chunks of the whole file, those of missing pages counted.
+    """
+
+    root: Root
+    file_length: int
+    segments: SegmentTable
+    chunks: ChunkTable
+    offsets: I64
+    heads: I64
+    tails: I64
+    codebooks: Sequence[Mapping[SegmentKind, int]]
+    all_chunks: int
+
+
+def codebook_kinds(attribute: str, degree: int) -> tuple[SegmentKind, ...]:
+    """Return the kinds of segment that a codebook has up to an SH degree (SPEC 5.5)."""
+    return (SegmentKind.SHAPE_CODEBOOK,) if attribute == "shape" else layout.COLOUR_BANDS[:degree]
+
+
+def read_index(source: Source, *, partial: bool) -> Index:
+    """Read preamble, root and pages; raises as `cogs_reader.open_cogs` says."""
+    name = source.name
+    first = source.read(0, min(layout.FIRST_READ, source.size))
+    preamble = layout.unpack_preamble(first[: layout.PREAMBLE_BYTES], name)
+    root_end = layout.PREAMBLE_BYTES + preamble.root_length
+    if len(first) < root_end:
+        raise TruncatedError(
+            "root-truncated",
+            f"{name}: {len(first)} bytes, expected a root up to byte {root_end}",
+            clause="3.3",
+            needed=root_end,
+        )
+    data = first[layout.PREAMBLE_BYTES : root_end]
+    if zlib.crc32(data) != preamble.root_crc:
+        raise FormatError(
+            "root-crc",
+            f"{name}: the root's CRC does not match",
+            clause="3.3",
+            offset=layout.PREAMBLE_BYTES,
+        )
+    root = cogs_root.parse_root(strict_msgpack.unpack(data, f"{name}: root"), f"{name}: root")
+    if source.size < preamble.file_length and not partial:
+        raise TruncatedError(
+            "file-truncated",
+            f"{name}: {source.size} bytes, expected {preamble.file_length}",
+            clause="3.3",
+            needed=preamble.file_length,
+        )
+    if source.size > preamble.file_length:
+        raise FormatError(
+            "file-trailing",
+            f"{name}: {source.size} bytes, expected {preamble.file_length}",
+            clause="3.3",
+            offset=preamble.file_length,
+        )
+    return _read_pages(source, root, root_end, preamble.file_length)
+
+
+_SEGMENT_COLUMNS: Final = ("kind", "owner", "length", "crc", "hash", "needs")
+_CHUNK_COLUMNS: Final = ("splats", "box", "contribution", "layer", "cell", "object")
+
+
+def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> Index:
+    rows = len(root.segments) + sum(page.segments for page in root.pages)
+    if rows > layout.MAX_SEGMENTS:
+        raise FormatError(
+            "segment-count",
+            f"{source.name}: {rows} segments, expected at most {layout.MAX_SEGMENTS}",
+            clause="9.1",
+        )
+    segments, chunks = [root.segments], [root.chunks]
+    offsets = [_offsets(root.segments, root_end)]
+    _check_own_heads(root.segments, root.chunks, f"{source.name}: root")
+    position = root_end + int(root.segments.length.sum(dtype=np.uint64))
+    whole = True
+    for number, entry in enumerate(root.pages):
+        where = f"{source.name}: index page {number}"
+        end = position + entry.length
+        if end > file_length:
+            raise _leaves(source, end, file_length)
+        if end > source.size:
+            whole = False
+            break
+        data = source.read(position, entry.length)
+        if zlib.crc32(data) != entry.crc:
+            raise FormatError(
+                "page-crc", f"{where}: its CRC does not match", clause="5.6", offset=position
+            )
+        page = cogs_root.parse_page(strict_msgpack.unpack(data, where), entry, where)
+        _check_own_heads(*page, where)
+        segments.append(page[0])
+        chunks.append(page[1])
+        offsets.append(_offsets(page[0], end))
+        position = end + entry.span
+    if whole and position != file_length:
+        raise _leaves(source, position, file_length)
+    table = SegmentTable(
+        *(np.concatenate([getattr(t, n) for t in segments]) for n in _SEGMENT_COLUMNS)
+    )
+    chunk_table = ChunkTable(
+        *(np.concatenate([getattr(t, n) for t in chunks]) for n in _CHUNK_COLUMNS)
+    )
+    heads, tails = _chunk_segments(source, root, table, chunk_table)
+    _check_counts(source, root, table, chunk_table, whole=whole)
+    return Index(
+        root=root,
+        file_length=file_length,
+        segments=table,
+        chunks=chunk_table,
+        offsets=np.concatenate(offsets),
+        heads=heads,
+        tails=tails,
+        codebooks=_codebook_segments(source, root, table, whole=whole),
+        all_chunks=len(root.chunks) + sum(page.chunks for page in root.pages),
+    )
+
+
+def _offsets(table: SegmentTable, start: int) -> I64:
+    lengths = table.length.astype(np.int64)
+    offsets: I64 = start + np.cumsum(lengths) - lengths
+    return offsets
+
+
+def _leaves(source: Source, end: int, file_length: int) -> FormatError:
+    return FormatError(
+        "segments-length",
+        f"{source.name}: index and segments end at byte {end}, the file at {file_length}",
+        clause="5.1",
+    )
+
+
+def _check_own_heads(table: SegmentTable, chunks: ChunkTable, where: str) -> None:
+    heads = int((table.kind == SegmentKind.HEAD).sum())
+    if heads != len(chunks):
+        raise FormatError(
+            "chunk-heads",
+            f"{where}: {heads} heads and {len(chunks)} chunks, expected as many",
+            clause="5.4",
+        )
+
+
+def _chunk_segments(
+    source: Source, root: Root, table: SegmentTable, chunks: ChunkTable
+) -> tuple[I64, I64]:
+    """Return each chunk's head and tail row (SPEC 5.4)."""
+    heads = np.flatnonzero(table.kind == SegmentKind.HEAD).astype(np.int64)
+    if not np.array_equal(table.owner[heads], np.arange(len(chunks))):
+        raise FormatError(
+            "chunk-heads",
+            f"{source.name}: heads of chunks {table.owner[heads].tolist()[:8]} and on, "
+            "expected all in order",
+            clause="5.4",
+        )
+    tails = np.full(len(chunks), -1, np.int64)
+    rows = np.flatnonzero(table.kind == SegmentKind.TAIL)
+    owners = table.owner[rows]
+    if len(rows) and root.sh_degree == 0:
+        raise FormatError(
+            "chunk-tails",
+            f"{source.name}: a tail in a scene of SH degree 0, expected none",
+            clause="5.4",
+        )
+    # A chunk whose head is in a page not read yet cannot have its tail before that page.
+    once = len(np.unique(owners)) == len(owners) and bool((owners < len(chunks)).all())
+    if not once or bool((heads[owners] > rows).any()):
+        raise FormatError(
+            "chunk-tails",
+            f"{source.name}: tails of chunks {owners.tolist()[:8]}, expected at most one for each "
+            f"of {len(chunks)} chunks, behind its head",
+            clause="5.4",
+        )
+    tails[owners] = rows
+    return heads, tails
+
+
+def _check_counts(
+    source: Source, root: Root, table: SegmentTable, chunks: ChunkTable, *, whole: bool
+) -> None:
+    total = int(chunks.splats.sum(dtype=np.uint64))
+    if total > root.splats or (whole and total != root.splats):
+        raise FormatError(
+            "splat-count",
+            f"{source.name}: chunks of {total} splats, expected {root.splats} as the root states",
+            clause="5.4",
+        )
+    books = len(root.codebooks)
+    if len(table) and int(table.needs.max()) >> books:
+        raise FormatError(
+            "needs-range",
+            f"{source.name}: a segment needs a codebook above the {books} there are",
+            clause="5.3",
+        )
+
+
+def _codebook_segments(
+    source: Source, root: Root, table: SegmentTable, *, whole: bool
+) -> list[dict[SegmentKind, int]]:
+    """Return the rows of each codebook's segments by kind (SPEC 5.5)."""
+    found: list[dict[SegmentKind, int]] = [{} for _ in root.codebooks]
+
+    def refuse(message: str) -> FormatError:
+        return FormatError("codebook-segments", f"{source.name}: {message}", clause="5.5")
+
+    expected = [codebook_kinds(entry.attribute, root.sh_degree) for entry in root.codebooks]
+    for row in np.flatnonzero(np.isin(table.kind, layout.CODEBOOK_KINDS)).tolist():
+        kind, owner = SegmentKind(int(table.kind[row])), int(table.owner[row])
+        label = f"segment {row}, {kind.name.lower()} of codebook {owner}"
+        if owner >= len(found):
+            raise refuse(f"{label}: expected a codebook below {len(found)}")
+        if kind not in expected[owner]:
+            raise refuse(
+                f"{label}: expected {[k.name.lower() for k in expected[owner]]} "
+                f"for {root.codebooks[owner].attribute}"
+            )
+        if kind in found[owner]:
+            raise refuse(f"{label}: a second time, expected one")
+        found[owner][kind] = row
+    for number, kinds in enumerate(expected):
+        missing = [kind.name.lower() for kind in kinds if kind not in found[number]]
+        if whole and missing:
+            raise refuse(f"codebook {number}: no {missing}, expected one each")
+    return found
