@@ -27,6 +27,14 @@ class CogsplatError(Exception):
         self.message = message
 
 
+class CogsplatWarning(UserWarning):
+    """Something a file holds, or that was to be written, is left out or altered; work goes on.
+
+    Issued through `warnings.warn`, one line that says where, what and why; the command line prints
+    each once.
+    """
+
+
 class FormatError(CogsplatError):
     """A file breaks the rules of its format.
 
