@@ -25,6 +25,7 @@ HASH_BYTES: Final = 16
 """First bytes of a segment's SHA-256 (SPEC 5.3)."""
 
 CODEBOOK_ATTRIBUTES: Final = ("shape", "colour")
+COLOUR_SPACES: Final = ("srgb", "linear")
 
 _MAX_TEXT: Final = 255
 _T = TypeVar("_T")
@@ -388,7 +389,7 @@ def parse_root(value: Value, where: str) -> Root:
     info = SceneInfo(
         origin=(origin[0], origin[1], origin[2]),
         axes=_axes(root),
-        colour_space=root.text("colour_space"),
+        colour_space=_colour_space(root),
         kernel_px=root.number("kernel_px"),
         antialiased=root.take("antialiased", bool),
     )
@@ -436,6 +437,16 @@ def _axes(root: _Map) -> str:
     if len(axes) != 3 or {next((p for p in pairs if a in p), "") for a in axes} != set(pairs):
         raise root.error("axes", f"{axes!r}, expected one of R/L, U/D and F/B each, such as 'RDF'")
     return axes
+
+
+def _colour_space(root: _Map) -> str:
+    name = root.text("colour_space")
+    if name not in COLOUR_SPACES:
+        raise UnsupportedError(
+            "colour-space-unknown",
+            root.error("colour_space", f"{name!r}, expected one of {COLOUR_SPACES}").message,
+        )
+    return name
 
 
 def _codebook(value: Value, where: str) -> CodebookEntry:

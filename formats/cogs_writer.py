@@ -11,14 +11,17 @@ from typing import Final
 
 import numpy as np
 
+from cogsplat.codec.errors import DataError, FormatError, UnsupportedError
+
 from . import cogs_layout as layout
 from . import cogs_root, strict_msgpack
 from .atomic import atomic_write
 from .cogs_layout import SegmentKind
 from .cogs_root import HASH_BYTES, ChunkTable, PageEntry, Root, SegmentTable
 
-# Index pages stay small enough to be one quick request each.
+# Index pages stay small enough to be one quick request each, and few enough for the root.
 _PAGE_TARGET: Final = 65536
+_PAGES_TARGET: Final = 100
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,8 @@ def write_cogs(path: Path, root: Root, segments: Sequence[Segment], *, force: bo
     ------
     StorageError
         ``exists``, ``disk-full``, ``permission``, ``not-found`` or ``io``.
+    DataError
+        As `lay_out` says.
     """
     parts = lay_out(root, segments)
     with atomic_write(path, force=force) as file:
@@ -73,7 +78,15 @@ def write_cogs(path: Path, root: Root, segments: Sequence[Segment], *, force: bo
 
 
 def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
-    """Return the bytes of a file, part by part: preamble, root, segments and pages in order."""
+    """Return the bytes of a file, part by part: preamble, root, segments and pages in order.
+
+    Raises
+    ------
+    DataError
+        ``bad-scene-info``: the root holds a value that no reader would accept.
+    """
+    if len(segments) > layout.MAX_SEGMENTS:
+        raise ValueError(f"{len(segments)} segments, expected at most {layout.MAX_SEGMENTS}")
     rows = _table(segments)
     groups = _split(root, segments)
     first = groups[0]
@@ -97,6 +110,10 @@ def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
         pages=pages,
     )
     root_bytes = strict_msgpack.pack(cogs_root.root_value(whole))
+    try:
+        cogs_root.parse_root(strict_msgpack.unpack(root_bytes, "root"), "root")
+    except (FormatError, UnsupportedError) as error:
+        raise DataError("bad-scene-info", error.message) from error
     parts: list[bytes] = [root_bytes]
     parts += [s.payload for s in segments[first.segments]]
     for group, data in zip(groups[1:], page_bytes, strict=True):
@@ -176,7 +193,8 @@ def _split(root: Root, segments: Sequence[Segment]) -> list[_Group]:
     total = sum(weights)
     if total <= room:
         return [_Group(slice(0, len(segments)), slice(0, len(root.chunks)))]
-    room -= _PAGE_ENTRY * (total // (_PAGE_TARGET - _TABLE_OVERHEAD - 2 * _CHUNK_ROW) + 1)
+    page = max(_PAGE_TARGET, total // _PAGES_TARGET) - _TABLE_OVERHEAD
+    room -= _PAGE_ENTRY * (total // (page - _SEGMENT_ROW - _CHUNK_ROW) + 1)
     groups: list[_Group] = []
     first, chunk, used, limit = 0, 0, 0, room
     first_chunk = 0
@@ -184,7 +202,7 @@ def _split(root: Root, segments: Sequence[Segment]) -> list[_Group]:
         if used + weight > limit:
             groups.append(_Group(slice(first, index), slice(first_chunk, chunk)))
             first, first_chunk, used = index, chunk, 0
-            limit = _PAGE_TARGET - _TABLE_OVERHEAD
+            limit = page
         used += weight
         chunk += segments[index].kind == SegmentKind.HEAD
     groups.append(_Group(slice(first, len(segments)), slice(first_chunk, chunk)))
