@@ -14,6 +14,7 @@ from .chunk import Payloads
 from .codebook import TrainingConfig
 from .errors import DataError
 from .extent import box
+from .grid import MAX_VALUE
 from .order import ORDERS, order_rows
 from .profile_near import NearBounds
 from .progress import Progress, silent
@@ -161,10 +162,12 @@ def encode(
     Raises
     ------
     DataError
-        ``invalid-rows``, or ``scores-mismatch`` where the scores are another scene's.
+        ``invalid-rows``, ``value-range`` where a value is beyond what the format holds, or
+        ``scores-mismatch`` where the scores are another scene's.
     """
     config = config or EncodeConfig()
     splats.require_valid()
+    _require_storable(splats)
     scores = unscored(len(splats)) if scores is None else scores
     if len(scores.contribution) != len(splats):
         raise DataError(
@@ -199,6 +202,18 @@ def encode(
     return EncodedScene(
         splats.take(slice(0, 0)), len(rows), len(splats) - len(rows), whole, codebooks, chunks
     )
+
+
+def _require_storable(splats: Splats) -> None:
+    for name in ("means", "scales", "sh0", "shN"):
+        values = getattr(splats, name)
+        far = np.argwhere(np.abs(values) > MAX_VALUE)
+        if len(far):
+            raise DataError(
+                "value-range",
+                f"{name} of splat {far[0, 0]}: {values[tuple(far[0])]:g}, "
+                f"expected at most {MAX_VALUE:g} either way (SPEC 6.4)",
+            )
 
 
 def _profile(

@@ -18,7 +18,7 @@ U32 = NDArray[np.uint32]
 MAX_LEVELS: Final = 1 << 24
 """Every code up to here is exact in float32 (SPEC 6.4)."""
 
-MAX_VALUE: Final = 1e30
+MAX_VALUE: Final = 2.0**100
 """Largest magnitude of a grid's ends: sums of two decoded values stay finite (SPEC 6.4)."""
 
 _ENTRY: Final = struct.Struct("<ffI")
