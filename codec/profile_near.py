@@ -19,6 +19,10 @@ F32 = NDArray[np.float32]
 # Steps this much below twice the bound leave room for float32 rounding in the decoder.
 _SLACK: Final = 1 - 2.0**-8
 
+# What float32 rounding may add to a decoded component of a unit quaternion.
+_QUAT_ROUNDING: Final = 5e-7
+_MIN_QUAT_BOUND: Final = 1e-6
+
 
 @dataclass(frozen=True)
 class NearBounds:
@@ -31,7 +35,7 @@ class NearBounds:
     scales : float
         Log: 0.002 is 0.2 % of a deviation.
     quats : float
-        Per component of the unit quaternion with w ≥ 0.
+        Per component of the unit quaternion, whose sign is free; at least 1e-6.
     opacities : float
         Logit; ±inf is kept exactly.
     sh0, shN : float
@@ -49,6 +53,8 @@ class NearBounds:
         for name in self.__dataclass_fields__:
             if not getattr(self, name) > 0:
                 raise ValueError(f"bound {name} {getattr(self, name)}, expected more than 0")
+        if self.quats < _MIN_QUAT_BOUND:
+            raise ValueError(f"bound quats {self.quats}, expected at least {_MIN_QUAT_BOUND}")
 
 
 def mean_bound(splats: Splats, bounds: NearBounds) -> float:
@@ -78,8 +84,7 @@ def encode_chunk(splats: Splats, means_bound: float, bounds: NearBounds, sort: b
         _opacities(splats.opacities[:, None], bounds.opacities),
         _bounded(Attribute.SH0, splats.sh0, bounds.sh0),
         _bounded(Attribute.SCALES, splats.scales, bounds.scales),
-        # The component left out is at least 1/2, so its error is up to three times the others'.
-        streams.quats(rotation.unit(splats.quats), 2 * bounds.quats / 3 * _SLACK),
+        streams.quats(rotation.unit(splats.quats), _quat_step(bounds.quats)),
     ]
     tail: list[Stream] = []
     for band, attribute in enumerate(SH_BANDS[: splats.sh_degree], start=1):
@@ -87,6 +92,12 @@ def encode_chunk(splats: Splats, means_bound: float, bounds: NearBounds, sort: b
         values = np.ascontiguousarray(splats.shN[:, first:last].reshape(len(splats), -1))
         tail.append(_bounded(attribute, values, bounds.shN))
     return Payloads(streams.pack(head), streams.pack(tail) if tail else None, (), ())
+
+
+def _quat_step(bound: float) -> float:
+    # The component left out is at least 1/2, so its error is up to three times the others' to the
+    # first order; 6·bound covers the second.
+    return 2 * (bound - _QUAT_ROUNDING) / (3 + 6 * bound)
 
 
 def _means(means: F32, bound: float, sort: bool) -> tuple[NDArray[np.int64], Stream]:
