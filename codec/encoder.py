@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from . import allocation, chunking, profile_near, profile_vq
 from .chunk import Payloads
 from .codebook import TrainingConfig
+from .decoder import Codebook, decode_head, decode_shape_codebook
 from .errors import DataError
 from .extent import box
 from .grid import MAX_VALUE
@@ -20,7 +21,7 @@ from .profile_near import NearBounds
 from .progress import Progress, silent
 from .prune import PruneConfig, kept_rows
 from .score import Scores, unscored
-from .splats import Splats
+from .splats import Splats, empty
 from .threads import ordered_map, thread_count
 
 PROFILES: Final = ("vq", "near")
@@ -70,6 +71,7 @@ class EncodeConfig:
             raise ValueError(
                 f"chunks of {self.chunk_splats} splats, expected 1 to {chunking.MAX_CHUNK_SPLATS}"
             )
+        thread_count(self.threads)
         if not 10 <= self.quality_db <= 90:
             raise ValueError(f"quality {self.quality_db} dB, expected 10 to 90")
 
@@ -101,7 +103,7 @@ class EncodedChunk:
     splats : int
     payloads : Payloads
     box : (6,) float64
-        What its splats reach, scene units.
+        What its splats reach as they are decoded, scene units.
     contribution : float
     """
 
@@ -169,24 +171,29 @@ def encode(
     splats.require_valid()
     _require_storable(splats)
     scores = unscored(len(splats)) if scores is None else scores
-    if len(scores.contribution) != len(splats):
-        raise DataError(
-            "scores-mismatch",
-            f"scores of {len(scores.contribution)} splats for a scene of {len(splats)}",
-        )
+    _require_scores(scores, len(splats))
     kept = kept_rows(splats, scores, config.prune)
     rows = order_rows(config.order, splats, scores)
     rows = rows[kept[rows]]
     slices = chunking.plan_chunks(len(rows), config.chunk_splats)
     ordered = splats.take(rows)
     codebooks, encode_run = _profile(ordered, scores, rows, config, progress)
+    shapes: dict[int, Codebook] = {
+        number: decode_shape_codebook(memoryview(book.payloads[0]), book.rows, "shape codebook")
+        for number, book in enumerate(codebooks)
+        if book.attribute == "shape"
+    }
 
     def encode_one(run: slice) -> EncodedChunk:
         part = rows[run]
+        payloads = encode_run(run)
+        # Coarse steps move splats past the box of the source.
+        stored = empty(0, len(part))
+        decode_head(memoryview(payloads.head), shapes, stored, "chunk")
         return EncodedChunk(
             splats=len(part),
-            payloads=encode_run(run),
-            box=box(ordered.take(run)),
+            payloads=payloads,
+            box=box(stored),
             contribution=float(scores.contribution[part].sum()),
         )
 
@@ -204,10 +211,17 @@ def encode(
     )
 
 
+def _require_scores(scores: Scores, splats: int) -> None:
+    for name in ("contribution", "energy", "peak", "covered"):
+        length = len(getattr(scores, name))
+        if length != splats:
+            raise DataError("scores-mismatch", f"{name} of {length} splats for a scene of {splats}")
+
+
 def _require_storable(splats: Splats) -> None:
-    for name in ("means", "scales", "sh0", "shN"):
+    for name in ("means", "scales", "opacities", "sh0", "shN"):
         values = getattr(splats, name)
-        far = np.argwhere(np.abs(values) > MAX_VALUE)
+        far = np.argwhere((np.abs(values) > MAX_VALUE) & np.isfinite(values))
         if len(far):
             raise DataError(
                 "value-range",
@@ -229,6 +243,7 @@ def _profile(
         return [], lambda run: profile_near.encode_chunk(
             ordered.take(run), bound, config.near, config.morton
         )
+    ordered = profile_vq.clip_colours(ordered)
     plan = profile_vq.plan(
         ordered,
         allocation.floor_energy(scores)[rows],

@@ -79,13 +79,21 @@ def fit(values: F32, step: float | NDArray[np.float64]) -> Grid:
     values : (n, c) float32
         Finite; n ≥ 1.
     step : float or (c,) float64
-        Largest distance between levels, per component; positive.
+        Largest distance between levels, per component; positive. What comes out may be larger by
+        one part in 2^20.
 
     Returns
     -------
     Grid
         At most `MAX_LEVELS` levels, so that a step too small for the range is widened.
+
+    Raises
+    ------
+    ValueError
+        A step that is not above 0.
     """
+    if not (np.asarray(step) > 0).all():
+        raise ValueError(f"step {step}, expected more than 0")
     minimum = values.min(axis=0)
     maximum = values.max(axis=0)
     span = maximum.astype(np.float64) - minimum.astype(np.float64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -63,6 +63,10 @@ class VqPlan:
     colour_kept: NDArray[np.bool_]
 
 
+MAX_COEFFICIENT: Final = 1e4
+"""SH coefficients beyond ± this are stored as this: the least alpha of one saturates a pixel, and a
+stray value widens the steps of all that share its grid."""
+
 SHAPE_CODEBOOK: Final = 0
 COLOUR_CODEBOOK: Final = 1
 
@@ -71,6 +75,21 @@ def codebook_rows(splats: int, per_row: int) -> int:
     """Return how many rows a codebook may have: a power of two in proportion to the scene."""
     wanted = max(splats // per_row, 1)
     return min(1 << (wanted.bit_length() - 1), MAX_ROWS)
+
+
+def clip_colours(splats: Splats) -> Splats:
+    """Return the scene with sh0 and shN clipped to ±`MAX_COEFFICIENT`."""
+    within = all(
+        max(-float(values.min(initial=0)), float(values.max(initial=0))) <= MAX_COEFFICIENT
+        for values in (splats.sh0, splats.shN)
+    )
+    if within:
+        return splats
+    return replace(
+        splats,
+        sh0=np.clip(splats.sh0, -MAX_COEFFICIENT, MAX_COEFFICIENT),
+        shN=np.clip(splats.shN, -MAX_COEFFICIENT, MAX_COEFFICIENT),
+    )
 
 
 def plan(
@@ -87,7 +106,7 @@ def plan(
     Parameters
     ----------
     splats : Splats
-        Valid rows, at least one.
+        Valid rows, at least one; from `clip_colours`.
     energy : (N,) float64
         Positive.
     slope : float
