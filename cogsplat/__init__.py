@@ -131,10 +131,14 @@ def decode(
     CogsplatError
         The file cannot be read, is short, or breaks SPEC.
     ValueError
-        More than one of `chunks`, `splats` and `size_bytes`, or a range outside the file.
+        More than one of `chunks`, `splats` and `size_bytes`, a range outside the file, or a
+        negative number.
     """
     if sum(x is not None for x in (chunks, splats, size_bytes)) > 1:
         raise ValueError("more than one of chunks, splats and size_bytes")
+    for name, value in (("splats", splats), ("size_bytes", size_bytes), ("threads", threads)):
+        if value is not None and value < 0:
+            raise ValueError(f"{name} {value}, expected 0 or more")
     source = FileSource(Path(path)) if isinstance(path, str | os.PathLike) else path
     if size_bytes is not None:
         source = PrefixSource(source, size_bytes)
@@ -209,7 +213,9 @@ def encode(
     first_view = views[0] if views else None
     if scores is None and len(splats):
         settings = score_config or ScoreConfig(threads=config.threads)
-        scores = score(splats, views or shell(splats), settings, progress=progress)
+        # An empty list is refused, not taken for none given.
+        views = shell(splats) if cameras is None else views
+        scores = score(splats, views, settings, progress=progress)
     encoded = encoder.encode(splats, scores, config, progress=progress)
     return cogs.save(
         Path(path), encoded, writer=f"cogsplat {__version__}", first_view=first_view, force=force
