@@ -16,6 +16,7 @@ from cogsplat.codec.splats import Splats
 
 from .atomic import StrPath, open_for_read, storage_errors
 from .cogs_layout import MAGIC
+from .compressed_ply import is_compressed_ply, read_compressed_ply, write_compressed_ply
 from .magic import describe
 from .ply import read_ply, write_ply
 from .ply_header import is_ply
@@ -59,7 +60,16 @@ class Format:
 
 
 # The first one whose sniffer says yes reads the file: the narrower of two goes first.
-FORMATS: tuple[Format, ...] = (Format("ply", (".ply",), is_ply, read_ply, write_ply),)
+FORMATS: tuple[Format, ...] = (
+    Format(
+        "compressed ply",
+        (".compressed.ply",),
+        is_compressed_ply,
+        read_compressed_ply,
+        write_compressed_ply,
+    ),
+    Format("ply", (".ply",), is_ply, read_ply, write_ply),
+)
 
 
 def is_cogs(path: StrPath) -> bool:

@@ -63,7 +63,7 @@ def test_a_narrower_format_in_front_of_a_wider(
     assert len(read_scene(tmp_path / "a.ply")) == 3
     (tmp_path / "b.narrow.ply").write_bytes(b"?")
     assert len(read_scene(tmp_path / "b.narrow.ply")) == 3
-    with pytest.raises(UnsupportedError, match=r"expected ply \(\.ply\)$") as caught:
+    with pytest.raises(UnsupportedError, match=r"expected .* ply \(\.ply\)") as caught:
         write_scene(tmp_path / "c.narrow.ply", empty(0))
     assert caught.value.code == "read-only-format"
 
@@ -90,7 +90,8 @@ def test_names_what_it_does_not_know(tmp_path: Path, head: bytes, said: str) -> 
     assert caught.value.code == "unknown-format"
     assert said in caught.value.message
     assert str(path) in caught.value.message
-    assert "expected ply (.ply)" in caught.value.message
+    assert ", expected " in caught.value.message
+    assert " ply (.ply)" in caught.value.message
 
 
 def test_unknown_extension_for_writing(tmp_path: Path) -> None:
