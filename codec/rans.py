@@ -25,7 +25,7 @@ MAX_LANES: Final = 1024
 
 _TOTAL: Final = 1 << PRECISION
 _LOW: Final = 1 << 16  # states are in [2^16, 2^32) and are refilled by 16-bit words
-_MANTISSA: Final = 16  # weight codes below it are their own weight (SPEC 6.9.1)
+_MANTISSA: Final = 16  # weight codes below it are their own weight (SPEC 6.9)
 
 # A lane costs 24 bits: a start of 2^16 and 32 bits for a state of 24 on average. So 0.4 %.
 _BYTES_PER_LANE: Final = 750
@@ -37,7 +37,7 @@ _DecodePlane = Callable[[Integers, Integers, int, int, U32, U8], int]
 
 
 def _weights() -> I64:
-    """Return the (256,) weight of every weight code, rising (SPEC 6.9.1)."""
+    """Return the (256,) weight of every weight code, rising (SPEC 6.9)."""
     code = np.arange(256)
     exponent = np.maximum(code // _MANTISSA - 1, 0)
     mantissa = code % _MANTISSA + np.where(code < _MANTISSA, 0, _MANTISSA)
@@ -56,7 +56,7 @@ class Table:
     codes : bytes
         Weight code of symbol 0, 1, …, up to the last one that occurs: 1 to 256 bytes, the last
         not 0. Code c < 16 is weight c, and 0 says that the symbol does not occur; any other is
-        weight ``16 + c % 16 << c // 16 - 1`` (SPEC 6.9.1).
+        weight ``16 + c % 16 << c // 16 - 1`` (SPEC 6.9).
     """
 
     codes: bytes
@@ -101,7 +101,7 @@ class Table:
         """Frequencies, (A,) uint32, of sum 4096; 0 for symbols that do not occur.
 
         Each symbol that occurs has 1, and a share of the rest by its weight, rounded so that the
-        running sums are floors (SPEC 6.9.2).
+        running sums are floors (SPEC 6.9).
         """
         weights = _WEIGHTS[np.frombuffer(self.codes, np.uint8)]
         occurs = weights > 0
@@ -202,7 +202,7 @@ def encode(planes: Sequence[tuple[Table, U8]], lanes: int) -> bytes:
     Returns
     -------
     bytes
-        `lanes` states of 4 bytes, then words of 2 (SPEC 6.9.3).
+        `lanes` states of 4 bytes, then words of 2 (SPEC 6.9).
 
     Raises
     ------
@@ -237,7 +237,7 @@ def encode(planes: Sequence[tuple[Table, U8]], lanes: int) -> bytes:
 
 
 class Decoder:
-    """A body that is decoded plane after plane (SPEC 6.9.3).
+    """A body that is decoded plane after plane (SPEC 6.9).
 
     Parameters
     ----------
