@@ -1,0 +1,106 @@
+"""``cogsplat decode``: from a COGS file, or a part of it, back to a scene."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import click
+
+import cogsplat
+from cogsplat.codec.errors import CogsplatWarning
+from cogsplat.formats.atomic import refuse_existing, storage_errors
+
+from .cli_inputs import Part, Scene, decode_part
+from .cli_options import (
+    PATH,
+    force_option,
+    json_option,
+    part_options,
+    quiet_option,
+    threads_option,
+)
+from .cli_output import facts, name_of, say, say_json, size_text
+from .cli_progress import Stages
+from .cli_values import ByteCount, ChunkRange
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat decode scene.cogs scene.ply\n"
+    "  cogsplat decode scene.cogs preview.ply --bytes 20% --sh 0"
+)
+@click.argument("cogs", type=PATH, metavar="IN.cogs")
+@click.argument("out", type=PATH, metavar="OUT.ply")
+@part_options
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def decode(
+    cogs: Path,
+    out: Path,
+    chunks: ChunkRange | None,
+    least_splats: int | None,
+    size: ByteCount | None,
+    sh_degree: int | None,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Decode a COGS file, or a part of it, to a PLY.
+
+    With --bytes the file is taken as if its transfer had stopped there: what is complete is
+    decoded.
+    """
+    refuse_existing(out, force=force)
+    part = Part(chunks, least_splats, size, sh_degree)
+    with Stages(shown=not (quiet or as_json)) as stages:
+        scene = decode_part(cogs, part, threads=threads, progress=stages)
+        with stages.stage("write"):
+            cogsplat.write(out, scene.splats, force=force)
+    if scene.without_tails:
+        first, last = scene.without_tails[0], scene.without_tails[-1]
+        span = f"chunk {first}" if first == last else f"chunks {first} to {last}"
+        warnings.warn(
+            f"{cogs}: {span} came without the SH above DC, which lies beyond byte "
+            f"{scene.bytes_read}",
+            CogsplatWarning,
+            stacklevel=1,
+        )
+    with storage_errors(out):
+        written = out.stat().st_size
+    if as_json:
+        say_json(_report(scene, out, written, stages))
+    elif not quiet:
+        _tell(scene, out, written, stages)
+
+
+def _report(scene: Scene, out: Path, written: int, stages: Stages) -> dict[str, object]:
+    return {
+        "output": name_of(out),
+        "bytes": written,
+        "splats": len(scene.splats),
+        "file_splats": scene.file_splats,
+        "sh_degree": scene.splats.sh_degree,
+        "chunks": [scene.chunks.start, scene.chunks.stop],
+        "file_chunks": scene.file_chunks,
+        "file_bytes": scene.file_bytes,
+        "bytes_read": scene.bytes_read,
+        "chunks_without_tails": list(scene.without_tails),
+        "seconds": stages.rounded(),
+    }
+
+
+def _tell(scene: Scene, out: Path, written: int, stages: Stages) -> None:
+    found, chunks = len(scene.splats), scene.chunks
+    say(f"{out}: {found:,} of {scene.file_splats:,} splats, {size_text(written)}")
+    span = f"{chunks.start}:{chunks.stop} of {scene.file_chunks}"
+    if scene.bytes_read < scene.file_bytes:
+        span += f" in the first {size_text(scene.bytes_read)} of {size_text(scene.file_bytes)}"
+    facts(
+        ("chunks", span),
+        ("SH degree", str(scene.splats.sh_degree)),
+        ("time", stages.line()),
+    )

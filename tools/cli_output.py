@@ -1,0 +1,91 @@
+"""How commands print: JSON, sizes, facts in columns, tables."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import click
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+Json = Mapping[str, object]
+
+WARNINGS: Final = "cogsplat.warnings"
+"""Where a click context keeps the warnings of a command, for its JSON object."""
+
+_LABEL_WIDTH: Final = 10
+
+
+def say(text: str) -> None:
+    """Print to standard output; characters that its encoding lacks come escaped."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    click.echo(text.encode(encoding, "backslashreplace").decode(encoding))
+
+
+def say_json(value: Json) -> None:
+    """Print one JSON object, with the command's warnings where there are any."""
+    context = click.get_current_context(silent=True)
+    told = context.meta.get(WARNINGS) if context else None
+    whole = {**value, "warnings": told} if told else value
+    click.echo(json.dumps(whole, indent=2, allow_nan=False))
+
+
+def facts(*rows: tuple[str, str]) -> None:
+    """Print labelled lines under a headline; those with nothing to say are left out."""
+    for label, text in rows:
+        if text:
+            say(f"  {label:<{_LABEL_WIDTH}} {text}")
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> None:
+    """Print rows in columns, numbers flush right.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        Headings.
+    rows : sequence of sequence of str
+        Cells.
+    left : int
+        So many columns, counted from the first, are flush left.
+    """
+    grid = Table(box=None, pad_edge=False, padding=(0, 1, 0, 1), header_style="dim")
+    for index, column in enumerate(columns):
+        grid.add_column(column, justify="left" if index < left else "right", no_wrap=True)
+    for row in rows:
+        grid.add_row(*(Text(cell) for cell in row))
+    terminal = sys.stdout is not None and sys.stdout.isatty()
+    # Into a string, so that all output goes through one place and meets a closed pipe there.
+    page = io.StringIO()
+    width = shutil.get_terminal_size().columns if terminal else 200
+    Console(file=page, force_terminal=terminal, width=width, highlight=False).print(grid)
+    for line in page.getvalue().splitlines():
+        say(f" {line.rstrip()}")
+
+
+def size_text(size_bytes: int) -> str:
+    """Return a byte count as people read it: 812 B, 64.0 KiB, 1.31 MiB."""
+    if size_bytes < 1 << 10:
+        return f"{size_bytes} B"
+    for unit, scale in (("KiB", 1 << 10), ("MiB", 1 << 20)):
+        if size_bytes < scale << 10:
+            return f"{size_bytes / scale:.{1 if unit == 'KiB' else 2}f} {unit}"
+    return f"{size_bytes / (1 << 30):.2f} GiB"
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun: ``1 chunk``, ``12,000 splats``."""
+    return f"{count:,} {noun}" + ("" if count == 1 else "s")
+
+
+def name_of(path: Path) -> str:
+    """Return a path as the user gave it."""
+    return os.fspath(path)

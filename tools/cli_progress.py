@@ -1,0 +1,122 @@
+"""How a command shows the stages of long work, and times them."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Final
+
+import click
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+)
+
+# Logs stay readable: a stage writes no more often than this, seconds.
+_LINE_EVERY: Final = 2.0
+
+
+class Stages:
+    """A `codec.progress.Progress` for the terminal: bars there, plain lines elsewhere.
+
+    A context manager. The time between two reports belongs to the stage that reports second, so
+    that the stages' times add up to the whole.
+
+    Parameters
+    ----------
+    shown : bool
+        Whether anything is written, always to standard error.
+
+    Attributes
+    ----------
+    seconds : dict of str to float
+        By stage, in the order they began.
+    totals : dict of str to int
+        Steps that each stage announced.
+    """
+
+    def __init__(self, *, shown: bool = True) -> None:
+        self.seconds: dict[str, float] = {}
+        self.totals: dict[str, int] = {}
+        self._shown = shown
+        self._bars: Progress | None = None
+        self._tasks: dict[str, TaskID] = {}
+        self._written: dict[str, float] = {}
+        self._last = time.monotonic()
+
+    def __enter__(self) -> Stages:
+        self._last = time.monotonic()
+        if self._shown and sys.stderr is not None and sys.stderr.isatty():
+            console = Console(stderr=True)
+            if not console.is_dumb_terminal:
+                self._bars = Progress(
+                    TextColumn("  {task.description:<10}"),
+                    BarColumn(),
+                    MofNCompleteColumn(),
+                    TimeElapsedColumn(),
+                    console=console,
+                    transient=True,
+                )
+                self._bars.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._bars:
+            self._bars.stop()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Report that `done` of `total` steps of a stage are through."""
+        now = time.monotonic()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
+        self.totals[stage] = total
+        self._last = now
+        if self._bars:
+            if stage not in self._tasks:
+                self._tasks[stage] = self._bars.add_task(stage, total=total)
+            self._bars.update(self._tasks[stage], completed=done, total=total)
+        elif self._shown:
+            self._write_line(stage, done, total, now)
+
+    def _write_line(self, stage: str, done: int, total: int, now: float) -> None:
+        if stage in self._written and now - self._written[stage] < _LINE_EVERY:
+            return
+        # What was over before it could be announced needs no line.
+        if stage not in self._written and done == total:
+            return
+        self._written[stage] = now
+        steps = f" {done}/{total}" if total > 1 else ""
+        click.echo(f"{stage}{steps}", err=True)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Report the block as a stage of one step."""
+        self(name, 0, 1)
+        yield
+        self(name, 1, 1)
+
+    @property
+    def total_seconds(self) -> float:
+        """Time of all stages."""
+        return sum(self.seconds.values())
+
+    def line(self) -> str:
+        """Say how long it took, stage by stage, those above a twentieth of a second."""
+        parts = [f"{name} {spent:.1f}" for name, spent in self.seconds.items() if spent >= 0.05]
+        return f"{self.total_seconds:.1f} s" + (f": {', '.join(parts)}" if parts else "")
+
+    def rounded(self) -> dict[str, float]:
+        """Return the seconds of each stage, to milliseconds, as JSON output holds them."""
+        return {name: round(spent, 3) for name, spent in self.seconds.items()}

@@ -1,0 +1,129 @@
+"""What options take beside numbers and names: byte counts, ranges, colours, picture sizes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Final
+
+import click
+
+_UNITS: Final = {
+    "": 1,
+    "b": 1,
+    "kb": 1000,
+    "mb": 1000**2,
+    "gb": 1000**3,
+    "kib": 1 << 10,
+    "mib": 1 << 20,
+    "gib": 1 << 30,
+}
+_BYTES: Final = re.compile(r"([0-9]{1,18}(?:\.[0-9]{1,9})?)\s*(%|[a-z]*)", re.IGNORECASE)
+_RANGE: Final = re.compile(r"([0-9]{0,9}):([0-9]{0,9})")
+_SIZE: Final = re.compile(r"([0-9]{1,6})[x×]([0-9]{1,6})", re.IGNORECASE)
+_COLOURS: Final = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
+
+MAX_SIDE: Final = 16384
+"""Longest side of a picture that is asked for, px."""
+
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ByteCount:
+    """So many bytes, or a share of a file.
+
+    Parameters
+    ----------
+    amount : Fraction
+        Bytes, or the share.
+    is_share : bool
+        Whether `amount` is a share of the file, 0 to 1.
+    """
+
+    amount: Fraction
+    is_share: bool
+
+    def of(self, file_bytes: int) -> int:
+        """Return the bytes meant of a file of `file_bytes`, rounded down; at most the file's."""
+        wanted = self.amount * file_bytes if self.is_share else self.amount
+        return min(int(wanted), file_bytes)
+
+
+@dataclass(frozen=True)
+class ChunkRange:
+    """Half-open range of chunks; None leaves an end open."""
+
+    first: int | None
+    last: int | None
+
+
+def byte_count(text: str) -> ByteCount:
+    """Read ``65536``, ``64KiB``, ``1.5MB`` or ``20%``.
+
+    Raises
+    ------
+    click.BadParameter
+        It is none of them.
+    """
+    match = _BYTES.fullmatch(text.strip())
+    unit = match[2].lower() if match else ""
+    if match and unit == "%" and Fraction(match[1]) <= 100:
+        return ByteCount(Fraction(match[1]) / 100, is_share=True)
+    if match and unit in _UNITS:
+        return ByteCount(Fraction(match[1]) * _UNITS[unit], is_share=False)
+    raise click.BadParameter(f"{text!r}, expected bytes such as 65536, 64KiB, 1.5MB or 20%")
+
+
+def chunk_range(text: str) -> ChunkRange:
+    """Read ``A:B``, half-open; either end may be left out.
+
+    Raises
+    ------
+    click.BadParameter
+        It is no range.
+    """
+    match = _RANGE.fullmatch(text.strip())
+    if not match:
+        raise click.BadParameter(f"{text!r}, expected A:B in whole numbers, such as 0:8 or 3:")
+    first, last = (int(end) if end else None for end in match.groups())
+    return ChunkRange(first, last)
+
+
+def colour(text: str) -> Colour:
+    """Read ``R,G,B`` in [0, 1], ``black`` or ``white``.
+
+    Raises
+    ------
+    click.BadParameter
+        It is no colour.
+    """
+    if text.strip().lower() in _COLOURS:
+        return _COLOURS[text.strip().lower()]
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not all(0.0 <= number <= 1.0 for number in numbers):
+        raise click.BadParameter(
+            f"{text!r}, expected three numbers from 0 to 1 such as 0.6,0,0.4, black or white"
+        )
+    return numbers[0], numbers[1], numbers[2]
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """Read ``WxH`` in pixels.
+
+    Raises
+    ------
+    click.BadParameter
+        It is no size, or a side is out of range.
+    """
+    match = _SIZE.fullmatch(text.strip())
+    sides = (int(match[1]), int(match[2])) if match else (0, 0)
+    if not all(1 <= side <= MAX_SIDE for side in sides):
+        raise click.BadParameter(
+            f"{text!r}, expected pixels such as 1280x720, each side 1 to {MAX_SIDE}"
+        )
+    return sides

@@ -1,0 +1,154 @@
+"""Where the bytes of a COGS file go: by chunk, and by stream."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cogsplat.codec import streams
+from cogsplat.formats.cogs_layout import (
+    PREAMBLE_BYTES,
+    SKIPPABLE_KIND,
+    SegmentKind,
+    unpack_preamble,
+)
+from cogsplat.formats.cogs_reader import CogsFile
+from cogsplat.formats.source import FileSource
+
+
+@dataclass(frozen=True)
+class StoredSize:
+    """Bytes of one kind of stream in one kind of segment, over the whole file.
+
+    Parameters
+    ----------
+    segment : str
+        ``index``, or the segment's kind.
+    label : str
+        Attribute, kind and flag (`StoredStream.label`); ``framing`` for what a segment holds
+        beside streams.
+    stored_bytes : int
+    """
+
+    segment: str
+    label: str
+    stored_bytes: int
+
+    def report(self) -> dict[str, object]:
+        """Return the fields as JSON output has them."""
+        return {"segment": self.segment, "stream": self.label, "bytes": self.stored_bytes}
+
+
+@dataclass(frozen=True)
+class ChunkSizes:
+    """One chunk's row of the table.
+
+    Parameters
+    ----------
+    number, splats : int
+    head_bytes, head_offset : int
+    tail_bytes, tail_offset : int
+        0 where it has none.
+    contribution : float
+        Sum over its splats.
+    contribution_share, share_so_far : float or None
+        Of the scene's, alone and with all chunks before; None where nothing was scored.
+    """
+
+    number: int
+    splats: int
+    head_bytes: int
+    head_offset: int
+    tail_bytes: int
+    tail_offset: int
+    contribution: float
+    contribution_share: float | None
+    share_so_far: float | None
+
+    def report(self) -> dict[str, object]:
+        """Return the fields as JSON output has them."""
+        return asdict(self)
+
+
+def format_version(path: Path) -> str:
+    """Return the version of the format that a COGS file states, such as ``0.1``."""
+    source = FileSource(path)
+    try:
+        preamble = unpack_preamble(source.read(0, PREAMBLE_BYTES), source.name)
+    finally:
+        source.close()
+    return f"{preamble.major}.{preamble.minor}"
+
+
+def chunk_sizes(file: CogsFile) -> list[ChunkSizes]:
+    """Return a row for each chunk, in order."""
+    contribution = file.chunks.contribution
+    total = float(contribution.sum())
+    so_far = np.cumsum(contribution)
+    heads = _by_owner(file, SegmentKind.HEAD)
+    tails = _by_owner(file, SegmentKind.TAIL)
+    rows = []
+    for number in range(file.num_chunks):
+        head_offset, head_bytes = heads.get(number, (0, 0))
+        tail_offset, tail_bytes = tails.get(number, (0, 0))
+        rows.append(
+            ChunkSizes(
+                number=number,
+                splats=int(file.chunks.splats[number]),
+                head_bytes=head_bytes,
+                head_offset=head_offset,
+                tail_bytes=tail_bytes,
+                tail_offset=tail_offset,
+                contribution=float(contribution[number]),
+                contribution_share=float(contribution[number]) / total if total > 0 else None,
+                share_so_far=float(so_far[number]) / total if total > 0 else None,
+            )
+        )
+    return rows
+
+
+def stored_sizes(file: CogsFile) -> list[StoredSize]:
+    """Return the bytes of every kind of stream; they add up to the file.
+
+    Raises
+    ------
+    CogsplatError
+        A segment cannot be read or breaks SPEC 6.
+    """
+    found: dict[tuple[str, str], int] = defaultdict(int)
+    segment_bytes = int(file.segments.length.sum(dtype=np.uint64))
+    found["index", "preamble, root, pages"] = file.file_length - segment_bytes
+    for row in range(len(file.segments)):
+        number, owner = int(file.segments.kind[row]), int(file.segments.owner[row])
+        if number >= SKIPPABLE_KIND:
+            found[f"kind {number}", "unknown"] += int(file.segments.length[row])
+            continue
+        kind = SegmentKind(number)
+        name = kind.name.lower().replace("_", " ")
+        payload = file.read_segment(row)
+        rest = len(payload)
+        for stream in streams.unpack(
+            payload, f"{file.name}: segment {row}", _rows(file, kind, owner)
+        ):
+            found[name, stream.label] += stream.stored_bytes
+            rest -= stream.stored_bytes
+        found[name, "framing"] += rest
+    return [StoredSize(*key, stored) for key, stored in found.items()]
+
+
+def _rows(file: CogsFile, kind: SegmentKind, owner: int) -> int:
+    if kind in (SegmentKind.HEAD, SegmentKind.TAIL):
+        return int(file.chunks.splats[owner])
+    return file.root.codebooks[owner].rows
+
+
+def _by_owner(file: CogsFile, kind: SegmentKind) -> dict[int, tuple[int, int]]:
+    """Return offset and length of the segments of a kind, by the chunk they belong to."""
+    rows = np.flatnonzero(file.segments.kind == kind)
+    return {
+        int(file.segments.owner[row]): (int(file.offsets[row]), int(file.segments.length[row]))
+        for row in rows
+    }
