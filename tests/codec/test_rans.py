@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from cogsplat.codec import rans
 from cogsplat.codec.errors import FormatError
-from cogsplat.codec.rans import MAX_LANES, Decoder, Table, encode, lanes_for, unpack_table
+from cogsplat.codec.rans import MAX_LANES, Decoder, encode, lanes_for
+from cogsplat.codec.rans_table import Table, unpack_table
 
 BOTH = pytest.mark.parametrize("compiled", [False, True], ids=["numpy", "numba"])
 
