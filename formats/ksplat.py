@@ -21,7 +21,8 @@ from cogsplat.codec.splats import Splats, empty, sh_coefficients
 
 from .atomic import StrPath, open_for_read, storage_errors
 from .magic import describe
-from .splat import byte_tables, log_scales
+from .quantised import BYTE_LOGITS
+from .splat import COLOUR_BYTES, log_scales
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -233,7 +234,6 @@ def _read_section(data: bytes, header: _Header, section: _Section, out: Splats, 
         data, _record(header.level, section.sh_degree), section.count, section.records_offset
     )
     buckets = _bucket_rows(data, section, where) if header.level else None
-    sh0, opacities = byte_tables()
     with np.errstate(over="ignore", invalid="ignore"):
         step = np.float32(section.block_size / 2 / section.position_range)
         sh_step = (header.sh_max - header.sh_min) / 255
@@ -253,8 +253,8 @@ def _read_section(data: bytes, header: _Header, section: _Section, out: Splats, 
             out.scales[rows] = log_scales(linear, _FLAT[1 if header.level else 0])
             out.quats[rows] = block["quats"]
             values = sh_bytes[block["sh"]] if header.level == 2 else block["sh"].astype(np.float32)
-        out.sh0[rows] = sh0[block["rgba"][:, :3]]
-        out.opacities[rows] = opacities[block["rgba"][:, 3]]
+        out.sh0[rows] = COLOUR_BYTES[block["rgba"][:, :3]]
+        out.opacities[rows] = BYTE_LOGITS[block["rgba"][:, 3]]
         # Band by band, and in a band all of red first.
         at = 0
         for band in range(1, section.sh_degree + 1):

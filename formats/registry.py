@@ -17,9 +17,12 @@ from cogsplat.codec.splats import Splats
 from .atomic import StrPath, open_for_read, storage_errors
 from .cogs_layout import MAGIC
 from .compressed_ply import is_compressed_ply, read_compressed_ply, write_compressed_ply
+from .ksplat import read_ksplat
 from .magic import describe
 from .ply import read_ply, write_ply
 from .ply_header import is_ply
+from .splat import no_magic, read_splat, write_splat
+from .spz import is_spz, read_spz, write_spz
 
 HEAD_BYTES = 65536
 """Bytes that a sniffer is given, fewer where the file is shorter."""
@@ -69,6 +72,9 @@ FORMATS: tuple[Format, ...] = (
         write_compressed_ply,
     ),
     Format("ply", (".ply",), is_ply, read_ply, write_ply),
+    Format("spz", (".spz",), is_spz, read_spz, write_spz),
+    Format("splat", (".splat",), no_magic, read_splat, write_splat),
+    Format("ksplat", (".ksplat",), no_magic, read_ksplat, None),
 )
 
 

@@ -21,6 +21,7 @@ from cogsplat.codec.transform import convert_axes
 from .atomic import StrPath, atomic_write, open_for_read, storage_errors
 from .losses import info_losses, warn_of_losses
 from .magic import describe
+from .quantised import BYTE_LOGITS, opacity_bytes, unit_opacities
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -34,6 +35,9 @@ _AXES: Final = "RDF"
 
 _BLOCK_ROWS: Final = 1 << 14
 
+COLOUR_BYTES: Final = ((np.arange(256) / 255 - 0.5) / C0).astype(np.float32)
+"""DC coefficient of each colour that a byte can hold, (256,) float32."""
+
 # Half the smallest float32: what a scale of zero, which has no logarithm, stands for.
 _FLAT: Final = np.float32(np.log(2.0**-150))
 
@@ -41,21 +45,6 @@ _FLAT: Final = np.float32(np.log(2.0**-150))
 def no_magic(head: bytes) -> bool:
     """Say no: any bytes could be the first of this format, so its extension decides."""
     return False
-
-
-def byte_tables() -> tuple[F32, F32]:
-    """Return the DC coefficients and the logits that bytes of colour and opacity stand for.
-
-    Returns
-    -------
-    sh0, opacities : (256,) float32
-        Opacity 0 and 255 are logits of -inf and inf.
-    """
-    byte = np.arange(256, dtype=np.float64)
-    with np.errstate(divide="ignore"):
-        opacities = np.log(byte) - np.log(255 - byte)
-    sh0 = (byte / 255 - 0.5) / C0
-    return sh0.astype(np.float32), opacities.astype(np.float32)
 
 
 def log_scales(linear: F32, flat: np.float32) -> F32:
@@ -105,7 +94,6 @@ def read_splat(path: StrPath) -> Splats:
                 f"{RECORD.itemsize}",
             )
         splats = empty(0, count)
-        sh0, opacities = byte_tables()
         buffer = np.empty(min(count, _BLOCK_ROWS), RECORD)
         for start in range(0, count, _BLOCK_ROWS):
             block = buffer[: min(_BLOCK_ROWS, count - start)]
@@ -117,8 +105,8 @@ def read_splat(path: StrPath) -> Splats:
             rows = slice(start, start + len(block))
             splats.means[rows] = block["means"]
             splats.scales[rows] = log_scales(block["scales"], _FLAT)
-            splats.sh0[rows] = sh0[block["rgba"][:, :3]]
-            splats.opacities[rows] = opacities[block["rgba"][:, 3]]
+            splats.sh0[rows] = COLOUR_BYTES[block["rgba"][:, :3]]
+            splats.opacities[rows] = BYTE_LOGITS[block["rgba"][:, 3]]
             splats.quats[rows] = _unpack_quats(block["quats"])
     return splats
 
@@ -160,12 +148,10 @@ def write_splat(path: StrPath, splats: Splats, *, force: bool = False) -> None:
     Steps: colours and opacities 1/255, clipped to 0 to 1; quaternions 1/128 per component.
     """
     stored = convert_axes(splats.with_sh_degree(0).require_valid(), _AXES)
-    with np.errstate(over="ignore"):
-        alphas = 1 / (1 + np.exp(-stored.opacities.astype(np.float64)))
-        # In logarithms: volumes of whole scenes overflow float32.
-        volumes = stored.scales.astype(np.float64).sum(axis=1)
-        with np.errstate(divide="ignore"):
-            order = np.argsort(-(volumes + np.log(alphas)), kind="stable")
+    # Compared as logarithms, which do not overflow.
+    volumes = stored.scales.astype(np.float64).sum(axis=1)
+    with np.errstate(divide="ignore"):
+        order = np.argsort(-(volumes + np.log(unit_opacities(stored.opacities))), kind="stable")
     with atomic_write(path, force) as file:
         for start in range(0, len(stored), _BLOCK_ROWS):
             rows = order[start : start + _BLOCK_ROWS]
@@ -174,7 +160,7 @@ def write_splat(path: StrPath, splats: Splats, *, force: bool = False) -> None:
             with np.errstate(over="ignore"):
                 block["scales"] = np.exp(stored.scales[rows])
             block["rgba"][:, :3] = _to_byte((stored.sh0[rows].astype(np.float64) * C0 + 0.5) * 255)
-            block["rgba"][:, 3] = _to_byte(alphas[rows] * 255)
+            block["rgba"][:, 3] = opacity_bytes(stored.opacities[rows])
             block["quats"] = _to_byte(unit(stored.quats[rows]).astype(np.float64) * 128 + 128)
             file.write(block.view(np.uint8).data)
     losses = info_losses(splats.info)

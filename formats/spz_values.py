@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.rotation import unit
 from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo, Splats, empty, sh_coefficients
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.transform import AxesChange
 
+from .quantised import BYTE_LOGITS, opacity_bytes, to_smallest_three
 from .spz_container import FLAG_ANTIALIASED, SpzFile, SpzHeader
 
 F32 = NDArray[np.float32]
@@ -48,22 +48,15 @@ _SMALLEST_STEPS: Final = 511
 _SMALLEST_MAX: Final = math.sqrt(0.5)
 
 
-def _tables() -> tuple[F32, F32, F32, F32, F32]:
-    byte = np.arange(256, dtype=np.float64)
-    with np.errstate(divide="ignore"):
-        # Alpha 0 and 255 are logits of -inf and inf: fully transparent and fully opaque.
-        opacities = np.log(byte) - np.log(255 - byte)
-    sh0 = (byte / 255 - 0.5) / _COLOUR_SCALE
-    scales = byte / _SCALE_STEPS - _SCALE_OFFSET
-    first = byte / 127.5 - 1
-    ten = np.arange(1024)
-    smallest = (ten & 511) * (_SMALLEST_MAX / _SMALLEST_STEPS)
-    smallest[ten >= 512] *= -1
-    out = [values.astype(np.float32) for values in (opacities, sh0, scales, first, smallest)]
-    return out[0], out[1], out[2], out[3], out[4]
+_BYTE: Final = np.arange(256)
+_TEN_BITS: Final = np.arange(1024)
 
-
-_OPACITIES, _SH0, _SCALES, _FIRST, _SMALLEST = _tables()
+_SH0: Final = ((_BYTE / 255 - 0.5) / _COLOUR_SCALE).astype(np.float32)
+_SCALES: Final = (_BYTE / _SCALE_STEPS - _SCALE_OFFSET).astype(np.float32)
+_FIRST: Final = (_BYTE / 127.5 - 1).astype(np.float32)
+_SMALLEST: Final = (
+    np.where(_TEN_BITS < 512, 1, -1) * (_TEN_BITS & 511) * (_SMALLEST_MAX / _SMALLEST_STEPS)
+).astype(np.float32)
 
 
 def decode(spz: SpzFile, change: AxesChange, info: SceneInfo) -> Splats:
@@ -100,7 +93,7 @@ def decode(spz: SpzFile, change: AxesChange, info: SceneInfo) -> Splats:
             splats.means[rows] *= signs
         else:
             _fixed_point(positions, signs, spz.header.fractional_bits, splats.means[rows])
-        _look_up(_OPACITIES, alphas[:, 0], splats.opacities[rows])
+        _look_up(BYTE_LOGITS, alphas[:, 0], splats.opacities[rows])
         _look_up(_SH0, colors, splats.sh0[rows])
         _look_up(_SCALES, scales, splats.scales[rows])
         if spz.header.version >= 3:
@@ -206,8 +199,6 @@ def encode(
     clipped["means"] = np.count_nonzero(far) / max(1, fixed.size)
     fixed = np.clip(fixed, -_MAX_POSITION, _MAX_POSITION).astype("<i4")
     positions = fixed.view(np.uint8).reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9)
-    with np.errstate(over="ignore"):
-        alphas = 255 / (1 + np.exp(-splats.opacities.astype(np.float64)[:, None]))
     scales = (splats.scales.astype(np.float64) + _SCALE_OFFSET) * _SCALE_STEPS
     sh0 = (splats.sh0.astype(np.float64) * _COLOUR_SCALE + 0.5) * 255
     # Rounded to what `sh1_bits` and `sh_rest_bits` keep of a byte, with zero as one of the steps.
@@ -220,7 +211,7 @@ def encode(
     sh[sh == 256] = 255
     streams = [
         np.ascontiguousarray(positions),
-        to_byte("opacities", alphas),
+        opacity_bytes(splats.opacities)[:, None],
         to_byte("sh0", sh0),
         to_byte("scales", scales),
         _pack_smallest_three(splats.quats),
@@ -237,15 +228,12 @@ def encode(
 
 
 def _pack_smallest_three(quats: F32) -> U8:
-    xyzw = np.roll(unit(quats), -1, axis=1).astype(np.float64)
-    largest = np.abs(xyzw).argmax(axis=1)
-    rows = np.arange(len(xyzw))
-    # The largest is positive and not stored; q and -q are the same rotation.
-    xyzw *= np.copysign(1, xyzw[rows, largest])[:, None]
-    order = np.array([[k for k in range(4) if k != left_out] for left_out in range(4)])
-    three = np.take_along_axis(xyzw, order[largest], axis=1)
+    largest, others = to_smallest_three(quats)
+    # From wxyz to xyzw: w goes behind, or is the one that is not there.
+    three = np.where(largest[:, None] == 0, others, np.roll(others, -1, axis=1))
+    index = ((largest + 3) % 4).astype(np.uint32)
     steps = np.rint(np.abs(three) * (_SMALLEST_STEPS / _SMALLEST_MAX)).astype(np.uint32)
     steps = np.minimum(steps, _SMALLEST_STEPS) | (np.signbit(three).astype(np.uint32) << 9)
-    packed = largest.astype(np.uint32) << 30 | steps[:, 0] << 20 | steps[:, 1] << 10 | steps[:, 2]
+    packed = index << 30 | steps[:, 0] << 20 | steps[:, 1] << 10 | steps[:, 2]
     stored: U8 = packed.astype("<u4").view(np.uint8).reshape(-1, 4)
     return stored
