@@ -72,8 +72,10 @@ class Camera:
             )
         if not np.isfinite(rotation).all() or not np.isfinite(translation).all():
             raise DataError("bad-camera", f"{label}: NaN or infinite pose, expected finite numbers")
-        error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-        if error > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+        # Put so that NaN, which entries beyond 1e154 of both signs give, is refused as well.
+        if not error <= _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
             raise DataError(
                 "bad-camera",
                 f"{label}: the rotation is off orthonormal by {error:.3g} or mirrored, "
