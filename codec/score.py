@@ -26,6 +26,16 @@ from .projection import (
     project,
 )
 from .rasterise import ALPHA_MAX, TRANSMITTANCE_MIN, falloff
+from .sensitivity import (
+    COLUMNS,
+    MOMENTS,
+    PAIRS_AT_ONCE,
+    Sensitivities,
+    add_moments,
+    from_columns,
+    view_colours,
+    view_sensitivities,
+)
 from .splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from .threads import ordered_map, thread_count
 from .tiles import TILE, TileLists, tile_lists
@@ -67,12 +77,16 @@ class ScoreConfig:
         Means at or before this camera-space depth are not drawn, scene units.
     threads : int
         0 for every core this process may use. The scores do not depend on it.
+    sensitivity_every : int
+        Also measure `Sensitivities`, on one of so many views; 0 for none. At 1 they cost about as
+        much again as the rest.
     """
 
     top_k: int = TOP_K
     jitter: bool = True
     near: float = NEAR
     threads: int = 0
+    sensitivity_every: int = 0
 
     def __post_init__(self) -> None:
         if self.top_k < 0:
@@ -80,6 +94,10 @@ class ScoreConfig:
         if not self.near > 0.0:
             raise ValueError(f"near {self.near}, expected more than 0")
         thread_count(self.threads)
+        if self.sensitivity_every < 0:
+            raise ValueError(
+                f"sensitivity_every {self.sensitivity_every}, expected 0 (none) or more"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +126,8 @@ class Scores:
         Views whose image its footprint reaches, whether or not something hides it there.
     num_pixels : int
         Pixels of all views, jittered ones included.
+    sensitivities : Sensitivities or None
+        What errors of the stored values cost, where the configuration asks for it.
     """
 
     contribution: NDArray[np.float64]
@@ -117,6 +137,7 @@ class Scores:
     seen: NDArray[np.int32]
     covered: NDArray[np.int32]
     num_pixels: int
+    sensitivities: Sensitivities | None = None
 
 
 def unscored(splats: int) -> Scores:
@@ -134,10 +155,14 @@ def unscored(splats: int) -> Scores:
 
 @dataclass(frozen=True, eq=False)
 class _ViewScores:
-    """One view's sums: rows of the scene (M,), and (M, 3) float64 Σw, Σw², largest w."""
+    """One view's sums: rows of the scene (M,), and (M, 3) float64 Σw, Σw², largest w.
+
+    Where they are asked for, (M, 13) float64 sums over pixels for `Sensitivities`.
+    """
 
     index: NDArray[np.int32]
     sums: NDArray[np.float64]
+    columns: NDArray[np.float64] | None
 
 
 @kernel
@@ -336,7 +361,9 @@ def _weigh_tiles(
     return sums
 
 
-def _score_view(splats: Splats, camera: Camera, config: ScoreConfig, threads: int) -> _ViewScores:
+def _score_view(
+    splats: Splats, camera: Camera, config: ScoreConfig, sensitive: bool, threads: int
+) -> _ViewScores:
     footprints = project(
         splats,
         camera,
@@ -346,10 +373,27 @@ def _score_view(splats: Splats, camera: Camera, config: ScoreConfig, threads: in
     )
     top_k = config.top_k if config.top_k < _MOST_WEIGHTS else 0
     sums = np.zeros((len(footprints), 3), np.float64)
-    for lists in tile_lists(footprints, camera.width, camera.height):
-        pair_sums = _weigh_tiles(lists, footprints, camera, top_k, threads)
-        _gather(lists.members, pair_sums, sums)
-    return _ViewScores(footprints.index, sums)
+    if not sensitive:
+        for lists in tile_lists(footprints, camera.width, camera.height):
+            _gather(lists.members, _weigh_tiles(lists, footprints, camera, top_k, threads), sums)
+        return _ViewScores(footprints.index, sums, None)
+    colours = view_colours(splats, camera, footprints)
+    moments = np.zeros((len(footprints), MOMENTS), np.float64)
+    for lists in tile_lists(footprints, camera.width, camera.height, PAIRS_AT_ONCE):
+        _gather(lists.members, _weigh_tiles(lists, footprints, camera, top_k, threads), sums)
+        add_moments(lists, footprints, colours, camera, threads, moments)
+    columns = view_sensitivities(splats, camera, footprints, colours, moments, sums[:, _SQUARE])
+    return _ViewScores(footprints.index, sums, columns)
+
+
+def _sensitive(count: int, every: int) -> list[bool]:
+    """Choose one of `every` views of a set: one of each run of so many, not the same in each.
+
+    Jittered sets alternate between two kinds of copy, and both must be met.
+    """
+    if every == 0:
+        return [False] * count
+    return [(view + view // every) % every == 0 for view in range(count)]
 
 
 def score(
@@ -391,10 +435,18 @@ def score(
         sets.append(jitter(splats, cameras))
     views: list[Camera] = []
     shares: list[tuple[float, float]] = []
+    sensitive: list[float] = []
     for members in sets:
         pixels = sum(camera.width * camera.height for camera in members)
         views += members
         shares += [(1.0 / len(members), 1.0 / (pixels * len(sets)))] * len(members)
+        chosen = _sensitive(len(members), config.sensitivity_every)
+        pixels = sum(
+            camera.width * camera.height
+            for camera, included in zip(members, chosen, strict=True)
+            if included
+        )
+        sensitive += [1.0 / (pixels * len(sets)) if included else 0.0 for included in chosen]
 
     n = len(splats)
     contribution = np.zeros(n, np.float64)
@@ -403,11 +455,14 @@ def score(
     peak = np.zeros(n, np.float32)
     seen = np.zeros(n, np.int32)
     covered = np.zeros(n, np.int32)
+    columns = np.zeros((n if config.sensitivity_every else 0, COLUMNS), np.float64)
     threads = thread_count(config.threads)
     by_view = len(views) >= threads
     results = ordered_map(
-        lambda camera: _score_view(splats, camera, config, 1 if by_view else threads),
-        views,
+        lambda view: _score_view(
+            splats, views[view], config, sensitive[view] > 0.0, 1 if by_view else threads
+        ),
+        range(len(views)),
         threads if by_view else 1,
     )
     progress("score", 0, len(views))
@@ -427,6 +482,8 @@ def score(
             seen,
         )
         covered[result.index] += 1
+        if result.columns is not None:
+            columns[result.index] += sensitive[done] * result.columns
         progress("score", done + 1, len(views))
     if not seen.any():
         raise DataError(
@@ -442,4 +499,5 @@ def score(
         seen=seen,
         covered=covered,
         num_pixels=sum(camera.width * camera.height for camera in views),
+        sensitivities=from_columns(columns) if config.sensitivity_every else None,
     )
