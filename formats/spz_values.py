@@ -203,7 +203,7 @@ def encode(
     sh0 = (splats.sh0.astype(np.float64) * _COLOUR_SCALE + 0.5) * 255
     # Rounded to what `sh1_bits` and `sh_rest_bits` keep of a byte, with zero as one of the steps.
     first = 3 * (sh_coefficients(1) - 1)
-    flat = splats.shN.reshape(len(splats), -1)
+    flat = splats.shN.reshape(len(splats), 3 * splats.shN.shape[1])
     steps = np.full(flat.shape[1], 2.0 ** (8 - sh_rest_bits))
     steps[:first] = 2.0 ** (8 - sh1_bits)
     sh = np.rint(flat * (128 / steps)) * steps + 128
