@@ -26,6 +26,11 @@ class CogsplatError(Exception):
         self.code = code
         self.message = message
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # Between processes, errors travel whole; by default Python would call __init__ with the
+        # message alone, and fail.
+        return _restored, (type(self), self.args), self.__dict__
+
 
 class CogsplatWarning(UserWarning):
     """Something a file holds, or that was to be written, is left out or altered; work goes on.
@@ -107,3 +112,7 @@ class Cancelled(CogsplatError):  # noqa: N818 - an interruption, not a fault
 
     def __init__(self, message: str = "cancelled") -> None:
         super().__init__("cancelled", message)
+
+
+def _restored(kind: type[CogsplatError], args: tuple[object, ...]) -> CogsplatError:
+    return kind.__new__(kind, *args)
