@@ -190,7 +190,7 @@ def encode(
 
 
 def _with_copies(no_jitter: bool) -> str:
-    return "" if no_jitter else ", copies that step back and turn among them"
+    return "" if no_jitter else ", jittered copies included"
 
 
 def _report(file: CogsFile, size: int, config: EncodeConfig, stages: Stages) -> dict[str, object]:

@@ -283,8 +283,8 @@ def compare(
 ) -> None:
     """Measure how far B, or a part of it, is from A.
 
-    PSNR and SSIM of rendered views, three figures each: the mean over held-out cameras, the worst of them, and the mean over roaming
-    views, which stand back from those cameras and turn away from them.
+    PSNR and SSIM of rendered views, three figures each: the mean over held-out cameras, the worst
+    of them, and the mean over roaming views, which stand back from those cameras and turn away.
     """
     from . import judge
 
@@ -356,10 +356,10 @@ def _subject(path: Path, scene: Scene) -> dict[str, object]:
 
 def _tell_figures(rows: dict[str, tuple[float, float]], notes: Sequence[str]) -> None:
     cells = [
-        (name, f"{psnr_db:.2f}", f"{ssim:.4f}", note)
+        (name, note, f"{psnr_db:.2f}", f"{ssim:.4f}")
         for (name, (psnr_db, ssim)), note in zip(rows.items(), notes, strict=True)
     ]
-    table(("views", "PSNR dB", "SSIM", "of"), cells)
+    table(("", "", "PSNR dB", "SSIM"), cells, left=2)
 
 
 def _colour_name(colour: Colour) -> str:

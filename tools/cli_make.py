@@ -64,7 +64,8 @@ def synth(
 ) -> None:
     """Make a scene to play with, and its cameras.
 
-    Objects on a terrace, with gloss and clutter, seen from 48 cameras of its own. The same options give the same bytes.
+    Objects on a terrace, with gloss and clutter, seen from 48 cameras of its own. The same options
+    give the same bytes.
     """
     from . import synth as scenes
 

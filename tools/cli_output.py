@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,6 +21,7 @@ WARNINGS: Final = "cogsplat.warnings"
 """Where a click context keeps the warnings of a command, for its JSON object."""
 
 _LABEL_WIDTH: Final = 10
+_TABLE_WIDTH: Final = 200
 
 
 def say(text: str) -> None:
@@ -65,8 +65,8 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 
     terminal = sys.stdout is not None and sys.stdout.isatty()
     # Into a string, so that all output goes through one place and meets a closed pipe there.
     page = io.StringIO()
-    width = shutil.get_terminal_size().columns if terminal else 200
-    Console(file=page, force_terminal=terminal, width=width, highlight=False).print(grid)
+    # Wider than any table here: a narrow terminal wraps lines, which loses no digit.
+    Console(file=page, force_terminal=terminal, width=_TABLE_WIDTH, highlight=False).print(grid)
     for line in page.getvalue().splitlines():
         say(f" {line.rstrip()}")
 

@@ -91,14 +91,13 @@ class Stages:
             self._write_line(stage, done, total, now)
 
     def _write_line(self, stage: str, done: int, total: int, now: float) -> None:
-        if stage in self._written and now - self._written[stage] < _LINE_EVERY:
+        # One step tells nothing while it goes on, and is in the summary when it is over.
+        if total <= 1:
             return
-        # What was over before it could be announced needs no line.
-        if stage not in self._written and done == total:
-            return
-        self._written[stage] = now
-        steps = f" {done}/{total}" if total > 1 else ""
-        click.echo(f"{stage}{steps}", err=True)
+        due = now - self._written.setdefault(stage, now) >= _LINE_EVERY
+        if done == 0 or due:
+            self._written[stage] = now
+            click.echo(f"{stage} {done}/{total}", err=True)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

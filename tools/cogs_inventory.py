@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from cogsplat.formats.cogs_layout import (
 from cogsplat.formats.cogs_reader import CogsFile
 from cogsplat.formats.source import FileSource
 
+_INDEX: Final = "index"
+
 
 @dataclass(frozen=True)
 class StoredSize:
@@ -26,10 +29,9 @@ class StoredSize:
     Parameters
     ----------
     segment : str
-        ``index``, or the segment's kind.
+        The segment's kind, or ``index`` for all that is no stream.
     label : str
-        Attribute, kind and flag (`StoredStream.label`); ``framing`` for what a segment holds
-        beside streams.
+        Attribute, kind and flag (`StoredStream.label`).
     stored_bytes : int
     """
 
@@ -120,7 +122,8 @@ def stored_sizes(file: CogsFile) -> list[StoredSize]:
     """
     found: dict[tuple[str, str], int] = defaultdict(int)
     segment_bytes = int(file.segments.length.sum(dtype=np.uint64))
-    found["index", "preamble, root, pages"] = file.file_length - segment_bytes
+    found[_INDEX, "preamble, root, pages"] = file.file_length - segment_bytes
+    found[_INDEX, "framing of segments"] = 0
     for row in range(len(file.segments)):
         number, owner = int(file.segments.kind[row]), int(file.segments.owner[row])
         if number >= SKIPPABLE_KIND:
@@ -135,7 +138,7 @@ def stored_sizes(file: CogsFile) -> list[StoredSize]:
         ):
             found[name, stream.label] += stream.stored_bytes
             rest -= stream.stored_bytes
-        found[name, "framing"] += rest
+        found[_INDEX, "framing of segments"] += rest
     return [StoredSize(*key, stored) for key, stored in found.items()]
 
 

@@ -229,7 +229,7 @@ def _caption(prefix: Prefix) -> list[str]:
     return [
         f"{prefix.share:.0%}, {_size(prefix.size_bytes)}",
         f"{prefix.splats:,} splats",
-        f"PSNR {prefix.held_out_db:.1f} dB",
+        f"PSNR {prefix.held_out_db:.1f} dB held-out",
     ]
 
 
