@@ -59,7 +59,7 @@ def log_scales(linear: F32, flat: np.float32) -> F32:
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = np.log(linear)
-    logs[linear == 0] = flat
+        logs[linear == 0] = flat
     return logs
 
 

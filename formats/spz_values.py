@@ -88,9 +88,10 @@ def decode(spz: SpzFile, change: AxesChange, info: SceneInfo) -> Splats:
         rows = slice(start, min(start + _BLOCK_ROWS, count))
         positions, alphas, colors, scales, rotations, sh = (s[rows] for s in spz.streams)
         if spz.header.version == 1:
+            # NaN of any kind passes through.
             with np.errstate(invalid="ignore"):
                 splats.means[rows] = positions.view("<f2")
-            splats.means[rows] *= signs
+                splats.means[rows] *= signs
         else:
             _fixed_point(positions, signs, spz.header.fractional_bits, splats.means[rows])
         _look_up(BYTE_LOGITS, alphas[:, 0], splats.opacities[rows])

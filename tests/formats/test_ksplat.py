@@ -210,6 +210,16 @@ def test_flat_splats_and_bad_numbers(tmp_path: Path, level: int, flat: int) -> N
     assert splats.opacities[3] == math.inf
 
 
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_signalling_nan_passes_through(tmp_path: Path, level: int) -> None:
+    head, body = section(rows(1, 1, 5), level, 1)
+    stride = len(splat_bytes(rows(1, 1, 0)[0], level, (0, 0, 0)))
+    nan = b"\1\x7c" if level else b"\1\0\x80\x7f"
+    numbers = body[:-stride] + (nan * stride)[:stride]
+    (tmp_path / "a.ksplat").write_bytes(build(level, (head, numbers)))
+    assert read_ksplat(tmp_path / "a.ksplat").invalid_rows().tolist() == [True]
+
+
 def test_found_by_extension_and_not_written(tmp_path: Path) -> None:
     (tmp_path / "a.KSPLAT").write_bytes(build(1, section(rows(3, 0, 6), 1, 0)))
     splats = read_scene(tmp_path / "a.KSPLAT")

@@ -71,6 +71,9 @@ def test_bad_numbers_pass_through(tmp_path: Path) -> None:
         + struct.pack("<3f3f8B", 0, 0, 0, 1, 1, 1, *[200] * 8)
     )
     assert read_splat(path).invalid_rows().tolist() == [True, True, False]
+    signalling = struct.pack("<I", 0x7F800001)
+    path.write_bytes(signalling * 6 + bytes([200] * 8))
+    assert read_splat(path).invalid_rows().tolist() == [True]
 
 
 @pytest.mark.parametrize("count", [0, 1, 300, 40_000])
