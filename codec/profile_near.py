@@ -123,7 +123,9 @@ def _opacities(values: F32, bound: float) -> Stream:
     if not finite.all():
         inner = values[finite] if finite.any() else np.zeros((1, 1), np.float32)
         grid = grids.fit(inner, 2 * bound * _SLACK)
-        if _error(inner, grid) <= bound:
+        # Two codes more, and all of them must fit three bytes.
+        fits = int(grid.levels[0]) <= grids.MAX_LEVELS - 2
+        if fits and _error(inner, grid) <= bound:
             return streams.scalar_with_infinities(Attribute.OPACITIES, values, grid)
         return streams.floats(Attribute.OPACITIES, values)
     return _bounded(Attribute.OPACITIES, values, bound)
