@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .score import Scores
+from .splats import Splats
 
 F64 = NDArray[np.float64]
 
@@ -15,12 +17,16 @@ F64 = NDArray[np.float64]
 # Measured by perturbing trained scenes of three kinds (a captured room, a cleaned object, a
 # figure) one attribute at a time; they agree within a factor of three, steps within 1.7.
 COLOUR_COST: Final = 1.0
-SH0_COST: Final = 0.28209479177387814**2  # Y_00 squared: sh0 to colour
+SH0_BASIS: Final = 0.28209479177387814  # Y_00: sh0 to colour
+SH0_COST: Final = SH0_BASIS**2
 OPACITY_COST: Final = 0.02
 SCALE_FACTOR_COST: Final = 0.2
 SCALE_COST: Final = 0.06
 ROTATION_COST: Final = 0.48  # per squared step of a quaternion component, half the angle
 MEAN_COST: Final = 0.04  # per squared step relative to the splat's mean deviation
+
+# Squared radians per squared value of a turn, the mean over tilts of up to 90°.
+_TURN_COST: Final = 2.5
 
 # Attributes that share the error of a nominal quality.
 _SHARES: Final = 8
@@ -74,3 +80,104 @@ def mean_step(slope_value: float, energy: F64, scales: NDArray[np.float32]) -> f
     # exp(-2·mean log): a small splat moved by the same step changes more of its pixels.
     inverse_size = np.exp(-2 * np.clip(scales.astype(np.float64).mean(axis=1), -40, 40))
     return float(np.sqrt(slope_value / (MEAN_COST * (energy * inverse_size).mean())))
+
+
+@dataclass(frozen=True, eq=False)
+class Costs:
+    """Squared error of the picture per squared error of a stored value, splat by splat.
+
+    Parameters
+    ----------
+    energy : (n,) float64
+        Of colour.
+    mean : (n,) float64
+        Of a coordinate, per squared scene unit.
+    opacity : (n,) float64
+        Of the logit.
+    scale_long, scale_middle, scale_thin : (n,) float64
+        Of the three values of a ladder: all log scales, the two shorter, the shortest.
+    tilt, spin : (n,) float64
+        Of the values of a turn.
+    basis_mean : (n, K-1) float64
+        `Scores.basis_mean`.
+    """
+
+    energy: F64
+    mean: F64
+    opacity: F64
+    scale_long: F64
+    scale_middle: F64
+    scale_thin: F64
+    tilt: F64
+    spin: F64
+    basis_mean: F64
+
+    def take(self, rows: NDArray[np.int64]) -> Costs:
+        """Return the costs of some rows."""
+        return Costs(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+# Least cost of each value relative to its splat's energy. Sensitivities hold for small errors
+# only: what happens to match its surroundings now would show once it moved.
+_MEAN_FLOOR: Final = 1e-3  # per squared deviation
+_OPACITY_FLOOR: Final = 1e-3
+_SCALE_FLOOR: Final = 3e-3
+_TURN_FLOOR: Final = 3e-3
+
+
+def costs(splats: Splats, scores: Scores) -> Costs:
+    """Return what errors cost, from the sensitivities of a scoring pass or from energies alone.
+
+    Parameters
+    ----------
+    splats : Splats
+    scores : Scores
+        Without sensitivities the constants of this module stand in for them.
+    """
+    energy = floor_energy(scores)
+    order = np.argsort(splats.scales, axis=1, kind="stable")
+    sizes = np.take_along_axis(splats.scales, order, axis=1).astype(np.float64)
+    thin = np.exp(-2 * np.clip(sizes[:, 0], -40, 40))
+    count = splats.shN.shape[1]
+    basis_mean = scores.basis_mean[:, :count].astype(np.float64)
+    found = scores.sensitivities
+    if found is None:
+        mean_size = np.exp(-2 * np.clip(sizes.mean(axis=1), -40, 40))
+        flat = np.square(np.clip(1 - np.exp(2 * (sizes[:, 0] - sizes[:, 2])), 0, 1))
+        return Costs(
+            energy=energy,
+            mean=MEAN_COST * energy * mean_size,
+            opacity=OPACITY_COST * energy,
+            scale_long=3 * SCALE_COST * energy,
+            scale_middle=2 * SCALE_COST * energy,
+            scale_thin=SCALE_COST * energy,
+            tilt=ROTATION_COST * energy * np.maximum(flat, 0.05),
+            spin=0.5 * ROTATION_COST * energy * np.maximum(flat, 0.05),
+            basis_mean=basis_mean,
+        )
+    by_size = np.take_along_axis(found.scales, order, axis=1)
+    turned = np.take_along_axis(found.rotations, order, axis=1)
+    reach = np.minimum(thin, 20 * np.exp(-2 * np.clip(sizes.mean(axis=1), -40, 40)))
+    # A turn's value is the tangent of half an angle: twice the sensitivity of a radian or more.
+    return Costs(
+        energy=energy,
+        mean=np.maximum(found.means.mean(axis=1), _MEAN_FLOOR * energy * reach),
+        opacity=np.maximum(found.opacities, _OPACITY_FLOOR * energy),
+        scale_long=np.maximum(by_size.sum(axis=1), _SCALE_FLOOR * energy),
+        scale_middle=np.maximum(by_size[:, 0] + by_size[:, 1], _SCALE_FLOOR * energy),
+        scale_thin=np.maximum(by_size[:, 0], _SCALE_FLOOR * energy),
+        tilt=np.maximum(_TURN_COST * 0.5 * (turned[:, 0] + turned[:, 1]), _TURN_FLOOR * energy),
+        spin=np.maximum(_TURN_COST * turned[:, 2], _TURN_FLOOR * energy),
+        basis_mean=basis_mean,
+    )
+
+
+def equal_step(slope_value: float, cost: F64) -> float:
+    """Return the step of a chunk whose mean cost is what counts."""
+    return float(np.sqrt(slope_value / cost.mean()))
+
+
+def own_steps(slope_value: float, cost: F64) -> F64:
+    """Return the step of every splat."""
+    steps: F64 = np.sqrt(slope_value / cost)
+    return steps

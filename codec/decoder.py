@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from . import streams
+from . import colour_streams, fine_means, shape_streams, streams
 from .errors import FormatError
 from .splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from .streams import KEPT, SH_BANDS, Attribute, Kind, StoredStream
 
 F32 = NDArray[np.float32]
+U32 = NDArray[np.uint32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,7 @@ Codebook = ShapeCodebook | ColourCodebook
 
 def decode_shape_codebook(payload: memoryview, rows: int, where: str) -> ShapeCodebook:
     """Return the rows of a shape codebook segment (SPEC 7.1)."""
-    found = _Streams(streams.unpack(payload, where, rows), where, rows)
+    found = _Streams(payload, where, rows, "7.1")
     book = ShapeCodebook(np.empty((rows, 3), np.float32), np.empty((rows, 4), np.float32))
     found.take(Attribute.SCALES).read_numbers(book.scales)
     found.take(Attribute.QUATS).read_quats(book.quats)
@@ -91,7 +92,7 @@ def decode_colour_codebook(
     coefficients = np.zeros((rows, sh_coefficients(degree) - 1, 3), np.float32)
     for band, payload in payloads.items():
         label = f"{where}, band {band}"
-        found = _Streams(streams.unpack(payload, label, rows), label, rows)
+        found = _Streams(payload, label, rows, "7.1")
         _read_band(found, band, coefficients)
         found.finish()
     return ColourCodebook(coefficients)
@@ -118,31 +119,63 @@ def decode_head(
     FormatError, UnsupportedError, LimitError
         The payload breaks SPEC 6 or 7.2.
     """
-    rows = len(out)
-    found = _Streams(streams.unpack(payload, where, rows), where, rows)
-    found.take(Attribute.MEANS).read_means(out.means)
-    found.take(Attribute.OPACITIES).read_numbers(out.opacities[:, None])
-    found.take(Attribute.SH0).read_numbers(out.sh0)
+    found = _Streams(payload, where, len(out), "7.2")
     if found.has(Attribute.SHAPE):
-        shape = found.take(Attribute.SHAPE)
-        kept = ShapeCodebook(
-            np.empty((shape.kept, 3), np.float32), np.empty((shape.kept, 4), np.float32)
-        )
-        if shape.kept:
-            found.take_kept(Attribute.SCALES, shape.kept).read_numbers(kept.scales)
-            found.take_kept(Attribute.QUATS, shape.kept).read_quats(kept.quats)
-        book = codebooks.get(shape.codebook)
-        if not isinstance(book, ShapeCodebook):
-            raise _no_codebook(shape, "shape")
-        _gather(book.scales, kept.scales, shape, out.scales)
-        _gather(book.quats, kept.quats, shape, out.quats)
-        factor = np.empty((rows, 1), np.float32)
-        found.take(Attribute.SCALE_FACTOR).read_numbers(factor)
-        np.add(out.scales, factor, out=out.scales)
+        _read_shapes(found, codebooks, out)
     else:
-        found.take(Attribute.SCALES).read_numbers(out.scales)
-        found.take(Attribute.QUATS).read_quats(out.quats)
+        _read_scales(found.take(Attribute.SCALES), out.scales)
+        _read_quats(found.take(Attribute.QUATS), out.scales, out.quats)
+    _read_means(found.take(Attribute.MEANS), out.scales, out.means)
+    found.take(Attribute.OPACITIES).read_numbers(out.opacities[:, None])
+    _read_sh0(found.take(Attribute.SH0), out.sh0)
     found.finish()
+
+
+def _read_shapes(found: _Streams, codebooks: Mapping[int, Codebook], out: Splats) -> None:
+    shape = found.take(Attribute.SHAPE)
+    kept = ShapeCodebook(
+        np.empty((shape.kept, 3), np.float32), np.empty((shape.kept, 4), np.float32)
+    )
+    if shape.kept:
+        found.take_kept(Attribute.SCALES, shape.kept).read_numbers(kept.scales)
+        found.take_kept(Attribute.QUATS, shape.kept).read_quats(kept.quats)
+    book = codebooks.get(shape.codebook)
+    if not isinstance(book, ShapeCodebook):
+        raise _no_codebook(shape, shape.codebook, "shape")
+    indices = shape.read_indices(len(book))
+    _gather(book.scales, kept.scales, indices, out.scales)
+    _gather(book.quats, kept.quats, indices, out.quats)
+    factor = np.empty((len(out), 1), np.float32)
+    found.take(Attribute.SCALE_FACTOR).read_numbers(factor)
+    np.add(out.scales, factor, out=out.scales)
+
+
+def _read_scales(stream: StoredStream, out: F32) -> None:
+    if stream.kind == Kind.LADDER:
+        shape_streams.read_ladder(stream, out)
+    else:
+        stream.read_numbers(out)
+
+
+def _read_quats(stream: StoredStream, scales: F32, out: F32) -> None:
+    if stream.kind == Kind.TURN:
+        shape_streams.read_turns(stream, scales, out)
+    else:
+        stream.read_quats(out)
+
+
+def _read_means(stream: StoredStream, scales: F32, out: F32) -> None:
+    if stream.kind == Kind.FINE:
+        fine_means.read_fine_means(stream, scales, out)
+    else:
+        stream.read_means(out)
+
+
+def _read_sh0(stream: StoredStream, out: F32) -> None:
+    if stream.kind == Kind.BASIS:
+        colour_streams.read_sh0(stream, out)
+    else:
+        stream.read_numbers(out)
 
 
 def decode_tail(
@@ -170,27 +203,31 @@ def decode_tail(
         The payload breaks SPEC 6 or 7.3.
     """
     rows = len(out)
-    found = _Streams(streams.unpack(payload, where, rows), where, rows)
+    found = _Streams(payload, where, rows, "7.3")
     bands = range(1, sh_degree + 1)
     if found.has(Attribute.SHN):
         colour = found.take(Attribute.SHN)
+        if colour.kind == Kind.BASIS:
+            number = colour_streams.basis_codebook(colour)
+            basis = _colours(codebooks, colour, number, out.shape[1])
+            colour_streams.read_shn(colour, basis.shN[:, : out.shape[1]], out)
+            found.finish()
+            return
         kept = np.zeros((colour.kept, *out.shape[1:]), np.float32)
         if colour.kept:
             for band in bands:
                 _read_band(found, band, kept, kept=True)
-        book = codebooks.get(colour.codebook)
-        if not isinstance(book, ColourCodebook) or book.shN.shape[1] < out.shape[1]:
-            raise _no_codebook(colour, "colour")
-        _gather(book.shN[:, : out.shape[1]], kept, colour, out)
+        book = _colours(codebooks, colour, colour.codebook, out.shape[1])
+        _gather(book.shN[:, : out.shape[1]], kept, colour.read_indices(len(book)), out)
     else:
         for band in bands:
             _read_band(found, band, out)
     found.finish()
 
 
-def _gather(book: F32, kept: F32, stream: StoredStream, out: F32) -> None:
+def _gather(book: F32, kept: F32, indices: U32, out: F32) -> None:
     rows = np.concatenate([book, kept]) if len(kept) else book
-    np.take(rows, stream.read_indices(len(book)), axis=0, out=out)
+    np.take(rows, indices, axis=0, out=out)
 
 
 def _read_band(found: _Streams, band: int, out: F32, *, kept: bool = False) -> None:
@@ -203,17 +240,27 @@ def _read_band(found: _Streams, band: int, out: F32, *, kept: bool = False) -> N
             out[:, first:last] = 0
         return
     stream = found.take_kept(attribute, len(out)) if kept else found.take(attribute)
-    if wanted:
+    # Kept rows are read even where they are not wanted: their chunk's indices come behind them.
+    if wanted or kept:
         values = np.empty((len(out), (last - first) * 3), np.float32)
         stream.read_numbers(values)
+    if wanted:
         out[:, first:last] = values.reshape(len(out), last - first, 3)
 
 
-def _no_codebook(stream: StoredStream, what: str) -> FormatError:
+def _colours(
+    codebooks: Mapping[int, Codebook], stream: StoredStream, number: int, coefficients: int
+) -> ColourCodebook:
+    book = codebooks.get(number)
+    if not isinstance(book, ColourCodebook) or book.shN.shape[1] < coefficients:
+        raise _no_codebook(stream, number, "colour")
+    return book
+
+
+def _no_codebook(stream: StoredStream, number: int, what: str) -> FormatError:
     return FormatError(
         "codebook-missing",
-        f"{stream.where}: codebook {stream.codebook}, expected a {what} codebook that the segment "
-        "needs",
+        f"{stream.where}: codebook {number}, expected a {what} codebook that the segment needs",
         clause="6.7",
     )
 
@@ -221,10 +268,13 @@ def _no_codebook(stream: StoredStream, what: str) -> FormatError:
 class _Streams:
     """The streams of one payload, each to be taken exactly once."""
 
-    def __init__(self, stored: list[StoredStream], where: str, rows: int) -> None:
+    def __init__(self, payload: memoryview, where: str, rows: int, clause: str) -> None:
+        stored = streams.unpack(payload, where, rows)
         self._stored = {(s.attribute, s.flags & KEPT): s for s in stored}
+        self._reader = stored[0].reader if stored else None
         self._where = where
         self._rows = rows
+        self._clause = clause
 
     def has(self, attribute: Attribute, *, kept: bool = False) -> bool:
         return (attribute, KEPT if kept else 0) in self._stored
@@ -240,7 +290,9 @@ class _Streams:
         name = attribute.name.lower() + (" kept" if flag else "")
         if stream is None:
             raise FormatError(
-                "stream-missing", f"{self._where}: no stream for {name}, expected one", clause="7"
+                "stream-missing",
+                f"{self._where}: no stream for {name}, expected one",
+                clause=self._clause,
             )
         if stream.rows != rows:
             raise FormatError(
@@ -258,5 +310,7 @@ class _Streams:
         if self._stored:
             names = sorted(s.label for s in self._stored.values())
             raise FormatError(
-                "stream-unexpected", f"{self._where}: {names} have no place here", clause="7"
+                "stream-unexpected",
+                f"{self._where}: {names} have no place here",
+                clause=self._clause,
             )

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from . import allocation, chunking, profile_near, profile_vq
+from . import allocation, chunking, profile_near, profile_transform, profile_vq
 from .chunk import Payloads
 from .codebook import TrainingConfig
 from .decoder import Codebook, decode_head, decode_shape_codebook
@@ -24,7 +24,7 @@ from .score import Scores, unscored
 from .splats import Splats, empty
 from .threads import ordered_map, thread_count
 
-PROFILES: Final = ("vq", "near")
+PROFILES: Final = ("transform", "vq", "near")
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def encode(
     rows = rows[kept[rows]]
     slices = chunking.plan_chunks(len(rows), config.chunk_splats)
     ordered = splats.take(rows)
-    codebooks, encode_run = _profile(ordered, scores, rows, config, progress)
+    codebooks, encode_run = _profile(ordered, scores, rows, config, slices, progress)
     shapes: dict[int, Codebook] = {
         number: decode_shape_codebook(memoryview(book.payloads[0]), book.rows, "shape codebook")
         for number, book in enumerate(codebooks)
@@ -235,6 +235,7 @@ def _profile(
     scores: Scores,
     rows: NDArray[np.int64],
     config: EncodeConfig,
+    slices: Sequence[slice],
     progress: Progress,
 ) -> tuple[Sequence[EncodedCodebook], Callable[[slice], Payloads]]:
     """Return the codebooks of a profile and what encodes one run of the ordered scene."""
@@ -244,6 +245,16 @@ def _profile(
             ordered.take(run), bound, config.near, config.morton
         )
     ordered = profile_vq.clip_colours(ordered)
+    if config.profile == "transform":
+        costs = allocation.costs(ordered, scores.take(rows))
+        slope = allocation.slope(scores, config.quality_db)
+        shared = profile_transform.plan(ordered, costs, scores.basis_spread, slope, slices)
+        books = []
+        if shared.basis is not None:
+            books = [EncodedCodebook("colour", len(shared.basis.rows), shared.basis_payloads)]
+        return books, lambda run: profile_transform.encode_chunk(
+            ordered, shared, run, config.morton
+        )
     plan = profile_vq.plan(
         ordered,
         allocation.floor_energy(scores)[rows],

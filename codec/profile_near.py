@@ -80,11 +80,11 @@ def encode_chunk(splats: Splats, means_bound: float, bounds: NearBounds, sort: b
     rows, means = _means(splats.means, means_bound, sort)
     splats = splats.take(rows)
     head = [
+        _bounded(Attribute.SCALES, splats.scales, bounds.scales),
+        streams.quats(rotation.unit(splats.quats), _quat_step(bounds.quats)),
         means,
         _opacities(splats.opacities[:, None], bounds.opacities),
         _bounded(Attribute.SH0, splats.sh0, bounds.sh0),
-        _bounded(Attribute.SCALES, splats.scales, bounds.scales),
-        streams.quats(rotation.unit(splats.quats), _quat_step(bounds.quats)),
     ]
     tail: list[Stream] = []
     for band, attribute in enumerate(SH_BANDS[: splats.sh_degree], start=1):

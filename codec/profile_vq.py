@@ -171,17 +171,8 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
     factors = plan_.factors[rows][:, None]
     factor_step = allocation.step(slope, allocation.SCALE_FACTOR_COST, energy)
     sh0_step = allocation.step(slope, allocation.SH0_COST, energy)
-    head = [
-        means,
-        chunk_opacities(
-            splats.opacities[rows], allocation.step(slope, allocation.OPACITY_COST, energy)
-        ),
-        streams.scalar(Attribute.SH0, splats.sh0[rows], grids.fit(splats.sh0[rows], sh0_step)),
-        streams.scalar(Attribute.SCALE_FACTOR, factors, grids.fit(factors, factor_step)),
-    ]
+    head: list[Stream] = []
     kept = plan_.shape_kept[rows]
-    head.append(_indices(Attribute.SHAPE, SHAPE_CODEBOOK, plan_.shape_rows,
-                         plan_.shape_indices[rows], kept))  # fmt: skip
     if kept.any():
         own = energy[kept]
         scales = plan_.scales[rows[kept]] - factors[kept]
@@ -191,14 +182,25 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
         )
         turn = allocation.step(slope, allocation.ROTATION_COST, own)
         head.append(streams.quats(plan_.quats[rows[kept]], turn, kept=True))
+    indices = plan_.shape_indices[rows]
+    head += [
+        _indices(Attribute.SHAPE, SHAPE_CODEBOOK, plan_.shape_rows, indices, kept),
+        streams.scalar(Attribute.SCALE_FACTOR, factors, grids.fit(factors, factor_step)),
+        means,
+        chunk_opacities(
+            splats.opacities[rows], allocation.step(slope, allocation.OPACITY_COST, energy)
+        ),
+        streams.scalar(Attribute.SH0, splats.sh0[rows], grids.fit(splats.sh0[rows], sh0_step)),
+    ]
     if not plan_.colour_rows:
         return Payloads(streams.pack(head), None, (SHAPE_CODEBOOK,), ())
     kept = plan_.colour_kept[rows]
-    tail = [_indices(Attribute.SHN, COLOUR_CODEBOOK, plan_.colour_rows,
-                     plan_.colour_indices[rows], kept)]  # fmt: skip
+    tail: list[Stream] = []
     if kept.any():
         sh_step = allocation.step(slope, _SH_COST, energy[kept])
         tail += _bands(splats.shN[rows[kept]], sh_step, kept=True)
+    indices = plan_.colour_indices[rows]
+    tail.append(_indices(Attribute.SHN, COLOUR_CODEBOOK, plan_.colour_rows, indices, kept))
     return Payloads(streams.pack(head), streams.pack(tail), (SHAPE_CODEBOOK,), (COLOUR_CODEBOOK,))
 
 

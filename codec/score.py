@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,9 @@ _PIXELS = TILE * TILE
 _TILE = np.uintp(TILE)
 _BASES = sh_coefficients(MAX_SH_DEGREE)
 _RANGES_PER_THREAD = 4
+
+# The spread of view directions is a mean over the scene: one splat in so many is enough.
+_GRAM_STRIDE = 8
 
 # Columns of a pair's or a footprint's sums.
 _WEIGHT, _SQUARE, _PEAK = range(3)
@@ -124,6 +127,12 @@ class Scores:
         Views in which it was blended into a pixel.
     covered : (N,) int32
         Views whose image its footprint reaches, whether or not something hides it there.
+    basis_mean : (N, 15) float32
+        Mean, by energy, over the views that see a splat of the SH bases above DC in their
+        directions; zeros where none does.
+    basis_spread : (15, 15) float64
+        Covariance of those bases over a splat's views, its mean over the scene by energy: what an
+        error of shN costs that sh0 cannot make up for.
     num_pixels : int
         Pixels of all views, jittered ones included.
     sensitivities : Sensitivities or None
@@ -136,8 +145,25 @@ class Scores:
     peak: NDArray[np.float32]
     seen: NDArray[np.int32]
     covered: NDArray[np.int32]
+    basis_mean: NDArray[np.float32]
+    basis_spread: NDArray[np.float64]
     num_pixels: int
     sensitivities: Sensitivities | None = None
+
+    def take(self, rows: NDArray[np.integer]) -> Scores:
+        """Return the scores of some splats."""
+        found = self.sensitivities
+        return replace(
+            self,
+            contribution=self.contribution[rows],
+            colour_sensitivity=self.colour_sensitivity[rows],
+            energy=self.energy[rows],
+            peak=self.peak[rows],
+            seen=self.seen[rows],
+            covered=self.covered[rows],
+            basis_mean=self.basis_mean[rows],
+            sensitivities=None if found is None else found.take(rows),
+        )
 
 
 def unscored(splats: int) -> Scores:
@@ -149,6 +175,8 @@ def unscored(splats: int) -> Scores:
         peak=np.zeros(splats, np.float32),
         seen=np.zeros(splats, np.int32),
         covered=np.zeros(splats, np.int32),
+        basis_mean=np.zeros((splats, _BASES - 1), np.float32),
+        basis_spread=np.zeros((_BASES - 1, _BASES - 1), np.float64),
         num_pixels=0,
     )
 
@@ -335,6 +363,52 @@ def _accumulate(
             bases[i, k + 1] += share * abs(values[k])
 
 
+@kernel
+def _look(
+    index: NDArray[np.int32],
+    sums: NDArray[np.float64],
+    means: NDArray[np.float32],
+    position: NDArray[np.float64],
+    pixel_share: float,
+    basis_mean: NDArray[np.float64],
+    gram: NDArray[np.float64],
+) -> None:
+    """Add the directions in which one view sees the splats."""
+    for row in range(len(index)):
+        share = pixel_share * sums[row, _SQUARE]
+        if not share > 0.0:
+            continue
+        i = index[row]
+        x = means[i, 0] - position[0]
+        y = means[i, 1] - position[1]
+        z = means[i, 2] - position[2]
+        inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
+        values = _terms(x * inverse, y * inverse, z * inverse)
+        for j in range(_BASES - 1):
+            basis_mean[i, j] += share * values[j]
+        if i % _GRAM_STRIDE == 0:
+            for j in range(_BASES - 1):
+                for k in range(j + 1):
+                    gram[j, k] += share * values[j] * values[k]
+
+
+def _spread(
+    gram: NDArray[np.float64], basis_sum: NDArray[np.float64], energy: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the energy-weighted mean over splats of the covariance of bases over their views."""
+    sampled = slice(None, None, _GRAM_STRIDE)
+    weight = energy[sampled]
+    sums = basis_sum[sampled][weight > 0]
+    weight = weight[weight > 0]
+    if len(weight) == 0:
+        return np.zeros_like(gram)
+    full = gram + np.tril(gram, -1).T
+    # Sums in a fixed order: a matrix product's order depends on the number of threads.
+    outer = np.einsum("nj,nk,n->jk", sums, sums, 1.0 / weight)
+    spread: NDArray[np.float64] = (full - outer) / weight.sum()
+    return spread
+
+
 def _weigh_tiles(
     lists: TileLists, footprints: Footprints, camera: Camera, top_k: int, threads: int
 ) -> NDArray[np.float32]:
@@ -455,6 +529,8 @@ def score(
     peak = np.zeros(n, np.float32)
     seen = np.zeros(n, np.int32)
     covered = np.zeros(n, np.int32)
+    basis_sum = np.zeros((n, _BASES - 1), np.float64)
+    gram = np.zeros((_BASES - 1, _BASES - 1), np.float64)
     columns = np.zeros((n if config.sensitivity_every else 0, COLUMNS), np.float64)
     threads = thread_count(config.threads)
     by_view = len(views) >= threads
@@ -482,6 +558,9 @@ def score(
             seen,
         )
         covered[result.index] += 1
+        if splats.sh_degree:
+            position = views[done].position
+            _look(result.index, result.sums, splats.means, position, pixel_share, basis_sum, gram)
         if result.columns is not None:
             columns[result.index] += sensitive[done] * result.columns
         progress("score", done + 1, len(views))
@@ -498,6 +577,8 @@ def score(
         peak=peak,
         seen=seen,
         covered=covered,
+        basis_mean=(basis_sum / np.where(energy > 0, energy, 1.0)[:, None]).astype(np.float32),
+        basis_spread=_spread(gram, basis_sum, energy),
         num_pixels=sum(camera.width * camera.height for camera in views),
         sensitivities=from_columns(columns) if config.sensitivity_every else None,
     )

@@ -74,6 +74,10 @@ class Sensitivities:
     rotations: NDArray[np.float64]
     sh0: NDArray[np.float64]
 
+    def take(self, rows: NDArray[np.integer]) -> Sensitivities:
+        """Return the sensitivities of some splats."""
+        return Sensitivities(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
 
 def from_columns(columns: NDArray[np.float64]) -> Sensitivities:
     """Name the (N, 13) columns that `view_sensitivities` gives and callers add up."""
@@ -292,13 +296,13 @@ def add_moments(
 @kernel
 def _quartic(moments: NDArray[np.float64], c: float, p: float, q: float, r: float) -> float:
     """Return Σ g·(c + p u² + q uv + r v²)² from the moments."""
-    total = float(c * c * moments[M00])
+    total = c * c * moments[M00]
     total += 2.0 * c * (p * moments[M20] + q * moments[M11] + r * moments[M02])
     total += p * p * moments[M40] + r * r * moments[M04]
     total += 2.0 * q * (p * moments[M31] + r * moments[M13])
     total += (q * q + 2.0 * p * r) * moments[M22]
     # Where terms cancel, rounding may leave less than nothing.
-    return max(total, 0.0)
+    return float(max(total, 0.0))
 
 
 @kernel

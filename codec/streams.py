@@ -15,7 +15,7 @@ from . import grid as grids
 from . import morton
 from .errors import FormatError, UnsupportedError
 from .grid import ENTRY_BYTES, Grid
-from .planes import ZSTD_FLAG, pack_plane, unpack_plane
+from .planes import LENGTH_MASK, RANS_FLAG, PlaneCoder, PlaneReader, unpack_plane
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -64,6 +64,10 @@ class Kind(IntEnum):
     QUAT = 3
     VQ = 4
     FLOAT = 5
+    LADDER = 6
+    TURN = 7
+    FINE = 8
+    BASIS = 9
 
 
 KEPT: Final = 1
@@ -77,7 +81,7 @@ PER_ROW: Final = 255
 
 _RECORD: Final = struct.Struct("<BBBBIHH")
 RECORD_BYTES: Final = _RECORD.size
-_COUNT: Final = struct.Struct("<H")
+_COUNT: Final = struct.Struct("<HH")
 _WORD: Final = struct.Struct("<I")
 _VQ: Final = struct.Struct("<II")
 _QUAT: Final = struct.Struct("<B3x")
@@ -169,11 +173,12 @@ def vq(attribute: Attribute, indices: U32, codebook: int, size: int, kept: int) 
 
 
 def pack(streams: Sequence[Stream]) -> bytes:
-    """Return the payload of a segment (SPEC 6.1)."""
-    records: list[bytes] = [_COUNT.pack(len(streams))]
+    """Return the payload of a segment (SPEC 6.1); streams in the order a decoder reads them."""
+    records: list[bytes] = []
     bodies: list[bytes] = []
+    coder = PlaneCoder()
     for stream in streams:
-        packed = [pack_plane(plane) for plane in stream.planes]
+        packed = [coder.pack(plane) for plane in stream.planes]
         records.append(
             _RECORD.pack(
                 stream.attribute,
@@ -188,7 +193,8 @@ def pack(streams: Sequence[Stream]) -> bytes:
         records.append(stream.params)
         records += [_WORD.pack(word) for word, _ in packed]
         bodies += [stored for _, stored in packed]
-    return b"".join(records + bodies)
+    lanes, body = coder.finish()
+    return b"".join([_COUNT.pack(len(streams), lanes), *records, *bodies, body])
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,8 +208,11 @@ class StoredStream:
     params : memoryview
     words : (p,) uint32
     bodies : tuple of memoryview
+        Stored planes, tables in place of those in the segment's rANS body.
     where : str
         Names the stream in messages.
+    reader : PlaneReader
+        Of the segment.
     """
 
     attribute: Attribute
@@ -214,6 +223,7 @@ class StoredStream:
     words: U32
     bodies: tuple[memoryview, ...]
     where: str
+    reader: PlaneReader
 
     @property
     def stored_bytes(self) -> int:
@@ -224,14 +234,14 @@ class StoredStream:
     @property
     def codebook(self) -> int:
         """Codebook that a vq stream names."""
-        self._require(Kind.VQ)
-        return int(_VQ.unpack(self._params(_VQ.size))[0])
+        self.require_kind(Kind.VQ)
+        return int(_VQ.unpack(self.require_params(_VQ.size))[0])
 
     @property
     def kept(self) -> int:
         """Rows of its own that a vq stream refers to."""
-        self._require(Kind.VQ)
-        kept = int(_VQ.unpack(self._params(_VQ.size))[1])
+        self.require_kind(Kind.VQ)
+        kept = int(_VQ.unpack(self.require_params(_VQ.size))[1])
         if kept > self.rows:
             raise FormatError(
                 "stream-rows",
@@ -246,7 +256,8 @@ class StoredStream:
         kept = " kept" if self.flags & KEPT else ""
         return f"{self.attribute.name.lower()} {self.kind.name.lower()}{kept}"
 
-    def _params(self, size: int) -> memoryview:
+    def require_params(self, size: int) -> memoryview:
+        """Return the parameters, which must be `size` bytes."""
         if len(self.params) != size:
             raise FormatError(
                 "stream-params",
@@ -255,7 +266,8 @@ class StoredStream:
             )
         return self.params
 
-    def _planes(self, lengths: Sequence[int]) -> list[U8]:
+    def read_planes(self, lengths: Sequence[int]) -> list[U8]:
+        """Return all planes, decompressed to these lengths in bytes."""
         if len(self.words) != len(lengths):
             raise FormatError(
                 "stream-planes",
@@ -267,9 +279,13 @@ class StoredStream:
     def plane(self, index: int, length: int) -> U8:
         """Return one plane, decompressed to `length` bytes."""
         where = f"{self.where}, plane {index}"
-        return unpack_plane(self.bodies[index], int(self.words[index]), length, where)
+        word = int(self.words[index])
+        if word & RANS_FLAG:
+            return self.reader.read(self.bodies[index], length, where)
+        return unpack_plane(self.bodies[index], word, length, where)
 
-    def _require(self, kind: Kind) -> None:
+    def require_kind(self, kind: Kind) -> None:
+        """Refuse a stream of another kind."""
         if self.kind != kind:
             raise FormatError(
                 "stream-kind",
@@ -282,15 +298,15 @@ class StoredStream:
         if self.kind == Kind.FLOAT:
             self._read_floats(out)
             return
-        self._require(Kind.SCALAR)
+        self.require_kind(Kind.SCALAR)
         components = out.shape[1]
-        grid = grids.unpack(self._params(components * ENTRY_BYTES), components, self.where)
+        grid = grids.unpack(self.require_params(components * ENTRY_BYTES), components, self.where)
         extra = 2 if self.flags & INFINITIES else 0
-        _read_grid_planes(self, grid, 0, extra, out)
+        read_grid_planes(self, grid, 0, extra, out)
 
     def _read_floats(self, out: F32) -> None:
-        self._params(0)
-        planes = self._planes([self.rows] * (4 * out.shape[1]))
+        self.require_params(0)
+        planes = self.read_planes([self.rows] * (4 * out.shape[1]))
         values = np.stack(planes, axis=1).view("<f4").astype(np.float32)
         largest = np.abs(values)
         legal = largest <= grids.MAX_VALUE
@@ -309,7 +325,7 @@ class StoredStream:
         if self.kind != Kind.MORTON:
             self.read_numbers(out)
             return
-        params = self._params(3 * ENTRY_BYTES)
+        params = self.require_params(3 * ENTRY_BYTES)
         grid = grids.unpack(params, 3, self.where, morton.MAX_LEVELS)
         if len(self.words) != 2:
             raise FormatError(
@@ -323,7 +339,7 @@ class StoredStream:
             raise FormatError(
                 "code-range",
                 f"{self.where}: codes up to {top.tolist()}, expected below {grid.levels.tolist()}",
-                clause="6.4",
+                clause="6.5",
             )
         step = grid.step
         for axis in range(3):
@@ -332,8 +348,8 @@ class StoredStream:
 
     def read_quats(self, out: F32) -> None:
         """Write the unit quaternions of a quat stream into (rows, 4) float32 `out` (SPEC 6.6)."""
-        self._require(Kind.QUAT)
-        params = self._params(_QUAT.size + 3 * ENTRY_BYTES)
+        self.require_kind(Kind.QUAT)
+        params = self.require_params(_QUAT.size + 3 * ENTRY_BYTES)
         (largest,) = _QUAT.unpack(params[: _QUAT.size])
         if (largest > 3 and largest != PER_ROW) or any(params[1 : _QUAT.size]):
             raise FormatError(
@@ -352,12 +368,12 @@ class StoredStream:
             )
         others = np.empty((self.rows, 3), np.float32)
         first = 1 if largest == PER_ROW else 0
-        _read_grid_planes(self, grid, first, 0, others)
+        which = self.plane(0, self.rows) if first else np.empty(0, np.uint8)
+        read_grid_planes(self, grid, first, 0, others)
         a, b, c = others.T
         rest = np.float32(1) - ((a * a + b * b) + c * c)
         root = np.sqrt(np.maximum(rest, np.float32(0)))
         if first:
-            which = self.plane(0, self.rows)
             if len(which) and int(which.max()) > 3:
                 raise FormatError(
                     "quat-largest",
@@ -376,7 +392,7 @@ class StoredStream:
         """Return the (rows,) indices of a vq stream into a codebook of `size` rows and its own."""
         kept = self.kept
         total = size + kept
-        planes = self._planes([self.rows] * grids.code_bytes(total))
+        planes = self.read_planes([self.rows] * grids.code_bytes(total))
         indices = grids.join_planes(planes, self.rows)
         if len(indices) and int(indices.max()) >= total:
             raise FormatError(
@@ -388,7 +404,8 @@ class StoredStream:
         return indices
 
 
-def _read_grid_planes(stream: StoredStream, grid: Grid, first: int, extra: int, out: F32) -> None:
+def read_grid_planes(stream: StoredStream, grid: Grid, first: int, extra: int, out: F32) -> None:
+    """Write the values of a stream's planes from `first` on, `extra` codes above the levels."""
     counts = [grids.code_bytes(int(levels) + extra) for levels in grid.levels]
     if len(stream.words) != first + sum(counts):
         raise FormatError(
@@ -454,7 +471,7 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
         raise FormatError(
             "stream-record", f"{where}: {len(payload)} bytes, expected a stream count", clause="6.1"
         )
-    (count,) = _COUNT.unpack_from(payload)
+    count, lanes = _COUNT.unpack_from(payload)
     if count > MAX_STREAMS:
         raise FormatError(
             "stream-count",
@@ -501,23 +518,22 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
         heads.append((attribute, kind, flags, rows, params, words.astype(np.uint32), label))
         position = end
     stored: list[StoredStream] = []
+    reader = PlaneReader(lanes, where)
     for attribute, kind, flags, rows, params, words, label in heads:
         bodies: list[memoryview] = []
         for word in words.tolist():
-            length = word & ~ZSTD_FLAG
+            length = word & LENGTH_MASK
             if position + length > len(payload):
                 raise _leaves(label, len(payload))
-            bodies.append(payload[position : position + length])
+            body = payload[position : position + length]
+            bodies.append(body)
+            if word & RANS_FLAG:
+                reader.expect(body)
             position += length
         stored.append(
-            StoredStream(attribute, kind, flags, rows, params, words, tuple(bodies), label)
+            StoredStream(attribute, kind, flags, rows, params, words, tuple(bodies), label, reader)
         )
-    if position != len(payload):
-        raise FormatError(
-            "stream-record",
-            f"{where}: {len(payload) - position} bytes behind the last plane, expected none",
-            clause="6.1",
-        )
+    reader.attach(payload[position:])
     return stored
 
 

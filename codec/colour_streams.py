@@ -1,0 +1,192 @@
+"""Streams of colour on a basis: sh0 on three axes, shN on rows of a codebook (SPEC 6.13, 6.14)."""
+
+from __future__ import annotations
+
+import struct
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import grid as grids
+from .errors import FormatError
+from .grid import ENTRY_BYTES, MAX_VALUE, Grid
+from .streams import Attribute, Kind, StoredStream, Stream, read_grid_planes
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+
+_AXES_BYTES: Final = 36
+_SHN: Final = struct.Struct("<IffHH")
+
+MAX_BASIS_ROWS: Final = 255
+"""Most rows of a basis: the number of a row fits a byte (SPEC 6.14)."""
+
+# Zigzag codes up to here take one plane, larger ones a second.
+_BYTE: Final = 256
+
+
+def sh0_on_axes(values: F32, axes: F32, grid: Grid) -> tuple[Stream, F32]:
+    """Return a basis stream of sh0 and what it decodes to.
+
+    Parameters
+    ----------
+    values : (n, 3) float32
+        Coordinates on the axes.
+    axes : (3, 3) float32
+        Row j is the sh0 of one unit on axis j.
+    grid : Grid
+        Of the coordinates.
+    """
+    codes = grid.quantise(values)
+    planes: list[U8] = []
+    for component in range(3):
+        planes += grids.split_planes(codes[:, component], int(grid.levels[component]))
+    params = grid.pack() + axes.astype("<f4").tobytes()
+    stream = Stream(Attribute.SH0, Kind.BASIS, len(values), params, planes)
+    return stream, _on_axes(grid.dequantise(codes), axes)
+
+
+def _on_axes(values: F32, axes: F32) -> F32:
+    y = values
+    out = np.empty_like(values)
+    for channel in range(3):
+        a, b, c = axes[:, channel]
+        out[:, channel] = (y[:, 0] * a + y[:, 1] * b) + y[:, 2] * c
+    return out
+
+
+def read_sh0(stream: StoredStream, out: F32) -> None:
+    """Write the sh0 of a basis stream into (rows, 3) float32 `out`."""
+    stream.require_kind(Kind.BASIS)
+    params = stream.require_params(3 * ENTRY_BYTES + _AXES_BYTES)
+    grid = grids.unpack(params[: 3 * ENTRY_BYTES], 3, stream.where)
+    axes = np.frombuffer(params[3 * ENTRY_BYTES :], "<f4").reshape(3, 3).astype(np.float32)
+    if not bool((np.abs(axes) <= 1).all()):
+        raise FormatError(
+            "basis-value",
+            f"{stream.where}: axes {axes.tolist()}, expected values within ±1",
+            clause="6.13",
+        )
+    values = np.empty((stream.rows, 3), np.float32)
+    read_grid_planes(stream, grid, 0, 0, values)
+    out[:] = _on_axes(values, axes)
+
+
+def shn_on_basis(codes: I64, codebook: int, step: float, shrink: float) -> Stream:
+    """Return a basis stream of shN.
+
+    Parameters
+    ----------
+    codes : (n, k) int64
+        Coordinates on the basis in steps, signed.
+    codebook : int
+        The basis.
+    step : float
+        What one step is worth.
+    shrink : float
+        What is taken off every non-zero coordinate, in steps: 0 to 0.5.
+    """
+    used = np.flatnonzero(codes.any(axis=0))
+    width = int(used[-1]) + 1 if len(used) else 0
+    codes = codes[:, :width]
+    filled = codes != 0
+    ends = np.where(filled.any(axis=1), width - filled[:, ::-1].argmax(axis=1), 0)
+    zigzag = np.where(codes > 0, 2 * codes - 1, -2 * codes).astype(np.uint32)
+    planes: list[U8] = [ends.astype(np.uint8)]
+    sizes = bytearray()
+    for column in range(width):
+        last, inner = ends == column + 1, ends > column + 1
+        for rows, offset in ((last, 1), (inner, 0)):
+            symbols = zigzag[rows, column] - np.uint32(offset)
+            size = grids.code_bytes(int(symbols.max(initial=0)) + 1)
+            sizes.append(size)
+            planes += grids.split_planes(symbols, 1 << (8 * size)) if size else []
+    params = _SHN.pack(codebook, step, shrink, width, 0) + bytes(sizes)
+    return Stream(Attribute.SHN, Kind.BASIS, len(codes), params, planes)
+
+
+def basis_codebook(stream: StoredStream) -> int:
+    """Return the codebook that a basis stream of shN names."""
+    stream.require_kind(Kind.BASIS)
+    return int(_SHN.unpack_from(_shn_params(stream))[0])
+
+
+def _shn_params(stream: StoredStream) -> memoryview:
+    if len(stream.params) < _SHN.size:
+        raise FormatError(
+            "stream-params",
+            f"{stream.where}: {len(stream.params)} bytes of parameters, expected at least "
+            f"{_SHN.size}",
+            clause="6.14",
+        )
+    width = int(_SHN.unpack_from(stream.params)[3])
+    return stream.require_params(_SHN.size + 2 * width)
+
+
+def read_shn(stream: StoredStream, basis: F32, out: F32) -> None:
+    """Write the shN of a basis stream into (rows, K-1, 3) float32 `out`.
+
+    Parameters
+    ----------
+    stream : StoredStream
+    basis : (B, K-1, 3) float32
+        Rows of the codebook, cut to the bands that are wanted.
+    out : (rows, K-1, 3) float32
+    """
+    params = _shn_params(stream)
+    _, step, shrink, width, reserved = _SHN.unpack_from(params)
+    if width > min(len(basis), MAX_BASIS_ROWS) or reserved:
+        raise FormatError(
+            "basis-width",
+            f"{stream.where}: {width} rows of a basis of {len(basis)} and reserved {reserved}, "
+            "expected no more, and 0",
+            clause="6.14",
+        )
+    if not 0 < step <= MAX_VALUE or not 0 <= shrink <= 0.5:
+        raise FormatError(
+            "basis-value",
+            f"{stream.where}: step {step} and shrink {shrink}, expected above 0 and 0 to 0.5",
+            clause="6.14",
+        )
+    sizes = params[_SHN.size :]
+    expected = 1 + sum(sizes)
+    if max(sizes, default=0) > 3 or len(stream.words) != expected:
+        raise FormatError(
+            "stream-planes",
+            f"{stream.where}: {len(stream.words)} planes, expected {expected}",
+            clause="6.14",
+        )
+    ends = stream.plane(0, stream.rows)
+    if int(ends.max(initial=0)) > width:
+        raise FormatError(
+            "code-range",
+            f"{stream.where}: {int(ends.max())} coordinates, expected at most {width}",
+            clause="6.14",
+        )
+    flat = out.reshape(len(out), -1)
+    flat[:] = 0
+    rows_of_basis = basis.reshape(len(basis), -1)
+    plane = 1
+    for column in range(width):
+        zigzag = np.zeros(stream.rows, np.uint32)
+        for part, offset in enumerate((1, 0)):
+            rows = np.flatnonzero(ends == column + 1 if part == 0 else ends > column + 1)
+            count = sizes[2 * column + part]
+            parts = [stream.plane(plane + byte, len(rows)) for byte in range(count)]
+            plane += count
+            zigzag[rows] = grids.join_planes(parts, len(rows)) + np.uint32(offset)
+        rows = np.flatnonzero(ends > column)
+        if len(rows):
+            values = _coordinates(zigzag[rows], np.float32(step), np.float32(shrink))
+            flat[rows] += values[:, None] * rows_of_basis[column]
+
+
+def _coordinates(zigzag: NDArray[np.uint32], step: np.float32, shrink: np.float32) -> F32:
+    """Return (m,) float32 coordinates of zigzag codes (SPEC 6.14)."""
+    magnitude = ((zigzag + np.uint32(1)) >> np.uint32(1)).astype(np.float32)
+    value = np.where(zigzag > 0, magnitude - shrink, np.float32(0)) * step
+    out: F32 = np.where(zigzag & np.uint32(1), value, -value)
+    return out

@@ -1,0 +1,99 @@
+"""Means on a Morton-sorted grid, each as much finer as its splat is small (SPEC 6.15)."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import bits, morton
+from . import grid as grids
+from . import resolution as resolutions
+from .errors import FormatError
+from .grid import ENTRY_BYTES, Grid
+from .resolution import RESOLUTION_BYTES, Resolution
+from .streams import Attribute, Kind, StoredStream, Stream
+
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+U32 = NDArray[np.uint32]
+U64 = NDArray[np.uint64]
+
+_THREE: Final = np.uint8(3)
+
+
+def fine_codes(means: F32, grid: Grid, halvings: U8) -> U32:
+    """Return the (n, 3) codes of means on each row's own halving of a grid."""
+    minimum = grid.minimum.astype(np.float64)
+    step = np.ldexp(grid.step.astype(np.float64), -halvings.astype(np.int32)[:, None])
+    codes = np.rint((means.astype(np.float64) - minimum) / np.where(step > 0, step, 1))
+    top = np.ldexp(grid.levels.astype(np.float64), halvings.astype(np.int32)[:, None]) - 1
+    out: U32 = np.clip(codes, 0, top).astype(np.uint32)
+    return out
+
+
+def morton_order(codes: U32, halvings: U8) -> I64:
+    """Return the rows sorted by the Morton code of their coarse cells, ties as they were."""
+    keys = morton.interleave(codes >> halvings[:, None])
+    return np.argsort(keys, kind="stable").astype(np.int64)
+
+
+def fine_means(codes: U32, grid: Grid, halvings: U8, resolution: Resolution) -> Stream:
+    """Return a fine stream of means in `morton_order`."""
+    classes, deltas = morton.pack_deltas(morton.interleave(codes >> halvings[:, None]))
+    rest = bits.pack(_fields(codes, halvings), halvings * _THREE)
+    params = grid.pack() + resolution.pack()
+    return Stream(Attribute.MEANS, Kind.FINE, len(codes), params, [classes, deltas, rest])
+
+
+def _fields(codes: U32, halvings: U8) -> U64:
+    wide = halvings.astype(np.uint64)
+    low = codes.astype(np.uint64) & ((np.uint64(1) << wide) - np.uint64(1))[:, None]
+    fields: U64 = low[:, 0] | (low[:, 1] << wide) | (low[:, 2] << (wide + wide))
+    return fields
+
+
+def read_fine_means(stream: StoredStream, scales: F32, out: F32) -> None:
+    """Write the values of a fine stream of means into (rows, 3) float32 `out`.
+
+    Parameters
+    ----------
+    stream : StoredStream
+    scales : (rows, 3) float32
+        The same rows' decoded scales.
+    out : (rows, 3) float32
+    """
+    stream.require_kind(Kind.FINE)
+    params = stream.require_params(3 * ENTRY_BYTES + RESOLUTION_BYTES)
+    grid = grids.unpack(params[: 3 * ENTRY_BYTES], 3, stream.where, morton.MAX_LEVELS)
+    resolution = resolutions.unpack(params[3 * ENTRY_BYTES :], stream.where)
+    if len(stream.words) != 3:
+        raise FormatError(
+            "stream-planes", f"{stream.where}: {len(stream.words)} planes, expected 3",
+            clause="6.15",
+        )  # fmt: skip
+    halvings = resolution.halvings(scales)
+    classes = stream.plane(0, stream.rows)
+    deltas = stream.plane(1, morton.bits_length(classes, stream.where))
+    coarse = morton.deinterleave(morton.unpack_deltas(classes, deltas, stream.where))
+    top = coarse.max(axis=0, initial=0)
+    if bool((top >= grid.levels).any()):
+        raise FormatError(
+            "code-range",
+            f"{stream.where}: codes up to {top.tolist()}, expected below {grid.levels.tolist()}",
+            clause="6.4",
+        )
+    widths = halvings * _THREE
+    fields = bits.unpack(stream.plane(2, bits.packed_bytes(widths)), widths, stream.where)
+    wide = halvings.astype(np.uint64)
+    mask = (np.uint64(1) << wide) - np.uint64(1)
+    scale = np.ldexp(np.float32(1), -halvings.astype(np.int32)).astype(np.float32)
+    step = grid.step
+    for axis in range(3):
+        low = (fields >> (wide * np.uint64(axis))) & mask
+        codes = (coarse[:, axis].astype(np.uint64) << wide) | low
+        # A power of two: the product with the step is exact.
+        np.multiply(codes.astype(np.float32), scale * step[axis], out=out[:, axis])
+    out += grid.minimum

@@ -1,0 +1,192 @@
+"""The `transform` profile: every value as fine as its effect on the picture asks for, no finer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import (
+    allocation,
+    colour_basis,
+    colour_streams,
+    fine_means,
+    morton,
+    resolution,
+    rotation,
+    shape_streams,
+    streams,
+    turn,
+)
+from . import grid as grids
+from .allocation import Costs
+from .chunk import MAX_LOGIT, Payloads, chunk_means
+from .colour_basis import ColourBasis
+from .decoder import decode_colour_codebook
+from .grid import Grid
+from .splats import Splats
+from .streams import Attribute, Stream
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+U32 = NDArray[np.uint32]
+
+BASIS: Final = 0
+"""Number of the codebook that holds the basis of shN."""
+
+# The step of a turn at no halvings: its values lie in ±1.
+_TURN_STEP: Final = 2.0
+
+# Splats coarser than all but this share of a chunk set the cells that Morton order sorts.
+_COARSEST: Final = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class TransformPlan:
+    """What all chunks share.
+
+    Parameters
+    ----------
+    slope : float
+        λ: what ``cost · step²`` is everywhere.
+    costs : Costs
+        Of every splat.
+    turns : (N, 3) float64
+    scales : (N, 3) float32
+        Log, middle, thin, long.
+    basis : ColourBasis or None
+        None at SH degree 0.
+    basis_payloads : tuple of bytes
+        One per SH band.
+    """
+
+    slope: float
+    costs: Costs
+    turns: F64
+    scales: F32
+    basis: ColourBasis | None
+    basis_payloads: tuple[bytes, ...]
+
+
+def plan(
+    splats: Splats, costs: Costs, basis_spread: F64, slope: float, chunks: Sequence[slice]
+) -> TransformPlan:
+    """Prepare a scene in its final order.
+
+    Parameters
+    ----------
+    splats : Splats
+        Valid rows, at least one.
+    costs : Costs
+        Of these rows.
+    basis_spread : (15, 15) float64
+        `Scores.basis_spread`.
+    slope : float
+    chunks : sequence of slice
+    """
+    turns, scales = turn.canonical(rotation.unit(splats.quats), splats.scales)
+    basis: ColourBasis | None = None
+    payloads: tuple[bytes, ...] = ()
+    if splats.sh_degree:
+        basis = colour_basis.fit(splats.shN, costs.energy, basis_spread, slope, chunks)
+        payloads = tuple(streams.pack([band]) for band in basis.streams())
+        views = {band: memoryview(data) for band, data in enumerate(payloads, start=1)}
+        stored = decode_colour_codebook(views, len(basis.rows), splats.sh_degree, "basis")
+        basis = basis.stored_as(stored.shN)
+    return TransformPlan(slope, costs, turns, scales, basis, payloads)
+
+
+def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -> Payloads:
+    """Return the head and the tail of a chunk.
+
+    Parameters
+    ----------
+    splats : Splats
+        The planned scene.
+    plan_ : TransformPlan
+    run : slice
+        The chunk's rows.
+    sort : bool
+        Whether to sort by Morton code.
+    """
+    slope = plan_.slope
+    rows = np.arange(run.start, run.stop, dtype=np.int64)
+    scale_grid = grids.fit(
+        shape_streams.steps_of(plan_.scales[rows]), _ladder_steps(plan_.costs.take(rows), slope)
+    )
+    ladder = shape_streams.steps_of(plan_.scales[rows])
+    scales = shape_streams.climb(scale_grid.dequantise(scale_grid.quantise(ladder)))
+    inside, means = _means(splats.means[rows], scales, plan_.costs.take(rows), slope, sort)
+    rows, ladder, scales = rows[inside], ladder[inside], scales[inside]
+    costs = plan_.costs.take(rows)
+    tilt = resolution.fit(scales, costs.tilt, slope, _TURN_STEP)
+    spin = resolution.fit(scales, costs.spin, slope, _TURN_STEP)
+    turns, _ = shape_streams.turns(plan_.turns[rows], scales, tilt, spin)
+    sh0 = splats.sh0[rows].astype(np.float64)
+    tail: bytes | None = None
+    if plan_.basis is not None:
+        stream, missed = plan_.basis.encode(splats.shN[rows], costs.energy, slope, BASIS)
+        # What shN lost, as its views see it on average, sh0 makes up for.
+        sh0 += np.einsum("nk,nkc->nc", costs.basis_mean, missed) / allocation.SH0_BASIS
+        tail = streams.pack([stream])
+    opacity_step = allocation.equal_step(slope, costs.opacity)
+    opacities = np.clip(splats.opacities[rows], -MAX_LOGIT, MAX_LOGIT)[:, None]
+    head = [
+        shape_streams.ladder(ladder, scale_grid),
+        turns,
+        means,
+        streams.scalar(Attribute.OPACITIES, opacities, grids.fit(opacities, opacity_step)),
+        _sh0(sh0, costs.energy, slope),
+    ]
+    return Payloads(streams.pack(head), tail, (), (BASIS,) if tail is not None else ())
+
+
+def _ladder_steps(costs: Costs, slope: float) -> F64:
+    columns = (costs.scale_long, costs.scale_middle, costs.scale_thin)
+    return np.array([allocation.equal_step(slope, column) for column in columns])
+
+
+def _means(means: F32, scales: F32, costs: Costs, slope: float, sort: bool) -> tuple[I64, Stream]:
+    """Return the order inside a chunk and its means, fine where the grid can hold them."""
+    finest = resolution.fit(scales, costs.mean, slope, 1.0)
+    wanted = np.log2(allocation.own_steps(slope, costs.mean))
+    # A power of two below which only the coarsest splats' steps lie: halvings start at 0 there.
+    base = float(2.0 ** np.floor(np.quantile(wanted, 1 - _COARSEST)))
+    finest = resolution.fit(scales, costs.mean, slope, base)
+    halvings = finest.halvings(scales)
+    grid = _grid(means, base)
+    top = grid.levels.astype(np.float64) * 2.0 ** int(halvings.max())
+    if not sort or int(grid.levels.max()) > morton.MAX_LEVELS or top.max() >= 2.0**31:
+        return chunk_means(means, allocation.equal_step(slope, costs.mean), sort)
+    codes = fine_means.fine_codes(means, grid, halvings)
+    order = fine_means.morton_order(codes, halvings)
+    return order, fine_means.fine_means(codes[order], grid, halvings[order], finest)
+
+
+def _grid(means: F32, step: float) -> Grid:
+    """Return a grid of exactly `step`, so that halvings of it are what `resolution` was told."""
+    minimum = means.min(axis=0)
+    span = means.max(axis=0).astype(np.float64) - minimum
+    levels = np.minimum(np.ceil(span / step) + 1, float(grids.MAX_LEVELS))
+    maximum = minimum.astype(np.float64) + (levels - 1) * step
+    return Grid(minimum, maximum.astype(np.float32), levels.astype(np.uint32))
+
+
+def _sh0(values: F64, energy: F64, slope: float) -> Stream:
+    """Return sh0 on the axes along which its chunk varies most, a Karhunen-Loève transform."""
+    weights = energy / energy.sum()
+    centred = values - weights @ values
+    moments = np.einsum("n,ni,nj->ij", weights, centred, centred)
+    _, vectors = np.linalg.eigh(moments)
+    # Signs of eigenvectors are arbitrary: the largest entry is made positive.
+    largest = vectors[np.abs(vectors).argmax(axis=0), np.arange(3)]
+    axes = (vectors * np.where(largest < 0, -1, 1))[:, ::-1].T.astype(np.float32)
+    axes = np.clip(axes, -1, 1)
+    on_axes = np.linalg.solve(axes.T.astype(np.float64), values.T).T.astype(np.float32)
+    step = allocation.equal_step(slope, energy * allocation.SH0_COST)
+    stream, _ = colour_streams.sh0_on_axes(on_axes, axes, grids.fit(on_axes, step))
+    return stream
