@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import signal
 import sys
@@ -43,6 +42,10 @@ _ENCODE_EXTRA: Final = frozenset({"numba", "scipy", "sklearn", "threadpoolctl", 
 _STOP_SIGNALS: Final = ("SIGTERM", "SIGHUP")
 
 _JSON: Final = "cogsplat.json"
+
+
+class _OutputError(StorageError):
+    """What was printed did not arrive."""
 
 
 class CommandLine(click.Group):
@@ -102,7 +105,8 @@ def _failures_told(as_json: bool) -> Iterator[None]:
         _tell("usage", error.format_message(), _USAGE, as_json, hint)
         raise click.exceptions.Exit(_USAGE) from None
     except CogsplatError as error:
-        _tell(error.code, error.message, error.exit_code, as_json)
+        arrives = not isinstance(error, _OutputError)
+        _tell(error.code, error.message, error.exit_code, as_json and arrives)
         raise click.exceptions.Exit(error.exit_code) from None
 
 
@@ -124,12 +128,13 @@ def _as_cogsplat_errors() -> Iterator[None]:
             f"this takes {module}, which is not installed; it needs the extra: "
             "pip install 'cogsplat[encode]'",
         ) from error
-    except BrokenPipeError as error:
-        _drop_output()
-        raise StorageError("broken-pipe", "the output was closed by its reader") from error
     except OSError as error:
+        # Files report theirs as `StorageError`; what is left is what was printed.
         _drop_output()
-        raise storage_error(error, "standard output") from error
+        if isinstance(error, BrokenPipeError):
+            raise _OutputError("broken-pipe", "closed by its reader") from error
+        told = storage_error(error, "standard output")
+        raise _OutputError(told.code, told.message) from error
 
 
 def _flush() -> None:
@@ -152,19 +157,17 @@ def _tell(code: str, message: str, exit_code: int, as_json: bool, hint: str = ""
     # Whoever closed the pipe, as `head` does, has all it wanted.
     if code == "broken-pipe":
         return
-    try:
+    # Where even this does not arrive, the exit code still tells.
+    with suppress(OSError):
         if as_json:
             say_json({"error": {"code": code, "message": message, "exit_code": exit_code}})
             _flush()
-        else:
-            click.echo(f"error: {message} [{code}]", err=True)
-            if hint:
-                click.echo(hint, err=True)
-    except OSError as error:
-        # The exit code is all that still gets through.
-        _drop_output()
-        if error.errno != errno.EPIPE and as_json:
-            click.echo(f"error: {message} [{code}]", err=True)
+            return
+        click.echo(f"error: {message} [{code}]", err=True)
+        if hint:
+            click.echo(hint, err=True)
+        return
+    _drop_output()
 
 
 @contextmanager

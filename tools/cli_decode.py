@@ -60,6 +60,12 @@ def decode(
         scene = decode_part(cogs, part, threads=threads, progress=stages)
         with stages.stage("write"):
             cogsplat.write(out, scene.splats, force=force)
+    if not scene.chunks and scene.file_chunks and part.size is not None:
+        warnings.warn(
+            f"{cogs}: no chunk is complete in the first {scene.bytes_read} bytes",
+            CogsplatWarning,
+            stacklevel=1,
+        )
     if scene.without_tails:
         first, last = scene.without_tails[0], scene.without_tails[-1]
         span = f"chunk {first}" if first == last else f"chunks {first} to {last}"

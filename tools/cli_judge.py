@@ -134,7 +134,8 @@ def _write_npy(path: Path, values: NDArray[np.float64], *, force: bool) -> None:
 
 @click.command(
     epilog="\b\nExample:\n"
-    "  cogsplat render scene.cogs tenth.png --bytes 10% --cameras cameras.json --camera 3"
+    "  cogsplat render scene.cogs whole.png --cameras cameras.json --camera 3\n"
+    "  cogsplat render scene.cogs tenth.png --bytes 10% --size 960x720"
 )
 @click.argument("path", type=PATH, metavar="IN")
 @click.argument("out", type=PATH, metavar="OUT.png")

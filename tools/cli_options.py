@@ -18,6 +18,9 @@ Command = TypeVar("Command", bound=Callable[..., object])
 # code 4) and not of usage.
 PATH: Final = click.Path(path_type=Path)
 
+# Beyond any machine's cores; systems refuse to start tens of thousands.
+_MOST_THREADS: Final = 1024
+
 
 def json_option(command: Command) -> Command:
     """Add ``--json``."""
@@ -42,7 +45,7 @@ def threads_option(command: Command) -> Command:
     """Add ``--threads``."""
     return click.option(
         "--threads",
-        type=click.IntRange(min=0),
+        type=click.IntRange(0, _MOST_THREADS),
         default=0,
         metavar="N",
         help="Threads; 0 (default) takes all cores. The result does not depend on it.",

@@ -1,0 +1,59 @@
+"""One small scene for all tests of the command line, and ways to run it."""
+
+import subprocess
+
+import pytest
+from click.testing import CliRunner, Result
+from running import SPLATS, VIEWS, Ran, Run, SmallScene, program
+
+import cogsplat
+from cogsplat.codec.prune import PruneConfig
+from cogsplat.formats.camera_files import write_cameras_json
+from cogsplat.tools.cli import cli
+from cogsplat.tools.synth import synth, synth_cameras
+
+
+@pytest.fixture(scope="session")
+def small(tmp_path_factory: pytest.TempPathFactory) -> SmallScene:
+    from cogsplat.codec.encoder import EncodeConfig
+
+    folder = tmp_path_factory.mktemp("small")
+    scene = SmallScene(folder / "scene.ply", folder / "scene.cogs", folder / "cameras.json")
+    splats, cameras = synth(SPLATS), synth_cameras(VIEWS, 64, 48)
+    cogsplat.write(scene.ply, splats)
+    write_cameras_json(scene.cameras, cameras)
+    config = EncodeConfig(chunk_splats=300, prune=PruneConfig(peak=0.001))
+    cogsplat.encode(splats, scene.cogs, cameras=cameras, config=config)
+    return scene
+
+
+@pytest.fixture
+def run() -> Run:
+    """Run a command in this process; faults of the program are raised."""
+
+    def invoke(*arguments: object) -> Ran:
+        result: Result = CliRunner().invoke(cli, [str(a) for a in arguments])
+        if result.exception and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        assert "Traceback" not in result.output
+        return Ran(result.exit_code, result.stdout, result.stderr)
+
+    return invoke
+
+
+@pytest.fixture
+def run_apart() -> Run:
+    """Run a command in a process of its own."""
+
+    def start(*arguments: object, before: str = "") -> Ran:
+        done = subprocess.run(
+            program(arguments, before),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        return Ran(done.returncode, done.stdout, done.stderr)
+
+    return start

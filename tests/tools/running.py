@@ -1,0 +1,54 @@
+"""Ways to run the command line, and what its tests run it on."""
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+SPLATS = 2000
+VIEWS = 9
+
+
+@dataclass(frozen=True)
+class SmallScene:
+    """A scene as PLY and as COGS, with its cameras."""
+
+    ply: Path
+    cogs: Path
+    cameras: Path
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What a run of the command line gave."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> dict[str, object]:
+        value = json.loads(self.out)
+        assert isinstance(value, dict)
+        return value
+
+
+Run = Callable[..., Ran]
+
+
+def program(arguments: Sequence[object], before: str = "") -> list[str]:
+    """Return a command line that runs the program in a process of its own, after some Python."""
+    lines = [
+        "import signal, sys",
+        f"sys.path.insert(0, {str(ROOT)!r})",
+        # A shell that starts tests in the background ignores Ctrl-C for all that follows.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)",
+        before,
+        f"sys.argv = ['cogsplat', *{[str(a) for a in arguments]!r}]",
+        "from cogsplat.tools.cli import main",
+        "main()",
+    ]
+    return [sys.executable, "-c", "\n".join(lines)]
