@@ -1,0 +1,249 @@
+"""The conformance vectors in tests/vectors, made again or checked.
+
+Run ``python -m cogsplat.tools.make_vectors`` after every change of the format, and commit what it
+writes with the change. ``--check`` writes nothing and says what differs: decoded values and
+refusals always, bytes where this zstd is the one that made the files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import struct
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import msgpack
+import zstandard
+
+from cogsplat.formats.cogs_layout import MAJOR, MINOR
+
+from . import vectors_invalid_payload as payloads
+from . import vectors_invalid_root as roots
+from . import vectors_invalid_tables as tables
+from . import vectors_reference
+from .vectors_dump import dump
+from .vectors_invalid import Invalid
+from .vectors_valid import SMALLEST, Valid, valid
+
+_ROOT: Final = Path(__file__).resolve().parents[1]
+VECTORS: Final = _ROOT / "tests" / "vectors"
+SPEC: Final = _ROOT / "SPEC.md"
+
+ATTRIBUTES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
+"""Order of the arrays in a ``.f32`` file."""
+
+INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
+    roots.preambles,
+    roots.packings,
+    roots.roots,
+    tables.segment_tables,
+    tables.chunk_tables,
+    tables.codebook_tables,
+    tables.index_pages,
+    payloads.records,
+    payloads.planes,
+    payloads.grids,
+    payloads.mortons,
+    payloads.codebooks,
+    payloads.heads_and_tails,
+)
+
+Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
+
+
+def invalid() -> list[Invalid]:
+    """Return all must-reject vectors, in the order of the manifest."""
+    return [vector for make in INVALID for vector in make()]
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _shapes(scene: vectors_reference.Scene) -> dict[str, list[int]]:
+    count = len(scene.rows["means"])
+    widths = {"means": [3], "scales": [3], "quats": [4], "opacities": [], "sh0": [3]}
+    widths["shN"] = [(scene.sh_degree + 1) ** 2 - 1, 3]
+    return {name: [count, *widths[name]] for name in ATTRIBUTES}
+
+
+def _arrays(scene: vectors_reference.Scene) -> bytes:
+    values = [value for name in ATTRIBUTES for row in scene.rows[name] for value in row]
+    return struct.pack(f"<{len(values)}f", *values)
+
+
+_INFO: Final = ("origin", "axes", "colour_space", "kernel_px", "antialiased", "first_view")
+
+
+def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
+    scene = vectors_reference.decode(vector.data)
+    arrays = _arrays(scene)
+    (root_length,) = struct.unpack_from("<I", vector.data, 12)
+    root = msgpack.unpackb(vector.data[64 : 64 + root_length])
+    entry: dict[str, Json] = {
+        "name": vector.name,
+        "note": vector.note,
+        "clauses": list(vector.covers),
+        "bytes": len(vector.data),
+        "sha256": _sha256(vector.data),
+        "splats": len(scene.rows["means"]),
+        "sh_degree": scene.sh_degree,
+        "chunk_splats": list(scene.chunk_splats),
+        "info": {key: root[key] for key in _INFO if key in root},
+        "arrays_sha256": _sha256(arrays),
+        "shapes": {name: list(shape) for name, shape in _shapes(scene).items()},
+        "prefixes": [[p.size, p.chunks, list(p.tails)] for p in scene.prefixes],
+    }
+    return entry, arrays
+
+
+def _invalid_entry(vector: Invalid) -> dict[str, Json]:
+    return {
+        "name": vector.name,
+        "note": vector.note,
+        "code": vector.code,
+        "clause": vector.clause,
+        "stage": vector.stage,
+        "partial": vector.partial,
+        "bytes": len(vector.data),
+        "sha256": _sha256(vector.data),
+    }
+
+
+def _manifest_text(manifest: Mapping[str, Json]) -> str:
+    """Return the manifest as JSON, one vector a line."""
+    parts = []
+    for key, value in manifest.items():
+        if isinstance(value, list):
+            lines = ",\n".join(json.dumps(entry, ensure_ascii=False) for entry in value)
+            parts.append(f"{json.dumps(key)}: [\n{lines}\n]")
+        else:
+            parts.append(f"{json.dumps(key)}: {json.dumps(value)}")
+    return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
+def make() -> tuple[dict[str, Json], dict[str, bytes]]:
+    """Return the manifest and every other file by its path below `VECTORS`."""
+    files: dict[str, bytes] = {}
+    good: list[Json] = []
+    for vector in valid():
+        entry, arrays = _valid_entry(vector)
+        good.append(entry)
+        files[f"valid/{vector.name}.cogs"] = vector.data
+        files[f"valid/{vector.name}.f32"] = arrays
+    bad: list[Json] = []
+    for refused in invalid():
+        bad.append(_invalid_entry(refused))
+        files[f"invalid/{refused.name}.cogs"] = refused.data
+    manifest: dict[str, Json] = {
+        "format": f"{MAJOR}.{MINOR}",
+        "zstd": ".".join(str(part) for part in zstandard.ZSTD_VERSION),
+        "arrays": list(ATTRIBUTES),
+        "valid": good,
+        "invalid": bad,
+    }
+    return manifest, files
+
+
+def spec_blocks() -> dict[str, str]:
+    """Return the parts of SPEC that come from the vectors, by the name in their markers."""
+    good, bad = valid(), invalid()
+    smallest = next(vector for vector in good if vector.name == SMALLEST)
+    listed = ["| file | clauses | what |", "|---|---|---|"]
+    listed += [f"| `{v.name}` | {', '.join(v.covers)} | {v.note} |" for v in good]
+    refused = ["| reason code | files |", "|---|---|"]
+    for code in sorted({vector.code for vector in bad}):
+        names = [f"`{vector.name}`" for vector in bad if vector.code == code]
+        refused.append(f"| `{code}` | {', '.join(names)} |")
+    return {
+        "dump": "\n".join(["```text", *dump(smallest.data), "```"]),
+        "valid": "\n".join(listed),
+        "invalid": "\n".join(refused),
+    }
+
+
+def with_blocks(text: str, blocks: Mapping[str, str]) -> str:
+    """Return SPEC with the text between each pair of markers replaced."""
+    for name, block in blocks.items():
+        first, last = f"<!-- vectors: {name} -->", "<!-- end of vectors -->"
+        before, found, rest = text.partition(first)
+        _, ended, behind = rest.partition(last)
+        if not found or not ended:
+            raise ValueError(f"no place for {name} between its markers")
+        text = f"{before}{first}\n\n{block}\n\n{last}{behind}"
+    return text
+
+
+def differences() -> list[str]:
+    """Return what differs between the committed vectors and those this code makes."""
+    manifest, files = make()
+    committed = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))
+    same_zstd = committed["zstd"] == manifest["zstd"]
+    skipped = set() if same_zstd else {"bytes", "sha256", "prefixes"}
+
+    def compared(entries: Sequence[Mapping[str, Json]]) -> dict[str, dict[str, Json]]:
+        return {
+            str(entry["name"]): {k: v for k, v in entry.items() if k not in skipped}
+            for entry in entries
+        }
+
+    found = []
+    for part in ("valid", "invalid"):
+        new: Json = manifest[part]
+        old = compared(committed[part])
+        fresh = compared(json.loads(json.dumps(new)))
+        found += [
+            f"{part}/{name}: the manifest's entry"
+            for name in sorted(old.keys() | fresh.keys())
+            if old.get(name) != fresh.get(name)
+        ]
+    there = {path.relative_to(VECTORS).as_posix() for path in VECTORS.glob("*/*") if path.is_file()}
+    found += [f"{name}: not a vector, or missing" for name in sorted(there ^ files.keys())]
+    for name in sorted(there & files.keys()):
+        content = (VECTORS / name).read_bytes()
+        if same_zstd and content != files[name]:
+            found.append(f"{name}: its bytes")
+        elif name.startswith("valid/") and name.endswith(".cogs"):
+            arrays = _arrays(vectors_reference.decode(content))
+            if arrays != files[name.removesuffix(".cogs") + ".f32"]:
+                found.append(f"{name}: its decoded values")
+    text = SPEC.read_text(encoding="utf-8")
+    if with_blocks(text, spec_blocks()) != text:
+        found.append("SPEC.md: the dump or the lists of vectors")
+    return found
+
+
+def write() -> None:
+    """Write all vectors, the manifest and SPEC's blocks; remove vectors that are no more."""
+    manifest, files = make()
+    for folder in ("valid", "invalid"):
+        (VECTORS / folder).mkdir(parents=True, exist_ok=True)
+        for path in (VECTORS / folder).iterdir():
+            if path.relative_to(VECTORS).as_posix() not in files:
+                path.unlink()
+    for name, content in files.items():
+        (VECTORS / name).write_bytes(content)
+    (VECTORS / "manifest.json").write_text(_manifest_text(manifest), encoding="utf-8")
+    text = SPEC.read_text(encoding="utf-8")
+    SPEC.write_text(with_blocks(text, spec_blocks()), encoding="utf-8")
+
+
+def main() -> int:
+    """Make the vectors, or check them."""
+    parser = argparse.ArgumentParser(description=__doc__, prog="make_vectors")
+    parser.add_argument("--check", action="store_true", help="write nothing, say what differs")
+    if parser.parse_args().check:
+        found = differences()
+        print("\n".join([*found, f"{len(found)} differences"]))
+        return 1 if found else 0
+    write()
+    print(f"{len(valid())} valid and {len(invalid())} must-reject files in {VECTORS}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
