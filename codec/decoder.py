@@ -314,3 +314,5 @@ class _Streams:
                 f"{self._where}: {names} have no place here",
                 clause=self._clause,
             )
+        if self._reader is not None:
+            self._reader.finish()

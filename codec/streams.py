@@ -15,7 +15,7 @@ from . import grid as grids
 from . import morton
 from .errors import FormatError, UnsupportedError
 from .grid import ENTRY_BYTES, Grid
-from .planes import LENGTH_MASK, RANS_FLAG, PlaneCoder, PlaneReader, unpack_plane
+from .planes import LENGTH_MASK, RANS_FLAG, ZSTD_FLAG, PlaneCoder, PlaneReader, unpack_plane
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -522,6 +522,12 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
     for attribute, kind, flags, rows, params, words, label in heads:
         bodies: list[memoryview] = []
         for word in words.tolist():
+            if word & ZSTD_FLAG and word & RANS_FLAG:
+                raise FormatError(
+                    "stream-record",
+                    f"{label}: word {word:#x} states both zstd and rANS, expected one",
+                    clause="6.3",
+                )
             length = word & LENGTH_MASK
             if position + length > len(payload):
                 raise _leaves(label, len(payload))
