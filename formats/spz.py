@@ -23,11 +23,14 @@ SPZ_AXES: Final = "RUB"
 
 _AXES: Final = "RDF"
 
-# extensions/README: the frame of the stored values, as a number in this list.
+# extensions/README: the frame of the stored values, as a number in this list. Numbers from 9 on are
+# what the format's library (0.2.2) makes of them, which is a quarter turn about x between frames
+# with up along y and along z; its own names for these (LBD, RBD, LBU, RBU, LFD ...) would mirror
+# what it writes.
 _COORDINATE_SYSTEM: Final = 0xADBE0003
 _COORDINATE_SYSTEMS: Final = (
     *("", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
-    *("LBD", "RBD", "LBU", "RBU", "LFD", "RFD", "LFU", "RFU"),
+    *("LBU", "RBU", "LFU", "RFU", "LBD", "RBD", "LFD", "RFD"),
 )
 _NAMES: Final = {0xADBE0002: "orbit limits", 0x4E530001: "georeference"}
 

@@ -40,7 +40,7 @@ REST = {0: 0, 1: 3, 2: 8, 3: 15, 4: 24}
 SH_SIGNS = (-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1)
 COORDINATE_SYSTEMS = (
     *("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
-    *("LBD", "RBD", "LBU", "RBU", "LFD", "RFD", "LFU", "RFU"),
+    *("LBU", "RBU", "LFU", "RFU", "LBD", "RBD", "LFD", "RFD"),
 )
 
 
