@@ -276,8 +276,9 @@ def _covariances(splats: Splats) -> F64:
 
 def _relative(actual: F64, expected: F64) -> F64:
     """Return the Frobenius norms of differences in terms of those expected, (N,)."""
-    off: F64 = np.sqrt(np.square(actual - expected).sum(axis=(1, 2)))
-    return off / np.sqrt(np.square(expected).sum(axis=(1, 2)))
+    out: F64 = np.linalg.norm(actual - expected, axis=(1, 2))
+    out /= np.linalg.norm(expected, axis=(1, 2))
+    return out
 
 
 def check_splat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
