@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from . import grid as grids
 from .errors import FormatError
-from .grid import ENTRY_BYTES, MAX_VALUE, Grid
+from .grid import ENTRY_BYTES, Grid
 from .streams import Attribute, Kind, StoredStream, Stream, read_grid_planes
 
 F32 = NDArray[np.float32]
@@ -23,6 +23,9 @@ _SHN: Final = struct.Struct("<IffHH")
 
 MAX_BASIS_ROWS: Final = 255
 """Most rows of a basis: the number of a row fits a byte (SPEC 6.14)."""
+
+MAX_FACTOR: Final = 2.0**32
+"""Largest step of shN and magnitude in its basis: sums of products stay finite (SPEC 6.14)."""
 
 # Zigzag codes up to here take one plane, larger ones a second.
 _BYTE: Final = 256
@@ -145,10 +148,18 @@ def read_shn(stream: StoredStream, basis: F32, out: F32) -> None:
             "expected no more, and 0",
             clause="6.14",
         )
-    if not 0 < step <= MAX_VALUE or not 0 <= shrink <= 0.5:
+    if not 0 < step <= MAX_FACTOR or not 0 <= shrink <= 0.5:
         raise FormatError(
             "basis-value",
-            f"{stream.where}: step {step} and shrink {shrink}, expected above 0 and 0 to 0.5",
+            f"{stream.where}: step {step} and shrink {shrink}, expected up to {MAX_FACTOR:g} "
+            "and 0 to 0.5",
+            clause="6.14",
+        )
+    largest = float(np.abs(basis[:width]).max(initial=0))
+    if largest > MAX_FACTOR:
+        raise FormatError(
+            "basis-value",
+            f"{stream.where}: {largest:g} in the basis, expected up to {MAX_FACTOR:g}",
             clause="6.14",
         )
     sizes = params[_SHN.size :]

@@ -83,7 +83,7 @@ def read_fine_means(stream: StoredStream, scales: F32, out: F32) -> None:
         raise FormatError(
             "code-range",
             f"{stream.where}: codes up to {top.tolist()}, expected below {grid.levels.tolist()}",
-            clause="6.4",
+            clause="6.15",
         )
     widths = halvings * _THREE
     fields = bits.unpack(stream.plane(2, bits.packed_bytes(widths)), widths, stream.where)
