@@ -40,7 +40,7 @@ def warn_of_losses(path: StrPath, name: str, losses: Sequence[str]) -> None:
     if losses:
         # The caller's caller is who asked for the file.
         warnings.warn(
-            f"{os.fspath(path)}: {name} cannot hold {', '.join(losses)}: left out",
+            f"{os.fspath(path)}: {name} cannot hold {', '.join(losses)}",
             CogsplatWarning,
             stacklevel=3,
         )

@@ -180,7 +180,7 @@ def write_spz(
         file.writelines(pieces)
     losses = info_losses(splats.info, antialiased=True)
     losses += [
-        f"{share:.2g} of the {name} (out of range, clipped)"
+        f"{100 * share:.2g} % of the {name} (out of range, clipped)"
         for name, share in clipped.items()
         if share > (0 if name == "means" else _CLIPPED)
     ]

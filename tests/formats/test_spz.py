@@ -402,8 +402,8 @@ def test_what_is_lost_is_said_in_one_line(tmp_path: Path) -> None:
         write_spz(tmp_path / "a.spz", splats)
     assert [str(warning.message) for warning in caught] == [
         f"{tmp_path / 'a.spz'}: SPZ cannot hold the origin (1.0, 2.0, 3.0), the colour space "
-        "linear, the kernel of 0.1 px², 0.01 of the means (out of range, clipped), 0.017 of the "
-        "scales (out of range, clipped): left out"
+        "linear, the kernel of 0.1 px², 1 % of the means (out of range, clipped), 1.7 % of the "
+        "scales (out of range, clipped)"
     ]
     assert read_spz(tmp_path / "a.spz").scales.min() == -10.0
 
