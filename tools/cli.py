@@ -29,9 +29,10 @@ from cogsplat.formats.atomic import storage_error
 from .cli_decode import decode
 from .cli_encode import encode
 from .cli_info import info
-from .cli_judge import compare, render, score
+from .cli_judge import compare, render
 from .cli_make import demo, synth
 from .cli_output import WARNINGS, say_json
+from .cli_score import score
 
 _USAGE: Final = 2
 

@@ -44,10 +44,11 @@ if TYPE_CHECKING:
 @cameras_option("Without it, views are made up around the scene.")
 @click.option(
     "--profile",
-    type=click.Choice(["vq", "near"]),
+    type=click.Choice(["transform", "vq", "near"]),
     default="vq",
     show_default=True,
-    help="vq: codebooks, for viewing. near: every attribute within a bound, for archives.",
+    help="transform, vq: for viewing, by a shared transform or by codebooks. near: every attribute "
+    "within a bound, for archives.",
 )
 @click.option(
     "--quality",
@@ -55,7 +56,7 @@ if TYPE_CHECKING:
     default=36.0,
     show_default=True,
     metavar="DB",
-    help="Nominal PSNR of the profile vq.",
+    help="Nominal PSNR of the profiles for viewing.",
 )
 @click.option(
     "--order",

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import TruncatedError
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.splats import Splats
+from cogsplat.codec.splats import Splats, empty
 from cogsplat.codec.views import hold_out
 from cogsplat.formats.atomic import refuse_existing, storage_errors
 from cogsplat.formats.camera_files import write_cameras_json
@@ -111,7 +112,6 @@ def run(
     folder: Path,
     *,
     splats: int = 120_000,
-    views: int = 48,
     threads: int = 0,
     force: bool = False,
     progress: Progress = silent,
@@ -122,8 +122,8 @@ def run(
     ----------
     folder : Path
         Made where it is not there.
-    splats, views : int
-        Size of the scene and number of its cameras, at least 1 and 25.
+    splats : int
+        Size of the scene.
     threads : int
         0 for all cores.
     force : bool
@@ -152,7 +152,7 @@ def run(
         refuse_existing(path, force=force)
 
     progress("synth", 0, 1)
-    scene, cameras = synth(splats), synth_cameras(views)
+    scene, cameras = synth(splats), synth_cameras()
     cogsplat.write(files.scene, scene, force=force)
     write_cameras_json(files.cameras, cameras, force=force)
     progress("synth", 1, 1)
@@ -194,8 +194,12 @@ def run(
 def _first_bytes(path: Path, size: int, threads: int) -> Splats:
     """Decode what is complete in the first bytes of a file."""
     source = PrefixSource(FileSource(path), size)
-    with cogsplat.open(source, partial=True) as file:
-        return file.decode(threads=threads)
+    try:
+        with cogsplat.open(source, partial=True) as file:
+            return file.decode(threads=threads)
+    except TruncatedError:
+        # Of a small file the first hundredth ends inside the root: nothing to draw yet.
+        return empty(0)
 
 
 def _measured(

@@ -1,5 +1,6 @@
 """The command line as a whole: help, JSON, failures, signals, outputs that go away."""
 
+import errno
 import json
 import os
 import signal
@@ -104,8 +105,6 @@ def group_with(failure: BaseException) -> CommandLine:
         (KeyboardInterrupt(), 130, "cancelled"),
         (ModuleNotFoundError("no numba", name="numba"), 3, "needs-extra"),
         (ModuleNotFoundError("no PIL", name="PIL.Image"), 3, "needs-extra"),
-        (OSError(28, "No space left on device"), 4, "disk-full"),
-        (OSError(5, "Input/output error"), 4, "io"),
     ],
 )
 def test_what_goes_wrong_outside_the_program_has_its_code(
@@ -119,6 +118,17 @@ def test_what_goes_wrong_outside_the_program_has_its_code(
     told = CliRunner().invoke(group, ["fail", "--json"])
     assert told.exit_code == code
     assert json.loads(told.stdout)["error"]["code"] == reason
+
+
+@pytest.mark.parametrize("form", [[], ["--json"]])
+@pytest.mark.parametrize(("number", "reason"), [("ENOSPC", "disk-full"), ("EIO", "io")])
+def test_output_that_fails_is_told_where_it_arrives(
+    number: str, reason: str, form: list[str]
+) -> None:
+    failure = OSError(getattr(errno, number), "as the system says")
+    told = CliRunner().invoke(group_with(failure), ["fail", *form])
+    assert (told.exit_code, told.stdout) == (4, "")
+    assert told.stderr.endswith(f"[{reason}]\n")
 
 
 def test_interruption_is_said_in_one_word() -> None:
