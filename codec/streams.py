@@ -268,13 +268,17 @@ class StoredStream:
 
     def read_planes(self, lengths: Sequence[int]) -> list[U8]:
         """Return all planes, decompressed to these lengths in bytes."""
-        if len(self.words) != len(lengths):
+        self.require_planes(len(lengths))
+        return [self.plane(index, length) for index, length in enumerate(lengths)]
+
+    def require_planes(self, count: int) -> None:
+        """Refuse another number of planes, before any is read."""
+        if len(self.words) != count:
             raise FormatError(
                 "stream-planes",
-                f"{self.where}: {len(self.words)} planes, expected {len(lengths)}",
+                f"{self.where}: {len(self.words)} planes, expected {count}",
                 clause="6.2",
             )
-        return [self.plane(index, length) for index, length in enumerate(lengths)]
 
     def plane(self, index: int, length: int) -> U8:
         """Return one plane, decompressed to `length` bytes."""
@@ -327,10 +331,7 @@ class StoredStream:
             return
         params = self.require_params(3 * ENTRY_BYTES)
         grid = grids.unpack(params, 3, self.where, morton.MAX_LEVELS)
-        if len(self.words) != 2:
-            raise FormatError(
-                "stream-planes", f"{self.where}: {len(self.words)} planes, expected 2", clause="6.2"
-            )
+        self.require_planes(2)
         classes = self.plane(0, self.rows)
         bits = self.plane(1, morton.bits_length(classes, self.where))
         codes = morton.deinterleave(morton.unpack_deltas(classes, bits, self.where))
@@ -368,6 +369,7 @@ class StoredStream:
             )
         others = np.empty((self.rows, 3), np.float32)
         first = 1 if largest == PER_ROW else 0
+        self.require_planes(first + sum(_plane_counts(grid, 0)))
         which = self.plane(0, self.rows) if first else np.empty(0, np.uint8)
         read_grid_planes(self, grid, first, 0, others)
         a, b, c = others.T
@@ -406,13 +408,8 @@ class StoredStream:
 
 def read_grid_planes(stream: StoredStream, grid: Grid, first: int, extra: int, out: F32) -> None:
     """Write the values of a stream's planes from `first` on, `extra` codes above the levels."""
-    counts = [grids.code_bytes(int(levels) + extra) for levels in grid.levels]
-    if len(stream.words) != first + sum(counts):
-        raise FormatError(
-            "stream-planes",
-            f"{stream.where}: {len(stream.words)} planes, expected {first + sum(counts)}",
-            clause="6.2",
-        )
+    counts = _plane_counts(grid, extra)
+    stream.require_planes(first + sum(counts))
     step = grid.step
     plane = first
     for component, count in enumerate(counts):
@@ -437,6 +434,10 @@ def read_grid_planes(stream: StoredStream, grid: Grid, first: int, extra: int, o
         if extra:
             column[codes == levels] = np.inf
             column[codes == levels + 1] = -np.inf
+
+
+def _plane_counts(grid: Grid, extra: int) -> list[int]:
+    return [grids.code_bytes(int(levels) + extra) for levels in grid.levels]
 
 
 def _unit(quats_out: F32) -> None:

@@ -12,6 +12,7 @@ from cogsplat.codec.decoder import (
 )
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.grid import fit
+from cogsplat.codec.planes import RANS_FLAG
 from cogsplat.codec.splats import empty, sh_coefficients
 from cogsplat.codec.streams import COMPONENTS, SH_BANDS, Attribute
 
@@ -71,8 +72,8 @@ def tail(parts, out, books=None, **options):
 
 
 def plain():
-    names = (Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0, Attribute.SCALES)
-    return [*map(scalar, names), turns()]
+    rest = (Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0)
+    return [scalar(Attribute.SCALES), turns(), *map(scalar, rest)]
 
 
 def indices(attribute, size, kept, book=0, rows=ROWS):
@@ -85,10 +86,10 @@ def indices(attribute, size, kept, book=0, rows=ROWS):
 
 
 def shaped(kept=0, book=0):
-    parts = [scalar(name) for name in (Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0)]
-    if kept:
-        parts += [scalar(Attribute.SCALES, kept, kept=True), turns(kept, kept=True)]
-    return [*parts, indices(Attribute.SHAPE, 9, kept, book), scalar(Attribute.SCALE_FACTOR)]
+    own = [scalar(Attribute.SCALES, kept, kept=True), turns(kept, kept=True)] if kept else []
+    shape = [indices(Attribute.SHAPE, 9, kept, book), scalar(Attribute.SCALE_FACTOR)]
+    rest = (Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0)
+    return [*own, *shape, *map(scalar, rest)]
 
 
 def refusal(call, *args, **options):
@@ -104,7 +105,7 @@ def refusal(call, *args, **options):
 def test_a_head_of_numbers_is_written_bit_for_bit():
     out, parts = blank(), plain()
     head(parts, out)
-    written = (out.means, out.opacities[:, None], out.sh0, out.scales, out.quats)
+    written = (out.scales, out.quats, out.means, out.opacities[:, None], out.sh0)
     for actual, (_, expected) in zip(written, parts, strict=True):
         assert actual.tobytes() == expected.tobytes()
     assert (out.shN == UNSET).all()
@@ -114,14 +115,14 @@ def test_a_head_of_numbers_is_written_bit_for_bit():
 def test_a_head_of_shapes_takes_them_from_the_codebook_and_its_own(kept):
     out, parts, book = blank(), shaped(kept, book=4), shape_book()
     head(parts, out, {4: book, 0: colour_book()})
-    rows, (_, factor) = parts[-2][1], parts[-1]
+    (_, rows), (_, factor), (_, means) = parts[-5:-2]
     scales, quats = book.scales, book.quats
     if kept:
-        scales = np.concatenate([scales, parts[3][1]])
-        quats = np.concatenate([quats, parts[4][1]])
+        scales = np.concatenate([scales, parts[0][1]])
+        quats = np.concatenate([quats, parts[1][1]])
     assert out.scales.tobytes() == (scales[rows] + factor).tobytes()
     assert out.quats.tobytes() == quats[rows].tobytes()
-    assert out.means.tobytes() == parts[0][1].tobytes()
+    assert out.means.tobytes() == means.tobytes()
 
 
 def test_a_head_writes_its_own_rows_only():
@@ -140,7 +141,7 @@ def test_a_head_without_one_of_its_streams_is_refused(missing):
     assert refusal(head, parts, blank()) == "stream-missing"
 
 
-@pytest.mark.parametrize("missing", [0, 1, 2, 3, 4, 6])
+@pytest.mark.parametrize("missing", range(7))
 def test_a_head_of_shapes_without_one_of_its_streams_is_refused(missing):
     parts = shaped(3)
     del parts[missing]
@@ -171,7 +172,7 @@ def test_streams_of_another_number_of_rows_are_refused():
         assert refusal(head, plain(), blank(ROWS + 1)) == "stream-rows"
         assert refusal(head, plain(), blank(ROWS - 1)) == "stream-rows"
     parts = shaped(3)
-    parts[3] = scalar(Attribute.SCALES, 2, kept=True)
+    parts[0] = scalar(Attribute.SCALES, 2, kept=True)
     assert refusal(head, parts, blank(), {0: shape_book()}) == "stream-rows"
 
 
@@ -184,11 +185,38 @@ def test_shapes_need_the_shape_codebook_they_name():
 
 def test_indices_where_numbers_belong_are_refused():
     parts = plain()
-    parts[2] = indices(Attribute.SH0, 9, 0)
+    parts[4] = indices(Attribute.SH0, 9, 0)
     assert refusal(head, parts, blank()) == "stream-kind"
     parts = shaped()
-    parts[-2] = scalar(Attribute.SHAPE)
+    parts[0] = scalar(Attribute.SHAPE)
     assert refusal(head, parts, blank(), {0: shape_book()}) == "stream-kind"
+
+
+def large_head():
+    """A head whose planes are rANS-coded, of 3000 rows."""
+    rest = (Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0)
+    parts = [scalar(Attribute.SCALES, 3000), turns(3000), *(scalar(name, 3000) for name in rest)]
+    found = streams.unpack(memoryview(streams.pack([s for s, _ in parts])), "head", 3000)
+    assert all((one.words & RANS_FLAG).any() for one in found)
+    return parts
+
+
+def test_streams_of_a_large_head_stand_in_reading_order():
+    parts, out = large_head(), blank(3000)
+    head(parts, out)
+    assert out.sh0.tobytes() == parts[4][1].tobytes()
+    for a, b in ((0, 1), (1, 2), (2, 3), (3, 4), (0, 4)):
+        turned = list(parts)
+        turned[a], turned[b] = parts[b], parts[a]
+        assert refusal(head, turned, blank(3000)) == "stream-order"
+
+
+@pytest.mark.parametrize("extra", [bytes(2), bytes(40), b"\xff\xff"])
+def test_words_behind_the_last_plane_of_a_head_are_refused(extra):
+    payload = streams.pack([stream for stream, _ in large_head()]) + extra
+    with pytest.raises(FormatError) as caught:
+        decode_head(memoryview(payload), {}, blank(3000), "chunk 3, head")
+    assert caught.value.code == "rans-end"
 
 
 # Tails.
@@ -260,7 +288,7 @@ def test_colours_need_a_colour_codebook_of_a_sufficient_degree():
 def test_streams_that_have_no_place_in_a_tail_are_refused():
     out = blank().shN
     assert refusal(tail, [*bands(3), scalar(Attribute.SH0)], out) == "stream-unexpected"
-    both = [*bands(1), indices(Attribute.SHN, 9, 0)]
+    both = [indices(Attribute.SHN, 9, 0), *bands(1)]
     assert refusal(tail, both, out, {0: colour_book()}) == "stream-unexpected"
     own = bands(3, 2, kept=True)
     unused = [*own, indices(Attribute.SHN, 9, 0)]

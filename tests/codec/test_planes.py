@@ -6,10 +6,13 @@ from hypothesis import strategies as st
 
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.planes import (
+    LENGTH_MASK,
     MAX_PLANE_BYTES,
     MAX_WINDOW_BYTES,
+    RANS_FLAG,
     ZSTD_FLAG,
-    pack_plane,
+    PlaneCoder,
+    PlaneReader,
     unpack_plane,
 )
 
@@ -31,35 +34,125 @@ def frame(data, **options):
     return zstandard.ZstdCompressor(**options).compress(data)
 
 
-@settings(derandomize=True, deadline=None, max_examples=100)
-@given(st.one_of(st.binary(max_size=300), st.binary(max_size=8).map(lambda data: data * 100)))
-def test_planes_come_back(data):
-    plane = np.frombuffer(data, np.uint8)
-    word, stored = pack_plane(plane)
-    assert word & ~ZSTD_FLAG == len(stored) <= len(data)
-    np.testing.assert_array_equal(back(stored, word, len(data)), plane)
+def packed(planes):
+    """Word and stored bytes of every plane, then lanes and body."""
+    coder = PlaneCoder()
+    return [coder.pack(plane) for plane in planes], *coder.finish()
 
 
-def test_what_zstd_does_not_shrink_is_stored():
+def read(parts, lanes, body, lengths):
+    reader = PlaneReader(lanes, "chunk 4")
+    views = [(word, memoryview(stored)) for word, stored in parts]
+    for word, stored in views:
+        if word & RANS_FLAG:
+            reader.expect(stored)
+    reader.attach(memoryview(body))
+    out = []
+    for (word, stored), length in zip(views, lengths, strict=True):
+        where = "chunk 4, sh0, plane 1"
+        if word & RANS_FLAG:
+            out.append(reader.read(stored, length, where))
+        else:
+            out.append(unpack_plane(stored, word, length, where))
+    reader.finish()
+    return out
+
+
+@settings(derandomize=True, deadline=None, max_examples=150)
+@given(
+    st.lists(
+        st.one_of(
+            st.binary(max_size=300),
+            st.binary(max_size=8).map(lambda data: data * 100),
+            st.lists(st.sampled_from(b"\0\0\0\0\1\2"), max_size=300).map(bytes),
+        ),
+        max_size=6,
+    )
+)
+def test_planes_come_back(planes):
+    arrays = [np.frombuffer(data, np.uint8) for data in planes]
+    parts, lanes, body = packed(arrays)
+    for (word, stored), data in zip(parts, planes, strict=True):
+        assert word & LENGTH_MASK == len(stored) <= len(data)
+    assert bool(lanes) == bool(body) == any(word & RANS_FLAG for word, _ in parts)
+    out = read(parts, lanes, body, [len(data) for data in planes])
+    assert [plane.tobytes() for plane in out] == planes
+
+
+def test_every_plane_takes_its_smallest_way():
     rng = np.random.default_rng(1)
     noise = rng.integers(0, 256, 1000, np.uint8)
-    assert pack_plane(noise) == (1000, noise.tobytes())
-    assert pack_plane(np.zeros(0, np.uint8)) == (0, b"")
-    assert pack_plane(np.array([7], np.uint8)) == (1, b"\7")
+    assert packed([noise]) == ([(1000, noise.tobytes())], 0, b"")
+    assert packed([np.zeros(0, np.uint8)]) == ([(0, b"")], 0, b"")
+    assert packed([np.array([7], np.uint8)]) == ([(1, b"\7")], 0, b"")
+    skewed = rng.geometric(0.4, 20_000).astype(np.uint8)
+    repeated = np.tile(noise, 20)
+    parts, _, body = packed([noise, skewed, repeated])
+    flags = [word & ~LENGTH_MASK for word, _ in parts]
+    assert flags == [0, RANS_FLAG, ZSTD_FLAG]
+    counts = np.bincount(skewed)
+    share = counts[counts > 0] / len(skewed)
+    entropy = -(share * np.log2(share)).sum() * len(skewed) / 8
+    assert entropy <= len(body) + len(parts[1][1]) <= 1.02 * entropy + 50
 
 
 def test_frames_state_their_size_and_carry_no_checksum():
-    word, stored = pack_plane(np.zeros(100_000, np.uint8))
+    (word, stored), *_ = packed([np.tile(np.arange(256, dtype=np.uint8), 400)])[0]
     assert word & ZSTD_FLAG
     parameters = zstandard.get_frame_parameters(stored)
-    assert parameters.content_size == 100_000
+    assert parameters.content_size == 102_400
     assert not parameters.has_checksum
     assert parameters.dict_id == 0
 
 
 def test_packing_is_repeatable():
-    plane = np.random.default_rng(2).integers(0, 4, 50_000, np.uint8)
-    assert pack_plane(plane) == pack_plane(plane.copy())
+    planes = [np.random.default_rng(seed).integers(0, 4, 50_000, np.uint8) for seed in range(3)]
+    assert packed(planes) == packed([plane.copy() for plane in planes])
+
+
+def test_rans_planes_are_read_in_their_order():
+    rng = np.random.default_rng(2)
+    planes = [rng.geometric(p, 3000).astype(np.uint8) for p in (0.3, 0.6)]
+    parts, lanes, body = packed(planes)
+    assert all(word & RANS_FLAG for word, _ in parts)
+    views = [memoryview(stored) for _, stored in parts]
+    reader = PlaneReader(lanes, "chunk 4")
+    for view in views:
+        reader.expect(view)
+    reader.attach(memoryview(body))
+    for wrong, right in ((1, 0), (0, 1)):
+        with pytest.raises(FormatError, match="chunk 4, plane") as caught:
+            reader.read(views[wrong], 3000, "chunk 4, plane")
+        assert caught.value.code == "stream-order"
+        plane = reader.read(views[right], 3000, "chunk 4, plane")
+        np.testing.assert_array_equal(plane, planes[right])
+    reader.finish()
+
+
+def test_the_end_of_a_body_is_checked_once_all_planes_are_read():
+    rng = np.random.default_rng(3)
+    planes = [rng.geometric(p, 3000).astype(np.uint8) for p in (0.3, 0.6)]
+    parts, lanes, body = packed(planes)
+    views = [memoryview(stored) for _, stored in parts]
+
+    def reader_of(data):
+        reader = PlaneReader(lanes, "chunk 4")
+        for view in views:
+            reader.expect(view)
+        reader.attach(memoryview(data))
+        return reader
+
+    partial = reader_of(body + bytes(2))
+    partial.read(views[0], 3000, "chunk 4, plane")
+    partial.finish()  # the second plane was not wanted
+    partial.read(views[1], 3000, "chunk 4, plane")
+    with pytest.raises(FormatError) as caught:
+        partial.finish()
+    assert caught.value.code == "rans-end"
+    short = reader_of(body)
+    with pytest.raises(FormatError) as caught:
+        short.read(views[0], MAX_PLANE_BYTES + 1, "chunk 4, plane")
+    assert caught.value.code == "plane-length"
 
 
 def test_stored_planes_are_views_and_nothing_is_writeable():
@@ -67,8 +160,8 @@ def test_stored_planes_are_views_and_nothing_is_writeable():
     plane = back(stored, 10, 10)
     assert np.shares_memory(plane, np.frombuffer(stored, np.uint8))
     assert not plane.flags.writeable
-    word, packed = pack_plane(np.zeros(50, np.uint8))
-    assert not back(packed, word, 50).flags.writeable
+    data = frame(bytes(50))
+    assert not back(data, ZSTD_FLAG | len(data), 50).flags.writeable
 
 
 @pytest.mark.parametrize("length", [0, 9, 11])

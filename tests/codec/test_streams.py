@@ -10,7 +10,7 @@ from cogsplat.codec import grid as grids
 from cogsplat.codec import morton, streams
 from cogsplat.codec.errors import FormatError, UnsupportedError
 from cogsplat.codec.grid import MAX_LEVELS, Grid, fit
-from cogsplat.codec.planes import ZSTD_FLAG
+from cogsplat.codec.planes import RANS_FLAG, ZSTD_FLAG
 from cogsplat.codec.streams import COMPONENTS, INFINITIES, KEPT, PER_ROW, Attribute, Kind, Stream
 
 checked = settings(derandomize=True, deadline=None, max_examples=100)
@@ -50,9 +50,9 @@ def record(attribute=3, kind=1, components=3, flags=0, rows=0, planes=0, params=
     return head + params
 
 
-def payload(*records, count=None):
+def payload(*records, count=None, lanes=0):
     body = b"".join(records)
-    return memoryview(struct.pack("<H", len(records) if count is None else count) + body)
+    return memoryview(struct.pack("<HH", len(records) if count is None else count, lanes) + body)
 
 
 def grid_of(levels, low=0.0, high=1.0):
@@ -206,7 +206,7 @@ def test_morton_codes_above_an_axis_levels_are_refused():
     for levels in ((2, 5, 3), (1, 6, 3), (2, 6, 2)):
         (one,) = stored(streams.morton_means(codes, grid_of(levels)))
         out = np.empty((2, 3), np.float32)
-        refused(lambda one=one, out=out: one.read_means(out), "code-range", "6.4")
+        refused(lambda one=one, out=out: one.read_means(out), "code-range", "6.5")
 
 
 def test_morton_means_of_more_levels_than_bits_are_refused():
@@ -339,9 +339,9 @@ def test_bad_rotation_parameters_are_refused():
     params = bytes([PER_ROW, 0, 0, 0]) + grid
     stream = Stream(Attribute.QUATS, Kind.QUAT, 2, params, [np.array([3, 4], np.uint8)])
     refused(lambda: rotations(stream), "quat-largest", "6.6")
-    refused(
-        lambda: rotations(Stream(Attribute.QUATS, Kind.QUAT, 2, params, [])), "stream-planes", "6.2"
-    )
+    for planes in ([], [np.zeros(2, np.uint8)] * 2):
+        stream = Stream(Attribute.QUATS, Kind.QUAT, 2, params, planes)
+        refused(lambda stream=stream: rotations(stream), "stream-planes", "6.2")
 
 
 # Indices.
@@ -392,6 +392,24 @@ def some_streams():
     ]
 
 
+def read_all(data):
+    """Values of every stream, read in order, and the end of the body checked."""
+    values = []
+    found = streams.unpack(memoryview(data), "head 5", 200)
+    for one in found:
+        out = np.zeros((one.rows, COMPONENTS[one.attribute]), np.float32)
+        if one.kind == Kind.QUAT:
+            one.read_quats(out)
+        elif one.kind == Kind.VQ:
+            one.read_indices(10)
+        else:
+            one.read_means(out)
+        values.append(out)
+    if found:
+        found[0].reader.finish()
+    return values
+
+
 def test_a_payload_gives_back_its_records():
     given_streams = some_streams()
     data = streams.pack(given_streams)
@@ -400,7 +418,7 @@ def test_a_payload_gives_back_its_records():
         (s.attribute, s.kind, s.flags, s.rows) for s in given_streams
     ]
     assert [bytes(s.params) for s in found] == [s.params for s in given_streams]
-    assert sum(s.stored_bytes for s in found) + 2 == len(data)
+    assert sum(s.stored_bytes for s in found) + 4 <= len(data)
     assert [s.label for s in found] == [
         "sh0 scalar", "scales scalar kept", "opacities scalar", "quats quat", "quats quat kept",
     ]  # fmt: skip
@@ -408,21 +426,46 @@ def test_a_payload_gives_back_its_records():
     assert streams.pack(given_streams) == data
 
 
-def test_a_payload_without_streams_is_two_zero_bytes():
-    assert streams.pack([]) == b"\0\0"
-    assert streams.unpack(memoryview(b"\0\0"), "head 5", 10) == []
+def test_a_payload_without_streams_is_four_zero_bytes():
+    assert streams.pack([]) == bytes(4)
+    assert streams.unpack(memoryview(bytes(4)), "head 5", 10) == []
 
 
 def test_every_cut_and_every_extra_byte_is_refused():
     data = streams.pack(some_streams())
-    for end in [*range(400), len(data) - 1]:
-        refused(
-            lambda end=end: streams.unpack(memoryview(data[:end]), "head 5", 200),
-            "stream-record",
-            "6.1",
-        )
-    extra = memoryview(data + b"\0")
-    refused(lambda: streams.unpack(extra, "head 5", 200), "stream-record", "6.1")
+    read_all(data)
+    for end in range(len(data)):
+        with pytest.raises(FormatError) as caught:
+            read_all(data[:end])
+        assert caught.value.code in ("stream-record", "rans-states", "rans-words", "rans-end")
+    for extra, code in ((b"\0", "rans-words"), (bytes(2), "rans-end"), (b"\xff" * 8, "rans-end")):
+        with pytest.raises(FormatError) as caught:
+            read_all(data + extra)
+        assert caught.value.code == code
+    plain = streams.pack([streams.quats(random_quats(1, 3), 0.1)])
+    read_all(plain)
+    refused(lambda: read_all(plain + b"\0"), "stream-record", "6.1")
+
+
+def test_bodies_and_planes_that_want_them_come_together():
+    words = [struct.pack("<I", word) for word in (0, RANS_FLAG, RANS_FLAG | ZSTD_FLAG)]
+    for word, lanes, body in (
+        (words[0], 1, struct.pack("<I", 1 << 16)),
+        (words[0], 0, b"\0"),
+        (words[1], 0, b""),
+        (words[2], 1, struct.pack("<I", 1 << 16)),
+    ):
+        data = payload(record(planes=1) + word + body, lanes=lanes)
+        refused(lambda data=data: streams.unpack(data, "head 5", 10), "stream-record")
+    values = np.random.default_rng(13).integers(0, 7, (200, 3)).astype(np.float32)
+    stream = streams.scalar(Attribute.SH0, values, grid_of([7, 7, 7], 0, 6))
+    for lanes in (3, 2048, 65535):
+        data = bytearray(streams.pack([stream]))
+        assert data[2:4] != bytes(2)
+        data[2:4] = struct.pack("<H", lanes)
+        with pytest.raises(FormatError) as caught:
+            read_all(bytes(data))
+        assert caught.value.code == "rans-lanes"
 
 
 @pytest.mark.parametrize(
@@ -487,14 +530,7 @@ def test_any_flipped_byte_is_refused_or_read_to_the_right_shape():
         broken = bytearray(data)
         broken[position] ^= int(rng.integers(1, 256))
         try:
-            for one in streams.unpack(memoryview(bytes(broken)), "head 5", 200):
-                out = np.zeros((one.rows, COMPONENTS[one.attribute]), np.float32)
-                if one.kind == Kind.QUAT:
-                    one.read_quats(out)
-                elif one.kind == Kind.VQ:
-                    one.read_indices(10)
-                else:
-                    one.read_means(out)
+            for out in read_all(bytes(broken)):
                 assert not np.isnan(out).any()
         except (FormatError, UnsupportedError):
             continue
