@@ -144,7 +144,6 @@ def test_fitted_cameras_cut_nothing_and_distort_nothing(size: tuple[int, int]) -
         v = (y - camera.cy) / camera.fy * other.fy + other.cy
         assert -1e-9 <= u <= size[0] + 1e-9
         assert -1e-9 <= v <= size[1] + 1e-9
-    assert fitted(camera, 64, 48) == replace(camera) or np.isclose(other.cx, other.cx)
 
 
 def test_scene_compared_with_itself_is_identical(run: Run, small: SmallScene) -> None:
