@@ -21,6 +21,7 @@ from .ksplat import read_ksplat
 from .magic import describe
 from .ply import read_ply, write_ply
 from .ply_header import is_ply
+from .sog import is_sog, read_sog, write_sog
 from .splat import no_magic, read_splat, write_splat
 from .spz import is_spz, read_spz, write_spz
 
@@ -72,6 +73,7 @@ FORMATS: tuple[Format, ...] = (
         write_compressed_ply,
     ),
     Format("ply", (".ply",), is_ply, read_ply, write_ply),
+    Format("sog", (".sog",), is_sog, read_sog, write_sog),
     Format("spz", (".spz",), is_spz, read_spz, write_spz),
     Format("splat", (".splat",), no_magic, read_splat, write_splat),
     Format("ksplat", (".ksplat",), no_magic, read_ksplat, None),

@@ -1,0 +1,174 @@
+"""JSON of unknown origin: parsed within limits, read key by key, and what is wrong said where."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from cogsplat.codec.errors import FormatError, LimitError
+
+_MAX_SHOWN: Final = 40
+
+
+@dataclass(frozen=True)
+class JsonObject:
+    """A JSON object and the place it has in its file.
+
+    Parameters
+    ----------
+    values : dict
+        As `json.loads` gives it.
+    where : str
+        File and place, for messages.
+    code : str
+        Reason code of the `FormatError` that a wrong value raises.
+    """
+
+    values: dict[str, object]
+    where: str
+    code: str
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.values
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """Return a finite number, or `default` where there is no such key."""
+        if key not in self.values and default is not None:
+            return default
+        return self._number(key, self.values.get(key))
+
+    def integer(self, key: str, low: int, high: int, default: int | None = None) -> int:
+        """Return a whole number from `low` to `high`, which may be written as 3.0."""
+        number = self.number(key, None if default is None else float(default))
+        if not number.is_integer() or not low <= number <= high:
+            raise self.wrong(key, f"a whole number from {low} to {high}")
+        return int(number)
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """Return a string."""
+        value = self.values.get(key, default)
+        if not isinstance(value, str):
+            raise self.wrong(key, "a string")
+        return value
+
+    def boolean(self, key: str, default: bool) -> bool:
+        """Return true or false."""
+        value = self.values.get(key, default)
+        if not isinstance(value, bool):
+            raise self.wrong(key, "true or false")
+        return value
+
+    def child(self, key: str) -> JsonObject:
+        """Return an object."""
+        value = self.values.get(key)
+        if not isinstance(value, dict):
+            raise self.wrong(key, "an object")
+        return JsonObject(value, f"{self.where}, {key}", self.code)
+
+    def children(self, key: str) -> list[JsonObject]:
+        """Return an array of objects; none where there is no such key."""
+        return [
+            JsonObject(self._object(key, item), f"{self.where}, {key} {index}", self.code)
+            for index, item in enumerate(self._array(key))
+        ]
+
+    def numbers(self, key: str, count: int | None = None) -> list[float]:
+        """Return an array of finite numbers, `count` of them where it is given."""
+        value = self.values.get(key)
+        if not isinstance(value, list) or (count is not None and len(value) != count):
+            raise self.wrong(key, f"an array of {'' if count is None else f'{count} '}numbers")
+        return [self._number(key, item) for item in value]
+
+    def texts(self, key: str, count: int | None = None) -> list[str]:
+        """Return an array of strings, `count` of them where it is given; none without the key."""
+        found = [item for item in self._array(key) if isinstance(item, str)]
+        if len(found) != len(self._array(key)) or (count is not None and len(found) != count):
+            raise self.wrong(key, f"an array of {'' if count is None else f'{count} '}strings")
+        return found
+
+    def integers(self, key: str, low: int, high: int) -> list[int]:
+        """Return an array of whole numbers from `low` to `high`; none without the key."""
+        found = []
+        for item in self._array(key):
+            number = self._number(key, item)
+            if not number.is_integer() or not low <= number <= high:
+                raise self.wrong(key, f"whole numbers from {low} to {high}")
+            found.append(int(number))
+        return found
+
+    def wrong(self, key: str, expected: str) -> FormatError:
+        """Return the error that says what is under `key`, and what was expected."""
+        found = f"is {_shown(self.values[key])}" if key in self.values else "is not there"
+        return FormatError(self.code, f"{self.where}: {key!r} {found}, expected {expected}")
+
+    def _array(self, key: str) -> list[object]:
+        value = self.values.get(key, [])
+        if not isinstance(value, list):
+            raise self.wrong(key, "an array")
+        return value
+
+    def _object(self, key: str, item: object) -> dict[str, object]:
+        if not isinstance(item, dict):
+            raise self.wrong(key, "an array of objects")
+        return item
+
+    def _number(self, key: str, value: object) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.wrong(key, "numbers" if isinstance(value, list) else "a number")
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            raise self.wrong(key, "a number that fits a double")
+        return number
+
+
+def parse_object(data: bytes, max_bytes: int, where: str, code: str) -> JsonObject:
+    """Parse JSON text whose outermost value is an object.
+
+    Parameters
+    ----------
+    data : bytes
+        UTF-8, with or without a byte order mark.
+    max_bytes : int
+        Longest text that is parsed.
+    where : str
+        Name of the file for messages.
+    code : str
+        Reason code of every fault.
+
+    Raises
+    ------
+    LimitError
+        ``json-too-long``.
+    FormatError
+        `code`: no JSON, NaN or Infinity in it, or no object.
+    """
+    if len(data) > max_bytes:
+        raise LimitError(
+            "json-too-long", f"{where}: {len(data)} bytes of JSON, expected at most {max_bytes}"
+        )
+    try:
+        value: object = json.loads(data.removeprefix(b"\xef\xbb\xbf"), parse_constant=_refuse)
+    # RecursionError: nested deeper than the parser goes.
+    except (ValueError, RecursionError) as error:
+        raise FormatError(code, f"{where}: {error}, expected a JSON object") from error
+    if not isinstance(value, dict):
+        raise FormatError(code, f"{where}: is {_shown(value)}, expected a JSON object")
+    return JsonObject(value, where, code)
+
+
+def _refuse(name: str) -> float:
+    raise ValueError(f"{name} is no JSON number")
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, list):
+        return f"an array of {len(value)}"
+    if isinstance(value, dict):
+        return "an object"
+    text = json.dumps(value)
+    return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
