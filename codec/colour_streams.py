@@ -95,8 +95,7 @@ def shn_on_basis(codes: I64, codebook: int, step: float, shrink: float) -> Strea
     used = np.flatnonzero(codes.any(axis=0))
     width = int(used[-1]) + 1 if len(used) else 0
     codes = codes[:, :width]
-    filled = codes != 0
-    ends = np.where(filled.any(axis=1), width - filled[:, ::-1].argmax(axis=1), 0)
+    ends = ((codes != 0) * np.arange(1, width + 1)).max(axis=1, initial=0)
     zigzag = np.where(codes > 0, 2 * codes - 1, -2 * codes).astype(np.uint32)
     planes: list[U8] = [ends.astype(np.uint8)]
     sizes = bytearray()
