@@ -244,7 +244,7 @@ def _profile(
         return [], lambda run: profile_near.encode_chunk(
             ordered.take(run), bound, config.near, config.morton
         )
-    ordered = profile_vq.clip_colours(ordered)
+    ordered = profile_vq.clip_strays(ordered)
     if config.profile == "transform":
         costs = allocation.costs(ordered, scores.take(rows))
         slope = allocation.slope(scores, config.quality_db)

@@ -67,6 +67,9 @@ MAX_COEFFICIENT: Final = 1e4
 """SH coefficients beyond ± this are stored as this: the least alpha of one saturates a pixel, and a
 stray value widens the steps of all that share its grid."""
 
+MAX_LOG_SCALE: Final = 40.0
+"""Log scales beyond ± this are stored as this: deviations of 4e-18 and 2e17 scene units."""
+
 SHAPE_CODEBOOK: Final = 0
 COLOUR_CODEBOOK: Final = 1
 
@@ -77,18 +80,20 @@ def codebook_rows(splats: int, per_row: int) -> int:
     return min(1 << (wanted.bit_length() - 1), MAX_ROWS)
 
 
-def clip_colours(splats: Splats) -> Splats:
-    """Return the scene with sh0 and shN clipped to ±`MAX_COEFFICIENT`."""
-    within = all(
-        max(-float(values.min(initial=0)), float(values.max(initial=0))) <= MAX_COEFFICIENT
-        for values in (splats.sh0, splats.shN)
-    )
-    if within:
-        return splats
+def clip_strays(splats: Splats) -> Splats:
+    """Return the scene with scales clipped to ±`MAX_LOG_SCALE`, SH to ±`MAX_COEFFICIENT`."""
+    limits = {"scales": MAX_LOG_SCALE, "sh0": MAX_COEFFICIENT, "shN": MAX_COEFFICIENT}
+    clipped: dict[str, F32] = {}
+    for name, limit in limits.items():
+        values: F32 = getattr(splats, name)
+        # Looked at first, for hardly any scene has strays and shN is large.
+        if -float(values.min(initial=0)) > limit or float(values.max(initial=0)) > limit:
+            clipped[name] = np.clip(values, -limit, limit)
     return replace(
         splats,
-        sh0=np.clip(splats.sh0, -MAX_COEFFICIENT, MAX_COEFFICIENT),
-        shN=np.clip(splats.shN, -MAX_COEFFICIENT, MAX_COEFFICIENT),
+        scales=clipped.get("scales", splats.scales),
+        sh0=clipped.get("sh0", splats.sh0),
+        shN=clipped.get("shN", splats.shN),
     )
 
 
@@ -106,7 +111,7 @@ def plan(
     Parameters
     ----------
     splats : Splats
-        Valid rows, at least one; from `clip_colours`.
+        Valid rows, at least one; from `clip_strays`.
     energy : (N,) float64
         Positive.
     slope : float
