@@ -24,10 +24,13 @@ from cogsplat.formats.cogs_layout import MAJOR, MINOR
 from . import vectors_invalid_payload as payloads
 from . import vectors_invalid_root as roots
 from . import vectors_invalid_tables as tables
+from . import vectors_invalid_transform as transform
 from . import vectors_reference
 from .vectors_dump import dump
 from .vectors_invalid import Invalid
-from .vectors_valid import SMALLEST, Valid, valid
+from .vectors_valid import SMALLEST, Valid
+from .vectors_valid import valid as plain_valid
+from .vectors_valid_transform import valid as transform_valid
 
 _ROOT: Final = Path(__file__).resolve().parents[1]
 VECTORS: Final = _ROOT / "tests" / "vectors"
@@ -50,9 +53,17 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     payloads.mortons,
     payloads.codebooks,
     payloads.heads_and_tails,
+    transform.bodies,
+    transform.kinds,
+    transform.bases,
 )
 
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
+
+
+def valid() -> list[Valid]:
+    """Return all valid vectors, in the order of the manifest."""
+    return [*plain_valid(), *transform_valid()]
 
 
 def invalid() -> list[Invalid]:
@@ -119,7 +130,9 @@ def _manifest_text(manifest: Mapping[str, Json]) -> str:
     parts = []
     for key, value in manifest.items():
         if isinstance(value, list):
-            lines = ",\n".join(json.dumps(entry, ensure_ascii=False) for entry in value)
+            lines = ",\n".join(
+                json.dumps(entry, ensure_ascii=False, separators=(",", ":")) for entry in value
+            )
             parts.append(f"{json.dumps(key)}: [\n{lines}\n]")
         else:
             parts.append(f"{json.dumps(key)}: {json.dumps(value)}")

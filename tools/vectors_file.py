@@ -246,16 +246,28 @@ PAYLOAD_HEAD: Final = 4
 """Bytes before the first record: the number of streams and of rANS lanes (SPEC 6.1)."""
 
 
-def payload(records: Sequence[Record], *, count: int | None = None) -> bytes:
-    """Return a segment's payload; `count` overrides the number of streams it states."""
-    heads = [struct.pack("<HH", len(records) if count is None else count, 0)]
+def payload(
+    records: Sequence[Record], *, count: int | None = None, lanes: int = 0, body: bytes = b""
+) -> bytes:
+    """Return a segment's payload.
+
+    Parameters
+    ----------
+    records : sequence of Record
+    count : int, optional
+        Streams it states, where that is not how many there are.
+    lanes : int
+    body : bytes
+        What stands behind the last plane.
+    """
+    heads = [struct.pack("<HH", len(records) if count is None else count, lanes)]
     bodies = []
     for entry in records:
         words = [word for word, _ in entry.planes]
         heads.append(struct.pack("<BBBBIHH", *entry.fields, len(words), len(entry.params)))
         heads.append(entry.params + _u32(words))
         bodies += [stored for _, stored in entry.planes]
-    return b"".join(heads + bodies)
+    return b"".join([*heads, *bodies, body])
 
 
 def pack_streams(streams: Sequence[Stream]) -> bytes:

@@ -50,10 +50,14 @@ def _tail(entries: Sequence[Stream], degree: int = 2) -> bytes:
     return build(one_chunk(head, 3, tail=pack_streams(entries), sh_degree=degree))
 
 
-def _records(number: int, **changes: int) -> list[Record]:
+def _records(attribute: Attribute | None = None, **changes: int) -> list[Record]:
     """Return a plain head's records, fields of one of them changed."""
     head = scenes.head(3, 1)
-    return [record(s, **(changes if i == number else {})) for i, s in enumerate(head)]
+    return [record(s, **(changes if s.attribute == attribute else {})) for s in head]
+
+
+def _opacities(body: Sequence[Stream]) -> int:
+    return scenes.place(body, Attribute.OPACITIES)
 
 
 def records() -> list[Invalid]:
@@ -64,17 +68,20 @@ def records() -> list[Invalid]:
     def bad(name: str, data: bytes, code: str, note: str, clause: str = "6.2") -> Invalid:
         return _refused(name, _raw(data), code, clause, note)
 
-    def field(name: str, number: int, code: str, note: str, **changes: int) -> Invalid:
-        return bad(name, payload(_records(number, **changes)), code, note)
+    def field(name: str, attribute: Attribute, code: str, note: str, **changes: int) -> Invalid:
+        return bad(name, payload(_records(attribute, **changes)), code, note)
 
     def renamed(name: str, offset: int, code: str, note: str) -> Invalid:
         return bad(name, poke(good, PAYLOAD_HEAD + offset, "B", 200), code, note)
 
-    extra = _records(0)
+    extra = _records()
     extra[0].params += b"\0"
-    more = _records(1)
-    more[1].planes.append((1, b"\0"))
-    fewer = _records(0)
+    more = _records()
+    more[_opacities(head)].planes.append((1, b"\0"))
+    infinite = _records()
+    floats = scenes.floats(Attribute.OPACITIES, [[0.0]] * 3)
+    infinite[_opacities(head)] = record(floats, flags=INFINITIES)
+    fewer = _records()
     del fewer[0].planes[-1]
     return [
         bad("payload-1-byte", b"\x05", "stream-record", "a payload of one byte", "6.1"),
@@ -85,24 +92,22 @@ def records() -> list[Invalid]:
             "parameters that leave the payload", "6.1"),
         bad("planes-beyond", poke(good, PAYLOAD_HEAD + 8, "H", 65535), "stream-record",
             "planes that leave the payload", "6.1"),
-        bad("streams-65", payload(_records(0), count=65), "stream-count", "65 streams", "9.1"),
+        bad("streams-65", payload(_records(), count=65), "stream-count", "65 streams", "9.1"),
         renamed("attribute-200", 0, "stream-attribute-unknown", "attribute 200"),
         renamed("kind-200", 1, "stream-kind-unknown", "kind 200"),
-        field("components-4", 0, "stream-record", "means of four components", components=4),
-        field("flag-unknown", 0, "stream-record", "a flag that is not defined", flags=4),
-        field("infinite-colours", 2, "stream-record", "infinities in sh0", flags=INFINITIES),
+        field("components-4", Attribute.MEANS, "stream-record", "four components", components=4),
+        field("flag-unknown", Attribute.MEANS, "stream-record", "an unknown flag", flags=4),
+        field("infinite-colours", Attribute.SH0, "stream-record", "infinities", flags=INFINITIES),
         bad(
             "infinite-floats",
-            payload([*_records(0)[:1],
-                     record(scenes.floats(Attribute.OPACITIES, [[0.0]] * 3), flags=INFINITIES),
-                     *_records(0)[2:]]),
+            payload(infinite),
             "stream-record",
             "the flag infinities on a float stream",
         ),
-        field("rows-more", 1, "stream-rows", "4 rows in a chunk of 3", rows=4),
-        field("rows-fewer", 1, "stream-rows", "2 rows in a chunk of 3", rows=2),
-        field("rows-4g", 1, "stream-rows", "2^32 - 1 rows", rows=0xFFFFFFFF),
-        bad("stream-twice", pack_streams([*head, head[1]]), "stream-duplicate", "opacities twice"),
+        field("rows-more", Attribute.OPACITIES, "stream-rows", "4 rows in a chunk of 3", rows=4),
+        field("rows-fewer", Attribute.OPACITIES, "stream-rows", "2 rows in a chunk of 3", rows=2),
+        field("rows-4g", Attribute.OPACITIES, "stream-rows", "2^32 - 1 rows", rows=0xFFFFFFFF),
+        bad("stream-twice", pack_streams([*head, head[-1]]), "stream-duplicate", "sh0 twice"),
         bad("params-longer", payload(extra), "stream-params", "37 bytes of parameters, not 36"),
         bad("plane-more", payload(more), "stream-planes", "a plane more than the grid implies"),
         bad("plane-fewer", payload(fewer), "stream-planes", "a plane less than the grid implies"),
@@ -113,13 +118,14 @@ def planes() -> list[Invalid]:
     """Return the vectors of SPEC 6.3."""
     pattern = np.array([row // 30 for row in range(_ROWS)], np.uint8)
     opacities = scenes.coded(Attribute.OPACITIES, [(-2.0, 2.0, 10)], [pattern.tolist()])
-    still = scenes.still_head(_ROWS)
+    still = scenes.still_head(_ROWS, opacities)
+    changed = _opacities(still)
     raw = pattern.tobytes()
     frame: bytes = zstandard.ZstdCompressor(level=19).compress(raw)
 
     def plane(name: str, word: int, stored: bytes, code: str, note: str) -> Invalid:
-        entries = [record(s) for s in (still[0], opacities, *still[2:])]
-        entries[1].planes = [(word, stored)]
+        entries = [record(stream) for stream in still]
+        entries[changed].planes = [(word, stored)]
         return _refused(name, _raw(payload(entries), _ROWS), code, "6.3", note)
 
     def zstd(name: str, stored: bytes, code: str, note: str) -> Invalid:
@@ -357,8 +363,8 @@ def heads_and_tails() -> list[Invalid]:
                  "stream-missing", "7.2", "means that say they are kept rows"),
         _refused("tail-band-above", _tail([*three, scenes.band(3, 3, 5)]), "stream-unexpected",
                  "7.3", "a third band at SH degree 2"),
-        _refused("tail-means", _tail([*three, head[0]]), "stream-unexpected", "7.3",
-                 "means in a tail"),
+        _refused("tail-sh0", _tail([*three, head[-1]]), "stream-unexpected", "7.3",
+                 "sh0 in a tail"),
         _refused("tail-kept", _tail([scenes.band(1, 3, 5, kept=True)]), "stream-unexpected", "7.3",
                  "kept rows without indices"),
         kind("quats-scalar", still, "quats as a scalar stream"),

@@ -143,21 +143,34 @@ def floats(attribute: Attribute, values: Sequence[Sequence[float]]) -> Stream:
 def head(rows: int, seed: int, *changed: Stream) -> list[Stream]:
     """Return the streams of a plain chunk head, those of the same attribute replaced."""
     plain = [
+        spread(Attribute.SCALES, rows, seed + 3, span=4.0, levels=90),
+        quats(rows, seed + 4),
         spread(Attribute.MEANS, rows, seed, span=3.0, levels=1000),
         spread(Attribute.OPACITIES, rows, seed + 1, span=5.0, levels=30),
         spread(Attribute.SH0, rows, seed + 2, span=1.5, levels=200),
-        spread(Attribute.SCALES, rows, seed + 3, span=4.0, levels=90),
-        quats(rows, seed + 4),
     ]
-    replaced = {stream.attribute: stream for stream in changed}
-    return [replaced.get(stream.attribute, stream) for stream in plain]
+    return _replaced(plain, changed)
 
 
-def still_head(rows: int) -> list[Stream]:
-    """Return the streams of a chunk head whose splats are all alike, without any plane."""
-    numbers_of = (Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0, Attribute.SCALES)
-    flat = [constant(attribute, rows, *[0.5] * COMPONENTS[attribute]) for attribute in numbers_of]
-    return [*flat, quats(rows, 1, ranges=[(0.0, 0.0, 1)] * 3)]
+def _replaced(plain: Sequence[Stream], changed: Sequence[Stream]) -> list[Stream]:
+    found = {stream.attribute: stream for stream in changed}
+    return [found.get(stream.attribute, stream) for stream in plain]
+
+
+def place(body: Sequence[Stream], attribute: Attribute) -> int:
+    """Return where in a payload the stream of an attribute is."""
+    return [stream.attribute for stream in body].index(attribute)
+
+
+def still_head(rows: int, *changed: Stream) -> list[Stream]:
+    """Return the streams of a chunk head whose splats are all alike, some of them replaced."""
+
+    def flat(attribute: Attribute) -> Stream:
+        return constant(attribute, rows, *[0.5] * COMPONENTS[attribute])
+
+    others = [flat(a) for a in (Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0)]
+    turned = quats(rows, 1, ranges=[(0.0, 0.0, 1)] * 3)
+    return _replaced([flat(Attribute.SCALES), turned, *others], changed)
 
 
 def vq_head(
@@ -165,10 +178,10 @@ def vq_head(
 ) -> list[Stream]:
     """Return the streams of a head whose shapes come from a codebook, `still` in all else."""
     return [
-        *(still_head(rows) if still else head(rows, seed))[:3],
-        spread(Attribute.SCALE_FACTOR, rows, seed + 5, span=2.0, levels=50),
-        shape,
         *kept,
+        shape,
+        spread(Attribute.SCALE_FACTOR, rows, seed + 5, span=2.0, levels=50),
+        *(still_head(rows) if still else head(rows, seed))[2:],
     ]
 
 

@@ -428,7 +428,7 @@ def _compressed() -> Valid:
     ]
     means = scenes.coded(Attribute.MEANS, [(-1.0, 1.0, 256)] * 3, codes)
     mixed = scenes.quats(rows, 1, ranges=[(0.0, 0.0, 1)] * 3, largest=[0, 1] * (rows // 2))
-    head = pack_streams([means, *scenes.still_head(rows)[1:4], mixed])
+    head = pack_streams(scenes.still_head(rows, means, mixed))
     note = "zstd frames: one byte over and over, runs, a period"
     return Valid("compressed", build(one_chunk(head, rows)), ("6.3",), note)
 
@@ -449,10 +449,9 @@ def _frame_of_blocks() -> Valid:
         ((row == 7) | 1 << 1 | (8 << 3)).to_bytes(3, "little") + bytes([row]) for row in range(8)
     ]
     frame = bytes.fromhex("28b52ffd8000") + rows.to_bytes(4, "little") + b"".join(blocks)
-    still = scenes.still_head(rows)
-    head = [still[0], opacities, *still[2:]]
+    head = scenes.still_head(rows, opacities)
     records = [record(entry) for entry in head]
-    records[1].planes = [(len(frame) | 1 << 31, frame)]
+    records[scenes.place(head, Attribute.OPACITIES)].planes = [(len(frame) | 1 << 31, frame)]
     note = "a hand-made zstd frame: window descriptor, four-byte content size, RLE blocks"
     return Valid("frame-blocks", build(one_chunk(payload(records), rows)), ("6.3",), note)
 

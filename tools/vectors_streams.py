@@ -1,0 +1,362 @@
+"""Streams as SPEC 6 has them, decoded value by value: the lower half of `vectors_reference`.
+
+It shares no code with the codec, and rounds to float32 after every operation as a decoder in a
+browser does. Slow, and for valid files only.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from typing import Final
+
+import zstandard
+
+Row = list[float]
+
+# SPEC 6.2, by number.
+MEANS, OPACITIES, SH0, SCALES, QUATS, SCALE_FACTOR, SHAPE, SHN = range(1, 9)
+BANDS: Final = (9, 10, 11)
+SCALAR, MORTON, QUAT, VQ, FLOAT, LADDER, TURN, FINE, BASIS = range(1, 10)
+KEPT, INFINITIES = 1, 2
+
+
+def f32(value: float) -> float:
+    """Round to float32, as ``Math.fround``."""
+    rounded: float = struct.unpack("<f", struct.pack("<f", value))[0]
+    return rounded
+
+
+class _Body:
+    """The rANS body of a payload (SPEC 6.9)."""
+
+    def __init__(self, data: bytes, lanes: int) -> None:
+        self.states = list(struct.unpack_from(f"<{lanes}I", data))
+        self.words = [word for (word,) in struct.iter_unpack("<H", data[4 * lanes :])]
+        self.position = 0
+
+    def decode(self, table: bytes, length: int) -> bytes:
+        weights = [
+            code if code < 16 else (16 + code % 16) << (code // 16 - 1) for code in table[1:]
+        ]
+        spare = 4096 - sum(weight > 0 for weight in weights)
+        slots: list[tuple[int, int, int]] = []
+        running = shared = 0
+        for symbol, weight in enumerate(weights):
+            running += weight
+            share = running * spare // sum(weights)
+            count = share - shared + (weight > 0)
+            shared = share
+            slots += [(symbol, count, bias) for bias in range(count)]
+        if slots[0][1] == 4096:
+            return bytes([slots[0][0]]) * length
+        out = bytearray()
+        for index in range(length):
+            lane = index % len(self.states)
+            state = self.states[lane]
+            symbol, count, bias = slots[state % 4096]
+            state = count * (state // 4096) + bias
+            if state < 1 << 16:
+                state = state << 16 | self.words[self.position]
+                self.position += 1
+            self.states[lane] = state
+            out.append(symbol)
+        return bytes(out)
+
+
+class Record:
+    """One stream of a payload (SPEC 6.2, 6.3)."""
+
+    def __init__(self, fields: Sequence[int], params: bytes) -> None:
+        self.attribute, self.kind, _, self.flags, self.rows, self.num_planes, _ = fields
+        self.params = params
+        self.stored: list[tuple[int, bytes]] = []
+        self.body: _Body | None = None
+
+    def plane(self, index: int, length: int) -> bytes:
+        """Return a plane; those in the body must be asked for once, and in order."""
+        word, stored = self.stored[index]
+        if word >> 31:
+            raw: bytes = zstandard.ZstdDecompressor().decompress(stored)
+            return raw
+        if word >> 30 and self.body:
+            return self.body.decode(stored, length)
+        return stored
+
+
+Payload = dict[tuple[int, int], Record]
+
+
+def parse(payload: bytes) -> Payload:
+    """Return the records of a payload by attribute and the flag kept (SPEC 6.1)."""
+    records: list[Record] = []
+    words: list[tuple[int, ...]] = []
+    count, lanes = struct.unpack_from("<HH", payload)
+    position = 4
+    for _ in range(count):
+        fields = struct.unpack_from("<BBBBIHH", payload, position)
+        params_end = position + 12 + fields[6]
+        records.append(Record(fields, payload[position + 12 : params_end]))
+        words.append(struct.unpack_from(f"<{fields[5]}I", payload, params_end))
+        position = params_end + 4 * fields[5]
+    for record, sizes in zip(records, words, strict=True):
+        for word in sizes:
+            end = position + (word & 0x3FFFFFFF)
+            record.stored.append((word, payload[position:end]))
+            position = end
+    if lanes:
+        body = _Body(payload[position:], lanes)
+        for record in records:
+            record.body = body
+    return {(r.attribute, r.flags & KEPT): r for r in records}
+
+
+def _entries(params: bytes) -> list[tuple[float, float, int]]:
+    """Return minimum, step and levels of each component (SPEC 6.4)."""
+    out = []
+    for minimum, maximum, levels in struct.iter_unpack("<ffI", params):
+        step = f32(f32(maximum - minimum) / (levels - 1)) if levels > 1 else 0.0
+        out.append((minimum, step, levels))
+    return out
+
+
+def _planes_for(codes: int) -> int:
+    """Return how many bytes a code below `codes` takes (SPEC 6.4)."""
+    return next(count for count in range(4) if codes <= 256**count)
+
+
+def _codes(record: Record, first: int, count: int, rows: int) -> list[int]:
+    planes = [record.plane(first + i, rows) for i in range(count)]
+    return [sum(plane[row] << 8 * i for i, plane in enumerate(planes)) for row in range(rows)]
+
+
+def _on_grid(code: int, minimum: float, step: float) -> float:
+    return f32(f32(f32(code) * step) + minimum)
+
+
+def _scalar(record: Record, params: bytes, plane: int = 0) -> list[Row]:
+    """Return the rows of grid codes (SPEC 6.4)."""
+    columns: list[Row] = []
+    for minimum, step, levels in _entries(params):
+        extra = 2 if record.flags & INFINITIES else 0
+        count = _planes_for(levels + extra)
+        column = []
+        for code in _codes(record, plane, count, record.rows):
+            if code < levels:
+                column.append(_on_grid(code, minimum, step))
+            else:
+                column.append(math.inf if code == levels else -math.inf)
+        columns.append(column)
+        plane += count
+    return [list(row) for row in zip(*columns, strict=True)]
+
+
+def _floats(record: Record) -> list[Row]:
+    """Return the rows of stored floats (SPEC 6.8)."""
+    planes = [record.plane(i, record.rows) for i in range(record.num_planes)]
+    rows = []
+    for row in range(record.rows):
+        octets = bytes(plane[row] for plane in planes)
+        rows.append([value for (value,) in struct.iter_unpack("<f", octets)])
+    return rows
+
+
+class _Bits:
+    """Fields without gaps, lowest bit first (SPEC 6.5)."""
+
+    def __init__(self, data: bytes) -> None:
+        self._left = int.from_bytes(data, "little")
+
+    def take(self, width: int) -> int:
+        field = self._left & (1 << width) - 1
+        self._left >>= width
+        return field
+
+
+def _bytes_for(bits: int) -> int:
+    return (bits + 7) // 8
+
+
+def _morton_codes(record: Record) -> list[list[int]]:
+    """Return axis codes from Morton differences in planes 0 and 1 (SPEC 6.5)."""
+    classes = record.plane(0, record.rows)
+    bits = _Bits(record.plane(1, _bytes_for(sum(max(c - 1, 0) for c in classes))))
+    code, out = 0, []
+    for length in classes:
+        if length:
+            code += bits.take(length - 1) | 1 << length - 1
+        out.append([sum((code >> 3 * b + axis & 1) << b for b in range(21)) for axis in range(3)])
+    return out
+
+
+def _halvings(params: bytes, scales: Row) -> int:
+    """Return how often a row's step is halved (SPEC 6.10)."""
+    c = struct.unpack("<6f", params)
+    middle, thin, long = scales
+    p, q = f32(long - middle), f32(middle - thin)
+    total: float = c[0]
+    for factor, feature in zip(
+        c[1:], (long, min(p, 1.5), min(p, 5), min(q, 0.5), min(q, 3)), strict=True
+    ):
+        total = f32(total + f32(factor * feature))
+    return int(min(max(math.floor(total), 0), 15))
+
+
+def _fine(record: Record, scales: list[Row]) -> list[Row]:
+    """Return means on halved grids (SPEC 6.15)."""
+    grid, resolution = _entries(record.params[:36]), record.params[36:]
+    coarse = _morton_codes(record)
+    halved = [_halvings(resolution, row) for row in scales]
+    bits = _Bits(record.plane(2, _bytes_for(sum(3 * h for h in halved))))
+    rows = []
+    for cell, h in zip(coarse, halved, strict=True):
+        codes = [axis << h | bits.take(h) for axis in cell]
+        steps = [f32(step / (1 << h)) for _, step, _ in grid]
+        rows.append([_on_grid(codes[i], grid[i][0], steps[i]) for i in range(3)])
+    return rows
+
+
+def _ladder(record: Record) -> list[Row]:
+    """Return scales from the longest down (SPEC 6.12)."""
+    rows = []
+    for long, first, second in _scalar(record, record.params):
+        middle = f32(long - first)
+        rows.append([middle, f32(middle - second), long])
+    return rows
+
+
+def _sh0_basis(record: Record) -> list[Row]:
+    """Return sh0 on three axes (SPEC 6.13)."""
+    axes = struct.unpack("<9f", record.params[36:])
+    rows = []
+    for x, y, z in _scalar(record, record.params[:36]):
+        row = []
+        for channel in range(3):
+            a, b, c = axes[channel::3]
+            row.append(f32(f32(f32(x * a) + f32(y * b)) + f32(z * c)))
+        rows.append(row)
+    return rows
+
+
+def numbers(record: Record, scales: list[Row] | None = None) -> list[Row]:
+    """Return the rows of any stream but of quats and vq.
+
+    Parameters
+    ----------
+    record : Record
+    scales : list of list of float, optional
+        Of the same rows, for fine means.
+    """
+    if record.kind == FLOAT:
+        return _floats(record)
+    if record.kind == MORTON:
+        grid = _entries(record.params)
+        return [
+            [_on_grid(code, *grid[axis][:2]) for axis, code in enumerate(cell)]
+            for cell in _morton_codes(record)
+        ]
+    if record.kind == FINE and scales is not None:
+        return _fine(record, scales)
+    if record.kind == LADDER:
+        return _ladder(record)
+    if record.kind == BASIS:
+        return _sh0_basis(record)
+    return _scalar(record, record.params)
+
+
+def _unit(row: Row) -> Row:
+    w, x, y, z = row
+    squares = f32(f32(f32(w * w) + f32(x * x)) + f32(y * y))
+    norm = f32(math.sqrt(f32(squares + f32(z * z))))
+    row = [f32(value / norm) for value in row]
+    return [-value for value in row] if row[0] < 0 else row
+
+
+def _turn_column(record: Record, halved: list[int], plane: int) -> tuple[list[float], int]:
+    """Return one component of turns and the number of the plane behind it (SPEC 6.11)."""
+    symbols: dict[int, list[int]] = {}
+    for group in range(1, 7):
+        rows = [row for row, h in enumerate(halved) if min(h, 6) == group]
+        if rows:
+            symbols[group] = list(record.plane(plane, len(rows)))
+            plane += 1
+    bits = _Bits(record.plane(plane, _bytes_for(sum(max(h - 6, 0) for h in halved))))
+    values = []
+    for h in halved:
+        spare = max(h - 6, 0)
+        low = bits.take(spare)
+        if h:
+            code = symbols[min(h, 6)].pop(0) << spare | low
+            values.append(f32(f32(code * 2.0 ** (1 - h)) - 1))
+        else:
+            values.append(0.0)
+    return values, plane + 1
+
+
+def _turns(record: Record, scales: list[Row]) -> list[Row]:
+    """Return quaternions from tilt and spin (SPEC 6.11)."""
+    tilt = [_halvings(record.params[:24], row) for row in scales]
+    spin = [_halvings(record.params[24:], row) for row in scales]
+    columns, plane = [], 0
+    for halved in (tilt, tilt, spin):
+        column, plane = _turn_column(record, halved, plane)
+        columns.append(column)
+    rows = []
+    for a, b, c in zip(*columns, strict=True):
+        rows.append(_unit([1.0, f32(a + f32(b * c)), f32(b - f32(a * c)), c]))
+    return rows
+
+
+def quats(record: Record, scales: list[Row] | None = None) -> list[Row]:
+    """Return unit quaternions, w at least 0 (SPEC 6.6, 6.11); turns need the rows' scales."""
+    if record.kind == TURN and scales is not None:
+        return _turns(record, scales)
+    largest = record.params[0]
+    each = largest == 255
+    which = record.plane(0, record.rows) if each else bytes([largest]) * record.rows
+    others = _scalar(record, record.params[4:], 1 if each else 0)
+    rows = []
+    for index, (a, b, c) in zip(which, others, strict=True):
+        rest = f32(1 - f32(f32(f32(a * a) + f32(b * b)) + f32(c * c)))
+        row = [a, b, c]
+        row.insert(index, f32(math.sqrt(max(rest, 0.0))))
+        rows.append(_unit(row))
+    return rows
+
+
+def indices(record: Record, size: int) -> list[int]:
+    """Return the indices into a codebook of `size` rows and the kept rows behind (SPEC 6.7)."""
+    kept = struct.unpack("<II", record.params)[1]
+    return _codes(record, 0, _planes_for(size + kept), record.rows)
+
+
+def shn_basis(record: Record, basis: list[Row]) -> list[Row]:
+    """Return shN as sums of a codebook's rows (SPEC 6.14)."""
+    _, step, shrink, width, _ = struct.unpack_from("<IffHH", record.params)
+    sizes = record.params[16:]
+    ends = record.plane(0, record.rows)
+    rows = [[0.0] * len(basis[0]) for _ in range(record.rows)]
+    plane = 1
+    for column in range(width):
+        zigzag: dict[int, int] = {}
+        for part, offset in ((0, 1), (1, 0)):
+            chosen = [
+                row
+                for row, end in enumerate(ends)
+                if (end == column + 1 if part == 0 else end > column + 1)
+            ]
+            count = sizes[2 * column + part]
+            codes = _codes(record, plane, count, len(chosen))
+            plane += count
+            zigzag |= {row: code + offset for row, code in zip(chosen, codes, strict=True)}
+        for row, code in zigzag.items():
+            if not code:
+                continue
+            value = f32(f32((code + 1) // 2 - shrink) * step)
+            signed = value if code % 2 else -value
+            rows[row] = [
+                f32(old + f32(signed * entry))
+                for old, entry in zip(rows[row], basis[column], strict=True)
+            ]
+    return rows
