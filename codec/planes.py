@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Final
 
 import numpy as np
@@ -29,6 +32,11 @@ MAX_PLANE_BYTES: Final = 8 * 1024 * 1024
 
 MAX_WINDOW_BYTES: Final = 8 * 1024 * 1024
 """Largest zstd window a reader must provide: what browsers accept (RFC 9659)."""
+
+Meter = Callable[[memoryview, float], None]
+"""``meter(body, bits)``: a plane of so many bits was read from a segment's rANS body."""
+
+_METER: ContextVar[Meter | None] = ContextVar("meter", default=None)
 
 _FRAME_MAGIC: Final = bytes.fromhex("28b52ffd")  # RFC 8878, 3.1.1
 
@@ -85,6 +93,22 @@ class PlaneCoder:
         return lanes, rans.encode(self._ranked, lanes)
 
 
+@contextmanager
+def metered(meter: Meter) -> Iterator[None]:
+    """Report what planes take of the bodies they share, as the block decodes them on this thread.
+
+    Parameters
+    ----------
+    meter : Meter
+        Called for the planes of a body in the order in which they are stored.
+    """
+    token = _METER.set(meter)
+    try:
+        yield
+    finally:
+        _METER.reset(token)
+
+
 class PlaneReader:
     """Reads the planes in one segment's rANS body, in the order of their records.
 
@@ -94,13 +118,18 @@ class PlaneReader:
         As the payload states; 0 where there is no body.
     where : str
         Names the segment in messages.
+
+    Attributes
+    ----------
+    body : memoryview
+        What the planes share, as it is stored.
     """
 
     def __init__(self, lanes: int, where: str) -> None:
         self._lanes = lanes
         self._where = where
+        self.body = memoryview(b"")
         self._waiting: deque[memoryview] = deque()
-        self._body = memoryview(b"")
         self._decoder: rans.Decoder | None = None
 
     def expect(self, stored: memoryview) -> None:
@@ -122,7 +151,7 @@ class PlaneReader:
                 f"{len(body)} bytes behind the last plane, expected all or none",
                 clause="6.1",
             )
-        self._body = body
+        self.body = body
 
     def read(self, stored: memoryview, length: int, where: str) -> U8:
         """Return the next plane, whose table is `stored`.
@@ -144,8 +173,8 @@ class PlaneReader:
         self._waiting.popleft()
         if self._decoder is None:
             # Compiled code pays once it is loaded; loading it takes longer than a small file.
-            compiled = "numba" in sys.modules
-            self._decoder = rans.Decoder(self._body, self._lanes, compiled=compiled)
+            compiled = sys.modules.get("numba") is not None
+            self._decoder = rans.Decoder(self.body, self._lanes, compiled=compiled)
         table, used = unpack_table(stored)
         if used != len(stored):
             raise FormatError(
@@ -153,7 +182,12 @@ class PlaneReader:
                 f"{where}: a table of {len(stored)} bytes, expected {used}",
                 clause="6.9",
             )
-        return self._decoder.decode(table, length)
+        plane = self._decoder.decode(table, length)
+        meter = _METER.get()
+        if meter is not None:
+            # Without the bits of the table, which is stored apart.
+            meter(self.body, table.bits(np.bincount(plane, minlength=1)) - 8.0 * len(stored))
+        return plane
 
     def finish(self) -> None:
         """Check that the body ended where its last plane did, once all planes were read."""

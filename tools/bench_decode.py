@@ -5,6 +5,7 @@ Run ``python -m cogsplat.tools.bench_decode FILE.cogs ... [--synth 1000000]``.
 
 from __future__ import annotations
 
+import importlib.util
 import multiprocessing
 import platform
 import statistics
@@ -182,6 +183,9 @@ def main(
     if core:
         # As if it were not installed: importing it fails from here on.
         sys.modules["numba"] = None  # type: ignore[assignment]
+    elif importlib.util.find_spec("numba"):
+        # The decoder uses it where it is loaded already, and does not load it for one small file.
+        importlib.import_module("numba")
     subjects = [(path, name_of(path)) for path in files]
     with tempfile.TemporaryDirectory() as folder:
         for degree in (0, 3) if synth_splats else ():

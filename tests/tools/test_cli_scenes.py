@@ -285,6 +285,10 @@ def test_info_accounts_for_every_byte(run: Run, small: SmallScene) -> None:
     assert isinstance(attributes, list)
     assert isinstance(chunks, list)
     assert sum(entry["bytes"] for entry in attributes) == report["bytes"] == size
+    stray = [e["bytes"] for e in attributes if e["stream"] == "framing of segments"]
+    assert sum(stray) <= 4 * int(str(report["segments"]))
+    streams = [e for e in attributes if e["segment"] != "index"]
+    assert all(entry["bytes"] > 0 for entry in streams)
     assert sum(chunk["splats"] for chunk in chunks) == report["splats"]
     assert chunks[-1]["share_so_far"] == pytest.approx(1.0)
     assert [chunk["number"] for chunk in chunks] == list(range(len(chunks)))
