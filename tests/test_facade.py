@@ -1,0 +1,391 @@
+import hashlib
+import math
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cogsplat
+from cogsplat import Camera, Cancelled, DataError, FormatError, Splats, StorageError, TruncatedError
+from cogsplat.codec.encoder import PROFILES, EncodeConfig
+from cogsplat.codec.score import ScoreConfig, score
+from cogsplat.codec.splats import empty
+from cogsplat.formats.camera_files import write_cameras_json
+from cogsplat.formats.source import FileSource
+
+ROOT = Path(__file__).resolve().parents[1]
+FIELDS = ("means", "scales", "quats", "opacities", "sh0", "shN")
+KEEP = EncodeConfig(prune=None, chunk_splats=50, threads=1)
+
+
+def scene(n=300, degree=3, seed=1) -> Splats:
+    rng = np.random.default_rng(seed)
+    blank = empty(degree, n)
+    return replace(
+        blank,
+        means=rng.normal(size=(n, 3)).astype(np.float32),
+        scales=rng.normal(-2.5, 0.5, (n, 3)).astype(np.float32),
+        quats=rng.normal(size=(n, 4)).astype(np.float32),
+        opacities=rng.normal(1, 1, n).astype(np.float32),
+        sh0=rng.normal(size=(n, 3)).astype(np.float32),
+        shN=(0.2 * rng.normal(size=blank.shN.shape)).astype(np.float32),
+    )
+
+
+def ring(count=4, distance=5.0) -> list[Camera]:
+    cameras = []
+    for angle in np.linspace(0, 2 * math.pi, count, endpoint=False):
+        cos, sin = math.cos(angle), math.sin(angle)
+        rotation = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+        shift = np.array([0.0, 0.0, distance])
+        cameras.append(Camera(48, 40, 45.0, 45.0, 24.0, 20.0, rotation, shift, f"view {angle}"))
+    return cameras
+
+
+def same(a, b):
+    return all(getattr(a, f).tobytes() == getattr(b, f).tobytes() for f in FIELDS)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A file of several chunks, its scene and its scores."""
+    path = tmp_path_factory.mktemp("facade") / "scene.cogs"
+    splats = scene()
+    scores = score(splats, ring(), ScoreConfig(threads=1))
+    length = cogsplat.encode(splats, path, scores=scores, config=KEEP)
+    assert length == path.stat().st_size
+    return path, splats, scores
+
+
+# Encoding.
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize(("n", "degree"), [(0, 3), (1, 0), (2, 1), (100, 2), (100, 3)])
+def test_scenes_of_any_size_come_back(tmp_path, profile, n, degree):
+    splats = scene(n, degree)
+    path = tmp_path / "out.cogs"
+    config = replace(KEEP, profile=profile, quality_db=60.0, morton=False, order="source")
+    cogsplat.encode(splats, path, cameras=ring(), config=config)
+    out = cogsplat.decode(path)
+    assert (len(out), out.sh_degree) == (n, degree)
+    np.testing.assert_allclose(out.sh0, splats.sh0, atol=0.1)
+    np.testing.assert_allclose(out.means, splats.means, atol=0.1)
+    assert out.info == splats.info
+    assert [file.name for file in tmp_path.iterdir()] == ["out.cogs"]
+
+
+def test_without_cameras_virtual_views_are_scored(tmp_path):
+    splats = scene(200)
+    stages = []
+    path = tmp_path / "shell.cogs"
+    cogsplat.encode(splats, path, progress=lambda *call: stages.append(call))
+    assert ("score", 144, 144) in stages
+    assert len(cogsplat.decode(path)) <= 200
+    with cogsplat.open(path) as file:
+        assert file.root.first_view is None
+
+
+def test_given_scores_are_not_measured_again(tmp_path, made):
+    path, splats, scores = made
+    stages = set()
+    again = tmp_path / "again.cogs"
+    cogsplat.encode(
+        splats, again, scores=scores, config=KEEP, progress=lambda *call: stages.add(call[0])
+    )
+    assert "score" not in stages
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_cameras_and_scenes_may_be_files(tmp_path):
+    splats, cameras = scene(120), ring()
+    cogsplat.write(tmp_path / "scene.ply", splats)
+    write_cameras_json(tmp_path / "cameras.json", cameras)
+    a, b = tmp_path / "a.cogs", tmp_path / "b.cogs"
+    config = replace(KEEP, profile="near")
+    cogsplat.encode(str(tmp_path / "scene.ply"), str(a), cameras=str(tmp_path / "cameras.json"),
+                    config=config)  # fmt: skip
+    read = cogsplat.read_cameras(tmp_path / "cameras.json")
+    assert len(read) == len(cameras)
+    cogsplat.encode(cogsplat.read(tmp_path / "scene.ply"), b, cameras=read, config=config)
+    assert a.read_bytes() == b.read_bytes()
+    with cogsplat.open(a) as file:
+        view = file.root.first_view
+        assert view is not None
+        np.testing.assert_allclose(view.rotation, cameras[0].rotation, atol=1e-6)
+    cogsplat.encode(a, tmp_path / "c.cogs", cameras=cameras, config=config)
+    assert len(cogsplat.read(tmp_path / "c.cogs")) == 120
+
+
+def test_an_existing_file_is_refused_before_any_work(tmp_path, made):
+    path, splats, scores = made
+    target = tmp_path / "there.cogs"
+    target.write_bytes(b"mine")
+    stages = []
+    with pytest.raises(StorageError) as caught:
+        cogsplat.encode(splats, target, cameras=ring(), progress=lambda *call: stages.append(call))
+    assert (caught.value.code, caught.value.exit_code) == ("exists", 2)
+    assert stages == []
+    assert target.read_bytes() == b"mine"
+    cogsplat.encode(splats, target, scores=scores, config=KEEP, force=True)
+    assert target.read_bytes() == path.read_bytes()
+    with pytest.raises(StorageError) as caught:
+        cogsplat.encode(splats, tmp_path / "no" / "such.cogs", scores=scores)
+    assert caught.value.code == "not-found"
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_cancelling_anywhere_leaves_no_file_and_keeps_the_old_one(tmp_path, force):
+    splats, cameras = scene(120), ring(2)
+    target = tmp_path / "out.cogs"
+    calls = []
+    cogsplat.encode(
+        splats, target, cameras=cameras, config=KEEP, progress=lambda *call: calls.append(call)
+    )
+    target.write_bytes(b"old") if force else target.unlink()
+    assert {call[0] for call in calls} == {"score", "codebooks", "chunks"}
+
+    def stop(stage, done, total):
+        reached.append((stage, done, total))
+        if len(reached) > allowed:
+            raise Cancelled
+
+    for allowed in range(len(calls)):
+        reached = []
+        with pytest.raises(Cancelled) as caught:
+            cogsplat.encode(
+                splats, target, cameras=cameras, config=KEEP, progress=stop, force=force
+            )
+        assert caught.value.exit_code == 130
+        assert reached == calls[: allowed + 1]
+        assert [file.name for file in tmp_path.iterdir()] == (["out.cogs"] if force else [])
+    if force:
+        assert target.read_bytes() == b"old"
+
+
+@pytest.mark.parametrize(
+    ("broken", "code"),
+    [
+        ({"means": np.full((300, 3), np.nan, np.float32)}, "invalid-rows"),
+        ({"quats": np.zeros((300, 4), np.float32)}, "invalid-rows"),
+        ({"opacities": np.full(300, -np.inf, np.float32)}, "cameras-see-nothing"),
+        ({"sh0": np.full((300, 3), 1e35, np.float32)}, "value-range"),
+    ],
+)
+def test_scenes_that_cannot_be_used_are_refused(tmp_path, broken, code):
+    with pytest.raises(DataError) as caught:
+        cogsplat.encode(replace(scene(), **broken), tmp_path / "out.cogs", cameras=ring())
+    assert caught.value.code == code
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_cameras_that_cannot_be_used_are_refused(tmp_path):
+    splats, path = scene(50), tmp_path / "out.cogs"
+    away = [replace(camera, translation=np.array([0.0, 0.0, -500.0])) for camera in ring()]
+    for cameras, code in (([], "no-cameras"), (away, "cameras-see-nothing")):
+        with pytest.raises(DataError) as caught:
+            cogsplat.encode(splats, path, cameras=cameras)
+        assert caught.value.code == code
+    with pytest.raises(StorageError) as missing:
+        cogsplat.encode(splats, path, cameras=tmp_path / "none.json")
+    assert missing.value.code == "not-found"
+    with pytest.raises(StorageError) as missing:
+        cogsplat.encode(tmp_path / "none.ply", path)
+    assert missing.value.code == "not-found"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_scores_of_another_scene_are_refused(tmp_path, made):
+    _, splats, scores = made
+    with pytest.raises(DataError) as caught:
+        cogsplat.encode(splats.take(slice(0, 20)), tmp_path / "out.cogs", scores=scores)
+    assert caught.value.code == "scores-mismatch"
+    assert list(tmp_path.iterdir()) == []
+
+
+ENCODE = """
+import sys
+import numpy as np
+sys.path.insert(0, "tests")
+from test_facade import ring, scene
+import cogsplat
+from cogsplat.codec.encoder import EncodeConfig
+from cogsplat.codec.score import ScoreConfig
+threads = int(sys.argv[2])
+for profile in ("transform", "vq"):
+    config = EncodeConfig(profile=profile, chunk_splats=200, threads=threads)
+    cogsplat.encode(scene(2500), f"{sys.argv[1]}-{profile}.cogs", cameras=ring(), config=config,
+                    score_config=ScoreConfig(threads=threads))
+"""
+
+
+@pytest.mark.slow
+def test_threads_and_hash_seeds_change_no_byte_of_a_file(tmp_path):
+    digests = set()
+    for threads, seed in ((1, "0"), (2, "4321")):
+        count = str(threads)
+        environment = {
+            **os.environ,
+            "OMP_NUM_THREADS": count,
+            "OPENBLAS_NUM_THREADS": count,
+            "MKL_NUM_THREADS": count,
+            "PYTHONHASHSEED": seed,
+        }
+        target = tmp_path / f"threads-{count}"
+        subprocess.run(
+            [sys.executable, "-c", ENCODE, str(target), count],
+            env=environment, cwd=ROOT, check=True,
+        )  # fmt: skip
+        files = [Path(f"{target}-{profile}.cogs") for profile in ("transform", "vq")]
+        digests.add(tuple(hashlib.sha256(file.read_bytes()).hexdigest() for file in files))
+    assert len(digests) == 1
+
+
+# Decoding.
+
+
+def test_parts_are_rows_of_the_whole(made):
+    path, splats, _ = made
+    whole = cogsplat.decode(path)
+    with cogsplat.open(path) as file:
+        counts = [int(count) for count in file.chunks.splats]
+    assert sum(counts) == len(whole) == len(splats)
+    assert len(counts) == 6
+    ends = np.cumsum([0, *counts])
+    for first in range(7):
+        for last in range(first, 7):
+            part = cogsplat.decode(path, chunks=(first, last))
+            assert same(part, whole.take(slice(int(ends[first]), int(ends[last]))))
+    for wanted in (0, 1, 50, 51, 299, 300, 10**9):
+        part = cogsplat.decode(path, splats=wanted)
+        expected = ends[np.searchsorted(ends, min(wanted, 300))]
+        assert len(part) == expected
+        assert same(part, whole.take(slice(0, int(expected))))
+
+
+def test_the_degree_may_be_cut(made):
+    path, *_ = made
+    whole = cogsplat.decode(path)
+    for degree in range(4):
+        part = cogsplat.decode(path, sh_degree=degree)
+        assert same(part, whole.with_sh_degree(degree))
+
+
+def test_prefixes_decode_to_what_is_complete(made, tmp_path):
+    path, *_ = made
+    whole, data = cogsplat.decode(path), path.read_bytes()
+    counts = []
+    for share in (0.3, 0.5, 0.8, 1.0):
+        size = round(share * len(data))
+        part = cogsplat.decode(path, size_bytes=size)
+        counts.append(len(part))
+        assert part.means.tobytes() == whole.means[: len(part)].tobytes()
+        short = tmp_path / f"{size}.cogs"
+        short.write_bytes(data[:size])
+        with cogsplat.open(short, partial=True) as file:
+            assert same(file.decode(), part)
+        if size < len(data):
+            with pytest.raises(TruncatedError):
+                cogsplat.decode(short)
+    assert counts == sorted(counts)
+    assert counts[-1] == len(whole)
+    assert same(cogsplat.decode(path, size_bytes=10**12), whole)
+    for size in (0, 1, 63):
+        with pytest.raises(TruncatedError):
+            cogsplat.decode(path, size_bytes=size)
+
+
+def test_sources_decode_as_paths_do(made):
+    path, *_ = made
+    whole = cogsplat.decode(path)
+    assert same(cogsplat.decode(FileSource(path)), whole)
+    assert same(cogsplat.decode(str(path), threads=2), whole)
+    assert same(cogsplat.read(path), whole)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"chunks": (0, 1), "splats": 1},
+        {"splats": 1, "size_bytes": 1000},
+        {"chunks": (0, 7)},
+        {"chunks": (3, 2)},
+        {"chunks": (-1, 2)},
+        {"splats": -1},
+        {"size_bytes": -1},
+        {"threads": -1},
+        {"sh_degree": -1},
+        {"sh_degree": 4},
+    ],
+)
+def test_arguments_out_of_range_are_refused(made, options):
+    with pytest.raises(ValueError, match=r"expected|more than one"):
+        cogsplat.decode(made[0], **options)
+
+
+def test_decoding_reports_and_may_be_stopped(made):
+    calls = []
+    cogsplat.decode(made[0], progress=lambda *call: calls.append(call))
+    assert calls[-1][1] == calls[-1][2] > 0
+
+    def stop(*call):
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        cogsplat.decode(made[0], progress=stop)
+
+
+def test_what_is_no_cogs_file_is_refused(tmp_path):
+    for name, data in (("empty", b""), ("text", b"hello\n" * 100), ("zeros", bytes(5000))):
+        path = tmp_path / name
+        path.write_bytes(data)
+        with pytest.raises(FormatError):
+            cogsplat.decode(path)
+        with pytest.raises(FormatError):
+            cogsplat.open(path)
+    for path in (tmp_path / "none.cogs", tmp_path):
+        with pytest.raises(StorageError):
+            cogsplat.decode(path)
+
+
+# Scenes of other formats.
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_scenes_are_written_and_read(tmp_path, degree):
+    splats = scene(40, degree)
+    path = tmp_path / "scene.ply"
+    cogsplat.write(path, splats)
+    assert same(cogsplat.read(path), splats)
+    with pytest.raises(StorageError) as caught:
+        cogsplat.write(path, splats)
+    assert caught.value.code == "exists"
+    cogsplat.write(path, splats.take(slice(0, 3)), force=True)
+    assert len(cogsplat.read(path)) == 3
+
+
+def test_what_no_format_takes_is_refused(tmp_path):
+    for name in ("scene.cogs", "scene.xyz", "scene"):
+        with pytest.raises(FormatError) as caught:
+            cogsplat.write(tmp_path / name, scene(5))
+        assert caught.value.code == "unknown-format"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_facade_names_what_it_gives():
+    assert sorted(cogsplat.__all__) == cogsplat.__all__
+    for name in cogsplat.__all__:
+        assert getattr(cogsplat, name) is not None
+    assert cogsplat.__version__
+
+
+def test_importing_it_needs_no_compiler():
+    done = subprocess.run(
+        [sys.executable, "-c", "import cogsplat, sys; print('numba' in sys.modules)"],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == "False"
