@@ -1,0 +1,284 @@
+"""SPEC against the code: clauses, layouts, tables of numbers, limits, and every reason code."""
+
+import ast
+import json
+import re
+import struct
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+from cogsplat.codec import chunking, colour_streams, grid, morton, planes, rans, resolution, streams
+from cogsplat.codec.splats import MAX_SH_DEGREE
+from cogsplat.formats import cogs_layout, cogs_root, strict_msgpack
+from cogsplat.tools import make_vectors
+
+ROOT = Path(__file__).resolve().parents[1]
+SPEC = (ROOT / "SPEC.md").read_text(encoding="utf-8")
+MANIFEST = json.loads((ROOT / "tests" / "vectors" / "manifest.json").read_text(encoding="utf-8"))
+
+# Every module between the bytes of a file and its rows: whatever else raises a reason code.
+READING = sorted(
+    {
+        *(ROOT / "formats").glob("cogs*.py"),
+        ROOT / "formats" / "strict_msgpack.py",
+        ROOT / "formats" / "source.py",
+        *(path for path in (ROOT / "codec").glob("*.py") if "clause=" in path.read_text("utf-8")),
+        *(path for path in (ROOT / "codec").glob("*.py") if "(SPEC " in path.read_text("utf-8")),
+    }
+)
+CLASSES = {
+    "FormatError": "format",
+    "TruncatedError": "truncated",
+    "UnsupportedError": "unsupported",
+    "LimitError": "limit",
+}
+CODE = re.compile(r"[a-z0-9]+(?:-[a-z0-9]+)+")
+CITED = re.compile(r"SPEC (\d+(?:\.\d+)?)")
+
+
+def section(heading):
+    """The text from a heading to the next one of its level or above."""
+    start = re.search(rf"^(#+) {re.escape(heading)}.*$", SPEC, re.MULTILINE)
+    assert start, heading
+    rest = SPEC[start.end() :]
+    end = re.search(rf"^#{{1,{len(start[1])}}} ", rest, re.MULTILINE)
+    return rest[: end.start()] if end else rest
+
+
+def tables(text):
+    """Every table as a list of rows of cells, the header left out."""
+    found, rows = [], []
+    for line in [*text.splitlines(), ""]:
+        if line.startswith("|"):
+            rows.append([cell.strip().strip("`") for cell in line.strip("|").split("|")])
+        elif rows:
+            found.append(rows[2:])
+            rows = []
+    return found
+
+
+def number(text):
+    return int(text.replace(",", ""))
+
+
+def registry():
+    """Reason code to its class and clauses, from section 12."""
+    (rows,) = tables(section("12 "))
+    found = {code: (kind, set(clauses.split(", "))) for code, kind, clauses, _ in rows}
+    assert len(found) == len(rows)
+    return found
+
+
+def raised(paths):
+    """Reason codes that modules raise: code to classes and to the clauses stated beside it."""
+    classes, clauses = defaultdict(set), defaultdict(set)
+    for path in paths:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call):
+                continue
+            name = (
+                node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
+            )
+            texts = [a.value for a in node.args if isinstance(a, ast.Constant)]
+            codes = [t for t in texts if isinstance(t, str) and CODE.fullmatch(t)]
+            if not codes:
+                continue
+            if name in CLASSES:
+                classes[codes[0]].add(CLASSES[name])
+                stated = [k.value.value for k in node.keywords
+                          if k.arg == "clause" and isinstance(k.value, ast.Constant)]  # fmt: skip
+                clauses[codes[0]] |= set(stated) | set(CITED.findall(ast.unparse(node)))
+            elif name in ("error", "refuse"):
+                classes[codes[0]].add("format")
+    return classes, clauses
+
+
+def test_every_clause_the_code_cites_is_a_heading():
+    headings = set(re.findall(r"^#{2,4} (\d+(?:\.\d+)?) ", SPEC, re.MULTILINE))
+    cited = set()
+    for package in ("codec", "formats", "tools"):
+        for path in (ROOT / package).glob("*.py"):
+            cited |= set(CITED.findall(path.read_text(encoding="utf-8")))
+    assert len(cited) > 20
+    assert cited - headings == set()
+
+
+def test_clauses_in_the_text_exist():
+    headings = set(re.findall(r"^#{2,4} (\d+(?:\.\d+)?) ", SPEC, re.MULTILINE))
+    body = re.sub(r"```.*?```", "", SPEC.split("## Appendix A")[0], flags=re.DOTALL)
+    cited = re.findall(r"(?<![\d.,×−-])\(?(?:as |clause |section )?(\d\.\d{1,2})(?![\d.])", body)
+    strange = {c for c in cited if c not in headings} - {"1.0", "0.1", "0.5", "1.5"}
+    assert strange == set()
+
+
+def test_clauses_stand_in_order():
+    found = re.findall(r"^#{2,4} (\d+)(?:\.(\d+))? ", SPEC, re.MULTILINE)
+    numbers = [(int(a), int(b or 0)) for a, b in found]
+    assert numbers == sorted(set(numbers))
+
+
+LAYOUT = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "f32": "f"}
+
+
+def layout_of(rows):
+    """Offsets and the struct format of a table of fields, as far as its offsets are numbers."""
+    text, offsets = "<", []
+    for offset, size, kind, *_ in rows:
+        if not offset.isdigit():
+            break
+        assert int(offset) == struct.calcsize(text)
+        offsets.append(int(offset))
+        count = f"{size}s" if kind == "bytes" else LAYOUT[kind]
+        if size.isdigit():
+            text += count
+    return text, offsets
+
+
+def test_preamble_is_as_the_code_packs_it():
+    (rows,) = tables(section("3.1 "))
+    text, _ = layout_of(rows)
+    assert struct.calcsize(text) == cogs_layout.PREAMBLE_BYTES == 64
+    preamble = cogs_layout.Preamble(0, 1, 0x1234, 0x56789A, 0xBCDEF012)
+    fields = dict(
+        zip(
+            [row[3] for row in rows],
+            struct.unpack(text, cogs_layout.pack_preamble(preamble)),
+            strict=True,
+        )
+    )
+    assert fields["magic"] == cogs_layout.MAGIC == bytes.fromhex(rows[0][4].replace(" ", ""))
+    stated = ("major", "minor", "root_length", "file_length", "root_crc")
+    assert [fields[name] for name in stated] == [0, 1, 0x1234, 0x56789A, 0xBCDEF012]
+    assert fields["reserved"] == bytes(32)
+
+
+def test_record_is_as_the_code_packs_it():
+    text, offsets = layout_of(tables(section("6.2 "))[0])
+    assert struct.calcsize(text) == streams.RECORD_BYTES == 12
+    assert offsets == [0, 1, 2, 3, 4, 8, 10, 12]
+    assert struct.Struct(text).format == streams._RECORD.format
+
+
+@pytest.mark.parametrize(
+    ("clause", "expected"),
+    [("6.4 ", grid._ENTRY.format), ("6.14 ", colour_streams._SHN.format)],
+)
+def test_parameters_are_as_the_code_packs_them(clause, expected):
+    text, _ = layout_of(tables(section(clause))[0])
+    assert text.rstrip("B") == expected.rstrip("B")
+
+
+def test_numbers_of_attributes_kinds_and_flags():
+    _, attributes, kinds, flags = tables(section("6.2 "))
+    names = {a: a.name.lower() for a in streams.Attribute}
+    assert {int(row[0]) for row in attributes} == {int(a) for a in streams.Attribute}
+    for row in attributes:
+        attribute = streams.Attribute(int(row[0]))
+        assert row[1].split(",")[0].replace(" ", "_").lower() == names[attribute]
+        assert int(row[2].split(",")[0]) == streams.COMPONENTS[attribute]
+        assert set(row[3].split(", ")) <= {k.name.lower() for k in streams.Kind}
+    assert {int(n): name for n, name, _ in kinds} == {int(k): k.name.lower() for k in streams.Kind}
+    assert {int(n): name for n, name, _ in flags} == {
+        streams.KEPT: "kept",
+        streams.INFINITIES: "infinities",
+    }
+
+
+def test_numbers_of_segment_kinds():
+    (rows,) = tables(section("5.2 "))
+    known = {int(row[0]): row[1] for row in rows if row[0].isdigit()}
+    words = {"head": "HEAD", "tail": "TAIL", "shape codebook": "SHAPE_CODEBOOK"}
+    words |= {f"colour codebook, band {b}": f"COLOUR_BAND{b}" for b in (1, 2, 3)}
+    assert {n: words[name] for n, name in known.items()} == {
+        int(k): k.name for k in cogs_layout.SegmentKind
+    }
+    assert rows[-1][0] == f"{cogs_layout.SKIPPABLE_KIND}–255"
+
+
+def test_keys_are_those_the_code_writes():
+    def keys(clause):
+        return [
+            name.strip("` ") for row in tables(section(clause))[0] for name in row[0].split(", ")
+        ]
+
+    blank = cogs_root.no_segments()
+    assert keys("5.3 ") == list(cogs_root.segments_value(blank))
+    source = (ROOT / "formats" / "cogs_root.py").read_text(encoding="utf-8")
+    for clause in ("4.2 ", "4.4 ", "5.4 ", "5.5 ", "5.6 "):
+        assert [key for key in keys(clause) if f'"{key}"' not in source] == []
+
+
+def test_limits_are_the_constants():
+    (rows,) = tables(section("9.1 "))
+    assert {what: number(most) for what, most in rows} == {
+        "end of the root, bytes": cogs_layout.MAX_ROOT_END,
+        "file, bytes": cogs_layout.MAX_FILE_BYTES,
+        "splats of a file": cogs_layout.MAX_SPLATS,
+        "splats of a chunk": chunking.MAX_CHUNK_SPLATS,
+        "segments of a file": cogs_layout.MAX_SEGMENTS,
+        "index pages": cogs_layout.MAX_PAGES,
+        "bytes of an index page": cogs_layout.MAX_PAGE_BYTES,
+        "nesting of root and pages": strict_msgpack.MAX_DEPTH,
+        "codebooks": cogs_layout.MAX_CODEBOOKS,
+        "rows of a codebook": streams.MAX_CODEBOOK_ROWS,
+        "streams of a payload": streams.MAX_STREAMS,
+        "rANS lanes": rans.MAX_LANES,
+        "bytes of a decoded plane": planes.MAX_PLANE_BYTES,
+        "zstd window, bytes": planes.MAX_WINDOW_BYTES,
+        "levels of a grid": grid.MAX_LEVELS,
+        "levels of a Morton grid": morton.MAX_LEVELS,
+        "coordinates of a basis stream": colour_streams.MAX_BASIS_ROWS,
+        "halvings": resolution.MAX_HALVINGS,
+        "SH degree": MAX_SH_DEGREE,
+    }
+
+
+def test_version_is_the_code_s():
+    assert f"Version {cogs_layout.MAJOR}.{cogs_layout.MINOR}," in SPEC
+    assert MANIFEST["format"] == f"{cogs_layout.MAJOR}.{cogs_layout.MINOR}"
+
+
+def test_reason_codes_are_those_the_code_raises():
+    classes, clauses = raised(READING)
+    listed = registry()
+    # What writers and callers meet is no verdict on a file.
+    reading = {code: kinds for code, kinds in classes.items() if kinds & set(CLASSES.values())}
+    assert len(reading) > 50
+    assert reading.keys() == listed.keys()
+    for code, kinds in reading.items():
+        assert kinds == {listed[code][0]}, code
+        assert {c for c in clauses[code] if "." in c} <= listed[code][1], code
+
+
+def test_reason_codes_have_files():
+    broken = defaultdict(set)
+    for entry in MANIFEST["invalid"]:
+        broken[entry["code"]].add(entry["clause"])
+    listed = registry()
+    # No file breaks this rule: it is about a file that changes.
+    assert listed.keys() - broken.keys() == {"source-changed"}
+    for code, clauses in broken.items():
+        assert clauses <= listed[code][1], code
+
+
+def test_clauses_of_a_reason_code_name_it():
+    for code, (_, clauses) in registry().items():
+        for clause in clauses:
+            chapter = clause.split(".")[0]
+            # The codes of 4.2 serve all maps of sections 4 and 5.
+            named = section(f"{clause} ") + section("4.2 " if chapter == "5" else f"{chapter} ")
+            assert f"`{code}`" in named, (code, clause)
+
+
+def test_dump_and_lists_come_from_the_files():
+    assert make_vectors.with_blocks(SPEC, make_vectors.spec_blocks()) == SPEC
+    smallest = (ROOT / "tests" / "vectors" / "valid" / f"{make_vectors.SMALLEST}.cogs").read_bytes()
+    lines = section("Appendix A").split("```text\n")[1].split("```")[0].splitlines()
+    shown = b"".join(bytes.fromhex(line[7:54]) for line in lines)
+    assert shown == smallest
+
+
+def test_links_to_nowhere_are_not_there():
+    assert "](" not in SPEC

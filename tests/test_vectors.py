@@ -1,0 +1,212 @@
+"""Our reader against the conformance files: bits of the valid, reason codes of the others."""
+
+import hashlib
+import itertools
+import json
+import random
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cogsplat.codec.errors import CogsplatError, TruncatedError
+from cogsplat.formats.cogs_reader import open_cogs
+from cogsplat.formats.source import BytesSource
+from cogsplat.tools import make_vectors
+
+VECTORS = Path(__file__).resolve().parent / "vectors"
+MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))
+VALID = MANIFEST["valid"]
+INVALID = MANIFEST["invalid"]
+ARRAYS = MANIFEST["arrays"]
+
+
+def name_of(entry):
+    return entry["name"]
+
+
+def data_of(folder, entry):
+    return (VECTORS / folder / f"{entry['name']}.cogs").read_bytes()
+
+
+def arrays_of(entry):
+    values = np.fromfile(VECTORS / "valid" / f"{entry['name']}.f32", "<f4")
+    out, start = {}, 0
+    for name in ARRAYS:
+        shape = entry["shapes"][name]
+        stop = start + int(np.prod(shape))
+        out[name] = values[start:stop].reshape(shape)
+        start = stop
+    assert start == len(values)
+    return out
+
+
+def assert_rows(splats, arrays, rows):
+    """Compare bits: rows of a decoded scene with those of the expected arrays."""
+    for name in ARRAYS:
+        actual, expected = getattr(splats, name), arrays[name][rows]
+        assert actual.shape == expected.shape, name
+        assert np.array_equal(actual.view(np.uint32), expected.view(np.uint32)), name
+
+
+def refusal(call):
+    try:
+        call()
+    except CogsplatError as error:
+        return error
+    return None
+
+
+def clause_of(error):
+    stated = getattr(error, "clause", "")
+    return stated or re.search(r"SPEC (\d+\.\d+)", error.message)[1]
+
+
+def test_there_are_files_and_the_manifest_lists_them_all():
+    listed = {"README.md", "manifest.json"}
+    for entry in VALID:
+        listed |= {f"valid/{entry['name']}.cogs", f"valid/{entry['name']}.f32"}
+    listed |= {f"invalid/{entry['name']}.cogs" for entry in INVALID}
+    there = {path.relative_to(VECTORS).as_posix() for path in VECTORS.rglob("*") if path.is_file()}
+    assert there == listed
+    assert len(VALID) >= 12
+    assert len(INVALID) >= 50
+    names = [
+        (folder, entry["name"]) for folder in ("valid", "invalid") for entry in MANIFEST[folder]
+    ]
+    assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize("folder", ["valid", "invalid"])
+def test_files_are_those_of_the_manifest(folder):
+    for entry in MANIFEST[folder]:
+        data = data_of(folder, entry)
+        assert (len(data), hashlib.sha256(data).hexdigest()) == (entry["bytes"], entry["sha256"])
+    for entry in VALID:
+        arrays = (VECTORS / "valid" / f"{entry['name']}.f32").read_bytes()
+        assert hashlib.sha256(arrays).hexdigest() == entry["arrays_sha256"]
+
+
+def test_files_are_what_the_generator_makes():
+    assert make_vectors.differences() == []
+
+
+@pytest.mark.parametrize("entry", VALID, ids=name_of)
+def test_valid_file_decodes_to_the_bit(entry):
+    with open_cogs(BytesSource(data_of("valid", entry))) as file:
+        file.verify()
+        assert file.chunks.splats.tolist() == entry["chunk_splats"]
+        assert file.root.sh_degree == entry["sh_degree"]
+        assert file.missing_bytes == 0
+        arrays = arrays_of(entry)
+        for threads in (1, 3):
+            assert_rows(file.decode(threads=threads), arrays, slice(None))
+
+
+@pytest.mark.parametrize("entry", VALID, ids=name_of)
+def test_root_says_what_the_manifest_says(entry):
+    info = dict(entry["info"])
+    with open_cogs(BytesSource(data_of("valid", entry))) as file:
+        found = file.root.info
+        assert list(found.origin) == info["origin"]
+        for key in ("axes", "colour_space", "kernel_px", "antialiased"):
+            assert getattr(found, key) == info[key]
+        view, expected = file.root.first_view, info.get("first_view")
+        assert (view is None) == (expected is None)
+        if view is not None and expected is not None:
+            for key in ("width", "height", "fx", "fy", "cx", "cy"):
+                assert getattr(view, key) == expected[key]
+            assert view.rotation.ravel().tolist() == expected["rotation"]
+            assert view.translation.tolist() == expected["translation"]
+
+
+@pytest.mark.parametrize("entry", VALID, ids=name_of)
+def test_chunks_alone_in_any_order_are_rows_of_the_whole(entry):
+    arrays = arrays_of(entry)
+    ends = np.cumsum([0, *entry["chunk_splats"]])
+    order = list(range(len(entry["chunk_splats"])))
+    random.Random(4).shuffle(order)
+    with open_cogs(BytesSource(data_of("valid", entry))) as file:
+        for chunk in order:
+            assert_rows(file.decode([chunk]), arrays, slice(ends[chunk], ends[chunk + 1]))
+        rows = [row for chunk in order for row in range(ends[chunk], ends[chunk + 1])]
+        assert_rows(file.decode(order), arrays, np.array(rows, np.int64))
+
+
+@pytest.mark.parametrize("entry", VALID, ids=name_of)
+def test_lower_degrees_are_the_first_coefficients(entry):
+    arrays = arrays_of(entry)
+    with open_cogs(BytesSource(data_of("valid", entry))) as file:
+        for degree in range(entry["sh_degree"]):
+            splats = file.decode(sh_degree=degree)
+            cut = {**arrays, "shN": arrays["shN"][:, : (degree + 1) ** 2 - 1]}
+            assert_rows(splats, cut, slice(None))
+
+
+@pytest.mark.parametrize("entry", VALID, ids=name_of)
+def test_prefixes_give_the_chunks_that_are_complete(entry):
+    data = data_of("valid", entry)
+    arrays = arrays_of(entry)
+    ends = np.cumsum([0, *entry["chunk_splats"]])
+    nexts = [size for size, _, _ in entry["prefixes"][1:]] + [len(data)]
+    for (size, chunks, tails), end in zip(entry["prefixes"], nexts, strict=True):
+        expected = {name: array[: ends[chunks]].copy() for name, array in arrays.items()}
+        for chunk in range(chunks):
+            if chunk not in tails:
+                expected["shN"][ends[chunk] : ends[chunk + 1]] = 0
+        for length in {size, max(end - 1, size)}:
+            with open_cogs(BytesSource(data[:length]), partial=True) as file:
+                assert file.complete_chunks() == chunks
+                assert file.missing_bytes == len(data) - length
+                assert_rows(file.decode(), expected, slice(None))
+    first = entry["prefixes"][0][0]
+    with pytest.raises(TruncatedError):
+        open_cogs(BytesSource(data[: first - 1]), partial=True)
+
+
+@pytest.mark.parametrize("entry", VALID, ids=name_of)
+def test_short_files_are_refused_where_all_is_expected(entry):
+    data = data_of("valid", entry)
+    for length in random.Random(len(data)).sample(range(len(data)), 20):
+        with pytest.raises(TruncatedError):
+            open_cogs(BytesSource(data[:length]))
+
+
+@pytest.mark.parametrize("entry", INVALID, ids=name_of)
+def test_invalid_file_is_refused_with_its_code(entry):
+    data = data_of("invalid", entry)
+    stages = ["open", "decode", "verify"]
+
+    def up_to(stage):
+        with open_cogs(BytesSource(data)) as file:
+            if stage != "open":
+                file.decode()
+            if stage == "verify":
+                file.verify()
+
+    for stage in itertools.takewhile(lambda s: s != entry["stage"], stages):
+        up_to(stage)
+    error = refusal(lambda: up_to(entry["stage"]))
+    assert error is not None
+    assert (error.code, clause_of(error)) == (entry["code"], entry["clause"])
+
+
+@pytest.mark.parametrize("entry", INVALID, ids=name_of)
+def test_invalid_file_is_refused_as_a_part_too(entry):
+    data = data_of("invalid", entry)
+    error = refusal(lambda: open_cogs(BytesSource(data), partial=True).decode())
+    if entry["stage"] == "verify" or entry["partial"]:
+        assert error is None
+    else:
+        assert error is not None
+        assert error.code == entry["code"]
+
+
+def test_every_clause_that_can_be_broken_has_files():
+    covered = {clause for entry in VALID for clause in entry["clauses"]}
+    broken = {entry["clause"] for entry in INVALID}
+    rules = {f"{chapter}.{part}" for chapter, last in ((3, 3), (5, 6), (6, 15), (7, 3))
+             for part in range(1, last + 1)}  # fmt: skip
+    assert rules - covered - broken == set()
+    assert {"4.1", "4.2", "4.3", "4.4"} <= broken
