@@ -17,6 +17,7 @@ from cogsplat.codec.splats import Splats
 from .atomic import StrPath, open_for_read, storage_errors
 from .cogs_layout import MAGIC
 from .compressed_ply import is_compressed_ply, read_compressed_ply, write_compressed_ply
+from .gltf import is_gltf, read_gltf, write_gltf
 from .ksplat import read_ksplat
 from .magic import describe
 from .ply import read_ply, write_ply
@@ -73,6 +74,7 @@ FORMATS: tuple[Format, ...] = (
         write_compressed_ply,
     ),
     Format("ply", (".ply",), is_ply, read_ply, write_ply),
+    Format("gltf", (".glb", ".gltf"), is_gltf, read_gltf, write_gltf),
     Format("sog", (".sog",), is_sog, read_sog, write_sog),
     Format("spz", (".spz",), is_spz, read_spz, write_spz),
     Format("splat", (".splat",), no_magic, read_splat, write_splat),
