@@ -88,7 +88,7 @@ class ColourBasis:
         missed : (n, K-1, 3) float64
             Source minus decoded.
         """
-        step = allocation.equal_step(slope, energy)
+        step = allocation.shn_step(slope, energy)
         codes = _round(self.coordinates(coefficients) / step)
         stream = colour_streams.shn_on_basis(codes, codebook, step, _SHRINK)
         values = np.sign(codes) * np.maximum(np.abs(codes) - _SHRINK, 0) * step
@@ -131,13 +131,13 @@ def fit(
     # Each chunk in units of its own step: what counts is how many levels a direction takes.
     for run in chunks:
         visible = flat[run] @ root.T
-        moments += (visible.T @ visible) / allocation.equal_step(slope, energy[run]) ** 2
+        moments += (visible.T @ visible) / allocation.shn_step(slope, energy[run]) ** 2
     _, axes = np.linalg.eigh(moments)
     rows = (axes[:, ::-1].T @ inverse).astype(np.float32)
     basis = ColourBasis(np.ascontiguousarray(rows), metric)
     used = np.zeros(len(rows), np.bool_)
     for run in chunks:
-        step = allocation.equal_step(slope, energy[run])
+        step = allocation.shn_step(slope, energy[run])
         used |= (np.abs(basis.coordinates(coefficients[run])) >= _DEAD_ZONE * step).any(axis=0)
     last = int(np.flatnonzero(used)[-1]) + 1 if used.any() else 1
     return replace(basis, rows=basis.rows[:last])
