@@ -69,7 +69,8 @@ value = st.one_of(
 bound = st.floats(1e-7, 1.0)
 
 
-@settings(derandomize=True, deadline=None, max_examples=150)
+@pytest.mark.slow
+@settings(derandomize=True, deadline=None, max_examples=80)
 @given(
     st.data(),
     st.integers(1, 6),
