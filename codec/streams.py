@@ -227,7 +227,7 @@ class StoredStream:
 
     @property
     def stored_bytes(self) -> int:
-        """Bytes in the file: record, parameters, words and planes."""
+        """Bytes of its own in the file: record, parameters, words and planes, no rANS body."""
         planes = sum(len(body) for body in self.bodies)
         return RECORD_BYTES + len(self.params) + self.words.nbytes + planes
 
