@@ -1,4 +1,4 @@
-"""Cameras from whatever holds them: an INRIA ``cameras.json`` or a COLMAP folder."""
+"""Cameras from whatever holds them: INRIA's or nerfstudio's JSON, or a COLMAP folder."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ from cogsplat.codec.errors import FormatError
 from .atomic import StrPath, open_for_read, storage_errors
 from .colmap import find_model, read_colmap
 from .inria import read_cameras_json, write_cameras_json
+from .nerfstudio import read_transforms
 
 __all__ = ["read_cameras", "write_cameras_json"]
 
 _HEAD_BYTES = 64
+
+# In a folder without a COLMAP model; the second is Blender's.
+_TRANSFORMS = ("transforms.json", "transforms_train.json")
 
 
 def read_cameras(path: StrPath) -> list[Camera]:
@@ -23,8 +27,9 @@ def read_cameras(path: StrPath) -> list[Camera]:
     Parameters
     ----------
     path : path
-        A ``cameras.json`` as 3DGS training writes it, or a COLMAP folder: one that holds
-        ``cameras`` and ``images`` as ``.bin`` or ``.txt``, or has them in ``sparse/0``.
+        A ``cameras.json`` as 3DGS training writes it, a nerfstudio ``transforms.json``, or a
+        folder: one that holds COLMAP's ``cameras`` and ``images`` as ``.bin`` or ``.txt``, or has
+        them in ``sparse/0``, or else holds a ``transforms.json``.
 
     Returns
     -------
@@ -34,31 +39,34 @@ def read_cameras(path: StrPath) -> list[Camera]:
     Raises
     ------
     FormatError
-        ``unknown-cameras``: neither of the two. Otherwise as `read_cameras_json` and
-        `read_colmap`.
+        ``unknown-cameras``: none of the three. Otherwise as `read_cameras_json`,
+        `read_transforms` and `read_colmap`.
     StorageError
         As `open_for_read`.
     """
     where = os.fspath(path)
     if Path(path).is_dir():
         model = find_model(Path(path))
-        if model is None:
-            raise FormatError(
-                "unknown-cameras",
-                f"{where}: expected cameras.bin and images.bin, or .txt, in this folder or in its "
-                "sparse/0",
-            )
-        return read_colmap(model)
+        if model is not None:
+            return read_colmap(model)
+        for name in _TRANSFORMS:
+            if (Path(path) / name).is_file():
+                return read_transforms(Path(path) / name)
+        raise FormatError(
+            "unknown-cameras",
+            f"{where}: expected cameras.bin and images.bin, or .txt, in this folder or in its "
+            "sparse/0, or a transforms.json",
+        )
     with storage_errors(path), open_for_read(path) as file:
         head = file.read(_HEAD_BYTES)
     # A byte order mark is legal to find before JSON, if not to write.
     first = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
     if first == b"[":
         return read_cameras_json(path)
-    found = f"starts with {head[:8]!r}"
     if first == b"{":
-        found = "is a JSON object (a nerfstudio transforms.json?)"
+        return read_transforms(path)
     raise FormatError(
         "unknown-cameras",
-        f"{where}: {found}, expected the JSON array of a cameras.json, or a COLMAP folder",
+        f"{where}: starts with {head[:8]!r}, expected a cameras.json, a transforms.json, or a "
+        "COLMAP folder",
     )

@@ -26,6 +26,9 @@ _QUALITY: Final = 75
 _METHOD: Final = 1
 
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
+_JPEG: Final = b"\xff\xd8\xff"
+# Huffman tables, extensions and arithmetic conditioning, among the markers of frames.
+_NO_FRAMES: Final = (0xC4, 0xC8, 0xCC)
 # Pictures have one or two chunks before their data: more are padding, or there to keep us busy.
 _MAX_CHUNKS: Final = 16
 
@@ -166,3 +169,25 @@ def _pillow(where: str) -> ModuleType:
             "needs-pillow", f"{where}: this Pillow was built without WebP, expected it with"
         )
     return image
+
+
+def picture_size(head: bytes) -> tuple[int, int] | None:
+    """Return width and height of a PNG or JPEG from its first bytes, None where they do not say."""
+    try:
+        if head.startswith(_PNG):
+            width, height = struct.unpack_from(">II", head, 16)
+            return width, height
+        if not head.startswith(_JPEG):
+            return None
+        offset = 2
+        while True:
+            # ITU T.81, B.1.1.4: markers of segments with a length; frame headers hold the size.
+            prefix, marker, length = struct.unpack_from(">BBH", head, offset)
+            if prefix != 0xFF or length < 2:
+                return None
+            if 0xC0 <= marker <= 0xCF and marker not in _NO_FRAMES:
+                height, width = struct.unpack_from(">HH", head, offset + 5)
+                return width, height
+            offset += 2 + length
+    except struct.error:
+        return None

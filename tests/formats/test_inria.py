@@ -238,7 +238,7 @@ def test_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     ("data", "said"),
-    [(b"", "b''"), (b'{"frames": []}', "transforms.json"), (b"ply\n", "b'ply")],
+    [(b"", "b''"), (b"ply\n", "b'ply")],
 )
 def test_files_that_hold_no_cameras(tmp_path: Path, data: bytes, said: str) -> None:
     path = tmp_path / "cameras.json"
