@@ -214,12 +214,12 @@ class CogsFile:
             yield self.decode([chunk], sh_degree=sh_degree, threads=1)
 
     def verify(self, progress: Progress = silent) -> None:
-        """Check every segment's CRC and hash and decode every chunk.
+        """Check every segment's CRC and hash, and decode every chunk and look for it in its box.
 
         Raises
         ------
         FormatError
-            ``segment-crc``, ``segment-hash``, or what decoding finds.
+            ``segment-crc``, ``segment-hash``, ``chunk-box``, or what decoding finds.
         """
         for row in range(len(self.segments)):
             digest = hashlib.sha256(self.read_segment(row)).digest()[: cogs_root.HASH_BYTES]
@@ -235,7 +235,15 @@ class CogsFile:
         for book in range(len(self.root.codebooks)):
             self._load_codebook(book, self.root.sh_degree)
         for chunk in range(self.num_chunks):
-            self.decode([chunk])
+            means = self.decode([chunk]).means
+            box = self.chunks.box[chunk]
+            if not ((means >= box[:3]) & (means <= box[3:])).all():
+                raise FormatError(
+                    "chunk-box",
+                    f"{self.name}: chunk {chunk}: means from {means.min(axis=0).tolist()} to "
+                    f"{means.max(axis=0).tolist()}, expected within {box.tolist()}",
+                    clause="5.4",
+                )
 
     def segment_rows(self, kind: SegmentKind, owner: int) -> list[int]:
         """Return the rows of the segments of a kind that belong to a chunk or codebook."""

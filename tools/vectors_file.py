@@ -31,7 +31,7 @@ class ChunkRow:
     """One row of a chunk table (SPEC 5.4)."""
 
     splats: int
-    box: tuple[float, ...] = (-4.0, -4.0, -4.0, 4.0, 4.0, 4.0)
+    box: tuple[float, ...] = (-8.0, -8.0, -8.0, 8.0, 8.0, 8.0)
     contribution: float = 1.0
     layer: int = 0
     cell: int = 0
@@ -83,7 +83,7 @@ def root_keys(splats: int, sh_degree: int, **changes: Value) -> Index:
         "colour_space": "srgb",
         "kernel_px": 0.3,
         "antialiased": False,
-        "box": [-4.0, -4.0, -4.0, 4.0, 4.0, 4.0],
+        "box": [-8.0, -8.0, -8.0, 8.0, 8.0, 8.0],
         "codebooks": [],
     }
     return root | changes
@@ -283,6 +283,7 @@ def one_chunk(
     sh_degree: int = 0,
     books: Mapping[str, tuple[int, Sequence[bytes]]] | None = None,
     needs: tuple[int, ...] = (),
+    reach: float = 8.0,
 ) -> Draft:
     """Return a file of one chunk.
 
@@ -294,6 +295,8 @@ def one_chunk(
         Attribute of each codebook to its rows and its segments' payloads.
     needs : tuple of int
         Codebooks that head and tail need.
+    reach : float
+        How far the boxes go from the origin.
     """
     books = books or {}
     segments: list[Segment] = []
@@ -305,5 +308,6 @@ def one_chunk(
     segments.append(Segment(SegmentKind.HEAD, 0, head, needs))
     if tail is not None:
         segments.append(Segment(SegmentKind.TAIL, 0, tail, needs))
-    root = root_keys(splats, sh_degree, codebooks=entries)
-    return Draft(root, [Group(segments, [ChunkRow(splats)])])
+    box = (-reach, -reach, -reach, reach, reach, reach)
+    root = root_keys(splats, sh_degree, codebooks=entries, box=list(box))
+    return Draft(root, [Group(segments, [ChunkRow(splats, box)])])

@@ -111,7 +111,7 @@ def _grid_ends() -> Valid:
     codes = [[0, 1, (1 << 24) - 1, 1 << 23], [0, 4, 2, 1], [0, 1, 2, 1]]
     means = scenes.coded(Attribute.MEANS, ranges, codes)
     note = "grids of the largest range, of no range with five levels, and of denormals"
-    data = build(one_chunk(pack_streams(scenes.head(4, 3, means)), 4))
+    data = build(one_chunk(pack_streams(scenes.head(4, 3, means)), 4, reach=largest))
     return Valid("grid-ends", data, ("6.4",), note)
 
 
@@ -189,7 +189,9 @@ def _floats() -> Valid:
         scenes.quats(3, 4),
     ]
     tail = [scenes.floats(Attribute.SH1, [[row + 0.1 * i for i in range(9)] for row in range(3)])]
-    data = build(one_chunk(pack_streams(head), 3, tail=pack_streams(tail), sh_degree=1))
+    data = build(
+        one_chunk(pack_streams(head), 3, tail=pack_streams(tail), sh_degree=1, reach=2.0**100)
+    )
     return Valid("floats", data, ("6.8",), "float streams, with -0, denormals, both infinities")
 
 
@@ -361,7 +363,7 @@ def _root_values() -> Valid:
         antialiased=True,
         first_view=view,
     )
-    rows = [ChunkRow(6, (-1.0, -2.0, -3.0, -1.0, 2.0, 3.0), 12.5, 1, 2, 3)]
+    rows = [ChunkRow(6, (-4.5, -8.0, -4.0, 4.0, 4.0, 8.5), 12.5, 1, 2, 3)]
     data = build(Draft(root, [Group(_chunk(6, 1, 0), rows)]))
     note = "origin, axes, colour space, kernel, first view, layer, cell and object"
     return Valid("root-values", data, ("4.2", "4.4", "5.4"), note)

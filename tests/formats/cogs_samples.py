@@ -1,0 +1,48 @@
+"""Files that the container's tests share, encoded from made-up scenes."""
+
+from functools import cache
+
+import numpy as np
+
+from cogsplat.codec import encoder
+from cogsplat.codec.encoder import EncodeConfig
+from cogsplat.codec.splats import Splats
+from cogsplat.formats import cogs
+from cogsplat.formats.cogs_writer import lay_out
+
+ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
+
+
+def scene(count, degree=3, seed=1):
+    rng = np.random.default_rng(seed)
+    size = (count, (degree + 1) ** 2 - 1, 3)
+    return Splats(
+        rng.normal(size=(count, 3)).astype(np.float32),
+        rng.normal(-3, 0.7, size=(count, 3)).astype(np.float32),
+        rng.normal(size=(count, 4)).astype(np.float32),
+        rng.normal(0, 2, size=count).astype(np.float32),
+        rng.normal(size=(count, 3)).astype(np.float32),
+        rng.normal(0, 0.1, size=size).astype(np.float32),
+    )
+
+
+@cache
+def encoded(profile, count=900, degree=3, chunk=150):
+    return encoder.encode(
+        scene(count, degree), None, EncodeConfig(profile=profile, chunk_splats=chunk, prune=None)
+    )
+
+
+@cache
+def file_of(profile, count=900, degree=3, chunk=150):
+    made = encoded(profile, count, degree, chunk)
+    root = cogs.build_root(made, "samples")
+    return b"".join(lay_out(root, cogs.segments(made)))
+
+
+def assert_same(actual, expected, rows=slice(None)):
+    """Compare the bits of all arrays with rows of a scene's."""
+    for name in ARRAYS:
+        found, wanted = getattr(actual, name), getattr(expected, name)[rows]
+        assert found.shape == wanted.shape, name
+        assert np.array_equal(found.view(np.uint32), wanted.view(np.uint32)), name
