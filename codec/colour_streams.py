@@ -27,8 +27,8 @@ MAX_BASIS_ROWS: Final = 255
 MAX_FACTOR: Final = 2.0**32
 """Largest step of shN and magnitude in its basis: sums of products stay finite (SPEC 6.14)."""
 
-# Zigzag codes up to here take one plane, larger ones a second.
-_BYTE: Final = 256
+# Rows of sums and products that stay in the second-level cache.
+_BLOCK: Final = 1024
 
 
 def sh0_on_axes(values: F32, axes: F32, grid: Grid) -> tuple[Stream, F32]:
@@ -95,19 +95,29 @@ def shn_on_basis(codes: I64, codebook: int, step: float, shrink: float) -> Strea
     used = np.flatnonzero(codes.any(axis=0))
     width = int(used[-1]) + 1 if len(used) else 0
     codes = codes[:, :width]
-    ends = ((codes != 0) * np.arange(1, width + 1)).max(axis=1, initial=0)
-    zigzag = np.where(codes > 0, 2 * codes - 1, -2 * codes).astype(np.uint32)
-    planes: list[U8] = [ends.astype(np.uint8)]
+    ends = ((codes != 0) * np.arange(1, width + 1)).max(axis=1, initial=0).astype(np.uint8)
+    # Rows of most coordinates first: each coordinate's rows are a run, and so are its last ones.
+    order, bounds = _runs(ends, width)
+    ranked = codes[order]
+    zigzag = np.where(ranked > 0, 2 * ranked - 1, -2 * ranked).astype(np.uint32)
+    planes: list[U8] = [ends]
     sizes = bytearray()
     for column in range(width):
-        last, inner = ends == column + 1, ends > column + 1
-        for rows, offset in ((last, 1), (inner, 0)):
-            symbols = zigzag[rows, column] - np.uint32(offset)
+        inner, outer = bounds[column + 1], bounds[column]
+        for symbols in (zigzag[:inner, column], zigzag[inner:outer, column] - np.uint32(1)):
             size = grids.code_bytes(int(symbols.max(initial=0)) + 1)
             sizes.append(size)
             planes += grids.split_planes(symbols, 1 << (8 * size)) if size else []
     params = _SHN.pack(codebook, step, shrink, width, 0) + bytes(sizes)
     return Stream(Attribute.SHN, Kind.BASIS, len(codes), params, planes)
+
+
+def _runs(ends: U8, width: int) -> tuple[I64, list[int]]:
+    """Return rows by descending number of coordinates, and how many rows have more than each."""
+    order = np.argsort(np.uint8(255) - ends, kind="stable").astype(np.int64)
+    counts = np.bincount(ends, minlength=width + 1)
+    above = len(ends) - np.cumsum(counts)
+    return order, [int(n) for n in above]
 
 
 def basis_codebook(stream: StoredStream) -> int:
@@ -176,22 +186,33 @@ def read_shn(stream: StoredStream, basis: F32, out: F32) -> None:
             f"{stream.where}: {int(ends.max())} coordinates, expected at most {width}",
             clause="6.14",
         )
-    flat = out.reshape(len(out), -1)
-    flat[:] = 0
+    order, bounds = _runs(ends, width)
     rows_of_basis = basis.reshape(len(basis), -1)
+    ranked = np.zeros((bounds[0] if width else 0, rows_of_basis.shape[1]), np.float32)
     plane = 1
     for column in range(width):
-        zigzag = np.zeros(stream.rows, np.uint32)
-        for part, offset in enumerate((1, 0)):
-            rows = np.flatnonzero(ends == column + 1 if part == 0 else ends > column + 1)
-            count = sizes[2 * column + part]
-            parts = [stream.plane(plane + byte, len(rows)) for byte in range(count)]
-            plane += count
-            zigzag[rows] = grids.join_planes(parts, len(rows)) + np.uint32(offset)
-        rows = np.flatnonzero(ends > column)
-        if len(rows):
-            values = _coordinates(zigzag[rows], np.float32(step), np.float32(shrink))
-            flat[rows] += values[:, None] * rows_of_basis[column]
+        inner, outer = bounds[column + 1], bounds[column]
+        zigzag: list[NDArray[np.uint32]] = []
+        for part, (count, offset) in enumerate(((inner, 0), (outer - inner, 1))):
+            number = sizes[2 * column + part]
+            parts = [stream.plane(plane + byte, count) for byte in range(number)]
+            plane += number
+            zigzag.append(grids.join_planes(parts, count) + np.uint32(offset))
+        values = _coordinates(np.concatenate(zigzag), np.float32(step), np.float32(shrink))
+        _add(ranked[:outer], values, rows_of_basis[column])
+    flat = out.reshape(len(out), -1)
+    flat[order[: len(ranked)]] = ranked
+    flat[order[len(ranked) :]] = 0
+
+
+def _add(sums: F32, values: F32, row: F32) -> None:
+    """Add a basis row times its coordinates, by blocks of rows that stay in cache."""
+    product = np.empty((min(_BLOCK, len(sums)), sums.shape[1]), np.float32)
+    for start in range(0, len(sums), _BLOCK):
+        block = sums[start : start + _BLOCK]
+        part = product[: len(block)]
+        np.multiply(values[start : start + _BLOCK, None], row, out=part)
+        block += part
 
 
 def _coordinates(zigzag: NDArray[np.uint32], step: np.float32, shrink: np.float32) -> F32:

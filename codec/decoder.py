@@ -240,11 +240,9 @@ def _read_band(found: _Streams, band: int, out: F32, *, kept: bool = False) -> N
             out[:, first:last] = 0
         return
     stream = found.take_kept(attribute, len(out)) if kept else found.take(attribute)
-    # Kept rows are read even where they are not wanted: their chunk's indices come behind them.
-    if wanted or kept:
+    if wanted:
         values = np.empty((len(out), (last - first) * 3), np.float32)
         stream.read_numbers(values)
-    if wanted:
         out[:, first:last] = values.reshape(len(out), last - first, 3)
 
 
@@ -271,7 +269,6 @@ class _Streams:
     def __init__(self, payload: memoryview, where: str, rows: int, clause: str) -> None:
         stored = streams.unpack(payload, where, rows)
         self._stored = {(s.attribute, s.flags & KEPT): s for s in stored}
-        self._reader = stored[0].reader if stored else None
         self._where = where
         self._rows = rows
         self._clause = clause
@@ -314,5 +311,3 @@ class _Streams:
                 f"{self._where}: {names} have no place here",
                 clause=self._clause,
             )
-        if self._reader is not None:
-            self._reader.finish()

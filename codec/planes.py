@@ -1,29 +1,24 @@
-"""Byte planes: the entropy stage, zstd frame or stored bytes per plane (SPEC 6.3)."""
+"""Byte planes: stored, digits packed together, or a zstd frame of either (SPEC 6.3)."""
 
 from __future__ import annotations
 
-import sys
-from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+import threading
+from functools import cache
 from typing import Final
 
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from . import rans
 from .errors import FormatError
-from .rans_table import Table, unpack_table
 
 U8 = NDArray[np.uint8]
 
 ZSTD_FLAG: Final = 0x8000_0000
-"""Bit 31 of a plane's word: the plane is a zstd frame; the other bits are its stored length."""
+"""Bit 31 of a plane's word: the stored bytes are a zstd frame (SPEC 6.3)."""
 
-RANS_FLAG: Final = 0x4000_0000
-"""Bit 30 of a plane's word: the stored bytes are a table, the symbols in the rANS body."""
+PACKED_FLAG: Final = 0x4000_0000
+"""Bit 30 of a plane's word: several symbols to the byte, the radix in front (SPEC 6.9)."""
 
 LENGTH_MASK: Final = 0x3FFF_FFFF
 
@@ -33,166 +28,71 @@ MAX_PLANE_BYTES: Final = 8 * 1024 * 1024
 MAX_WINDOW_BYTES: Final = 8 * 1024 * 1024
 """Largest zstd window a reader must provide: what browsers accept (RFC 9659)."""
 
-Meter = Callable[[memoryview, float], None]
-"""``meter(body, bits)``: a plane of so many bits was read from a segment's rANS body."""
-
-_METER: ContextVar[Meter | None] = ContextVar("meter", default=None)
+DIGITS: Final = {radix: int(np.log(256.0 + 1e-9) / np.log(radix)) for radix in range(2, 17)}
+"""Symbols of each radix that fit a byte (SPEC 6.9)."""
 
 _FRAME_MAGIC: Final = bytes.fromhex("28b52ffd")  # RFC 8878, 3.1.1
 
 # Level 19 is where the ratio stops growing on planes this small.
 _LEVEL: Final = 19
 
-
-class PlaneCoder:
-    """Codes the planes of one segment, each in whatever way takes the fewest bytes."""
-
-    def __init__(self) -> None:
-        self._ranked: list[tuple[Table, U8]] = []
-        self._bits = 0.0
-
-    def pack(self, plane: U8) -> tuple[int, bytes]:
-        """Take one plane.
-
-        Parameters
-        ----------
-        plane : (n,) uint8
-
-        Returns
-        -------
-        word : int
-            Stored length, with `ZSTD_FLAG` for a zstd frame, `RANS_FLAG` for the table of a plane
-            whose symbols are in the segment's rANS body.
-        stored : bytes
-        """
-        raw = plane.tobytes()
-        best, word = raw, len(raw)
-        # One thread, no checksum (the segment has its CRC), content size always stated.
-        compressor = zstandard.ZstdCompressor(
-            level=_LEVEL, write_checksum=False, write_content_size=True, threads=0
-        )
-        frame = compressor.compress(raw)
-        if len(frame) < len(best):
-            best, word = frame, len(frame) | ZSTD_FLAG
-        if len(raw):
-            counts = np.bincount(plane)
-            table = Table.from_counts(counts)
-            bits = table.bits(counts)
-            if bits / 8 < len(best):
-                self._ranked.append((table, plane))
-                self._bits += bits
-                best = table.pack()
-                word = len(best) | RANS_FLAG
-        return word, best
-
-    def finish(self) -> tuple[int, bytes]:
-        """Return the number of lanes and the rANS body; 0 and nothing where no plane uses it."""
-        if not self._ranked:
-            return 0, b""
-        lanes = rans.lanes_for(int(self._bits / 8))
-        return lanes, rans.encode(self._ranked, lanes)
+_local = threading.local()
 
 
-@contextmanager
-def metered(meter: Meter) -> Iterator[None]:
-    """Report what planes take of the bodies they share, as the block decodes them on this thread.
+def pack_plane(plane: U8) -> tuple[int, bytes]:
+    """Code one plane in whatever way takes the fewest bytes.
 
     Parameters
     ----------
-    meter : Meter
-        Called for the planes of a body in the order in which they are stored.
+    plane : (n,) uint8
+
+    Returns
+    -------
+    word : int
+        Stored length and flags.
+    stored : bytes
+
+    Notes
+    -----
+    zstd's Huffman stage spends whole bits on a symbol. Where there are few symbols, several to a
+    byte share that loss: on sparse planes this takes as little as a range coder would.
     """
-    token = _METER.set(meter)
-    try:
-        yield
-    finally:
-        _METER.reset(token)
+    best, word = _smaller(plane.tobytes())
+    radix = int(plane.max(initial=0)) + 1
+    if len(plane) and radix in DIGITS:
+        packed, flag = _smaller(_pack_digits(plane, radix).tobytes())
+        if len(packed) + 1 < len(best):
+            best = bytes([radix]) + packed
+            word = len(best) | PACKED_FLAG | (flag & ZSTD_FLAG)
+    return word, best
 
 
-class PlaneReader:
-    """Reads the planes in one segment's rANS body, in the order of their records.
+def _smaller(raw: bytes) -> tuple[bytes, int]:
+    # One thread, no checksum (the segment has its CRC), content size always stated.
+    compressor = zstandard.ZstdCompressor(
+        level=_LEVEL, write_checksum=False, write_content_size=True, threads=0
+    )
+    frame = compressor.compress(raw)
+    if len(frame) < len(raw):
+        return frame, len(frame) | ZSTD_FLAG
+    return raw, len(raw)
 
-    Parameters
-    ----------
-    lanes : int
-        As the payload states; 0 where there is no body.
-    where : str
-        Names the segment in messages.
 
-    Attributes
-    ----------
-    body : memoryview
-        What the planes share, as it is stored.
-    """
+def _pack_digits(plane: U8, radix: int) -> U8:
+    count = DIGITS[radix]
+    padded = np.zeros(-(-len(plane) // count) * count, np.uint8)
+    padded[: len(plane)] = plane
+    weights = (radix ** np.arange(count)).astype(np.int64)
+    packed = (padded.reshape(-1, count) * weights).sum(axis=1)
+    return packed.astype(np.uint8)
 
-    def __init__(self, lanes: int, where: str) -> None:
-        self._lanes = lanes
-        self._where = where
-        self.body = memoryview(b"")
-        self._waiting: deque[memoryview] = deque()
-        self._decoder: rans.Decoder | None = None
 
-    def expect(self, stored: memoryview) -> None:
-        """Note that a plane of this table comes next."""
-        self._waiting.append(stored)
-
-    def attach(self, body: memoryview) -> None:
-        """Set the bytes behind the last plane.
-
-        Raises
-        ------
-        FormatError
-            ``stream-record``: bytes where no plane wants any; ``rans-lanes``.
-        """
-        if bool(self._lanes) != bool(self._waiting) or (len(body) and not self._lanes):
-            raise FormatError(
-                "stream-record",
-                f"{self._where}: {self._lanes} lanes, {len(self._waiting)} rANS planes and "
-                f"{len(body)} bytes behind the last plane, expected all or none",
-                clause="6.1",
-            )
-        self.body = body
-
-    def read(self, stored: memoryview, length: int, where: str) -> U8:
-        """Return the next plane, whose table is `stored`.
-
-        Raises
-        ------
-        FormatError
-            ``stream-order``: not the next one; ``rans-table``, ``rans-states``, ``rans-words``,
-            ``plane-length``.
-        """
-        if length > MAX_PLANE_BYTES:
-            raise _too_long(where, length)
-        if not self._waiting or self._waiting[0] is not stored:
-            raise FormatError(
-                "stream-order",
-                f"{where}: not where a decoder reads it, expected streams in reading order",
-                clause="6.9",
-            )
-        self._waiting.popleft()
-        if self._decoder is None:
-            # Compiled code pays once it is loaded; loading it takes longer than a small file.
-            compiled = sys.modules.get("numba") is not None
-            self._decoder = rans.Decoder(self.body, self._lanes, compiled=compiled)
-        table, used = unpack_table(stored)
-        if used != len(stored):
-            raise FormatError(
-                "rans-table",
-                f"{where}: a table of {len(stored)} bytes, expected {used}",
-                clause="6.9",
-            )
-        plane = self._decoder.decode(table, length)
-        meter = _METER.get()
-        if meter is not None:
-            # Without the bits of the table, which is stored apart.
-            meter(self.body, table.bits(np.bincount(plane, minlength=1)) - 8.0 * len(stored))
-        return plane
-
-    def finish(self) -> None:
-        """Check that the body ended where its last plane did, once all planes were read."""
-        if self._decoder is not None and not self._waiting:
-            self._decoder.finish()
+@cache
+def _digit_table(radix: int) -> U8:
+    """Return the (radix^count, count) digits of every byte value, the lowest first."""
+    count = DIGITS[radix]
+    values = np.arange(radix**count)
+    return ((values[:, None] // radix ** np.arange(count)) % radix).astype(np.uint8)
 
 
 def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
@@ -216,11 +116,17 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
     Raises
     ------
     FormatError
-        ``plane-length``, ``zstd-frame``, ``zstd-size``, ``zstd-window``, ``zstd-dictionary``,
-        ``zstd-checksum``.
+        ``plane-length``, ``plane-radix``, ``plane-digits``, ``zstd-frame``, ``zstd-size``,
+        ``zstd-window``, ``zstd-dictionary``, ``zstd-checksum``.
     """
     if length > MAX_PLANE_BYTES:
-        raise _too_long(where, length)
+        raise FormatError(
+            "plane-length",
+            f"{where}: {length} bytes, expected at most {MAX_PLANE_BYTES}",
+            clause="9.1",
+        )
+    if word & PACKED_FLAG:
+        return _unpack_digits(stored, word, length, where)
     if not word & ZSTD_FLAG:
         if len(stored) != length:
             raise FormatError(
@@ -268,7 +174,7 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
             clause="6.3",
         )
     try:
-        raw = zstandard.ZstdDecompressor().decompress(stored, allow_extra_data=False)
+        raw = _decompressor().decompress(stored, allow_extra_data=False)
     except zstandard.ZstdError as error:
         raise FormatError("zstd-frame", f"{where}: {error}", clause="6.3") from error
     if len(raw) != length:
@@ -278,9 +184,33 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
     return np.frombuffer(raw, np.uint8)
 
 
-def _too_long(where: str, length: int) -> FormatError:
-    return FormatError(
-        "plane-length",
-        f"{where}: {length} bytes, expected at most {MAX_PLANE_BYTES}",
-        clause="9.1",
-    )
+def _decompressor() -> zstandard.ZstdDecompressor:
+    """Return this thread's decompressor: making one takes longer than a small frame."""
+    if not hasattr(_local, "decompressor"):
+        _local.decompressor = zstandard.ZstdDecompressor()
+    found: zstandard.ZstdDecompressor = _local.decompressor
+    return found
+
+
+def _unpack_digits(stored: memoryview, word: int, length: int, where: str) -> U8:
+    radix = stored[0] if len(stored) else 0
+    if radix not in DIGITS:
+        raise FormatError(
+            "plane-radix", f"{where}: radix {radix}, expected 2 to {max(DIGITS)}", clause="6.9"
+        )
+    count = DIGITS[radix]
+    size = -(-length // count)
+    packed = unpack_plane(stored[1:], word & ZSTD_FLAG, size, where)
+    table = _digit_table(radix)
+    if size and int(packed.max()) >= len(table):
+        raise FormatError(
+            "plane-digits",
+            f"{where}: byte {int(packed.max())}, expected below {len(table)} at radix {radix}",
+            clause="6.9",
+        )
+    digits = table[packed].reshape(-1)
+    if digits[length:].any():
+        raise FormatError(
+            "plane-digits", f"{where}: digits behind the last symbol, expected zeros", clause="6.9"
+        )
+    return digits[:length]

@@ -15,7 +15,7 @@ from . import grid as grids
 from . import morton
 from .errors import FormatError, UnsupportedError
 from .grid import ENTRY_BYTES, Grid
-from .planes import LENGTH_MASK, RANS_FLAG, ZSTD_FLAG, PlaneCoder, PlaneReader, unpack_plane
+from .planes import LENGTH_MASK, pack_plane, unpack_plane
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -81,7 +81,7 @@ PER_ROW: Final = 255
 
 _RECORD: Final = struct.Struct("<BBBBIHH")
 RECORD_BYTES: Final = _RECORD.size
-_COUNT: Final = struct.Struct("<HH")
+_COUNT: Final = struct.Struct("<H")
 _WORD: Final = struct.Struct("<I")
 _VQ: Final = struct.Struct("<II")
 _QUAT: Final = struct.Struct("<B3x")
@@ -176,9 +176,8 @@ def pack(streams: Sequence[Stream]) -> bytes:
     """Return the payload of a segment (SPEC 6.1); streams in the order a decoder reads them."""
     records: list[bytes] = []
     bodies: list[bytes] = []
-    coder = PlaneCoder()
     for stream in streams:
-        packed = [coder.pack(plane) for plane in stream.planes]
+        packed = [pack_plane(plane) for plane in stream.planes]
         records.append(
             _RECORD.pack(
                 stream.attribute,
@@ -193,8 +192,7 @@ def pack(streams: Sequence[Stream]) -> bytes:
         records.append(stream.params)
         records += [_WORD.pack(word) for word, _ in packed]
         bodies += [stored for _, stored in packed]
-    lanes, body = coder.finish()
-    return b"".join([_COUNT.pack(len(streams), lanes), *records, *bodies, body])
+    return b"".join([_COUNT.pack(len(streams)), *records, *bodies])
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,11 +206,9 @@ class StoredStream:
     params : memoryview
     words : (p,) uint32
     bodies : tuple of memoryview
-        Stored planes, tables in place of those in the segment's rANS body.
+        Stored planes.
     where : str
         Names the stream in messages.
-    reader : PlaneReader
-        Of the segment.
     """
 
     attribute: Attribute
@@ -223,11 +219,10 @@ class StoredStream:
     words: U32
     bodies: tuple[memoryview, ...]
     where: str
-    reader: PlaneReader
 
     @property
     def stored_bytes(self) -> int:
-        """Bytes of its own in the file: record, parameters, words and planes, no rANS body."""
+        """Bytes in the file: record, parameters, words and planes."""
         planes = sum(len(body) for body in self.bodies)
         return RECORD_BYTES + len(self.params) + self.words.nbytes + planes
 
@@ -284,8 +279,6 @@ class StoredStream:
         """Return one plane, decompressed to `length` bytes."""
         where = f"{self.where}, plane {index}"
         word = int(self.words[index])
-        if word & RANS_FLAG:
-            return self.reader.read(self.bodies[index], length, where)
         return unpack_plane(self.bodies[index], word, length, where)
 
     def require_kind(self, kind: Kind) -> None:
@@ -472,7 +465,7 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
         raise FormatError(
             "stream-record", f"{where}: {len(payload)} bytes, expected a stream count", clause="6.1"
         )
-    count, lanes = _COUNT.unpack_from(payload)
+    (count,) = _COUNT.unpack_from(payload)
     if count > MAX_STREAMS:
         raise FormatError(
             "stream-count",
@@ -519,28 +512,24 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
         heads.append((attribute, kind, flags, rows, params, words.astype(np.uint32), label))
         position = end
     stored: list[StoredStream] = []
-    reader = PlaneReader(lanes, where)
     for attribute, kind, flags, rows, params, words, label in heads:
         bodies: list[memoryview] = []
         for word in words.tolist():
-            if word & ZSTD_FLAG and word & RANS_FLAG:
-                raise FormatError(
-                    "stream-record",
-                    f"{label}: word {word:#x} states both zstd and rANS, expected one",
-                    clause="6.3",
-                )
             length = word & LENGTH_MASK
             if position + length > len(payload):
                 raise _leaves(label, len(payload))
             body = payload[position : position + length]
             bodies.append(body)
-            if word & RANS_FLAG:
-                reader.expect(body)
             position += length
         stored.append(
-            StoredStream(attribute, kind, flags, rows, params, words, tuple(bodies), label, reader)
+            StoredStream(attribute, kind, flags, rows, params, words, tuple(bodies), label)
         )
-    reader.attach(payload[position:])
+    if position != len(payload):
+        raise FormatError(
+            "stream-record",
+            f"{where}: {len(payload) - position} bytes behind the last plane, expected none",
+            clause="6.1",
+        )
     return stored
 
 
