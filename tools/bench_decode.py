@@ -184,7 +184,7 @@ def main(
         # As if it were not installed: importing it fails from here on.
         sys.modules["numba"] = None  # type: ignore[assignment]
     elif importlib.util.find_spec("numba"):
-        # The decoder uses it where it is loaded already, and does not load it for one small file.
+        # Whatever the decoder makes of it, loading it is over before the clock starts.
         importlib.import_module("numba")
     subjects = [(path, name_of(path)) for path in files]
     with tempfile.TemporaryDirectory() as folder:

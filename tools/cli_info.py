@@ -59,7 +59,7 @@ def info(path: Path, verify: bool, all_chunks: bool, quiet: bool, as_json: bool)
     ):
         if verify:
             file.verify(stages)
-        sizes = stored_sizes(path)
+        sizes = stored_sizes(file)
     if as_json:
         say_json({**_cogs_report(path, file, sizes), "verified": verify})
         return

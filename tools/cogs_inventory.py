@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-import cogsplat
 from cogsplat.codec import streams
-from cogsplat.codec.planes import RANS_FLAG, metered
-from cogsplat.codec.streams import StoredStream
 from cogsplat.formats.cogs_layout import (
     PREAMBLE_BYTES,
     SKIPPABLE_KIND,
@@ -117,71 +112,33 @@ def chunk_sizes(file: CogsFile) -> list[ChunkSizes]:
     return rows
 
 
-def stored_sizes(path: Path) -> list[StoredSize]:
+def stored_sizes(file: CogsFile) -> list[StoredSize]:
     """Return the bytes of every kind of stream; they add up to the file.
-
-    Planes that share a body of the range coder are given their part of it by what their symbols
-    take under their tables.
 
     Raises
     ------
     CogsplatError
-        A segment cannot be read, or decoding it fails.
+        A segment cannot be read or breaks SPEC 6.
     """
     found: dict[tuple[str, str], int] = defaultdict(int)
-    with cogsplat.open(path) as file:
-        plane_bits = _plane_bits(file)
-        segment_bytes = int(file.segments.length.sum(dtype=np.uint64))
-        found[_INDEX, "preamble, root, pages"] = file.file_length - segment_bytes
-        found[_INDEX, "framing of segments"] = 0
-        for row in range(len(file.segments)):
-            number, owner = int(file.segments.kind[row]), int(file.segments.owner[row])
-            if number >= SKIPPABLE_KIND:
-                found[f"kind {number}", "unknown"] += int(file.segments.length[row])
-                continue
-            kind = SegmentKind(number)
-            name = kind.name.lower().replace("_", " ")
-            payload = file.read_segment(row)
-            rest = len(payload)
-            stored = streams.unpack(
-                payload, f"{file.name}: segment {row}", _rows(file, kind, owner)
-            )
-            for stream, shared in zip(stored, _shared_bytes(stored, plane_bits), strict=True):
-                found[name, stream.label] += stream.stored_bytes + shared
-                rest -= stream.stored_bytes + shared
-            found[_INDEX, "framing of segments"] += rest
+    segment_bytes = int(file.segments.length.sum(dtype=np.uint64))
+    found[_INDEX, "preamble, root, pages"] = file.file_length - segment_bytes
+    found[_INDEX, "framing of segments"] = 0
+    for row in range(len(file.segments)):
+        number, owner = int(file.segments.kind[row]), int(file.segments.owner[row])
+        if number >= SKIPPABLE_KIND:
+            found[f"kind {number}", "unknown"] += int(file.segments.length[row])
+            continue
+        kind = SegmentKind(number)
+        name = kind.name.lower().replace("_", " ")
+        payload = file.read_segment(row)
+        rest = len(payload)
+        where = f"{file.name}: segment {row}"
+        for stream in streams.unpack(payload, where, _rows(file, kind, owner)):
+            found[name, stream.label] += stream.stored_bytes
+            rest -= stream.stored_bytes
+        found[_INDEX, "framing of segments"] += rest
     return [StoredSize(*key, size) for key, size in found.items()]
-
-
-def _plane_bits(file: CogsFile) -> dict[bytes, list[float]]:
-    """Decode all chunks and return the bits of the planes of each shared body, by its hash."""
-    bits: dict[bytes, list[float]] = defaultdict(list)
-    with metered(lambda body, spent: bits[_digest(body)].append(spent)):
-        for chunk in range(file.num_chunks):
-            # One chunk at a time on this thread: the meter counts where it was set.
-            file.decode([chunk], threads=1)
-    return bits
-
-
-def _shared_bytes(
-    stored: Sequence[StoredStream], plane_bits: Mapping[bytes, Sequence[float]]
-) -> list[int]:
-    """Return what each stream takes of the body that a segment's streams share."""
-    body = stored[0].reader.body if stored else memoryview(b"")
-    spent = plane_bits.get(_digest(body), ())
-    planes = [int(np.count_nonzero(stream.words & RANS_FLAG)) for stream in stored]
-    # A codebook that no chunk uses is never decoded: what it shares stays with the framing.
-    if len(spent) < sum(planes) or not sum(spent) > 0:
-        return [0] * len(stored)
-    # Rounded as running sums, so that the parts add up to the body.
-    running = np.concatenate([[0.0], np.cumsum(spent[: sum(planes)])])
-    ends = np.cumsum([0, *planes])
-    edges = np.rint(running[ends] / running[-1] * len(body)).astype(np.int64)
-    return [int(size) for size in np.diff(edges)]
-
-
-def _digest(body: memoryview) -> bytes:
-    return hashlib.sha256(body).digest()
 
 
 def _rows(file: CogsFile, kind: SegmentKind, owner: int) -> int:
