@@ -15,7 +15,7 @@ import tempfile
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NoReturn
 
 import click
 import numpy as np
@@ -150,9 +150,16 @@ def differences(actual: Splats, expected: Splats) -> dict[str, F64]:
     return out
 
 
-def _findings(
+def findings_of(
     check: str, actual: Splats, expected: Splats, allowed: dict[str, float]
 ) -> list[Finding]:
+    """Compare two scenes with the same rows in the attributes that `allowed` names.
+
+    Raises
+    ------
+    click.ClickException
+        They differ in size.
+    """
     if len(actual) != len(expected) or actual.sh_degree != expected.sh_degree:
         raise click.ClickException(
             f"{check}: {len(actual)} splats of SH degree {actual.sh_degree}, "
@@ -166,7 +173,8 @@ def _findings(
     ]
 
 
-def _converted(modules: Path, source: Path, target: Path, *options: str) -> Path:
+def converted(modules: Path, source: Path, target: Path, *options: str) -> Path:
+    """Have PlayCanvas' converter make `target`, and return it."""
     _node(str(modules / _CONVERTER), "-q", "-w", *options, str(source), str(target))
     return target
 
@@ -199,14 +207,14 @@ def check_spz(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
     for version in (3, 4):
         ours, theirs = folder / f"ours{version}.spz", folder / f"theirs{version}.spz"
         write_spz(ours, scene, force=True, version=version)
-        _converted(modules, source, theirs, "--spz-version", str(version))
+        converted(modules, source, theirs, "--spz-version", str(version))
         for name, path in (("ours", ours), ("theirs", theirs)):
             check = f"SPZ {version}, {name}"
             read = read_spz(path)
             steps = _SPZ_STEPS if name == "ours" else _SPZ_STEPS_THERE
-            findings += _findings(f"{check}: read here and the scene", read, scene, steps)
-            there = read_ply(_converted(modules, path, path.with_suffix(".ply")))
-            findings += _findings(f"{check}: read here and there", read, there, _ROUNDING)
+            findings += findings_of(f"{check}: read here and the scene", read, scene, steps)
+            there = read_ply(converted(modules, path, path.with_suffix(".ply")))
+            findings += findings_of(f"{check}: read here and there", read, there, _ROUNDING)
     return findings
 
 
@@ -249,7 +257,7 @@ def check_spz_frames(modules: Path, scene: Splats, folder: Path) -> list[Finding
             for name, off in apart.items()
         ]
     again = read_spz(plain.with_name(plain.name + ".v2"))
-    findings += _findings("SPZ 2, theirs: read here and the scene", again, scene, _SPZ_STEPS_2)
+    findings += findings_of("SPZ 2, theirs: read here and the scene", again, scene, _SPZ_STEPS_2)
     return findings
 
 
@@ -288,10 +296,10 @@ def check_splat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
         # That SH is left out is known.
         warnings.simplefilter("ignore", CogsplatWarning)
         write_splat(path, scene, force=True)
-    there = read_ply(_converted(modules, path, folder / "splat.ply"))
+    there = read_ply(converted(modules, path, folder / "splat.ply"))
     # There, bytes of quaternions are read with 127.5 as zero.
     allowed = {**_ROUNDING, "quats": 1.5 / 128}
-    return _findings(".splat, ours: read here and there", read_splat(path), there, allowed)
+    return findings_of(".splat, ours: read here and there", read_splat(path), there, allowed)
 
 
 def check_ksplat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
@@ -311,15 +319,15 @@ def check_ksplat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
             module = str((modules / _VIEWER).resolve())
             _node(str(script), module, str(source), str(level), str(degree), str(path))
             read = read_ksplat(path)
-            there = read_ply(_converted(modules, path, path.with_suffix(".ply")))
+            there = read_ply(converted(modules, path, path.with_suffix(".ply")))
             check = f".ksplat level {level}, SH {degree}"
-            findings += _findings(f"{check}: read here and there", read, there, _ROUNDING)
+            findings += findings_of(f"{check}: read here and there", read, there, _ROUNDING)
             if exact is None:
                 exact = read
                 cut = scene.with_sh_degree(degree)
                 one, other = (s.take(np.lexsort(s.means.T)) for s in (read, cut))
                 steps = {**_ROUNDING, "opacities": 1 / 255, "sh0": 1 / 255 / 0.282}
-                findings += _findings(f"{check}: read here and the scene", one, other, steps)
+                findings += findings_of(f"{check}: read here and the scene", one, other, steps)
             else:
                 # Blocks of 5 units in 2^16 steps, half floats rounded towards zero, and bytes of SH
                 # rounded down.
@@ -331,24 +339,12 @@ def check_ksplat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
                     "sh0": 0.0,
                     "shN": 2**-10 if level == 1 else 2 / 255,
                 }
-                findings += _findings(f"{check}: and level 0", read, exact, steps)
+                findings += findings_of(f"{check}: and level 0", read, exact, steps)
     return findings
 
 
-@click.command()
-@click.argument("modules", type=PATH)
-@click.option("--splats", default=20_000, show_default=True, help="Size of the synthetic scene.")
-@json_option
-def main(modules: Path, splats: int, as_json: bool) -> None:
-    """Print how far our readings are from others', and fail where it is further than a step."""
-    scene = _clipped(synth(splats))
-    with tempfile.TemporaryDirectory() as name:
-        findings = [
-            *check_spz(modules, scene, Path(name)),
-            *check_spz_frames(modules, scene, Path(name)),
-            *check_splat(modules, scene, Path(name)),
-            *check_ksplat(modules, scene, Path(name)),
-        ]
+def report(findings: list[Finding], splats: int, as_json: bool) -> NoReturn:
+    """Print what was found for a scene of so many splats, and exit: 1 where something failed."""
     failed = sum(not finding.passed for finding in findings)
     if as_json:
         rows = [{**vars(finding), "passed": finding.passed} for finding in findings]
@@ -367,6 +363,23 @@ def main(modules: Path, splats: int, as_json: bool) -> None:
         )
         say(f"{failed} of {len(findings)} failed" if failed else f"all {len(findings)} passed")
     sys.exit(1 if failed else 0)
+
+
+@click.command()
+@click.argument("modules", type=PATH)
+@click.option("--splats", default=20_000, show_default=True, help="Size of the synthetic scene.")
+@json_option
+def main(modules: Path, splats: int, as_json: bool) -> None:
+    """Print how far our readings are from others', and fail where it is further than a step."""
+    scene = _clipped(synth(splats))
+    with tempfile.TemporaryDirectory() as name:
+        findings = [
+            *check_spz(modules, scene, Path(name)),
+            *check_spz_frames(modules, scene, Path(name)),
+            *check_splat(modules, scene, Path(name)),
+            *check_ksplat(modules, scene, Path(name)),
+        ]
+    report(findings, splats, as_json)
 
 
 if __name__ == "__main__":
