@@ -17,6 +17,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
+U32 = NDArray[np.uint32]
 
 _AXES_BYTES: Final = 36
 _SHN: Final = struct.Struct("<IffHH")
@@ -26,6 +27,9 @@ MAX_BASIS_ROWS: Final = 255
 
 MAX_FACTOR: Final = 2.0**32
 """Largest step of shN and magnitude in its basis: sums of products stay finite (SPEC 6.14)."""
+
+# First columns of the groups that share planes: the strongest alone, then the sparse together.
+_GROUP_STARTS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 26)
 
 # Rows of sums and products that stay in the second-level cache.
 _BLOCK: Final = 1024
@@ -102,14 +106,22 @@ def shn_on_basis(codes: I64, codebook: int, step: float, shrink: float) -> Strea
     zigzag = np.where(ranked > 0, 2 * ranked - 1, -2 * ranked).astype(np.uint32)
     planes: list[U8] = [ends]
     sizes = bytearray()
-    for column in range(width):
-        inner, outer = bounds[column + 1], bounds[column]
-        for symbols in (zigzag[:inner, column], zigzag[inner:outer, column] - np.uint32(1)):
+    for columns in _groups(width):
+        inner = [zigzag[: bounds[c + 1], c] for c in columns]
+        last = [zigzag[bounds[c + 1] : bounds[c], c] - np.uint32(1) for c in columns]
+        for symbols in (np.concatenate(inner), np.concatenate(last)):
             size = grids.code_bytes(int(symbols.max(initial=0)) + 1)
             sizes.append(size)
             planes += grids.split_planes(symbols, 1 << (8 * size)) if size else []
     params = _SHN.pack(codebook, step, shrink, width, 0) + bytes(sizes)
     return Stream(Attribute.SHN, Kind.BASIS, len(codes), params, planes)
+
+
+def _groups(width: int) -> list[range]:
+    """Return the columns that share planes: single ones first, then more and more (SPEC 6.14)."""
+    stops = [min(start, width) for start in (*_GROUP_STARTS[1:], width)]
+    groups = [range(a, b) for a, b in zip(_GROUP_STARTS, stops, strict=True)]
+    return [group for group in groups if len(group)]
 
 
 def _runs(ends: U8, width: int) -> tuple[I64, list[int]]:
@@ -135,7 +147,7 @@ def _shn_params(stream: StoredStream) -> memoryview:
             clause="6.14",
         )
     width = int(_SHN.unpack_from(stream.params)[3])
-    return stream.require_params(_SHN.size + 2 * width)
+    return stream.require_params(_SHN.size + 2 * len(_groups(width)))
 
 
 def read_shn(stream: StoredStream, basis: F32, out: F32) -> None:
@@ -190,16 +202,20 @@ def read_shn(stream: StoredStream, basis: F32, out: F32) -> None:
     rows_of_basis = basis.reshape(len(basis), -1)
     ranked = np.zeros((bounds[0] if width else 0, rows_of_basis.shape[1]), np.float32)
     plane = 1
-    for column in range(width):
-        inner, outer = bounds[column + 1], bounds[column]
-        zigzag: list[NDArray[np.uint32]] = []
-        for part, (count, offset) in enumerate(((inner, 0), (outer - inner, 1))):
-            number = sizes[2 * column + part]
-            parts = [stream.plane(plane + byte, count) for byte in range(number)]
+    for group, columns in enumerate(_groups(width)):
+        counts = [bounds[c + 1] for c in columns], [bounds[c] - bounds[c + 1] for c in columns]
+        values: list[list[F32]] = []
+        for part in range(2):
+            number = sizes[2 * group + part]
+            parts = [stream.plane(plane + byte, sum(counts[part])) for byte in range(number)]
             plane += number
-            zigzag.append(grids.join_planes(parts, count) + np.uint32(offset))
-        values = _coordinates(np.concatenate(zigzag), np.float32(step), np.float32(shrink))
-        _add(ranked[:outer], values, rows_of_basis[column])
+            symbols = grids.join_planes(parts, sum(counts[part]))
+            decoded = _coordinates(symbols, part, np.float32(step), np.float32(shrink))
+            values.append(np.split(decoded, np.cumsum(counts[part])[:-1]))
+        for place, column in enumerate(columns):
+            inner, outer = bounds[column + 1], bounds[column]
+            _add(ranked[:inner], values[0][place], rows_of_basis[column])
+            _add(ranked[inner:outer], values[1][place], rows_of_basis[column])
     flat = out.reshape(len(out), -1)
     flat[order[: len(ranked)]] = ranked
     flat[order[len(ranked) :]] = 0
@@ -215,8 +231,12 @@ def _add(sums: F32, values: F32, row: F32) -> None:
         block += part
 
 
-def _coordinates(zigzag: NDArray[np.uint32], step: np.float32, shrink: np.float32) -> F32:
-    """Return (m,) float32 coordinates of zigzag codes (SPEC 6.14)."""
+def _coordinates(symbols: U32, offset: int, step: np.float32, shrink: np.float32) -> F32:
+    """Return (m,) float32 coordinates of zigzag codes less an offset (SPEC 6.14)."""
+    if len(symbols) > _BLOCK and int(symbols.max()) < _BLOCK:
+        # Few codes and many rows: each code once.
+        return _coordinates(np.arange(_BLOCK, dtype=np.uint32), offset, step, shrink)[symbols]
+    zigzag = symbols + np.uint32(offset)
     magnitude = ((zigzag + np.uint32(1)) >> np.uint32(1)).astype(np.float32)
     value = np.where(zigzag > 0, magnitude - shrink, np.float32(0)) * step
     out: F32 = np.where(zigzag & np.uint32(1), value, -value)

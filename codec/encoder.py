@@ -25,6 +25,8 @@ from .splats import Splats, empty
 from .threads import ordered_map, thread_count
 
 PROFILES: Final = ("transform", "vq", "near")
+MIN_QUALITY_DB: Final = 10.0
+MAX_QUALITY_DB: Final = 90.0
 
 
 @dataclass(frozen=True)
@@ -34,9 +36,9 @@ class EncodeConfig:
     Parameters
     ----------
     profile : str
-        ``vq`` or ``near``.
+        One of `PROFILES`.
     quality_db : float
-        Nominal PSNR of the `vq` profile, dB; sets all steps and what is kept out of the codebooks.
+        Nominal PSNR, dB, of the profiles for viewing: sets all their steps.
     order : str
         One of `order.ORDERS`.
     chunk_splats : int
@@ -52,7 +54,7 @@ class EncodeConfig:
         0 uses all cores; the bytes do not depend on it.
     """
 
-    profile: str = "vq"
+    profile: str = "transform"
     quality_db: float = 36.0
     order: str = "contribution"
     chunk_splats: int = chunking.DEFAULT_LARGEST
@@ -72,8 +74,7 @@ class EncodeConfig:
                 f"chunks of {self.chunk_splats} splats, expected 1 to {chunking.MAX_CHUNK_SPLATS}"
             )
         thread_count(self.threads)
-        if not 10 <= self.quality_db <= 90:
-            raise ValueError(f"quality {self.quality_db} dB, expected 10 to 90")
+        _require_quality(self.quality_db)
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,108 @@ class EncodedScene:
     chunks: Sequence[EncodedChunk]
 
 
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A scene in its final order: all that does not depend on how fine it is stored.
+
+    Parameters
+    ----------
+    scene : Splats
+        No rows: SH degree and `info` of the scene.
+    ordered : Splats
+        The rows that stay, in chunk order.
+    rows : (n,) int64
+        Where they stand in the source.
+    pruned : int
+        Rows of the source that were dropped.
+    scores : Scores
+        Of the source.
+    slices : sequence of slice
+        The chunks.
+    config : EncodeConfig
+    """
+
+    scene: Splats
+    ordered: Splats
+    rows: NDArray[np.int64]
+    pruned: int
+    scores: Scores
+    slices: Sequence[slice]
+    config: EncodeConfig
+
+    def encode(self, quality_db: float, *, progress: Progress = silent) -> EncodedScene:
+        """Encode at a nominal quality in place of the configuration's.
+
+        Raises
+        ------
+        ValueError
+            A quality outside 10 to 90 dB.
+        """
+        _require_quality(quality_db)
+        codebooks, encode_run = _profile(self, quality_db, progress)
+        shapes: dict[int, Codebook] = {
+            number: decode_shape_codebook(memoryview(book.payloads[0]), book.rows, "shape codebook")
+            for number, book in enumerate(codebooks)
+            if book.attribute == "shape"
+        }
+
+        def encode_one(run: slice) -> EncodedChunk:
+            part = self.rows[run]
+            payloads = encode_run(run)
+            # Coarse steps move splats past the box of the source.
+            stored = empty(0, len(part))
+            decode_head(memoryview(payloads.head), shapes, stored, "chunk")
+            return EncodedChunk(
+                splats=len(part),
+                payloads=payloads,
+                box=box(stored),
+                contribution=float(self.scores.contribution[part].sum()),
+            )
+
+        chunks: list[EncodedChunk] = []
+        progress("chunks", 0, len(self.slices))
+        for chunk in ordered_map(encode_one, self.slices, thread_count(self.config.threads)):
+            chunks.append(chunk)
+            progress("chunks", len(chunks), len(self.slices))
+        boxes = np.array([chunk.box for chunk in chunks]).reshape(-1, 6)
+        whole = np.zeros(6)
+        if len(boxes):
+            whole = np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
+        return EncodedScene(self.scene, len(self.rows), self.pruned, whole, codebooks, chunks)
+
+
+def prepare(splats: Splats, scores: Scores | None, config: EncodeConfig | None = None) -> Prepared:
+    """Order, prune and cut a scene.
+
+    Parameters
+    ----------
+    splats, scores, config
+        As `encode` takes them.
+
+    Raises
+    ------
+    DataError
+        As `encode` does.
+    """
+    config = config or EncodeConfig()
+    splats.require_valid()
+    _require_storable(splats)
+    scores = unscored(len(splats)) if scores is None else scores
+    _require_scores(scores, len(splats))
+    kept = kept_rows(splats, scores, config.prune)
+    rows = order_rows(config.order, splats, scores)
+    rows = rows[kept[rows]]
+    return Prepared(
+        scene=splats.take(slice(0, 0)),
+        ordered=splats.take(rows),
+        rows=rows,
+        pruned=len(splats) - len(rows),
+        scores=scores,
+        slices=chunking.plan_chunks(len(rows), config.chunk_splats),
+        config=config,
+    )
+
+
 def encode(
     splats: Splats,
     scores: Scores | None,
@@ -168,47 +271,14 @@ def encode(
         ``scores-mismatch`` where the scores are another scene's.
     """
     config = config or EncodeConfig()
-    splats.require_valid()
-    _require_storable(splats)
-    scores = unscored(len(splats)) if scores is None else scores
-    _require_scores(scores, len(splats))
-    kept = kept_rows(splats, scores, config.prune)
-    rows = order_rows(config.order, splats, scores)
-    rows = rows[kept[rows]]
-    slices = chunking.plan_chunks(len(rows), config.chunk_splats)
-    ordered = splats.take(rows)
-    codebooks, encode_run = _profile(ordered, scores, rows, config, slices, progress)
-    shapes: dict[int, Codebook] = {
-        number: decode_shape_codebook(memoryview(book.payloads[0]), book.rows, "shape codebook")
-        for number, book in enumerate(codebooks)
-        if book.attribute == "shape"
-    }
+    return prepare(splats, scores, config).encode(config.quality_db, progress=progress)
 
-    def encode_one(run: slice) -> EncodedChunk:
-        part = rows[run]
-        payloads = encode_run(run)
-        # Coarse steps move splats past the box of the source.
-        stored = empty(0, len(part))
-        decode_head(memoryview(payloads.head), shapes, stored, "chunk")
-        return EncodedChunk(
-            splats=len(part),
-            payloads=payloads,
-            box=box(stored),
-            contribution=float(scores.contribution[part].sum()),
+
+def _require_quality(quality_db: float) -> None:
+    if not MIN_QUALITY_DB <= quality_db <= MAX_QUALITY_DB:
+        raise ValueError(
+            f"quality {quality_db} dB, expected {MIN_QUALITY_DB:g} to {MAX_QUALITY_DB:g}"
         )
-
-    chunks: list[EncodedChunk] = []
-    progress("chunks", 0, len(slices))
-    for chunk in ordered_map(encode_one, slices, thread_count(config.threads)):
-        chunks.append(chunk)
-        progress("chunks", len(chunks), len(slices))
-    boxes = np.array([chunk.box for chunk in chunks]).reshape(-1, 6)
-    whole = np.zeros(6)
-    if len(boxes):
-        whole = np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
-    return EncodedScene(
-        splats.take(slice(0, 0)), len(rows), len(splats) - len(rows), whole, codebooks, chunks
-    )
 
 
 def _require_scores(scores: Scores, splats: int) -> None:
@@ -231,14 +301,11 @@ def _require_storable(splats: Splats) -> None:
 
 
 def _profile(
-    ordered: Splats,
-    scores: Scores,
-    rows: NDArray[np.int64],
-    config: EncodeConfig,
-    slices: Sequence[slice],
-    progress: Progress,
+    prepared: Prepared, quality_db: float, progress: Progress
 ) -> tuple[Sequence[EncodedCodebook], Callable[[slice], Payloads]]:
     """Return the codebooks of a profile and what encodes one run of the ordered scene."""
+    ordered, scores, rows = prepared.ordered, prepared.scores, prepared.rows
+    config = prepared.config
     if config.profile == "near" or len(rows) == 0:
         bound = profile_near.mean_bound(ordered, config.near)
         return [], lambda run: profile_near.encode_chunk(
@@ -247,8 +314,8 @@ def _profile(
     ordered = profile_vq.clip_strays(ordered)
     if config.profile == "transform":
         costs = allocation.costs(ordered, scores.take(rows))
-        slope = allocation.slope(scores, config.quality_db)
-        shared = profile_transform.plan(ordered, costs, scores.basis_spread, slope, slices)
+        slope = allocation.slope(scores, quality_db)
+        shared = profile_transform.plan(ordered, costs, scores.basis_spread, slope, prepared.slices)
         books = []
         if shared.basis is not None:
             books = [EncodedCodebook("colour", len(shared.basis.rows), shared.basis_payloads)]
@@ -258,7 +325,7 @@ def _profile(
     plan = profile_vq.plan(
         ordered,
         allocation.floor_energy(scores)[rows],
-        allocation.slope(scores, config.quality_db),
+        allocation.slope(scores, quality_db),
         training=config.training,
         threads=config.threads,
         progress=progress,

@@ -84,7 +84,8 @@ def _pack_digits(plane: U8, radix: int) -> U8:
     padded[: len(plane)] = plane
     weights = (radix ** np.arange(count)).astype(np.int64)
     packed = (padded.reshape(-1, count) * weights).sum(axis=1)
-    return packed.astype(np.uint8)
+    out: U8 = packed.astype(np.uint8)
+    return out
 
 
 @cache
