@@ -44,6 +44,7 @@ from .gltf_file import (
     GLB_HEADER,
     GLB_MAGIC,
     JSON_CHUNK,
+    MAX_TEXT_BYTES,
     Gltf,
     instances,
     open_gltf,
@@ -78,6 +79,7 @@ _OPACITY_TOLERANCE: Final = 1e-5
 _SMALLEST_SCALE: Final = float(np.finfo(np.float32).tiny)
 _LARGEST_SCALE: Final = float(np.finfo(np.float32).max)
 
+_MAX_DOCUMENT_BYTES: Final = 1 << 14
 _MAX_GLB_BYTES: Final = (1 << 32) - 1
 
 # Section 3.6.2.2, and WebGL's ARRAY_BUFFER.
@@ -349,7 +351,7 @@ def write_gltf(path: StrPath, splats: Splats, *, force: bool = False) -> None:
     DataError
         ``invalid-rows``; ``bad-scene-info``; ``no-splats``.
     LimitError
-        ``gltf-too-large``: beyond the 4 GiB of a GLB.
+        ``gltf-too-large``: beyond the 4 GiB of a GLB, or `MAX_TEXT_BYTES` of a ``.gltf``.
     StorageError
         As `atomic_write`, ``exists`` among them.
 
@@ -371,6 +373,13 @@ def write_gltf(path: StrPath, splats: Splats, *, force: bool = False) -> None:
     document = _document(splats, layout, length)
     with atomic_write(path, force) as file:
         if where.lower().endswith(".gltf"):
+            # Base64 makes four bytes of three; the rest is JSON of known size.
+            if length // 3 * 4 + _MAX_DOCUMENT_BYTES > MAX_TEXT_BYTES:
+                raise LimitError(
+                    "gltf-too-large",
+                    f"{where}: {length} bytes of values, expected a .glb for more than "
+                    f"{MAX_TEXT_BYTES} bytes of text",
+                )
             data = base64.b64encode(b"".join(map(np.ndarray.tobytes, _values(splats))))
             uri = "data:application/octet-stream;base64," + data.decode("ascii")
             document["buffers"] = [{"byteLength": length, "uri": uri}]

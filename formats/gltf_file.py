@@ -36,6 +36,9 @@ BIN_CHUNK: Final = b"BIN\0"
 
 BAD_JSON: Final = "gltf-bad-json"
 
+MAX_TEXT_BYTES: Final = 1 << 28
+"""Longest ``.gltf`` that is read or written, with the buffers inside it."""
+
 _MAX_JSON_BYTES: Final = 1 << 26
 _MAX_BUFFER_BYTES: Final = (1 << 53) - 1
 _MAX_COUNT: Final = (1 << 31) - 1
@@ -261,8 +264,8 @@ def open_gltf(path: StrPath) -> Gltf:
                 raise FormatError(
                     "gltf-magic", f"{where}: is {describe(head)}, expected a .glb or .gltf"
                 )
-            text, binary = head + file.read(_MAX_JSON_BYTES + 1), None
-    root = parse_object(text, _MAX_JSON_BYTES, where, BAD_JSON)
+            text, binary = head + file.read(MAX_TEXT_BYTES), None
+    root = parse_object(text, MAX_TEXT_BYTES, where, BAD_JSON)
     version = root.child("asset").text("version")
     if not version.startswith("2."):
         raise UnsupportedError("gltf-version", f"{where}: glTF {version[:20]!r}, expected 2.x")

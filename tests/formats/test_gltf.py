@@ -394,11 +394,13 @@ def test_scenes_that_are_not_written(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_beyond_the_size_of_a_glb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_beyond_the_sizes_of_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gltf, "_MAX_GLB_BYTES", 1000)
-    with pytest.raises(LimitError) as caught:
-        write_gltf(tmp_path / "a.glb", scene(30, 0))
-    assert caught.value.code == "gltf-too-large"
+    monkeypatch.setattr(gltf, "MAX_TEXT_BYTES", 1000)
+    for name in ("a.glb", "a.gltf"):
+        with pytest.raises(LimitError) as caught:
+            write_gltf(tmp_path / name, scene(30, 0))
+        assert caught.value.code == "gltf-too-large"
     assert list(tmp_path.iterdir()) == []
 
 
