@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -116,6 +116,12 @@ class Costs:
         """Return the costs of some rows."""
         return Costs(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
+    def levelled(self) -> Costs:
+        """Return the same costs for every row: their means, from which equal steps follow."""
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        level = {name: np.full_like(x, x.mean()) for name, x in values.items() if x.ndim == 1}
+        return replace(self, **level)
+
 
 # Least cost of each value relative to its splat's energy. Sensitivities hold for small errors
 # only: what happens to match its surroundings now would show once it moved.
@@ -183,9 +189,13 @@ def costs(splats: Splats, scores: Scores) -> Costs:
     )
 
 
+# What no view weighs could be as coarse as one likes: far from where float32 ends.
+_COARSEST_STEP: Final = 2.0**60
+
+
 def equal_step(slope_value: float, cost: F64) -> float:
     """Return the step of a chunk whose mean cost is what counts."""
-    return float(np.sqrt(slope_value / cost.mean()))
+    return min(float(np.sqrt(slope_value / cost.mean())), _COARSEST_STEP)
 
 
 def own_steps(slope_value: float, cost: F64) -> F64:

@@ -103,7 +103,13 @@ def _round(values: F64) -> I64:
 
 
 def fit(
-    coefficients: F32, energy: F64, basis_spread: F64, slope: float, chunks: Sequence[slice]
+    coefficients: F32,
+    energy: F64,
+    basis_spread: F64,
+    slope: float,
+    chunks: Sequence[slice],
+    *,
+    principal: bool = True,
 ) -> ColourBasis:
     """Return the basis of a scene: a Karhunen-Loève transform in the metric of its views.
 
@@ -117,6 +123,8 @@ def fit(
     slope : float
     chunks : sequence of slice
         Their steps decide which rows are ever used.
+    principal : bool
+        Otherwise the coefficients themselves, those that take most levels first.
     """
     count = coefficients.shape[1]
     spread = basis_spread[:count, :count]
@@ -132,8 +140,15 @@ def fit(
     for run in chunks:
         visible = flat[run] @ root.T
         moments += (visible.T @ visible) / allocation.shn_step(slope, energy[run]) ** 2
-    _, axes = np.linalg.eigh(moments)
-    rows = (axes[:, ::-1].T @ inverse).astype(np.float32)
+    if principal:
+        _, axes = np.linalg.eigh(moments)
+        rows = (axes[:, ::-1].T @ inverse).astype(np.float32)
+    else:
+        # Scaled to cost one each, as principal axes do: all share one step.
+        lengths = np.sqrt(np.diagonal(metric))
+        levels = np.diagonal(inverse @ moments @ inverse) * lengths**2
+        order = np.argsort(-levels, kind="stable")
+        rows = (np.eye(len(metric)) / lengths)[order].astype(np.float32)
     basis = ColourBasis(np.ascontiguousarray(rows), metric)
     used = np.zeros(len(rows), np.bool_)
     for run in chunks:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import allocation, chunking, profile_near, profile_transform, profile_vq
+from .ablation import Ablation
 from .chunk import Payloads
 from .codebook import TrainingConfig
 from .decoder import Codebook, decode_head, decode_shape_codebook
@@ -52,6 +53,8 @@ class EncodeConfig:
     training : TrainingConfig
     threads : int
         0 uses all cores; the bytes do not depend on it.
+    ablation : Ablation
+        What the `transform` profile does without, for measuring.
     """
 
     profile: str = "transform"
@@ -63,6 +66,7 @@ class EncodeConfig:
     near: NearBounds = field(default_factory=NearBounds)
     training: TrainingConfig = field(default_factory=TrainingConfig)
     threads: int = 0
+    ablation: Ablation = field(default_factory=Ablation)
 
     def __post_init__(self) -> None:
         if self.profile not in PROFILES:
@@ -313,9 +317,16 @@ def _profile(
         )
     ordered = profile_vq.clip_strays(ordered)
     if config.profile == "transform":
-        costs = allocation.costs(ordered, scores.take(rows))
+        known = scores.take(rows)
+        if not config.ablation.sensitivities:
+            known = replace(known, sensitivities=None)
+        costs = allocation.costs(ordered, known)
+        if not config.ablation.chunk_steps:
+            costs = costs.levelled()
         slope = allocation.slope(scores, quality_db)
-        shared = profile_transform.plan(ordered, costs, scores.basis_spread, slope, prepared.slices)
+        shared = profile_transform.plan(
+            ordered, costs, scores.basis_spread, slope, prepared.slices, config.ablation
+        )
         books = []
         if shared.basis is not None:
             books = [EncodedCodebook("colour", len(shared.basis.rows), shared.basis_payloads)]

@@ -39,12 +39,14 @@ _LEVEL: Final = 19
 _local = threading.local()
 
 
-def pack_plane(plane: U8) -> tuple[int, bytes]:
+def pack_plane(plane: U8, *, digits: bool = True) -> tuple[int, bytes]:
     """Code one plane in whatever way takes the fewest bytes.
 
     Parameters
     ----------
     plane : (n,) uint8
+    digits : bool
+        Whether several symbols may share a byte.
 
     Returns
     -------
@@ -59,7 +61,7 @@ def pack_plane(plane: U8) -> tuple[int, bytes]:
     """
     best, word = _smaller(plane.tobytes())
     radix = int(plane.max(initial=0)) + 1
-    if len(plane) and radix in DIGITS:
+    if digits and len(plane) and radix in DIGITS:
         packed, flag = _smaller(_pack_digits(plane, radix).tobytes())
         if len(packed) + 1 < len(best):
             best = bytes([radix]) + packed

@@ -22,6 +22,7 @@ from . import (
     turn,
 )
 from . import grid as grids
+from .ablation import Ablation
 from .allocation import Costs
 from .chunk import MAX_LOGIT, Payloads, chunk_means
 from .colour_basis import ColourBasis
@@ -46,6 +47,9 @@ _TURN_STEP: Final = 2.0
 _AREA_SHARE: Final = 0.5
 _LEAST_CLEAR: Final = 0.1
 
+# A chunk of one place is taken to be so wide, scene units.
+_LEAST_SPAN: Final = 2.0**-20
+
 # Splats coarser than all but this share of a chunk set the cells that Morton order sorts.
 _COARSEST: Final = 0.02
 
@@ -67,6 +71,7 @@ class TransformPlan:
         None at SH degree 0.
     basis_payloads : tuple of bytes
         One per SH band.
+    ablation : Ablation
     """
 
     slope: float
@@ -75,10 +80,16 @@ class TransformPlan:
     scales: F32
     basis: ColourBasis | None
     basis_payloads: tuple[bytes, ...]
+    ablation: Ablation
 
 
 def plan(
-    splats: Splats, costs: Costs, basis_spread: F64, slope: float, chunks: Sequence[slice]
+    splats: Splats,
+    costs: Costs,
+    basis_spread: F64,
+    slope: float,
+    chunks: Sequence[slice],
+    ablation: Ablation,
 ) -> TransformPlan:
     """Prepare a scene in its final order.
 
@@ -92,17 +103,21 @@ def plan(
         `Scores.basis_spread`.
     slope : float
     chunks : sequence of slice
+    ablation : Ablation
     """
     turns, scales = turn.canonical(rotation.unit(splats.quats), splats.scales)
     basis: ColourBasis | None = None
     payloads: tuple[bytes, ...] = ()
     if splats.sh_degree:
-        basis = colour_basis.fit(splats.shN, costs.energy, basis_spread, slope, chunks)
-        payloads = tuple(streams.pack([band]) for band in basis.streams())
+        spread = basis_spread if ablation.view_metric else np.zeros_like(basis_spread)
+        basis = colour_basis.fit(
+            splats.shN, costs.energy, spread, slope, chunks, principal=ablation.colour_basis
+        )
+        payloads = tuple(streams.pack([b], digits=ablation.digits) for b in basis.streams())
         views = {band: memoryview(data) for band, data in enumerate(payloads, start=1)}
         stored = decode_colour_codebook(views, len(basis.rows), splats.sh_degree, "basis")
         basis = basis.stored_as(stored.shN)
-    return TransformPlan(slope, costs, turns, scales, basis, payloads)
+    return TransformPlan(slope, costs, turns, scales, basis, payloads, ablation)
 
 
 def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -> Payloads:
@@ -118,24 +133,33 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     sort : bool
         Whether to sort by Morton code.
     """
-    slope = plan_.slope
+    slope, used = plan_.slope, plan_.ablation
     rows = np.arange(run.start, run.stop, dtype=np.int64)
-    ladder, scale_grid = _ladder(plan_.scales[rows], plan_.costs.take(rows), slope)
+    ladder, scale_grid = _ladder(plan_.scales[rows], plan_.costs.take(rows), slope, used.areas)
     scales = shape_streams.climb(scale_grid.dequantise(scale_grid.quantise(ladder)))
-    inside, means = _means(splats.means[rows], scales, plan_.costs.take(rows), slope, sort)
+    means_costs = plan_.costs.take(rows).mean
+    if used.fine_means:
+        inside, means = _means(splats.means[rows], scales, means_costs, slope, sort)
+    else:
+        step = allocation.equal_step(slope, means_costs)
+        inside, means = chunk_means(splats.means[rows], step, sort)
     rows, ladder, scales = rows[inside], ladder[inside], scales[inside]
     costs = plan_.costs.take(rows)
-    tilt = resolution.fit(scales, costs.tilt, slope, _TURN_STEP)
-    spin = resolution.fit(scales, costs.spin, slope, _TURN_STEP)
+    # Of shapes all alike, every one gets the same resolution.
+    shapes = scales if used.fine_turns else np.zeros_like(scales)
+    tilt = resolution.fit(shapes, costs.tilt, slope, _TURN_STEP)
+    spin = resolution.fit(shapes, costs.spin, slope, _TURN_STEP)
     turns, _ = shape_streams.turns(plan_.turns[rows], scales, tilt, spin)
     sh0 = splats.sh0[rows].astype(np.float64)
     tail: bytes | None = None
     if plan_.basis is not None:
         stream, missed = plan_.basis.encode(splats.shN[rows], costs.energy, slope, BASIS)
-        # What shN lost, as its views see it on average, sh0 makes up for.
-        sh0 += np.einsum("nk,nkc->nc", costs.basis_mean, missed) / allocation.SH0_BASIS
-        tail = streams.pack([stream])
-    opacities = _opacities(splats.opacities[rows], plan_.scales[rows], scales)
+        if used.sh0_makes_up:
+            # What shN lost, as its views see it on average.
+            sh0 += np.einsum("nk,nkc->nc", costs.basis_mean, missed) / allocation.SH0_BASIS
+        tail = streams.pack([stream], digits=used.digits)
+    kept_areas = plan_.scales[rows] if used.areas else scales
+    opacities = _opacities(splats.opacities[rows], kept_areas, scales)
     opacity_step = allocation.equal_step(slope, costs.opacity)
     head = [
         shape_streams.ladder(ladder, scale_grid),
@@ -144,10 +168,11 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
         streams.scalar(Attribute.OPACITIES, opacities, grids.fit(opacities, opacity_step)),
         _sh0(sh0, costs.energy, slope),
     ]
-    return Payloads(streams.pack(head), tail, (), (BASIS,) if tail is not None else ())
+    needs = (BASIS,) if tail is not None else ()
+    return Payloads(streams.pack(head, digits=used.digits), tail, (), needs)
 
 
-def _ladder(scales: F32, costs: Costs, slope: float) -> tuple[F32, Grid]:
+def _ladder(scales: F32, costs: Costs, slope: float, areas: bool) -> tuple[F32, Grid]:
     """Return the ladder to store and its grid: what one value loses, the next makes up for.
 
     A splat's weight in a picture goes with its area, about the product of its two longer axes. The
@@ -157,6 +182,8 @@ def _ladder(scales: F32, costs: Costs, slope: float) -> tuple[F32, Grid]:
     steps = np.array([allocation.equal_step(slope, column) for column in columns])
     ladder = shape_streams.steps_of(scales)
     grid = grids.fit(ladder, steps)
+    if not areas:
+        return ladder, grid
     stored = grid.dequantise(grid.quantise(ladder))
     # log area = 2·long - middle's distance: half of what the distance gained goes to the long axis.
     ladder[:, 0] += 0.5 * (stored[:, 1] - ladder[:, 1])
@@ -175,21 +202,27 @@ def _opacities(opacities: F32, scales: F32, stored: F32) -> F32:
     return (logits - shift).astype(np.float32)[:, None]
 
 
-def _means(means: F32, scales: F32, costs: Costs, slope: float, sort: bool) -> tuple[I64, Stream]:
+def _means(means: F32, scales: F32, costs: F64, slope: float, sort: bool) -> tuple[I64, Stream]:
     """Return the order inside a chunk and its means, fine where the grid can hold them."""
-    finest = resolution.fit(scales, costs.mean, slope, 1.0)
-    wanted = np.log2(allocation.own_steps(slope, costs.mean))
+    wanted = np.log2(allocation.own_steps(slope, costs))
     # A power of two below which only the coarsest splats' steps lie: halvings start at 0 there.
     base = float(2.0 ** np.floor(np.quantile(wanted, 1 - _COARSEST)))
-    finest = resolution.fit(scales, costs.mean, slope, base)
+    base = min(base, _widest(means))
+    finest = resolution.fit(scales, costs, slope, base)
     halvings = finest.halvings(scales)
     grid = _grid(means, base)
     top = grid.levels.astype(np.float64) * 2.0 ** int(halvings.max())
     if not sort or int(grid.levels.max()) > morton.MAX_LEVELS or top.max() >= 2.0**31:
-        return chunk_means(means, allocation.equal_step(slope, costs.mean), sort)
+        return chunk_means(means, allocation.equal_step(slope, costs), sort)
     codes = fine_means.fine_codes(means, grid, halvings)
     order = fine_means.morton_order(codes, halvings)
     return order, fine_means.fine_means(codes[order], grid, halvings[order], finest)
+
+
+def _widest(means: F32) -> float:
+    """Return a power of two as wide as a chunk: steps beyond it gain nothing, and overflow."""
+    span = float(np.ptp(means.astype(np.float64), axis=0).max())
+    return float(2.0 ** np.ceil(np.log2(max(span, _LEAST_SPAN))))
 
 
 def _grid(means: F32, step: float) -> Grid:

@@ -172,12 +172,20 @@ def vq(attribute: Attribute, indices: U32, codebook: int, size: int, kept: int) 
     return Stream(attribute, Kind.VQ, len(indices), _VQ.pack(codebook, kept), planes)
 
 
-def pack(streams: Sequence[Stream]) -> bytes:
-    """Return the payload of a segment (SPEC 6.1); streams in the order a decoder reads them."""
+def pack(streams: Sequence[Stream], *, digits: bool = True) -> bytes:
+    """Return the payload of a segment (SPEC 6.1).
+
+    Parameters
+    ----------
+    streams : sequence of Stream
+        In the order a decoder reads them.
+    digits : bool
+        Whether several symbols may share a byte of a plane.
+    """
     records: list[bytes] = []
     bodies: list[bytes] = []
     for stream in streams:
-        packed = [pack_plane(plane) for plane in stream.planes]
+        packed = [pack_plane(plane, digits=digits) for plane in stream.planes]
         records.append(
             _RECORD.pack(
                 stream.attribute,
