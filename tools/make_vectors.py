@@ -53,7 +53,7 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     payloads.mortons,
     payloads.codebooks,
     payloads.heads_and_tails,
-    transform.bodies,
+    transform.packings,
     transform.kinds,
     transform.bases,
 )

@@ -242,32 +242,27 @@ def record(stream: Stream, **changes: int) -> Record:
     return Record(list((fields | changes).values()), stream.params, planes)
 
 
-PAYLOAD_HEAD: Final = 4
-"""Bytes before the first record: the number of streams and of rANS lanes (SPEC 6.1)."""
+PAYLOAD_HEAD: Final = 2
+"""Bytes before the first record: the number of streams (SPEC 6.1)."""
 
 
-def payload(
-    records: Sequence[Record], *, count: int | None = None, lanes: int = 0, body: bytes = b""
-) -> bytes:
-    """Return a segment's payload.
+def packed_plane(raw: bytes, radix: int) -> bytes:
+    """Return the bytes that hold several symbols of a plane each, without the radix (SPEC 6.9)."""
+    count = next(d for d in range(8, 1, -1) if radix**d <= 256)
+    groups = [raw[start : start + count] for start in range(0, len(raw), count)]
+    return bytes(sum(s * radix**i for i, s in enumerate(group)) for group in groups)
 
-    Parameters
-    ----------
-    records : sequence of Record
-    count : int, optional
-        Streams it states, where that is not how many there are.
-    lanes : int
-    body : bytes
-        What stands behind the last plane.
-    """
-    heads = [struct.pack("<HH", len(records) if count is None else count, lanes)]
+
+def payload(records: Sequence[Record], *, count: int | None = None) -> bytes:
+    """Return a segment's payload; `count` overrides the number of streams it states."""
+    heads = [struct.pack("<H", len(records) if count is None else count)]
     bodies = []
     for entry in records:
         words = [word for word, _ in entry.planes]
         heads.append(struct.pack("<BBBBIHH", *entry.fields, len(words), len(entry.params)))
         heads.append(entry.params + _u32(words))
         bodies += [stored for _, stored in entry.planes]
-    return b"".join([*heads, *bodies, body])
+    return b"".join(heads + bodies)
 
 
 def pack_streams(streams: Sequence[Stream]) -> bytes:

@@ -1,4 +1,4 @@
-"""Must-reject vectors of rANS bodies and of the kinds turn, fine and basis (SPEC 6.9 to 6.15)."""
+"""Must-reject vectors of packed planes and of the kinds turn, fine and basis (SPEC 6.9 on)."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import zstandard
 
 from cogsplat.codec.streams import Attribute, Kind, Stream
 
-from . import vectors_rans as rans
 from . import vectors_scenes as scenes
 from . import vectors_valid_transform as fine
-from .vectors_file import Record, build, one_chunk, pack_streams, payload, record
+from .vectors_file import build, one_chunk, pack_streams, packed_plane, payload, record
 from .vectors_invalid import Invalid
 
 
@@ -21,68 +21,44 @@ def _refused(name: str, head: bytes, rows: int, code: str, clause: str, note: st
     return Invalid(name, build(one_chunk(head, rows)), code, clause, note, "decode")
 
 
-def bodies() -> list[Invalid]:
+def packings() -> list[Invalid]:
     """Return the vectors of SPEC 6.9."""
     rows = 12
-    opacities = scenes.spread(Attribute.OPACITIES, rows, 3)
-    sh0 = scenes.spread(Attribute.SH0, rows, 4)
-    streams = scenes.still_head(rows, opacities, sh0)
-    where = scenes.place(streams, Attribute.OPACITIES)
-    good = rans.coded(streams, 2)
+    codes = [row % 3 for row in range(rows)]
+    opacities = scenes.coded(Attribute.OPACITIES, [(-1.0, 1.0, 3)], [codes])
+    body = scenes.still_head(rows, opacities)
+    where = scenes.place(body, Attribute.OPACITIES)
+    good = packed_plane(bytes(codes), 3)
 
-    def bad(name: str, code: str, note: str, data: bytes, clause: str = "6.9") -> Invalid:
-        return _refused(name, data, rows, code, clause, note)
-
-    def body(
-        name: str, code: str, note: str, lanes: int, content: bytes, clause: str = "6.9"
+    def bad(
+        name: str, stored: bytes, code: str, note: str, clause: str = "6.9", flags: int = 1
     ) -> Invalid:
-        return bad(name, code, note, payload(good.records, lanes=lanes, body=content), clause)
+        entries = [record(stream) for stream in body]
+        entries[where].planes = [(len(stored) | flags << 30, stored)]
+        return _refused(name, payload(entries), rows, code, clause, note)
 
-    def table(name: str, stored: bytes, note: str) -> Invalid:
-        entries = _copied(good.records)
-        entries[where].planes[0] = (len(stored) | 1 << 30, stored)
-        data = payload(entries, lanes=2, body=good.body)
-        return bad(name, "rans-table", note, data)
+    def frame(octets: bytes, *, checksum: bool = False) -> bytes:
+        made: bytes = zstandard.ZstdCompressor(level=19, write_checksum=checksum).compress(octets)
+        return made
 
-    def turned(order: Sequence[int]) -> bytes:
-        return rans.pack(rans.coded([streams[i] for i in order], 2))
-
-    both = _copied(good.records)
-    both[where].planes[0] = (both[where].planes[0][0] | 1 << 31, both[where].planes[0][1])
-    plain = [record(stream) for stream in streams]
-    first = good.records[where].planes[0][1]
-    low = struct.pack("<I", 0xFFFF) + good.body[4:]
-    ended = rans.coded(streams, 2, start=(1 << 16) + 1)
     return [
-        body("rans-lanes-3", "rans-lanes", "three lanes", 3, good.body + bytes(4)),
-        body("rans-lanes-2048", "rans-lanes", "2048 lanes", 2048, good.body),
-        body("rans-lanes-0", "stream-record", "planes in a body, no lanes", 0, good.body, "6.1"),
-        bad("rans-no-planes", "stream-record", "lanes, and no plane in a body",
-            payload(plain, lanes=2, body=good.body), "6.1"),
-        body("rans-body-cut", "rans-states", "7 bytes for two states", 2, good.body[:7]),
-        body("rans-body-none", "rans-states", "no bytes for two states", 2, b""),
-        body("rans-state-low", "rans-states", "a state below 2^16", 2, low),
-        body("rans-half-word", "rans-words", "half a word at the end", 2, good.body + b"\0"),
-        body("rans-words-few", "rans-words", "a word missing", 2, good.body[:-2]),
-        body("rans-words-more", "rans-end", "a word left over", 2, good.body + b"\0\0"),
-        bad("rans-state-end", "rans-end", "a state that does not end at 2^16", rans.pack(ended)),
-        bad("rans-both", "stream-record", "a plane of zstd and rANS", _packed(both, good), "6.3"),
-        table("rans-table-none", b"", "a table of no bytes"),
-        table("rans-table-cut", first[:-1], "the last code missing"),
-        table("rans-table-more", first + b"\1", "a byte behind the table"),
-        table("rans-table-zero", bytes([1, 5, 0]), "the last code is 0"),
-        bad("rans-order", "stream-order", "sh0 before opacities", turned([0, 1, 2, 4, 3])),
-        bad("rans-plane-missing", "rans-words", "more symbols than were coded",
-            rans.pack(replace(good, body=rans.encode([], 2)))),
+        bad("packed-none", b"", "plane-radix", "no radix"),
+        bad("packed-radix-0", b"\0" + good, "plane-radix", "radix 0"),
+        bad("packed-radix-1", b"\1" + bytes(rows), "plane-radix", "radix 1"),
+        bad("packed-radix-17", b"\x11" + bytes(rows), "plane-radix", "radix 17"),
+        bad("packed-short", b"\3" + good[:-1], "plane-length", "two bytes, not three", "6.3"),
+        bad("packed-long", b"\3" + good + b"\0", "plane-length", "four bytes, not three", "6.3"),
+        bad("packed-digits", b"\3\xf3" + good[1:], "plane-digits", "byte 243 at radix 3"),
+        bad("packed-behind", b"\3" + good[:2] + b"\x09", "plane-digits", "a digit behind the last"),
+        bad("packed-code", b"\4" + packed_plane(bytes([3] * rows), 4), "code-range",
+            "digits of 3 for 3 levels", "6.4"),
+        bad("packed-frame", b"\3" + frame(good)[:-1], "zstd-frame", "a frame cut short", "6.3", 3),
+        bad("packed-frame-size", b"\3" + frame(bytes(codes)), "zstd-size",
+            "a frame of twelve bytes, not three", "6.3", 3),
+        bad("packed-frame-none", b"\3", "zstd-frame", "a radix and no frame", "6.3", 3),
+        bad("packed-frame-checksum", b"\3" + frame(good, checksum=True), "zstd-checksum",
+            "a frame with a checksum", "6.3", 3),
     ]  # fmt: skip
-
-
-def _packed(records: Sequence[Record], found: rans.Coded) -> bytes:
-    return payload(records, lanes=found.lanes, body=found.body)
-
-
-def _copied(records: Sequence[Record]) -> list[Record]:
-    return [Record(list(r.fields), r.params, list(r.planes)) for r in records]
 
 
 def kinds() -> list[Invalid]:

@@ -28,43 +28,6 @@ def f32(value: float) -> float:
     return rounded
 
 
-class _Body:
-    """The rANS body of a payload (SPEC 6.9)."""
-
-    def __init__(self, data: bytes, lanes: int) -> None:
-        self.states = list(struct.unpack_from(f"<{lanes}I", data))
-        self.words = [word for (word,) in struct.iter_unpack("<H", data[4 * lanes :])]
-        self.position = 0
-
-    def decode(self, table: bytes, length: int) -> bytes:
-        weights = [
-            code if code < 16 else (16 + code % 16) << (code // 16 - 1) for code in table[1:]
-        ]
-        spare = 4096 - sum(weight > 0 for weight in weights)
-        slots: list[tuple[int, int, int]] = []
-        running = shared = 0
-        for symbol, weight in enumerate(weights):
-            running += weight
-            share = running * spare // sum(weights)
-            count = share - shared + (weight > 0)
-            shared = share
-            slots += [(symbol, count, bias) for bias in range(count)]
-        if slots[0][1] == 4096:
-            return bytes([slots[0][0]]) * length
-        out = bytearray()
-        for index in range(length):
-            lane = index % len(self.states)
-            state = self.states[lane]
-            symbol, count, bias = slots[state % 4096]
-            state = count * (state // 4096) + bias
-            if state < 1 << 16:
-                state = state << 16 | self.words[self.position]
-                self.position += 1
-            self.states[lane] = state
-            out.append(symbol)
-        return bytes(out)
-
-
 class Record:
     """One stream of a payload (SPEC 6.2, 6.3)."""
 
@@ -72,17 +35,19 @@ class Record:
         self.attribute, self.kind, _, self.flags, self.rows, self.num_planes, _ = fields
         self.params = params
         self.stored: list[tuple[int, bytes]] = []
-        self.body: _Body | None = None
 
     def plane(self, index: int, length: int) -> bytes:
-        """Return a plane; those in the body must be asked for once, and in order."""
+        """Return a plane of so many symbols (SPEC 6.3, 6.9)."""
         word, stored = self.stored[index]
+        packed = word >> 30 & 1
+        octets: bytes = stored[packed:]
         if word >> 31:
-            raw: bytes = zstandard.ZstdDecompressor().decompress(stored)
-            return raw
-        if word >> 30 and self.body:
-            return self.body.decode(stored, length)
-        return stored
+            octets = zstandard.ZstdDecompressor().decompress(octets)
+        if not packed:
+            return octets
+        radix = stored[0]
+        count = max(d for d in range(1, 9) if radix**d <= 256)
+        return bytes(octets[j // count] // radix ** (j % count) % radix for j in range(length))
 
 
 Payload = dict[tuple[int, int], Record]
@@ -92,8 +57,8 @@ def parse(payload: bytes) -> Payload:
     """Return the records of a payload by attribute and the flag kept (SPEC 6.1)."""
     records: list[Record] = []
     words: list[tuple[int, ...]] = []
-    count, lanes = struct.unpack_from("<HH", payload)
-    position = 4
+    (count,) = struct.unpack_from("<H", payload)
+    position = 2
     for _ in range(count):
         fields = struct.unpack_from("<BBBBIHH", payload, position)
         params_end = position + 12 + fields[6]
@@ -105,10 +70,6 @@ def parse(payload: bytes) -> Payload:
             end = position + (word & 0x3FFFFFFF)
             record.stored.append((word, payload[position:end]))
             position = end
-    if lanes:
-        body = _Body(payload[position:], lanes)
-        for record in records:
-            record.body = body
     return {(r.attribute, r.flags & KEPT): r for r in records}
 
 
@@ -336,27 +297,28 @@ def shn_basis(record: Record, basis: list[Row]) -> list[Row]:
     _, step, shrink, width, _ = struct.unpack_from("<IffHH", record.params)
     sizes = record.params[16:]
     ends = record.plane(0, record.rows)
-    rows = [[0.0] * len(basis[0]) for _ in range(record.rows)]
+    ranked = sorted(range(record.rows), key=lambda row: -ends[row])
+    edges = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 26, 255)
+    codes: dict[tuple[int, int], int] = {}
     plane = 1
-    for column in range(width):
-        zigzag: dict[int, int] = {}
-        for part, offset in ((0, 1), (1, 0)):
-            chosen = [
-                row
-                for row, end in enumerate(ends)
-                if (end == column + 1 if part == 0 else end > column + 1)
+    for group, start in enumerate(edge for edge in edges if edge < width):
+        for part in (0, 1):
+            places = [
+                (row, column)
+                for column in range(start, min(edges[group + 1], width))
+                for row in ranked
+                if (ends[row] > column + 1 if part == 0 else ends[row] == column + 1)
             ]
-            count = sizes[2 * column + part]
-            codes = _codes(record, plane, count, len(chosen))
+            count = sizes[2 * group + part]
+            found = _codes(record, plane, count, len(places))
             plane += count
-            zigzag |= {row: code + offset for row, code in zip(chosen, codes, strict=True)}
-        for row, code in zigzag.items():
-            if not code:
-                continue
+            codes |= {place: code + part for place, code in zip(places, found, strict=True)}
+    rows = [[0.0] * len(basis[0]) for _ in range(record.rows)]
+    for row, column in sorted(codes):
+        code = codes[row, column]
+        if code:
             value = f32(f32((code + 1) // 2 - shrink) * step)
             signed = value if code % 2 else -value
-            rows[row] = [
-                f32(old + f32(signed * entry))
-                for old, entry in zip(rows[row], basis[column], strict=True)
-            ]
+            pairs = zip(rows[row], basis[column], strict=True)
+            rows[row] = [f32(old + f32(signed * entry)) for old, entry in pairs]
     return rows

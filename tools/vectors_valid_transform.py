@@ -1,4 +1,4 @@
-"""Valid vectors of rANS planes and of the kinds ladder, turn, fine and basis (SPEC 6.9 to 6.15)."""
+"""Valid vectors of packed planes and of the kinds ladder, turn, fine and basis (SPEC 6.9 on)."""
 
 from __future__ import annotations
 
@@ -8,15 +8,28 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+import zstandard
 from numpy.typing import NDArray
 
 from cogsplat.codec import bits, colour_streams, morton, turn
 from cogsplat.codec.resolution import Resolution
-from cogsplat.codec.streams import Attribute, Kind, Stream
+from cogsplat.codec.streams import COMPONENTS, SH_BANDS, Attribute, Kind, Stream
+from cogsplat.formats.cogs_layout import SegmentKind
+from cogsplat.formats.cogs_writer import Segment
 
-from . import vectors_rans as rans
 from . import vectors_scenes as scenes
-from .vectors_file import build, one_chunk, pack_streams
+from .vectors_file import (
+    ChunkRow,
+    Draft,
+    Group,
+    build,
+    one_chunk,
+    pack_streams,
+    packed_plane,
+    payload,
+    record,
+    root_keys,
+)
 from .vectors_streams import SCALES, numbers, parse
 from .vectors_valid import Valid
 
@@ -86,45 +99,55 @@ def _one_stream(name: str, streams: Sequence[Stream], clauses: tuple[str, ...], 
     return Valid(name, build(one_chunk(head, rows)), clauses, note)
 
 
-def _rans() -> list[Valid]:
-    rows = 20
-    head = scenes.head(rows, 3, scenes.quats(rows, 5, largest=[i % 4 for i in range(rows)]))
-    tail = scenes.bands(1, rows, 9)
-
-    def file(name: str, first: bytes, second: bytes, note: str) -> Valid:
-        data = build(one_chunk(first, rows, tail=second, sh_degree=1))
-        return Valid(name, data, ("6.3", "6.9"), note)
-
-    one, eight = rans.pack(rans.coded(head, 1)), rans.pack(rans.coded(head, 8))
-    many = rans.pack(rans.coded(tail, 64))
-    mixed = rans.coded(tail, 2, plain=lambda stream, plane: plane % 3 == 1)
-    one_code = scenes.coded(Attribute.OPACITIES, [(0.0, 1.0, 9)], [[7] * rows])
-    still = rans.pack(rans.coded(scenes.still_head(rows, one_code), 1))
-    return [
-        file("rans", one, rans.pack(rans.coded(tail, 4)), "one lane, and four"),
-        file("rans-lanes", eight, many, "lanes that the rows do not fill"),
-        file("rans-mixed", one, rans.pack(mixed), "stored planes between rANS-coded ones"),
-        file("rans-still", still, many, "a plane of one symbol: no words"),
-    ]
+def pack_digits(body: Sequence[Stream], *, zstd: bool) -> bytes:
+    """Return a payload whose planes are packed where their symbols are few enough."""
+    records = [record(stream) for stream in body]
+    for entry, stream in zip(records, body, strict=True):
+        for number, plane in enumerate(stream.planes):
+            raw = plane.tobytes()
+            radix = max(raw, default=16) + 1
+            if 2 <= radix <= 16:
+                octets = packed_plane(raw, radix)
+                frame: bytes = zstandard.ZstdCompressor(level=19).compress(octets)
+                stored = bytes([radix]) + (frame if zstd else octets)
+                entry.planes[number] = (len(stored) | (3 if zstd else 1) << 30, stored)
+    return payload(records)
 
 
-def _vq_rans() -> Valid:
-    shape = scenes.indices(Attribute.SHAPE, [*range(6), 260, 261], 0, 260, 2)
-    own = [
-        scenes.spread(Attribute.SCALES, 2, 70, levels=40, kept=True),
-        scenes.quats(2, 71, kept=True),
-    ]
-    colour = scenes.indices(Attribute.SHN, [0, 1, 2, 3, 4, 5, 6, 7], 1, 4, 4)
-    tail = [*scenes.bands(3, 4, 80, kept=True), colour]
-    books = {
-        "shape": (260, [rans.pack(rans.coded(scenes.shape_book(260, 1), 2))]),
-        "colour": (4, [rans.pack(rans.coded([scenes.band(i, 4, 2)], 1)) for i in (1, 2, 3)]),
-    }
-    head = rans.pack(rans.coded(scenes.vq_head(8, 4, shape, *own), 2))
-    draft = one_chunk(
-        head, 8, tail=rans.pack(rans.coded(tail, 1)), sh_degree=3, books=books, needs=(0, 1)
-    )
-    return Valid("vq-rans", build(draft), ("6.9", "7.1", "7.2", "7.3"), "kept rows before indices")
+def _packed() -> list[Valid]:
+    """Return files with planes of every radix."""
+    rows = 40
+    bands, first = [], 0
+    for band in SH_BANDS:
+        ranges, codes = [], []
+        for value in range(first, first + COMPONENTS[band]):
+            radix = 2 + value % 15
+            ranges.append((-0.1 * value, 0.2 * value + 0.1, radix))
+            codes.append([radix - 1, *scenes.numbers(rows - 1, radix, value)])
+        bands.append(scenes.coded(band, ranges, codes))
+        first += COMPONENTS[band]
+    head = pack_streams(scenes.still_head(rows))
+    made = []
+    for name, zstd, note in (
+        ("packed", False, "planes of radix 2 to 16, several symbols to the byte"),
+        ("packed-zstd", True, "the same in zstd frames"),
+    ):
+        tail = pack_digits(bands, zstd=zstd)
+        data = build(one_chunk(head, rows, tail=tail, sh_degree=3))
+        made.append(Valid(name, data, ("6.3", "6.9"), note))
+    return made
+
+
+def _packed_ends() -> Valid:
+    """Return a file whose planes end at every place within a packed byte."""
+    segments, rows = [], []
+    for chunk, count in enumerate(range(1, 10)):
+        opacities = scenes.coded(Attribute.OPACITIES, [(-1.0, 1.0, 2)], [[1] * count])
+        body = scenes.still_head(count, opacities)
+        segments.append(Segment(SegmentKind.HEAD, chunk, pack_digits(body, zstd=False)))
+        rows.append(ChunkRow(count))
+    draft = Draft(root_keys(45, 0), [Group(segments, rows)])
+    return Valid("packed-ends", build(draft), ("6.9",), "planes of 1 to 9 symbols of radix 2")
 
 
 def _shn() -> list[Valid]:
@@ -136,7 +159,12 @@ def _shn() -> list[Valid]:
         [200, -200, 0, 5, 0],
         [0, 0, 0, 70000, 0],
     ]
-    books = {"colour": (6, [pack_streams([scenes.band(i, 6, 2)]) for i in (1, 2)])}
+    many = [
+        [x - 1 for x in scenes.numbers(5 * row, 3, row)] + [0] * (30 - 5 * row) for row in range(6)
+    ]
+    many[5][29] = 1
+    many[2], many[5] = many[5], many[2]
+    books = {"colour": (31, [pack_streams([scenes.band(i, 31, 2)]) for i in (1, 2)])}
 
     def file(name: str, stream: Stream, note: str) -> Valid:
         head = pack_streams(scenes.still_head(6))
@@ -146,6 +174,7 @@ def _shn() -> list[Valid]:
 
     return [
         file("shn-basis", shn_basis(rows, 0, 0.013, 0.2), "coordinates of 1, 2 and 3 bytes, ends"),
+        file("shn-basis-groups", shn_basis(many, 0, 0.05, 0.1), "30 coordinates: shared planes"),
         file("shn-basis-flat", shn_basis([[0]] * 6, 0, 1.0, 0.0), "no coordinates: width 0"),
         file(
             "shn-basis-large", shn_basis([[1 << 22, -1]] * 6, 0, 2.0**32, 0.5), "the largest step"
@@ -165,11 +194,11 @@ def _all_of_it() -> Valid:
     ]
     codes = [[x - 2 for x in scenes.numbers(7, 5, row)] for row in range(rows)]
     tail = [shn_basis(codes, 0, 0.1, 0.15)]
-    books = {"colour": (9, [rans.pack(rans.coded([scenes.band(i, 9, 2)], 1)) for i in (1, 2, 3)])}
+    books = {"colour": (9, [pack_streams([scenes.band(i, 9, 2)]) for i in (1, 2, 3)])}
     draft = one_chunk(
-        rans.pack(rans.coded(head, 4)),
+        pack_digits(head, zstd=True),
         rows,
-        tail=rans.pack(rans.coded(tail, 2)),
+        tail=pack_digits(tail, zstd=False),
         sh_degree=3,
         books=books,
         needs=(0,),
@@ -187,8 +216,8 @@ def valid() -> list[Valid]:
     never = Resolution((-9.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     always = Resolution((1e6, 0.0, 0.0, 0.0, 0.0, 0.0))
     return [
-        *_rans(),
-        _vq_rans(),
+        *_packed(),
+        _packed_ends(),
         _one_stream("ladder", [scales], ("6.12",), "scales from the longest axis down"),
         _one_stream(
             "turn", [scales, turns(scales, 2)], ("6.10", "6.11"), "turns of 0 to 15 halvings"
