@@ -199,7 +199,7 @@ def main(
     if as_json:
         say_json({"machine": about, "pairs": pairs, "files": [t.report() for t in timings]})
         return
-    using = "with numba" if about["numba"] else "without numba"
+    using = "numba loaded" if about["numba"] else "without numba"
     say(f"{using}, {pairs} pairs, {thread_count(threads)} threads, {about['platform']}")
     rows = [
         (
