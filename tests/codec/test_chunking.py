@@ -28,33 +28,39 @@ def test_chunks_cover_all_rows_once_within_their_limit(splats, largest):
         splats %= 20_000
     found = sizes(splats, largest)
     assert all(1 <= size <= largest for size in found)
-    # They grow; only the rest at the end may be smaller.
-    assert found[:-1] == sorted(found[:-1])
-    if len(found) > 1:
-        assert found[0] == min(FIRST_SPLATS, largest)
-        # A rest of less than half the chunk before joins it, unless that would be too large.
-        assert 2 * found[-1] >= found[-2] or found[-2] + found[-1] > largest
+    growing = []
+    size = float(FIRST_SPLATS)
+    while size < largest:
+        growing.append(int(size))
+        size *= 1.75
+    if splats > sum(growing):
+        even = found[len(growing) :]
+        assert found[: len(growing)] == growing or found[: len(growing) - 1] == growing[:-1]
+        assert not even or max(even) - min(even) <= 1
+    else:
+        # Only the last is not as planned: a short rest, or one that took the rest in.
+        assert found[:-1] == growing[: len(found) - 1]
 
 
-def test_each_is_half_as_large_again():
-    growing = [1024, 1536, 2304, 3456, 5184, 7776, 11664, *[16384] * 4, 1520]
-    assert sizes(100_000) == growing
+def test_each_is_larger_than_the_one_before_and_the_rest_is_even():
+    assert sizes(100_000)[:8] == [256, 448, 784, 1372, 2401, 4201, 7353, 12867]
+    assert sizes(100_000)[8:] == [14063, 14064, 14063, 14064, 14064]
 
 
 def test_nothing_and_little():
     assert sizes(0) == []
     assert sizes(1) == [1]
-    assert sizes(1024) == [1024]
-    assert sizes(1025) == [1025]
-    assert sizes(1535) == [1535]
-    assert sizes(1536) == [1024, 512]
+    assert sizes(256) == [256]
+    assert sizes(257) == [257]
+    assert sizes(383) == [383]
+    assert sizes(384) == [256, 128]
 
 
-def test_the_largest_is_kept_even_by_a_small_rest():
-    assert sizes(1001, 1000) == [1000, 1]
+def test_the_largest_is_kept_and_no_run_is_tiny():
+    assert sizes(201, 200) == [100, 101]
     assert sizes(5, 1) == [1] * 5
-    assert sizes(5, 2) == [2, 2, 1]
-    assert sizes(10, 3) == [3, 3, 3, 1]
+    assert sizes(5, 2) == [1, 2, 2]
+    assert sizes(10, 3) == [2, 3, 2, 3]
 
 
 @pytest.mark.parametrize("largest", [0, -1, MAX_CHUNK_SPLATS + 1])
