@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Final
 
 DEFAULT_LARGEST: Final = 16384
@@ -38,7 +39,7 @@ def plan_chunks(splats: int, largest: int = DEFAULT_LARGEST) -> list[slice]:
             # As few chunks as hold the rest, and even ones: a tiny last chunk costs its framing.
             count = -(-rest // largest)
             bounds = [start + rest * number // count for number in range(count + 1)]
-            return chunks + [slice(a, b) for a, b in zip(bounds, bounds[1:], strict=False)]
+            return chunks + [slice(a, b) for a, b in pairwise(bounds)]
         stop = start + int(size)
         # A rest smaller than half a chunk joins this one where it may.
         if splats - stop < size / 2 and rest <= largest:
