@@ -18,7 +18,7 @@ import zstandard
 from cogsplat.codec.streams import COMPONENTS, Stream
 from cogsplat.formats.cogs_layout import MAGIC, MAJOR, MINOR, SegmentKind
 from cogsplat.formats.cogs_writer import Segment
-from cogsplat.formats.strict_msgpack import Value, pack
+from cogsplat.formats.strict_msgpack import Value, pack, unpack
 
 Index = dict[str, Value]
 Edit = Callable[[int, Index], None]
@@ -203,6 +203,31 @@ def root_bytes(data: bytes) -> tuple[bytes, bytes]:
     (length,) = struct.unpack_from("<I", data, 12)
     end = PREAMBLE_BYTES + length
     return data[PREAMBLE_BYTES:end], data[end:]
+
+
+def refitted(data: bytes, payloads: Mapping[int, bytes]) -> bytes:
+    """Return a file without pages, some of its segments replaced and its root made to fit.
+
+    Parameters
+    ----------
+    data : bytes
+    payloads : mapping of int to bytes
+        Row of the segment table to what stands there now.
+    """
+    root, behind = root_bytes(data)
+    index = unpack(root, "root")
+    segments = table(index, "segments")
+    lengths = struct.unpack(
+        f"<{len(column(index, 'segments', 'kind'))}I", column(index, "segments", "length")
+    )
+    parts, start = [], 0
+    for row, length in enumerate(lengths):
+        parts.append(payloads.get(row, behind[start : start + length]))
+        start += length
+    segments["length"] = _u32([len(part) for part in parts])
+    segments["crc"] = _u32([zlib.crc32(part) for part in parts])
+    segments["hash"] = b"".join(hashlib.sha256(part).digest()[:16] for part in parts)
+    return with_root(pack(index), b"".join(parts))
 
 
 @dataclass

@@ -1,0 +1,169 @@
+"""Files made to break a reader: only refusals come out, and no more memory than they may take."""
+
+import json
+import random
+import struct
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cogs_samples import ARRAYS, file_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cogsplat.codec.errors import CogsplatError
+from cogsplat.formats.cogs_index import read_index
+from cogsplat.formats.cogs_reader import Limits, open_cogs
+from cogsplat.formats.source import BytesSource
+from cogsplat.formats.strict_msgpack import pack, unpack
+from cogsplat.tools import vectors_reference
+from cogsplat.tools.vectors_file import refitted, root_bytes, with_root
+
+VECTORS = Path(__file__).resolve().parents[1] / "vectors"
+MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))
+FILES = [(VECTORS / "valid" / f"{e['name']}.cogs").read_bytes() for e in MANIFEST["valid"]]
+# Their segments can be put together again from the root alone.
+PLAIN = [data for data in FILES if not read_index(BytesSource(data), partial=False).root.pages]
+LIMITS = Limits(decoded_bytes=4 << 20)
+
+NUMBERS = [0, 1, 2, 3, 127, 128, 255, 256, 65535, 65536, 1 << 18, (1 << 18) + 1, (1 << 24) + 1,
+           (1 << 31) - 1, 1 << 31, (1 << 32) - 1]  # fmt: skip
+FLOATS = [0.0, -0.0, 1.0, -1.0, 2.0, 1e-45, 2.0**100, 2.0**101, 3e38, np.inf, -np.inf, np.nan]
+
+quick = settings(max_examples=120, deadline=None)
+
+
+def opened(data, *, partial=False):
+    """Do all a reader does; return what it decodes, or the refusal."""
+    try:
+        with open_cogs(BytesSource(data), partial=partial, limits=LIMITS) as file:
+            file.decode(sh_degree=0)
+            splats = file.decode()
+            file.verify()
+    except CogsplatError as error:
+        return error
+    return splats
+
+
+@st.composite
+def overwritten(draw, data):
+    """Bytes with a few numbers written over them, or some cut out or put in."""
+    out = bytearray(draw(data) if isinstance(data, st.SearchStrategy) else data)
+    for _ in range(draw(st.integers(1, 4))):
+        at = draw(st.integers(0, max(len(out) - 1, 0)))
+        kind = draw(st.sampled_from(["flip", "u32", "u16", "f32", "cut", "put"]))
+        if kind == "flip" and out:
+            out[at] ^= 1 << draw(st.integers(0, 7))
+        elif kind == "cut":
+            del out[at : at + draw(st.integers(1, 9))]
+        elif kind == "put":
+            out[at:at] = draw(st.binary(max_size=9))
+        else:
+            new = {
+                "u32": lambda: struct.pack("<I", draw(st.sampled_from(NUMBERS))),
+                "u16": lambda: struct.pack("<H", draw(st.sampled_from(NUMBERS)) & 0xFFFF),
+                "f32": lambda: struct.pack("<f", draw(st.sampled_from(FLOATS))),
+                "flip": lambda: b"",
+            }[kind]()
+            out[at : at + len(new)] = new
+    return bytes(out)
+
+
+@quick
+@given(st.sampled_from(FILES).flatmap(overwritten), st.booleans())
+def test_damaged_bytes_are_refused(data, partial):
+    found = opened(data, partial=partial)
+    assert isinstance(found, CogsplatError) or data in FILES or partial
+
+
+@quick
+@given(st.sampled_from(FILES), st.data())
+def test_damaged_roots_with_a_right_crc(data, draw):
+    root, behind = root_bytes(data)
+    opened(with_root(draw.draw(overwritten(root)), behind))
+
+
+@quick
+@given(st.sampled_from(FILES), st.data())
+def test_roots_with_wrong_numbers(data, draw):
+    """Every column and every number may say anything."""
+    root, behind = root_bytes(data)
+    value = unpack(root, "root")
+    for _ in range(draw.draw(st.integers(1, 3))):
+        place = value
+        while True:
+            key = draw.draw(st.sampled_from(sorted(place)))
+            inner = place[key]
+            if isinstance(inner, list) and inner and isinstance(inner[0], dict):
+                inner = inner[0]
+            if not isinstance(inner, dict):
+                break
+            place = inner
+        if isinstance(place[key], bytes):
+            place[key] = draw.draw(overwritten(place[key]))
+        elif isinstance(place[key], int):
+            place[key] = draw.draw(st.sampled_from(NUMBERS))
+        elif isinstance(place[key], float):
+            place[key] = draw.draw(st.sampled_from([float(f) for f in FLOATS]))
+        elif isinstance(place[key], list) and place[key]:
+            del place[key][-1]
+    opened(with_root(pack(value), behind))
+
+
+def assert_as_reference(data, splats):
+    """What our reader accepts is a valid file: the second decoder must get the same bits."""
+    rows = vectors_reference.decode(data).rows
+    for name in ARRAYS:
+        found = getattr(splats, name)
+        wanted = np.array(rows[name], np.float32).reshape(found.shape)
+        assert np.array_equal(found.view(np.uint32), wanted.view(np.uint32)), name
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(PLAIN), st.data())
+def test_damaged_payloads_are_refused_or_decode_as_specified(data, draw):
+    index = read_index(BytesSource(data), partial=False)
+    if not len(index.segments):
+        return
+    row = draw.draw(st.integers(0, len(index.segments) - 1))
+    start = int(index.offsets[row])
+    payload = data[start : start + int(index.segments.length[row])]
+    changed = refitted(data, {row: draw.draw(overwritten(payload))})
+    found = opened(changed)
+    if not isinstance(found, CogsplatError):
+        assert_as_reference(changed, found)
+
+
+@pytest.mark.parametrize("profile", ["transform", "vq", "near"])
+def test_damaged_scenes_take_little_memory(profile):
+    data = file_of(profile, 300, 3, 60)
+    index = read_index(BytesSource(data), partial=False)
+    rng = random.Random(7)
+    worst = 0
+    tracemalloc.start()
+    for _ in range(40):
+        row = rng.randrange(len(index.segments))
+        start = int(index.offsets[row])
+        payload = bytearray(data[start : start + int(index.segments.length[row])])
+        for _ in range(rng.randint(1, 3)):
+            at = rng.randrange(max(min(len(payload), 200) - 4, 1))
+            payload[at : at + 4] = struct.pack("<I", rng.choice(NUMBERS))
+        changed = refitted(data, {row: bytes(payload)})
+        tracemalloc.reset_peak()
+        before, _ = tracemalloc.get_traced_memory()
+        opened(changed)
+        worst = max(worst, tracemalloc.get_traced_memory()[1] - before)
+    tracemalloc.stop()
+    assert worst < 24 << 20
+
+
+def test_the_must_reject_files_take_little_memory():
+    tracemalloc.start()
+    for entry in MANIFEST["invalid"]:
+        data = (VECTORS / "invalid" / f"{entry['name']}.cogs").read_bytes()
+        tracemalloc.reset_peak()
+        before, _ = tracemalloc.get_traced_memory()
+        opened(data)
+        assert tracemalloc.get_traced_memory()[1] - before < 8 << 20, entry["name"]
+    tracemalloc.stop()
