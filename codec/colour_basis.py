@@ -28,6 +28,11 @@ _DEAD_ZONE: Final = 0.6
 # What a non-zero coordinate is worth less than its code, in steps: small ones are more frequent.
 _SHRINK: Final = 0.05
 
+# Steps finer than this share of a chunk's largest coordinate: its code would not fit three bytes,
+# signed (SPEC 6.14). And where all are zero, the least step that float32 holds well.
+_MOST_STEPS: Final = 1 << 22
+_FINEST_STEP: Final = 2.0**-100
+
 _ROW_LEVELS: Final = 256
 
 
@@ -88,8 +93,10 @@ class ColourBasis:
         missed : (n, K-1, 3) float64
             Source minus decoded.
         """
-        step = allocation.shn_step(slope, energy)
-        codes = _round(self.coordinates(coefficients) / step)
+        coordinates = self.coordinates(coefficients)
+        largest = float(np.abs(coordinates).max(initial=0))
+        step = max(allocation.shn_step(slope, energy), largest / _MOST_STEPS, _FINEST_STEP)
+        codes = _round(coordinates / step)
         stream = colour_streams.shn_on_basis(codes, codebook, step, _SHRINK)
         values = np.sign(codes) * np.maximum(np.abs(codes) - _SHRINK, 0) * step
         decoded = (values @ self.rows.astype(np.float64)).reshape(coefficients.shape)
