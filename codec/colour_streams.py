@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from . import compiled
 from . import grid as grids
 from .errors import FormatError
 from .grid import ENTRY_BYTES, Grid
@@ -79,6 +80,11 @@ def read_sh0(stream: StoredStream, out: F32) -> None:
         )
     values = np.empty((stream.rows, 3), np.float32)
     read_grid_planes(stream, grid, 0, 0, values)
+    if compiled.ready():
+        from . import decode_kernels
+
+        decode_kernels.on_axes(values, axes, out)
+        return
     out[:] = _on_axes(values, axes)
 
 
@@ -127,9 +133,14 @@ def _groups(width: int) -> list[range]:
 def _runs(ends: U8, width: int) -> tuple[I64, list[int]]:
     """Return rows by descending number of coordinates, and how many rows have more than each."""
     order = np.argsort(np.uint8(255) - ends, kind="stable").astype(np.int64)
+    return order, _above(ends, width)
+
+
+def _above(ends: U8, width: int) -> list[int]:
+    """Return how many rows have more coordinates than 0, 1, … `width`."""
     counts = np.bincount(ends, minlength=width + 1)
-    above = len(ends) - np.cumsum(counts)
-    return order, [int(n) for n in above]
+    above: list[int] = (len(ends) - np.cumsum(counts)).tolist()
+    return above
 
 
 def basis_codebook(stream: StoredStream) -> int:
@@ -198,8 +209,11 @@ def read_shn(stream: StoredStream, basis: F32, out: F32) -> None:
             f"{stream.where}: {int(ends.max())} coordinates, expected at most {width}",
             clause="6.14",
         )
-    order, bounds = _runs(ends, width)
     rows_of_basis = basis.reshape(len(basis), -1)
+    if compiled.ready():
+        _compiled_shn(stream, ends, bytes(sizes), width, rows_of_basis, (step, shrink), out)
+        return
+    order, bounds = _runs(ends, width)
     ranked = np.zeros((bounds[0] if width else 0, rows_of_basis.shape[1]), np.float32)
     plane = 1
     for group, columns in enumerate(_groups(width)):
@@ -219,6 +233,40 @@ def read_shn(stream: StoredStream, basis: F32, out: F32) -> None:
     flat = out.reshape(len(out), -1)
     flat[order[: len(ranked)]] = ranked
     flat[order[len(ranked) :]] = 0
+
+
+def _compiled_shn(
+    stream: StoredStream,
+    ends: U8,
+    sizes: bytes,
+    width: int,
+    basis: F32,
+    factors: tuple[float, float],
+    out: F32,
+) -> None:
+    from . import decode_kernels
+
+    groups = _groups(width)
+    above = _above(ends, width)
+    lengths: list[int] = []
+    for group, columns in enumerate(groups):
+        inner = sum(above[c + 1] for c in columns)
+        last = above[columns.start] - above[columns.stop]
+        lengths += [inner] * sizes[2 * group] + [last] * sizes[2 * group + 1]
+    planes = stream.joined(1, lengths)
+    wide = np.zeros((width, decode_kernels.BASIS_COLUMNS), np.float32)
+    wide[:, : basis.shape[1]] = basis[:width]
+    step, shrink = factors
+    decode_kernels.shn(
+        ends,
+        np.array([*(columns.start for columns in groups), width], np.int64),
+        np.frombuffer(sizes, np.uint8),
+        planes,
+        wide,
+        np.float32(step),
+        np.float32(shrink),
+        out.reshape(len(out), -1),
+    )
 
 
 def _add(sums: F32, values: F32, row: F32) -> None:

@@ -7,12 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from . import bits, morton
+from . import bits, compiled, morton
 from . import grid as grids
 from . import resolution as resolutions
 from .errors import FormatError
 from .grid import ENTRY_BYTES, Grid
-from .resolution import RESOLUTION_BYTES, Resolution
+from .resolution import MAX_HALVINGS, RESOLUTION_BYTES, Resolution
 from .streams import Attribute, Kind, StoredStream, Stream
 
 F32 = NDArray[np.float32]
@@ -22,6 +22,9 @@ U32 = NDArray[np.uint32]
 U64 = NDArray[np.uint64]
 
 _THREE: Final = np.uint8(3)
+
+# Powers of two: the product with the step is exact.
+_SCALES: Final = np.ldexp(np.float32(1), -np.arange(MAX_HALVINGS + 1)).astype(np.float32)
 
 
 def fine_codes(means: F32, grid: Grid, halvings: U8) -> U32:
@@ -77,6 +80,11 @@ def read_fine_means(stream: StoredStream, scales: F32, out: F32) -> None:
     halvings = resolution.halvings(scales)
     classes = stream.plane(0, stream.rows)
     deltas = stream.plane(1, morton.bits_length(classes, stream.where))
+    if compiled.ready():
+        below = stream.plane(2, bits.packed_bytes(halvings * _THREE))
+        cells = morton.Cells(grid.levels, _SCALES[:, None] * grid.step, grid.minimum)
+        if morton.read_compiled(classes, deltas, halvings, below, cells, out):
+            return
     coarse = morton.deinterleave(morton.unpack_deltas(classes, deltas, stream.where))
     top = coarse.max(axis=0, initial=0)
     if bool((top >= grid.levels).any()):
@@ -89,11 +97,10 @@ def read_fine_means(stream: StoredStream, scales: F32, out: F32) -> None:
     fields = bits.unpack(stream.plane(2, bits.packed_bytes(widths)), widths, stream.where)
     wide = halvings.astype(np.uint64)
     mask = (np.uint64(1) << wide) - np.uint64(1)
-    scale = np.ldexp(np.float32(1), -halvings.astype(np.int32)).astype(np.float32)
+    scale = _SCALES[halvings]
     step = grid.step
     for axis in range(3):
         low = (fields >> (wide * np.uint64(axis))) & mask
         codes = (coarse[:, axis].astype(np.uint64) << wide) | low
-        # A power of two: the product with the step is exact.
         np.multiply(codes.astype(np.float32), scale * step[axis], out=out[:, axis])
     out += grid.minimum

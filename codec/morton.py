@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from .errors import FormatError
 
+F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 U32 = NDArray[np.uint32]
 U64 = NDArray[np.uint64]
@@ -159,3 +161,61 @@ def unpack_deltas(classes: U8, bits: U8, where: str) -> U64:
     if len(codes) and bool((codes >> np.uint64(63)).any()):
         raise FormatError("morton-range", f"{where}: a code needs more than 63 bits", clause="6.5")
     return codes
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """What Morton codes and the bits below them are worth.
+
+    Parameters
+    ----------
+    levels : (3,) uint32
+        Axis codes of a Morton code are below these.
+    factors : (h, 3) float32
+        Distance between values after 0, 1, … h - 1 halvings.
+    minimum : (3,) float32
+        Of code 0.
+    """
+
+    levels: U32
+    factors: F32
+    minimum: F32
+
+
+def read_compiled(
+    classes: U8, deltas: U8, halvings: U8, fields: U8, cells: Cells, out: F32
+) -> bool:
+    """Write (n, 3) means as `unpack_deltas` and all that follows would, or find something wrong.
+
+    Parameters
+    ----------
+    classes, deltas : uint8
+        Planes, the second `bits_length` bytes.
+    halvings : (n,) uint8
+    fields : uint8
+        Plane of three times as many bits a row (SPEC 6.15).
+    cells : Cells
+    out : (n, 3) float32
+
+    Returns
+    -------
+    bool
+        False where codes or padding break SPEC 6.5 or 6.15; `out` is then of no use.
+    """
+    from . import decode_kernels
+
+    used = decode_kernels.delta_bits(classes) & 7, int(halvings.sum(dtype=np.int64)) * 3 & 7
+    for plane, last in zip((deltas, fields), used, strict=True):
+        if last and int(plane[-1]) >> last:
+            return False
+    return decode_kernels.fine_means(
+        classes,
+        decode_kernels.words(deltas),
+        halvings,
+        decode_kernels.words(fields),
+        decode_kernels.AXES_OF_BITS,
+        cells.levels.astype(np.int64),
+        cells.factors,
+        cells.minimum,
+        out,
+    )

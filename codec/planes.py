@@ -10,6 +10,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from . import compiled
 from .errors import FormatError
 
 U8 = NDArray[np.uint8]
@@ -205,6 +206,14 @@ def _unpack_digits(stored: memoryview, word: int, length: int, where: str) -> U8
     size = -(-length // count)
     packed = unpack_plane(stored[1:], word & ZSTD_FLAG, size, where)
     table = _digit_table(radix)
+    if compiled.ready():
+        from . import decode_kernels
+
+        out = np.empty(length, np.uint8)
+        if decode_kernels.digits(packed, table, out):
+            # As what zstd gives: kernels are compiled for one kind of array.
+            out.flags.writeable = False
+            return out
     if size and int(packed.max()) >= len(table):
         raise FormatError(
             "plane-digits",

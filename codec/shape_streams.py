@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from . import compiled, turn
 from . import grid as grids
 from . import resolution as resolutions
-from . import turn
 from .errors import FormatError
 from .grid import ENTRY_BYTES, Grid
 from .resolution import RESOLUTION_BYTES, Resolution
@@ -61,6 +61,11 @@ def read_ladder(stream: StoredStream, out: F32) -> None:
     grid = grids.unpack(stream.require_params(3 * ENTRY_BYTES), 3, stream.where)
     steps = np.empty((stream.rows, 3), np.float32)
     read_grid_planes(stream, grid, 0, 0, steps)
+    if compiled.ready():
+        from . import decode_kernels
+
+        decode_kernels.climb(steps, out)
+        return
     out[:] = climb(steps)
 
 
@@ -103,6 +108,8 @@ def read_turns(stream: StoredStream, scales: F32, out: F32) -> None:
     spin = resolutions.unpack(params[RESOLUTION_BYTES:], stream.where)
     values = np.empty((stream.rows, 3), np.float32)
     plane = 0
+    if compiled.ready() and _compiled_turns(stream, scales, (tilt, spin), out):
+        return
     columns = _halvings(scales, tilt, spin)
     wanted = sum(len(turn.groups(halvings)) + 1 for halvings in columns)
     if len(stream.words) != wanted:
@@ -127,6 +134,37 @@ def read_turns(stream: StoredStream, scales: F32, out: F32) -> None:
             )
         values[:, column] = turn.dequantise(codes, halvings)
     out[:] = turn.quats_of(values)
+
+
+def _compiled_turns(
+    stream: StoredStream, scales: F32, resolved: tuple[Resolution, Resolution], out: F32
+) -> bool:
+    from . import decode_kernels
+
+    halvings = [resolution.halvings(scales) for resolution in resolved]
+    counts = [decode_kernels.turn_counts(halved) for halved in halvings]
+    columns = [0] * _TILTS + [1]
+    lengths = [[n for n in counts[which][1:-1].tolist() if n] for which in columns]
+    if len(stream.words) != sum(map(len, lengths)) + len(columns):
+        return False
+    values = np.empty((stream.rows, len(columns)), np.float32)
+    plane = 0
+    for column, which in enumerate(columns):
+        symbols = stream.joined(plane, lengths[column])
+        plane += len(lengths[column])
+        starts = np.cumsum(counts[which]) - counts[which] - counts[which][0]
+        bits = int(counts[which][-1])
+        rest = stream.plane(plane, bits + 7 >> 3)
+        plane += 1
+        if bits & 7 and int(rest[-1]) >> (bits & 7):
+            return False
+        packed = decode_kernels.words(rest)
+        if not decode_kernels.turn_column(
+            symbols, starts, packed, halvings[which], turn.STEPS, values, column
+        ):
+            return False
+    decode_kernels.turn_quats(values, out)
+    return True
 
 
 def _halvings(scales: F32, tilt: Resolution, spin: Resolution) -> list[U8]:

@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from . import compiled, morton
 from . import grid as grids
-from . import morton
 from .errors import FormatError, UnsupportedError
 from .grid import ENTRY_BYTES, Grid
 from .planes import LENGTH_MASK, pack_plane, unpack_plane
@@ -289,6 +289,11 @@ class StoredStream:
         word = int(self.words[index])
         return unpack_plane(self.bodies[index], word, length, where)
 
+    def joined(self, first: int, lengths: Sequence[int]) -> U8:
+        """Return consecutive planes, decompressed to these lengths in bytes, end to end."""
+        planes = [self.plane(first + place, length) for place, length in enumerate(lengths)]
+        return np.concatenate(planes) if planes else np.empty(0, np.uint8)
+
     def require_kind(self, kind: Kind) -> None:
         """Refuse a stream of another kind."""
         if self.kind != kind:
@@ -335,6 +340,12 @@ class StoredStream:
         self.require_planes(2)
         classes = self.plane(0, self.rows)
         bits = self.plane(1, morton.bits_length(classes, self.where))
+        if compiled.ready():
+            none = np.zeros(self.rows, np.uint8)
+            factors = grid.step[None, :]
+            cells = morton.Cells(grid.levels, factors, grid.minimum)
+            if morton.read_compiled(classes, bits, none, none[:0], cells, out):
+                return
         codes = morton.deinterleave(morton.unpack_deltas(classes, bits, self.where))
         top = codes.max(axis=0, initial=0)
         if bool((top >= grid.levels).any()):
@@ -422,6 +433,8 @@ def read_grid_planes(stream: StoredStream, grid: Grid, first: int, extra: int, o
             continue
         planes = [stream.plane(plane + byte, stream.rows) for byte in range(count)]
         plane += count
+        if compiled.ready() and _compiled_column(planes, grid, component, extra, out):
+            continue
         codes = planes[0] if count == 1 else grids.join_planes(planes, stream.rows)
         if levels + extra < 1 << (8 * count) and int(codes.max(initial=0)) >= levels + extra:
             raise FormatError(
@@ -435,6 +448,16 @@ def read_grid_planes(stream: StoredStream, grid: Grid, first: int, extra: int, o
         if extra:
             column[codes == levels] = np.inf
             column[codes == levels + 1] = -np.inf
+
+
+def _compiled_column(planes: list[U8], grid: Grid, component: int, extra: int, out: F32) -> bool:
+    from . import decode_kernels
+
+    octets = np.concatenate(planes)
+    levels, step, minimum = int(grid.levels[component]), grid.step, grid.minimum
+    return decode_kernels.grid_column(
+        octets, len(planes), levels, extra, step[component], minimum[component], out, component
+    )
 
 
 def _plane_counts(grid: Grid, extra: int) -> list[int]:

@@ -19,6 +19,10 @@ SYMBOL_HALVINGS: Final = 6
 """Halvings up to here are coded as symbols; what is finer are plain bits (SPEC 6.11)."""
 
 
+STEPS: Final = np.ldexp(np.float32(2), -np.arange(MAX_HALVINGS + 1)).astype(np.float32)
+"""What a code is worth after each number of halvings, float32."""
+
+
 def canonical(quats: F32, scales: F32) -> tuple[F64, F32]:
     """Rename axes to (middle, thin, long), tilted by at most 90° and spun by at most 90°.
 
@@ -84,8 +88,7 @@ def quantise(values: F64, halvings: U8) -> U32:
 
 def dequantise(codes: U32, halvings: U8) -> F32:
     """Return ``code · 2^(1 - halvings) - 1`` in float32, 0 where there are no halvings."""
-    step = np.ldexp(np.float32(2), -halvings.astype(np.int32)).astype(np.float32)
-    values = codes.astype(np.float32) * step - np.float32(1)
+    values = codes.astype(np.float32) * STEPS[halvings] - np.float32(1)
     return np.where(halvings > 0, values, np.float32(0))
 
 

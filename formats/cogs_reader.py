@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from cogsplat.codec import decoder
+from cogsplat.codec import compiled, decoder
 from cogsplat.codec.decoder import Codebook
 from cogsplat.codec.errors import FormatError, LimitError, TruncatedError
 from cogsplat.codec.progress import Progress, silent
@@ -194,6 +194,7 @@ class CogsFile:
         for chunk in wanted:
             self._load_codebooks(chunk, degree)
         self._check_size(sum(counts), degree)
+        compiled.prepare(sum(counts))
         out = _allocate(sum(counts), degree, self.root)
         stops = np.cumsum(counts).tolist()
         tasks = [

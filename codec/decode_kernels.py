@@ -1,0 +1,388 @@
+"""Decoding compiled: the arithmetic of the numpy code beside it, bit for bit.
+
+Kernels that check return False where a value is out of range; the numpy code then says which.
+Nothing here fuses products and sums (SPEC 2.2), unlike `kernels.kernel`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, TypeVar, cast
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from . import morton
+
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+U64 = NDArray[np.uint64]
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+def _exact(function: Function) -> Function:
+    compiled = njit(nogil=True, cache=True, error_model="numpy")(function)
+    return cast(Function, compiled)
+
+
+SYMBOL_GROUPS: Final = 7
+"""Halvings 0 to 6 and above: the first has no plane (SPEC 6.11)."""
+
+BASIS_COLUMNS: Final = 48
+"""Columns of a basis as the kernel wants it: 45 and zeros, a multiple of the vector width."""
+
+_AXIS_BITS: Final = 21
+_AXIS_MASK: Final = (1 << _AXIS_BITS) - 1
+
+
+def _axes_of_bits() -> U64:
+    axes = morton.deinterleave(np.arange(512, dtype=np.uint64)).astype(np.uint64)
+    return axes[:, 0] | axes[:, 1] << np.uint64(_AXIS_BITS) | axes[:, 2] << np.uint64(42)
+
+
+AXES_OF_BITS: Final = _axes_of_bits()
+"""Three bits of each axis, 21 bits apart, of nine bits of a Morton code."""
+
+
+def words(plane: U8) -> U64:
+    """Return the bytes of a plane as 64-bit words, with two of zeros behind them."""
+    padded = np.empty((len(plane) + 7 >> 3) + 2, np.uint64)
+    octets = padded.view(np.uint8)
+    octets[: len(plane)] = plane
+    octets[len(plane) :] = 0
+    return padded
+
+
+@_exact
+def _window(packed: U64, position: int) -> np.uint64:
+    """Return the 64 bits from a position on."""
+    index = position >> 6
+    shift = np.uint64(position & 63)
+    high = (packed[index + 1] << np.uint64(1)) << (np.uint64(63) - shift)
+    return (packed[index] >> shift) | high
+
+
+@_exact
+def digits(packed: U8, table: U8, out: U8) -> bool:
+    """Write the digits of packed bytes (SPEC 6.9); those behind the last symbol must be 0."""
+    count = table.shape[1]
+    whole = len(out) // count
+    top = 0
+    for i in range(len(packed)):
+        top = max(top, int(packed[i]))
+    if top >= len(table):
+        return False
+    if count == 2:
+        for i in range(whole):
+            out[2 * i] = table[packed[i], 0]
+            out[2 * i + 1] = table[packed[i], 1]
+    elif count == 3:
+        for i in range(whole):
+            for j in range(3):
+                out[3 * i + j] = table[packed[i], j]
+    elif count == 5:
+        for i in range(whole):
+            for j in range(5):
+                out[5 * i + j] = table[packed[i], j]
+    elif count == 8:
+        for i in range(whole):
+            for j in range(8):
+                out[8 * i + j] = table[packed[i], j]
+    else:
+        for i in range(whole):
+            for j in range(4):
+                out[4 * i + j] = table[packed[i], j]
+    rest = len(out) - whole * count
+    for j in range(rest):
+        out[whole * count + j] = table[packed[whole], j]
+    if rest:
+        for j in range(rest, count):
+            if table[packed[whole], j]:
+                return False
+    return True
+
+
+@_exact
+def grid_column(
+    planes: U8,
+    count: int,
+    levels: int,
+    extra: int,
+    step: np.float32,
+    minimum: np.float32,
+    out: F32,
+    column: int,
+) -> bool:
+    """Write a component of (rows, c) values from `count` byte planes end to end (SPEC 6.4)."""
+    rows = len(out)
+    limit = levels + extra
+    if count == 1:
+        top = 0
+        for row in range(rows):
+            top = max(top, int(planes[row]))
+            out[row, column] = np.float32(planes[row]) * step + minimum
+        if top >= limit:
+            return False
+    else:
+        for row in range(rows):
+            code = int(planes[row])
+            for byte in range(1, count):
+                code |= int(planes[byte * rows + row]) << (8 * byte)
+            if code >= limit:
+                return False
+            out[row, column] = np.float32(code) * step + minimum
+    if extra:
+        for row in range(rows):
+            code = 0
+            for byte in range(count):
+                code |= int(planes[byte * rows + row]) << (8 * byte)
+            if code == levels:
+                out[row, column] = np.inf
+            elif code > levels:
+                out[row, column] = -np.inf
+    return True
+
+
+@_exact
+def climb(steps: F32, out: F32) -> None:
+    """Write the scales of a ladder (SPEC 6.12)."""
+    for row in range(len(out)):
+        middle = steps[row, 0] - steps[row, 1]
+        out[row, 0] = middle
+        out[row, 1] = middle - steps[row, 2]
+        out[row, 2] = steps[row, 0]
+
+
+@_exact
+def on_axes(values: F32, axes: F32, out: F32) -> None:
+    """Write sh0 from coordinates on axes (SPEC 6.13)."""
+    for row in range(len(out)):
+        a, b, c = values[row, 0], values[row, 1], values[row, 2]
+        for channel in range(3):
+            out[row, channel] = (a * axes[0, channel] + b * axes[1, channel]) + c * axes[2, channel]
+
+
+@_exact
+def halvings(scales: F32, coefficients: F32, knees: F32, most: int, out: U8) -> None:
+    """Write the halvings that scales ask for (SPEC 6.10)."""
+    limit = np.float32(most)
+    for row in range(len(out)):
+        middle, thin, long = scales[row, 0], scales[row, 1], scales[row, 2]
+        p = long - middle
+        q = middle - thin
+        total = coefficients[0] + coefficients[1] * long
+        total = total + coefficients[2] * min(p, knees[0])
+        total = total + coefficients[3] * min(p, knees[1])
+        total = total + coefficients[4] * min(q, knees[2])
+        total = total + coefficients[5] * min(q, knees[3])
+        out[row] = np.uint8(max(min(np.floor(total), limit), np.float32(0)))
+
+
+@_exact
+def turn_counts(halved: U8) -> I64:
+    """Return the rows of each symbol group, and the sum of the halvings beyond the last."""
+    counts = np.zeros(SYMBOL_GROUPS + 1, np.int64)
+    for row in range(len(halved)):
+        group = min(int(halved[row]), SYMBOL_GROUPS - 1)
+        counts[group] += 1
+        counts[SYMBOL_GROUPS] += int(halved[row]) - group
+    return counts
+
+
+@_exact
+def turn_column(
+    symbols: U8, starts: I64, rest: U64, halved: U8, steps: F32, values: F32, column: int
+) -> bool:
+    """Write a component of turns from symbols by group and plain bits (SPEC 6.11)."""
+    at = starts.copy()
+    position = 0
+    for row in range(len(halved)):
+        wide = int(halved[row])
+        if wide == 0:
+            values[row, column] = 0
+            continue
+        group = min(wide, SYMBOL_GROUPS - 1)
+        spare = wide - group
+        code = int(symbols[at[group]])
+        at[group] += 1
+        if spare:
+            low = int(_window(rest, position)) & ((1 << spare) - 1)
+            position += spare
+            code = (code << spare) | low
+        if code > 1 << wide:
+            return False
+        values[row, column] = np.float32(code) * steps[wide] - np.float32(1)
+    return True
+
+
+@_exact
+def turn_quats(turns: F32, out: F32) -> None:
+    """Write the unit quaternions of turns (SPEC 6.11)."""
+    one = np.float32(1)
+    for row in range(len(out)):
+        a, b, c = turns[row, 0], turns[row, 1], turns[row, 2]
+        x = a + b * c
+        y = b - a * c
+        norm = np.sqrt(((one + x * x) + y * y) + c * c)
+        out[row, 0] = one / norm
+        out[row, 1] = x / norm
+        out[row, 2] = y / norm
+        out[row, 3] = c / norm
+
+
+@_exact
+def delta_bits(classes: U8) -> int:
+    """Return how many bits the differences of these classes take, -1 for a class above 63."""
+    total = 0
+    top = 0
+    for row in range(len(classes)):
+        top = max(top, int(classes[row]))
+        total += max(int(classes[row]), 1) - 1
+    return total if top <= 3 * _AXIS_BITS else -1
+
+
+@_exact
+def fine_means(
+    classes: U8,
+    deltas: U64,
+    halved: U8,
+    fields: U64,
+    axes_of_bits: U64,
+    levels: I64,
+    factors: F32,
+    minimum: F32,
+    out: F32,
+) -> bool:
+    """Write means from Morton deltas and the bits below their cells (SPEC 6.5, 6.15).
+
+    `factors` (halvings, 3) is what a code is worth at each number of halvings.
+    """
+    mask = np.uint64(_AXIS_MASK)
+    code = np.uint64(0)
+    at = 0
+    position = 0
+    for row in range(len(out)):
+        bits = int(classes[row])
+        if bits:
+            leading = np.uint64(1) << np.uint64(bits - 1)
+            code += (_window(deltas, at) & (leading - np.uint64(1))) | leading
+            at += bits - 1
+            if code >> np.uint64(63):
+                return False
+        cells = np.uint64(0)
+        for part in range(7):
+            nine = (code >> np.uint64(9 * part)) & np.uint64(511)
+            cells |= axes_of_bits[nine] << np.uint64(3 * part)
+        wide = int(halved[row])
+        low = _window(fields, position)
+        position += 3 * wide
+        below = (np.uint64(1) << np.uint64(wide)) - np.uint64(1)
+        for axis in range(3):
+            cell = (cells >> np.uint64(_AXIS_BITS * axis)) & mask
+            if np.int64(cell) >= levels[axis]:
+                return False
+            fine = (cell << np.uint64(wide)) | ((low >> np.uint64(wide * axis)) & below)
+            value = np.float32(np.int64(fine)) * factors[wide, axis]
+            out[row, axis] = value + minimum[axis]
+    return True
+
+
+@_exact
+def _coordinate(symbol: int, step: np.float32, shrink: np.float32) -> np.float32:
+    magnitude = np.float32((symbol + 1) >> 1)
+    value = (magnitude - shrink) * step if symbol > 0 else np.float32(0) * step
+    return value if symbol & 1 else -value
+
+
+@_exact
+def _symbol(planes: U8, at: int, count: int, stride: int) -> int:
+    code = 0
+    for byte in range(count):
+        code |= int(planes[at + byte * stride]) << (8 * byte)
+    return code
+
+
+@_exact
+def shn(
+    ends: U8,
+    groups: I64,
+    sizes: U8,
+    planes: U8,
+    basis: F32,
+    step: np.float32,
+    shrink: np.float32,
+    out: F32,
+) -> None:
+    """Write shN from coordinates on a basis (SPEC 6.14).
+
+    Parameters
+    ----------
+    ends : (n,) uint8
+        Coordinates of each row, at most the width.
+    groups : (g + 1,) int64
+        First column of each group, and the width.
+    sizes : (2g,) uint8
+        Bytes of a symbol, before the last coordinate and in it, of each group.
+    planes : uint8
+        All planes of symbols end to end, whose lengths follow from the above.
+    basis : (width, BASIS_COLUMNS) float32
+    step, shrink : float32
+    out : (n, at most BASIS_COLUMNS) float32
+    """
+    width = groups[-1]
+    # How many rows have more coordinates than each number.
+    above = np.zeros(width + 2, np.int64)
+    for row in range(len(ends)):
+        if ends[row]:
+            above[ends[row] - 1] += 1
+    for column in range(width - 1, -1, -1):
+        above[column] += above[column + 1]
+    # Where each column's symbols start and how far apart their bytes are, by part.
+    begin = np.zeros((2, width + 1), np.int64)
+    stride = np.zeros((2, width + 1), np.int64)
+    size = np.zeros((2, width + 1), np.int64)
+    at = 0
+    for group in range(len(groups) - 1):
+        for part in range(2):
+            length = 0
+            for column in range(groups[group], groups[group + 1]):
+                begin[part, column] = at + length
+                size[part, column] = sizes[2 * group + part]
+                inner = above[column + 1]
+                length += above[column] - inner if part else inner
+            for column in range(groups[group], groups[group + 1]):
+                stride[part, column] = length
+            at += length * sizes[2 * group + part]
+    table = np.empty((2, 256), np.float32)
+    for symbol in range(256):
+        table[0, symbol] = _coordinate(symbol, step, shrink)
+        table[1, symbol] = _coordinate(symbol + 1, step, shrink)
+    rank = above.copy()
+    sums = np.empty(BASIS_COLUMNS, np.float32)
+    for row in range(len(ends)):
+        end = int(ends[row])
+        if end == 0:
+            for k in range(out.shape[1]):
+                out[row, k] = 0
+            continue
+        place = rank[end]
+        rank[end] += 1
+        for k in range(BASIS_COLUMNS):
+            sums[k] = 0
+        for column in range(end):
+            part = 1 if column == end - 1 else 0
+            offset = place - above[end] if part else place
+            count = size[part, column]
+            first = begin[part, column] + offset
+            if count == 1:
+                value = table[part, planes[first]]
+            else:
+                symbol = _symbol(planes, first, count, stride[part, column])
+                value = _coordinate(symbol + part, step, shrink)
+            for k in range(BASIS_COLUMNS):
+                sums[k] = sums[k] + value * basis[column, k]
+        for k in range(out.shape[1]):
+            out[row, k] = sums[k]
