@@ -110,12 +110,15 @@ class EncodedChunk:
     box : (6,) float64
         What its splats reach as they are decoded, scene units.
     contribution : float
+    quality_db : float
+        Predicted PSNR of a scene that ends with this chunk; 0 where nothing was predicted.
     """
 
     splats: int
     payloads: Payloads
     box: NDArray[np.float64]
     contribution: float
+    quality_db: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

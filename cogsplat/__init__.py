@@ -7,7 +7,7 @@ between scenes and COGS files, ``open`` gives a COGS file chunk by chunk.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,8 +29,9 @@ from .formats.cogs_reader import CogsFile, Limits, open_cogs
 from .formats.source import FileSource, PrefixSource, Source
 
 if TYPE_CHECKING:
-    from .codec.encoder import EncodeConfig
+    from .codec.encoder import EncodeConfig, EncodedScene, Prepared
     from .codec.score import ScoreConfig, Scores
+    from .codec.target import Target
 
 __all__ = [
     "Camera",
@@ -162,6 +163,8 @@ def encode(
     scores: Scores | None = None,
     config: EncodeConfig | None = None,
     score_config: ScoreConfig | None = None,
+    target: Target | None = None,
+    preset: str = "balanced",
     force: bool = False,
     progress: Progress = silent,
 ) -> int:
@@ -180,6 +183,11 @@ def encode(
         Of an earlier `score`; then no views are rendered.
     config : EncodeConfig, optional
     score_config : ScoreConfig, optional
+        In place of the preset's.
+    target : Target, optional
+        A PSNR or a size to hit; then `EncodeConfig.quality_db` does not count.
+    preset : str
+        One of `codec.preset.PRESETS`: how carefully the scene is scored.
     force : bool
         Replace an existing file.
     progress : Progress
@@ -193,13 +201,21 @@ def encode(
     Raises
     ------
     CogsplatError
-        The scene or the cameras cannot be used, or the file cannot be written.
+        The scene or the cameras cannot be used, the target is out of reach, or the file cannot be
+        written.
+    ValueError
+        An unknown preset; a target for the profile `near`, or a PSNR with no views to see it in.
     """
     from .codec import encoder
-    from .codec.score import ScoreConfig, score
+    from .codec.prediction import predicted
+    from .codec.preset import PRESETS
+    from .codec.score import score
     from .codec.views import shell
     from .formats import cogs
     from .formats.atomic import refuse_existing
+
+    if preset not in PRESETS:
+        raise ValueError(f"preset {preset!r}, expected one of {tuple(PRESETS)}")
 
     # Before minutes of work, not after.
     refuse_existing(path, force=force)
@@ -210,16 +226,63 @@ def encode(
     if cameras is not None:
         given = isinstance(cameras, str | os.PathLike)
         views = read_cameras(cameras) if given else cameras  # type: ignore[arg-type, assignment]
+    chosen = PRESETS[preset]
     first_view = views[0] if views else None
     if scores is None and len(splats):
-        settings = score_config or ScoreConfig(threads=config.threads)
+        settings = score_config or chosen.score_config(config.profile, threads=config.threads)
         # An empty list is refused, not taken for none given.
-        views = shell(splats) if cameras is None else views
+        views = chosen.views(shell(splats) if cameras is None else views)
         scores = score(splats, views, settings, progress=progress)
-    encoded = encoder.encode(splats, scores, config, progress=progress)
-    return cogs.save(
-        Path(path), encoded, writer=f"cogsplat {__version__}", first_view=first_view, force=force
-    )
+    prepared = encoder.prepare(splats, scores, config)
+    writer = f"cogsplat {__version__}"
+    if target is None or not len(splats):
+        encoded = prepared.encode(config.quality_db, progress=progress)
+    else:
+        encoded = _at_target(
+            prepared,
+            target,
+            splats,
+            views,
+            lambda trial: cogs.size_bytes(trial, writer=writer, first_view=first_view),
+            progress,
+        )
+    if views and len(encoded.chunks):
+        encoded = predicted(
+            encoded,
+            splats,
+            views,
+            most_views=chosen.prediction_views,
+            threads=config.threads,
+            progress=progress,
+        )
+    return cogs.save(Path(path), encoded, writer=writer, first_view=first_view, force=force)
+
+
+def _at_target(
+    prepared: Prepared,
+    target: Target,
+    splats: Splats,
+    views: Sequence[Camera],
+    size_of: Callable[[EncodedScene], int],
+    progress: Progress,
+) -> EncodedScene:
+    from .codec.prediction import Witness, decoded, evenly
+    from .codec.target import TARGET_VIEWS, to_psnr, to_size
+
+    if prepared.config.profile == "near":
+        raise ValueError("a target for the profile 'near', expected a profile for viewing")
+    if target.size_bytes is not None:
+        return to_size(prepared, target.size_bytes, size_of, progress=progress).encoded
+    if not views:
+        raise ValueError("a PSNR as target and no cameras, expected views to see it in")
+    threads = prepared.config.threads
+    witness = Witness(splats, evenly(views, TARGET_VIEWS), threads)
+    return to_psnr(
+        prepared,
+        target.psnr_db or 0.0,
+        lambda trial: witness.psnr_db(decoded(trial, threads=threads)),
+        progress=progress,
+    ).encoded
 
 
 def read(path: _Path) -> Splats:

@@ -15,7 +15,7 @@ from cogsplat.codec.encoder import EncodedChunk, EncodedScene
 from . import cogs_layout as layout
 from .cogs_layout import SegmentKind
 from .cogs_root import ChunkTable, CodebookEntry, Root, no_segments
-from .cogs_writer import Segment, write_cogs
+from .cogs_writer import Segment, lay_out, write_cogs
 
 # Heads of this share of the splats come before any SH: shape first, gloss later.
 _PLAIN_SHARE: Final = 0.25
@@ -64,6 +64,7 @@ def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = Non
         splats=np.array([chunk.splats for chunk in chunks], np.uint32),
         box=_outward(chunks),
         contribution=np.array([chunk.contribution for chunk in chunks], np.float64),
+        quality=np.array([chunk.quality_db for chunk in chunks], np.float32),
         layer=none,
         cell=none,
         object=none,
@@ -79,6 +80,12 @@ def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = Non
         segments=no_segments(),
         chunks=table,
     )
+
+
+def size_bytes(scene: EncodedScene, *, writer: str, first_view: Camera | None = None) -> int:
+    """Return the bytes that `save` would write."""
+    parts = lay_out(build_root(scene, writer, first_view), segments(scene))
+    return sum(len(part) for part in parts)
 
 
 def _outward(chunks: Sequence[EncodedChunk]) -> NDArray[np.float32]:

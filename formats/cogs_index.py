@@ -103,7 +103,7 @@ def read_index(source: Source, *, partial: bool) -> Index:
 
 
 _SEGMENT_COLUMNS: Final = ("kind", "owner", "length", "crc", "hash", "needs")
-_CHUNK_COLUMNS: Final = ("splats", "box", "contribution", "layer", "cell", "object")
+_CHUNK_COLUMNS: Final = ("splats", "box", "contribution", "layer", "cell", "object", "quality")
 
 
 def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> Index:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.chunking import MAX_CHUNK_SPLATS
 from cogsplat.codec.errors import DataError, FormatError, UnsupportedError
+from cogsplat.codec.metrics import PSNR_CAP_DB
 from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo
 from cogsplat.codec.streams import MAX_CODEBOOK_ROWS
 
@@ -83,6 +84,8 @@ class ChunkTable:
         Sum of its splats' contributions; zeros where the scene was not scored.
     layer, cell, object : (c,) uint32
         Zeros where the scene has none.
+    quality : (c,) float32
+        Predicted PSNR, dB, of a scene that ends with the chunk; 0 where nothing was predicted.
     """
 
     splats: U32
@@ -91,6 +94,7 @@ class ChunkTable:
     layer: U32
     cell: U32
     object: U32
+    quality: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.splats)
@@ -186,6 +190,8 @@ def chunks_value(table: ChunkTable) -> dict[str, Value]:
         column = getattr(table, name)
         if column.any():
             value[name] = _column(column, "<u4")
+    if table.quality.any():
+        value["quality"] = _column(table.quality, "<f4")
     return value
 
 
@@ -365,6 +371,9 @@ def parse_chunks(value: Value, where: str) -> ChunkTable:
         )
         for name in ("layer", "cell", "object")
     }
+    quality = np.zeros(rows, np.float32)
+    if table.has("quality"):
+        quality = table.column("quality", "<f4", rows).astype(np.float32)
     table.finish()
     if rows and not 1 <= int(splats.min()) <= int(splats.max()) <= MAX_CHUNK_SPLATS:
         raise table.error(
@@ -376,7 +385,9 @@ def parse_chunks(value: Value, where: str) -> ChunkTable:
         raise table.error("box", "corners not finite or in the wrong order")
     if not (np.isfinite(contribution).all() and (contribution >= 0).all()):
         raise table.error("contribution", "not finite or negative")
-    return ChunkTable(splats, box, contribution, **optional)
+    if not ((quality >= 0) & (quality <= PSNR_CAP_DB)).all():
+        raise table.error("quality", f"expected 0 to {PSNR_CAP_DB:g} dB")
+    return ChunkTable(splats, box, contribution, **optional, quality=quality)
 
 
 def parse_root(value: Value, where: str) -> Root:

@@ -167,12 +167,13 @@ def _chunk_rows(table: ChunkTable, rows: slice) -> ChunkTable:
         table.layer[rows],
         table.cell[rows],
         table.object[rows],
+        table.quality[rows],
     )
 
 
 # Bytes a row takes in an index, all columns present (SPEC 5.3, 5.4).
 _SEGMENT_ROW: Final = 1 + 4 + 4 + 4 + HASH_BYTES + 4
-_CHUNK_ROW: Final = 4 + 24 + 8 + 12
+_CHUNK_ROW: Final = 4 + 24 + 8 + 12 + 4
 # Keys and bin headers of the two tables.
 _TABLE_OVERHEAD: Final = 256
 # A page's entry in the root: keys, and integers of up to nine bytes.

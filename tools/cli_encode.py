@@ -9,10 +9,9 @@ import click
 
 import cogsplat
 from cogsplat.codec.chunking import DEFAULT_LARGEST, MAX_CHUNK_SPLATS
-from cogsplat.codec.splats import MAX_SH_DEGREE
 from cogsplat.formats.atomic import refuse_existing
 
-from .cli_inputs import read_any, scoring_cameras, usable_rows
+from .cli_inputs import read_any, scoring_cameras
 from .cli_options import (
     PATH,
     cameras_option,
@@ -26,9 +25,12 @@ from .cli_options import (
 )
 from .cli_output import counted, facts, name_of, say, say_json, size_text
 from .cli_progress import Stages
+from .cli_values import ByteCount, byte_count
+from .scene_edits import SceneEdits, edit_options
 
 if TYPE_CHECKING:
     from cogsplat.codec.encoder import EncodeConfig
+    from cogsplat.codec.target import Target
     from cogsplat.formats.cogs_reader import CogsFile
 
 # The choices and defaults below are those of `EncodeConfig` and `PruneConfig`, which take a
@@ -45,7 +47,7 @@ if TYPE_CHECKING:
 @click.option(
     "--profile",
     type=click.Choice(["transform", "vq", "near"]),
-    default="vq",
+    default="transform",
     show_default=True,
     help="transform, vq: for viewing, by a shared transform or by codebooks. near: every attribute "
     "within a bound, for archives.",
@@ -57,6 +59,25 @@ if TYPE_CHECKING:
     show_default=True,
     metavar="DB",
     help="Nominal PSNR of the profiles for viewing.",
+)
+@click.option(
+    "--target-psnr",
+    type=click.FloatRange(5, 90),
+    metavar="DB",
+    help="Search for the quality that gives this PSNR in the views given.",
+)
+@click.option(
+    "--target-size",
+    type=byte_count,
+    metavar="SIZE",
+    help="Search for the best quality in a file of this size: 12MB, 500KiB, 20% of SCENE.",
+)
+@click.option(
+    "--preset",
+    type=click.Choice(["fast", "balanced", "best"]),
+    default="balanced",
+    show_default=True,
+    help="fast scores one view in three; best measures every view in full and takes longest.",
 )
 @click.option(
     "--order",
@@ -85,14 +106,7 @@ if TYPE_CHECKING:
 @jitter_option
 @top_k_option
 @eval_every_option(0, "Keep from scoring the")
-@click.option(
-    "--sh",
-    "sh_degree",
-    type=click.IntRange(0, MAX_SH_DEGREE),
-    metavar="0..3",
-    help="Cut to this SH degree.",
-)
-@click.option("--drop-invalid", is_flag=True, help="Leave out splats with NaN or infinite values.")
+@edit_options
 @threads_option
 @force_option
 @quiet_option
@@ -103,6 +117,9 @@ def encode(
     cameras: Path | None,
     profile: str,
     quality: float,
+    target_psnr: float | None,
+    target_size: ByteCount | None,
+    preset: str,
     order: str,
     chunk_splats: int,
     no_morton: bool,
@@ -111,8 +128,7 @@ def encode(
     no_jitter: bool,
     top_k: int,
     eval_every: int,
-    sh_degree: int | None,
-    drop_invalid: bool,
+    edits: SceneEdits,
     threads: int,
     force: bool,
     quiet: bool,
@@ -124,11 +140,12 @@ def encode(
     chunks and compressed. The bytes do not depend on the number of threads.
     """
     from cogsplat.codec.encoder import EncodeConfig
+    from cogsplat.codec.preset import PRESETS
     from cogsplat.codec.prune import PruneConfig
-    from cogsplat.codec.score import ScoreConfig
 
     if prune is not None and no_prune:
         raise click.UsageError("--prune and --no-prune: expected one of them")
+    _require_one_aim(profile, target_psnr, target_size)
     bound = PruneConfig() if prune is None else PruneConfig(peak=prune)
     config = EncodeConfig(
         profile=profile,
@@ -144,17 +161,19 @@ def encode(
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)
             given = read_any(scene, threads=threads)
-            splats = given.splats
-            if sh_degree is not None:
-                splats = splats.with_sh_degree(sh_degree)
-            if drop_invalid:
-                splats = usable_rows(splats, scene)
+            splats = edits.apply(given.splats, scene)
+            if views is not None:
+                views = [edits.camera(view) for view in views]
         size = cogsplat.encode(
             splats,
             out,
             cameras=views,
             config=config,
-            score_config=ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads),
+            score_config=PRESETS[preset].score_config(
+                profile, top_k=top_k, jitter=not no_jitter, threads=threads
+            ),
+            target=_target(target_psnr, target_size, given.file_bytes),
+            preset=preset,
             force=force,
             progress=stages,
         )
@@ -163,6 +182,7 @@ def encode(
         return
     with cogsplat.open(out) as file:
         report = _report(file, size, config, stages)
+        seen = _predicted(file)
     rows_in, kept = given.file_splats, int(file.root.splats)
     dropped, pruned = rows_in - len(splats), len(splats) - kept
     if as_json:
@@ -179,19 +199,56 @@ def encode(
         )
         return
     say(f"{out}: {size_text(size)}, {given.file_bytes / size:.1f} times smaller than {scene}")
-    gone = f"{pruned:,} pruned" + (f", {dropped:,} invalid" if dropped else "")
+    gone = f"{pruned:,} pruned" + (f", {dropped:,} left out" if dropped else "")
     books = [f"{book.attribute} {book.rows:,}" for book in file.root.codebooks]
     facts(
         ("splats", f"{kept:,} of {rows_in:,} ({gone}), {size / max(kept, 1):.2f} B each"),
         ("chunks", f"{file.num_chunks}, SH degree {file.root.sh_degree}"),
         ("codebooks", f"{', '.join(books)} rows" if books else ""),
+        ("predicted", f"{seen:.2f} dB in views given to the encoder" if seen else ""),
         ("scored", counted(stages.totals.get("score", 0), "view") + _with_copies(no_jitter)),
         ("time", stages.line()),
     )
 
 
+def _require_one_aim(
+    profile: str, target_psnr: float | None, target_size: ByteCount | None
+) -> None:
+    aims = {"--target-psnr": target_psnr, "--target-size": target_size}
+    named = [option for option, value in aims.items() if value is not None]
+    context = click.get_current_context()
+    if context.get_parameter_source("quality") is click.core.ParameterSource.COMMANDLINE:
+        named.append("--quality")
+    if len(named) > 1:
+        raise click.UsageError(f"{' and '.join(named)}: expected one of them")
+    if profile == "near" and named:
+        raise click.UsageError(f"{named[0]} with --profile near, expected a profile for viewing")
+
+
+def _target(
+    target_psnr: float | None, target_size: ByteCount | None, file_bytes: int
+) -> Target | None:
+    from cogsplat.codec.target import Target
+
+    if target_psnr is not None:
+        return Target(psnr_db=target_psnr)
+    if target_size is None:
+        return None
+    wanted = target_size.of(file_bytes) if target_size.is_share else int(target_size.amount)
+    if wanted < 1:
+        raise click.UsageError("--target-size of 0 bytes, expected at least 1")
+    return Target(size_bytes=wanted)
+
+
 def _with_copies(no_jitter: bool) -> str:
     return "" if no_jitter else ", jittered copies included"
+
+
+def _predicted(file: CogsFile) -> float | None:
+    """Return the PSNR that the encoder saw of the whole scene, dB."""
+    if not len(file.chunks.quality) or not file.chunks.quality[-1]:
+        return None
+    return round(float(file.chunks.quality[-1]), 3)
 
 
 def _report(file: CogsFile, size: int, config: EncodeConfig, stages: Stages) -> dict[str, object]:
@@ -207,6 +264,7 @@ def _report(file: CogsFile, size: int, config: EncodeConfig, stages: Stages) -> 
             {"attribute": book.attribute, "rows": book.rows} for book in file.root.codebooks
         ],
         "profile": config.profile,
+        "predicted_psnr_db": _predicted(file),
         "order": config.order,
         "scored_views": stages.totals.get("score", 0),
         "seconds": stages.rounded(),

@@ -26,7 +26,8 @@ def chunks(rows, seed=1, *, layers=False):
     box = np.sort(rng.normal(size=(rows, 2, 3)), axis=1).reshape(rows, 6).astype(np.float32)
     numbers = rng.integers(0, 9, (3, rows), np.uint32) if layers else np.zeros((3, rows), np.uint32)
     splats = rng.integers(1, 1000, rows).astype(np.uint32)
-    return ChunkTable(splats, box, rng.random(rows), *numbers)
+    quality = rng.uniform(1, 100, rows) if layers else np.zeros(rows)
+    return ChunkTable(splats, box, rng.random(rows), *numbers, quality.astype(np.float32))
 
 
 def camera():

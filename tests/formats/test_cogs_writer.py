@@ -21,7 +21,9 @@ def root(count, degree=1, *, layers=False, **changes):
     none = np.zeros(count, np.uint32)
     extra = numbers + 1 if layers else none
     box = np.tile(np.array([-1, -1, -1, 1, 1, 1], np.float32), (count, 1))
-    table = ChunkTable(none + 2, box, numbers[::-1].astype(np.float64), extra, extra, extra)
+    quality = extra.astype(np.float32) % 100
+    falling = numbers[::-1].astype(np.float64)
+    table = ChunkTable(none + 2, box, falling, extra, extra, extra, quality)
     plain = Root(
         "writer", 2 * count, degree, SceneInfo(), np.zeros(6), [], None, no_segments(), table
     )
@@ -55,7 +57,7 @@ def check(data, root_given, segments):
         assert zlib.crc32(found) == index.segments.crc[row]
         assert hashlib.sha256(found).digest()[:16] == index.segments.hash[row].tobytes()
         assert index.segments.needs[row] == sum(1 << need for need in segment.needs)
-    for name in ("splats", "box", "contribution", "layer", "cell", "object"):
+    for name in ("splats", "box", "contribution", "layer", "cell", "object", "quality"):
         assert np.array_equal(getattr(index.chunks, name), getattr(root_given.chunks, name))
     assert index.all_chunks == len(root_given.chunks)
     root_length = len(data) - len(data[64:])
@@ -92,7 +94,7 @@ def test_every_count_around_the_first_page():
         seen.add(len(index.root.pages))
         if count > 190:
             room = layout.MAX_ROOT_END - 64 - int.from_bytes(data[12:16], "little")
-            assert room < 3000
+            assert room < 3600
     assert seen == {0, 1}
 
 

@@ -1,0 +1,64 @@
+"""Presets: how much of the views is looked at before a scene is encoded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+from .cameras import Camera
+from .score import TOP_K, ScoreConfig
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How carefully a scene is scored; the bytes are found the same way after it.
+
+    Parameters
+    ----------
+    views_every : int
+        One of so many of the given views is scored, with its jittered copies.
+    sensitivity_every : int
+        `ScoreConfig.sensitivity_every` of the profile that uses sensitivities.
+    prediction_views : int
+        Views that the quality of prefixes is predicted in, at most.
+    """
+
+    views_every: int
+    sensitivity_every: int
+    prediction_views: int
+
+    def views(self, cameras: Sequence[Camera]) -> list[Camera]:
+        """Return the views to score on: at least as many as a small scene needs, or all."""
+        every = min(self.views_every, max(len(cameras) // FEWEST_VIEWS, 1))
+        return list(cameras[every // 2 :: every])
+
+    def score_config(
+        self, profile: str, *, top_k: int = TOP_K, jitter: bool = True, threads: int = 0
+    ) -> ScoreConfig:
+        """Return how to score for a profile.
+
+        Parameters
+        ----------
+        profile : str
+            One of `encoder.PROFILES`; only ``transform`` uses sensitivities.
+        top_k, jitter, threads
+            As `ScoreConfig` has them.
+        """
+        every = self.sensitivity_every if profile == "transform" else 0
+        return ScoreConfig(top_k=top_k, jitter=jitter, threads=threads, sensitivity_every=every)
+
+
+FEWEST_VIEWS: Final = 12
+"""Fewer given views than this are never thinned out further."""
+
+DEFAULT_PRESET: Final = "balanced"
+
+PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
+    {
+        "fast": Preset(views_every=3, sensitivity_every=2, prediction_views=4),
+        "balanced": Preset(views_every=1, sensitivity_every=2, prediction_views=8),
+        "best": Preset(views_every=1, sensitivity_every=1, prediction_views=16),
+    }
+)
