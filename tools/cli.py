@@ -26,6 +26,7 @@ from cogsplat.codec.errors import (
 from cogsplat.formats import cogs_layout
 from cogsplat.formats.atomic import storage_error
 
+from .cli_bench import bench
 from .cli_decode import decode
 from .cli_encode import encode
 from .cli_info import info
@@ -242,6 +243,7 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     score,
     render,
     compare,
+    bench,
     synth,
     demo,
 )
