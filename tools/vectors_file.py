@@ -36,6 +36,7 @@ class ChunkRow:
     layer: int = 0
     cell: int = 0
     object: int = 0
+    quality: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,8 @@ def _tables(group: Group) -> Index:
         column = [getattr(row, name) for row in rows]
         if any(column):
             chunks[name] = _u32(column)
+    if any(row.quality for row in rows):
+        chunks["quality"] = struct.pack(f"<{len(rows)}f", *(row.quality for row in rows))
     return {
         "segments": {
             "kind": bytes(part.kind for part in parts),
