@@ -123,6 +123,13 @@ class Costs:
         return replace(self, **level)
 
 
+# Coarsest steps worth writing. What no scoring view weighs may still come into a visitor's: such
+# splats stay where they are and about as large, as dark and as clear as they were.
+_COLOUR_LIMIT: Final = 0.15
+_OPACITY_LIMIT: Final = 1.0
+_SCALE_LIMITS: Final = (0.35, 0.5, 0.7)  # long, middle, thin; log
+_MEAN_LIMIT: Final = 1.0  # deviations
+
 # Least cost of each value relative to its splat's energy. Sensitivities hold for small errors
 # only: what happens to match its surroundings now would show once it moved.
 _MEAN_FLOOR: Final = 1e-3  # per squared deviation
@@ -189,8 +196,36 @@ def costs(splats: Splats, scores: Scores) -> Costs:
     )
 
 
-# What no view weighs could be as coarse as one likes: far from where float32 ends.
-_COARSEST_STEP: Final = 2.0**60
+# What no view weighs could be as coarse as one likes; the format ends at 2^32 (SPEC 6.14).
+_COARSEST_STEP: Final = 2.0**30
+
+
+def limited(found: Costs, scales: NDArray[np.float32], slope_value: float) -> Costs:
+    """Return costs that give no step beyond the coarsest worth writing.
+
+    Parameters
+    ----------
+    found : Costs
+    scales : (n, 3) float32
+        Log.
+    slope_value : float
+    """
+    size = np.exp(np.clip(scales.astype(np.float64).mean(axis=1), -40, 40))
+    long, middle, thin = (slope_value / limit**2 for limit in _SCALE_LIMITS)
+    return replace(
+        found,
+        energy=limited_energy(found.energy, slope_value),
+        mean=np.maximum(found.mean, slope_value / np.square(_MEAN_LIMIT * size)),
+        opacity=np.maximum(found.opacity, slope_value / _OPACITY_LIMIT**2),
+        scale_long=np.maximum(found.scale_long, long),
+        scale_middle=np.maximum(found.scale_middle, middle),
+        scale_thin=np.maximum(found.scale_thin, thin),
+    )
+
+
+def limited_energy(energy: F64, slope_value: float) -> F64:
+    """Return energies that give no step of colour beyond the coarsest worth writing."""
+    return np.maximum(energy, slope_value / _COLOUR_LIMIT**2)
 
 
 def equal_step(slope_value: float, cost: F64) -> float:

@@ -105,6 +105,7 @@ def plan(
     chunks : sequence of slice
     ablation : Ablation
     """
+    costs = allocation.limited(costs, splats.scales, slope)
     turns, scales = turn.canonical(rotation.unit(splats.quats), splats.scales)
     basis: ColourBasis | None = None
     payloads: tuple[bytes, ...] = ()

@@ -151,7 +151,7 @@ def plan(
     progress("codebooks", 2, 2)
     return VqPlan(
         slope=slope,
-        energy=energy,
+        energy=allocation.limited_energy(energy, slope),
         quats=quats,
         scales=scales,
         factors=factors,
