@@ -93,7 +93,7 @@ def test_files_are_what_the_generator_makes():
 
 
 @pytest.mark.parametrize("entry", VALID, ids=name_of)
-def test_valid_file_decodes_to_the_bit(entry):
+def test_valid_file_decodes_to_the_bit(entry, kernels):
     with open_cogs(BytesSource(data_of("valid", entry))) as file:
         file.verify()
         assert file.chunks.splats.tolist() == entry["chunk_splats"]
@@ -122,7 +122,7 @@ def test_root_says_what_the_manifest_says(entry):
 
 
 @pytest.mark.parametrize("entry", VALID, ids=name_of)
-def test_chunks_alone_in_any_order_are_rows_of_the_whole(entry):
+def test_chunks_alone_in_any_order_are_rows_of_the_whole(entry, kernels):
     arrays = arrays_of(entry)
     ends = np.cumsum([0, *entry["chunk_splats"]])
     order = list(range(len(entry["chunk_splats"])))
@@ -135,7 +135,7 @@ def test_chunks_alone_in_any_order_are_rows_of_the_whole(entry):
 
 
 @pytest.mark.parametrize("entry", VALID, ids=name_of)
-def test_lower_degrees_are_the_first_coefficients(entry):
+def test_lower_degrees_are_the_first_coefficients(entry, kernels):
     arrays = arrays_of(entry)
     with open_cogs(BytesSource(data_of("valid", entry))) as file:
         for degree in range(entry["sh_degree"]):
@@ -174,7 +174,7 @@ def test_short_files_are_refused_where_all_is_expected(entry):
 
 
 @pytest.mark.parametrize("entry", INVALID, ids=name_of)
-def test_invalid_file_is_refused_with_its_code(entry):
+def test_invalid_file_is_refused_with_its_code(entry, kernels):
     data = data_of("invalid", entry)
     stages = ["open", "decode", "verify"]
 

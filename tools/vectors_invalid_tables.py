@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import replace
 
 from cogsplat.formats.cogs_layout import SegmentKind
@@ -126,6 +127,12 @@ def chunk_tables() -> list[Invalid]:
     flat = replace(glossy(1), root=root_keys(3, 0))
     box = edited(still(), lambda i: table(i, "chunks").update(box=column(i, "chunks", "box")[:-4]))
     layers = edited(still(), set_key("layer", bytes(8), within="chunks"))
+
+    def quality(name: str, number: float, note: str) -> Invalid:
+        column_ = struct.pack("<f", number)
+        data = edited(still(), set_key("quality", column_, within="chunks"))
+        return Invalid(name, data, "root-value", "5.4", note)
+
     return [
         Invalid("chunks-no-box", _without(still(), "chunks", "box"), "root-missing", "5.4",
                 "no box"),
@@ -140,6 +147,8 @@ def chunk_tables() -> list[Invalid]:
                 "5.4", "means outside the box", "verify"),
         value("contribution-negative", "contribution", 0, "d", -1.0, "a negative contribution"),
         value("contribution-nan", "contribution", 0, "d", math.nan, "NaN"),
+        quality("quality-101", 101.0, "a quality of 101 dB"),
+        quality("quality-nan", math.nan, "a quality of NaN"),
         order("head-missing", [head, tail, second_tail], "chunk-heads", "a chunk without a head"),
         order("head-twice", [head, tail, replace(second, owner=0), second_tail], "chunk-heads",
               "two heads of chunk 0"),

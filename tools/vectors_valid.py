@@ -363,9 +363,9 @@ def _root_values() -> Valid:
         antialiased=True,
         first_view=view,
     )
-    rows = [ChunkRow(6, (-4.5, -8.0, -4.0, 4.0, 4.0, 8.5), 12.5, 1, 2, 3)]
+    rows = [ChunkRow(6, (-4.5, -8.0, -4.0, 4.0, 4.0, 8.5), 12.5, 1, 2, 3, 41.25)]
     data = build(Draft(root, [Group(_chunk(6, 1, 0), rows)]))
-    note = "origin, axes, colour space, kernel, first view, layer, cell and object"
+    note = "origin, axes, colour space, kernel, first view, layer, cell, object, quality"
     return Valid("root-values", data, ("4.2", "4.4", "5.4"), note)
 
 

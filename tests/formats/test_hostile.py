@@ -72,21 +72,21 @@ def overwritten(draw, data):
 
 @quick
 @given(st.sampled_from(FILES).flatmap(overwritten), st.booleans())
-def test_damaged_bytes_are_refused(data, partial):
+def test_damaged_bytes_are_refused(kernels, data, partial):
     found = opened(data, partial=partial)
     assert isinstance(found, CogsplatError) or data in FILES or partial
 
 
 @quick
 @given(st.sampled_from(FILES), st.data())
-def test_damaged_roots_with_a_right_crc(data, draw):
+def test_damaged_roots_with_a_right_crc(kernels, data, draw):
     root, behind = root_bytes(data)
     opened(with_root(draw.draw(overwritten(root)), behind))
 
 
 @quick
 @given(st.sampled_from(FILES), st.data())
-def test_roots_with_wrong_numbers(data, draw):
+def test_roots_with_wrong_numbers(kernels, data, draw):
     """Every column and every number may say anything."""
     root, behind = root_bytes(data)
     value = unpack(root, "root")
@@ -122,7 +122,7 @@ def assert_as_reference(data, splats):
 
 @settings(max_examples=300, deadline=None)
 @given(st.sampled_from(PLAIN), st.data())
-def test_damaged_payloads_are_refused_or_decode_as_specified(data, draw):
+def test_damaged_payloads_are_refused_or_decode_as_specified(kernels, data, draw):
     index = read_index(BytesSource(data), partial=False)
     if not len(index.segments):
         return
@@ -136,7 +136,7 @@ def test_damaged_payloads_are_refused_or_decode_as_specified(data, draw):
 
 
 @pytest.mark.parametrize("profile", ["transform", "vq", "near"])
-def test_damaged_scenes_take_little_memory(profile):
+def test_damaged_scenes_take_little_memory(kernels, profile):
     data = file_of(profile, 300, 3, 60)
     index = read_index(BytesSource(data), partial=False)
     rng = random.Random(7)
@@ -158,7 +158,7 @@ def test_damaged_scenes_take_little_memory(profile):
     assert worst < 24 << 20
 
 
-def test_the_must_reject_files_take_little_memory():
+def test_the_must_reject_files_take_little_memory(kernels):
     tracemalloc.start()
     for entry in MANIFEST["invalid"]:
         data = (VECTORS / "invalid" / f"{entry['name']}.cogs").read_bytes()
