@@ -130,12 +130,25 @@ def write_scene(path: StrPath, splats: Splats, *, force: bool = False) -> None:
 
     Raises
     ------
+    FormatError, UnsupportedError
+        As `format_to_write`.
+    StorageError
+        As `atomic_write`, ``exists`` among them.
+    """
+    write = format_to_write(path).write
+    assert write is not None
+    write(path, splats, force=force)
+
+
+def format_to_write(path: StrPath) -> Format:
+    """Return the foreign format that the extension names, one that can be written.
+
+    Raises
+    ------
     FormatError
         ``unknown-format``: no format has this extension.
     UnsupportedError
         ``read-only-format``: it can be read but not written.
-    StorageError
-        As `atomic_write`, ``exists`` among them.
     """
     writable = tuple(format_ for format_ in FORMATS if format_.write)
     format_ = _by_extension(path)
@@ -149,7 +162,7 @@ def write_scene(path: StrPath, splats: Splats, *, force: bool = False) -> None:
             "read-only-format",
             f"{os.fspath(path)}: {format_.name} is not written, expected {_known(writable)}",
         )
-    format_.write(path, splats, force=force)
+    return format_
 
 
 def _head(path: StrPath) -> bytes:

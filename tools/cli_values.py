@@ -1,7 +1,8 @@
-"""What options take beside numbers and names: byte counts, ranges, colours, picture sizes."""
+"""What options take beside numbers and names: bytes, ranges, colours, sizes, places."""
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from fractions import Fraction
@@ -28,6 +29,8 @@ MAX_SIDE: Final = 16384
 """Longest side of a picture that is asked for, px."""
 
 Colour = tuple[float, float, float]
+Vector = tuple[float, float, float]
+Box = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -127,3 +130,44 @@ def picture_size(text: str) -> tuple[int, int]:
             f"{text!r}, expected pixels such as 1280x720, each side 1 to {MAX_SIDE}"
         )
     return sides
+
+
+def vector(text: str) -> Vector:
+    """Read ``X,Y,Z``, three finite numbers.
+
+    Raises
+    ------
+    click.BadParameter
+        It is none.
+    """
+    match _finite_numbers(text):
+        case [x, y, z]:
+            return x, y, z
+        case _:
+            raise click.BadParameter(f"{text!r}, expected three numbers such as 0,-90,0")
+
+
+def box(text: str) -> Box:
+    """Read ``XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX``, finite and not inside out.
+
+    Raises
+    ------
+    click.BadParameter
+        It is no box.
+    """
+    match _finite_numbers(text):
+        case [a, b, c, d, e, f] if a <= d and b <= e and c <= f:
+            return a, b, c, d, e, f
+        case _:
+            raise click.BadParameter(
+                f"{text!r}, expected six numbers, the least three before the largest, "
+                "such as -1,-1,-1,1,1,1"
+            )
+
+
+def _finite_numbers(text: str) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        return []
+    return numbers if all(math.isfinite(number) for number in numbers) else []
