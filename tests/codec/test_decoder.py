@@ -15,6 +15,8 @@ from cogsplat.codec.grid import fit
 from cogsplat.codec.splats import empty, sh_coefficients
 from cogsplat.codec.streams import COMPONENTS, SH_BANDS, Attribute
 
+pytestmark = pytest.mark.usefixtures("arithmetic")
+
 ROWS = 40
 UNSET = np.float32(-777)
 

@@ -18,6 +18,8 @@ from cogsplat.codec.planes import (
     unpack_plane,
 )
 
+pytestmark = pytest.mark.usefixtures("arithmetic")
+
 MAGIC = bytes.fromhex("28b52ffd")
 
 

@@ -10,6 +10,8 @@ from cogsplat.codec import resolution
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.resolution import MAX_COEFFICIENT, MAX_HALVINGS, RESOLUTION_BYTES, Resolution
 
+pytestmark = pytest.mark.usefixtures("arithmetic")
+
 f32 = np.float32
 
 

@@ -15,6 +15,8 @@ from cogsplat.codec.grid import Grid
 from cogsplat.codec.resolution import Resolution
 from cogsplat.codec.streams import Attribute, Kind, Stream
 
+pytestmark = pytest.mark.usefixtures("arithmetic")
+
 f32 = np.float32
 checked = settings(derandomize=True, deadline=None, max_examples=40)
 

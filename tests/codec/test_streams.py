@@ -13,6 +13,8 @@ from cogsplat.codec.grid import MAX_LEVELS, Grid, fit
 from cogsplat.codec.planes import PACKED_FLAG, ZSTD_FLAG
 from cogsplat.codec.streams import COMPONENTS, INFINITIES, KEPT, PER_ROW, Attribute, Kind, Stream
 
+pytestmark = pytest.mark.usefixtures("arithmetic")
+
 checked = settings(derandomize=True, deadline=None, max_examples=100)
 
 

@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 
 from cogsplat.codec import turn
 
+pytestmark = pytest.mark.usefixtures("arithmetic")
+
 f32 = np.float32
 checked = settings(derandomize=True, deadline=None, max_examples=100)
 
