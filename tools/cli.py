@@ -27,6 +27,7 @@ from cogsplat.formats import cogs_layout
 from cogsplat.formats.atomic import storage_error
 
 from .cli_bench import bench
+from .cli_convert import convert
 from .cli_decode import decode
 from .cli_encode import encode
 from .cli_info import info
@@ -34,6 +35,7 @@ from .cli_judge import compare, render
 from .cli_make import demo, synth
 from .cli_output import WARNINGS, say_json
 from .cli_score import score
+from .cli_stats import stats
 
 _USAGE: Final = 2
 
@@ -239,7 +241,9 @@ def cli() -> None:
 _COMMANDS: Final[Sequence[click.Command]] = (
     encode,
     decode,
+    convert,
     info,
+    stats,
     score,
     render,
     compare,

@@ -52,10 +52,10 @@ def convert(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Convert scene A to the format that B's extension names.
+    """Convert a scene to another format.
 
-    COGS files are read and written too; `encode` has all options of writing one. What a format
-    cannot hold is said in a warning.
+    B's extension names it. COGS files are read and written too; `encode` has all options of
+    writing one. What a format cannot hold is said in a warning.
     """
     to_cogs = out.name.lower().endswith(_COGS)
     name = "cogs" if to_cogs else format_to_write(out).name

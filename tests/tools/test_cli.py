@@ -33,7 +33,18 @@ def test_every_command_has_help_with_an_example_and_json(run: Run, name: str) ->
 
 def test_commands_are_listed_in_the_order_of_their_use(run: Run) -> None:
     shown = run("--help").out
-    names = ["encode", "decode", "info", "score", "render", "compare", "synth", "demo"]
+    names = [
+        "encode",
+        "decode",
+        "convert",
+        "info",
+        "stats",
+        "score",
+        "render",
+        "compare",
+        "synth",
+        "demo",
+    ]
     places = [shown.index(f"\n  {name} ") for name in names]
     assert places == sorted(places)
     listed = [line for line in shown.splitlines() if line.startswith("  ")]
