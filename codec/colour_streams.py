@@ -133,14 +133,9 @@ def _groups(width: int) -> list[range]:
 def _runs(ends: U8, width: int) -> tuple[I64, list[int]]:
     """Return rows by descending number of coordinates, and how many rows have more than each."""
     order = np.argsort(np.uint8(255) - ends, kind="stable").astype(np.int64)
-    return order, _above(ends, width)
-
-
-def _above(ends: U8, width: int) -> list[int]:
-    """Return how many rows have more coordinates than 0, 1, … `width`."""
     counts = np.bincount(ends, minlength=width + 1)
     above: list[int] = (len(ends) - np.cumsum(counts)).tolist()
-    return above
+    return order, above
 
 
 def basis_codebook(stream: StoredStream) -> int:
@@ -209,7 +204,9 @@ def read_shn(stream: StoredStream, basis: F32, out: F32) -> None:
             f"{stream.where}: {int(ends.max())} coordinates, expected at most {width}",
             clause="6.14",
         )
-    rows_of_basis = basis.reshape(len(basis), -1)
+    # Not -1: there may be no rows.
+    columns_of_basis = 3 * basis.shape[1]
+    rows_of_basis = basis.reshape(len(basis), columns_of_basis)
     if compiled.ready():
         _compiled_shn(stream, ends, bytes(sizes), width, rows_of_basis, (step, shrink), out)
         return
@@ -230,7 +227,7 @@ def read_shn(stream: StoredStream, basis: F32, out: F32) -> None:
             inner, outer = bounds[column + 1], bounds[column]
             _add(ranked[:inner], values[0][place], rows_of_basis[column])
             _add(ranked[inner:outer], values[1][place], rows_of_basis[column])
-    flat = out.reshape(len(out), -1)
+    flat = out.reshape(len(out), columns_of_basis)
     flat[order[: len(ranked)]] = ranked
     flat[order[len(ranked) :]] = 0
 
@@ -247,7 +244,8 @@ def _compiled_shn(
     from . import decode_kernels
 
     groups = _groups(width)
-    above = _above(ends, width)
+    more = decode_kernels.above(ends, width)
+    above = more.tolist()
     lengths: list[int] = []
     for group, columns in enumerate(groups):
         inner = sum(above[c + 1] for c in columns)
@@ -259,13 +257,14 @@ def _compiled_shn(
     step, shrink = factors
     decode_kernels.shn(
         ends,
+        more,
         np.array([*(columns.start for columns in groups), width], np.int64),
         np.frombuffer(sizes, np.uint8),
         planes,
         wide,
         np.float32(step),
         np.float32(shrink),
-        out.reshape(len(out), -1),
+        out.reshape(len(out), basis.shape[1]),
     )
 
 

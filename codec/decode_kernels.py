@@ -40,7 +40,8 @@ _AXIS_MASK: Final = (1 << _AXIS_BITS) - 1
 
 def _axes_of_bits() -> U64:
     axes = morton.deinterleave(np.arange(512, dtype=np.uint64)).astype(np.uint64)
-    return axes[:, 0] | axes[:, 1] << np.uint64(_AXIS_BITS) | axes[:, 2] << np.uint64(42)
+    shifts = np.arange(3, dtype=np.uint64) * np.uint64(_AXIS_BITS)
+    return np.asarray(np.bitwise_or.reduce(axes << shifts, axis=1))
 
 
 AXES_OF_BITS: Final = _axes_of_bits()
@@ -61,8 +62,8 @@ def _window(packed: U64, position: int) -> np.uint64:
     """Return the 64 bits from a position on."""
     index = position >> 6
     shift = np.uint64(position & 63)
-    high = (packed[index + 1] << np.uint64(1)) << (np.uint64(63) - shift)
-    return (packed[index] >> shift) | high
+    high: np.uint64 = (packed[index + 1] << np.uint64(1)) << (np.uint64(63) - shift)
+    return high | (packed[index] >> shift)
 
 
 @_exact
@@ -106,43 +107,45 @@ def digits(packed: U8, table: U8, out: U8) -> bool:
 
 
 @_exact
-def grid_column(
-    planes: U8,
-    count: int,
-    levels: int,
-    extra: int,
-    step: np.float32,
-    minimum: np.float32,
-    out: F32,
-    column: int,
+def grid_rows(
+    planes: U8, counts: I64, levels: I64, extra: int, step: F32, minimum: F32, out: F32
 ) -> bool:
-    """Write a component of (rows, c) values from `count` byte planes end to end (SPEC 6.4)."""
-    rows = len(out)
-    limit = levels + extra
-    if count == 1:
+    """Write (rows, c) values from byte planes end to end (SPEC 6.4).
+
+    `counts` (c,) says how many planes each component has, `extra` whether two codes above the
+    levels stand for infinities.
+    """
+    rows, components = out.shape
+    at = 0
+    for column in range(components):
+        count = counts[column]
+        limit = levels[column] + extra
+        width, low = step[column], minimum[column]
         top = 0
-        for row in range(rows):
-            top = max(top, int(planes[row]))
-            out[row, column] = np.float32(planes[row]) * step + minimum
+        if count == 1:
+            for row in range(rows):
+                code = int(planes[at + row])
+                top = max(top, code)
+                out[row, column] = np.float32(code) * width + low
+        else:
+            for row in range(rows):
+                code = 0
+                for byte in range(count):
+                    code |= int(planes[at + byte * rows + row]) << (8 * byte)
+                top = max(top, code)
+                out[row, column] = np.float32(code) * width + low
         if top >= limit:
             return False
-    else:
-        for row in range(rows):
-            code = int(planes[row])
-            for byte in range(1, count):
-                code |= int(planes[byte * rows + row]) << (8 * byte)
-            if code >= limit:
-                return False
-            out[row, column] = np.float32(code) * step + minimum
-    if extra:
-        for row in range(rows):
-            code = 0
-            for byte in range(count):
-                code |= int(planes[byte * rows + row]) << (8 * byte)
-            if code == levels:
-                out[row, column] = np.inf
-            elif code > levels:
-                out[row, column] = -np.inf
+        if extra:
+            for row in range(rows):
+                code = 0
+                for byte in range(count):
+                    code |= int(planes[at + byte * rows + row]) << (8 * byte)
+                if code == levels[column]:
+                    out[row, column] = np.inf
+                elif code > levels[column]:
+                    out[row, column] = -np.inf
+        at += count * rows
     return True
 
 
@@ -166,74 +169,6 @@ def on_axes(values: F32, axes: F32, out: F32) -> None:
 
 
 @_exact
-def halvings(scales: F32, coefficients: F32, knees: F32, most: int, out: U8) -> None:
-    """Write the halvings that scales ask for (SPEC 6.10)."""
-    limit = np.float32(most)
-    for row in range(len(out)):
-        middle, thin, long = scales[row, 0], scales[row, 1], scales[row, 2]
-        p = long - middle
-        q = middle - thin
-        total = coefficients[0] + coefficients[1] * long
-        total = total + coefficients[2] * min(p, knees[0])
-        total = total + coefficients[3] * min(p, knees[1])
-        total = total + coefficients[4] * min(q, knees[2])
-        total = total + coefficients[5] * min(q, knees[3])
-        out[row] = np.uint8(max(min(np.floor(total), limit), np.float32(0)))
-
-
-@_exact
-def turn_counts(halved: U8) -> I64:
-    """Return the rows of each symbol group, and the sum of the halvings beyond the last."""
-    counts = np.zeros(SYMBOL_GROUPS + 1, np.int64)
-    for row in range(len(halved)):
-        group = min(int(halved[row]), SYMBOL_GROUPS - 1)
-        counts[group] += 1
-        counts[SYMBOL_GROUPS] += int(halved[row]) - group
-    return counts
-
-
-@_exact
-def turn_column(
-    symbols: U8, starts: I64, rest: U64, halved: U8, steps: F32, values: F32, column: int
-) -> bool:
-    """Write a component of turns from symbols by group and plain bits (SPEC 6.11)."""
-    at = starts.copy()
-    position = 0
-    for row in range(len(halved)):
-        wide = int(halved[row])
-        if wide == 0:
-            values[row, column] = 0
-            continue
-        group = min(wide, SYMBOL_GROUPS - 1)
-        spare = wide - group
-        code = int(symbols[at[group]])
-        at[group] += 1
-        if spare:
-            low = int(_window(rest, position)) & ((1 << spare) - 1)
-            position += spare
-            code = (code << spare) | low
-        if code > 1 << wide:
-            return False
-        values[row, column] = np.float32(code) * steps[wide] - np.float32(1)
-    return True
-
-
-@_exact
-def turn_quats(turns: F32, out: F32) -> None:
-    """Write the unit quaternions of turns (SPEC 6.11)."""
-    one = np.float32(1)
-    for row in range(len(out)):
-        a, b, c = turns[row, 0], turns[row, 1], turns[row, 2]
-        x = a + b * c
-        y = b - a * c
-        norm = np.sqrt(((one + x * x) + y * y) + c * c)
-        out[row, 0] = one / norm
-        out[row, 1] = x / norm
-        out[row, 2] = y / norm
-        out[row, 3] = c / norm
-
-
-@_exact
 def delta_bits(classes: U8) -> int:
     """Return how many bits the differences of these classes take, -1 for a class above 63."""
     total = 0
@@ -242,6 +177,119 @@ def delta_bits(classes: U8) -> int:
         top = max(top, int(classes[row]))
         total += max(int(classes[row]), 1) - 1
     return total if top <= 3 * _AXIS_BITS else -1
+
+
+@_exact
+def _halvings(scales: F32, row: int, coefficients: F32, knees: F32, most: int) -> int:
+    middle, thin, long = scales[row, 0], scales[row, 1], scales[row, 2]
+    p = long - middle
+    q = middle - thin
+    total = coefficients[0] + coefficients[1] * long
+    total = total + coefficients[2] * min(p, knees[0])
+    total = total + coefficients[3] * min(p, knees[1])
+    total = total + coefficients[4] * min(q, knees[2])
+    total = total + coefficients[5] * min(q, knees[3])
+    limit = np.float32(most)
+    return int(max(min(np.floor(total), limit), np.float32(0)))
+
+
+@_exact
+def turn_plan(
+    scales: F32, coefficients: F32, knees: F32, most: int, halved: U8, counts: I64
+) -> None:
+    """Write what scales ask of tilt and spin (SPEC 6.10, 6.11).
+
+    Parameters
+    ----------
+    scales : (n, 3) float32
+    coefficients : (2, 6) float32
+    knees : (4,) float32
+    most : int
+        Halvings at most.
+    halved : (2, n) uint8, out
+        Halvings.
+    counts : (2, SYMBOL_GROUPS + 1) int64, out
+        Rows of each symbol group, and the sum of the halvings beyond the last.
+    """
+    counts[:] = 0
+    for which in range(2):
+        for row in range(len(scales)):
+            wide = _halvings(scales, row, coefficients[which], knees, most)
+            group = min(wide, SYMBOL_GROUPS - 1)
+            halved[which, row] = wide
+            counts[which, group] += 1
+            counts[which, SYMBOL_GROUPS] += wide - group
+
+
+@_exact
+def turns(planes: U8, halved: U8, counts: I64, steps: F32, out: F32) -> bool:
+    """Write the unit quaternions of tilt, tilt and spin (SPEC 6.11).
+
+    Parameters
+    ----------
+    planes : uint8
+        All planes end to end, and two bytes behind them.
+    halved, counts
+        As `turn_plan` writes them.
+    steps : (most + 1,) float32
+        What a code is worth after each number of halvings.
+    out : (n, 4) float32
+    """
+    starts = np.zeros((3, SYMBOL_GROUPS), np.int64)
+    bits = np.zeros(3, np.int64)
+    at = 0
+    for column in range(3):
+        which = column >> 1
+        for group in range(1, SYMBOL_GROUPS):
+            starts[column, group] = at
+            at += counts[which, group]
+        spare = counts[which, SYMBOL_GROUPS]
+        bits[column] = 8 * at
+        at += (spare + 7) >> 3
+        if spare & 7 and int(planes[at - 1]) >> (spare & 7):
+            return False
+    one = np.float32(1)
+    turned = np.empty(3, np.float32)
+    for row in range(len(out)):
+        for column in range(3):
+            wide = int(halved[column >> 1, row])
+            if wide == 0:
+                turned[column] = 0
+                continue
+            group = min(wide, SYMBOL_GROUPS - 1)
+            spare = wide - group
+            code = int(planes[starts[column, group]])
+            starts[column, group] += 1
+            if spare:
+                byte, shift = bits[column] >> 3, bits[column] & 7
+                pair = int(planes[byte]) | int(planes[byte + 1]) << 8
+                code = (code << spare) | ((pair >> shift) & ((1 << spare) - 1))
+                bits[column] += spare
+            if code > 1 << wide:
+                return False
+            turned[column] = np.float32(code) * steps[wide] - one
+        a, b, c = turned[0], turned[1], turned[2]
+        x = a + b * c
+        y = b - a * c
+        norm = np.sqrt(((one + x * x) + y * y) + c * c)
+        out[row, 0] = one / norm
+        out[row, 1] = x / norm
+        out[row, 2] = y / norm
+        out[row, 3] = c / norm
+    return True
+
+
+@_exact
+def fine_plan(
+    classes: U8, scales: F32, coefficients: F32, knees: F32, most: int, halved: U8
+) -> tuple[int, int]:
+    """Write the halvings of means; return the bits of the deltas and of the fields below them."""
+    fields = 0
+    for row in range(len(halved)):
+        wide = _halvings(scales, row, coefficients, knees, most)
+        halved[row] = wide
+        fields += 3 * wide
+    return delta_bits(classes), fields
 
 
 @_exact
@@ -306,8 +354,21 @@ def _symbol(planes: U8, at: int, count: int, stride: int) -> int:
 
 
 @_exact
+def above(ends: U8, width: int) -> I64:
+    """Return how many rows have more coordinates than 0, 1, … `width`, and a 0 behind."""
+    counts = np.zeros(width + 2, np.int64)
+    for row in range(len(ends)):
+        if ends[row]:
+            counts[ends[row] - 1] += 1
+    for column in range(width - 1, -1, -1):
+        counts[column] += counts[column + 1]
+    return counts
+
+
+@_exact
 def shn(
     ends: U8,
+    more: I64,
     groups: I64,
     sizes: U8,
     planes: U8,
@@ -322,6 +383,8 @@ def shn(
     ----------
     ends : (n,) uint8
         Coordinates of each row, at most the width.
+    more : (width + 2,) int64
+        As `above` returns it.
     groups : (g + 1,) int64
         First column of each group, and the width.
     sizes : (2g,) uint8
@@ -333,13 +396,6 @@ def shn(
     out : (n, at most BASIS_COLUMNS) float32
     """
     width = groups[-1]
-    # How many rows have more coordinates than each number.
-    above = np.zeros(width + 2, np.int64)
-    for row in range(len(ends)):
-        if ends[row]:
-            above[ends[row] - 1] += 1
-    for column in range(width - 1, -1, -1):
-        above[column] += above[column + 1]
     # Where each column's symbols start and how far apart their bytes are, by part.
     begin = np.zeros((2, width + 1), np.int64)
     stride = np.zeros((2, width + 1), np.int64)
@@ -351,8 +407,8 @@ def shn(
             for column in range(groups[group], groups[group + 1]):
                 begin[part, column] = at + length
                 size[part, column] = sizes[2 * group + part]
-                inner = above[column + 1]
-                length += above[column] - inner if part else inner
+                inner = more[column + 1]
+                length += more[column] - inner if part else inner
             for column in range(groups[group], groups[group + 1]):
                 stride[part, column] = length
             at += length * sizes[2 * group + part]
@@ -360,7 +416,7 @@ def shn(
     for symbol in range(256):
         table[0, symbol] = _coordinate(symbol, step, shrink)
         table[1, symbol] = _coordinate(symbol + 1, step, shrink)
-    rank = above.copy()
+    rank = more.copy()
     sums = np.empty(BASIS_COLUMNS, np.float32)
     for row in range(len(ends)):
         end = int(ends[row])
@@ -374,7 +430,7 @@ def shn(
             sums[k] = 0
         for column in range(end):
             part = 1 if column == end - 1 else 0
-            offset = place - above[end] if part else place
+            offset = place - more[end] if part else place
             count = size[part, column]
             first = begin[part, column] + offset
             if count == 1:

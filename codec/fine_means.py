@@ -77,14 +77,11 @@ def read_fine_means(stream: StoredStream, scales: F32, out: F32) -> None:
             "stream-planes", f"{stream.where}: {len(stream.words)} planes, expected 3",
             clause="6.15",
         )  # fmt: skip
-    halvings = resolution.halvings(scales)
     classes = stream.plane(0, stream.rows)
+    if compiled.ready() and _compiled_means(stream, classes, scales, (grid, resolution), out):
+        return
+    halvings = resolution.halvings(scales)
     deltas = stream.plane(1, morton.bits_length(classes, stream.where))
-    if compiled.ready():
-        below = stream.plane(2, bits.packed_bytes(halvings * _THREE))
-        cells = morton.Cells(grid.levels, _SCALES[:, None] * grid.step, grid.minimum)
-        if morton.read_compiled(classes, deltas, halvings, below, cells, out):
-            return
     coarse = morton.deinterleave(morton.unpack_deltas(classes, deltas, stream.where))
     top = coarse.max(axis=0, initial=0)
     if bool((top >= grid.levels).any()):
@@ -104,3 +101,23 @@ def read_fine_means(stream: StoredStream, scales: F32, out: F32) -> None:
         codes = (coarse[:, axis].astype(np.uint64) << wide) | low
         np.multiply(codes.astype(np.float32), scale * step[axis], out=out[:, axis])
     out += grid.minimum
+
+
+def _compiled_means(
+    stream: StoredStream, classes: U8, scales: F32, given: tuple[Grid, Resolution], out: F32
+) -> bool:
+    from . import decode_kernels
+
+    grid, resolution = given
+    coefficients = np.array(resolution.coefficients, np.float32)
+    halvings = np.empty(stream.rows, np.uint8)
+    bits_of_deltas, bits_of_fields = decode_kernels.fine_plan(
+        classes, scales, coefficients, resolutions.KNEES, MAX_HALVINGS, halvings
+    )
+    if bits_of_deltas < 0:
+        return False
+    deltas = stream.plane(1, bits_of_deltas + 7 >> 3)
+    fields = stream.plane(2, bits_of_fields + 7 >> 3)
+    cells = morton.Cells(grid.levels, _SCALES[:, None] * grid.step, grid.minimum)
+    used = (bits_of_deltas, bits_of_fields)
+    return morton.read_compiled(classes, deltas, halvings, fields, used, cells, out)

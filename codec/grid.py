@@ -23,6 +23,7 @@ MAX_VALUE: Final = 2.0**100
 
 _ENTRY: Final = struct.Struct("<ffI")
 ENTRY_BYTES: Final = _ENTRY.size
+_ENTRIES: Final = np.dtype("<f4, <f4, <u4")
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +121,7 @@ def unpack(data: memoryview, components: int, where: str, limit: int = MAX_LEVEL
         ``grid-value``: not finite, beyond `MAX_VALUE`, or minimum above maximum;
         ``grid-levels``: 0 or more than `limit` levels.
     """
-    table = np.frombuffer(data, np.dtype("<f4, <f4, <u4"), components)
+    table = np.frombuffer(data, _ENTRIES, components)
     grid = Grid(
         table["f0"].astype(np.float32),
         table["f1"].astype(np.float32),

@@ -118,10 +118,14 @@ def bits_length(classes: U8, where: str) -> int:
             f"{where}: class {int(classes.max())}, expected at most {_MAX_CLASS}",
             clause="6.5",
         )
+    return bits_count(classes) + 7 >> 3
+
+
+def bits_count(classes: U8) -> int:
+    """Return how many bits the differences of these classes take."""
     # bincount keeps this exact and cheap for any number of rows.
     counts = np.bincount(classes, minlength=_MAX_CLASS + 1)
-    bits = int((counts[1:] * np.arange(len(counts) - 1)).sum())
-    return bits + 7 >> 3
+    return int((counts[1:] * np.arange(len(counts) - 1)).sum())
 
 
 def unpack_deltas(classes: U8, bits: U8, where: str) -> U64:
@@ -183,7 +187,13 @@ class Cells:
 
 
 def read_compiled(
-    classes: U8, deltas: U8, halvings: U8, fields: U8, cells: Cells, out: F32
+    classes: U8,
+    deltas: U8,
+    halvings: U8,
+    fields: U8,
+    used: tuple[int, int],
+    cells: Cells,
+    out: F32,
 ) -> bool:
     """Write (n, 3) means as `unpack_deltas` and all that follows would, or find something wrong.
 
@@ -194,6 +204,8 @@ def read_compiled(
     halvings : (n,) uint8
     fields : uint8
         Plane of three times as many bits a row (SPEC 6.15).
+    used : tuple of int
+        Bits that are used of the deltas and of the fields.
     cells : Cells
     out : (n, 3) float32
 
@@ -204,9 +216,8 @@ def read_compiled(
     """
     from . import decode_kernels
 
-    used = decode_kernels.delta_bits(classes) & 7, int(halvings.sum(dtype=np.int64)) * 3 & 7
-    for plane, last in zip((deltas, fields), used, strict=True):
-        if last and int(plane[-1]) >> last:
+    for plane, total in zip((deltas, fields), used, strict=True):
+        if total & 7 and int(plane[-1]) >> (total & 7):
             return False
     return decode_kernels.fine_means(
         classes,

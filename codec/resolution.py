@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from . import compiled
 from .errors import FormatError
 
 F32 = NDArray[np.float32]
@@ -26,7 +25,8 @@ MAX_HALVINGS: Final = 15
 # splats, then flatter (measured on trained scenes).
 _LONG_MID_KNEE: Final = (np.float32(1.5), np.float32(5))
 _MID_THIN_KNEE: Final = (np.float32(0.5), np.float32(3))
-_KNEES: Final = np.array([*_LONG_MID_KNEE, *_MID_THIN_KNEE], np.float32)
+KNEES: Final = np.array([*_LONG_MID_KNEE, *_MID_THIN_KNEE], np.float32)
+"""The four, float32."""
 
 MAX_COEFFICIENT: Final = 1e6
 """Largest magnitude of a coefficient: the sum stays finite for any decoded scales."""
@@ -51,12 +51,6 @@ class Resolution:
     def halvings(self, scales: F32) -> U8:
         """Return (n,) halvings for (n, 3) float32 decoded log scales (SPEC 6.10)."""
         c = np.array(self.coefficients, np.float32)
-        if compiled.ready() and scales.flags.c_contiguous:
-            from . import decode_kernels
-
-            out = np.empty(len(scales), np.uint8)
-            decode_kernels.halvings(scales, c, _KNEES, MAX_HALVINGS, out)
-            return out
         total = np.full(len(scales), c[0], np.float32)
         for coefficient, feature in zip(c[1:], _features(scales), strict=True):
             total = total + coefficient * feature

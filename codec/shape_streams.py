@@ -141,30 +141,21 @@ def _compiled_turns(
 ) -> bool:
     from . import decode_kernels
 
-    halvings = [resolution.halvings(scales) for resolution in resolved]
-    counts = [decode_kernels.turn_counts(halved) for halved in halvings]
-    columns = [0] * _TILTS + [1]
-    lengths = [[n for n in counts[which][1:-1].tolist() if n] for which in columns]
-    if len(stream.words) != sum(map(len, lengths)) + len(columns):
+    coefficients = np.array([resolution.coefficients for resolution in resolved], np.float32)
+    halved = np.empty((2, stream.rows), np.uint8)
+    counts = np.empty((2, decode_kernels.SYMBOL_GROUPS + 1), np.int64)
+    decode_kernels.turn_plan(
+        scales, coefficients, resolutions.KNEES, resolutions.MAX_HALVINGS, halved, counts
+    )
+    tilt, spin = (
+        [*(n for n in groups[1:-1] if n), groups[-1] + 7 >> 3] for groups in counts.tolist()
+    )
+    lengths = tilt * _TILTS + spin
+    if len(stream.words) != len(lengths):
         return False
-    values = np.empty((stream.rows, len(columns)), np.float32)
-    plane = 0
-    for column, which in enumerate(columns):
-        symbols = stream.joined(plane, lengths[column])
-        plane += len(lengths[column])
-        starts = np.cumsum(counts[which]) - counts[which] - counts[which][0]
-        bits = int(counts[which][-1])
-        rest = stream.plane(plane, bits + 7 >> 3)
-        plane += 1
-        if bits & 7 and int(rest[-1]) >> (bits & 7):
-            return False
-        packed = decode_kernels.words(rest)
-        if not decode_kernels.turn_column(
-            symbols, starts, packed, halvings[which], turn.STEPS, values, column
-        ):
-            return False
-    decode_kernels.turn_quats(values, out)
-    return True
+    # Two bytes more: the kernel reads plain bits by pairs of bytes.
+    planes = stream.joined(0, lengths, 2)
+    return decode_kernels.turns(planes, halved, counts, turn.STEPS, out)
 
 
 def _halvings(scales: F32, tilt: Resolution, spin: Resolution) -> list[U8]:

@@ -289,10 +289,21 @@ class StoredStream:
         word = int(self.words[index])
         return unpack_plane(self.bodies[index], word, length, where)
 
-    def joined(self, first: int, lengths: Sequence[int]) -> U8:
-        """Return consecutive planes, decompressed to these lengths in bytes, end to end."""
-        planes = [self.plane(first + place, length) for place, length in enumerate(lengths)]
-        return np.concatenate(planes) if planes else np.empty(0, np.uint8)
+    def joined(self, first: int, lengths: Sequence[int], spare: int = 0) -> U8:
+        """Return consecutive planes, decompressed to these lengths in bytes, end to end.
+
+        Read-only as single planes are, with `spare` zeros behind the last.
+        """
+        if len(lengths) == 1 and not spare:
+            return self.plane(first, lengths[0])
+        out = np.empty(sum(lengths) + spare, np.uint8)
+        start = 0
+        for place, length in enumerate(lengths, start=first):
+            out[start : start + length] = self.plane(place, length)
+            start += length
+        out[start:] = 0
+        out.flags.writeable = False
+        return out
 
     def require_kind(self, kind: Kind) -> None:
         """Refuse a stream of another kind."""
@@ -342,9 +353,9 @@ class StoredStream:
         bits = self.plane(1, morton.bits_length(classes, self.where))
         if compiled.ready():
             none = np.zeros(self.rows, np.uint8)
-            factors = grid.step[None, :]
-            cells = morton.Cells(grid.levels, factors, grid.minimum)
-            if morton.read_compiled(classes, bits, none, none[:0], cells, out):
+            cells = morton.Cells(grid.levels, grid.step[None, :], grid.minimum)
+            used = morton.bits_count(classes), 0
+            if morton.read_compiled(classes, bits, none, none[:0], used, cells, out):
                 return
         codes = morton.deinterleave(morton.unpack_deltas(classes, bits, self.where))
         top = codes.max(axis=0, initial=0)
@@ -422,6 +433,8 @@ def read_grid_planes(stream: StoredStream, grid: Grid, first: int, extra: int, o
     """Write the values of a stream's planes from `first` on, `extra` codes above the levels."""
     counts = _plane_counts(grid, extra)
     stream.require_planes(first + sum(counts))
+    if compiled.ready() and _compiled_planes(stream, grid, first, counts, extra, out):
+        return
     step = grid.step
     plane = first
     for component, count in enumerate(counts):
@@ -433,8 +446,6 @@ def read_grid_planes(stream: StoredStream, grid: Grid, first: int, extra: int, o
             continue
         planes = [stream.plane(plane + byte, stream.rows) for byte in range(count)]
         plane += count
-        if compiled.ready() and _compiled_column(planes, grid, component, extra, out):
-            continue
         codes = planes[0] if count == 1 else grids.join_planes(planes, stream.rows)
         if levels + extra < 1 << (8 * count) and int(codes.max(initial=0)) >= levels + extra:
             raise FormatError(
@@ -450,13 +461,15 @@ def read_grid_planes(stream: StoredStream, grid: Grid, first: int, extra: int, o
             column[codes == levels + 1] = -np.inf
 
 
-def _compiled_column(planes: list[U8], grid: Grid, component: int, extra: int, out: F32) -> bool:
+def _compiled_planes(
+    stream: StoredStream, grid: Grid, first: int, counts: list[int], extra: int, out: F32
+) -> bool:
     from . import decode_kernels
 
-    octets = np.concatenate(planes)
-    levels, step, minimum = int(grid.levels[component]), grid.step, grid.minimum
-    return decode_kernels.grid_column(
-        octets, len(planes), levels, extra, step[component], minimum[component], out, component
+    planes = stream.joined(first, [stream.rows] * sum(counts))
+    levels = grid.levels.astype(np.int64)
+    return decode_kernels.grid_rows(
+        planes, np.array(counts, np.int64), levels, extra, grid.step, grid.minimum, out
     )
 
 
