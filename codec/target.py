@@ -21,6 +21,9 @@ PSNR_TOLERANCE_DB: Final = 0.02
 SIZE_TOLERANCE: Final = 0.005
 """How far below a size a search may stop, as a share of it."""
 
+# A PSNR missed by more than this at an end of what can be set is out of reach, dB.
+_NEAR_DB: Final = 0.1
+
 # Before a search knows better: bytes of a splat at a nominal quality, PSNR per nominal dB, and log2
 # of the bytes per nominal dB, of trained scenes between 33 and 47 dB.
 _START_DB: Final = 36.0
@@ -115,7 +118,7 @@ def to_psnr(
 
     found = _search(prepared, psnr_db, psnr_db, psnr_of, _PSNR_PER_DB, enough, progress)
     best = min(found, key=lambda hit: abs(hit.value - psnr_db))
-    if abs(best.value - psnr_db) > 0.5 and _at_an_end(best):
+    if abs(best.value - psnr_db) > _NEAR_DB and any(_at_an_end(hit) for hit in found):
         raise _out_of_reach(f"PSNR of {psnr_db:g} dB", f"{best.value:.2f} dB")
     return _counted(best, found)
 
