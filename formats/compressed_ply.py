@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import BinaryIO, Final
 
 import numpy as np
@@ -70,9 +69,6 @@ _SH_RANGE: Final = 8.0
 _SH_VALUES: Final = ((np.arange(256) + 0.5) / 256 * _SH_RANGE - _SH_RANGE / 2).astype(np.float32)
 _SH_VALUES[0], _SH_VALUES[255] = -_SH_RANGE / 2, _SH_RANGE / 2
 
-# How Brush, gsplat and splat-transform mark scenes trained with Mip-Splatting's filter.
-_MIP_COMMENT: Final = "SplatRenderMode: mip"
-
 
 def is_compressed_ply(head: bytes) -> bool:
     """Tell whether a file that starts with these bytes is a compressed PLY."""
@@ -122,7 +118,7 @@ def read_compressed_ply(path: StrPath) -> Splats:
         vertex = header.vertex(where)
         chunk = _element(header, "chunk", where)
         _check_counts(vertex, chunk, where)
-        info = _scene_info(header, where)
+        info = parse_scene_info(header.comments, where)
         ranges = _read_ranges(file, header, chunk, where)
         words = _read_table(file, header, vertex, _WORDS, "u4", where)
         rest = _read_rest(file, header, vertex.count, where)
@@ -160,12 +156,6 @@ def _check_counts(vertex: Element, chunk: Element, where: str) -> None:
             f"{where}: {chunk.count} chunks for {vertex.count} splats, expected {expected}, one "
             f"for every {CHUNK_SPLATS}",
         )
-
-
-def _scene_info(header: PlyHeader, where: str) -> SceneInfo:
-    info = parse_scene_info(header.comments, where)
-    marked = any(comment.strip() == _MIP_COMMENT for comment in header.comments)
-    return replace(info, antialiased=info.antialiased or marked)
 
 
 def _read_table(
@@ -346,14 +336,11 @@ def write_compressed_ply(path: StrPath, splats: Splats, *, force: bool = False) 
 
 
 def _header(splats: Splats, chunks: int) -> bytes:
-    comments = scene_comments(splats.info)
-    if splats.info.antialiased:
-        comments.append(_MIP_COMMENT)
     rest = 3 * splats.shN.shape[1]
     lines = [
         "ply",
         "format binary_little_endian 1.0",
-        *(f"comment {comment}" for comment in comments),
+        *(f"comment {comment}" for comment in scene_comments(splats.info)),
         f"element chunk {chunks}",
         *(f"property float {name}" for name in _RANGES + _COLOUR_RANGES),
         f"element vertex {len(splats)}",

@@ -1,9 +1,10 @@
-"""What a scene says of itself, as PLY comments that start with ``cogsplat``."""
+"""What a scene says of itself, as PLY comments: our own, and the one for anti-aliasing."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 from cogsplat.codec.errors import DataError, FormatError
 from cogsplat.codec.splats import SceneInfo
@@ -11,9 +12,14 @@ from cogsplat.codec.splats import SceneInfo
 _COMMENT = "cogsplat"
 _AXES = ({"R", "L"}, {"U", "D"}, {"F", "B"})
 
+# How Brush, gsplat and splat-transform mark scenes trained with Mip-Splatting's filter.
+_MIP_COMMENT: Final = "SplatRenderMode: mip"
+
 
 def scene_comments(info: SceneInfo) -> list[str]:
     """Return the comments that say what differs from a default `SceneInfo`.
+
+    Anti-aliasing is said twice, in our own words and in those of other programs.
 
     Raises
     ------
@@ -32,6 +38,7 @@ def scene_comments(info: SceneInfo) -> list[str]:
         comments.append(f"{_COMMENT} kernel_px {float(info.kernel_px)!r}")
     if info.antialiased != default.antialiased:
         comments.append(f"{_COMMENT} antialiased {str(bool(info.antialiased)).lower()}")
+        comments.append(_MIP_COMMENT)
     try:
         parse_scene_info(comments, "scene info")
     except FormatError as error:
@@ -42,6 +49,9 @@ def scene_comments(info: SceneInfo) -> list[str]:
 def parse_scene_info(comments: Sequence[str], where: str) -> SceneInfo:
     """Return what the comments that start with ``cogsplat`` say; unknown keys are skipped.
 
+    ``SplatRenderMode: mip`` says that a scene is anti-aliased, whatever ours say; other modes say
+    nothing.
+
     Raises
     ------
     FormatError
@@ -49,7 +59,7 @@ def parse_scene_info(comments: Sequence[str], where: str) -> SceneInfo:
     """
     default = SceneInfo()
     origin, axes, colour_space = default.origin, default.axes, default.colour_space
-    kernel_px, antialiased = default.kernel_px, default.antialiased
+    kernel_px, antialiased, marked = default.kernel_px, default.antialiased, False
     for comment in comments:
         match comment.split(" "):
             case ["cogsplat", "origin", x, y, z] if _finite(x, y, z):
@@ -62,6 +72,8 @@ def parse_scene_info(comments: Sequence[str], where: str) -> SceneInfo:
                 kernel_px = float(value)
             case ["cogsplat", "antialiased", ("true" | "false") as value]:
                 antialiased = value == "true"
+            case _ if comment.strip() == _MIP_COMMENT:
+                marked = True
             case [
                 "cogsplat",
                 ("origin" | "axes" | "colour_space" | "kernel_px" | "antialiased") as key,
@@ -71,7 +83,7 @@ def parse_scene_info(comments: Sequence[str], where: str) -> SceneInfo:
                     "ply-bad-comment",
                     f"{where}: {comment[:80]!r}, expected a value that {key} can have",
                 )
-    return SceneInfo(origin, axes, colour_space, kernel_px, antialiased)
+    return SceneInfo(origin, axes, colour_space, kernel_px, antialiased or marked)
 
 
 def _finite(*words: str) -> bool:

@@ -234,7 +234,26 @@ def test_what_the_scene_says_of_itself_survives(tmp_path: Path, rest: int) -> No
         "cogsplat colour_space linear",
         "cogsplat kernel_px 0.1",
         "cogsplat antialiased true",
+        "SplatRenderMode: mip",
     ]
+
+
+@pytest.mark.parametrize(
+    ("comments", "antialiased"),
+    [
+        (["SplatRenderMode: mip"], True),
+        (["Exported from elsewhere", "SplatRenderMode: mip ", "cogsplat antialiased false"], True),
+        (["SplatRenderMode: default"], False),
+        (["cogsplat SplatRenderMode: mip"], False),
+    ],
+)
+def test_scenes_that_others_mark_as_antialiased(
+    tmp_path: Path, comments: list[str], antialiased: bool
+) -> None:
+    lines = (f"comment {comment}" for comment in comments)
+    data = header_of(LITTLE, *lines, "element vertex 0", *properties())
+    (tmp_path / "a.ply").write_bytes(data)
+    assert read_ply(tmp_path / "a.ply").info == SceneInfo(antialiased=antialiased)
 
 
 def test_a_default_scene_writes_no_comments(tmp_path: Path) -> None:
