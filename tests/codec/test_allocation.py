@@ -2,10 +2,12 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import oracle
 import pytest
 
 from cogsplat.codec import allocation
 from cogsplat.codec.score import unscored
+from cogsplat.codec.sensitivity import Sensitivities
 
 
 def with_energy(values):
@@ -70,3 +72,133 @@ def test_mean_steps_of_extreme_scales_are_numbers_above_zero(scale):
     scales = np.full((3, 3), scale, np.float32)
     step = allocation.mean_step(1e-9, np.full(3, 1e-3), scales)
     assert 0 < step < math.inf
+
+
+# Costs.
+
+VALUES = (
+    "energy", "mean", "opacity", "scale_long", "scale_middle", "scale_thin", "tilt", "spin",
+)  # fmt: skip
+
+
+def sensitive(rows, seed=4, scale=1.0):
+    rng = np.random.default_rng(seed)
+
+    def some(*shape):
+        return scale * rng.lognormal(-3, 1, (rows, *shape))
+
+    return Sensitivities(some(), some(3), some(3), some(3), some(3))
+
+
+def a_scene(rows=80, seed=5):
+    splats = oracle.scene(seed, n=rows)
+    energy = np.random.default_rng(seed).lognormal(-9, 2, rows)
+    return splats, replace(unscored(rows), energy=energy)
+
+
+def test_costs_are_above_zero_with_and_without_sensitivities():
+    splats, scores = a_scene()
+    for energy in (scores.energy, np.zeros(80), np.geomspace(1e-200, 1e3, 80)):
+        for found in (None, sensitive(80), sensitive(80, scale=0.0)):
+            given = replace(scores, energy=energy, sensitivities=found)
+            costs = allocation.costs(splats, given)
+            for name in VALUES:
+                values = getattr(costs, name)
+                assert values.shape == (80,)
+                assert ((values > 0) & np.isfinite(values)).all(), name
+            assert costs.basis_mean.shape == (80, 15)
+
+
+def test_renaming_the_axes_of_a_splat_changes_no_cost():
+    splats, scores = a_scene()
+    found = sensitive(80)
+    turned = [1, 2, 0]
+    other = replace(found, scales=found.scales[:, turned], rotations=found.rotations[:, turned])
+    for one, two in ((None, None), (found, other)):
+        plain = allocation.costs(splats, replace(scores, sensitivities=one))
+        named = allocation.costs(
+            replace(splats, scales=splats.scales[:, turned]), replace(scores, sensitivities=two)
+        )
+        for name in VALUES:
+            np.testing.assert_allclose(getattr(named, name), getattr(plain, name), rtol=1e-12)
+
+
+def test_sensitivities_say_what_errors_cost():
+    splats, scores = a_scene()
+    found = sensitive(80, scale=1e9)  # far above any floor
+    costs = allocation.costs(splats, replace(scores, sensitivities=found))
+    by_size = np.take_along_axis(found.scales, np.argsort(splats.scales, axis=1), axis=1)
+    for name, expected in (
+        ("mean", found.means.mean(axis=1)),
+        ("opacity", found.opacities),
+        ("scale_long", found.scales.sum(axis=1)),
+        ("scale_middle", by_size[:, :2].sum(axis=1)),
+        ("scale_thin", by_size[:, 0]),
+        (
+            "spin",
+            np.take_along_axis(found.rotations, np.argsort(splats.scales, axis=1), axis=1)[:, 2],
+        ),
+    ):
+        ratio = getattr(costs, name) / expected
+        np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)
+        assert 0.5 < ratio[0] < 5
+
+
+def test_larger_sensitivities_and_energies_cost_more():
+    splats, scores = a_scene()
+    for low, high in (
+        (scores, replace(scores, energy=10 * scores.energy)),
+        (
+            replace(scores, sensitivities=sensitive(80)),
+            replace(scores, sensitivities=sensitive(80, scale=10.0)),
+        ),
+    ):
+        one, two = allocation.costs(splats, low), allocation.costs(splats, high)
+        for name in VALUES:
+            assert (getattr(two, name) >= getattr(one, name)).all()
+            assert name == "energy" or (getattr(two, name) > getattr(one, name)).any()
+
+
+def test_rows_and_levels_of_costs():
+    splats, scores = a_scene()
+    costs = allocation.costs(splats, replace(scores, sensitivities=sensitive(80)))
+    rows = np.array([5, 2, 2, 79])
+    part, level = costs.take(rows), costs.levelled()
+    for name in VALUES:
+        values = getattr(costs, name)
+        np.testing.assert_array_equal(getattr(part, name), values[rows])
+        np.testing.assert_allclose(getattr(level, name), values.mean())
+    np.testing.assert_array_equal(part.basis_mean, costs.basis_mean[rows])
+    np.testing.assert_array_equal(level.basis_mean, costs.basis_mean)
+
+
+def test_steps_follow_the_mean_cost_or_each_ones():
+    cost = np.random.default_rng(6).lognormal(-5, 2, 300)
+    assert cost.mean() * allocation.equal_step(1e-7, cost) ** 2 == pytest.approx(1e-7)
+    np.testing.assert_allclose(cost * allocation.own_steps(1e-7, cost) ** 2, 1e-7)
+    assert allocation.shn_step(1e-7, 4 * cost) == pytest.approx(allocation.shn_step(1e-7, cost) / 2)
+
+
+@pytest.mark.parametrize("cost", [1e-300, 1e-60, 1e60, 1e300])
+def test_steps_of_extreme_costs_are_what_the_format_holds(cost):
+    for slope in (1e-20, 1e-3, 10.0):
+        step = allocation.equal_step(slope, np.full(4, cost))
+        assert 0 < step <= 2.0**32
+        assert 0 < allocation.shn_step(slope, np.full(4, cost)) <= 2.0**32
+
+
+def test_limits_leave_no_step_that_loses_a_splat():
+    splats, scores = a_scene()
+    for slope in (1e-9, 1.0):
+        costs = allocation.costs(splats, replace(scores, energy=np.full(80, 1e-12)))
+        limited = allocation.limited(costs, splats.scales, slope)
+        for name in VALUES:
+            assert (getattr(limited, name) >= getattr(costs, name)).all()
+        assert allocation.own_steps(slope, limited.opacity).max() <= 2
+        assert allocation.own_steps(slope, limited.scale_long).max() <= 1
+        size = np.exp(splats.scales.astype(float).mean(axis=1))
+        assert (allocation.own_steps(slope, limited.mean) <= 2 * size).all()
+    strong = allocation.costs(splats, replace(scores, energy=np.full(80, 1e3)))
+    same = allocation.limited(strong, splats.scales, 1e-9)
+    for name in VALUES:
+        np.testing.assert_array_equal(getattr(same, name), getattr(strong, name))
