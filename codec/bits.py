@@ -62,26 +62,47 @@ def unpack(data: U8, widths: U8, where: str) -> U64:
     FormatError
         ``bits-padding``: bits behind the last field are not zero.
     """
-    lengths = widths.astype(np.int64)
-    ends = np.cumsum(lengths)
-    starts = ends - lengths
-    total = int(ends[-1]) if len(ends) else 0
+    total = int(widths.sum(dtype=np.int64))
     if total & 7 and int(data[-1]) >> (total & 7):
         raise FormatError(
             "bits-padding", f"{where}: padding bits are set, expected zeros", clause="6.5"
         )
-    padded = np.zeros(len(data) + 16, np.uint8)
-    padded[: len(data)] = data
-    windows = np.lib.stride_tricks.as_strided(padded, (len(padded) - 7, 8), (1, 1), writeable=False)
-    first = starts >> 3
-    shift = (starts & 7).astype(np.uint64)
-    fields: U64 = np.ascontiguousarray(windows[first]).view("<u8")[:, 0] >> shift
-    if int(lengths.max(initial=0)) > 56:
-        # The ninth byte; a shift by 64 would be undefined, two by 56 and 8 are not.
-        high = padded[first + 8].astype(np.uint64)
-        fields = fields | ((high << np.uint64(56)) << (np.uint64(8) - shift))
+    rows = np.flatnonzero(widths)
+    if len(rows) * 2 < len(widths):
+        # Fields without bits take no place: leave them out while they are many.
+        fields = np.zeros(len(widths), np.uint64)
+        if len(rows):
+            fields[rows] = _fields(data, widths[rows])
+        return fields
+    return _fields(data, widths)
+
+
+def _fields(data: U8, widths: U8) -> U64:
+    lengths = widths.astype(np.int64)
+    fields = windows(data, np.cumsum(lengths) - lengths)
     fields &= (np.uint64(1) << widths.astype(np.uint64)) - np.uint64(1)
     return fields
+
+
+def windows(data: U8, positions: I64) -> U64:
+    """Return the 64 bits from each position on, the lowest first; zeros behind the data.
+
+    Parameters
+    ----------
+    data : (m,) uint8
+    positions : (n,) int64
+        In bits, at most 8 m.
+    """
+    words = np.zeros((len(data) + 7 >> 3) + 2, "<u8")
+    words.view(np.uint8)[: len(data)] = data
+    index = positions >> 6
+    shift = (positions & 63).astype(np.uint64)
+    out: U64 = words[index] >> shift
+    # Shifts by 64 would be undefined, by 1 and 63 are not.
+    high = words[index + 1] << np.uint64(1)
+    high <<= np.uint64(63) - shift
+    out |= high
+    return out
 
 
 def packed_bytes(widths: U8) -> int:

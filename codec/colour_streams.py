@@ -211,22 +211,27 @@ def read_shn(stream: StoredStream, basis: F32, out: F32) -> None:
         _compiled_shn(stream, ends, bytes(sizes), width, rows_of_basis, (step, shrink), out)
         return
     order, bounds = _runs(ends, width)
+    step32, shrink32 = np.float32(step), np.float32(shrink)
+    octets = np.arange(256, dtype=np.uint32)
+    tables = [_worth(octets + np.uint32(part), step32, shrink32) for part in range(2)]
     ranked = np.zeros((bounds[0] if width else 0, rows_of_basis.shape[1]), np.float32)
     plane = 1
     for group, columns in enumerate(_groups(width)):
         counts = [bounds[c + 1] for c in columns], [bounds[c] - bounds[c + 1] for c in columns]
-        values: list[list[F32]] = []
+        values: list[F32] = []
         for part in range(2):
             number = sizes[2 * group + part]
-            parts = [stream.plane(plane + byte, sum(counts[part])) for byte in range(number)]
+            length = sum(counts[part])
+            parts = [stream.plane(plane + byte, length) for byte in range(number)]
             plane += number
-            symbols = grids.join_planes(parts, sum(counts[part]))
-            decoded = _coordinates(symbols, part, np.float32(step), np.float32(shrink))
-            values.append(np.split(decoded, np.cumsum(counts[part])[:-1]))
-        for place, column in enumerate(columns):
+            values.append(_coordinates(parts, length, tables[part], part, (step32, shrink32)))
+        starts = [0, 0]
+        for column in columns:
             inner, outer = bounds[column + 1], bounds[column]
-            _add(ranked[:inner], values[0][place], rows_of_basis[column])
-            _add(ranked[inner:outer], values[1][place], rows_of_basis[column])
+            for part, rows in enumerate((ranked[:inner], ranked[inner:outer])):
+                stop = starts[part] + len(rows)
+                _add(rows, values[part][starts[part] : stop], rows_of_basis[column])
+                starts[part] = stop
     flat = out.reshape(len(out), columns_of_basis)
     flat[order[: len(ranked)]] = ranked
     flat[order[len(ranked) :]] = 0
@@ -278,12 +283,18 @@ def _add(sums: F32, values: F32, row: F32) -> None:
         block += part
 
 
-def _coordinates(symbols: U32, offset: int, step: np.float32, shrink: np.float32) -> F32:
-    """Return (m,) float32 coordinates of zigzag codes less an offset (SPEC 6.14)."""
-    if len(symbols) > _BLOCK and int(symbols.max()) < _BLOCK:
-        # Few codes and many rows: each code once.
-        return _coordinates(np.arange(_BLOCK, dtype=np.uint32), offset, step, shrink)[symbols]
-    zigzag = symbols + np.uint32(offset)
+def _coordinates(
+    planes: list[U8], rows: int, table: F32, offset: int, factors: tuple[np.float32, np.float32]
+) -> F32:
+    """Return (rows,) float32 coordinates of the planes of a part (SPEC 6.14)."""
+    if not planes:
+        return np.full(rows, table[0])
+    if len(planes) == 1:
+        return table.take(planes[0])
+    return _worth(grids.join_planes(planes, rows) + np.uint32(offset), *factors)
+
+
+def _worth(zigzag: U32, step: np.float32, shrink: np.float32) -> F32:
     magnitude = ((zigzag + np.uint32(1)) >> np.uint32(1)).astype(np.float32)
     value = np.where(zigzag > 0, magnitude - shrink, np.float32(0)) * step
     out: F32 = np.where(zigzag & np.uint32(1), value, -value)

@@ -63,7 +63,8 @@ def _window(packed: U64, position: int) -> np.uint64:
     index = position >> 6
     shift = np.uint64(position & 63)
     high: np.uint64 = (packed[index + 1] << np.uint64(1)) << (np.uint64(63) - shift)
-    return high | (packed[index] >> shift)
+    window: np.uint64 = high | (packed[index] >> shift)
+    return window
 
 
 @_exact

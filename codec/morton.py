@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from .bits import windows
 from .errors import FormatError
 
 F32 = NDArray[np.float32]
@@ -145,18 +146,7 @@ def unpack_deltas(classes: U8, bits: U8, where: str) -> U64:
         raise FormatError(
             "morton-padding", f"{where}: padding bits are set, expected zeros", clause="6.5"
         )
-    # Two 8-byte windows a difference: 7 bits of offset and up to 62 of value do not fit one.
-    padded = np.zeros(len(bits) + 16, np.uint8)
-    padded[: len(bits)] = bits
-    windows = np.lib.stride_tricks.as_strided(
-        padded.view(), (len(padded) - 7, 8), (1, 1), writeable=False
-    )
-    first = starts >> 3
-    shift = (starts & 7).astype(np.uint64)
-    low = np.ascontiguousarray(windows[first]).view("<u8")[:, 0] >> shift
-    if int(lengths.max(initial=0)) > 56:
-        high = padded[first + 8].astype(np.uint64)
-        low = low | ((high << np.uint64(56)) << (np.uint64(8) - shift))
+    low = windows(bits, starts)
     width = lengths.astype(np.uint64)
     deltas = (low & ((np.uint64(1) << width) - np.uint64(1))) | (np.uint64(1) << width)
     deltas[classes == 0] = 0

@@ -220,7 +220,7 @@ def _unpack_digits(stored: memoryview, word: int, length: int, where: str) -> U8
             f"{where}: byte {int(packed.max())}, expected below {len(table)} at radix {radix}",
             clause="6.9",
         )
-    digits = table[packed].reshape(-1)
+    digits = table.take(packed, axis=0).reshape(-1)
     if digits[length:].any():
         raise FormatError(
             "plane-digits", f"{where}: digits behind the last symbol, expected zeros", clause="6.9"

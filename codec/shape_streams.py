@@ -111,7 +111,8 @@ def read_turns(stream: StoredStream, scales: F32, out: F32) -> None:
     if compiled.ready() and _compiled_turns(stream, scales, (tilt, spin), out):
         return
     columns = _halvings(scales, tilt, spin)
-    wanted = sum(len(turn.groups(halvings)) + 1 for halvings in columns)
+    counts = [turn.group_rows(halvings) for halvings in columns]
+    wanted = sum(len(rows) + 1 for rows in counts)
     if len(stream.words) != wanted:
         raise FormatError(
             "stream-planes",
@@ -120,8 +121,8 @@ def read_turns(stream: StoredStream, scales: F32, out: F32) -> None:
         )
     for column, halvings in enumerate(columns):
         symbols: list[U8] = []
-        for rows in turn.groups(halvings):
-            symbols.append(stream.plane(plane, int(np.count_nonzero(rows))))
+        for rows in counts[column]:
+            symbols.append(stream.plane(plane, rows))
             plane += 1
         rest = stream.plane(plane, turn.rest_bytes(halvings))
         plane += 1

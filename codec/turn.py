@@ -117,9 +117,13 @@ def split(codes: U32, halvings: U8) -> tuple[list[U8], U8]:
 def join(planes: list[U8], rest: U8, halvings: U8, where: str) -> U32:
     """Return the codes that `split` stored; symbols out of range give codes out of range."""
     codes = np.zeros(len(halvings), np.uint32)
-    spare = _spare(halvings)
-    for rows, plane in zip(groups(halvings), planes, strict=True):
-        codes[rows] = plane
+    capped = np.minimum(halvings, SYMBOL_HALVINGS)
+    # Rows by group, in a group as they come.
+    order = np.argsort(capped, kind="stable")
+    coded = sum(map(len, planes))
+    if coded:
+        codes[order[len(order) - coded :]] = np.concatenate(planes)
+    spare = halvings - capped
     low = bits.unpack(rest, spare, where).astype(np.uint32)
     return (codes << spare) | low
 
@@ -131,11 +135,16 @@ def groups(halvings: U8) -> list[NDArray[np.bool_]]:
     return [capped == m for m in range(1, SYMBOL_HALVINGS + 1) if present[m]]
 
 
+def group_rows(halvings: U8) -> list[int]:
+    """Return the number of rows of each symbol plane, as `groups` has them."""
+    rows = np.bincount(np.minimum(halvings, SYMBOL_HALVINGS), minlength=SYMBOL_HALVINGS + 1)
+    return [n for n in rows[1:].tolist() if n]
+
+
 def rest_bytes(halvings: U8) -> int:
     """Return the length in bytes of the plane of plain bits."""
     return bits.packed_bytes(_spare(halvings))
 
 
 def _spare(halvings: U8) -> U8:
-    wide = halvings.astype(np.int16) - SYMBOL_HALVINGS
-    return np.clip(wide, 0, MAX_HALVINGS).astype(np.uint8)
+    return halvings - np.minimum(halvings, SYMBOL_HALVINGS)
