@@ -6,18 +6,17 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 import cogsplat
 from cogsplat.codec.progress import Progress, silent
-
-from . import judge
+from cogsplat.codec.views import roam
 
 if TYPE_CHECKING:
     from cogsplat.codec.encoder import EncodeConfig
+    from cogsplat.codec.prediction import Witness
 
     from .bench import Subject
 
@@ -115,16 +114,13 @@ def changes(sh_degree: int) -> dict[str, Change]:
     return named
 
 
-def run(
-    subject: Subject, folder: Path, *, quality_db: float, progress: Progress = silent
-) -> AblationTable:
+def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> AblationTable:
     """Measure the encoder whole and without each technique, at three qualities.
 
     Parameters
     ----------
     subject : Subject
-    folder : Path
-        For the files.
+        Its background is not used: all is judged on black.
     quality_db : float
         Nominal; the whole encoder's PSNR there is what all are compared at.
     progress : Progress
@@ -137,20 +133,24 @@ def run(
     Raises
     ------
     DataError
-        As `judge.compare`.
+        ``no-cameras``.
     """
     from cogsplat.codec.encoder import EncodeConfig
+    from cogsplat.codec.prediction import Witness
 
     whole = EncodeConfig(profile="transform", quality_db=quality_db, threads=subject.threads)
     named = changes(subject.splats.sh_degree)
     progress("ablation", 0, len(named) + 1)
-    measure = _measurer(subject, whole, folder / "ablation.cogs")
+    held_out = Witness(subject.splats, subject.cameras, subject.threads)
+    roaming = roam(subject.splats, subject.cameras)
+    judges = held_out, Witness(subject.splats, roaming, subject.threads)
+    measure = _measurer(subject, whole, judges)
     base = measure(quality_db)
     per_splat = 1 / len(subject.splats)
     rows = [Without("nothing", base.file_bytes * per_splat, 0.0, base.roam_db, base.encode_s, 0.0)]
     progress("ablation", 1, len(named) + 1)
     for name, change in named.items():
-        measure = _measurer(subject, change(whole), folder / "ablation.cogs")
+        measure = _measurer(subject, change(whole), judges)
         points = _around(measure, quality_db, base.held_out_db)
         size, roam_db = equal_quality(
             [(p.held_out_db, p.file_bytes, p.roam_db) for p in points], base.held_out_db
@@ -169,8 +169,11 @@ def run(
     return AblationTable(base.held_out_db, tuple(rows))
 
 
-def _measurer(subject: Subject, config: EncodeConfig, path: Path) -> Callable[[float], _Point]:
+def _measurer(
+    subject: Subject, config: EncodeConfig, judges: tuple[Witness, Witness]
+) -> Callable[[float], _Point]:
     from cogsplat.codec import encoder
+    from cogsplat.codec.prediction import decoded
     from cogsplat.formats import cogs
 
     start = time.perf_counter()
@@ -181,16 +184,10 @@ def _measurer(subject: Subject, config: EncodeConfig, path: Path) -> Callable[[f
         start = time.perf_counter()
         encoded = prepared.encode(quality_db)
         encode_s = prepare_s + time.perf_counter() - start
-        size = cogs.save(path, encoded, writer=f"cogsplat {cogsplat.__version__}", force=True)
-        found = judge.compare(
-            subject.splats,
-            cogsplat.decode(path, threads=subject.threads),
-            subject.cameras,
-            background=subject.background,
-            threads=subject.threads,
-        )
-        held_out_db = judge.mean_psnr_db(found.held_out)
-        return _Point(held_out_db, judge.mean_psnr_db(found.roaming), size, encode_s)
+        size = cogs.size_bytes(encoded, writer=f"cogsplat {cogsplat.__version__}")
+        splats = decoded(encoded, threads=subject.threads)
+        held_out_db, roam_db = (judge.psnr_db(splats) for judge in judges)
+        return _Point(held_out_db, roam_db, size, encode_s)
 
     return measure
 

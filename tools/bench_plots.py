@@ -43,16 +43,16 @@ class Series:
     name : str
     points : tuple of (x, y)
         x above 0.
+    look : int
+        Which colour and marker: the same name looks the same in every chart.
     joined : bool
         Whether a line goes through them.
-    labels : tuple of str
-        Beside the points; empty for none.
     """
 
     name: str
     points: tuple[tuple[float, float], ...]
+    look: int = 0
     joined: bool = True
-    labels: tuple[str, ...] = ()
 
 
 def line_chart(
@@ -70,7 +70,7 @@ def line_chart(
     ----------
     title, x_label, y_label : str
     series : sequence of Series
-        Those without points are named in the legend all the same.
+        The first ones lie below the others.
     x_text : callable
         Names a tick of the x axis, a power of two.
     note : str
@@ -110,7 +110,7 @@ def line_chart(
         parts.append(_text(x, _TOP + height + 18, x_text(2.0**exponent), "middle"))
     parts.append(_line(_LEFT, _TOP + height, _LEFT + width, _TOP + height, "#888"))
     for index, one in enumerate(series):
-        parts += _draw(one, index, at)
+        parts += _draw(one, at)
         parts += _legend(one, index)
     if note:
         y = _TOP + 12 + 20 * len(series) + 8
@@ -142,7 +142,7 @@ def bar_chart(title: str, bars: Sequence[tuple[str, float]], *, unit: str) -> st
     for index, (name, value) in enumerate(bars):
         y = _TOP + row * index
         end = left + (value - low) / span * width
-        parts.append(_text(left - 10 - (zero - left), y + 15, name, "end"))
+        parts.append(_text(left - 10, y + 15, name, "end"))
         parts.append(
             f'<rect x="{min(zero, end):.1f}" y="{y + 3}" width="{max(abs(end - zero), 1):.1f}" '
             f'height="{row - 8}" fill="{_COLOURS[0] if value >= 0 else _COLOURS[1]}"/>'
@@ -160,8 +160,8 @@ def _page(width: int, height: int) -> list[str]:
     ]
 
 
-def _draw(one: Series, index: int, at: Callable[[float, float], tuple[float, float]]) -> list[str]:
-    colour, shape = _look(index)
+def _draw(one: Series, at: Callable[[float, float], tuple[float, float]]) -> list[str]:
+    colour, shape = _look(one.look)
     places = [at(x, y) for x, y in one.points]
     parts: list[str] = []
     if one.joined and len(places) > 1:
@@ -172,20 +172,18 @@ def _draw(one: Series, index: int, at: Callable[[float, float], tuple[float, flo
         )
     for x, y in places:
         parts.append(_marker(x, y, shape, colour))
-    for (x, y), label in zip(places, one.labels, strict=False):
-        parts.append(_text(x + 8, y + 14, label, "start", f'font-size="11" fill="{colour}"'))
     return parts
 
 
 def _legend(one: Series, index: int) -> list[str]:
-    colour, shape = _look(index)
+    colour, shape = _look(one.look)
     x, y = _WIDTH - _RIGHT + 24, _TOP + 8 + 20 * index
     dash = _line(x - 9, y, x + 9, y, colour, 2) if one.joined else ""
     return [dash, _marker(x, y, shape, colour), _text(x + 16, y + 4, one.name, "start")]
 
 
-def _look(index: int) -> tuple[str, str]:
-    return _COLOURS[index % len(_COLOURS)], _SHAPES[index % len(_SHAPES)]
+def _look(look: int) -> tuple[str, str]:
+    return _COLOURS[look % len(_COLOURS)], _SHAPES[look % len(_SHAPES)]
 
 
 def _ticks(low: float, high: float) -> list[float]:

@@ -41,9 +41,6 @@ from .cli_values import Colour
 
 _PROFILES: Final = ("transform", "vq", "near")
 
-# As a default encode scores.
-_SENSITIVITY_EVERY: Final = 2
-
 # What an ablation is measured at, nominal: about where scenes are published.
 _ABLATION_DB: Final = 38.0
 
@@ -179,11 +176,11 @@ def bench(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Measure SCENE in our profiles and in every foreign format that can be written.
+    """Hold our profiles against foreign formats on SCENE.
 
-    All are judged by the same views against the source's own renders. Seconds are of this machine
-    and of one run; those of our profiles include scoring. Bytes per splat count the source's
-    splats, pruned ones included.
+    All are written, read back and judged by the same views against the source's own renders.
+    Seconds are of this machine and of one run; those of our profiles include scoring. Bytes per
+    splat count the source's splats, pruned ones included.
     """
     if ablation and qualities is not None and len(qualities) != 1:
         raise click.UsageError("--ablation measures at one quality, expected one in --qualities")
@@ -204,7 +201,6 @@ def bench(
             if ablation:
                 found = bench_ablation.run(
                     subject,
-                    Path(folder),
                     quality_db=qualities[0] if qualities else _ABLATION_DB,
                     progress=stages,
                 )
@@ -252,7 +248,8 @@ def _subject(
     threads: int,
     stages: Stages,
 ) -> tuple[Subject, str]:
-    from cogsplat.codec.score import ScoreConfig, score
+    from cogsplat.codec.preset import DEFAULT_PRESET, PRESETS
+    from cogsplat.codec.score import score
 
     with stages.stage("read"):
         views = scoring_cameras(cameras, eval_every)
@@ -263,9 +260,10 @@ def _subject(
         photos = None
         if images is not None:
             photos = read_photos(images, splats, judging, background, threads=threads)
-    config = ScoreConfig(threads=threads, sensitivity_every=_SENSITIVITY_EVERY)
+    preset = PRESETS[DEFAULT_PRESET]
+    config = preset.score_config("transform", threads=threads)
     start = time.perf_counter()
-    scored_on = virtual_views(splats) if views is None else views
+    scored_on = preset.views(virtual_views(splats) if views is None else views)
     scores = score(splats, scored_on, config, progress=stages)
     score_s = time.perf_counter() - start
     subject = Subject(splats, scores, score_s, judging, scored_on, photos, background, threads)
@@ -295,7 +293,7 @@ def _about(scene: Path, subject: Subject, what: str) -> dict[str, object]:
 def _tell_about(scene: Path, subject: Subject, what: str) -> None:
     splats = subject.splats
     say(f"{scene}: {len(splats):,} splats, SH degree {splats.sh_degree}")
-    photo = "" if subject.photos is None else f"the source is {subject.photos.source_db:.2f} dB off"
+    photo = "" if subject.photos is None else f"{subject.photos.source_db:.2f} dB for the source"
     facts(
         ("judged by", f"{len(subject.cameras)} {what}"),
         ("scored", f"on {len(subject.scored_on)} views, {subject.score_s:.1f} s"),
@@ -399,14 +397,18 @@ def _ablation_pages(
     return dict(zip(_ABLATION_FILES, pages, strict=True))
 
 
-def _series(measured: Bench, *, ours_joined: bool) -> list[Series]:
+def _look(method: str) -> int:
+    return (*_PROFILES, *benches.FOREIGN).index(method)
+
+
+def _series(measured: Bench) -> list[Series]:
     """Return bytes per splat and PSNR by method; what changes no view is not drawn."""
     series: list[Series] = []
     for method in dict.fromkeys(row.method for row in measured.rows):
         rows = [row for row in measured.rows if row.method == method and not row.refused]
         points = [(row.bytes_per_splat, row.held_out_db) for row in rows if not row.is_identical]
         if points:
-            series.append(Series(method, tuple(points), joined=ours_joined and len(points) > 1))
+            series.append(Series(method, tuple(points), _look(method), joined=len(points) > 1))
     return series
 
 
@@ -416,25 +418,19 @@ def _rate_distortion(measured: Bench, title: str) -> str:
         f"{title}: quality for size",
         "bytes per splat",
         "PSNR of held-out views, dB",
-        _series(measured, ours_joined=True),
+        _series(measured),
         note=f"identical: {', '.join(identical)}" if identical else "",
     )
 
 
 def _received(measured: Bench, title: str) -> str:
-    series = [
-        Series(
-            label,
-            tuple(
-                (prefix.prefix_bytes, prefix.held_out_db)
-                for prefix in measured.prefixes
-                if prefix.label == label
-            ),
-        )
-        for label in dict.fromkeys(prefix.label for prefix in measured.prefixes)
-    ]
+    series: list[Series] = []
+    for label in dict.fromkeys(prefix.label for prefix in measured.prefixes):
+        own = [prefix for prefix in measured.prefixes if prefix.label == label]
+        points = tuple((prefix.prefix_bytes, prefix.held_out_db) for prefix in own)
+        series.append(Series(label, points, _look(own[0].method)))
     series += [
-        Series(row.label, ((row.file_bytes, row.held_out_db),), joined=False)
+        Series(row.label, ((row.file_bytes, row.held_out_db),), _look(row.method), joined=False)
         for row in measured.rows
         if not (row.is_ours or row.refused or row.is_identical)
     ]
