@@ -140,7 +140,8 @@ def bars(histogram: NDArray[np.int64]) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+    # -0.0 + 0.0 is 0.0, which reads better.
+    return "-" if value is None else f"{value + 0.0:.4g}"
 
 
 def _is_finite(value: float | None) -> bool:

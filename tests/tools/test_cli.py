@@ -185,6 +185,9 @@ def test_core_alone_decodes_and_inspects(run_apart: Run, small: SmallScene, tmp_
         ["decode", small.cogs, out],
         ["info", small.cogs, "--verify", "--json"],
         ["info", out],
+        ["stats", small.cogs],
+        ["convert", small.cogs, tmp_path / "out.spz", "--rotate", "90,0,0"],
+        ["convert", tmp_path / "out.spz", tmp_path / "out.glb"],
         ["synth", tmp_path / "synth.ply", "--splats", 50],
     ):
         done = run_apart(*arguments, before=WITHOUT_EXTRAS)

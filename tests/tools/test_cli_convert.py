@@ -220,3 +220,15 @@ def test_what_a_target_cannot_hold_is_one_warning_line(
     told = run("convert", small.ply, out, "--force", "--json")
     assert told.err == ""
     assert told.json["warnings"] == [line.removeprefix("warning: ")]
+
+
+def test_writing_cogs_takes_the_extra_and_says_so(
+    run_apart: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    without = "sys.modules.update(dict.fromkeys(('numba', 'scipy', 'sklearn')))"
+    told = run_apart("convert", small.ply, tmp_path / "out.cogs", "--json", before=without)
+    assert told.code == 3
+    error = told.json["error"]
+    assert isinstance(error, dict)
+    assert error["code"] == "needs-extra"
+    assert list(tmp_path.iterdir()) == []

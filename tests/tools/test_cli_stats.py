@@ -32,6 +32,26 @@ def test_every_format_has_statistics(
     assert sum(values["means.x"]["histogram"]) == SPLATS
 
 
+BIKER = Path(__file__).parents[3] / "shared" / "data" / "biker"
+
+
+@pytest.mark.shared
+@pytest.mark.skipif(not BIKER.is_dir(), reason="needs ../shared/data/biker")
+def test_one_real_scene_in_three_formats(run: Run) -> None:
+    names = ("scene.ply", "biker.compressed.ply", "biker.spz")
+    scene, *others = (run("stats", BIKER / name, "--json").json for name in names)
+    expected = scene["values"]
+    assert isinstance(expected, dict)
+    for other in others:
+        assert (other["splats"], other["invalid_splats"]) == (scene["splats"], 0)
+        assert other["fill_ratio"] == pytest.approx(scene["fill_ratio"], rel=0.05)
+        values = other["values"]
+        assert isinstance(values, dict)
+        for name in ("means.x", "means.y", "means.z", "scales.0", "sh0.g", "opacities_unit"):
+            assert values[name]["mean"] == pytest.approx(expected[name]["mean"], abs=0.02), name
+            assert values[name]["median"] == pytest.approx(expected[name]["median"], abs=0.1), name
+
+
 def test_cogs_and_its_parts_have_statistics(run: Run, small: SmallScene) -> None:
     whole = run("stats", small.cogs, "--json").json
     part = run("stats", small.cogs, "--chunks", "0:1", "--sh", 0, "--json").json
