@@ -194,7 +194,8 @@ def read_shn(stream: StoredStream, basis: F32, out: F32) -> None:
     if max(sizes, default=0) > 3 or len(stream.words) != expected:
         raise FormatError(
             "stream-planes",
-            f"{stream.where}: {len(stream.words)} planes, expected {expected}",
+            f"{stream.where}: {len(stream.words)} planes, codes of {list(sizes)} bytes, "
+            f"expected {expected} planes and at most 3 bytes",
             clause="6.14",
         )
     ends = stream.plane(0, stream.rows)

@@ -16,8 +16,6 @@ from cogsplat.codec.sh import C0
 from cogsplat.codec.splats import concatenate
 from cogsplat.codec.streams import Attribute, Kind
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 CAMERAS = [oracle.camera(angle) for angle in (0.0, 0.5, 1.1)]
 OTHERS = [oracle.camera(angle) for angle in (0.25, 0.8)]
 CONFIG = EncodeConfig(profile="transform", prune=None, chunk_splats=400, threads=1)
