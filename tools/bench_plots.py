@@ -13,7 +13,7 @@ _WIDTH: Final = 860
 _HEIGHT: Final = 500
 _LEFT: Final = 62
 _RIGHT: Final = 196
-_TOP: Final = 46
+_TOP: Final = 54
 _BOTTOM: Final = 54
 
 # Okabe and Ito's colours, told apart by people who see red and green alike; black is for text.
@@ -74,7 +74,7 @@ def line_chart(
     x_text : callable
         Names a tick of the x axis, a power of two.
     note : str
-        A line under the legend.
+        A line under the title.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def line_chart(
 
     parts = [
         *_page(_WIDTH, _HEIGHT),
-        _text(_LEFT, 26, title, "start", _TITLE),
+        _text(_LEFT, 22, title, "start", _TITLE),
         _text(_LEFT + width / 2, _HEIGHT - 12, x_label, "middle"),
         f'<text transform="translate(18 {_TOP + height / 2:.1f}) rotate(-90)" '
         f'text-anchor="middle">{escape(y_label)}</text>',
@@ -113,8 +113,7 @@ def line_chart(
         parts += _draw(one, at)
         parts += _legend(one, index)
     if note:
-        y = _TOP + 12 + 20 * len(series) + 8
-        parts.append(_text(_WIDTH - _RIGHT + 18, y, note, "start", 'fill="#666" font-size="11"'))
+        parts.append(_text(_LEFT, 40, note, "start", 'fill="#666" font-size="11"'))
     return "\n".join([*parts, "</svg>", ""])
 
 
