@@ -53,9 +53,6 @@ class SceneEdits:
     rotate: Vector = _STILL
     translate: Vector = _STILL
 
-    def __bool__(self) -> bool:
-        return self != SceneEdits()
-
     @property
     def moves(self) -> bool:
         """Whether splats change place."""
