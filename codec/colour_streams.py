@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -123,11 +124,12 @@ def shn_on_basis(codes: I64, codebook: int, step: float, shrink: float) -> Strea
     return Stream(Attribute.SHN, Kind.BASIS, len(codes), params, planes)
 
 
-def _groups(width: int) -> list[range]:
+@cache
+def _groups(width: int) -> tuple[range, ...]:
     """Return the columns that share planes: single ones first, then more and more (SPEC 6.14)."""
     stops = [min(start, width) for start in (*_GROUP_STARTS[1:], width)]
     groups = [range(a, b) for a, b in zip(_GROUP_STARTS, stops, strict=True)]
-    return [group for group in groups if len(group)]
+    return tuple(group for group in groups if len(group))
 
 
 def _runs(ends: U8, width: int) -> tuple[I64, list[int]]:

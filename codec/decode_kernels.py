@@ -18,6 +18,7 @@ from . import morton
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
+U32 = NDArray[np.uint32]
 U64 = NDArray[np.uint64]
 
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -33,6 +34,8 @@ SYMBOL_GROUPS: Final = 7
 
 BASIS_COLUMNS: Final = 48
 """Columns of a basis as the kernel wants it: 45 and zeros, a multiple of the vector width."""
+
+_FULL_COLUMNS: Final = 45
 
 _AXIS_BITS: Final = 21
 _AXIS_MASK: Final = (1 << _AXIS_BITS) - 1
@@ -108,20 +111,22 @@ def digits(packed: U8, table: U8, out: U8) -> bool:
 
 
 @_exact
-def grid_rows(
-    planes: U8, counts: I64, levels: I64, extra: int, step: F32, minimum: F32, out: F32
-) -> bool:
+def grid_rows(planes: U8, minimum: F32, maximum: F32, levels: U32, extra: int, out: F32) -> bool:
     """Write (rows, c) values from byte planes end to end (SPEC 6.4).
 
-    `counts` (c,) says how many planes each component has, `extra` whether two codes above the
-    levels stand for infinities.
+    `extra` is 2 where two codes above the levels stand for infinities, 0 elsewhere.
     """
     rows, components = out.shape
     at = 0
     for column in range(components):
-        count = counts[column]
-        limit = levels[column] + extra
-        width, low = step[column], minimum[column]
+        limit = int(levels[column]) + extra
+        count = 0
+        while limit - 1 >> 8 * count:
+            count += 1
+        low = minimum[column]
+        width = np.float32(0)
+        if levels[column] > 1:
+            width = (maximum[column] - low) / (np.float32(levels[column]) - np.float32(1))
         top = 0
         if count == 1:
             for row in range(rows):
@@ -142,9 +147,9 @@ def grid_rows(
                 code = 0
                 for byte in range(count):
                     code |= int(planes[at + byte * rows + row]) << (8 * byte)
-                if code == levels[column]:
+                if code == limit - 2:
                     out[row, column] = np.inf
-                elif code > levels[column]:
+                elif code == limit - 1:
                     out[row, column] = -np.inf
         at += count * rows
     return True
@@ -397,6 +402,8 @@ def shn(
     out : (n, at most BASIS_COLUMNS) float32
     """
     width = groups[-1]
+    # A length that is known is a loop without a remainder.
+    full = out.shape[1] == _FULL_COLUMNS
     # Where each column's symbols start and how far apart their bytes are, by part.
     begin = np.zeros((2, width + 1), np.int64)
     stride = np.zeros((2, width + 1), np.int64)
@@ -429,17 +436,27 @@ def shn(
         rank[end] += 1
         for k in range(BASIS_COLUMNS):
             sums[k] = 0
-        for column in range(end):
-            part = 1 if column == end - 1 else 0
-            offset = place - more[end] if part else place
-            count = size[part, column]
-            first = begin[part, column] + offset
+        for column in range(end - 1):
+            count = size[0, column]
+            first = begin[0, column] + place
             if count == 1:
-                value = table[part, planes[first]]
+                value = table[0, planes[first]]
             else:
-                symbol = _symbol(planes, first, count, stride[part, column])
-                value = _coordinate(symbol + part, step, shrink)
+                symbol = _symbol(planes, first, count, stride[0, column])
+                value = _coordinate(symbol, step, shrink)
             for k in range(BASIS_COLUMNS):
                 sums[k] = sums[k] + value * basis[column, k]
-        for k in range(out.shape[1]):
-            out[row, k] = sums[k]
+        column = end - 1
+        count = size[1, column]
+        first = begin[1, column] + place - more[end]
+        if count == 1:
+            value = table[1, planes[first]]
+        else:
+            symbol = _symbol(planes, first, count, stride[1, column])
+            value = _coordinate(symbol + 1, step, shrink)
+        if full:
+            for k in range(_FULL_COLUMNS):
+                out[row, k] = sums[k] + value * basis[column, k]
+        else:
+            for k in range(out.shape[1]):
+                out[row, k] = sums[k] + value * basis[column, k]

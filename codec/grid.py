@@ -23,7 +23,6 @@ MAX_VALUE: Final = 2.0**100
 
 _ENTRY: Final = struct.Struct("<ffI")
 ENTRY_BYTES: Final = _ENTRY.size
-_ENTRIES: Final = np.dtype("<f4, <f4, <u4")
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,27 +120,25 @@ def unpack(data: memoryview, components: int, where: str, limit: int = MAX_LEVEL
         ``grid-value``: not finite, beyond `MAX_VALUE`, or minimum above maximum;
         ``grid-levels``: 0 or more than `limit` levels.
     """
-    table = np.frombuffer(data, _ENTRIES, components)
-    grid = Grid(
-        table["f0"].astype(np.float32),
-        table["f1"].astype(np.float32),
-        table["f2"].astype(np.uint32),
-    )
-    largest = np.maximum(np.abs(grid.minimum), np.abs(grid.maximum))
-    if not ((largest <= MAX_VALUE).all() and (grid.minimum <= grid.maximum).all()):
+    # Three numbers at a time cost less so than as arrays.
+    entries = list(_ENTRY.iter_unpack(data[: components * ENTRY_BYTES]))
+    lows, highs, levels = zip(*entries, strict=True)
+    if not all(-MAX_VALUE <= lo <= hi <= MAX_VALUE for lo, hi, _ in entries):
         raise FormatError(
             "grid-value",
-            f"{where}: range {grid.minimum.tolist()} to {grid.maximum.tolist()}, "
+            f"{where}: range {list(lows)} to {list(highs)}, "
             f"expected minimum first, both within ±{MAX_VALUE:g}",
             clause="6.4",
         )
-    if int(grid.levels.min(initial=1)) < 1 or int(grid.levels.max(initial=1)) > limit:
+    if min(levels) < 1 or max(levels) > limit:
         raise FormatError(
             "grid-levels",
-            f"{where}: {grid.levels.tolist()} levels, expected 1 to {limit}",
+            f"{where}: {list(levels)} levels, expected 1 to {limit}",
             clause="6.4",
         )
-    return grid
+    return Grid(
+        np.array(lows, np.float32), np.array(highs, np.float32), np.array(levels, np.uint32)
+    )
 
 
 def code_bytes(levels: int) -> int:

@@ -140,7 +140,7 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
             )
         return np.frombuffer(stored, np.uint8)
     # Skippable and legacy frames have other magic numbers, and zstd would accept the first.
-    if bytes(stored[:4]) != _FRAME_MAGIC:
+    if stored[:4] != _FRAME_MAGIC:
         raise FormatError(
             "zstd-frame",
             f"{where}: starts with {bytes(stored[:4]).hex()}, expected {_FRAME_MAGIC.hex()}",
@@ -190,9 +190,10 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
 
 def _decompressor() -> zstandard.ZstdDecompressor:
     """Return this thread's decompressor: making one takes longer than a small frame."""
-    if not hasattr(_local, "decompressor"):
-        _local.decompressor = zstandard.ZstdDecompressor()
-    found: zstandard.ZstdDecompressor = _local.decompressor
+    try:
+        found: zstandard.ZstdDecompressor = _local.decompressor
+    except AttributeError:
+        found = _local.decompressor = zstandard.ZstdDecompressor()
     return found
 
 

@@ -433,7 +433,7 @@ def read_grid_planes(stream: StoredStream, grid: Grid, first: int, extra: int, o
     """Write the values of a stream's planes from `first` on, `extra` codes above the levels."""
     counts = _plane_counts(grid, extra)
     stream.require_planes(first + sum(counts))
-    if compiled.ready() and _compiled_planes(stream, grid, first, counts, extra, out):
+    if compiled.ready() and _compiled_planes(stream, grid, first, sum(counts), extra, out):
         return
     step = grid.step
     plane = first
@@ -462,19 +462,16 @@ def read_grid_planes(stream: StoredStream, grid: Grid, first: int, extra: int, o
 
 
 def _compiled_planes(
-    stream: StoredStream, grid: Grid, first: int, counts: list[int], extra: int, out: F32
+    stream: StoredStream, grid: Grid, first: int, count: int, extra: int, out: F32
 ) -> bool:
     from . import decode_kernels
 
-    planes = stream.joined(first, [stream.rows] * sum(counts))
-    levels = grid.levels.astype(np.int64)
-    return decode_kernels.grid_rows(
-        planes, np.array(counts, np.int64), levels, extra, grid.step, grid.minimum, out
-    )
+    planes = stream.joined(first, [stream.rows] * count)
+    return decode_kernels.grid_rows(planes, grid.minimum, grid.maximum, grid.levels, extra, out)
 
 
 def _plane_counts(grid: Grid, extra: int) -> list[int]:
-    return [grids.code_bytes(int(levels) + extra) for levels in grid.levels]
+    return [grids.code_bytes(levels + extra) for levels in grid.levels.tolist()]
 
 
 def _unit(quats_out: F32) -> None:
