@@ -177,8 +177,8 @@ def encode(
     path : path
         The file to write, beside and renamed.
     cameras : sequence of Camera or path, optional
-        Views to score on: cameras, a ``cameras.json`` or a COLMAP folder. Without them, a shell of
-        virtual views.
+        Views to score on: cameras, a ``cameras.json`` or a COLMAP folder. Without them, views are
+        planned from the splats.
     scores : Scores, optional
         Of an earlier `score`; then no views are rendered.
     config : EncodeConfig, optional
@@ -210,7 +210,7 @@ def encode(
     from .codec.prediction import predicted
     from .codec.preset import PRESETS
     from .codec.score import score
-    from .codec.views import shell
+    from .codec.virtual import ViewPlanConfig, plan_views
     from .formats import cogs
     from .formats.atomic import refuse_existing
 
@@ -231,7 +231,10 @@ def encode(
     if scores is None and len(splats):
         settings = score_config or chosen.score_config(config.profile, threads=config.threads)
         # An empty list is refused, not taken for none given.
-        views = chosen.views(shell(splats) if cameras is None else views)
+        if cameras is None:
+            plan = ViewPlanConfig(threads=config.threads)
+            views = plan_views(splats, plan, progress=progress)
+        views = chosen.views(views)
         scores = score(splats, views, settings, progress=progress)
     prepared = encoder.prepare(splats, scores, config)
     writer = f"cogsplat {__version__}"

@@ -36,6 +36,7 @@ from .cli_make import demo, synth
 from .cli_output import WARNINGS, say_json
 from .cli_score import score
 from .cli_stats import stats
+from .cli_views import views
 
 _USAGE: Final = 2
 
@@ -245,6 +246,7 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     info,
     stats,
     score,
+    views,
     render,
     compare,
     bench,

@@ -15,7 +15,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatWarning, DataError, LimitError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.views import hold_out, shell
+from cogsplat.codec.views import hold_out
 from cogsplat.formats.atomic import storage_errors
 from cogsplat.formats.registry import is_cogs, read_scene
 from cogsplat.formats.source import FileSource, PrefixSource, Source
@@ -219,9 +219,17 @@ def scoring_cameras(path: Path | None, every: int) -> list[Camera] | None:
     return train
 
 
-def virtual_views(splats: Splats) -> list[Camera]:
-    """Return the views of a scene that came without cameras."""
-    return shell(splats)
+def virtual_views(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> list[Camera]:
+    """Plan the views of a scene that came without cameras.
+
+    Raises
+    ------
+    DataError
+        ``empty-scene``.
+    """
+    from cogsplat.codec.virtual import ViewPlanConfig, plan_views
+
+    return plan_views(splats, ViewPlanConfig(threads=threads), progress=progress)
 
 
 def judging_cameras(

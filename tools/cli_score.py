@@ -67,7 +67,7 @@ def score(
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)
             splats = read_any(path, threads=threads).splats
-        views = views or virtual_views(splats)
+        views = views or virtual_views(splats, threads=threads, progress=stages)
         config = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads)
         scores = score_splats(splats, views, config, progress=stages)
         _write_npy(out, scores.contribution, force=force)

@@ -5,10 +5,8 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.errors import DataError
-from cogsplat.codec.score import ScoreConfig, score
 from cogsplat.codec.splats import concatenate, empty
-from cogsplat.codec.views import hold_out, jitter, roam, shell, visible_depth
+from cogsplat.codec.views import hold_out, jitter, roam, visible_depth
 
 
 def _named(count):
@@ -80,68 +78,3 @@ def test_jitter_is_the_rule_of_roam():
     for first, second in zip(jitter(splats, cameras), roam(splats, cameras), strict=True):
         np.testing.assert_array_equal(first.rotation, second.rotation)
         np.testing.assert_array_equal(first.translation, second.translation)
-
-
-@pytest.mark.parametrize("size", [0.01, 1.0, 1000.0])
-def test_shell_sees_scenes_of_any_size(size):
-    splats = oracle.scene(2, n=200)
-    scaled = replace(
-        splats,
-        means=splats.means * np.float32(size) + np.float32(7.0),
-        scales=splats.scales + np.float32(math.log(size)),
-    )
-    cameras = shell(scaled, count=10, size=64)
-    assert len(cameras) == 10
-    scores = score(scaled, cameras, ScoreConfig(jitter=False))
-    assert (scores.seen >= 3).mean() > 0.9
-    middle = np.median(scaled.means, axis=0)
-    for camera in cameras:
-        towards = middle - camera.position
-        assert camera.rotation[2] @ towards > 0.8 * np.linalg.norm(towards)
-
-
-def test_shell_of_an_enclosing_scene_also_looks_out():
-    subject = oracle.scene(3, n=150)
-    around = oracle.scene(4, n=100)
-    far = around.means / np.linalg.norm(around.means, axis=1, keepdims=True) * np.float32(40)
-    background = replace(around, means=far, scales=around.scales + np.float32(3))
-    cameras = shell(concatenate([subject, background]), count=12, size=48)
-    outward = [camera for camera in cameras if np.linalg.norm(camera.position) < 2.0]
-    assert len(outward) == 4
-    scores = score(concatenate([subject, background]), cameras, ScoreConfig(jitter=False))
-    assert (scores.seen > 0).mean() > 0.95
-
-
-def test_shell_is_the_same_every_time():
-    splats = oracle.scene(5)
-    for first, second in zip(shell(splats, count=5), shell(splats, count=5), strict=True):
-        np.testing.assert_array_equal(first.rotation, second.rotation)
-        np.testing.assert_array_equal(first.translation, second.translation)
-
-
-def test_shell_of_one_splat_sees_it():
-    splats = empty(0, 1)
-    splats.means[0] = [3.0, -2.0, 1.0]
-    splats.scales[0] = -4.0
-    scores = score(splats, shell(splats, count=4, size=32), ScoreConfig(jitter=False))
-    assert scores.seen[0] == 4
-
-
-def test_shell_survives_splats_that_are_not_finite():
-    splats = oracle.scene(6)
-    splats.means[0] = np.nan
-    splats.opacities[1] = np.inf
-    splats.opacities[2] = np.nan
-    splats.scales[3] = np.nan
-    assert len(shell(splats, count=3)) == 3
-
-
-def test_shell_of_nothing_is_refused():
-    invisible = empty(0, 3)
-    invisible.opacities[:] = -np.inf
-    for splats in (empty(0), invisible):
-        with pytest.raises(DataError) as caught:
-            shell(splats)
-        assert caught.value.code == "empty-scene"
-    with pytest.raises(ValueError, match="expected at least 1"):
-        shell(oracle.scene(0), count=0)
