@@ -28,15 +28,22 @@ from .threads import ordered_map, thread_count
 PREFIX_VIEWS: Final = 8
 """Views that prefixes are predicted in, at most."""
 
+# Multiples of it, less their whole part, spread evenly over 0 to 1.
+_GOLDEN: Final = 0.6180339887498949
+
 # Prefixes that are measured; those between are interpolated.
 _PREFIXES: Final = 12
 
 
 def evenly(cameras: Sequence[Camera], count: int) -> list[Camera]:
-    """Return at most `count` cameras spread evenly over a sequence."""
+    """Return at most `count` cameras, one from each of so many equal runs of a sequence.
+
+    Not the same place in each run: shells and capture rigs alternate between kinds of view.
+    """
     if len(cameras) <= count:
         return list(cameras)
-    return [cameras[(2 * k + 1) * len(cameras) // (2 * count)] for k in range(count)]
+    run = len(cameras) / count
+    return [cameras[int((k + (k + 0.5) * _GOLDEN % 1.0) * run)] for k in range(count)]
 
 
 class Witness:

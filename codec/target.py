@@ -149,7 +149,7 @@ def to_size(
     """
 
     def enough(value: float) -> bool:
-        return 1 - SIZE_TOLERANCE <= 2.0**value / size_bytes <= 1.0
+        return bool(1 - SIZE_TOLERANCE <= np.exp2(value) / size_bytes <= 1.0)
 
     # A little below the size, so that a guess that is off by a little is not too large.
     goal = float(np.log2(size_bytes * (1 - SIZE_TOLERANCE / 2)))

@@ -165,6 +165,7 @@ def encode(
     score_config: ScoreConfig | None = None,
     target: Target | None = None,
     preset: str = "balanced",
+    measured_on: Sequence[Camera] | None = None,
     force: bool = False,
     progress: Progress = silent,
 ) -> int:
@@ -188,6 +189,9 @@ def encode(
         A PSNR or a size to hit; then `EncodeConfig.quality_db` does not count.
     preset : str
         One of `codec.preset.PRESETS`: how carefully the scene is scored.
+    measured_on : sequence of Camera, optional
+        Views that a target is measured and quality predicted in; some of those scored, spread
+        evenly, where none are given.
     force : bool
         Replace an existing file.
     progress : Progress
@@ -245,15 +249,15 @@ def encode(
             prepared,
             target,
             splats,
-            views,
+            measured_on or views,
             lambda trial: cogs.size_bytes(trial, writer=writer, first_view=first_view),
             progress,
         )
-    if views and len(encoded.chunks):
+    if (measured_on or views) and len(encoded.chunks):
         encoded = predicted(
             encoded,
             splats,
-            views,
+            measured_on or views,
             most_views=chosen.prediction_views,
             threads=config.threads,
             progress=progress,

@@ -25,6 +25,11 @@ from .cli_values import ByteCount, ChunkRange
 EVAL_CAMERAS: Final = "eval_cameras.json"
 """Cameras beside a scene that has none of its own: they judge, nothing is scored on them."""
 
+EVAL_EVERY: Final = 8
+"""What ``--eval-every`` is in commands that judge, unless said."""
+
+_FEWEST_JUDGES: Final = 4
+
 # Three float32 images of this many pixels take 4.5 GiB.
 _MAX_VIEW_PIXELS: Final = 1 << 27
 
@@ -217,6 +222,15 @@ def scoring_cameras(path: Path | None, every: int) -> list[Camera] | None:
             "expected some to score on"
         )
     return train
+
+
+def judged_in(cameras: Sequence[Camera]) -> list[Camera]:
+    """Return the cameras that `compare` judges by where it is not told: every eighth.
+
+    All where that would leave too few to go by.
+    """
+    held = hold_out(cameras, EVAL_EVERY)[1]
+    return held if len(held) >= _FEWEST_JUDGES else list(cameras)
 
 
 def virtual_views(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> list[Camera]:

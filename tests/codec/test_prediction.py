@@ -87,9 +87,12 @@ def test_views_are_spread_evenly():
     assert evenly(cameras, 50) == cameras
     for count in (1, 2, 8, 16):
         chosen = evenly(cameras, count)
-        assert len(set(chosen)) == count
-        gaps = np.diff([-chosen[0] - 1, *chosen, 86 - chosen[-1]])
-        assert gaps.max() - gaps.min() <= 2
+        run = 43 / count
+        for k, camera in enumerate(chosen):
+            assert int(k * run) <= camera < (k + 1) * run
+    for period in (2, 3):
+        kinds = [camera % period for camera in evenly(list(range(48)), 8)]
+        assert min(kinds.count(kind) for kind in range(period)) >= 2
 
 
 @pytest.mark.parametrize("name", PRESETS)
