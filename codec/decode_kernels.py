@@ -71,43 +71,81 @@ def _window(packed: U64, position: int) -> np.uint64:
 
 
 @_exact
-def digits(packed: U8, table: U8, out: U8) -> bool:
-    """Write the digits of packed bytes (SPEC 6.9); those behind the last symbol must be 0."""
-    count = table.shape[1]
-    whole = len(out) // count
-    top = 0
-    for i in range(len(packed)):
-        top = max(top, int(packed[i]))
-    if top >= len(table):
-        return False
+def _spread(packed: U8, start: int, table: U8, count: int, out: U8, at: int, length: int) -> int:
+    """Write the digits of bytes of one radix; return the digits behind the last that are not 0."""
+    whole = length // count
     if count == 2:
         for i in range(whole):
-            out[2 * i] = table[packed[i], 0]
-            out[2 * i + 1] = table[packed[i], 1]
+            for j in range(2):
+                out[at + 2 * i + j] = table[packed[start + i], j]
     elif count == 3:
         for i in range(whole):
             for j in range(3):
-                out[3 * i + j] = table[packed[i], j]
+                out[at + 3 * i + j] = table[packed[start + i], j]
+    elif count == 4:
+        for i in range(whole):
+            for j in range(4):
+                out[at + 4 * i + j] = table[packed[start + i], j]
     elif count == 5:
         for i in range(whole):
             for j in range(5):
-                out[5 * i + j] = table[packed[i], j]
-    elif count == 8:
-        for i in range(whole):
-            for j in range(8):
-                out[8 * i + j] = table[packed[i], j]
+                out[at + 5 * i + j] = table[packed[start + i], j]
     else:
         for i in range(whole):
-            for j in range(4):
-                out[4 * i + j] = table[packed[i], j]
-    rest = len(out) - whole * count
-    for j in range(rest):
-        out[whole * count + j] = table[packed[whole], j]
+            for j in range(8):
+                out[at + 8 * i + j] = table[packed[start + i], j]
+    rest = length - whole * count
+    beyond = 0
     if rest:
-        for j in range(rest, count):
-            if table[packed[whole], j]:
-                return False
-    return True
+        for j in range(count):
+            digit = table[packed[start + whole], j]
+            if j < rest:
+                out[at + whole * count + j] = digit
+            elif digit:
+                beyond += 1
+    return beyond
+
+
+@_exact
+def digits(packed: U8, spans: I64, tables: U8, out: U8) -> int:
+    """Write planes end to end from packed ones (SPEC 6.3, 6.9), and what stands behind the last.
+
+    Parameters
+    ----------
+    packed : uint8
+        Planes end to end, digits still packed.
+    spans : (3, p) int64
+        Radix (0 where nothing is packed), length in `packed` and in `out` of each plane.
+    tables : (17, 256, 8) uint8
+        Digits of each byte by radix.
+    out : uint8
+
+    Returns
+    -------
+    int
+        The first plane with a byte or digit out of range, -1 where there is none.
+    """
+    start = 0
+    at = 0
+    for plane in range(spans.shape[1]):
+        radix, size, length = spans[0, plane], spans[1, plane], spans[2, plane]
+        if radix:
+            count = 1
+            limit = radix
+            while limit * radix <= 256:
+                limit *= radix
+                count += 1
+            top = 0
+            for i in range(start, start + size):
+                top = max(top, int(packed[i]))
+            if top >= limit or _spread(packed, start, tables[radix], count, out, at, length):
+                return plane
+        else:
+            out[at : at + length] = packed[start : start + size]
+        start += size
+        at += length
+    out[at:] = packed[start:]
+    return -1
 
 
 @_exact

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from functools import cache
 from typing import Final
 
@@ -10,7 +11,6 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from . import compiled
 from .errors import FormatError
 
 U8 = NDArray[np.uint8]
@@ -99,6 +99,15 @@ def _digit_table(radix: int) -> U8:
     return ((values[:, None] // radix ** np.arange(count)) % radix).astype(np.uint8)
 
 
+@cache
+def _digit_tables() -> U8:
+    """Return the (17, 256, 8) digits of every byte value by radix, zeros where there are none."""
+    tables = np.zeros((max(DIGITS) + 1, 256, max(DIGITS.values())), np.uint8)
+    for radix, count in DIGITS.items():
+        tables[radix, : radix**count, :count] = _digit_table(radix)
+    return tables
+
+
 def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
     """Return the bytes of one plane.
 
@@ -123,14 +132,92 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
         ``plane-length``, ``plane-radix``, ``plane-digits``, ``zstd-frame``, ``zstd-size``,
         ``zstd-window``, ``zstd-dictionary``, ``zstd-checksum``.
     """
+    radix, size = _before_digits(stored, word, length, where)
+    packed = np.frombuffer(_raw(stored[1:] if radix else stored, word, size, where), np.uint8)
+    if not radix:
+        return packed
+    table = _digit_table(radix)
+    if size and int(packed.max()) >= len(table):
+        raise FormatError(
+            "plane-digits",
+            f"{where}: byte {int(packed.max())}, expected below {len(table)} at radix {radix}",
+            clause="6.9",
+        )
+    digits = table.take(packed, axis=0).reshape(-1)
+    if digits[length:].any():
+        raise FormatError(
+            "plane-digits", f"{where}: digits behind the last symbol, expected zeros", clause="6.9"
+        )
+    digits = digits[:length]
+    digits.flags.writeable = False
+    return digits
+
+
+def unpack_planes(
+    stored: Sequence[memoryview],
+    words: Sequence[int],
+    lengths: Sequence[int],
+    where: str,
+    first: int = 0,
+) -> U8:
+    """Return the bytes of several planes end to end, and two zeros, by a compiled kernel.
+
+    Parameters
+    ----------
+    stored, words, lengths, where
+        As `unpack_plane` has them, of each plane; `where` names their stream.
+    first : int
+        Number of the first plane in its stream.
+
+    Returns
+    -------
+    uint8, read-only
+    """
+    from . import decode_kernels
+
+    parts: list[bytes | memoryview] = []
+    radices: list[int] = []
+    sizes: list[int] = []
+    for index, (body, word, length) in enumerate(zip(stored, words, lengths, strict=True)):
+        label = f"{where}, plane {first + index}"
+        radix, size = _before_digits(body, word, length, label)
+        parts.append(_raw(body[1:] if radix else body, word, size, label))
+        radices.append(radix)
+        sizes.append(size)
+    parts.append(b"\0\0")
+    packed = np.frombuffer(b"".join(parts), np.uint8)
+    if not any(radices):
+        return packed
+    out = np.empty(sum(lengths) + 2, np.uint8)
+    spans = np.array([radices, sizes, lengths], np.int64)
+    wrong = decode_kernels.digits(packed, spans, _digit_tables(), out)
+    if wrong >= 0:
+        # Says what is wrong with it.
+        unpack_plane(stored[wrong], words[wrong], lengths[wrong], f"{where}, plane {first + wrong}")
+    # As what zstd gives: kernels are compiled for one kind of array.
+    out.flags.writeable = False
+    return out
+
+
+def _before_digits(stored: memoryview, word: int, length: int, where: str) -> tuple[int, int]:
+    """Return the radix of a plane, 0 where its bytes are its symbols, and its packed length."""
     if length > MAX_PLANE_BYTES:
         raise FormatError(
             "plane-length",
             f"{where}: {length} bytes, expected at most {MAX_PLANE_BYTES}",
             clause="9.1",
         )
-    if word & PACKED_FLAG:
-        return _unpack_digits(stored, word, length, where)
+    if not word & PACKED_FLAG:
+        return 0, length
+    radix = stored[0] if len(stored) else 0
+    if radix not in DIGITS:
+        raise FormatError(
+            "plane-radix", f"{where}: radix {radix}, expected 2 to {max(DIGITS)}", clause="6.9"
+        )
+    return radix, -(-length // DIGITS[radix])
+
+
+def _raw(stored: memoryview, word: int, length: int, where: str) -> bytes | memoryview:
     if not word & ZSTD_FLAG:
         if len(stored) != length:
             raise FormatError(
@@ -138,7 +225,7 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
                 f"{where}: {len(stored)} stored bytes, expected {length}",
                 clause="6.3",
             )
-        return np.frombuffer(stored, np.uint8)
+        return stored
     # Skippable and legacy frames have other magic numbers, and zstd would accept the first.
     if stored[:4] != _FRAME_MAGIC:
         raise FormatError(
@@ -178,14 +265,14 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
             clause="6.3",
         )
     try:
-        raw = _decompressor().decompress(stored, allow_extra_data=False)
+        raw: bytes = _decompressor().decompress(stored, allow_extra_data=False)
     except zstandard.ZstdError as error:
         raise FormatError("zstd-frame", f"{where}: {error}", clause="6.3") from error
     if len(raw) != length:
         raise FormatError(
             "zstd-size", f"{where}: {len(raw)} bytes, expected {length}", clause="6.3"
         )
-    return np.frombuffer(raw, np.uint8)
+    return raw
 
 
 def _decompressor() -> zstandard.ZstdDecompressor:
@@ -195,35 +282,3 @@ def _decompressor() -> zstandard.ZstdDecompressor:
     except AttributeError:
         found = _local.decompressor = zstandard.ZstdDecompressor()
     return found
-
-
-def _unpack_digits(stored: memoryview, word: int, length: int, where: str) -> U8:
-    radix = stored[0] if len(stored) else 0
-    if radix not in DIGITS:
-        raise FormatError(
-            "plane-radix", f"{where}: radix {radix}, expected 2 to {max(DIGITS)}", clause="6.9"
-        )
-    count = DIGITS[radix]
-    size = -(-length // count)
-    packed = unpack_plane(stored[1:], word & ZSTD_FLAG, size, where)
-    table = _digit_table(radix)
-    if compiled.ready():
-        from . import decode_kernels
-
-        out = np.empty(length, np.uint8)
-        if decode_kernels.digits(packed, table, out):
-            # As what zstd gives: kernels are compiled for one kind of array.
-            out.flags.writeable = False
-            return out
-    if size and int(packed.max()) >= len(table):
-        raise FormatError(
-            "plane-digits",
-            f"{where}: byte {int(packed.max())}, expected below {len(table)} at radix {radix}",
-            clause="6.9",
-        )
-    digits = table.take(packed, axis=0).reshape(-1)
-    if digits[length:].any():
-        raise FormatError(
-            "plane-digits", f"{where}: digits behind the last symbol, expected zeros", clause="6.9"
-        )
-    return digits[:length]

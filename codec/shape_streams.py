@@ -154,8 +154,7 @@ def _compiled_turns(
     lengths = tilt * _TILTS + spin
     if len(stream.words) != len(lengths):
         return False
-    # Two bytes more: the kernel reads plain bits by pairs of bytes.
-    planes = stream.joined(0, lengths, 2)
+    planes = stream.joined(0, lengths)
     return decode_kernels.turns(planes, halved, counts, turn.STEPS, out)
 
 

@@ -15,7 +15,7 @@ from . import compiled, morton
 from . import grid as grids
 from .errors import FormatError, UnsupportedError
 from .grid import ENTRY_BYTES, Grid
-from .planes import LENGTH_MASK, pack_plane, unpack_plane
+from .planes import LENGTH_MASK, pack_plane, unpack_plane, unpack_planes
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -289,21 +289,19 @@ class StoredStream:
         word = int(self.words[index])
         return unpack_plane(self.bodies[index], word, length, where)
 
-    def joined(self, first: int, lengths: Sequence[int], spare: int = 0) -> U8:
-        """Return consecutive planes, decompressed to these lengths in bytes, end to end.
+    def joined(self, first: int, lengths: Sequence[int]) -> U8:
+        """Return consecutive planes end to end, and two zeros, where kernels are `compiled`.
 
-        Read-only as single planes are, with `spare` zeros behind the last.
+        Parameters
+        ----------
+        first : int
+            Number of the first plane.
+        lengths : sequence of int
+            What they decompress to, bytes.
         """
-        if len(lengths) == 1 and not spare:
-            return self.plane(first, lengths[0])
-        out = np.empty(sum(lengths) + spare, np.uint8)
-        start = 0
-        for place, length in enumerate(lengths, start=first):
-            out[start : start + length] = self.plane(place, length)
-            start += length
-        out[start:] = 0
-        out.flags.writeable = False
-        return out
+        last = first + len(lengths)
+        words = self.words[first:last].tolist()
+        return unpack_planes(self.bodies[first:last], words, lengths, self.where, first)
 
     def require_kind(self, kind: Kind) -> None:
         """Refuse a stream of another kind."""
