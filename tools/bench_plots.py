@@ -17,7 +17,7 @@ _TOP: Final = 54
 _BOTTOM: Final = 54
 
 # Okabe and Ito's colours, told apart by people who see red and green alike, without black, which
-# is for text, and three more for long legends.
+# is for text, and four more for long legends.
 _COLOURS: Final = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f", "#b8a800",
     "#8c510a", "#762a83",
