@@ -68,7 +68,11 @@ _HEMMED_SHARE: Final = 0.7
 _INSIDE_SHARE: Final = 0.7
 # A side of the walls counts by what only it shows; where that is less than this share of the
 # scene on both, walls without contents are a subject, seen from outside.
-_SIDE_TIE: Final = 0.02
+_SIDE_TIE: Final = 0.03
+# For that, so many splats are looked for from so many places, but for the end of each way that lies
+# in the surface itself: in sizes of coarse splats, and at most so much of the way.
+_SIDE_SAMPLES, _SIDE_PLACES = 512, 48
+_TARGET_SIZES, _TARGET_SHARE = 4.0, 0.1
 # The other side still counts so much: what it shows is worth some views, few.
 _LEAST_SIDE: Final = 0.1
 
@@ -305,16 +309,32 @@ class _Planner:
 
     def _weigh_sides(self) -> None:
         """Decide how much views from inside and from outside of walls count."""
-        shown = {side: np.zeros(len(self._scene), np.bool_) for side in (False, True)}
-        for inside, found in zip(self._inside, self._looks, strict=True):
-            shown[inside][found.index[found.peaks > _SHOWN]] = True
         counts = self._scene.counts
-        only = {side: float(counts[shown[side] & ~shown[not side]].sum()) for side in shown}
+        samples = _systematic(counts, min(_SIDE_SAMPLES, len(counts)))
+        visible = {side: self._visible_from(side, samples) for side in (False, True)}
+        only = {side: float((visible[side] & ~visible[not side]).mean()) for side in visible}
         most = max(only.values())
         for side in only:
-            tie = most <= _SIDE_TIE * counts.sum()
-            share = float(not side) if tie else only[side] / most
+            share = float(not side) if most <= _SIDE_TIE else (only[side] / most) ** 2
             self._side_share[side] = max(share, _LEAST_SIDE)
+
+    def _visible_from(self, side: bool, samples: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Mark the samples that some place on a side has in sight, whichever way it looked."""
+        rows = [row for row, inside in enumerate(self._inside) if inside == side]
+        visible = np.zeros(len(samples), np.bool_)
+        coarser = math.sqrt(max(1.0, self._scene.counts.sum() / _COARSE_SPLATS))
+        ends = _TARGET_SIZES * coarser * self._scene.sizes[samples]
+        for row in rows[:_SIDE_PLACES]:
+            hidden = np.flatnonzero(~visible)
+            ways = self._means[samples[hidden]] - self._looks[row].pose.position
+            distances = np.maximum(np.linalg.norm(ways, axis=1), np.finfo(np.float64).tiny)
+            lengths = distances - np.minimum(ends[hidden], _TARGET_SHARE * distances)
+            origins = np.broadcast_to(self._looks[row].pose.position, ways.shape)
+            free = self._coarse.free_paths(
+                origins, ways / distances[:, None], lengths, np.zeros(len(ways))
+            )
+            visible[hidden] = free >= lengths
+        return visible
 
     def _choose(self, chosen: list[int], views: int) -> None:
         """Add the looks that show most of what the chosen ones do not yet, one after the other.
