@@ -224,17 +224,30 @@ def delta_bits(classes: U8) -> int:
 
 
 @_exact
-def _halvings(scales: F32, row: int, coefficients: F32, knees: F32, most: int) -> int:
-    middle, thin, long = scales[row, 0], scales[row, 1], scales[row, 2]
-    p = long - middle
-    q = middle - thin
-    total = coefficients[0] + coefficients[1] * long
-    total = total + coefficients[2] * min(p, knees[0])
-    total = total + coefficients[3] * min(p, knees[1])
-    total = total + coefficients[4] * min(q, knees[2])
-    total = total + coefficients[5] * min(q, knees[3])
+def _halvings(scales: F32, coefficients: F32, knees: F32, most: int, halved: U8) -> I64:
+    """Write the halvings that scales ask for (SPEC 6.10); return how many rows have each."""
+    c0, c1, c2 = coefficients[0], coefficients[1], coefficients[2]
+    c3, c4, c5 = coefficients[3], coefficients[4], coefficients[5]
+    k0, k1, k2, k3 = knees[0], knees[1], knees[2], knees[3]
     limit = np.float32(most)
-    return int(max(min(np.floor(total), limit), np.float32(0)))
+    zero = np.float32(0)
+    for row in range(len(halved)):
+        middle, thin, long = scales[row, 0], scales[row, 1], scales[row, 2]
+        p = long - middle
+        q = middle - thin
+        total = c0 + c1 * long
+        total = total + c2 * (p if p < k0 else k0)
+        total = total + c3 * (p if p < k1 else k1)
+        total = total + c4 * (q if q < k2 else k2)
+        total = total + c5 * (q if q < k3 else k3)
+        total = total if total < limit else limit
+        # Of what is not negative, the integer part is the floor.
+        halved[row] = np.uint8(np.int32(total if total > zero else zero))
+    # Two histograms in turn: a count need not wait for the one before.
+    rows = np.zeros((2, most + 1), np.int64)
+    for row in range(len(halved)):
+        rows[row & 1, halved[row]] += 1
+    return rows[0] + rows[1]
 
 
 @_exact
@@ -257,12 +270,11 @@ def turn_plan(
     """
     counts[:] = 0
     for which in range(2):
-        for row in range(len(scales)):
-            wide = _halvings(scales, row, coefficients[which], knees, most)
+        rows = _halvings(scales, coefficients[which], knees, most, halved[which])
+        for wide in range(most + 1):
             group = min(wide, SYMBOL_GROUPS - 1)
-            halved[which, row] = wide
-            counts[which, group] += 1
-            counts[which, SYMBOL_GROUPS] += wide - group
+            counts[which, group] += rows[wide]
+            counts[which, SYMBOL_GROUPS] += rows[wide] * (wide - group)
 
 
 @_exact
@@ -328,11 +340,10 @@ def fine_plan(
     classes: U8, scales: F32, coefficients: F32, knees: F32, most: int, halved: U8
 ) -> tuple[int, int]:
     """Write the halvings of means; return the bits of the deltas and of the fields below them."""
+    rows = _halvings(scales, coefficients, knees, most, halved)
     fields = 0
-    for row in range(len(halved)):
-        wide = _halvings(scales, row, coefficients, knees, most)
-        halved[row] = wide
-        fields += 3 * wide
+    for wide in range(most + 1):
+        fields += 3 * wide * rows[wide]
     return delta_bits(classes), fields
 
 

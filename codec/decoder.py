@@ -227,7 +227,8 @@ def decode_tail(
 
 def _gather(book: F32, kept: F32, indices: U32, out: F32) -> None:
     rows = np.concatenate([book, kept]) if len(kept) else book
-    np.take(rows, indices, axis=0, out=out)
+    # The indices are in range; only a mode that cannot fail writes into `out` without a copy.
+    np.take(rows, indices, axis=0, out=out, mode="clip")
 
 
 def _read_band(found: _Streams, band: int, out: F32, *, kept: bool = False) -> None:

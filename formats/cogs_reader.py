@@ -46,6 +46,10 @@ class Limits:
 
 _SMALL_RESULT: Final = 64 * 1024 * 1024
 
+# Below this, and without compiled kernels, threads wait for the interpreter's lock longer than
+# they save (measured: a scene of 80,000 splats takes a third longer on two threads).
+_WORTH_THREADS: Final = 500_000
+
 
 class CogsFile:
     """An open file: its root, its tables, and its chunks on demand.
@@ -166,7 +170,7 @@ class CogsFile:
         sh_degree : int, optional
             Highest SH degree wanted; lower than the file's, bands and perhaps tails are skipped.
         threads : int
-            0 uses all cores. The result does not depend on it.
+            0 uses as many as pay. The result does not depend on it.
         progress : Progress
 
         Returns
@@ -205,7 +209,8 @@ class CogsFile:
         def decode_one(task: tuple[int, Splats]) -> None:
             self._decode_chunk(*task)
 
-        for done, _ in enumerate(ordered_map(decode_one, tasks, thread_count(threads)), start=1):
+        workers = thread_count(threads or _workers(sum(counts)))
+        for done, _ in enumerate(ordered_map(decode_one, tasks, workers), start=1):
             progress("decode", done, len(tasks))
         return out
 
@@ -372,6 +377,11 @@ def open_cogs(source: Source, *, partial: bool = False, limits: Limits | None = 
         A newer major version, or something that must be understood and is not.
     """
     return CogsFile(source, read_index(source, partial=partial), limits or Limits())
+
+
+def _workers(splats: int) -> int:
+    """Return how many threads pay: 1, or 0 for all cores."""
+    return 0 if compiled.ready() and splats >= _WORTH_THREADS else 1
 
 
 def _allocate(rows: int, degree: int, root: Root) -> Splats:
