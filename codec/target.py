@@ -24,8 +24,9 @@ SIZE_TOLERANCE: Final = 0.005
 # A PSNR missed by more than this at an end of what can be set is out of reach, dB.
 _NEAR_DB: Final = 0.1
 
-# Before a search knows better: bytes of a splat at a nominal quality, PSNR per nominal dB, and log2
-# of the bytes per nominal dB, of trained scenes between 33 and 47 dB.
+# Before a search knows better: what a nominal quality is above the PSNR, bytes of a splat at one,
+# PSNR per nominal dB, and log2 of the bytes per nominal dB, of trained scenes between 33 and 47 dB.
+_NOMINAL_DB: Final = 3.0
 _START_DB: Final = 36.0
 _START_BYTES: Final = 6.0
 _PSNR_PER_DB: Final = 0.85
@@ -116,7 +117,9 @@ def to_psnr(
     def enough(value: float) -> bool:
         return abs(value - psnr_db) <= PSNR_TOLERANCE_DB
 
-    found = _search(prepared, psnr_db, psnr_db, psnr_of, _PSNR_PER_DB, enough, progress)
+    found = _search(
+        prepared, psnr_db + _NOMINAL_DB, psnr_db, psnr_of, _PSNR_PER_DB, enough, progress
+    )
     best = min(found, key=lambda hit: abs(hit.value - psnr_db))
     if abs(best.value - psnr_db) > _NEAR_DB and any(_at_an_end(hit) for hit in found):
         raise _out_of_reach(f"PSNR of {psnr_db:g} dB", f"{best.value:.2f} dB")

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 import cogsplat
-from cogsplat.codec.cameras import Camera
 from cogsplat.codec.chunking import DEFAULT_LARGEST, MAX_CHUNK_SPLATS
-from cogsplat.codec.splats import Splats
 from cogsplat.formats.atomic import refuse_existing
 
-from . import report as reports
-from .bench_photos import Photos, read_photos
-from .cli_inputs import judged_in, judging_cameras, read_any, scoring_cameras
+from .cli_info import tell_attributes
+from .cli_inputs import judged_in, read_any, scoring_cameras
 from .cli_options import (
     PATH,
     background_option,
@@ -29,10 +25,13 @@ from .cli_options import (
     threads_option,
     top_k_option,
 )
-from .cli_output import counted, facts, name_of, say, say_json, size_text, table
+from .cli_output import counted, facts, name_of, say, say_json, size_text
 from .cli_progress import Stages
+from .cli_quality import Judges, settings_of
 from .cli_values import ByteCount, Colour, byte_count
-from .quality import PrefixQuality, measure
+from .cogs_inventory import stored_sizes
+from .quality import PrefixQuality
+from .report import write_report
 from .scene_edits import SceneEdits, edit_options
 
 if TYPE_CHECKING:
@@ -114,16 +113,21 @@ if TYPE_CHECKING:
 @top_k_option
 @eval_every_option(0, "Keep from scoring, and judge by, the")
 @click.option(
+    "--measure",
+    is_flag=True,
+    help="Say how good the file is as its bytes arrive, and where they are.",
+)
+@click.option(
     "--report",
     type=PATH,
     metavar="OUT.html",
-    help="Write a report with plots and pictures, one file that needs nothing else.",
+    help="Write what --measure finds, with plots and pictures, as one page.",
 )
 @click.option(
     "--images",
     type=PATH,
     metavar="DIR",
-    help="Photos named as the cameras are: measure against them as well.",
+    help="Photos named as the cameras are: measure against them, too.",
 )
 @background_option
 @edit_options
@@ -148,6 +152,7 @@ def encode(
     no_jitter: bool,
     top_k: int,
     eval_every: int,
+    measure: bool,
     report: Path | None,
     images: Path | None,
     background: Colour,
@@ -179,8 +184,6 @@ def encode(
         prune=None if no_prune else bound,
         threads=threads,
     )
-    if images is not None and report is None and not eval_every:
-        raise click.UsageError("--images without --report or --eval-every: nothing to measure")
     refuse_existing(out, force=force)
     if report is not None:
         refuse_existing(report, force=force)
@@ -191,6 +194,11 @@ def encode(
             splats = edits.apply(given.splats, scene)
             if views is not None:
                 views = [edits.camera(view) for view in views]
+            judges = None
+            if len(splats) and (measure or report is not None or images is not None):
+                judges = Judges.gather(
+                    scene, splats, cameras, eval_every, edits, images, background, threads=threads
+                )
         size = cogsplat.encode(
             splats,
             out,
@@ -206,42 +214,21 @@ def encode(
             progress=stages,
         )
         stages("write", 1, 1)
-        seconds = stages.total_seconds
         judged: list[PrefixQuality] = []
-        if len(splats) and (report is not None or eval_every):
-            judging, judged_by = _judging(scene, splats, cameras, eval_every, edits)
-            photos = None
-            if images is not None:
-                photos = read_photos(images, splats, judging, background, threads=threads)
-            judged = measure(
-                out,
-                splats,
-                judging,
-                background=background,
-                photos=photos,
-                threads=threads,
-                progress=stages,
+        if judges is not None:
+            settings = settings_of(
+                click.get_current_context(), stages.totals.get("score", 0), stages.total_seconds
             )
+            judged = judges.measure(out, threads=threads, progress=stages)
             if report is not None:
-                subject = reports.Subject(
-                    scene,
-                    given.file_bytes,
-                    splats,
-                    out,
-                    judging,
-                    judged_by,
-                    background,
-                    photos,
-                    judged,
-                    _settings(click.get_current_context(), stages.totals.get("score", 0), seconds),
-                    threads,
-                )
-                reports.write_report(report, subject, force=force, progress=stages)
+                subject = judges.subject(scene, given.file_bytes, out, judged, settings)
+                write_report(report, subject, force=force, progress=stages)
     if quiet and not as_json:
         return
     with cogsplat.open(out) as file:
         told = _report(file, size, config, stages)
         seen = _predicted(file)
+        sizes = stored_sizes(file) if judged else []
     rows_in, kept = given.file_splats, int(file.root.splats)
     dropped, pruned = rows_in - len(splats), len(splats) - kept
     if as_json:
@@ -250,6 +237,7 @@ def encode(
                 "output": name_of(out),
                 **told,
                 "quality": [quality.report() for quality in judged],
+                "attributes": [stored.report() for stored in sizes],
                 "source_bytes": given.file_bytes,
                 "ratio": round(given.file_bytes / size, 3),
                 "splats_in": rows_in,
@@ -270,67 +258,9 @@ def encode(
         ("time", stages.line()),
         ("report", str(report) if report else ""),
     )
-    if judged:
-        say("")
-        _tell_quality(judged, photos)
-
-
-def _judging(
-    scene: Path, splats: Splats, cameras: Path | None, eval_every: int, edits: SceneEdits
-) -> tuple[list[Camera], str]:
-    """Return the cameras to judge a new file by, and what they are."""
-    views, what = judging_cameras(scene, splats, cameras, eval_every)
-    if cameras is None and what == "virtual views":
-        return list(views), what
-    if cameras is not None:
-        what += " never given to the encoder" if eval_every else ", all given to the encoder"
-    return [edits.camera(view) for view in views], what
-
-
-def _settings(context: click.Context, views: int, seconds: float) -> list[tuple[str, str]]:
-    """Return the options that shaped the file, and what they led to."""
-    shown = (
-        "profile", "quality", "target_psnr", "target_size", "preset", "order", "chunk_splats",
-        "no_morton", "prune", "no_prune", "no_jitter", "top_k", "eval_every", "background",
-    )  # fmt: skip
-    settings = []
-    for option in context.command.params:
-        value = context.params.get(option.name or "")
-        if option.name in shown and value is not None and value is not False:
-            text = context.get_parameter_source(option.name or "")
-            default = text is click.core.ParameterSource.DEFAULT
-            settings.append((option.opts[0], f"{_plain(value)}{' (default)' if default else ''}"))
-    return [*settings, ("views scored", str(views)), ("seconds", f"{seconds:.1f}")]
-
-
-def _plain(value: object) -> str:
-    if isinstance(value, ByteCount):
-        return f"{value.amount * 100}%" if value.is_share else f"{int(value.amount):,} bytes"
-    if isinstance(value, tuple):
-        return ", ".join(f"{part:g}" for part in value)
-    return "yes" if value is True else str(value)
-
-
-def _tell_quality(judged: Sequence[PrefixQuality], photos: Photos | None) -> None:
-    columns = ["bytes", "", "splats", "PSNR dB", "SSIM", "worst", "roam"]
-    rows = [
-        [
-            f"{q.share:.0%}",
-            size_text(q.size_bytes),
-            f"{q.splats:,}",
-            f"{q.held_out_db:.2f}",
-            f"{q.held_out_ssim:.4f}",
-            f"{q.worst_db:.2f}",
-            f"{q.roam_db:.2f}",
-        ]
-        + ([] if q.photos_db is None else [f"{q.photos_db:.2f}"])
-        for q in judged
-    ]
-    table([*columns, *(["photos"] if photos else [])], rows, left=0)
-    lost = judged[-1].photos_db
-    if photos and lost is not None:
-        say("")
-        facts(("photos", f"source {photos.source_db:.2f} dB, {photos.source_db - lost:.2f} lost"))
+    if judges is not None:
+        tell_attributes(sizes, file)
+        judges.tell(judged)
 
 
 def _require_one_aim(

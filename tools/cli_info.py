@@ -67,7 +67,7 @@ def info(path: Path, verify: bool, all_chunks: bool, quiet: bool, as_json: bool)
     if verify:
         facts(("verified", f"{counted(len(file.segments), 'segment')}, all chunks decoded"))
     _tell_chunks(chunk_sizes(file), all_chunks=all_chunks)
-    _tell_attributes(sizes, file)
+    tell_attributes(sizes, file)
 
 
 def _decoded_bytes(file: CogsFile) -> int:
@@ -163,7 +163,8 @@ def _tell_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
     )
 
 
-def _tell_attributes(sizes: list[StoredSize], file: CogsFile) -> None:
+def tell_attributes(sizes: list[StoredSize], file: CogsFile) -> None:
+    """Print what every kind of stream takes."""
     rows = [
         (
             size.segment,

@@ -88,10 +88,11 @@ def test_the_summary_shows_quality_at_several_lengths(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     arguments = ["encode", small.ply, tmp_path / "o.cogs", "--cameras", small.cameras]
-    told = run(*arguments, "--eval-every", 4)
+    told = run(*arguments, "--eval-every", 4, "--measure")
     assert told.code == 0
     assert all(f"{share:.0%}" in told.out for share in SHARES)
     assert "roam" in told.out
+    assert "bits/splat" in told.out
     plain = run(*arguments, "--force")
     assert "roam" not in plain.out
 
@@ -119,9 +120,7 @@ def test_a_share_is_what_the_first_bytes_hold(small: SmallScene) -> None:
     np.testing.assert_array_equal(half.shN, expected.shN)
 
 
-def test_reports_are_refused_before_any_work(
-    run: Run, small: SmallScene, photos: Path, tmp_path: Path
-) -> None:
+def test_reports_are_refused_before_any_work(run: Run, small: SmallScene, tmp_path: Path) -> None:
     out, page = tmp_path / "o.cogs", tmp_path / "there.html"
     page.write_text("mine")
     told = run("encode", small.ply, out, "--cameras", small.cameras, "--report", page)
@@ -129,7 +128,8 @@ def test_reports_are_refused_before_any_work(
     assert "[exists]" in told.err
     assert page.read_text() == "mine"
     assert not out.exists()
-    assert run("encode", small.ply, out, "--images", photos).code == 2
+    told = run("encode", small.ply, out, "--cameras", small.cameras, "--images", tmp_path)
+    assert told.code == 4
     assert not out.exists()
 
 
