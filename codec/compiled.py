@@ -6,8 +6,8 @@ import importlib
 import sys
 from typing import Final
 
-WORTH_LOADING: Final = 1_000_000
-"""Splats from which loading numba (0.4 s) and the kernels pays within one decode (measured)."""
+WORTH_LOADING: Final = 3_000_000
+"""Splats from which loading numba and the kernels (0.4 s) pays within one decode (measured)."""
 
 _in_use = False
 
