@@ -247,7 +247,8 @@ def _halvings(scales: F32, coefficients: F32, knees: F32, most: int, halved: U8)
     rows = np.zeros((2, most + 1), np.int64)
     for row in range(len(halved)):
         rows[row & 1, halved[row]] += 1
-    return rows[0] + rows[1]
+    total_rows: I64 = rows[0] + rows[1]
+    return total_rows
 
 
 @_exact
