@@ -47,7 +47,7 @@ class EncodeConfig:
     morton : bool
         Whether to sort by Morton code inside the chunk.
     prune : PruneConfig or None
-        What may be dropped; None keeps every splat.
+        What may be dropped; None keeps every splat, as `near` always does.
     near : NearBounds
         Error bounds of the `near` profile.
     training : TrainingConfig
@@ -232,7 +232,8 @@ def prepare(splats: Splats, scores: Scores | None, config: EncodeConfig | None =
     _require_storable(splats)
     scores = unscored(len(splats)) if scores is None else scores
     _require_scores(scores, len(splats))
-    kept = kept_rows(splats, scores, config.prune)
+    # An archive keeps every splat: what is not there is outside any bound.
+    kept = kept_rows(splats, scores, None if config.profile == "near" else config.prune)
     rows = order_rows(config.order, splats, scores)
     rows = rows[kept[rows]]
     return Prepared(

@@ -109,9 +109,10 @@ def test_opacities_may_all_be_infinite(profile, logit):
         assert (np.sign(out.opacities) == np.sign(logit)).all()
         assert (np.abs(out.opacities) >= 10).all()
     pruned = encode(splats, None, config(profile=profile, prune=PruneConfig()))
-    assert pruned.pruned == (50 if logit < 0 else 0)
+    # An archive keeps even what nothing can show.
+    assert pruned.pruned == (50 if logit < 0 and profile != "near" else 0)
     check(pruned, 50 - pruned.pruned, 3)
-    if logit < 0:
+    if pruned.pruned:
         assert (len(pruned.chunks), len(pruned.codebooks)) == (0, 0)
         assert pruned.box.tolist() == [0] * 6
 
@@ -184,7 +185,14 @@ def test_the_source_order_is_kept():
     assert tags(check(encoded, 500, 3)) == list(range(500))
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+def test_the_near_profile_drops_nothing():
+    prune = PruneConfig(peak=0.5, views=3)
+    encoded = encode(tagged(800), scored(800), EncodeConfig(profile="near", prune=prune))
+    assert encoded.pruned == 0
+    assert sorted(tags(check(encoded, 800, 3))) == list(range(800))
+
+
+@pytest.mark.parametrize("profile", [name for name in PROFILES if name != "near"])
 def test_pruned_rows_are_gone_and_counted(profile):
     splats, scores = tagged(800), scored(800)
     prune = PruneConfig(peak=0.5, views=3)
