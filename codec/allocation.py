@@ -16,7 +16,6 @@ F64 = NDArray[np.float64]
 # Squared error of the picture per squared step and energy, relative to a change of colour.
 # Measured by perturbing trained scenes of three kinds (a captured room, a cleaned object, a
 # figure) one attribute at a time; they agree within a factor of three, steps within 1.7.
-COLOUR_COST: Final = 1.0
 SH0_BASIS: Final = 0.28209479177387814  # Y_00: sh0 to colour
 SH0_COST: Final = SH0_BASIS**2
 OPACITY_COST: Final = 0.02

@@ -58,7 +58,7 @@ def pack_plane(plane: U8, *, digits: bool = True) -> tuple[int, bytes]:
     Notes
     -----
     zstd's Huffman stage spends whole bits on a symbol. Where there are few symbols, several to a
-    byte share that loss: on sparse planes this takes as little as a range coder would.
+    byte share that loss: on sparse planes this takes nearly as little as a range coder would.
     """
     best, word = _smaller(plane.tobytes())
     radix = int(plane.max(initial=0)) + 1

@@ -205,7 +205,7 @@ def _all_of_it() -> Valid:
     )
     clauses = ("6.9", "6.10", "6.11", "6.12", "6.13", "6.14", "6.15")
     return Valid(
-        "transform", build(draft), clauses, "all kinds of a transform-coded chunk, in rANS"
+        "transform", build(draft), clauses, "all kinds of a transform-coded chunk, digits packed"
     )
 
 
