@@ -78,7 +78,7 @@ def sketch(splats: Splats, most: int) -> Sketch:
     Sketch
         The same for the same scene.
     """
-    bare = splats.with_sh_degree(0)
+    bare = splats.without_extras().with_sh_degree(0)
     bare = bare.take(spatial_order(bare.means))
     log_sizes = _log_sizes(bare.scales)
     local = _moving_mean(log_sizes)

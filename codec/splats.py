@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,15 @@ from .errors import DataError
 F32 = NDArray[np.float32]
 
 MAX_SH_DEGREE = 3
+
+Extra = NDArray[np.number]
+
+EXTRA_DTYPES: Final = ("u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8")
+"""Types of extra attributes, as numpy writes them without byte order."""
+
+MAX_EXTRAS: Final = 256
+MAX_EXTRA_NAME_BYTES: Final = 255
+MAX_EXTRA_COMPONENTS: Final = 16
 
 
 def sh_coefficients(degree: int) -> int:
@@ -67,11 +78,16 @@ class Splats:
         Higher SH coefficients, K = (degree + 1)².
     info : SceneInfo
         Frame, colour space and anti-aliasing of the scene.
+    extras : mapping of str to (N,) or (N, c) array
+        Attributes of the splats beside those that are drawn, of one of `EXTRA_DTYPES`: labels,
+        normals, whatever a file brings. At most `MAX_EXTRAS`, c from 1 to `MAX_EXTRA_COMPONENTS`,
+        names of 1 to `MAX_EXTRA_NAME_BYTES` bytes in UTF-8.
 
     Raises
     ------
     DataError
-        ``bad-shape`` or ``bad-dtype``: an array does not fit the others.
+        ``bad-shape`` or ``bad-dtype``: an array does not fit the others; ``bad-extra``: more
+        extras than allowed, or a name that is none.
 
     Notes
     -----
@@ -86,6 +102,7 @@ class Splats:
     sh0: F32
     shN: F32  # noqa: N815 - the field's name
     info: SceneInfo = field(default_factory=SceneInfo)
+    extras: Mapping[str, Extra] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -110,6 +127,7 @@ class Splats:
                 raise DataError("bad-dtype", f"{name} is {array.dtype}, expected float32")
             if not array.flags.c_contiguous:
                 object.__setattr__(self, name, np.ascontiguousarray(array))
+        object.__setattr__(self, "extras", _checked_extras(self.extras, n))
 
     def __len__(self) -> int:
         return len(self.means)
@@ -123,7 +141,7 @@ class Splats:
     def nbytes(self) -> int:
         """Bytes of all arrays."""
         arrays = (self.means, self.scales, self.quats, self.opacities, self.sh0, self.shN)
-        return sum(array.nbytes for array in arrays)
+        return sum(array.nbytes for array in (*arrays, *self.extras.values()))
 
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_] | slice) -> Splats:
         """Return the chosen rows, copied (a slice gives views)."""
@@ -135,7 +153,12 @@ class Splats:
             opacities=self.opacities[rows],
             sh0=self.sh0[rows],
             shN=self.shN[rows],
+            extras={name: values[rows] for name, values in self.extras.items()},
         )
+
+    def without_extras(self) -> Splats:
+        """Return the scene as it is drawn, of the same arrays."""
+        return replace(self, extras={}) if self.extras else self
 
     def with_sh_degree(self, degree: int) -> Splats:
         """Return the scene cut to an SH degree no higher than its own; arrays are views if kept."""
@@ -197,7 +220,24 @@ def empty(degree: int, n: int = 0, info: SceneInfo | None = None) -> Splats:
 
 
 def concatenate(parts: list[Splats]) -> Splats:
-    """Join scenes of one SH degree row-wise; `info` is the first one's."""
+    """Join scenes of one SH degree row-wise; `info` is the first one's.
+
+    Raises
+    ------
+    DataError
+        ``extras-mismatch``: extras of other names, types or components than the first one's.
+    """
+    kinds = [
+        {name: (values.dtype, values.shape[1:]) for name, values in part.extras.items()}
+        for part in parts
+    ]
+    for number, kind in enumerate(kinds):
+        if kind != kinds[0]:
+            raise DataError(
+                "extras-mismatch",
+                f"part {number} has the extras {_listed(parts[number].extras)}, "
+                f"expected {_listed(parts[0].extras)} as the first has",
+            )
     return replace(
         parts[0],
         means=np.concatenate([part.means for part in parts]),
@@ -206,4 +246,53 @@ def concatenate(parts: list[Splats]) -> Splats:
         opacities=np.concatenate([part.opacities for part in parts]),
         sh0=np.concatenate([part.sh0 for part in parts]),
         shN=np.concatenate([part.shN for part in parts]),
+        extras={
+            name: np.concatenate([part.extras[name] for part in parts]) for name in parts[0].extras
+        },
     )
+
+
+def _checked_extras(extras: Mapping[str, Extra], rows: int) -> dict[str, Extra]:
+    """Return a copy of the mapping, its arrays C-ordered."""
+    if len(extras) > MAX_EXTRAS:
+        raise DataError("bad-extra", f"{len(extras)} extras, expected at most {MAX_EXTRAS}")
+    checked: dict[str, Extra] = {}
+    for name, values in extras.items():
+        if not 1 <= _name_bytes(name) <= MAX_EXTRA_NAME_BYTES:
+            raise DataError(
+                "bad-extra",
+                f"an extra is called {name[:40]!r}, "
+                f"expected 1 to {MAX_EXTRA_NAME_BYTES} bytes of UTF-8",
+            )
+        shape = values.shape
+        if not shape or shape[0] != rows or len(shape) > 2:
+            raise DataError(
+                "bad-shape", f"extra {name!r} has shape {shape}, expected ({rows},) or ({rows}, c)"
+            )
+        if len(shape) == 2 and not 1 <= shape[1] <= MAX_EXTRA_COMPONENTS:
+            raise DataError(
+                "bad-shape",
+                f"extra {name!r} has {shape[1]} components, expected 1 to {MAX_EXTRA_COMPONENTS}",
+            )
+        if not values.dtype.isnative or values.dtype.str[1:] not in EXTRA_DTYPES:
+            raise DataError(
+                "bad-dtype",
+                f"extra {name!r} is {values.dtype}, expected one of {', '.join(EXTRA_DTYPES)}",
+            )
+        checked[name] = np.ascontiguousarray(values)
+    return checked
+
+
+def _name_bytes(name: str) -> int:
+    try:
+        return len(name.encode())
+    except UnicodeEncodeError:
+        return 0
+
+
+def _listed(extras: Mapping[str, Extra]) -> str:
+    kinds = [
+        f"{name!r} {values.dtype.str[1:]}" + (f"x{values.shape[1]}" if values.ndim == 2 else "")
+        for name, values in extras.items()
+    ]
+    return ", ".join(kinds) or "none"

@@ -140,3 +140,77 @@ def test_joining_gives_back_what_was_cut():
     with pytest.raises(ValueError, match="dimension"):
         concatenate([splats, splats.with_sh_degree(1)])
     assert isinstance(concatenate(parts), Splats)
+
+
+EXTRAS = {
+    "label": np.arange(5, dtype=np.uint16),
+    "normal": np.arange(15, dtype=np.float64).reshape(5, 3),
+    "größe": np.full(5, -1, np.int8),
+}
+
+
+def test_extras_go_where_their_rows_go():
+    splats = replace(oracle.scene(1, n=5), extras=EXTRAS)
+    assert splats.nbytes == oracle.scene(1, n=5).nbytes + 5 * (2 + 24 + 1)
+    rows = np.array([3, 0, 3])
+    taken = splats.take(rows)
+    assert list(taken.extras) == list(EXTRAS)
+    for name, values in EXTRAS.items():
+        np.testing.assert_array_equal(taken.extras[name], values[rows])
+        assert taken.extras[name].dtype == values.dtype
+    joined = concatenate([splats, taken])
+    np.testing.assert_array_equal(joined.extras["label"], [0, 1, 2, 3, 4, 3, 0, 3])
+    assert joined.extras["normal"].shape == (8, 3)
+    assert set(splats.with_sh_degree(0).extras) == set(EXTRAS)
+    assert not splats.without_extras().extras
+    assert splats.without_extras().means is splats.means
+    plain = oracle.scene(1, n=5)
+    assert plain.without_extras() is plain
+    assert np.shares_memory(splats.take(slice(1, 3)).extras["normal"], splats.extras["normal"])
+
+
+def test_extras_are_a_copy_of_the_mapping():
+    given = dict(EXTRAS)
+    splats = replace(oracle.scene(1, n=5), extras=given)
+    given.clear()
+    assert set(splats.extras) == set(EXTRAS)
+
+
+@pytest.mark.parametrize(
+    ("extras", "code"),
+    [
+        ({"a": np.zeros(4, np.uint8)}, "bad-shape"),
+        ({"a": np.zeros((5, 0), np.uint8)}, "bad-shape"),
+        ({"a": np.zeros((5, 17), np.uint8)}, "bad-shape"),
+        ({"a": np.zeros((5, 1, 1), np.uint8)}, "bad-shape"),
+        ({"a": np.array(1, np.uint8)}, "bad-shape"),
+        ({"a": np.zeros(5, np.int64)}, "bad-dtype"),
+        ({"a": np.zeros(5, np.float16)}, "bad-dtype"),
+        ({"a": np.zeros(5, bool)}, "bad-dtype"),
+        ({"a": np.zeros(5, ">f4")}, "bad-dtype"),
+        ({"": np.zeros(5, np.uint8)}, "bad-extra"),
+        ({"x" * 256: np.zeros(5, np.uint8)}, "bad-extra"),
+        ({"\ud800": np.zeros(5, np.uint8)}, "bad-extra"),
+        ({f"a{k}": np.zeros(5, np.uint8) for k in range(257)}, "bad-extra"),
+    ],
+)
+def test_extras_that_do_not_fit_are_refused(extras, code):
+    with pytest.raises(DataError, match="expected") as caught:
+        replace(oracle.scene(1, n=5), extras=extras)
+    assert caught.value.code == code
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {},
+        {"a": np.zeros(5, np.int8)},
+        {"a": np.zeros((5, 1), np.uint8)},
+        {"b": np.zeros(5, np.uint8)},
+    ],
+)
+def test_only_scenes_of_the_same_extras_are_joined(other):
+    first = replace(oracle.scene(1, n=5), extras={"a": np.zeros(5, np.uint8)})
+    with pytest.raises(DataError, match=r"part 1 .* expected 'a' u1") as caught:
+        concatenate([first, replace(first, extras=other)])
+    assert caught.value.code == "extras-mismatch"
