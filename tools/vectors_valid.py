@@ -372,7 +372,7 @@ def _root_values() -> Valid:
 def _unknown_segments() -> Valid:
     parts = _plain([6, 7], 1)
     segments = [
-        Segment(128, 7, b"to be skipped"),
+        Segment(201, 7, b"to be skipped"),
         *parts[0],
         Segment(255, 0xFFFFFFFF, bytes(9)),
         *parts[1],
@@ -380,7 +380,7 @@ def _unknown_segments() -> Valid:
         Segment(200, 0, b"\x00"),
     ]
     data = build(Draft(root_keys(13, 1), [Group(segments, [ChunkRow(6), ChunkRow(7)])]))
-    return Valid("unknown-segments", data, ("5.2",), "segments of kinds 128 to 255, to be skipped")
+    return Valid("unknown-segments", data, ("5.2",), "segments of kinds 200 to 255, to be skipped")
 
 
 def _unknown_keys() -> Valid:
