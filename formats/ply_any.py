@@ -1,4 +1,4 @@
-"""PLY layouts that are not canonical, through plyfile: text, big-endian, doubles, other elements.
+"""PLY layouts that are not canonical, through plyfile: text, big-endian, vertices not first.
 
 plyfile is licensed under the GPL and belongs to the extra ``encode``, so it is imported only when
 such a file is met.
@@ -9,12 +9,14 @@ from __future__ import annotations
 import importlib
 import io
 import os
+from collections.abc import Mapping
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError, TruncatedError, UnsupportedError
+from cogsplat.codec.splats import Extra
 
 from .ply_header import PlyHeader
 
@@ -31,7 +33,8 @@ def read_columns(
     file: BinaryIO,
     header: PlyHeader,
     fields: dict[str, list[str]],
-    arrays: dict[str, NDArray[np.float32]],
+    arrays: Mapping[str, NDArray[np.float32] | NDArray[np.float64]],
+    extras: Mapping[str, Extra],
     where: str,
 ) -> None:
     """Fill arrays from a PLY of any layout.
@@ -45,8 +48,10 @@ def read_columns(
     fields : dict
         For each array, the vertex properties of its columns.
     arrays : dict
-        For each field an (N, properties) float32 array to fill; wider values are rounded, or ±inf
-        where float32 ends.
+        For each field an (N, properties) array to fill; values wider than its type are rounded,
+        or ±inf where float32 ends.
+    extras : mapping
+        For each other property that is wanted an (N,) array of its type.
     where : str
         Name of the file for messages.
 
@@ -94,6 +99,8 @@ def read_columns(
             for field, group in fields.items():
                 for column, name in enumerate(group):
                     arrays[field][start : start + len(block), column] = block[name]
+            for name, values in extras.items():
+                values[start : start + len(block)] = block[name]
 
 
 def _layout(header: PlyHeader) -> str:

@@ -103,11 +103,11 @@ class PlyHeader:
 
     @property
     def is_canonical(self) -> bool:
-        """Whether the vertices come first, little-endian, and all of float32."""
+        """Whether the vertices come first, little-endian, all in rows of one length."""
         return (
             self.format == "binary_little_endian"
             and self.elements[0].name == "vertex"
-            and all(p.dtype == "f4" and not p.length_dtype for p in self.elements[0].properties)
+            and not self.elements[0].has_lists
         )
 
     def vertex(self, where: str) -> Element:
