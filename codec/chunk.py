@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -29,12 +29,15 @@ class Payloads:
     tail : bytes or None
         None where the scene has no SH above DC.
     head_needs, tail_needs : tuple of int
+    order : (n,) int64
+        Which of the chunk's rows, as it was given, stands in each place as it is stored.
     """
 
     head: bytes
     tail: bytes | None
     head_needs: tuple[int, ...]
     tail_needs: tuple[int, ...]
+    order: NDArray[np.int64] = field(compare=False)
 
 
 def chunk_means(means: F32, step: float, sort: bool) -> tuple[NDArray[np.int64], Stream]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from . import allocation, chunking, profile_near, profile_transform, profile_vq
 from .ablation import Ablation
+from .attributes import pack_attributes
 from .chunk import Payloads
 from .codebook import TrainingConfig
 from .decoder import Codebook, decode_head, decode_shape_codebook
@@ -110,6 +111,8 @@ class EncodedChunk:
     box : (6,) float64
         What its splats reach as they are decoded, scene units.
     contribution : float
+    attributes : bytes or None
+        Payload of its splats' extra attributes; None where the scene has none.
     quality_db : float
         Predicted PSNR of a scene that ends with this chunk; 0 where nothing was predicted.
     """
@@ -118,6 +121,7 @@ class EncodedChunk:
     payloads: Payloads
     box: NDArray[np.float64]
     contribution: float
+    attributes: bytes | None = None
     quality_db: float = 0.0
 
 
@@ -128,7 +132,7 @@ class EncodedScene:
     Parameters
     ----------
     scene : Splats
-        No rows: SH degree and `info` of the scene.
+        No rows: SH degree, `info` and extra attributes of the scene.
     splats : int
     pruned : int
         Rows of the source that were dropped.
@@ -151,7 +155,7 @@ class Prepared:
     Parameters
     ----------
     scene : Splats
-        No rows: SH degree and `info` of the scene.
+        No rows: SH degree, `info` and extra attributes of the scene.
     ordered : Splats
         The rows that stay, in chunk order.
     rows : (n,) int64
@@ -200,6 +204,7 @@ class Prepared:
                 payloads=payloads,
                 box=box(stored),
                 contribution=float(self.scores.contribution[part].sum()),
+                attributes=self._attributes(run, payloads),
             )
 
         chunks: list[EncodedChunk] = []
@@ -212,6 +217,14 @@ class Prepared:
         if len(boxes):
             whole = np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
         return EncodedScene(self.scene, len(self.rows), self.pruned, whole, codebooks, chunks)
+
+    def _attributes(self, run: slice, payloads: Payloads) -> bytes | None:
+        extras = self.ordered.extras
+        if not extras:
+            return None
+        return pack_attributes(
+            {name: values[run][payloads.order] for name, values in extras.items()}
+        )
 
 
 def prepare(splats: Splats, scores: Scores | None, config: EncodeConfig | None = None) -> Prepared:
@@ -312,7 +325,7 @@ def _profile(
     prepared: Prepared, quality_db: float, progress: Progress
 ) -> tuple[Sequence[EncodedCodebook], Callable[[slice], Payloads]]:
     """Return the codebooks of a profile and what encodes one run of the ordered scene."""
-    ordered, scores, rows = prepared.ordered, prepared.scores, prepared.rows
+    ordered, scores, rows = prepared.ordered.without_extras(), prepared.scores, prepared.rows
     config = prepared.config
     if config.profile == "near" or len(rows) == 0:
         bound = profile_near.mean_bound(ordered, config.near)

@@ -91,7 +91,7 @@ def encode_chunk(splats: Splats, means_bound: float, bounds: NearBounds, sort: b
         first, last = band * band - 1, (band + 1) * (band + 1) - 1
         values = np.ascontiguousarray(splats.shN[:, first:last].reshape(len(splats), -1))
         tail.append(_bounded(attribute, values, bounds.shN))
-    return Payloads(streams.pack(head), streams.pack(tail) if tail else None, (), ())
+    return Payloads(streams.pack(head), streams.pack(tail) if tail else None, (), (), rows)
 
 
 def _quat_step(bound: float) -> float:

@@ -170,7 +170,7 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
         _sh0(sh0, costs.energy, slope),
     ]
     needs = (BASIS,) if tail is not None else ()
-    return Payloads(streams.pack(head, digits=used.digits), tail, (), needs)
+    return Payloads(streams.pack(head, digits=used.digits), tail, (), needs, inside)
 
 
 def _ladder(scales: F32, costs: Costs, slope: float, areas: bool) -> tuple[F32, Grid]:

@@ -198,7 +198,7 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
         streams.scalar(Attribute.SH0, splats.sh0[rows], grids.fit(splats.sh0[rows], sh0_step)),
     ]
     if not plan_.colour_rows:
-        return Payloads(streams.pack(head), None, (SHAPE_CODEBOOK,), ())
+        return Payloads(streams.pack(head), None, (SHAPE_CODEBOOK,), (), inside)
     kept = plan_.colour_kept[rows]
     tail: list[Stream] = []
     if kept.any():
@@ -206,7 +206,8 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
         tail += _bands(splats.shN[rows[kept]], sh_step, kept=True)
     indices = plan_.colour_indices[rows]
     tail.append(_indices(Attribute.SHN, COLOUR_CODEBOOK, plan_.colour_rows, indices, kept))
-    return Payloads(streams.pack(head), streams.pack(tail), (SHAPE_CODEBOOK,), (COLOUR_CODEBOOK,))
+    needs = (COLOUR_CODEBOOK,)
+    return Payloads(streams.pack(head), streams.pack(tail), (SHAPE_CODEBOOK,), needs, inside)
 
 
 def _indices(
