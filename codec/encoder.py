@@ -9,16 +9,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from . import allocation, chunking, profile_near, profile_transform, profile_vq
+from . import allocation, chunking, objects, profile_near, profile_transform, profile_vq
 from .ablation import Ablation
 from .attributes import pack_attributes
+from .cameras import Camera
 from .chunk import Payloads
 from .codebook import TrainingConfig
 from .decoder import Codebook, decode_head, decode_shape_codebook
 from .errors import DataError
 from .extent import box
 from .grid import MAX_VALUE
-from .order import ORDERS, order_rows
+from .order import OrderConfig, Unordered, order_rows, require_order
 from .profile_near import NearBounds
 from .progress import Progress, silent
 from .prune import PruneConfig, kept_rows
@@ -42,7 +43,9 @@ class EncodeConfig:
     quality_db : float
         Nominal PSNR, dB, of the profiles for viewing: sets all their steps.
     order : str
-        One of `order.ORDERS`.
+        One of `order.ORDERS`, alone or with one of `order.POSE_RULES`.
+    ordering : OrderConfig
+        Parameters of the order; chunks of one object each.
     chunk_splats : int
         Most splats in a chunk.
     morton : bool
@@ -61,6 +64,7 @@ class EncodeConfig:
     profile: str = "transform"
     quality_db: float = 36.0
     order: str = "contribution"
+    ordering: OrderConfig = field(default_factory=OrderConfig)
     chunk_splats: int = chunking.DEFAULT_LARGEST
     morton: bool = True
     prune: PruneConfig | None = field(default_factory=PruneConfig)
@@ -72,8 +76,7 @@ class EncodeConfig:
     def __post_init__(self) -> None:
         if self.profile not in PROFILES:
             raise ValueError(f"profile {self.profile!r}, expected one of {PROFILES}")
-        if self.order not in ORDERS:
-            raise ValueError(f"order {self.order!r}, expected one of {ORDERS}")
+        require_order(self.order, self.ordering)
         if not 1 <= self.chunk_splats <= chunking.MAX_CHUNK_SPLATS:
             raise ValueError(
                 f"chunks of {self.chunk_splats} splats, expected 1 to {chunking.MAX_CHUNK_SPLATS}"
@@ -115,6 +118,8 @@ class EncodedChunk:
         Payload of its splats' extra attributes; None where the scene has none.
     quality_db : float
         Predicted PSNR of a scene that ends with this chunk; 0 where nothing was predicted.
+    object : int
+        Label of the object it holds; 0 in scenes without.
     """
 
     splats: int
@@ -123,6 +128,7 @@ class EncodedChunk:
     contribution: float
     attributes: bytes | None = None
     quality_db: float = 0.0
+    object: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +172,8 @@ class Prepared:
         Of the source.
     slices : sequence of slice
         The chunks.
+    objects : (chunks,) uint32
+        What each holds; zeros where chunks are not cut by object.
     config : EncodeConfig
     """
 
@@ -175,6 +183,7 @@ class Prepared:
     pruned: int
     scores: Scores
     slices: Sequence[slice]
+    objects: NDArray[np.uint32]
     config: EncodeConfig
 
     def encode(self, quality_db: float, *, progress: Progress = silent) -> EncodedScene:
@@ -193,7 +202,8 @@ class Prepared:
             if book.attribute == "shape"
         }
 
-        def encode_one(run: slice) -> EncodedChunk:
+        def encode_one(chunk: tuple[slice, int]) -> EncodedChunk:
+            run, label = chunk
             part = self.rows[run]
             payloads = encode_run(run)
             # Coarse steps move splats past the box of the source.
@@ -205,11 +215,13 @@ class Prepared:
                 box=box(stored),
                 contribution=float(self.scores.contribution[part].sum()),
                 attributes=self._attributes(run, payloads),
+                object=label,
             )
 
         chunks: list[EncodedChunk] = []
         progress("chunks", 0, len(self.slices))
-        for chunk in ordered_map(encode_one, self.slices, thread_count(self.config.threads)):
+        runs = list(zip(self.slices, self.objects.tolist(), strict=True))
+        for chunk in ordered_map(encode_one, runs, thread_count(self.config.threads)):
             chunks.append(chunk)
             progress("chunks", len(chunks), len(self.slices))
         boxes = np.array([chunk.box for chunk in chunks]).reshape(-1, 6)
@@ -227,13 +239,23 @@ class Prepared:
         )
 
 
-def prepare(splats: Splats, scores: Scores | None, config: EncodeConfig | None = None) -> Prepared:
+def prepare(
+    splats: Splats,
+    scores: Scores | None,
+    config: EncodeConfig | None = None,
+    *,
+    views: Sequence[Camera] = (),
+    progress: Progress = silent,
+) -> Prepared:
     """Order, prune and cut a scene.
 
     Parameters
     ----------
     splats, scores, config
         As `encode` takes them.
+    views : sequence of Camera
+        Those the scores are of, for orders that render.
+    progress : Progress
 
     Raises
     ------
@@ -247,15 +269,29 @@ def prepare(splats: Splats, scores: Scores | None, config: EncodeConfig | None =
     _require_scores(scores, len(splats))
     # An archive keeps every splat: what is not there is outside any bound.
     kept = kept_rows(splats, scores, None if config.profile == "near" else config.prune)
-    rows = order_rows(config.order, splats, scores)
+    scene = Unordered(splats, scores, views, config.threads, progress)
+    rows = order_rows(config.order, scene, config.ordering)
     rows = rows[kept[rows]]
+    if config.ordering.by_object:
+        arranged = objects.arrange(
+            rows,
+            objects.labels_of(splats),
+            scores.contribution,
+            config.chunk_splats,
+            config.ordering.object_budgets,
+        )
+    else:
+        slices = chunking.plan_chunks(len(rows), config.chunk_splats)
+        arranged = objects.Arrangement(rows, slices, np.zeros(len(slices), np.uint32))
+    rows = arranged.rows
     return Prepared(
         scene=splats.take(slice(0, 0)),
         ordered=splats.take(rows),
         rows=rows,
         pruned=len(splats) - len(rows),
         scores=scores,
-        slices=chunking.plan_chunks(len(rows), config.chunk_splats),
+        slices=arranged.slices,
+        objects=arranged.objects,
         config=config,
     )
 

@@ -231,7 +231,7 @@ def encode(
         given = isinstance(cameras, str | os.PathLike)
         views = read_cameras(cameras) if given else cameras  # type: ignore[arg-type, assignment]
     chosen = PRESETS[preset]
-    first_view = views[0] if views else None
+    first_view = config.ordering.first_view or (views[0] if views else None)
     if scores is None and len(splats):
         settings = score_config or chosen.score_config(config.profile, threads=config.threads)
         # An empty list is refused, not taken for none given.
@@ -240,7 +240,7 @@ def encode(
             views = plan_views(splats, plan, progress=progress)
         views = chosen.views(views)
         scores = score(splats, views, settings, progress=progress)
-    prepared = encoder.prepare(splats, scores, config)
+    prepared = encoder.prepare(splats, scores, config, views=views, progress=progress)
     writer = f"cogsplat {__version__}"
     if target is None or not len(splats):
         encoded = prepared.encode(config.quality_db, progress=progress)

@@ -67,7 +67,7 @@ def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = Non
         quality=np.array([chunk.quality_db for chunk in chunks], np.float32),
         layer=none,
         cell=none,
-        object=none,
+        object=np.array([chunk.object for chunk in chunks], np.uint32),
     )
     return Root(
         writer=writer,

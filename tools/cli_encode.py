@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ from cogsplat.codec.chunking import DEFAULT_LARGEST, MAX_CHUNK_SPLATS
 from cogsplat.formats.atomic import refuse_existing
 
 from .cli_info import tell_attributes
-from .cli_inputs import judged_in, read_any, scoring_cameras
+from .cli_inputs import given_cameras, judged_in, read_any, scoring_cameras, virtual_views
 from .cli_options import (
     PATH,
     background_option,
@@ -25,6 +26,7 @@ from .cli_options import (
     threads_option,
     top_k_option,
 )
+from .cli_orders import OrderChoice, order_options
 from .cli_output import counted, facts, name_of, say, say_json, size_text
 from .cli_progress import Stages
 from .cli_quality import Judges, settings_of
@@ -85,13 +87,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="fast scores one view in three; best measures every view in full and takes longest.",
 )
-@click.option(
-    "--order",
-    type=click.Choice(["contribution", "source"]),
-    default="contribution",
-    show_default=True,
-    help="Which splats come first.",
-)
+@order_options
 @click.option(
     "--chunk-splats",
     type=click.IntRange(1, MAX_CHUNK_SPLATS),
@@ -144,7 +140,7 @@ def encode(
     target_psnr: float | None,
     target_size: ByteCount | None,
     preset: str,
-    order: str,
+    choice: OrderChoice,
     chunk_splats: int,
     no_morton: bool,
     prune: float | None,
@@ -178,7 +174,7 @@ def encode(
     config = EncodeConfig(
         profile=profile,
         quality_db=quality,
-        order=order,
+        order=choice.base,
         chunk_splats=chunk_splats,
         morton=not no_morton,
         prune=None if no_prune else bound,
@@ -191,7 +187,8 @@ def encode(
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)
             given = read_any(scene, threads=threads)
-            splats = edits.apply(given.splats, scene)
+            labelled = choice.labelled(given.splats, cameras, threads=threads, progress=stages)
+            splats = edits.apply(labelled, scene)
             if views is not None:
                 views = [edits.camera(view) for view in views]
             judges = None
@@ -199,6 +196,10 @@ def encode(
                 judges = Judges.gather(
                     scene, splats, cameras, eval_every, edits, images, background, threads=threads
                 )
+        if choice.first_view is not None and cameras is None:
+            views = virtual_views(splats, threads=threads, progress=stages)
+        numbered = [edits.camera(view) for view in given_cameras(cameras)] if cameras else views
+        config = replace(config, order=choice.name, ordering=choice.config(numbered or []))
         size = cogsplat.encode(
             splats,
             out,

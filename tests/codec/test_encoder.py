@@ -319,7 +319,7 @@ def test_scores_of_another_scene_are_refused(name):
     "changes",
     [
         {"profile": "best"},
-        {"order": "random"},
+        {"order": "gloss"},
         {"chunk_splats": 0},
         {"chunk_splats": 2**18 + 1},
         {"quality_db": 9.9},

@@ -1,0 +1,96 @@
+"""Octree orders: every part of space gets its share of the first splats (PRoGS, section 3.2).
+
+The paper sorts by contribution inside the leaves and leaves open how their tops make one order: two
+readings.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_DEPTH: Final = 20
+"""Three coordinates of so many bits fit an int64."""
+
+
+def leaves(means: NDArray[np.float32], depth: int) -> NDArray[np.int64]:
+    """Return the leaf that each mean lies in: the box of the means, halved `depth` times.
+
+    Parameters
+    ----------
+    means : (N, 3) float32
+        Scene units; what is not finite lies in the first leaf.
+    depth : int
+        0 to `MAX_DEPTH`. Leaves have the proportions of the scene's box.
+
+    Returns
+    -------
+    (N,) int64
+        Numbers that tell leaves apart.
+    """
+    if not 0 <= depth <= MAX_DEPTH:
+        raise ValueError(f"octree depth {depth}, expected 0 to {MAX_DEPTH}")
+    points = means.astype(np.float64)
+    finite = np.isfinite(points).all(axis=1)
+    numbers = np.zeros(len(points), np.int64)
+    if not finite.any():
+        return numbers
+    low, high = points[finite].min(axis=0), points[finite].max(axis=0)
+    sides = np.where(high > low, high - low, 1.0)
+    cells = np.floor((points[finite] - low) / sides * 2.0**depth).astype(np.int64)
+    # The mean on the upper face belongs to the last leaf.
+    cells = np.minimum(cells, (1 << depth) - 1)
+    numbers[finite] = (cells[:, 0] << 2 * depth) | (cells[:, 1] << depth) | cells[:, 2]
+    return numbers
+
+
+def round_robin(leaf: NDArray[np.int64], contribution: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return rows so that the best of every leaf come first, then the second best, and so on.
+
+    Parameters
+    ----------
+    leaf : (N,) int64
+    contribution : (N,) float64
+        Ranks the splats of a leaf (ties in file order) and, summed, the leaves.
+
+    Returns
+    -------
+    (N,) int64
+    """
+    rank, _, total = _ranked(leaf, contribution)
+    return np.lexsort((leaf, -total, rank)).astype(np.int64)
+
+
+def quota(leaf: NDArray[np.int64], contribution: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return rows so that any prefix holds about the same share of every leaf.
+
+    Parameters
+    ----------
+    leaf : (N,) int64
+    contribution : (N,) float64
+        Ranks the splats of a leaf, ties in file order.
+
+    Returns
+    -------
+    (N,) int64
+        By (rank in the leaf + ½) / splats in the leaf, of equal ones by contribution.
+    """
+    rank, size, _ = _ranked(leaf, contribution)
+    return np.lexsort((-contribution, (rank + 0.5) / size)).astype(np.int64)
+
+
+def _ranked(
+    leaf: NDArray[np.int64], contribution: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return each row's rank in its leaf, the leaf's size, and its total contribution."""
+    rows = np.lexsort((-contribution, leaf))
+    _, first, counts = np.unique(leaf[rows], return_index=True, return_counts=True)
+    rank, size = np.empty(len(leaf), np.int64), np.empty(len(leaf), np.int64)
+    total = np.empty(len(leaf), np.float64)
+    rank[rows] = np.arange(len(leaf)) - np.repeat(first, counts)
+    size[rows] = np.repeat(counts, counts)
+    if len(leaf):
+        total[rows] = np.repeat(np.add.reduceat(contribution[rows], first), counts)
+    return rank, size, total

@@ -1,0 +1,102 @@
+"""Orders that serve one known pose first: what an order becomes for who starts there."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .cameras import Camera
+from .splats import Splats
+
+# 3DGS, in_frustum; the same as `projection.NEAR`, which needs a compiler to import.
+_NEAR = 0.2
+
+
+def lead(rows: NDArray[np.int64], ahead: NDArray[np.int64], share: float) -> NDArray[np.int64]:
+    """Return an order with the first of another before it.
+
+    Parameters
+    ----------
+    rows : (N,) int64
+        The order of all rows.
+    ahead : (M,) int64
+        The order by one view: some of the rows, none twice.
+    share : float
+        Of all rows, how many of `ahead` come first at most, 0 to 1.
+
+    Returns
+    -------
+    (N,) int64
+        The first of `ahead`, then the others as they stand in `rows`.
+    """
+    first = ahead[: math.ceil(share * len(rows))]
+    rest = np.ones(len(rows), np.bool_)
+    rest[first] = False
+    return np.concatenate([first, rows[rest[rows]]])
+
+
+def in_frustum(splats: Splats, camera: Camera, margin: float) -> NDArray[np.bool_]:
+    """Mark the splats whose means project into an image (PRoGS, section 3.3).
+
+    Parameters
+    ----------
+    splats : Splats
+    camera : Camera
+        In the frame of the means.
+    margin : float
+        The image is widened at each side by this share of its size.
+
+    Returns
+    -------
+    (N,) bool
+        Whatever hides a splat, and whatever its footprint reaches.
+    """
+    with np.errstate(all="ignore"):  # means behind the camera, or not finite, fail the tests below
+        local = splats.means @ camera.rotation.T + camera.translation
+        z = local[:, 2]
+        x = (camera.fx * local[:, 0] / z + camera.cx) / camera.width
+        y = (camera.fy * local[:, 1] / z + camera.cy) / camera.height
+        inside: NDArray[np.bool_] = z > _NEAR
+        for across in (x, y):
+            inside &= (across > -margin) & (across < 1 + margin)
+    return inside
+
+
+def keep_share(
+    rows: NDArray[np.int64], inside: NDArray[np.bool_], share: float
+) -> NDArray[np.int64]:
+    """Return an order of which every prefix lies inside to at least a share, as long as that lasts.
+
+    Parameters
+    ----------
+    rows : (N,) int64
+        The order of all rows.
+    inside : (N,) bool
+        By row.
+    share : float
+        0 to 1. Where the order has more inside of its own accord, it stays as it is.
+
+    Returns
+    -------
+    (N,) int64
+        Those inside and those outside each as they stand in `rows`; who is outside waits until the
+        share allows it, or nobody is left inside.
+    """
+    marks = inside[rows]
+    within, without = rows[marks], rows[~marks]
+    # Before the outsider of number k come at least k·share/(1 - share) insiders, or those that
+    # stand before it in the order.
+    numbers = np.arange(1, len(without) + 1)
+    natural = np.cumsum(marks)[~marks]
+    with np.errstate(divide="ignore"):
+        needed = np.ceil(numbers * np.divide(share, 1.0 - share) - 1e-9)
+    before = np.minimum(np.maximum(natural, needed), len(within)).astype(np.int64)
+    out = np.empty(len(rows), np.int64)
+    places = before + np.arange(len(without))
+    taken = np.zeros(len(rows), np.bool_)
+    taken[places] = True
+    out[places] = without
+    out[~taken] = within
+    return out

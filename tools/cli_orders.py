@@ -1,0 +1,281 @@
+"""Options that say which splats come first, and what they mean for a scene."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import click
+
+from cogsplat.codec import objects
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.order import (
+    FIRST_VIEW,
+    FRUSTUM,
+    ORDERS,
+    POSE_RULES,
+    OrderConfig,
+    split_name,
+)
+from cogsplat.codec.order_octree import MAX_DEPTH
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.splats import Splats
+
+from .cli_inputs import given_cameras
+from .cli_options import PATH
+
+_DEFAULTS: Final = OrderConfig()
+
+Budgets = tuple[tuple[int | None, float], ...]
+
+
+@dataclass(frozen=True)
+class OrderChoice:
+    """What was asked for.
+
+    Parameters
+    ----------
+    name : str
+        An order, alone or with a rule for a pose.
+    first_view : int or None
+        Index of a camera.
+    first_view_share, frustum_share : float
+    octree_depth, seed : int
+    by_object : bool
+    budgets : Budgets
+    masks : Path or None
+        Folder of masks that labels are made from.
+    """
+
+    name: str
+    first_view: int | None
+    first_view_share: float
+    frustum_share: float
+    octree_depth: int
+    seed: int
+    by_object: bool
+    budgets: Budgets
+    masks: Path | None
+
+    @property
+    def base(self) -> str:
+        """The order without its rule for a pose."""
+        return split_name(self.name)[0]
+
+    def config(self, cameras: Sequence[Camera]) -> OrderConfig:
+        """Return the parameters for a scene.
+
+        Parameters
+        ----------
+        cameras : sequence of Camera
+            What the index of the first view counts.
+
+        Raises
+        ------
+        click.UsageError
+            There is no such camera.
+        """
+        view = None
+        if self.first_view is not None:
+            if self.first_view >= len(cameras):
+                raise click.UsageError(
+                    f"--first-view {self.first_view}, expected 0 to {len(cameras) - 1}"
+                )
+            view = cameras[self.first_view]
+        return OrderConfig(
+            octree_depth=self.octree_depth,
+            first_view=view,
+            first_view_share=self.first_view_share,
+            frustum_share=self.frustum_share,
+            seed=self.seed,
+            by_object=self.by_object,
+            object_budgets=self.budgets,
+        )
+
+    def labelled(
+        self, splats: Splats, cameras: Path | None, *, threads: int = 0, progress: Progress = silent
+    ) -> Splats:
+        """Return the scene with the labels that its masks give it, where there are masks.
+
+        Parameters
+        ----------
+        splats : Splats
+            As its cameras see it: masks go by the file's own frame.
+        cameras : Path or None
+        threads : int
+        progress : Progress
+
+        Raises
+        ------
+        click.UsageError
+            Masks and no cameras.
+        CogsplatError
+            The masks cannot be read or fit no camera.
+        """
+        if self.masks is None:
+            return splats
+        if cameras is None:
+            raise click.UsageError("--masks without --cameras, expected those the masks belong to")
+        from cogsplat.codec.object_masks import assign
+
+        from .masks import read_masks
+
+        views, pictures = read_masks(self.masks, given_cameras(cameras))
+        labels = assign(splats, views, pictures, threads=threads, progress=progress)
+        return objects.with_labels(splats, labels)
+
+
+def order_name(text: str) -> str:
+    """Read an order's name, alone or with a rule for a pose.
+
+    Raises
+    ------
+    click.BadParameter
+        It is none.
+    """
+    try:
+        split_name(text)
+    except ValueError:
+        raise click.BadParameter(
+            f"{text!r}, expected one of {', '.join(ORDERS)}; alone, or followed by "
+            f"{' or '.join('+' + rule for rule in POSE_RULES)}"
+        ) from None
+    return text
+
+
+def budgets(text: str) -> Budgets:
+    """Read shares of objects such as ``20%`` or ``1:50%,2:10%``.
+
+    Raises
+    ------
+    click.BadParameter
+        They are none.
+    """
+    found: dict[int | None, float] = {}
+    for part in text.split(","):
+        label, colon, share = part.strip().rpartition(":")
+        digits = share.removesuffix("%")
+        number = digits.replace(".", "", 1)
+        known = share.endswith("%") and number.isascii() and number.isdigit()
+        named = label.isascii() and label.isdigit() and len(label) <= 10 if colon else True
+        key = int(label) if colon and named else None
+        if not known or not named or float(digits) > 100 or key in found:
+            raise click.BadParameter(
+                f"{text!r}, expected a share of every object such as 20%, or of some: 1:50%,2:10%"
+            )
+        found[key] = float(digits) / 100
+    return tuple(found.items())
+
+
+def order_options(command: Callable[..., object]) -> Callable[..., object]:
+    """Add ``--order`` and what goes with it, given on as ``choice``."""
+
+    @functools.wraps(command)
+    def chosen(
+        *,
+        order: str,
+        first_view: int | None,
+        first_view_share: float,
+        frustum_share: float | None,
+        octree_depth: int,
+        seed: int,
+        objects: bool,
+        object_budgets: Budgets | None,
+        masks: Path | None,
+        **others: object,
+    ) -> object:
+        rule = split_name(order)[1]
+        if rule and first_view is None:
+            raise click.UsageError(f"--order {order} without --first-view, expected both")
+        if first_view is not None and not rule:
+            order = f"{order}+{FIRST_VIEW if frustum_share is None else FRUSTUM}"
+        elif rule == FIRST_VIEW and frustum_share is not None:
+            raise click.UsageError(f"--order {order} with --frustum-share, expected one of them")
+        if frustum_share is not None and first_view is None:
+            raise click.UsageError("--frustum-share without --first-view, expected both")
+        choice = OrderChoice(
+            name=order,
+            first_view=first_view,
+            first_view_share=first_view_share,
+            frustum_share=_DEFAULTS.frustum_share if frustum_share is None else frustum_share,
+            octree_depth=octree_depth,
+            seed=seed,
+            by_object=objects or masks is not None or object_budgets is not None,
+            budgets=object_budgets or (),
+            masks=masks,
+        )
+        return command(choice=choice, **others)
+
+    options = [
+        click.option(
+            "--order",
+            type=order_name,
+            default="contribution",
+            show_default=True,
+            metavar="NAME",
+            help=f"Which splats come first: {', '.join(ORDERS)}.",
+        ),
+        click.option(
+            "--first-view",
+            type=click.IntRange(min=0),
+            metavar="INDEX",
+            help="Serve this camera first, from 0: by what each splat adds to its picture. "
+            "Without --cameras, of the views made up.",
+        ),
+        click.option(
+            "--first-view-share",
+            type=click.FloatRange(0, 1),
+            default=_DEFAULTS.first_view_share,
+            show_default=True,
+            metavar="SHARE",
+            help="Share of the splats that are ordered by the first view alone.",
+        ),
+        click.option(
+            "--frustum-share",
+            type=click.FloatRange(0, 1),
+            metavar="SHARE",
+            help="Serve the first view by its frustum instead: of every prefix, keep so much "
+            "inside, while that lasts.",
+        ),
+        click.option(
+            "--octree-depth",
+            type=click.IntRange(0, MAX_DEPTH),
+            default=_DEFAULTS.octree_depth,
+            show_default=True,
+            metavar="N",
+            help="Of the octree orders.",
+        ),
+        click.option(
+            "--seed",
+            type=click.IntRange(min=0),
+            default=_DEFAULTS.seed,
+            show_default=True,
+            metavar="N",
+            help="Of the random order.",
+        ),
+        click.option(
+            "--objects",
+            is_flag=True,
+            help=f"Chunks of one object each, by the attribute {objects.ATTRIBUTE!r}.",
+        ),
+        click.option(
+            "--object-budgets",
+            type=budgets,
+            metavar="P%|N:P%,…",
+            help="Send this share of every object, or of object N, before the rest; the objects "
+            "that matter most go first.",
+        ),
+        click.option(
+            "--masks",
+            type=PATH,
+            metavar="DIR",
+            help="Label splats by pictures of the objects, named as the cameras: 0 is no object.",
+        ),
+    ]
+    decorated: Callable[..., object] = chosen
+    for option in reversed(options):
+        decorated = option(decorated)
+    return decorated
