@@ -9,10 +9,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.attributes import types_of
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encoder import EncodedChunk, EncodedScene
 
 from . import cogs_layout as layout
+from .cogs_cameras import pack_cameras
 from .cogs_layout import SegmentKind
 from .cogs_root import ChunkTable, CodebookEntry, Root, no_segments
 from .cogs_writer import Segment, lay_out, write_cogs
@@ -27,6 +29,7 @@ def save(
     *,
     writer: str,
     first_view: Camera | None = None,
+    cameras: Sequence[Camera] = (),
     force: bool = False,
 ) -> int:
     """Write an encoded scene as a COGS file.
@@ -39,6 +42,8 @@ def save(
         Name and version of the program, for the root.
     first_view : Camera, optional
         Where a viewer starts.
+    cameras : sequence of Camera
+        Stored in the file.
     force : bool
         Replace an existing file.
 
@@ -51,8 +56,11 @@ def save(
     ------
     StorageError
         ``exists``, ``disk-full``, ``permission``, ``not-found`` or ``io``.
+    DataError
+        ``root-size``, ``bad-scene-info``, ``too-many-cameras`` or ``bad-camera``.
     """
-    return write_cogs(path, build_root(scene, writer, first_view), segments(scene), force=force)
+    root = build_root(scene, writer, first_view)
+    return write_cogs(path, root, segments(scene, cameras), force=force)
 
 
 def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = None) -> Root:
@@ -79,12 +87,19 @@ def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = Non
         first_view=first_view,
         segments=no_segments(),
         chunks=table,
+        attributes=types_of(scene.scene.extras),
     )
 
 
-def size_bytes(scene: EncodedScene, *, writer: str, first_view: Camera | None = None) -> int:
+def size_bytes(
+    scene: EncodedScene,
+    *,
+    writer: str,
+    first_view: Camera | None = None,
+    cameras: Sequence[Camera] = (),
+) -> int:
     """Return the bytes that `save` would write."""
-    parts = lay_out(build_root(scene, writer, first_view), segments(scene))
+    parts = lay_out(build_root(scene, writer, first_view), segments(scene, cameras))
     return sum(len(part) for part in parts)
 
 
@@ -98,8 +113,11 @@ def _outward(chunks: Sequence[EncodedChunk]) -> NDArray[np.float32]:
     return np.concatenate([low, high], axis=1).astype(np.float32)
 
 
-def segments(scene: EncodedScene) -> list[Segment]:
-    """Return the segments of a scene in the order a client should receive them (SPEC 5.1)."""
+def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segment]:
+    """Return the segments of a scene in the order a client should receive them (SPEC 5.1).
+
+    Behind all that a picture needs stand the cameras, then the extra attributes.
+    """
     out: list[Segment] = []
     shapes = [(i, book) for i, book in enumerate(scene.codebooks) if book.attribute == "shape"]
     colours = [(i, book) for i, book in enumerate(scene.codebooks) if book.attribute == "colour"]
@@ -121,4 +139,9 @@ def segments(scene: EncodedScene) -> list[Segment]:
         if not plain:
             out += waiting
             waiting = []
+    if cameras:
+        out.append(Segment(SegmentKind.CAMERAS, 0, pack_cameras(cameras)))
+    for number, chunk in enumerate(scene.chunks):
+        if chunk.attributes is not None:
+            out.append(Segment(SegmentKind.ATTRIBUTES, number, chunk.attributes))
     return out

@@ -41,6 +41,10 @@ class Index:
         Byte offset of each segment.
     heads, tails : (c,) int64
         Row of each chunk's head and tail in `segments`; -1 where there is no tail.
+    attributes : (c,) int64
+        Row of each chunk's extra attributes; -1 where it has none, or its page is not there.
+    cameras : int
+        Row of the cameras; -1 where there are none, or their page is not there.
     codebooks : sequence of mapping of SegmentKind to int
         For each codebook, the rows of its segments by kind; a page that is not there may lack some.
     all_chunks : int
@@ -54,6 +58,8 @@ class Index:
     offsets: I64
     heads: I64
     tails: I64
+    attributes: I64
+    cameras: int
     codebooks: Sequence[Mapping[SegmentKind, int]]
     all_chunks: int
 
@@ -156,6 +162,8 @@ def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> 
         offsets=np.concatenate(offsets),
         heads=heads,
         tails=tails,
+        attributes=_attribute_segments(source, root, table, heads),
+        cameras=_camera_segment(source, table),
         codebooks=_codebook_segments(source, root, table, whole=whole),
         all_chunks=len(root.chunks) + sum(page.chunks for page in root.pages),
     )
@@ -217,6 +225,39 @@ def _chunk_segments(
         )
     tails[owners] = rows
     return heads, tails
+
+
+def _attribute_segments(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
+    """Return the row of each chunk's extra attributes (SPEC 5.7)."""
+    rows = np.flatnonzero(table.kind == SegmentKind.ATTRIBUTES)
+    owners = table.owner[rows]
+    found = np.full(len(heads), -1, np.int64)
+    once = len(np.unique(owners)) == len(owners) and bool((owners < len(heads)).all())
+    listed = bool(root.attributes) or not len(rows)
+    if not listed or not once or bool((heads[owners] > rows).any()):
+        raise FormatError(
+            "attribute-segments",
+            f"{source.name}: attributes of chunks {owners.tolist()[:8]}, expected at most one "
+            f"segment for each of {len(heads)} chunks, behind its head, of "
+            f"{len(root.attributes)} attributes in the root",
+            clause="5.7",
+        )
+    found[owners] = rows
+    return found
+
+
+def _camera_segment(source: Source, table: SegmentTable) -> int:
+    """Return the row of the cameras (SPEC 5.8)."""
+    rows = np.flatnonzero(table.kind == SegmentKind.CAMERAS)
+    owners = table.owner[rows]
+    if len(rows) > 1 or owners.any():
+        raise FormatError(
+            "camera-segments",
+            f"{source.name}: cameras of the owners {owners.tolist()[:8]}, expected one segment at "
+            "most, of owner 0",
+            clause="5.8",
+        )
+    return int(rows[0]) if len(rows) else -1
 
 
 def _check_counts(

@@ -33,10 +33,11 @@ MAX_PAGES: Final = 128
 MAX_SEGMENTS: Final = 1 << 20
 MAX_CODEBOOKS: Final = 32
 MAX_SPLATS: Final = (1 << 31) - 1
+MAX_CAMERAS: Final = 1 << 16
 
 
 class SegmentKind(IntEnum):
-    """What a segment holds (SPEC 5.2); 128 and above may be skipped when unknown."""
+    """What a segment holds (SPEC 5.2); 128 and above may be skipped."""
 
     HEAD = 1
     TAIL = 2
@@ -44,6 +45,8 @@ class SegmentKind(IntEnum):
     COLOUR_BAND1 = 4
     COLOUR_BAND2 = 5
     COLOUR_BAND3 = 6
+    CAMERAS = 128
+    ATTRIBUTES = 129
 
 
 COLOUR_BANDS: Final = (

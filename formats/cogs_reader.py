@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Final
@@ -12,13 +12,15 @@ from typing import Final
 import numpy as np
 
 from cogsplat.codec import compiled, decoder
+from cogsplat.codec.attributes import AttributeType, unpack_attributes
+from cogsplat.codec.cameras import Camera
 from cogsplat.codec.decoder import Codebook
 from cogsplat.codec.errors import FormatError, LimitError, TruncatedError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, empty, sh_coefficients
 from cogsplat.codec.threads import ordered_map, thread_count
 
-from . import cogs_root
+from . import cogs_cameras, cogs_root
 from .cogs_index import Index, codebook_kinds, read_index
 from .cogs_layout import SegmentKind
 from .cogs_root import Root
@@ -123,6 +125,33 @@ class CogsFile:
         row = int(self._index.tails[chunk])
         return row < 0 or self._complete(row, min(sh_degree, self.root.sh_degree))
 
+    def has_extras(self, chunk: int) -> bool:
+        """Whether the extra attributes of a chunk's splats can be decoded."""
+        row = int(self._index.attributes[chunk])
+        return row >= 0 and self._present(row)
+
+    @property
+    def camera_row(self) -> int | None:
+        """Row of the segment of cameras, None where the file has none."""
+        return self._index.cameras if self._index.cameras >= 0 else None
+
+    def cameras(self) -> list[Camera]:
+        """Return the cameras that the file brings, none where it brings none.
+
+        Raises
+        ------
+        TruncatedError
+            ``file-truncated``: a partial source does not hold them.
+        FormatError, UnsupportedError
+            They break SPEC 5.8.
+        """
+        row = self.camera_row
+        if row is None:
+            return []
+        if not self._present(row):
+            raise self._not_there("the segment of cameras")
+        return cogs_cameras.unpack_cameras(bytes(self.read_segment(row)), f"{self.name}: cameras")
+
     def chunks_for_splats(self, splats: int) -> int:
         """Return how many whole chunks hold at least `splats` splats, or all chunks there are."""
         reached = np.cumsum(self.chunks.splats.astype(np.int64)) >= splats
@@ -158,6 +187,7 @@ class CogsFile:
         chunks: Iterable[int] | None = None,
         *,
         sh_degree: int | None = None,
+        extras: bool = True,
         threads: int = 0,
         progress: Progress = silent,
     ) -> Splats:
@@ -169,6 +199,8 @@ class CogsFile:
             Chunk numbers; by default all that are complete.
         sh_degree : int, optional
             Highest SH degree wanted; lower than the file's, bands and perhaps tails are skipped.
+        extras : bool
+            Whether to read extra attributes of the splats.
         threads : int
             0 uses as many as pay. The result does not depend on it.
         progress : Progress
@@ -176,7 +208,8 @@ class CogsFile:
         Returns
         -------
         Splats
-            Stored rows, shN zero where a partial file lacks the tail.
+            Stored rows, shN zero where a partial file lacks the tail. `Splats.extras` are there
+            where every chunk has them.
 
         Raises
         ------
@@ -197,9 +230,10 @@ class CogsFile:
         # Codebooks first, on this thread, so that the workers only read them.
         for chunk in wanted:
             self._load_codebooks(chunk, degree)
-        self._check_size(sum(counts), degree)
+        kinds = self.root.attributes if extras and all(map(self.has_extras, wanted)) else ()
+        self._check_size(sum(counts), degree, sum(kind.row_bytes for kind in kinds))
         compiled.prepare(sum(counts))
-        out = _allocate(sum(counts), degree, self.root)
+        out = _allocate(sum(counts), degree, self.root, kinds)
         stops = np.cumsum(counts).tolist()
         tasks = [
             (chunk, out.take(slice(stop - count, stop)))
@@ -240,6 +274,7 @@ class CogsFile:
         # Codebooks that no chunk needs are part of the file too.
         for book in range(len(self.root.codebooks)):
             self._load_codebook(book, self.root.sh_degree)
+        self.cameras()
         for chunk in range(self.num_chunks):
             means = self.decode([chunk]).means
             box = self.chunks.box[chunk]
@@ -291,8 +326,8 @@ class CogsFile:
         rows = [found[kind] for kind in kinds if kind in found]
         return rows if len(rows) == len(kinds) and all(map(self._present, rows)) else None
 
-    def _check_size(self, splats: int, degree: int) -> None:
-        size = splats * (_HEAD_ROW_BYTES + 12 * (sh_coefficients(degree) - 1))
+    def _check_size(self, splats: int, degree: int, extra_bytes: int = 0) -> None:
+        size = splats * (_HEAD_ROW_BYTES + 12 * (sh_coefficients(degree) - 1) + extra_bytes)
         size += sum(book.nbytes for book in self._codebooks.values())
         limits = self._limits
         allowed = min(
@@ -338,6 +373,9 @@ class CogsFile:
         where = f"{self.name}: chunk {chunk}"
         payload = self.read_segment(head)
         decoder.decode_head(payload, self._books(head, degree), out, f"{where} head")
+        if out.extras:
+            payload = self.read_segment(int(self._index.attributes[chunk]))
+            unpack_attributes(payload, self.root.attributes, out.extras, f"{where} attributes")
         if not degree:
             return
         tail = int(self._index.tails[chunk])
@@ -384,7 +422,7 @@ def _workers(splats: int) -> int:
     return 0 if compiled.ready() and splats >= _WORTH_THREADS else 1
 
 
-def _allocate(rows: int, degree: int, root: Root) -> Splats:
+def _allocate(rows: int, degree: int, root: Root, kinds: Sequence[AttributeType]) -> Splats:
     blank = empty(degree, 0, root.info)
     return replace(
         blank,
@@ -394,4 +432,5 @@ def _allocate(rows: int, degree: int, root: Root) -> Splats:
         opacities=np.empty(rows, np.float32),
         sh0=np.empty((rows, 3), np.float32),
         shN=np.empty((rows, sh_coefficients(degree) - 1, 3), np.float32),
+        extras={kind.name: kind.allocate(rows) for kind in kinds},
     )

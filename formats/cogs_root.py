@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.attributes import AttributeType
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.chunking import MAX_CHUNK_SPLATS
 from cogsplat.codec.errors import DataError, FormatError, UnsupportedError
 from cogsplat.codec.metrics import PSNR_CAP_DB
-from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo
+from cogsplat.codec.splats import (
+    EXTRA_DTYPES,
+    MAX_EXTRA_COMPONENTS,
+    MAX_EXTRAS,
+    MAX_SH_DEGREE,
+    SceneInfo,
+)
 from cogsplat.codec.streams import MAX_CODEBOOK_ROWS
 
 from . import cogs_layout as layout
+from .cogs_map import CheckedMap
 from .strict_msgpack import Value
 
 U32 = NDArray[np.uint32]
@@ -27,9 +34,6 @@ HASH_BYTES: Final = 16
 
 CODEBOOK_ATTRIBUTES: Final = ("shape", "colour")
 COLOUR_SPACES: Final = ("srgb", "linear")
-
-_MAX_TEXT: Final = 255
-_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +153,8 @@ class Root:
     chunks : ChunkTable
         Likewise.
     pages : sequence of PageEntry
+    attributes : sequence of AttributeType
+        Extra attributes of the splats, of which chunks have segments of their own.
     """
 
     writer: str
@@ -161,6 +167,7 @@ class Root:
     segments: SegmentTable
     chunks: ChunkTable
     pages: Sequence[PageEntry] = field(default=())
+    attributes: Sequence[AttributeType] = field(default=())
 
 
 def _column(values: NDArray[np.generic], dtype: str) -> bytes:
@@ -214,6 +221,8 @@ def root_value(root: Root) -> dict[str, Value]:
     }
     if root.first_view is not None:
         value["first_view"] = _camera_value(root.first_view)
+    if root.attributes:
+        value["attributes"] = [_attribute_value(kind) for kind in root.attributes]
     if root.pages:
         value["pages"] = [
             {
@@ -225,6 +234,13 @@ def root_value(root: Root) -> dict[str, Value]:
             }
             for page in root.pages
         ]
+    return value
+
+
+def _attribute_value(kind: AttributeType) -> dict[str, Value]:
+    value: dict[str, Value] = {"name": kind.name, "type": kind.dtype}
+    if kind.components:
+        value["components"] = kind.components
     return value
 
 
@@ -241,82 +257,6 @@ def _camera_value(camera: Camera) -> dict[str, Value]:
     }
 
 
-class _Map:
-    """A map whose keys are taken one by one, each with its type."""
-
-    def __init__(self, value: Value, where: str, clause: str) -> None:
-        if not isinstance(value, dict):
-            raise FormatError(
-                "root-type", f"{where}: {type(value).__name__}, expected a map", clause=clause
-            )
-        self._value = dict(value)
-        self._where = where
-        self._clause = clause
-
-    def error(self, key: str, message: str, code: str = "root-value") -> FormatError:
-        return FormatError(code, f"{self._where}, {key}: {message}", clause=self._clause)
-
-    def has(self, key: str) -> bool:
-        return key in self._value
-
-    def take(self, key: str, kind: type[_T]) -> _T:
-        if key not in self._value:
-            raise FormatError(
-                "root-missing", f"{self._where}: no key {key!r}, expected one", clause=self._clause
-            )
-        value = self._value.pop(key)
-        # bool is an int in Python, and never one here.
-        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            raise self.error(key, f"{type(value).__name__}, expected {kind.__name__}", "root-type")
-        return value
-
-    def integer(self, key: str, low: int, high: int) -> int:
-        value = self.take(key, int)
-        if not low <= value <= high:
-            raise self.error(key, f"{value}, expected {low} to {high}")
-        return value
-
-    def text(self, key: str) -> str:
-        value = self.take(key, str)
-        if len(value.encode()) > _MAX_TEXT:
-            raise self.error(key, f"{len(value)} characters, expected at most {_MAX_TEXT} bytes")
-        return value
-
-    def number(self, key: str) -> float:
-        value = self.take(key, float)
-        if not math.isfinite(value):
-            raise self.error(key, f"{value}, expected a finite number")
-        return value
-
-    def numbers(self, key: str, count: int) -> list[float]:
-        values = self.take(key, list)
-        if len(values) != count or not all(
-            isinstance(v, float) and math.isfinite(v) for v in values
-        ):
-            raise self.error(key, f"expected {count} finite float64 numbers")
-        return [float(v) for v in values if isinstance(v, float)]
-
-    def column(self, key: str, dtype: str, rows: int | None, width: int = 1) -> NDArray[np.generic]:
-        data = self.take(key, bytes)
-        item = np.dtype(dtype).itemsize * width
-        if len(data) % item or (rows is not None and len(data) != rows * item):
-            expected = f"{rows} rows" if rows is not None else "whole rows"
-            raise self.error(
-                key, f"{len(data)} bytes, expected {expected} of {item}", "root-columns"
-            )
-        flat = np.frombuffer(data, dtype)
-        return flat.reshape(-1, width) if width > 1 else flat
-
-    def finish(self) -> None:
-        """Refuse what must be understood and is not: unknown keys that end in ``!`` (SPEC 4.3)."""
-        for key in self._value:
-            if key.endswith("!"):
-                raise UnsupportedError(
-                    "root-must-understand",
-                    f"{self._where}: the key {key!r} must be understood (SPEC 4.3)",
-                )
-
-
 def parse_segments(value: Value, where: str) -> SegmentTable:
     """Read a segment table.
 
@@ -327,7 +267,7 @@ def parse_segments(value: Value, where: str) -> SegmentTable:
     UnsupportedError
         ``segment-kind-unknown``, ``root-must-understand``.
     """
-    table = _Map(value, f"{where}, segments", "5.3")
+    table = CheckedMap(value, f"{where}, segments", "5.3")
     kind = table.column("kind", "u1", None).astype(np.uint8)
     rows = len(kind)
     owner = table.column("owner", "<u4", rows)
@@ -358,7 +298,7 @@ def parse_segments(value: Value, where: str) -> SegmentTable:
 
 def parse_chunks(value: Value, where: str) -> ChunkTable:
     """Read a chunk table; raises as `parse_segments` does."""
-    table = _Map(value, f"{where}, chunks", "5.4")
+    table = CheckedMap(value, f"{where}, chunks", "5.4")
     splats = table.column("splats", "<u4", None).astype(np.uint32)
     rows = len(splats)
     box = table.column("box", "<f4", rows, 6).astype(np.float32).reshape(rows, 6)
@@ -392,7 +332,7 @@ def parse_chunks(value: Value, where: str) -> ChunkTable:
 
 def parse_root(value: Value, where: str) -> Root:
     """Read the root map (SPEC 4.2); raises as `parse_segments` does."""
-    root = _Map(value, where, "4.2")
+    root = CheckedMap(value, where, "4.2")
     writer = root.text("writer")
     splats = root.integer("splats", 0, layout.MAX_SPLATS)
     sh_degree = root.integer("sh_degree", 0, MAX_SH_DEGREE)
@@ -413,6 +353,7 @@ def parse_root(value: Value, where: str) -> Root:
     if len(codebooks) > layout.MAX_CODEBOOKS:
         raise root.error("codebooks", f"{len(codebooks)}, expected at most {layout.MAX_CODEBOOKS}")
     first_view = _camera(root.take("first_view", dict), where) if root.has("first_view") else None
+    attributes = _attributes(root, where)
     pages = [_page(v, where) for v in root.take("pages", list)] if root.has("pages") else []
     if len(pages) > layout.MAX_PAGES:
         raise root.error("pages", f"{len(pages)}, expected at most {layout.MAX_PAGES}")
@@ -420,13 +361,23 @@ def parse_root(value: Value, where: str) -> Root:
     chunks = parse_chunks(root.take("chunks", dict), where)
     root.finish()
     return Root(
-        writer, splats, sh_degree, info, box, codebooks, first_view, segments, chunks, pages
+        writer=writer,
+        splats=splats,
+        sh_degree=sh_degree,
+        info=info,
+        box=box,
+        codebooks=codebooks,
+        first_view=first_view,
+        segments=segments,
+        chunks=chunks,
+        pages=pages,
+        attributes=attributes,
     )
 
 
 def parse_page(value: Value, entry: PageEntry, where: str) -> tuple[SegmentTable, ChunkTable]:
     """Read an index page and check it against the root's entry (SPEC 5.6)."""
-    page = _Map(value, where, "5.6")
+    page = CheckedMap(value, where, "5.6")
     segments = parse_segments(page.take("segments", dict), where)
     chunks = parse_chunks(page.take("chunks", dict), where)
     page.finish()
@@ -442,7 +393,7 @@ def parse_page(value: Value, entry: PageEntry, where: str) -> tuple[SegmentTable
     return segments, chunks
 
 
-def _axes(root: _Map) -> str:
+def _axes(root: CheckedMap) -> str:
     axes = root.text("axes")
     pairs = ["RL", "UD", "FB"]
     if len(axes) != 3 or {next((p for p in pairs if a in p), "") for a in axes} != set(pairs):
@@ -450,7 +401,7 @@ def _axes(root: _Map) -> str:
     return axes
 
 
-def _colour_space(root: _Map) -> str:
+def _colour_space(root: CheckedMap) -> str:
     name = root.text("colour_space")
     if name not in COLOUR_SPACES:
         raise UnsupportedError(
@@ -461,7 +412,7 @@ def _colour_space(root: _Map) -> str:
 
 
 def _codebook(value: Value, where: str) -> CodebookEntry:
-    book = _Map(value, f"{where}, codebooks", "5.5")
+    book = CheckedMap(value, f"{where}, codebooks", "5.5")
     entry = CodebookEntry(book.text("attribute"), book.integer("rows", 1, MAX_CODEBOOK_ROWS))
     book.finish()
     if entry.attribute not in CODEBOOK_ATTRIBUTES:
@@ -473,8 +424,38 @@ def _codebook(value: Value, where: str) -> CodebookEntry:
     return entry
 
 
+def _attributes(root: CheckedMap, where: str) -> list[AttributeType]:
+    if not root.has("attributes"):
+        return []
+    values = root.take("attributes", list)
+    if len(values) > MAX_EXTRAS:
+        raise root.error("attributes", f"{len(values)}, expected at most {MAX_EXTRAS}")
+    found = [_attribute(value, where) for value in values]
+    if len({kind.name for kind in found}) < len(found):
+        raise root.error("attributes", "a name twice, expected each once")
+    return found
+
+
+def _attribute(value: Value, where: str) -> AttributeType:
+    entry = CheckedMap(value, f"{where}, attributes", "5.7")
+    name, dtype = entry.text("name"), entry.text("type")
+    components = 0
+    if entry.has("components"):
+        components = entry.integer("components", 1, MAX_EXTRA_COMPONENTS)
+    entry.finish()
+    if not name:
+        raise entry.error("name", "no characters, expected some")
+    if dtype not in EXTRA_DTYPES:
+        raise UnsupportedError(
+            "attribute-type-unknown",
+            f"{where}: attribute {name!r} of type {dtype!r}, expected one of "
+            f"{', '.join(EXTRA_DTYPES)} (SPEC 5.7)",
+        )
+    return AttributeType(name, dtype, components)
+
+
 def _page(value: Value, where: str) -> PageEntry:
-    page = _Map(value, f"{where}, pages", "5.6")
+    page = CheckedMap(value, f"{where}, pages", "5.6")
     entry = PageEntry(
         length=page.integer("length", 1, layout.MAX_PAGE_BYTES),
         crc=page.integer("crc", 0, (1 << 32) - 1),
@@ -487,7 +468,7 @@ def _page(value: Value, where: str) -> PageEntry:
 
 
 def _camera(value: Value, where: str) -> Camera:
-    view = _Map(value, f"{where}, first_view", "4.4")
+    view = CheckedMap(value, f"{where}, first_view", "4.4")
     width = view.integer("width", 1, 65535)
     height = view.integer("height", 1, 65535)
     fx, fy, cx, cy = (view.number(key) for key in ("fx", "fy", "cx", "cy"))

@@ -83,7 +83,8 @@ def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
     Raises
     ------
     DataError
-        ``bad-scene-info``: the root holds a value that no reader would accept.
+        ``bad-scene-info``: the root holds a value that no reader would accept; ``root-size``: it
+        is too long.
     """
     if len(segments) > layout.MAX_SEGMENTS:
         raise ValueError(f"{len(segments)} segments, expected at most {layout.MAX_SEGMENTS}")
@@ -124,7 +125,11 @@ def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
         layout.MAJOR, layout.MINOR, len(root_bytes), length, zlib.crc32(root_bytes)
     )
     if layout.PREAMBLE_BYTES + len(root_bytes) > layout.MAX_ROOT_END:
-        raise ValueError(f"a root of {len(root_bytes)} bytes: texts or codebooks are too many")
+        raise DataError(
+            "root-size",
+            f"a root of {len(root_bytes)} bytes, expected at most "
+            f"{layout.MAX_ROOT_END - layout.PREAMBLE_BYTES}: fewer attributes or shorter names",
+        )
     return [layout.pack_preamble(preamble), *parts]
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cogsplat.codec import chunking, colour_streams, grid, morton, planes, resolution, streams
-from cogsplat.codec.splats import MAX_SH_DEGREE
+from cogsplat.codec.splats import MAX_EXTRA_COMPONENTS, MAX_EXTRAS, MAX_SH_DEGREE
 from cogsplat.formats import cogs_layout, cogs_root, strict_msgpack
 from cogsplat.tools import make_vectors
 
@@ -190,6 +190,7 @@ def test_numbers_of_segment_kinds():
     (rows,) = tables(section("5.2 "))
     known = {int(row[0]): row[1] for row in rows if row[0].isdigit()}
     words = {"head": "HEAD", "tail": "TAIL", "shape codebook": "SHAPE_CODEBOOK"}
+    words |= {"cameras": "CAMERAS", "attributes": "ATTRIBUTES"}
     words |= {f"colour codebook, band {b}": f"COLOUR_BAND{b}" for b in (1, 2, 3)}
     assert {n: words[name] for n, name in known.items()} == {
         int(k): k.name for k in cogs_layout.SegmentKind
@@ -206,8 +207,10 @@ def test_keys_are_those_the_code_writes():
     blank = cogs_root.no_segments()
     assert keys("5.3 ") == list(cogs_root.segments_value(blank))
     source = (ROOT / "formats" / "cogs_root.py").read_text(encoding="utf-8")
-    for clause in ("4.2 ", "4.4 ", "5.4 ", "5.5 ", "5.6 "):
+    for clause in ("4.2 ", "4.4 ", "5.4 ", "5.5 ", "5.6 ", "5.7 "):
         assert [key for key in keys(clause) if f'"{key}"' not in source] == []
+    source = (ROOT / "formats" / "cogs_cameras.py").read_text(encoding="utf-8")
+    assert [key for key in keys("5.8 ") if f'"{key}"' not in source] == []
 
 
 def test_limits_are_the_constants():
@@ -220,6 +223,9 @@ def test_limits_are_the_constants():
         "segments of a file": cogs_layout.MAX_SEGMENTS,
         "index pages": cogs_layout.MAX_PAGES,
         "bytes of an index page": cogs_layout.MAX_PAGE_BYTES,
+        "attributes": MAX_EXTRAS,
+        "components of an attribute": MAX_EXTRA_COMPONENTS,
+        "cameras": cogs_layout.MAX_CAMERAS,
         "nesting of root and pages": strict_msgpack.MAX_DEPTH,
         "codebooks": cogs_layout.MAX_CODEBOOKS,
         "rows of a codebook": streams.MAX_CODEBOOK_ROWS,

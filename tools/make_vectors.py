@@ -21,6 +21,7 @@ import zstandard
 
 from cogsplat.formats.cogs_layout import MAJOR, MINOR
 
+from . import vectors_extras as extras
 from . import vectors_invalid_payload as payloads
 from . import vectors_invalid_root as roots
 from . import vectors_invalid_tables as tables
@@ -56,6 +57,8 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     transform.packings,
     transform.kinds,
     transform.bases,
+    extras.attributes,
+    extras.cameras,
 )
 
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
@@ -63,7 +66,7 @@ Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 
 def valid() -> list[Valid]:
     """Return all valid vectors, in the order of the manifest."""
-    return [*plain_valid(), *transform_valid()]
+    return [*plain_valid(), *transform_valid(), *extras.valid()]
 
 
 def invalid() -> list[Invalid]:
@@ -109,7 +112,20 @@ def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
         "shapes": {name: list(shape) for name, shape in _shapes(scene).items()},
         "prefixes": [[p.size, p.chunks, list(p.tails)] for p in scene.prefixes],
     }
+    if scene.attributes:
+        entry["attributes"] = [list(kind) for kind in scene.attributes]
+        entry["attribute_chunks"] = [
+            [chunk, [_sha256(values) for values in parts]]
+            for chunk, parts in scene.attribute_values.items()
+        ]
+    if scene.cameras:
+        cameras: list[Json] = [_camera(camera) for camera in scene.cameras]
+        entry["cameras"] = cameras
     return entry, arrays
+
+
+def _camera(camera: vectors_reference.Camera) -> Json:
+    return {key: list(value) if isinstance(value, list) else value for key, value in camera.items()}
 
 
 def _invalid_entry(vector: Invalid) -> dict[str, Json]:

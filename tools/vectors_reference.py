@@ -30,7 +30,10 @@ from .vectors_streams import (
 
 # SPEC 5.2, by number.
 _HEAD, _TAIL, _SHAPE_BOOK = 1, 2, 3
+_CAMERAS, _ATTRIBUTES = 128, 129
 _BAND_VALUES: Final = (9, 15, 21)
+
+Camera = dict[str, str | int | float | list[float]]
 
 
 @dataclass(frozen=True)
@@ -75,12 +78,21 @@ class Scene:
         By the names of `Splats`; ``shN`` in the order coefficient, channel.
     prefixes : list of Prefix
         From the end of the root on.
+    attributes : list of (name, type, components)
+        Extra attributes, components 0 where none are stated.
+    attribute_values : dict of int to list of bytes
+        For each chunk that has them the little-endian values of each attribute, row by row.
+    cameras : list of dict
+        With the keys of `first_view` and ``name``.
     """
 
     sh_degree: int
     chunk_splats: list[int]
     rows: dict[str, list[Row]]
     prefixes: list[Prefix]
+    attributes: list[tuple[str, str, int]]
+    attribute_values: dict[int, list[bytes]]
+    cameras: list[Camera]
 
 
 class _File:
@@ -194,6 +206,53 @@ def _tail(payload: Payload, books: dict[int, list[Row]], degree: int, rows: int)
     return [book[i] for i in streams.indices(colour, len(books[number]))]
 
 
+def _attribute_types(file: _File) -> list[tuple[str, str, int]]:
+    entries = file.root.get("attributes", [])
+    return [(entry["name"], entry["type"], entry.get("components", 0)) for entry in entries]
+
+
+def _attributes(file: _File) -> dict[int, list[bytes]]:
+    """Return the bytes of each chunk's extra attributes, row by row (SPEC 5.7)."""
+    sizes = [max(1, count) * int(kind[1]) for _, kind, count in _attribute_types(file)]
+    out: dict[int, list[bytes]] = {}
+    for segment in file.segments:
+        if segment.kind != _ATTRIBUTES:
+            continue
+        data = file.data[segment.start : segment.end]
+        words = struct.unpack_from(f"<{sum(sizes)}I", data)
+        rows, position = file.chunk_splats[segment.owner], 4 * sum(sizes)
+        planes = []
+        for word in words:
+            end = position + (word & 0x3FFFFFFF)
+            planes.append(streams.plane(word, data[position:end], rows))
+            position = end
+        parts = []
+        for size in sizes:
+            own, planes = planes[:size], planes[size:]
+            parts.append(bytes(plane[row] for row in range(rows) for plane in own))
+        out[segment.owner] = parts
+    return dict(sorted(out.items()))
+
+
+def _cameras(file: _File) -> list[Camera]:
+    """Return the cameras of a file (SPEC 5.8)."""
+    found = file.of(_CAMERAS, 0)
+    if not found:
+        return []
+    table = msgpack.unpackb(file.data[found[0].start : found[0].end])
+    out: list[Camera] = []
+    for row, name in enumerate(table["name"]):
+        camera: Camera = {"name": name}
+        for key in ("width", "height"):
+            camera[key] = struct.unpack_from("<H", table[key], 2 * row)[0]
+        for key in ("fx", "fy", "cx", "cy"):
+            camera[key] = struct.unpack_from("<d", table[key], 8 * row)[0]
+        camera["rotation"] = list(struct.unpack_from("<9d", table["rotation"], 72 * row))
+        camera["translation"] = list(struct.unpack_from("<3d", table["translation"], 24 * row))
+        out.append(camera)
+    return out
+
+
 def _prefixes(file: _File) -> list[Prefix]:
     """Return what each length of the file gives (SPEC 8.2)."""
 
@@ -229,4 +288,12 @@ def decode(data: bytes) -> Scene:
         head["shN"] = _tail(file.payload(tails[0]), books, degree, splats) if tails else blank
         for name in names:
             rows[name] += head[name]
-    return Scene(degree, file.chunk_splats, rows, _prefixes(file))
+    return Scene(
+        sh_degree=degree,
+        chunk_splats=file.chunk_splats,
+        rows=rows,
+        prefixes=_prefixes(file),
+        attributes=_attribute_types(file),
+        attribute_values=_attributes(file),
+        cameras=_cameras(file),
+    )

@@ -28,6 +28,19 @@ def f32(value: float) -> float:
     return rounded
 
 
+def plane(word: int, stored: bytes, length: int) -> bytes:
+    """Return a plane of so many symbols (SPEC 6.3, 6.9)."""
+    packed = word >> 30 & 1
+    octets: bytes = stored[packed:]
+    if word >> 31:
+        octets = zstandard.ZstdDecompressor().decompress(octets)
+    if not packed:
+        return octets
+    radix = stored[0]
+    count = max(d for d in range(1, 9) if radix**d <= 256)
+    return bytes(octets[j // count] // radix ** (j % count) % radix for j in range(length))
+
+
 class Record:
     """One stream of a payload (SPEC 6.2, 6.3)."""
 
@@ -37,17 +50,8 @@ class Record:
         self.stored: list[tuple[int, bytes]] = []
 
     def plane(self, index: int, length: int) -> bytes:
-        """Return a plane of so many symbols (SPEC 6.3, 6.9)."""
-        word, stored = self.stored[index]
-        packed = word >> 30 & 1
-        octets: bytes = stored[packed:]
-        if word >> 31:
-            octets = zstandard.ZstdDecompressor().decompress(octets)
-        if not packed:
-            return octets
-        radix = stored[0]
-        count = max(d for d in range(1, 9) if radix**d <= 256)
-        return bytes(octets[j // count] // radix ** (j % count) % radix for j in range(length))
+        """Return a plane of so many symbols."""
+        return plane(*self.stored[index], length)
 
 
 Payload = dict[tuple[int, int], Record]
