@@ -50,6 +50,8 @@ class OrderConfig:
         What the frustum is wider than the image at each side, as a share of its size.
     seed : int
         Of ``random``.
+    thickened : bool
+        Whether ``gain`` makes prefixes for being drawn with compensation, or as they are.
     by_object : bool
         Whether chunks hold one object each (`objects`); needs the attribute ``object``.
     object_budgets : tuple of (int, float)
@@ -63,6 +65,7 @@ class OrderConfig:
     frustum_share: float = _FRUSTUM_SHARE
     frustum_margin: float = _FRUSTUM_MARGIN
     seed: int = 0
+    thickened: bool = True
     by_object: bool = False
     object_budgets: tuple[tuple[int | None, float], ...] = ()
 
@@ -126,6 +129,13 @@ def _octree_quota(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
     return order_octree.quota(leaves, scene.scores.contribution)
 
 
+def _by_gain(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+    from .gain import GainConfig, gain_order
+
+    wanted = GainConfig(thickened=config.thickened, threads=scene.threads)
+    return gain_order(scene.splats, scene.scores, scene.views, wanted, progress=scene.progress)
+
+
 def _baseline(priority: Callable[[Splats], NDArray[np.float64]]) -> Order:
     return lambda scene, config: order_baselines.descending(priority(scene.splats))
 
@@ -141,6 +151,7 @@ def _random(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
 # What renders belongs in a module of its own, imported when it is asked for.
 _ORDERS: Final[Mapping[str, Order]] = {
     "contribution": by_contribution,
+    "gain": _by_gain,
     "octree-round-robin": _octree_round_robin,
     "octree-quota": _octree_quota,
     "antimatter": _baseline(order_baselines.antimatter),
@@ -202,7 +213,9 @@ def order_rows(name: str, scene: Unordered, config: OrderConfig | None = None) -
     ----------
     name : str
         ``contribution``: descending contribution, ties in file order (PRoGS, section 3.1);
-        ``octree-round-robin``, ``octree-quota``: every leaf of an octree gets its share early;
+        ``gain``: what the picture so far needs most (`gain`), by contribution where no views are
+        known; ``octree-round-robin``, ``octree-quota``: every leaf of an octree gets its share
+        early;
         ``antimatter``, ``sgss``, ``opacity``, ``scale``, ``distance``: what others sort by
         (`order_baselines`); ``source``: as in the file; ``random``. Followed by ``+first-view`` or
         ``+frustum`` (`order_views`), the same with one pose served first.
