@@ -99,6 +99,7 @@ def decode(
     chunks: tuple[int, int] | None = None,
     splats: int | None = None,
     size_bytes: int | None = None,
+    objects: Sequence[int] | None = None,
     sh_degree: int | None = None,
     limits: Limits | None = None,
     threads: int = 0,
@@ -115,6 +116,8 @@ def decode(
         Whole chunks from the first until there are at least so many splats.
     size_bytes : int, optional
         Only what is complete in the first so many bytes of the file.
+    objects : sequence of int, optional
+        The chunks of these objects alone, by label; `splats` counts theirs.
     sh_degree : int, optional
         Highest SH degree wanted, 0 to 3.
     limits : Limits, optional
@@ -144,14 +147,19 @@ def decode(
     if size_bytes is not None:
         source = PrefixSource(source, size_bytes)
     with open(source, partial=size_bytes is not None, limits=limits) as file:
-        wanted: range | None = None
+        wanted: Sequence[int] | None = None
         if chunks is not None:
             first, last = chunks
             if not 0 <= first <= last <= file.num_chunks:
                 raise ValueError(f"chunks {first}:{last}, expected a range in 0:{file.num_chunks}")
             wanted = range(first, last)
-        elif splats is not None:
-            wanted = range(file.chunks_for_splats(splats))
+        if objects is not None:
+            own = set(file.chunks_of_objects(objects))
+            wanted = range(file.complete_chunks()) if wanted is None else wanted
+            wanted = [chunk for chunk in wanted if chunk in own]
+        if splats is not None:
+            there = range(file.num_chunks) if wanted is None else wanted
+            wanted = file.first_chunks(there, splats)
         return file.decode(wanted, sh_degree=sh_degree, threads=threads, progress=progress)
 
 

@@ -159,6 +159,18 @@ class CogsFile:
             return 0
         return int(reached.argmax()) + 1 if reached.any() else self.num_chunks
 
+    def chunks_of_objects(self, objects: Iterable[int]) -> list[int]:
+        """Return the chunks that hold some of these objects, by label, in the file's order."""
+        wanted = np.isin(self.chunks.object, np.array(sorted(set(objects)), np.int64))
+        return [int(chunk) for chunk in np.flatnonzero(wanted)]
+
+    def first_chunks(self, chunks: Sequence[int], splats: int) -> Sequence[int]:
+        """Return the first of some chunks, so many that they hold at least `splats` splats."""
+        if splats <= 0:
+            return chunks[:0]
+        ends = np.cumsum(self.chunks.splats[list(chunks)].astype(np.int64))
+        return chunks[: int(np.searchsorted(ends, splats)) + 1]
+
     def read_segment(self, row: int) -> memoryview:
         """Return a segment's bytes, its CRC checked.
 

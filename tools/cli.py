@@ -33,6 +33,7 @@ from .cli_encode import encode
 from .cli_info import info
 from .cli_judge import compare, render
 from .cli_make import demo, synth
+from .cli_order import order
 from .cli_output import WARNINGS, say_json
 from .cli_score import score
 from .cli_stats import stats
@@ -246,6 +247,7 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     info,
     stats,
     score,
+    order,
     views,
     render,
     compare,

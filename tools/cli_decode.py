@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -28,7 +29,8 @@ from .cli_values import ByteCount, ChunkRange
 @click.command(
     epilog="\b\nExample:\n"
     "  cogsplat decode scene.cogs scene.ply\n"
-    "  cogsplat decode scene.cogs preview.ply --bytes 20% --sh 0"
+    "  cogsplat decode scene.cogs preview.ply --bytes 20% --sh 0\n"
+    "  cogsplat decode scene.cogs vase.ply --object 3"
 )
 @click.argument("cogs", type=PATH, metavar="IN.cogs")
 @click.argument("out", type=PATH, metavar="OUT.ply")
@@ -43,6 +45,7 @@ def decode(
     chunks: ChunkRange | None,
     least_splats: int | None,
     size: ByteCount | None,
+    objects: tuple[int, ...] | None,
     sh_degree: int | None,
     threads: int,
     force: bool,
@@ -55,7 +58,7 @@ def decode(
     decoded.
     """
     refuse_existing(out, force=force)
-    part = Part(chunks, least_splats, size, sh_degree)
+    part = Part(chunks, least_splats, size, sh_degree, objects)
     with Stages(shown=not (quiet or as_json)) as stages:
         scene = decode_part(cogs, part, threads=threads, progress=stages)
         with stages.stage("write"):
@@ -90,7 +93,8 @@ def _report(scene: Scene, out: Path, written: int, stages: Stages) -> dict[str, 
         "splats": len(scene.splats),
         "file_splats": scene.file_splats,
         "sh_degree": scene.splats.sh_degree,
-        "chunks": [scene.chunks.start, scene.chunks.stop],
+        "chunks": list(_span(scene.chunks)),
+        "chunks_decoded": len(scene.chunks),
         "file_chunks": scene.file_chunks,
         "file_bytes": scene.file_bytes,
         "bytes_read": scene.bytes_read,
@@ -99,10 +103,17 @@ def _report(scene: Scene, out: Path, written: int, stages: Stages) -> dict[str, 
     }
 
 
+def _span(chunks: Sequence[int]) -> tuple[int, int]:
+    """Return the half-open range that chunks lie in."""
+    return (chunks[0], chunks[-1] + 1) if chunks else (0, 0)
+
+
 def _tell(scene: Scene, out: Path, written: int, stages: Stages) -> None:
-    found, chunks = len(scene.splats), scene.chunks
+    found, (first, last) = len(scene.splats), _span(scene.chunks)
     say(f"{out}: {found:,} of {scene.file_splats:,} splats, {size_text(written)}")
-    span = f"{chunks.start}:{chunks.stop} of {scene.file_chunks}"
+    span = f"{first}:{last} of {scene.file_chunks}"
+    if len(scene.chunks) < last - first:
+        span = f"{len(scene.chunks)} in {span}"
     if scene.bytes_read < scene.file_bytes:
         span += f" in the first {size_text(scene.bytes_read)} of {size_text(scene.file_bytes)}"
     facts(

@@ -17,6 +17,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views import hold_out
 from cogsplat.formats.atomic import storage_errors
+from cogsplat.formats.cogs_reader import CogsFile
 from cogsplat.formats.registry import is_cogs, read_scene
 from cogsplat.formats.source import FileSource, PrefixSource, Source
 
@@ -29,6 +30,8 @@ EVAL_EVERY: Final = 8
 """What ``--eval-every`` is in commands that judge, unless said."""
 
 _FEWEST_JUDGES: Final = 4
+# Objects that a message lists.
+_MOST_NAMED: Final = 12
 
 # Three float32 images of this many pixels take 4.5 GiB.
 _MAX_VIEW_PIXELS: Final = 1 << 27
@@ -46,12 +49,15 @@ class Part:
     size : ByteCount or None
         What is complete in the first bytes of the file.
     sh_degree : int or None
+    objects : tuple of int or None
+        Chunks of these objects alone; `least_splats` counts theirs.
     """
 
     chunks: ChunkRange | None = None
     least_splats: int | None = None
     size: ByteCount | None = None
     sh_degree: int | None = None
+    objects: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         given = {"--chunks": self.chunks, "--splats": self.least_splats, "--bytes": self.size}
@@ -62,7 +68,8 @@ class Part:
     @property
     def is_cut(self) -> bool:
         """Whether it may lack splats."""
-        return any(x is not None for x in (self.chunks, self.least_splats, self.size))
+        cuts = (self.chunks, self.least_splats, self.size, self.objects)
+        return any(x is not None for x in cuts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +83,8 @@ class Scene:
         Of the whole file.
     bytes_read : int
         Of the file's first bytes, those that were looked at.
-    chunks : range
-        Chunks decoded; empty for foreign scenes.
+    chunks : sequence of int
+        Chunks decoded; none for foreign scenes.
     file_chunks, file_splats : int
         What the file holds.
     without_tails : tuple of int
@@ -88,7 +95,7 @@ class Scene:
     splats: Splats
     file_bytes: int
     bytes_read: int
-    chunks: range
+    chunks: Sequence[int]
     file_chunks: int
     file_splats: int
     without_tails: tuple[int, ...]
@@ -112,7 +119,7 @@ def read_any(
         return decode_part(path, part, threads=threads, progress=progress)
     if part.is_cut:
         raise click.UsageError(
-            f"{path}: is no COGS file, expected one with --chunks, --splats or --bytes"
+            f"{path}: is no COGS file, expected one with --chunks, --splats, --bytes or --object"
         )
     splats = read_scene(path)
     with storage_errors(path):
@@ -129,7 +136,7 @@ def decode_part(path: Path, part: Part, *, threads: int = 0, progress: Progress 
     Raises
     ------
     click.UsageError
-        A range of chunks that the file does not have.
+        A range of chunks, or an object, that the file does not have.
     CogsplatError
         The file cannot be read or breaks SPEC.
     """
@@ -138,11 +145,14 @@ def decode_part(path: Path, part: Part, *, threads: int = 0, progress: Progress 
     if part.size is not None:
         source = PrefixSource(whole, part.size.of(whole.size))
     with cogsplat.open(source, partial=part.size is not None) as file:
-        chunks = range(file.complete_chunks())
+        chunks: Sequence[int] = range(file.complete_chunks())
         if part.chunks is not None:
             chunks = _chosen(part.chunks, file.num_chunks)
-        elif part.least_splats is not None:
-            chunks = range(file.chunks_for_splats(part.least_splats))
+        if part.objects is not None:
+            own = set(_of_objects(file, part.objects))
+            chunks = [chunk for chunk in chunks if chunk in own]
+        if part.least_splats is not None:
+            chunks = file.first_chunks(chunks, part.least_splats)
         splats = file.decode(chunks, sh_degree=part.sh_degree, threads=threads, progress=progress)
         missing = [chunk for chunk in chunks if not file.has_tail(chunk, splats.sh_degree)]
         return Scene(
@@ -163,6 +173,16 @@ def _chosen(wanted: ChunkRange, chunks: int) -> range:
     if not first <= last <= chunks:
         raise click.UsageError(f"--chunks {first}:{last}, expected a range within 0:{chunks}")
     return range(first, last)
+
+
+def _of_objects(file: CogsFile, wanted: Sequence[int]) -> list[int]:
+    found = file.chunks_of_objects(wanted)
+    there = sorted(set(file.chunks.object.tolist()))
+    missing = [label for label in wanted if label not in there]
+    if missing:
+        named = f"{', '.join(map(str, there[:_MOST_NAMED]))}{' …' * (len(there) > _MOST_NAMED)}"
+        raise click.UsageError(f"--object {missing[0]}, expected some of {named}")
+    return found
 
 
 def usable_rows(splats: Splats, where: Path) -> Splats:

@@ -73,6 +73,7 @@ def render(
     chunks: ChunkRange | None,
     least_splats: int | None,
     size: ByteCount | None,
+    objects: tuple[int, ...] | None,
     sh_degree: int | None,
     threads: int,
     force: bool,
@@ -86,7 +87,7 @@ def render(
     from .pictures import to_image, write_png
 
     refuse_existing(out, force=force)
-    part = Part(chunks, least_splats, size, sh_degree)
+    part = Part(chunks, least_splats, size, sh_degree, objects)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             scene = read_any(path, part, threads=threads)
@@ -180,6 +181,7 @@ def compare(
     chunks: ChunkRange | None,
     least_splats: int | None,
     size: ByteCount | None,
+    objects: tuple[int, ...] | None,
     sh_degree: int | None,
     threads: int,
     quiet: bool,
@@ -192,7 +194,7 @@ def compare(
     """
     from . import judge
 
-    part = Part(chunks, least_splats, size, sh_degree)
+    part = Part(chunks, least_splats, size, sh_degree, objects)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             first = read_any(reference, threads=threads)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
+import numpy as np
+from numpy.typing import NDArray
 
 import cogsplat
-from cogsplat.codec.splats import MAX_SH_DEGREE
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.objects import with_labels
+from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
 from cogsplat.formats.atomic import refuse_existing, storage_errors
 from cogsplat.formats.camera_files import write_cameras_json
 
@@ -49,6 +54,17 @@ _MOST_SPLATS = 20_000_000
     metavar="PATH",
     help="Where its cameras go.  [default: OUT.cameras.json]",
 )
+@click.option(
+    "--objects",
+    is_flag=True,
+    help="Label three objects, 1 to 3, in the attribute 'object'; the rest is 0.",
+)
+@click.option(
+    "--masks",
+    type=PATH,
+    metavar="DIR",
+    help="Draw which of the three each pixel of each camera shows, as PNGs into this folder.",
+)
 @force_option
 @quiet_option
 @json_option
@@ -58,6 +74,8 @@ def synth(
     seed: int,
     sh_degree: int,
     cameras: Path | None,
+    objects: bool,
+    masks: Path | None,
     force: bool,
     quiet: bool,
     as_json: bool,
@@ -72,13 +90,23 @@ def synth(
     cameras = cameras or out.with_suffix(".cameras.json")
     for path in (out, cameras):
         refuse_existing(path, force=force)
+    views = scenes.synth_cameras()
+    if masks is not None:
+        with storage_errors(masks):
+            masks.mkdir(parents=True, exist_ok=True)
+        for camera in views:
+            refuse_existing(_mask_path(masks, camera), force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("synth"):
             scene = scenes.synth(splats, seed=seed, sh_degree=sh_degree)
-            views = scenes.synth_cameras()
+            labels = scenes.synth_objects(splats, seed)
+        written = with_labels(scene, labels) if objects else scene
         with stages.stage("write"):
-            cogsplat.write(out, scene, force=force)
+            cogsplat.write(out, written, force=force)
             write_cameras_json(cameras, views, force=force)
+        if masks is not None:
+            with stages.stage("masks"):
+                _write_masks(masks, scene, labels, views, force=force)
     with storage_errors(out):
         size = out.stat().st_size
     if as_json:
@@ -91,12 +119,41 @@ def synth(
                 "seed": seed,
                 "cameras": name_of(cameras),
                 "views": len(views),
+                "objects": list(scenes.OBJECTS) if objects else [],
+                "masks": None if masks is None else name_of(masks),
                 "seconds": stages.rounded(),
             }
         )
     elif not quiet:
         say(f"{out}: {len(scene):,} splats at SH degree {scene.sh_degree}, {size_text(size)}")
-        facts(("cameras", f"{cameras}, {len(views)} views"), ("time", stages.line()))
+        named = [f"{number} {name}" for number, name in enumerate(scenes.OBJECTS, start=1)]
+        facts(
+            ("cameras", f"{cameras}, {len(views)} views"),
+            ("objects", ", ".join(named) if objects else ""),
+            ("masks", str(masks) if masks else ""),
+            ("time", stages.line()),
+        )
+
+
+def _write_masks(
+    folder: Path,
+    scene: Splats,
+    labels: NDArray[np.uint8],
+    views: Sequence[Camera],
+    *,
+    force: bool,
+) -> None:
+    from PIL import Image
+
+    from .pictures import write_png
+    from .synth_masks import synth_masks
+
+    for camera, mask in zip(views, synth_masks(scene, labels, views), strict=True):
+        write_png(_mask_path(folder, camera), Image.fromarray(mask), force=force)
+
+
+def _mask_path(folder: Path, camera: Camera) -> Path:
+    return folder / f"{camera.name}.png"
 
 
 @click.command(epilog="\b\nExample:\n  cogsplat demo --out demo --force")

@@ -10,7 +10,7 @@ import click
 
 from cogsplat.codec.splats import MAX_SH_DEGREE
 
-from .cli_values import byte_count, chunk_range, colour
+from .cli_values import byte_count, chunk_range, colour, object_labels
 
 Command = TypeVar("Command", bound=Callable[..., object])
 
@@ -108,7 +108,7 @@ def top_k_option(command: Command) -> Command:
 
 
 def part_options(command: Command) -> Command:
-    """Add ``--chunks``, ``--splats``, ``--bytes`` and ``--sh``: what is decoded of a COGS file."""
+    """Add ``--chunks --splats --bytes --object --sh``: what is decoded of a COGS file."""
     options = [
         click.option(
             "--chunks", type=chunk_range, metavar="A:B", help="Chunks A to B-1 of a COGS file."
@@ -126,6 +126,13 @@ def part_options(command: Command) -> Command:
             type=byte_count,
             metavar="N|P%",
             help="What is complete in the first bytes: 65536, 64KiB, 1.5MB or 20%.",
+        ),
+        click.option(
+            "--object",
+            "objects",
+            type=object_labels,
+            metavar="N,…",
+            help="Chunks of these objects alone; 0 is what belongs to none.",
         ),
         click.option(
             "--sh",

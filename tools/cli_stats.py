@@ -37,6 +37,7 @@ def stats(
     chunks: ChunkRange | None,
     least_splats: int | None,
     size: ByteCount | None,
+    objects: tuple[int, ...] | None,
     sh_degree: int | None,
     threads: int,
     quiet: bool,
@@ -49,7 +50,7 @@ def stats(
     unit ones follow. The fill ratio tells how many splats a ray through the scene crosses, about:
     their one-sigma areas over the mean face of the box that holds nearly all centres.
     """
-    part = Part(chunks, least_splats, size, sh_degree)
+    part = Part(chunks, least_splats, size, sh_degree, objects)
     with Stages(shown=not (quiet or as_json)) as stages:
         scene = read_any(path, part, threads=threads, progress=stages)
         stages("read", 1, 1)

@@ -25,6 +25,9 @@ _RANGE: Final = re.compile(r"([0-9]{0,9}):([0-9]{0,9})")
 _SIZE: Final = re.compile(r"([0-9]{1,6})[x×]([0-9]{1,6})", re.IGNORECASE)
 _COLOURS: Final = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 
+# Of 2³² - 1.
+_LABEL_DIGITS: Final = 10
+
 MAX_SIDE: Final = 16384
 """Longest side of a picture that is asked for, px."""
 
@@ -60,6 +63,20 @@ class ChunkRange:
 
     first: int | None
     last: int | None
+
+
+def object_labels(text: str) -> tuple[int, ...]:
+    """Read labels of objects such as ``3`` or ``1,4``.
+
+    Raises
+    ------
+    click.BadParameter
+        They are none.
+    """
+    parts = [part.strip() for part in text.split(",")]
+    if all(part.isascii() and part.isdigit() and len(part) <= _LABEL_DIGITS for part in parts):
+        return tuple(dict.fromkeys(int(part) for part in parts))
+    raise click.BadParameter(f"{text!r}, expected labels of objects such as 3 or 1,4")
 
 
 def byte_count(text: str) -> ByteCount:

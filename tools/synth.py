@@ -27,6 +27,9 @@ Maker = Callable[[int, np.random.Generator], Surfels]
 LABELS = ("ground", "teapot", "knot", "marbles", "tree", "house", "surroundings")
 """What each label of `synth_labels` means, by its number."""
 
+OBJECTS = ("teapot", "knot", "marbles")
+"""Those that `synth_objects` tells apart."""
+
 
 def _hidden(name: str) -> Maker:
     return lambda n, rng: objects.hidden(name, n, rng)
@@ -119,6 +122,23 @@ def synth_labels(splats: int = 120_000, seed: int = 7) -> NDArray[np.uint16]:
     _, counts, order = _layout(splats, seed)
     labels = np.repeat([label for label, _, _ in _PARTS], counts).astype(np.uint16)
     return labels[order]
+
+
+def synth_objects(splats: int = 120_000, seed: int = 7) -> NDArray[np.uint8]:
+    """Return labels of three objects of `synth`, for the attribute ``object``.
+
+    Parameters
+    ----------
+    splats, seed : int
+        As given to `synth`.
+
+    Returns
+    -------
+    (splats,) uint8
+        1 + index into `OBJECTS`, 0 for all else.
+    """
+    numbers = np.array([OBJECTS.index(name) + 1 if name in OBJECTS else 0 for name in LABELS])
+    return numbers.astype(np.uint8)[synth_labels(splats, seed)]
 
 
 def synth_cameras(views: int = 48, width: int = 480, height: int = 360) -> list[Camera]:
