@@ -77,6 +77,16 @@ def pack_attributes(extras: Mapping[str, Extra]) -> bytes:
     return b"".join([np.array(words, _WORD).tobytes(), *bodies])
 
 
+def attribute_bytes(payload: memoryview, types: Sequence[AttributeType]) -> dict[str, int]:
+    """Return the bytes that each attribute takes of a payload that `unpack_attributes` accepts."""
+    words = np.frombuffer(payload, _WORD, sum(kind.row_bytes for kind in types)).tolist()
+    sizes = {}
+    for kind in types:
+        own, words = words[: kind.row_bytes], words[kind.row_bytes :]
+        sizes[kind.name] = sum(_WORD.itemsize + (word & LENGTH_MASK) for word in own)
+    return sizes
+
+
 def unpack_attributes(
     payload: memoryview, types: Sequence[AttributeType], out: Mapping[str, Extra], where: str
 ) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .progress import Progress, silent
-from .splats import Splats, sh_coefficients
+from .splats import Extra, Splats, sh_coefficients
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -82,7 +82,8 @@ class SceneStatistics:
         ``quats.w`` to ``quats.z``, ``opacities``, ``sh0.r`` to ``sh0.b``, ``shN.1`` to the degree
         (all coefficients and channels of a band), and derived from them ``opacities_unit``,
         ``scales_linear.max`` (scene units) and ``elongation`` (natural logarithm of the largest
-        scale by the middle one).
+        scale by the middle one); then extra attributes as float32, ``extras.NAME``, or
+        ``extras.NAME.0`` and on.
     """
 
     splats: int
@@ -112,6 +113,8 @@ def statistics(splats: Splats, progress: Progress = silent) -> SceneStatistics:
         rows["opacities_unit"] = opacities_unit.astype(np.float32)
         rows["scales_linear.max"] = np.exp(ordered[:, 2])
         rows["elongation"] = ordered[:, 2] - ordered[:, 1]
+        for name, column in _extra_columns(splats):
+            rows[name] = column.astype(np.float32)
     values = {}
     for done, (name, row) in enumerate(rows.items()):
         progress("statistics", done, len(rows))
@@ -140,6 +143,15 @@ def _rows(splats: Splats) -> dict[str, F32]:
         first, last = sh_coefficients(band - 1) - 1, sh_coefficients(band) - 1
         rows[f"shN.{band}"] = splats.shN[:, first:last].reshape(-1)
     return rows
+
+
+def _extra_columns(splats: Splats) -> Iterator[tuple[str, Extra]]:
+    for name, values in splats.extras.items():
+        if values.ndim == 1:
+            yield f"extras.{name}", values
+        else:
+            for column in range(values.shape[1]):
+                yield f"extras.{name}.{column}", values[:, column]
 
 
 def describe(values: F32) -> ValueStatistics:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +15,7 @@ from .cameras import Camera
 from .errors import DataError
 from .rotation import from_matrices, multiply
 from .sh import basis
-from .splats import MAX_SH_DEGREE, Splats, sh_coefficients
+from .splats import MAX_SH_DEGREE, Extra, Splats, sh_coefficients
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -150,8 +152,28 @@ def convert_axes(splats: Splats, axes: str) -> Splats:
         scales=np.take(splats.scales, change.order, axis=1),
         quats=quats,
         shN=rotate_sh(splats.shN, change.matrix),
+        extras=_turned_normals(splats.extras, change.matrix),
         info=replace(splats.info, axes=axes, origin=(origin[0], origin[1], origin[2])),
     )
+
+
+_NORMALS: Final = ("nx", "ny", "nz")
+
+
+def _turned_normals(extras: Mapping[str, Extra], turn: F64) -> dict[str, Extra]:
+    """Return extras, those that PLY calls normals turned: they point somewhere in the scene."""
+    turned = dict(extras)
+    if all(
+        name in extras and extras[name].ndim == 1 and extras[name].dtype.kind == "f"
+        for name in _NORMALS
+    ):
+        vectors = np.stack([extras[name].astype(np.float64) for name in _NORMALS], axis=1)
+        # NaN and infinite values stay such values.
+        with np.errstate(invalid="ignore", over="ignore"):
+            vectors = vectors @ turn.T
+            for column, name in enumerate(_NORMALS):
+                turned[name] = vectors[:, column].astype(extras[name].dtype)
+    return turned
 
 
 def sh_rotation(rotation: F64, degree: int) -> F64:
@@ -263,6 +285,7 @@ def transform(
             scales=(splats.scales.astype(np.float64) + math.log(scale)).astype(np.float32),
             quats=quats.astype(np.float32),
             shN=rotate_sh(splats.shN, turn),
+            extras=_turned_normals(splats.extras, turn),
             info=replace(splats.info, origin=(x, y, z)),
         )
 

@@ -173,6 +173,7 @@ def encode(
     score_config: ScoreConfig | None = None,
     target: Target | None = None,
     preset: str = "balanced",
+    stored_cameras: Sequence[Camera] = (),
     measured_on: Sequence[Camera] | None = None,
     force: bool = False,
     progress: Progress = silent,
@@ -197,6 +198,8 @@ def encode(
         A PSNR or a size to hit; then `EncodeConfig.quality_db` does not count.
     preset : str
         One of `codec.preset.PRESETS`: how carefully the scene is scored.
+    stored_cameras : sequence of Camera
+        Stored in the file, for whoever reads it; nothing else depends on them.
     measured_on : sequence of Camera, optional
         Views that a target is measured and quality predicted in; some of those scored, spread
         evenly, where none are given.
@@ -258,7 +261,9 @@ def encode(
             target,
             splats,
             measured_on or views,
-            lambda trial: cogs.size_bytes(trial, writer=writer, first_view=first_view),
+            lambda trial: cogs.size_bytes(
+                trial, writer=writer, first_view=first_view, cameras=stored_cameras
+            ),
             progress,
         )
     if (measured_on or views) and len(encoded.chunks):
@@ -270,7 +275,14 @@ def encode(
             threads=config.threads,
             progress=progress,
         )
-    return cogs.save(Path(path), encoded, writer=writer, first_view=first_view, force=force)
+    return cogs.save(
+        Path(path),
+        encoded,
+        writer=writer,
+        first_view=first_view,
+        cameras=stored_cameras,
+        force=force,
+    )
 
 
 def _at_target(
@@ -327,7 +339,7 @@ def write(path: _Path, splats: Splats, *, force: bool = False) -> None:
 
 
 def read_cameras(path: _Path) -> list[Camera]:
-    """Read cameras from a ``cameras.json`` or a COLMAP folder.
+    """Read cameras from a ``cameras.json``, a ``transforms.json``, COLMAP's folder or a COGS file.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Cameras from whatever holds them: INRIA's or nerfstudio's JSON, or a COLMAP folder."""
+"""Cameras from whatever holds them: INRIA's or nerfstudio's JSON, COLMAP folders, COGS files."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import FormatError
 
 from .atomic import StrPath, open_for_read, storage_errors
+from .cogs_layout import MAGIC
+from .cogs_reader import open_cogs
 from .colmap import find_model, read_colmap
 from .inria import read_cameras_json, write_cameras_json
 from .nerfstudio import read_transforms
+from .source import FileSource
 
 __all__ = ["read_cameras", "write_cameras_json"]
 
@@ -27,20 +30,21 @@ def read_cameras(path: StrPath) -> list[Camera]:
     Parameters
     ----------
     path : path
-        A ``cameras.json`` as 3DGS training writes it, a nerfstudio ``transforms.json``, or a
-        folder: one that holds COLMAP's ``cameras`` and ``images`` as ``.bin`` or ``.txt``, or has
-        them in ``sparse/0``, or else holds a ``transforms.json``.
+        A ``cameras.json`` as 3DGS training writes it, a nerfstudio ``transforms.json``, a COGS
+        file that cameras were stored in, or a folder: one that holds COLMAP's ``cameras`` and
+        ``images`` as ``.bin`` or ``.txt``, or has them in ``sparse/0``, or else holds a
+        ``transforms.json``.
 
     Returns
     -------
     list of Camera
-        At least one. From JSON in file order, from COLMAP by name.
+        At least one. From COLMAP by name, from others in file order.
 
     Raises
     ------
     FormatError
-        ``unknown-cameras``: none of the three. Otherwise as `read_cameras_json`,
-        `read_transforms` and `read_colmap`.
+        ``unknown-cameras``: none of these; ``no-cameras``: a COGS file without. Otherwise as
+        `read_cameras_json`, `read_transforms`, `read_colmap` and `open_cogs`.
     StorageError
         As `open_for_read`.
     """
@@ -65,8 +69,25 @@ def read_cameras(path: StrPath) -> list[Camera]:
         return read_cameras_json(path)
     if first == b"{":
         return read_transforms(path)
+    if head.startswith(MAGIC):
+        return _stored_cameras(path)
     raise FormatError(
         "unknown-cameras",
-        f"{where}: starts with {head[:8]!r}, expected a cameras.json, a transforms.json, or a "
-        "COLMAP folder",
+        f"{where}: starts with {head[:8]!r}, expected a cameras.json, a transforms.json, a "
+        "COGS file, or a COLMAP folder",
     )
+
+
+def _stored_cameras(path: StrPath) -> list[Camera]:
+    source = FileSource(Path(path))
+    try:
+        with open_cogs(source) as file:
+            cameras = file.cameras()
+    finally:
+        source.close()
+    if not cameras:
+        raise FormatError(
+            "no-cameras",
+            f"{os.fspath(path)}: brings no cameras, expected a file encoded with --store-cameras",
+        )
+    return cameras

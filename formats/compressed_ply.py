@@ -21,6 +21,7 @@ from cogsplat.codec.sh import C0, COLOUR_OFFSET
 from cogsplat.codec.splats import SceneInfo, Splats
 
 from .atomic import StrPath, atomic_write, open_for_read, storage_errors
+from .losses import extra_losses, warn_of_losses
 from .ply_comments import parse_scene_info, scene_comments
 from .ply_header import Element, PlyHeader, check_size, is_ply, read_header
 from .quantised import (
@@ -295,8 +296,15 @@ def write_compressed_ply(path: StrPath, splats: Splats, *, force: bool = False) 
         ``invalid-rows``; ``bad-scene-info``.
     StorageError
         As `atomic_write`, ``exists`` among them.
+
+    Warns
+    -----
+    CogsplatWarning
+        There are extras.
     """
     splats.require_valid()
+    warn_of_losses(path, "compressed PLY", extra_losses(splats))
+    splats = splats.without_extras()
     count, rest = len(splats), 3 * splats.shN.shape[1]
     order = morton_order(splats.means)
     chunks = -(-count // CHUNK_SPLATS)

@@ -49,7 +49,7 @@ from .gltf_file import (
     instances,
     open_gltf,
 )
-from .losses import info_losses, warn_of_losses
+from .losses import extra_losses, info_losses, warn_of_losses
 from .quantised import opacity_bytes, opacity_logits, unit_opacities
 from .strict_json import JsonObject
 
@@ -358,7 +358,7 @@ def write_gltf(path: StrPath, splats: Splats, *, force: bool = False) -> None:
     Warns
     -----
     CogsplatWarning
-        Where `splats.info` says what the extension has no place for.
+        Where `splats.info` says what the extension has no place for, or there are extras.
     """
     where = os.fspath(path)
     splats.require_valid()
@@ -366,6 +366,7 @@ def write_gltf(path: StrPath, splats: Splats, *, force: bool = False) -> None:
         raise DataError("no-splats", f"{where}: no splats, expected one: glTF has no empty arrays")
     info = splats.info
     losses = info_losses(replace(info, colour_space=SceneInfo().colour_space))
+    losses += extra_losses(splats)
     warn_of_losses(path, "glTF", losses)
     splats = convert_axes(splats, GLTF_AXES)
     layout = _layout(splats.sh_degree)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Sequence
+from typing import Final
 
 from cogsplat.codec.errors import CogsplatWarning
-from cogsplat.codec.splats import SceneInfo
+from cogsplat.codec.splats import SceneInfo, Splats
 
 from .atomic import StrPath
+
+_MOST_NAMED: Final = 6
 
 
 def info_losses(info: SceneInfo, *, antialiased: bool = False) -> list[str]:
@@ -33,6 +36,16 @@ def info_losses(info: SceneInfo, *, antialiased: bool = False) -> list[str]:
     if info.antialiased and not antialiased:
         losses.append("the anti-aliasing flag")
     return losses
+
+
+def extra_losses(splats: Splats) -> list[str]:
+    """Return what a format loses that has no place for extra attributes."""
+    names = list(splats.extras)
+    if not names:
+        return []
+    listed = ", ".join(names[:_MOST_NAMED])
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return [f"the attributes {listed}{more}"]
 
 
 def warn_of_losses(path: StrPath, name: str, losses: Sequence[str]) -> None:

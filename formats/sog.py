@@ -24,7 +24,7 @@ from cogsplat.codec.transform import convert_axes
 
 from .atomic import StrPath, atomic_write
 from .images import MAX_SIDE, decode_image, encode_image, image_size
-from .losses import info_losses, warn_of_losses
+from .losses import extra_losses, info_losses, warn_of_losses
 from .quantised import (
     BYTE_LOGITS,
     from_smallest_three,
@@ -319,7 +319,7 @@ def write_sog(path: StrPath, splats: Splats, *, force: bool = False) -> None:
     Warns
     -----
     CogsplatWarning
-        Where `splats.info` says what SOG has no place for.
+        Where `splats.info` says what SOG has no place for, or there are extras.
     """
     where = os.fspath(path)
     splats.require_valid()
@@ -327,7 +327,8 @@ def write_sog(path: StrPath, splats: Splats, *, force: bool = False) -> None:
         raise LimitError(
             "sog-too-many-splats", f"{where}: {len(splats)} splats, expected at most {MAX_COUNT}"
         )
-    warn_of_losses(path, "SOG", info_losses(splats.info, antialiased=True))
+    losses = info_losses(splats.info, antialiased=True) + extra_losses(splats)
+    warn_of_losses(path, "SOG", losses)
     splats = convert_axes(splats, "RDF")
     splats = splats.take(morton_order(splats.means))
     meta, images = _pack(splats)

@@ -19,7 +19,7 @@ from cogsplat.codec.splats import Splats, empty
 from cogsplat.codec.transform import convert_axes
 
 from .atomic import StrPath, atomic_write, open_for_read, storage_errors
-from .losses import info_losses, warn_of_losses
+from .losses import extra_losses, info_losses, warn_of_losses
 from .magic import describe
 from .quantised import BYTE_LOGITS, opacity_bytes, unit_opacities
 
@@ -163,7 +163,7 @@ def write_splat(path: StrPath, splats: Splats, *, force: bool = False) -> None:
             block["rgba"][:, 3] = opacity_bytes(stored.opacities[rows])
             block["quats"] = _to_byte(unit(stored.quats[rows]).astype(np.float64) * 128 + 128)
             file.write(block.view(np.uint8).data)
-    losses = info_losses(splats.info)
+    losses = info_losses(splats.info) + extra_losses(splats)
     if splats.sh_degree:
         losses.insert(0, f"SH of degree {splats.sh_degree}")
     warn_of_losses(path, ".splat", losses)

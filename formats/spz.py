@@ -12,7 +12,7 @@ from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo, Splats
 from cogsplat.codec.transform import axes_change, convert_axes
 
 from .atomic import StrPath, atomic_write, open_for_read, storage_errors
-from .losses import info_losses, warn_of_losses
+from .losses import extra_losses, info_losses, warn_of_losses
 from .spz_container import FLAG_ANTIALIASED, FLAG_EXTENSIONS, SpzFile, is_spz, pack, unpack
 from .spz_values import decode, encode
 
@@ -178,7 +178,7 @@ def write_spz(
     pieces = pack(header, streams)
     with atomic_write(path, force) as file:
         file.writelines(pieces)
-    losses = info_losses(splats.info, antialiased=True)
+    losses = info_losses(splats.info, antialiased=True) + extra_losses(splats)
     losses += [
         f"{100 * share:.2g} % of the {name} (out of range, clipped)"
         for name, share in clipped.items()

@@ -105,6 +105,14 @@ if TYPE_CHECKING:
     help="Drop splats whose weight stays below PEAK in every pixel of every view.",
 )
 @click.option("--no-prune", is_flag=True, help="Keep every splat.")
+@click.option(
+    "--no-extras",
+    is_flag=True,
+    help="Leave out what the splats carry beside what is drawn: labels, normals and so on.",
+)
+@click.option(
+    "--store-cameras", is_flag=True, help="Store the cameras of --cameras in the file, all of them."
+)
 @jitter_option
 @top_k_option
 @eval_every_option(0, "Keep from scoring, and judge by, the")
@@ -145,6 +153,8 @@ def encode(
     no_morton: bool,
     prune: float | None,
     no_prune: bool,
+    no_extras: bool,
+    store_cameras: bool,
     no_jitter: bool,
     top_k: int,
     eval_every: int,
@@ -169,6 +179,8 @@ def encode(
 
     if prune is not None and no_prune:
         raise click.UsageError("--prune and --no-prune: expected one of them")
+    if store_cameras and cameras is None:
+        raise click.UsageError("--store-cameras without --cameras, expected cameras to store")
     _require_one_aim(profile, target_psnr, target_size)
     bound = PruneConfig() if prune is None else PruneConfig(peak=prune)
     config = EncodeConfig(
@@ -189,6 +201,8 @@ def encode(
             given = read_any(scene, threads=threads)
             labelled = choice.labelled(given.splats, cameras, threads=threads, progress=stages)
             splats = edits.apply(labelled, scene)
+            if no_extras:
+                splats = splats.without_extras()
             if views is not None:
                 views = [edits.camera(view) for view in views]
             judges = None
@@ -210,6 +224,7 @@ def encode(
             ),
             target=_target(target_psnr, target_size, given.file_bytes),
             preset=preset,
+            stored_cameras=list(numbered or []) if store_cameras else [],
             measured_on=None if views is None or eval_every else judged_in(views),
             force=force,
             progress=stages,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import cogsplat
+from cogsplat.codec.attributes import AttributeType, types_of
 from cogsplat.codec.splats import Splats, sh_coefficients
 from cogsplat.formats.cogs_reader import CogsFile
 from cogsplat.formats.registry import is_cogs
@@ -60,10 +62,11 @@ def info(path: Path, verify: bool, all_chunks: bool, quiet: bool, as_json: bool)
         if verify:
             file.verify(stages)
         sizes = stored_sizes(file)
+        cameras = len(file.cameras())
     if as_json:
-        say_json({**_cogs_report(path, file, sizes), "verified": verify})
+        say_json({**_cogs_report(path, file, sizes, cameras), "verified": verify})
         return
-    _tell_root(path, file)
+    _tell_root(path, file, cameras)
     if verify:
         facts(("verified", f"{counted(len(file.segments), 'segment')}, all chunks decoded"))
     _tell_chunks(chunk_sizes(file), all_chunks=all_chunks)
@@ -74,7 +77,9 @@ def _decoded_bytes(file: CogsFile) -> int:
     return 4 * (14 + 3 * (sh_coefficients(file.root.sh_degree) - 1)) * file.root.splats
 
 
-def _cogs_report(path: Path, file: CogsFile, sizes: list[StoredSize]) -> dict[str, object]:
+def _cogs_report(
+    path: Path, file: CogsFile, sizes: list[StoredSize], cameras: int
+) -> dict[str, object]:
     root = file.root
     view = root.first_view
     return {
@@ -105,6 +110,11 @@ def _cogs_report(path: Path, file: CogsFile, sizes: list[StoredSize]) -> dict[st
             "translation": view.translation.tolist(),
         },
         "codebooks": [{"attribute": book.attribute, "rows": book.rows} for book in root.codebooks],
+        "extras": [
+            {"name": kind.name, "type": kind.dtype, "components": kind.components}
+            for kind in root.attributes
+        ],
+        "cameras": cameras,
         "index_pages": len(root.pages),
         "segments": len(file.segments),
         "chunks": [chunk.report() for chunk in chunk_sizes(file)],
@@ -112,7 +122,7 @@ def _cogs_report(path: Path, file: CogsFile, sizes: list[StoredSize]) -> dict[st
     }
 
 
-def _tell_root(path: Path, file: CogsFile) -> None:
+def _tell_root(path: Path, file: CogsFile, cameras: int) -> None:
     root, view = file.root, file.root.first_view
     say(f"{path}: COGS {format_version(path)}, {size_text(file.file_length)}, by {root.writer}")
     each = file.file_length / max(root.splats, 1)
@@ -133,8 +143,18 @@ def _tell_root(path: Path, file: CogsFile) -> None:
             "first view",
             f"{view.width}x{view.height} px at {_numbers(view.position)}" if view else "none",
         ),
+        ("cameras", f"{cameras:,} stored" if cameras else ""),
         ("codebooks", f"{', '.join(books)} rows" if books else "none"),
+        ("attributes", _kinds(root.attributes)),
         ("index", f"{counted(len(root.pages), 'page')} beside the root" if root.pages else ""),
+    )
+
+
+def _kinds(types: Sequence[AttributeType]) -> str:
+    """Return extra attributes with their types, such as ``label u2, normal f4x3``."""
+    return ", ".join(
+        f"{kind.name} {kind.dtype}" + (f"x{kind.components}" if kind.components else "")
+        for kind in types
     )
 
 
@@ -207,6 +227,10 @@ def _scene_report(path: Path, splats: Splats, file_bytes: int) -> dict[str, obje
         "colour_space": splats.info.colour_space,
         "kernel_px": splats.info.kernel_px,
         "antialiased": splats.info.antialiased,
+        "extras": [
+            {"name": kind.name, "type": kind.dtype, "components": kind.components}
+            for kind in types_of(splats.extras)
+        ],
         "ranges": {
             name: {"min": low, "max": high, "not_finite": odd}
             for name, (low, high, odd) in _ranges(splats).items()
@@ -222,6 +246,7 @@ def _tell_scene(path: Path, splats: Splats, file_bytes: int) -> None:
         ("invalid", f"{counted(invalid, 'splat')}; encode --drop-invalid leaves them out")
         if invalid
         else ("invalid", "none"),
+        ("attributes", _kinds(types_of(splats.extras))),
     )
     rows = [
         (name, f"{low:.4g}", f"{high:.4g}", f"{odd:,}" if odd else "-")

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from cogsplat.codec import streams
+from cogsplat.codec.attributes import attribute_bytes
 from cogsplat.formats.cogs_layout import (
     PREAMBLE_BYTES,
     SKIPPABLE_KIND,
@@ -24,14 +25,14 @@ _INDEX: Final = "index"
 
 @dataclass(frozen=True)
 class StoredSize:
-    """Bytes of one kind of stream in one kind of segment, over the whole file.
+    """Bytes of one kind of stream, or one attribute, in one kind of segment, over the whole file.
 
     Parameters
     ----------
     segment : str
         The segment's kind, or ``index`` for all that is no stream.
     label : str
-        Attribute, kind and flag (`StoredStream.label`).
+        Attribute, kind and flag (`StoredStream.label`); the name of an extra attribute.
     stored_bytes : int
     """
 
@@ -126,6 +127,14 @@ def stored_sizes(file: CogsFile) -> list[StoredSize]:
     found[_INDEX, "framing of segments"] = 0
     for row in range(len(file.segments)):
         number, owner = int(file.segments.kind[row]), int(file.segments.owner[row])
+        if number == SegmentKind.CAMERAS:
+            found["cameras", "all columns"] += int(file.segments.length[row])
+            continue
+        if number == SegmentKind.ATTRIBUTES:
+            payload = file.read_segment(row)
+            for label, size in attribute_bytes(payload, file.root.attributes).items():
+                found["attributes", label] += size
+            continue
         if number >= SKIPPABLE_KIND:
             found[f"kind {number}", "unknown"] += int(file.segments.length[row])
             continue

@@ -236,3 +236,25 @@ def test_misuse() -> None:
         transform(splats, 1.0, np.eye(4))
     with pytest.raises(ValueError, match="translation"):
         transform(splats, translation=(0.0, math.nan, 0.0))
+
+
+def test_normals_turn_with_the_scene():
+    splats = oracle.scene(3, n=20)
+    rng = np.random.default_rng(2)
+    normals = rng.normal(size=(20, 3))
+    names = ("nx", "ny", "nz")
+    extras = {name: normals[:, k].astype(np.float32) for k, name in enumerate(names)}
+    splats = replace(splats, extras={**extras, "label": np.arange(20, dtype=np.uint8)})
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    turned = transform(splats, 2.0, turn, (1.0, 2.0, 3.0)).extras
+    np.testing.assert_array_equal(turned["nx"], -extras["ny"])
+    np.testing.assert_array_equal(turned["ny"], extras["nx"])
+    np.testing.assert_array_equal(turned["label"], splats.extras["label"])
+    mirrored = convert_axes(splats, "RUB").extras
+    np.testing.assert_array_equal(mirrored["nx"], extras["nx"])
+    np.testing.assert_array_equal(mirrored["ny"], -extras["ny"])
+    np.testing.assert_array_equal(mirrored["nz"], -extras["nz"])
+    # Labels that happen to be called so are no vectors.
+    whole = {name: np.arange(20, dtype=np.int32) for name in names}
+    kept = transform(replace(splats, extras=whole), 1.0, turn).extras
+    np.testing.assert_array_equal(kept["nx"], whole["nx"])
