@@ -213,6 +213,24 @@ class Gltf:
             return memoryview(file.read(min(length, size)))
 
 
+def gltf_files(path: StrPath) -> list[Path]:
+    """Return the files that a scene lies in: a ``.glb`` or ``.gltf``, and buffers beside it.
+
+    Raises
+    ------
+    FormatError, LimitError, StorageError, TruncatedError, UnsupportedError
+        As `open_gltf`; ``gltf-uri``.
+    """
+    gltf = open_gltf(path)
+    uris = [node.text("uri", "data:") for node in gltf.items("buffers")]
+    found = [
+        sibling(gltf.folder, urllib.parse.unquote(uri), gltf.where, "gltf-uri")
+        for uri in dict.fromkeys(uris)
+        if not uri.startswith("data:")
+    ]
+    return [Path(path), *found]
+
+
 def _strided(
     data: memoryview,
     dtype: np.dtype[np.generic],

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from cogsplat.codec.errors import FormatError, UnsupportedError
@@ -18,11 +19,12 @@ from .atomic import StrPath, open_for_read, storage_errors
 from .cogs_layout import MAGIC
 from .compressed_ply import is_compressed_ply, read_compressed_ply, write_compressed_ply
 from .gltf import is_gltf, read_gltf, write_gltf
+from .gltf_file import gltf_files
 from .ksplat import read_ksplat
 from .magic import describe
 from .ply import read_ply, write_ply
 from .ply_header import is_ply
-from .sog import is_sog, read_sog, write_sog
+from .sog import is_sog, read_sog, sog_files, write_sog
 from .splat import no_magic, read_splat, write_splat
 from .spz import is_spz, read_spz, write_spz
 
@@ -55,6 +57,8 @@ class Format:
         Gives the scene in a file.
     write : callable or None
         Writes one, where this format can be written.
+    files : callable or None
+        Gives the files that a scene lies in, where they may be several.
     """
 
     name: str
@@ -62,6 +66,7 @@ class Format:
     sniff: Callable[[bytes], bool]
     read: Callable[[StrPath], Splats]
     write: Writer | None
+    files: Callable[[StrPath], list[Path]] | None = None
 
 
 # The first one whose sniffer says yes reads the file: the narrower of two goes first.
@@ -74,8 +79,8 @@ FORMATS: tuple[Format, ...] = (
         write_compressed_ply,
     ),
     Format("ply", (".ply",), is_ply, read_ply, write_ply),
-    Format("gltf", (".glb", ".gltf"), is_gltf, read_gltf, write_gltf),
-    Format("sog", (".sog",), is_sog, read_sog, write_sog),
+    Format("gltf", (".glb", ".gltf"), is_gltf, read_gltf, write_gltf, gltf_files),
+    Format("sog", (".sog",), is_sog, read_sog, write_sog, sog_files),
     Format("spz", (".spz",), is_spz, read_spz, write_spz),
     Format("splat", (".splat",), no_magic, read_splat, write_splat),
     Format("ksplat", (".ksplat",), no_magic, read_ksplat, None),
@@ -110,6 +115,28 @@ def read_scene(path: StrPath) -> Splats:
     StorageError
         As `open_for_read`.
     """
+    return _format_of(path).read(path)
+
+
+def scene_bytes(path: StrPath) -> int:
+    """Return the bytes of a foreign scene, those of files that it names beside it included.
+
+    A file that is named and not there counts nothing: the reader says whether it is needed.
+
+    Raises
+    ------
+    CogsplatError
+        As `read_scene`.
+    """
+    files = _format_of(path).files
+    total = 0
+    for part in files(path) if files else [Path(path)]:
+        with storage_errors(part):
+            total += part.stat().st_size if part.exists() else 0
+    return total
+
+
+def _format_of(path: StrPath) -> Format:
     head = _head(path)
     if head.startswith(MAGIC):
         raise FormatError(
@@ -122,7 +149,7 @@ def read_scene(path: StrPath) -> Splats:
             "unknown-format",
             f"{os.fspath(path)}: is {describe(head)}, expected {_known(FORMATS)}",
         )
-    return format_.read(path)
+    return format_
 
 
 def write_scene(path: StrPath, splats: Splats, *, force: bool = False) -> None:

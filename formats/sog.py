@@ -10,6 +10,7 @@ import json
 import math
 import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -32,7 +33,7 @@ from .quantised import (
     opacity_bytes,
     to_smallest_three,
 )
-from .sog_files import META_NAME, ZIP_MAGIC, open_files, write_bundle
+from .sog_files import META_NAME, ZIP_MAGIC, Folder, open_files, write_bundle
 from .strict_json import JsonObject, parse_object
 
 F32 = NDArray[np.float32]
@@ -157,6 +158,24 @@ def read_sog(path: StrPath) -> Splats:
         shN = np.empty((meta.count, 0, 3), np.float32)
     info = SceneInfo(antialiased=meta.antialiased)
     return Splats(means, scales, quats, opacities, sh0, shN, info)
+
+
+def sog_files(path: StrPath) -> list[Path]:
+    """Return the files that a scene lies in: the bundle, or ``meta.json`` and its images.
+
+    Raises
+    ------
+    FormatError, LimitError, StorageError
+        As `read_sog`.
+    """
+    where = os.fspath(path)
+    found = [Path(path)]
+    with open_files(path, where) as files:
+        if isinstance(files, Folder):
+            meta = _parse_meta(files.read(META_NAME, _MAX_META_BYTES), where)
+            names = [*meta.files, *(meta.sh.files[:1] if meta.sh else ())]
+            found += [files.path(name) for name in dict.fromkeys(names)]
+    return found
 
 
 def _parse_meta(data: bytes, where: str) -> _Meta:

@@ -68,7 +68,7 @@ def open_files(path: StrPath, where: str) -> Iterator[SogFiles]:
                 raise FormatError(
                     "sog-magic", f"{where}: is {describe(head)}, expected a SOG bundle or meta.json"
                 )
-            yield _Folder(Path(path), where)
+            yield Folder(Path(path), where)
             return
         with _zip_errors(where):
             archive = zipfile.ZipFile(file)
@@ -76,15 +76,22 @@ def open_files(path: StrPath, where: str) -> Iterator[SogFiles]:
             yield _Bundle(archive, where)
 
 
-class _Folder(SogFiles):
+class Folder(SogFiles):
+    """The folder around a ``meta.json``."""
+
     def __init__(self, meta: Path, where: str) -> None:
         self.meta = meta
         self.where = where
 
+    def path(self, name: str) -> Path:
+        """Return where a file lies, or raise ``sog-file-name``."""
+        if name == META_NAME:
+            return self.meta
+        return sibling(self.meta.parent, name, self.where, "sog-file-name")
+
     def read(self, name: str, max_bytes: int) -> bytes:
-        path = self.meta
-        if name != META_NAME:
-            path = sibling(self.meta.parent, name, self.where, "sog-file-name")
+        """Return a file's bytes."""
+        path = self.path(name)
         with storage_errors(path), open_for_read(path) as file:
             data = file.read(max_bytes + 1)
         if len(data) > max_bytes:

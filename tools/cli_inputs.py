@@ -16,9 +16,8 @@ from cogsplat.codec.errors import CogsplatWarning, DataError, LimitError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views import hold_out
-from cogsplat.formats.atomic import storage_errors
 from cogsplat.formats.cogs_reader import CogsFile
-from cogsplat.formats.registry import is_cogs, read_scene
+from cogsplat.formats.registry import is_cogs, read_scene, scene_bytes
 from cogsplat.formats.source import FileSource, PrefixSource, Source
 
 from .cli_values import ByteCount, ChunkRange
@@ -122,8 +121,7 @@ def read_any(
             f"{path}: is no COGS file, expected one with --chunks, --splats, --bytes or --object"
         )
     splats = read_scene(path)
-    with storage_errors(path):
-        size = path.stat().st_size
+    size = scene_bytes(path)
     rows = len(splats)
     if part.sh_degree is not None:
         splats = splats.with_sh_degree(part.sh_degree)

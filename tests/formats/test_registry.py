@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import base64
+import json
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +14,15 @@ from cogsplat.codec.splats import Splats, empty
 from cogsplat.formats import registry
 from cogsplat.formats.atomic import StrPath
 from cogsplat.formats.cogs_layout import MAGIC
-from cogsplat.formats.registry import FORMATS, Format, is_cogs, read_scene, write_scene
+from cogsplat.formats.registry import (
+    FORMATS,
+    Format,
+    is_cogs,
+    read_scene,
+    scene_bytes,
+    write_scene,
+)
+from cogsplat.tools.synth import synth
 
 
 def read_three(path: StrPath) -> Splats:
@@ -122,3 +133,27 @@ def test_splats_pass_through_unchanged(tmp_path: Path) -> None:
     splats = replace(empty(0, 4), means=np.arange(12, dtype=np.float32).reshape(4, 3))
     write_scene(tmp_path / "a.ply", splats)
     np.testing.assert_array_equal(read_scene(tmp_path / "a.ply").means, splats.means)
+
+
+def test_the_bytes_of_a_scene_are_those_of_all_its_files(tmp_path: Path) -> None:
+    splats = synth(1500)
+    write_scene(tmp_path / "a.ply", splats)
+    assert scene_bytes(tmp_path / "a.ply") == (tmp_path / "a.ply").stat().st_size
+    write_scene(tmp_path / "a.sog", splats)
+    assert scene_bytes(tmp_path / "a.sog") == (tmp_path / "a.sog").stat().st_size
+    with zipfile.ZipFile(tmp_path / "a.sog") as archive:
+        archive.extractall(tmp_path / "sog")
+        unpacked = sum(entry.file_size for entry in archive.infolist())
+    assert scene_bytes(tmp_path / "sog" / "meta.json") == unpacked
+    write_scene(tmp_path / "a.gltf", splats)
+    inside = (tmp_path / "a.gltf").stat().st_size
+    assert scene_bytes(tmp_path / "a.gltf") == inside
+    text = json.loads((tmp_path / "a.gltf").read_text())
+    _, _, data = text["buffers"][0]["uri"].partition(",")
+    (tmp_path / "the data.bin").write_bytes(base64.b64decode(data))
+    text["buffers"][0]["uri"] = "the%20data.bin"
+    text["buffers"].append({"byteLength": 9, "uri": "not-there.bin"})
+    (tmp_path / "b.gltf").write_text(json.dumps(text))
+    size = sum((tmp_path / name).stat().st_size for name in ("b.gltf", "the data.bin"))
+    assert scene_bytes(tmp_path / "b.gltf") == size
+    assert len(read_scene(tmp_path / "b.gltf")) == 1500
