@@ -84,6 +84,10 @@ class EncodeConfig:
         thread_count(self.threads)
         _require_quality(self.quality_db)
 
+    def dropping(self) -> PruneConfig | None:
+        """Return what may be dropped; an archive keeps all: what is not there has no bound."""
+        return None if self.profile == "near" else self.prune
+
 
 @dataclass(frozen=True)
 class EncodedCodebook:
@@ -156,18 +160,16 @@ class EncodedScene:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A scene in its final order: all that does not depend on how fine it is stored.
+    """A scene in its order: all that does not depend on how fine it is stored.
 
     Parameters
     ----------
-    scene : Splats
-        No rows: SH degree, `info` and extra attributes of the scene.
+    source : Splats
+        What is encoded.
     ordered : Splats
-        The rows that stay, in chunk order.
+        The rows that may stay, in chunk order.
     rows : (n,) int64
         Where they stand in the source.
-    pruned : int
-        Rows of the source that were dropped.
     scores : Scores
         Of the source.
     slices : sequence of slice
@@ -177,14 +179,19 @@ class Prepared:
     config : EncodeConfig
     """
 
-    scene: Splats
+    source: Splats
     ordered: Splats
     rows: NDArray[np.int64]
-    pruned: int
     scores: Scores
     slices: Sequence[slice]
     objects: NDArray[np.uint32]
     config: EncodeConfig
+
+    def pruned(self, quality_db: float) -> Prepared:
+        """Return the scene without the splats that are not worth their bytes at a quality."""
+        slope = allocation.slope(self.scores, quality_db)
+        kept = kept_rows(self.source, self.scores, self.config.dropping(), slope)
+        return _laid_out(self.source, self.rows[kept[self.rows]], self.scores, self.config)
 
     def encode(self, quality_db: float, *, progress: Progress = silent) -> EncodedScene:
         """Encode at a nominal quality in place of the configuration's.
@@ -195,6 +202,9 @@ class Prepared:
             A quality outside 10 to 90 dB.
         """
         _require_quality(quality_db)
+        return self.pruned(quality_db)._encode(quality_db, progress)
+
+    def _encode(self, quality_db: float, progress: Progress) -> EncodedScene:
         codebooks, encode_run = _profile(self, quality_db, progress)
         shapes: dict[int, Codebook] = {
             number: decode_shape_codebook(memoryview(book.payloads[0]), book.rows, "shape codebook")
@@ -228,7 +238,14 @@ class Prepared:
         whole = np.zeros(6)
         if len(boxes):
             whole = np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
-        return EncodedScene(self.scene, len(self.rows), self.pruned, whole, codebooks, chunks)
+        return EncodedScene(
+            scene=self.source.take(slice(0, 0)),
+            splats=len(self.rows),
+            pruned=len(self.source) - len(self.rows),
+            box=whole,
+            codebooks=codebooks,
+            chunks=chunks,
+        )
 
     def _attributes(self, run: slice, payloads: Payloads) -> bytes | None:
         extras = self.ordered.extras
@@ -247,7 +264,7 @@ def prepare(
     views: Sequence[Camera] = (),
     progress: Progress = silent,
 ) -> Prepared:
-    """Order, prune and cut a scene.
+    """Order a scene and cut it.
 
     Parameters
     ----------
@@ -267,11 +284,16 @@ def prepare(
     _require_storable(splats)
     scores = unscored(len(splats)) if scores is None else scores
     _require_scores(scores, len(splats))
-    # An archive keeps every splat: what is not there is outside any bound.
-    kept = kept_rows(splats, scores, None if config.profile == "near" else config.prune)
+    kept = kept_rows(splats, scores, config.dropping(), 0.0)
     scene = Unordered(splats, scores, views, config.threads, progress)
     rows = order_rows(config.order, scene, config.ordering)
-    rows = rows[kept[rows]]
+    return _laid_out(splats, rows[kept[rows]], scores, config)
+
+
+def _laid_out(
+    splats: Splats, rows: NDArray[np.int64], scores: Scores, config: EncodeConfig
+) -> Prepared:
+    """Cut rows in their order into chunks."""
     if config.ordering.by_object:
         arranged = objects.arrange(
             rows,
@@ -283,12 +305,10 @@ def prepare(
     else:
         slices = chunking.plan_chunks(len(rows), config.chunk_splats)
         arranged = objects.Arrangement(rows, slices, np.zeros(len(slices), np.uint32))
-    rows = arranged.rows
     return Prepared(
-        scene=splats.take(slice(0, 0)),
-        ordered=splats.take(rows),
-        rows=rows,
-        pruned=len(splats) - len(rows),
+        source=splats,
+        ordered=splats.take(arranged.rows),
+        rows=arranged.rows,
         scores=scores,
         slices=arranged.slices,
         objects=arranged.objects,

@@ -1,14 +1,23 @@
-"""Which splats may be dropped: only those that were seen often enough and never mattered."""
+"""Which splats may be dropped: those seen often enough whose bytes buy less than others' do."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .score import Scores
 from .splats import Splats
+
+WORTH: Final = 6.0
+"""Energy over slope below which a splat is not worth its bytes.
+
+The loss is about the energy times the squared difference to what is behind it, 0.1 to 0.2; a bit
+elsewhere gains 2·ln 2·λ/12 (uniform quantisation), and a faint splat takes 30 to 50. Of 2, 5, 10,
+15 and 30, 5 was best for three trained scenes together: 2.5 to 13 % fewer bytes at equal PSNR.
+"""
 
 # σ(o) = 1/255 at this logit: below it no pixel is ever touched (3DGS, forward pass).
 _INVISIBLE_LOGIT = -np.log(254.0)
@@ -26,19 +35,27 @@ class PruneConfig:
     views : int
         And only when its footprint lay in at least so many of those views. What no view covers is
         unknown, not worthless: it stays.
+    worth : float
+        And only when its energy is below so many times the slope: then the picture loses less
+        than the same bytes spent on finer steps elsewhere would gain.
     """
 
-    peak: float = 0.02
+    peak: float = 0.06
     views: int = 4
+    worth: float = WORTH
 
     def __post_init__(self) -> None:
         if not 0 <= self.peak < 1:
             raise ValueError(f"peak {self.peak}, expected 0 to 1")
         if self.views < 1:
             raise ValueError(f"views {self.views}, expected at least 1")
+        if not self.worth > 0:
+            raise ValueError(f"worth {self.worth}, expected above 0")
 
 
-def kept_rows(splats: Splats, scores: Scores, config: PruneConfig | None) -> NDArray[np.bool_]:
+def kept_rows(
+    splats: Splats, scores: Scores, config: PruneConfig | None, slope: float = np.inf
+) -> NDArray[np.bool_]:
     """Mark the splats that stay.
 
     Parameters
@@ -47,6 +64,9 @@ def kept_rows(splats: Splats, scores: Scores, config: PruneConfig | None) -> NDA
     scores : Scores
     config : PruneConfig or None
         None keeps all.
+    slope : float
+        λ that the rest is stored with (`allocation.slope`). Infinite drops whatever peak and
+        views allow, 0 nothing but what can never be seen.
 
     Returns
     -------
@@ -55,6 +75,7 @@ def kept_rows(splats: Splats, scores: Scores, config: PruneConfig | None) -> NDA
     if config is None:
         return np.ones(len(splats), np.bool_)
     idle = (scores.peak < config.peak) & (scores.covered >= config.views)
+    idle &= scores.energy < config.worth * slope
     invisible = splats.opacities < _INVISIBLE_LOGIT
     kept: NDArray[np.bool_] = ~(idle | invisible)
     return kept

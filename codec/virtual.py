@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from .cameras import Camera
 from .errors import DataError
+from .orbit import orbit, subject_of
 from .pose import Lens, Pose, down_of, in_picture
 from .progress import Progress, silent
 from .projection import ALPHA_MIN, NEAR
@@ -83,6 +84,14 @@ _SHOWN: Final = 0.1
 # Visitors look about level, rather down than up; a view at right angles to that counts a tenth.
 _LEVEL_DEG: Final = 15.0
 _LEAST_LEVEL: Final = 0.1
+
+# A subject stands free where half of the places of an orbit have matter in no more directions than
+# the subject itself fills there, and is one where it is not so many times as large as the nearest
+# quarter of itself. Then most views are an orbit's: what viewers show first, and mostly.
+_FREE_MATTER: Final = 0.12
+_COMPACT: Final = 3.0
+_ORBIT_TRIES: Final = 24
+_ORBIT_SHARE: Final = 7 / 8
 
 # Less than this share of the splats may lie outside all pictures; up to one view in eight is added
 # for them, from chosen places.
@@ -160,8 +169,8 @@ def plan_views(
 ) -> list[Camera]:
     """Plan the views to score a scene on that came without cameras.
 
-    Objects are seen from around, rooms from inside, open ground from above, and what has several of
-    these from each in proportion to its detail.
+    Objects are seen from an orbit, rooms from inside, open ground from above, and what has several
+    of these from each in proportion to its detail.
 
     Parameters
     ----------
@@ -234,14 +243,30 @@ class _Planner:
         self._look_from(self._propose(_FIRST_LOOKS * views, counts))
         self._progress("plan views", _FIRST_LOOKS * views, total)
         self._weigh_sides()
+        around = self._around()
+        views -= len(around)
         self._choose(chosen, max(1, round(_FIRST_SHARE * views)))
         wanting = counts / (1.0 + self._exposure / _SHOWN)
-        self._look_from(self._propose(_SECOND_LOOKS * views, wanting))
+        self._look_from(self._propose(_SECOND_LOOKS * self._config.views, wanting))
         self._progress("plan views", total, total)
         self._choose(chosen, views)
-        poses = [self._looks[row].pose for row in chosen]
-        sides = np.array([self._side_share[self._inside[row]] for row in chosen])
+        poses = around + [self._looks[row].pose for row in chosen]
+        inside = [False] * len(around) + [self._inside[row] for row in chosen]
+        sides = np.array([self._side_share[side] for side in inside])
         return poses + self._for_uncovered(poses, sides)
+
+    def _around(self) -> list[Pose]:
+        """Return an orbit's poses where the scene is one subject that stands free, else none."""
+        subject = subject_of(self._means, self._scene.counts)
+        from_outside = self._side_share[False] > self._side_share[True]
+        if not (from_outside and 0.0 < subject.radius < _COMPACT * self._near_radius):
+            return []
+        near, count = self._config.near, round(_ORBIT_SHARE * self._config.views)
+        tries = np.array([p.position for p in orbit(subject, _ORBIT_TRIES, self.down, near)])
+        matter = self._coarse.enclosed(tries, np.full(len(tries), np.inf))
+        if np.median(matter) > _FREE_MATTER:
+            return []
+        return orbit(subject, count, self.down, near)
 
     def _typical_detail(self) -> float:
         """Return size over distance where subjects fill the picture, as most of the scene has it.
@@ -258,6 +283,7 @@ class _Planner:
             radii[row] = math.sqrt(np.partition(squares, nearest - 1)[nearest - 1])
         # A scene of one point still has an extent.
         radii = np.maximum(radii, 2.0 * sizes[samples])
+        self._near_radius = float(np.median(radii))
         return float(np.median(sizes[samples] / (_STAND_OFF * radii)))
 
     def _propose(self, count: int, wanted: F64) -> list[Pose]:

@@ -6,7 +6,8 @@ import oracle
 import pytest
 
 from cogsplat.codec import chunking, extent
-from cogsplat.codec.encoder import PROFILES, EncodeConfig, encode
+from cogsplat.codec.allocation import slope
+from cogsplat.codec.encoder import PROFILES, EncodeConfig, encode, prepare
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.grid import MAX_VALUE
 from cogsplat.codec.profile_near import NearBounds
@@ -196,9 +197,13 @@ def test_the_near_profile_drops_nothing():
 def test_pruned_rows_are_gone_and_counted(profile):
     splats, scores = tagged(800), scored(800)
     prune = PruneConfig(peak=0.5, views=3)
-    encoded = encode(splats, scores, EncodeConfig(profile=profile, prune=prune))
-    gone = (scores.peak < 0.5) & (scores.covered >= 3) | (splats.opacities < -np.log(254))
-    assert encoded.pruned == gone.sum() > 100
+    prepared = prepare(splats, scores, EncodeConfig(profile=profile, prune=prune))
+    assert prepared.encode(60.0).pruned < prepared.encode(30.0).pruned
+    encoded = prepared.encode(36.0)
+    worth = scores.energy >= prune.worth * slope(scores, 36.0)
+    gone = (scores.peak < 0.5) & (scores.covered >= 3) & ~worth
+    gone |= splats.opacities < -np.log(254)
+    assert encoded.pruned == gone.sum() > 5
     out = check(encoded, 800 - encoded.pruned, 3)
     assert sorted(tags(out)) == np.flatnonzero(~gone).tolist()
 

@@ -34,6 +34,15 @@ def test_a_visible_splat_goes_only_below_the_peak_and_where_views_cover_it(rows,
     assert kept.tolist() == [p >= np.float32(peak) or c < views for p, c in rows]
 
 
+def test_only_what_is_not_worth_its_bytes_goes():
+    splats, scores = seen([0.01] * 4, [9, 9, 9, 3])
+    scores = replace(scores, energy=np.array([1.0, 5.9, 6.0, 1.0]))
+    kept = kept_rows(splats, scores, PruneConfig(worth=6.0), slope=1.0)
+    assert kept.tolist() == [False, False, True, True]
+    assert kept_rows(splats, scores, PruneConfig(worth=6.0), slope=0.1).tolist() == [True] * 4
+    assert kept_rows(splats, scores, PruneConfig(), slope=0.0).all()
+
+
 def test_what_no_view_covers_stays():
     splats, scores = seen([0.0] * 5, [0, 1, 2, 3, 4])
     assert kept_rows(splats, scores, PruneConfig()).tolist() == [True] * 4 + [False]
@@ -76,7 +85,7 @@ def test_an_empty_scene_keeps_nothing():
 
 @pytest.mark.parametrize(
     "settings_",
-    [{"peak": -0.1}, {"peak": 1.0}, {"peak": float("nan")}, {"views": 0}, {"views": -3}],
+    [{"peak": -0.1}, {"peak": 1.0}, {"peak": float("nan")}, {"views": 0}, {"worth": 0.0}],
 )
 def test_bounds_out_of_range_are_refused(settings_):
     with pytest.raises(ValueError, match="expected"):
