@@ -225,7 +225,6 @@ def encode(
     from .codec.prediction import predicted
     from .codec.preset import PRESETS
     from .codec.score import score
-    from .codec.virtual import ViewPlanConfig, plan_views
     from .formats import cogs
     from .formats.atomic import refuse_existing
 
@@ -245,12 +244,12 @@ def encode(
     first_view = config.ordering.first_view or (views[0] if views else None)
     if scores is None and len(splats):
         settings = score_config or chosen.score_config(config.profile, threads=config.threads)
-        # An empty list is refused, not taken for none given.
         if cameras is None:
-            plan = ViewPlanConfig(threads=config.threads)
-            views = plan_views(splats, plan, progress=progress)
-        views = chosen.views(views)
-        scores = score(splats, views, settings, progress=progress)
+            views = _planned(splats, config, progress)
+        # An empty list is refused, not taken for none given.
+        if cameras is not None or views:
+            views = chosen.views(views)
+            scores = score(splats, views, settings, progress=progress)
     prepared = encoder.prepare(splats, scores, config, views=views, progress=progress)
     writer = f"cogsplat {__version__}"
     if target is None or not len(splats):
@@ -283,6 +282,18 @@ def encode(
         cameras=stored_cameras,
         force=force,
     )
+
+
+def _planned(splats: Splats, config: EncodeConfig, progress: Progress) -> list[Camera]:
+    """Return views of a scene that came without, none where an archive shows nothing."""
+    from .codec.virtual import ViewPlanConfig, plan_views
+
+    try:
+        return plan_views(splats, ViewPlanConfig(threads=config.threads), progress=progress)
+    except DataError as error:
+        if error.code != "empty-scene" or config.profile != "near":
+            raise
+        return []
 
 
 def _at_target(

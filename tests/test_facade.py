@@ -390,3 +390,17 @@ def test_importing_it_needs_no_compiler():
         cwd=ROOT, capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert done.stdout.strip() == "False"
+
+
+def test_an_archive_may_show_nothing(tmp_path):
+    dark = replace(scene(40), opacities=np.full(40, -20, np.float32))
+    path = tmp_path / "dark.cogs"
+    cogsplat.encode(dark, path, config=EncodeConfig(profile="near"))
+    found = cogsplat.decode(path)
+    assert len(found) == 40
+    np.testing.assert_allclose(found.opacities, -20, atol=0.005)
+    for profile in ("transform", "vq"):
+        with pytest.raises(DataError) as caught:
+            cogsplat.encode(dark, tmp_path / "other.cogs", config=EncodeConfig(profile=profile))
+        assert caught.value.code == "empty-scene"
+    assert not (tmp_path / "other.cogs").exists()
