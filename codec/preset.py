@@ -57,8 +57,8 @@ DEFAULT_PRESET: Final = "balanced"
 
 PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
     {
-        "fast": Preset(views_every=3, sensitivity_every=2, prediction_views=6),
-        "balanced": Preset(views_every=1, sensitivity_every=2, prediction_views=12),
-        "best": Preset(views_every=1, sensitivity_every=1, prediction_views=16),
+        "fast": Preset(views_every=3, sensitivity_every=2, prediction_views=8),
+        "balanced": Preset(views_every=1, sensitivity_every=2, prediction_views=16),
+        "best": Preset(views_every=1, sensitivity_every=1, prediction_views=24),
     }
 )

@@ -64,7 +64,7 @@ class Target:
             raise ValueError(f"a size of {self.size_bytes}, expected at least 1 byte")
 
 
-TARGET_VIEWS: Final = 16
+TARGET_VIEWS: Final = 32
 """Views that a PSNR is measured in, at most."""
 
 

@@ -13,7 +13,7 @@ from cogsplat.codec.chunking import DEFAULT_LARGEST, MAX_CHUNK_SPLATS
 from cogsplat.formats.atomic import refuse_existing
 
 from .cli_info import tell_attributes
-from .cli_inputs import given_cameras, judged_in, read_any, scoring_cameras, virtual_views
+from .cli_inputs import given_cameras, measured_in, read_any, scoring_cameras, virtual_views
 from .cli_options import (
     PATH,
     background_option,
@@ -225,7 +225,7 @@ def encode(
             target=_target(target_psnr, target_size, given.file_bytes),
             preset=preset,
             stored_cameras=list(numbered or []) if store_cameras else [],
-            measured_on=None if views is None or eval_every else judged_in(views),
+            measured_on=measured_in(numbered, eval_every) if cameras and numbered else None,
             force=force,
             progress=stages,
         )

@@ -242,13 +242,31 @@ def scoring_cameras(path: Path | None, every: int) -> list[Camera] | None:
     return train
 
 
-def judged_in(cameras: Sequence[Camera]) -> list[Camera]:
-    """Return the cameras that `compare` judges by where it is not told: every eighth.
+def measured_in(cameras: Sequence[Camera], every: int) -> list[Camera]:
+    """Return the cameras that an encode is measured in: those that tell most of its judges.
 
-    All where that would leave too few to go by.
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        All that were given, in file order.
+    every : int
+        Cameras held out; they are not measured in, those next to them in the file are. Where none
+        are held out, every eighth is measured in, as `compare` judges where it is not told.
+
+    Returns
+    -------
+    list of Camera
+        All that may be measured in where that would leave too few to go by.
     """
-    held = hold_out(cameras, EVAL_EVERY)[1]
-    return held if len(held) >= _FEWEST_JUDGES else list(cameras)
+    if every:
+        allowed, _ = hold_out(cameras, every)
+        last = len(cameras) - 1
+        beside = {row + side for row in range(0, len(cameras), every) for side in (-1, 1)}
+        found = [cameras[row] for row in sorted(beside) if 0 <= row <= last and row % every]
+    else:
+        allowed = list(cameras)
+        _, found = hold_out(cameras, EVAL_EVERY)
+    return found if len(found) >= _FEWEST_JUDGES else allowed
 
 
 def virtual_views(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> list[Camera]:
