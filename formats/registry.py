@@ -115,7 +115,7 @@ def read_scene(path: StrPath) -> Splats:
     StorageError
         As `open_for_read`.
     """
-    return _format_of(path).read(path)
+    return format_of(path).read(path)
 
 
 def scene_bytes(path: StrPath) -> int:
@@ -128,7 +128,7 @@ def scene_bytes(path: StrPath) -> int:
     CogsplatError
         As `read_scene`.
     """
-    files = _format_of(path).files
+    files = format_of(path).files
     total = 0
     for part in files(path) if files else [Path(path)]:
         with storage_errors(part):
@@ -136,7 +136,16 @@ def scene_bytes(path: StrPath) -> int:
     return total
 
 
-def _format_of(path: StrPath) -> Format:
+def format_of(path: StrPath) -> Format:
+    """Return the foreign format of a file, by its first bytes, then by its extension.
+
+    Raises
+    ------
+    FormatError
+        ``unknown-format``, ``cogs-file``.
+    StorageError
+        As `open_for_read`.
+    """
     head = _head(path)
     if head.startswith(MAGIC):
         raise FormatError(

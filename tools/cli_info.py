@@ -14,7 +14,7 @@ import cogsplat
 from cogsplat.codec.attributes import AttributeType, types_of
 from cogsplat.codec.splats import Splats, sh_coefficients
 from cogsplat.formats.cogs_reader import CogsFile
-from cogsplat.formats.registry import is_cogs
+from cogsplat.formats.registry import format_of, is_cogs
 
 from .cli_inputs import read_any
 from .cli_options import PATH, json_option, quiet_option
@@ -217,7 +217,7 @@ def _ranges(splats: Splats) -> dict[str, tuple[float, float, int]]:
 def _scene_report(path: Path, splats: Splats, file_bytes: int) -> dict[str, object]:
     return {
         "path": name_of(path),
-        "format": "scene",
+        "format": format_of(path).name,
         "bytes": file_bytes,
         "splats": len(splats),
         "sh_degree": splats.sh_degree,
@@ -239,7 +239,8 @@ def _scene_report(path: Path, splats: Splats, file_bytes: int) -> dict[str, obje
 
 
 def _tell_scene(path: Path, splats: Splats, file_bytes: int) -> None:
-    say(f"{path}: {counted(len(splats), 'splat')} at SH degree {splats.sh_degree}")
+    name = format_of(path).name
+    say(f"{path}: {name}, {counted(len(splats), 'splat')} at SH degree {splats.sh_degree}")
     invalid = int(splats.invalid_rows().sum())
     facts(
         ("bytes", f"{size_text(file_bytes)}, {file_bytes / max(len(splats), 1):.2f} B each"),

@@ -39,7 +39,8 @@ def ksplat(small: SmallScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_info_and_stats(run: Run, ksplat: Path) -> None:
-    assert run("info", ksplat, "--json").json["splats"] == SPLATS
+    report = run("info", ksplat, "--json").json
+    assert (report["format"], report["splats"]) == ("ksplat", SPLATS)
     report = run("stats", ksplat, "--json").json
     assert (report["splats"], report["sh_degree"]) == (SPLATS, 0)
     assert report["invalid_splats"] == 0
