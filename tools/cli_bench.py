@@ -252,7 +252,9 @@ def _subject(
 
     with stages.stage("read"):
         views = scoring_cameras(cameras, eval_every)
-        splats = usable_rows(read_any(scene, threads=threads).splats, scene)
+        # Formats are compared by what they draw; most hold nothing else.
+        drawn = read_any(scene, threads=threads).splats.without_extras()
+        splats = usable_rows(drawn, scene)
         if not len(splats):
             raise DataError("no-splats", f"{scene}: 0 splats, expected some to measure")
         judging, what = judging_cameras(scene, splats, cameras, eval_every)

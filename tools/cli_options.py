@@ -58,7 +58,8 @@ def cameras_option(without: str) -> Callable[[Command], Command]:
         "--cameras",
         type=PATH,
         metavar="PATH",
-        help=f"A cameras.json or a COLMAP folder. {without}",
+        help="A cameras.json or transforms.json, a COLMAP folder, or a .cogs that cameras were "
+        f"stored in. {without}",
     )
 
 
