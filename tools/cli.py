@@ -30,6 +30,7 @@ from .cli_bench import bench
 from .cli_convert import convert
 from .cli_decode import decode
 from .cli_encode import encode
+from .cli_eval import evaluate
 from .cli_info import info
 from .cli_judge import compare, render
 from .cli_make import demo, synth
@@ -251,6 +252,7 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     views,
     render,
     compare,
+    evaluate,
     bench,
     synth,
     demo,

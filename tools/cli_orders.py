@@ -38,8 +38,8 @@ class OrderChoice:
 
     Parameters
     ----------
-    name : str
-        An order, alone or with a rule for a pose.
+    names : tuple of str
+        Orders, each alone or with a rule for a pose; all commands but one take one.
     first_view : int or None
         Index of a camera.
     first_view_share, frustum_share : float
@@ -50,7 +50,7 @@ class OrderChoice:
         Folder of masks that labels are made from.
     """
 
-    name: str
+    names: tuple[str, ...]
     first_view: int | None
     first_view_share: float
     frustum_share: float
@@ -59,6 +59,11 @@ class OrderChoice:
     by_object: bool
     budgets: Budgets
     masks: Path | None
+
+    @property
+    def name(self) -> str:
+        """The first order."""
+        return self.names[0]
 
     @property
     def base(self) -> str:
@@ -170,13 +175,77 @@ def budgets(text: str) -> Budgets:
     return tuple(found.items())
 
 
+def order_names(text: str) -> tuple[str, ...]:
+    """Read names of orders, separated by commas; ``all`` for all that need no pose.
+
+    Raises
+    ------
+    click.BadParameter
+        One is none.
+    """
+    if text.strip().lower() == "all":
+        return ORDERS
+    return tuple(dict.fromkeys(order_name(part.strip()) for part in text.split(",")))
+
+
 def order_options(command: Callable[..., object]) -> Callable[..., object]:
     """Add ``--order`` and what goes with it, given on as ``choice``."""
+    option = click.option(
+        "--order",
+        type=order_name,
+        default="contribution",
+        show_default=True,
+        metavar="NAME",
+        help=f"Which splats come first: {', '.join(ORDERS)}.",
+    )
+    return _with_parameters(command, option)
+
+
+def orders_option(command: Callable[..., object]) -> Callable[..., object]:
+    """Add ``--orders`` and what goes with them, given on as ``choice``."""
+    option = click.option(
+        "--orders",
+        "order",
+        type=order_names,
+        default="all",
+        show_default=True,
+        metavar="NAMES",
+        help=f"Separated by commas, of {', '.join(ORDERS)}; each may be followed by "
+        f"{' or '.join('+' + rule for rule in POSE_RULES)}.",
+    )
+    return _with_parameters(command, option)
+
+
+def _named(
+    order: str | tuple[str, ...], first_view: int | None, frustum_share: float | None
+) -> tuple[str, ...]:
+    """Return the names of the orders, with the rule that the options ask of a single one."""
+    names = (order,) if isinstance(order, str) else order
+    rules = [split_name(name)[1] for name in names]
+    if first_view is None:
+        if any(rules):
+            wrong = next(name for name, rule in zip(names, rules, strict=True) if rule)
+            raise click.UsageError(f"order {wrong} without --first-view, expected both")
+        if frustum_share is not None:
+            raise click.UsageError("--frustum-share without --first-view, expected both")
+    elif isinstance(order, str) and not rules[0]:
+        return (f"{order}+{FIRST_VIEW if frustum_share is None else FRUSTUM}",)
+    if frustum_share is not None and FRUSTUM not in rules:
+        raise click.UsageError(
+            f"--frustum-share with {', '.join(names)}, expected an order followed by +{FRUSTUM}"
+        )
+    return names
+
+
+def _with_parameters(
+    command: Callable[..., object], naming: Callable[[Callable[..., object]], Callable[..., object]]
+) -> Callable[..., object]:
+    """Add an option that names orders and those that say more of them."""
 
     @functools.wraps(command)
     def chosen(
         *,
-        order: str,
+        order: str | tuple[str, ...],
         first_view: int | None,
         first_view_share: float,
         frustum_share: float | None,
@@ -187,17 +256,8 @@ def order_options(command: Callable[..., object]) -> Callable[..., object]:
         masks: Path | None,
         **others: object,
     ) -> object:
-        rule = split_name(order)[1]
-        if rule and first_view is None:
-            raise click.UsageError(f"--order {order} without --first-view, expected both")
-        if first_view is not None and not rule:
-            order = f"{order}+{FIRST_VIEW if frustum_share is None else FRUSTUM}"
-        elif rule == FIRST_VIEW and frustum_share is not None:
-            raise click.UsageError(f"--order {order} with --frustum-share, expected one of them")
-        if frustum_share is not None and first_view is None:
-            raise click.UsageError("--frustum-share without --first-view, expected both")
         choice = OrderChoice(
-            name=order,
+            names=_named(order, first_view, frustum_share),
             first_view=first_view,
             first_view_share=first_view_share,
             frustum_share=_DEFAULTS.frustum_share if frustum_share is None else frustum_share,
@@ -209,15 +269,8 @@ def order_options(command: Callable[..., object]) -> Callable[..., object]:
         )
         return command(choice=choice, **others)
 
-    options = [
-        click.option(
-            "--order",
-            type=order_name,
-            default="contribution",
-            show_default=True,
-            metavar="NAME",
-            help=f"Which splats come first: {', '.join(ORDERS)}.",
-        ),
+    options: list[Callable[[Callable[..., object]], Callable[..., object]]] = [
+        naming,
         click.option(
             "--first-view",
             type=click.IntRange(min=0),
