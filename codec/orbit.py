@@ -18,6 +18,8 @@ _SUBJECT_SHARE: Final = 0.9
 # Distances, in radii of the subject: from where it overflows a picture of 60° to where it is small
 # enough to walk around it.
 _CLOSEST, _FURTHEST = 1.5, 3.0
+# Where it fills the picture without overflowing it.
+_FILLING: Final = 2.0
 # Sine of the height above the subject that controls start from and are mostly left at.
 _LOWEST, _HIGHEST = -0.15, 0.6
 # Every other view is from where the near plane cuts nothing; the rest may be cut by it, as a
@@ -67,6 +69,17 @@ def subject_of(means: F64, counts: F64) -> Subject:
     return Subject(centre, _quantile(far, counts, _SUBJECT_SHARE), _quantile(far, counts, 0.99))
 
 
+def turntable(subject: Subject, count: int, down: F64, near: float) -> list[Pose]:
+    """Return poses all around a subject from where it fills the picture: none that `orbit` has.
+
+    Parameters
+    ----------
+    subject, count, down, near
+        As `orbit` takes them.
+    """
+    return _around(subject, range(-count, 0), down, near, (_FILLING, _FILLING))
+
+
 def orbit(subject: Subject, count: int, down: F64, near: float) -> list[Pose]:
     """Return poses all around a subject, about level and rather from above, that look at it.
 
@@ -85,17 +98,23 @@ def orbit(subject: Subject, count: int, down: F64, near: float) -> list[Pose]:
     list of Pose
         Those of any first part spread as evenly as all of them.
     """
+    return _around(subject, range(count), down, near, (_CLOSEST, _FURTHEST))
+
+
+def _around(
+    subject: Subject, rows: range, down: F64, near: float, radii: tuple[float, float]
+) -> list[Pose]:
     up = -down if down.any() else np.array([0.0, 1.0, 0.0])
     side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     side /= np.linalg.norm(side)
     other = np.cross(up, side)
     poses: list[Pose] = []
-    for row in range(count):
-        height, turn, step = np.modf(0.5 + row * _SEQUENCE)[0]
+    for row in rows:
+        height, turn, step = (0.5 + row * _SEQUENCE) % 1.0
         rise = _LOWEST + (_HIGHEST - _LOWEST) * float(height)
         ring, angle = math.sqrt(1.0 - rise * rise), 2.0 * math.pi * float(turn)
         back = rise * up + ring * (math.cos(angle) * side + math.sin(angle) * other)
-        distance = subject.radius * _CLOSEST * (_FURTHEST / _CLOSEST) ** float(step)
+        distance = subject.radius * radii[0] * (radii[1] / radii[0]) ** float(step)
         clear = near + (_CUT_SHARE * subject.radius if row % 2 else subject.reach)
         zoom = max(1.0, clear / distance)
         poses.append(Pose(subject.centre + zoom * distance * back, -back, zoom))

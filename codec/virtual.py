@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from .cameras import Camera
 from .errors import DataError
-from .orbit import orbit, subject_of
+from .orbit import Subject, orbit, subject_of, turntable
 from .pose import Lens, Pose, down_of, in_picture
 from .progress import Progress, silent
 from .projection import ALPHA_MIN, NEAR
@@ -92,6 +92,7 @@ _FREE_MATTER: Final = 0.12
 _COMPACT: Final = 3.0
 _ORBIT_TRIES: Final = 24
 _ORBIT_SHARE: Final = 7 / 8
+_WITNESSES: Final = 16
 
 # Less than this share of the splats may lie outside all pictures; up to one view in eight is added
 # for them, from chosen places.
@@ -155,6 +156,23 @@ class ViewPlanConfig:
 
 
 @dataclass(frozen=True, eq=False)
+class ViewPlan:
+    """Views to score on, and views to measure in.
+
+    Parameters
+    ----------
+    views : list of Camera
+        Named ``virtual-000`` and on, those that show most first.
+    witnesses : list of Camera
+        Views of a visitor's that are not among them, to see in how a scene came out: a turntable
+        around a subject that stands free; none of any other scene.
+    """
+
+    views: list[Camera]
+    witnesses: list[Camera]
+
+
+@dataclass(frozen=True, eq=False)
 class _Look:
     """What a pose shows: rows of the sketch, how clearly each, and what that is worth."""
 
@@ -167,6 +185,13 @@ class _Look:
 def plan_views(
     splats: Splats, config: ViewPlanConfig | None = None, *, progress: Progress = silent
 ) -> list[Camera]:
+    """Return the views of a `plan`."""
+    return plan(splats, config, progress=progress).views
+
+
+def plan(
+    splats: Splats, config: ViewPlanConfig | None = None, *, progress: Progress = silent
+) -> ViewPlan:
     """Plan the views to score a scene on that came without cameras.
 
     Objects are seen from an orbit, rooms from inside, open ground from above, and what has several
@@ -183,9 +208,8 @@ def plan_views(
 
     Returns
     -------
-    list of Camera
-        Named ``virtual-000`` and on, those that show most first; the same for any number of
-        threads.
+    ViewPlan
+        The same for any number of threads.
 
     Raises
     ------
@@ -202,15 +226,18 @@ def plan_views(
             "empty-scene", f"none of {len(splats)} splats can be drawn, expected at least 1"
         )
     planner = _Planner(sketch(bare.take(usable), _SKETCH_SPLATS), config, progress)
-    lens = config.lens()
-    return [
-        pose.camera(lens, planner.down, f"virtual-{row:03d}")
-        for row, pose in enumerate(planner.plan())
-    ]
+    found = planner.plan()
+    lens, down = config.lens(), planner.down
+    views = [pose.camera(lens, down, f"virtual-{row:03d}") for row, pose in enumerate(found)]
+    turned: list[Pose] = []
+    if planner.subject is not None:
+        turned = turntable(planner.subject, _WITNESSES, down, config.near)
+    seen = [pose.camera(lens, down, f"witness-{row:02d}") for row, pose in enumerate(turned)]
+    return ViewPlan(views, seen)
 
 
 class _Planner:
-    """One run of `plan_views`."""
+    """One run of `plan`."""
 
     def __init__(self, scene: Sketch, config: ViewPlanConfig, progress: Progress) -> None:
         self._scene = scene
@@ -225,6 +252,8 @@ class _Planner:
         natural = scene.sizes / self._detail
         typical = _weighted_median(natural, scene.counts)
         self._natural: F64 = np.minimum(natural, _FURTHEST * typical)
+        # What stands free, once that is known.
+        self.subject: Subject | None = None
         self._proposed = 0
         self._looks: list[_Look] = []
         self._inside: list[bool] = []
@@ -266,6 +295,7 @@ class _Planner:
         matter = self._coarse.enclosed(tries, np.full(len(tries), np.inf))
         if np.median(matter) > _FREE_MATTER:
             return []
+        self.subject = subject
         return orbit(subject, count, self.down, near)
 
     def _typical_detail(self) -> float:

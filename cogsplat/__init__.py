@@ -201,8 +201,8 @@ def encode(
     stored_cameras : sequence of Camera
         Stored in the file, for whoever reads it; nothing else depends on them.
     measured_on : sequence of Camera, optional
-        Views that a target is measured and quality predicted in; some of those scored, spread
-        evenly, where none are given.
+        Views that a target is measured and quality predicted in. Where none are given, some of
+        those scored, spread evenly; around a subject that stands free, a turntable's.
     force : bool
         Replace an existing file.
     progress : Progress
@@ -245,7 +245,8 @@ def encode(
     if scores is None and len(splats):
         settings = score_config or chosen.score_config(config.profile, threads=config.threads)
         if cameras is None:
-            views = _planned(splats, config, progress)
+            views, witnesses = _planned(splats, config, progress)
+            measured_on = measured_on or witnesses
         # An empty list is refused, not taken for none given.
         if cameras is not None or views:
             views = chosen.views(views)
@@ -284,16 +285,22 @@ def encode(
     )
 
 
-def _planned(splats: Splats, config: EncodeConfig, progress: Progress) -> list[Camera]:
-    """Return views of a scene that came without, none where an archive shows nothing."""
-    from .codec.virtual import ViewPlanConfig, plan_views
+def _planned(
+    splats: Splats, config: EncodeConfig, progress: Progress
+) -> tuple[list[Camera], list[Camera]]:
+    """Return views of a scene that came without, to score and to measure in.
+
+    There are none where an archive shows nothing.
+    """
+    from .codec.virtual import ViewPlanConfig, plan
 
     try:
-        return plan_views(splats, ViewPlanConfig(threads=config.threads), progress=progress)
+        found = plan(splats, ViewPlanConfig(threads=config.threads), progress=progress)
+        return found.views, found.witnesses
     except DataError as error:
         if error.code != "empty-scene" or config.profile != "near":
             raise
-        return []
+        return [], []
 
 
 def _at_target(

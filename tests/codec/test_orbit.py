@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.orbit import Subject, orbit, subject_of
+from cogsplat.codec.orbit import Subject, orbit, subject_of, turntable
 
 DOWN = np.array([0.0, 1.0, 0.0])
 BALL = Subject(np.array([3.0, -1.0, 2.0]), 1.0, 1.2)
@@ -52,3 +52,13 @@ def test_small_subjects_stay_in_front_of_the_near_plane() -> None:
         distance = float(np.linalg.norm(pose.position))
         assert distance >= 0.2 + (0.005 if row % 2 else 0.02) - 1e-12
         assert 0.0149 < distance / pose.zoom < 0.0301, "as large in the picture"
+
+
+def test_a_turntable_has_places_of_its_own_at_one_distance() -> None:
+    around = np.array([pose.position for pose in orbit(BALL, 64, DOWN, 0.01)])
+    turned = np.array([pose.position for pose in turntable(BALL, 16, DOWN, 0.01)])
+    np.testing.assert_allclose(np.linalg.norm(turned - BALL.centre, axis=1), 2.0)
+    apart = np.linalg.norm(turned[:, None] - around[None], axis=2)
+    assert apart.min() > 0.02
+    rise = (turned - BALL.centre) @ -DOWN / 2.0
+    assert ((rise >= -0.15) & (rise <= 0.6)).all()

@@ -13,7 +13,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.score import ScoreConfig, score
 from cogsplat.codec.splats import SceneInfo, Splats, concatenate, empty
-from cogsplat.codec.virtual import ViewPlanConfig, plan_views
+from cogsplat.codec.virtual import ViewPlanConfig, plan, plan_views
 from cogsplat.tools.synth import synth
 
 SMALL = ViewPlanConfig(views=24, width=64, height=48)
@@ -99,6 +99,15 @@ def test_an_object_is_seen_from_all_around_and_close(size: float) -> None:
     directions = away / distances[:, None]
     assert np.linalg.norm(directions.mean(axis=0)) < 0.4, "from no side alone"
     assert covered(splats, cameras).all()
+
+
+def test_only_a_subject_that_stands_free_has_witnesses() -> None:
+    ball = plan(sphere(1.0), SMALL)
+    assert len(ball.witnesses) == 16
+    same(ball.views, plan_views(sphere(1.0), SMALL))
+    assert (gaze(ball.witnesses, (0.0, 0.0, 0.0)) > 0.99).all()
+    room = concatenate([box((2.5, 1.3, 2.0), 3000), sphere(0.2, 1200)])
+    assert plan(room, SMALL).witnesses == []
 
 
 def test_rooms_are_seen_from_inside() -> None:
