@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.attributes import AttributeType, types_of
-from cogsplat.codec.splats import Splats, sh_coefficients
+from cogsplat.codec.splats import SceneInfo, Splats, sh_coefficients
 from cogsplat.formats.cogs_reader import CogsFile
 from cogsplat.formats.registry import format_of, is_cogs
 
@@ -136,7 +136,7 @@ def _tell_root(path: Path, file: CogsFile, cameras: int) -> None:
         ("splats", f"{root.splats:,} at SH degree {root.sh_degree}, {each:.2f} B each"),
         ("decoded", size_text(_decoded_bytes(file))),
         ("box", axes),
-        ("origin", _numbers(root.info.origin) if any(root.info.origin) else ""),
+        ("origin", _origin(root.info)),
         ("frame", f"axes {root.info.axes}, colour {root.info.colour_space}"),
         ("kernel", f"{root.info.kernel_px:g} px², {smoothing}"),
         (
@@ -247,6 +247,7 @@ def _tell_scene(path: Path, splats: Splats, file_bytes: int) -> None:
         ("invalid", f"{counted(invalid, 'splat')}; encode --drop-invalid leaves them out")
         if invalid
         else ("invalid", "none"),
+        ("origin", _origin(splats.info)),
         ("attributes", _kinds(types_of(splats.extras))),
     )
     rows = [
@@ -256,6 +257,13 @@ def _tell_scene(path: Path, splats: Splats, file_bytes: int) -> None:
     if rows:
         say("")
         table(("attribute", "least", "largest", "not finite"), rows)
+
+
+def _origin(info: SceneInfo) -> str:
+    """Return an origin in full, nothing where it is at zero: on maps, every digit counts."""
+    if not any(info.origin):
+        return ""
+    return "(" + ", ".join(f"{value:.12g}" for value in info.origin) + ")"
 
 
 def _numbers(values: tuple[float, ...] | NDArray[np.float64]) -> str:

@@ -117,3 +117,29 @@ def test_formats_that_cannot_hold_attributes_say_so_in_one_line(
     lines = [line for line in told.err.splitlines() if "cannot hold" in line]
     assert len(lines) == 1
     assert "the attributes number, label, heat" in lines[0]
+
+
+def test_edits_keep_attributes_with_their_splats(
+    run: Run, labelled: tuple[Path, Splats], tmp_path: Path
+) -> None:
+    source, splats = labelled
+    out = tmp_path / "a.ply"
+    low, high = np.quantile(splats.means, [0.2, 0.9], axis=0)
+    crop = ",".join(str(value) for value in (*low, *high))
+    told = run("convert", source, out, "--crop", crop, "--scale", 2, "--sh", 0)
+    assert told.code == 0
+    found = cogsplat.read(out)
+    rows = found.extras["number"]
+    assert 0 < len(found) < SPLATS
+    np.testing.assert_array_equal(found.means, 2 * splats.means[rows])
+    for name, values in splats.extras.items():
+        np.testing.assert_array_equal(found.extras[name], values[rows])
+
+
+def test_info_tells_an_origin_in_full(
+    run: Run, labelled: tuple[Path, Splats], tmp_path: Path
+) -> None:
+    info = replace(labelled[1].info, origin=(499998.0, 4649777.0, 4.5))
+    path = tmp_path / "a.ply"
+    cogsplat.write(path, replace(labelled[1], info=info))
+    assert "(499998, 4649777, 4.5)" in run("info", path).out
