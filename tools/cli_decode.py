@@ -78,6 +78,13 @@ def decode(
             CogsplatWarning,
             stacklevel=1,
         )
+    if scene.lost_extras:
+        warnings.warn(
+            f"{cogs}: came without the attributes {', '.join(scene.lost_extras)}, which not every "
+            "chunk brings",
+            CogsplatWarning,
+            stacklevel=1,
+        )
     with storage_errors(out):
         written = out.stat().st_size
     if as_json:

@@ -89,6 +89,8 @@ class Scene:
     without_tails : tuple of int
         Chunks whose shN is zero because their tails lie beyond the bytes looked at.
     first_view : Camera or None
+    lost_extras : tuple of str
+        Extra attributes that the file lists and the part does not have for every chunk.
     """
 
     splats: Splats
@@ -99,6 +101,7 @@ class Scene:
     file_splats: int
     without_tails: tuple[int, ...]
     first_view: Camera | None
+    lost_extras: tuple[str, ...] = ()
 
 
 def read_any(
@@ -162,6 +165,9 @@ def decode_part(path: Path, part: Part, *, threads: int = 0, progress: Progress 
             file_splats=file.root.splats,
             without_tails=tuple(missing) if splats.sh_degree else (),
             first_view=file.root.first_view,
+            lost_extras=tuple(
+                kind.name for kind in file.root.attributes if kind.name not in splats.extras
+            ),
         )
 
 

@@ -143,3 +143,17 @@ def test_info_tells_an_origin_in_full(
     path = tmp_path / "a.ply"
     cogsplat.write(path, replace(labelled[1], info=info))
     assert "(499998, 4649777, 4.5)" in run("info", path).out
+
+
+def test_a_prefix_without_attributes_says_so(
+    run: Run, small: SmallScene, labelled: tuple[Path, Splats], tmp_path: Path
+) -> None:
+    cogs, out = tmp_path / "a.cogs", tmp_path / "a.ply"
+    assert run("encode", labelled[0], cogs, "--cameras", small.cameras, "-q").code == 0
+    told = run("decode", cogs, out, "--bytes", "50%")
+    assert told.code == 0
+    assert "came without the attributes number, label, heat" in told.err
+    assert not cogsplat.read(out).extras
+    told = run("decode", cogs, out, "--splats", 100, "--force")
+    assert "attributes" not in told.err
+    assert set(cogsplat.read(out).extras) == set(labelled[1].extras)
