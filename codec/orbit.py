@@ -22,8 +22,8 @@ _CLOSEST, _FURTHEST = 1.5, 3.0
 _FILLING: Final = 2.0
 # Sine of the height above the subject that controls start from and are mostly left at.
 _LOWEST, _HIGHEST = -0.15, 0.6
-# Every other view is from where the near plane cuts nothing; the rest may be cut by it, as a
-# visitor's are that comes close, but never past the subject's middle.
+# Every other view of an orbit is from where the near plane cuts nothing. The rest, and those of a
+# turntable, may be cut by it as a visitor's are that comes close, but not past the middle.
 _CUT_SHARE: Final = 0.5
 
 # Three-dimensional low-discrepancy sequence: powers of the inverse of the root of x⁴ = x + 1
@@ -70,14 +70,14 @@ def subject_of(means: F64, counts: F64) -> Subject:
 
 
 def turntable(subject: Subject, count: int, down: F64, near: float) -> list[Pose]:
-    """Return poses all around a subject from where it fills the picture: none that `orbit` has.
+    """Return poses all around a subject, from where it fills the picture, that `orbit` has not.
 
     Parameters
     ----------
     subject, count, down, near
         As `orbit` takes them.
     """
-    return _around(subject, range(-count, 0), down, near, (_FILLING, _FILLING))
+    return _around(subject, range(-count, 0), down, near, (_FILLING, _FILLING), cut=1)
 
 
 def orbit(subject: Subject, count: int, down: F64, near: float) -> list[Pose]:
@@ -98,11 +98,17 @@ def orbit(subject: Subject, count: int, down: F64, near: float) -> list[Pose]:
     list of Pose
         Those of any first part spread as evenly as all of them.
     """
-    return _around(subject, range(count), down, near, (_CLOSEST, _FURTHEST))
+    return _around(subject, range(count), down, near, (_CLOSEST, _FURTHEST), cut=2)
 
 
 def _around(
-    subject: Subject, rows: range, down: F64, near: float, radii: tuple[float, float]
+    subject: Subject,
+    rows: range,
+    down: F64,
+    near: float,
+    radii: tuple[float, float],
+    *,
+    cut: int,
 ) -> list[Pose]:
     up = -down if down.any() else np.array([0.0, 1.0, 0.0])
     side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
@@ -115,7 +121,7 @@ def _around(
         ring, angle = math.sqrt(1.0 - rise * rise), 2.0 * math.pi * float(turn)
         back = rise * up + ring * (math.cos(angle) * side + math.sin(angle) * other)
         distance = subject.radius * radii[0] * (radii[1] / radii[0]) ** float(step)
-        clear = near + (_CUT_SHARE * subject.radius if row % 2 else subject.reach)
+        clear = near + (subject.reach if row % cut else _CUT_SHARE * subject.radius)
         zoom = max(1.0, clear / distance)
         poses.append(Pose(subject.centre + zoom * distance * back, -back, zoom))
     return poses

@@ -92,7 +92,10 @@ _FREE_MATTER: Final = 0.12
 _COMPACT: Final = 3.0
 _ORBIT_TRIES: Final = 24
 _ORBIT_SHARE: Final = 7 / 8
+# Views to measure in, and how much larger than those that are scored: errors that a small picture
+# averages away are seen in a visitor's.
 _WITNESSES: Final = 16
+_WITNESS_SCALE: Final = 1.2
 
 # Less than this share of the splats may lie outside all pictures; up to one view in eight is added
 # for them, from chosen places.
@@ -147,10 +150,11 @@ class ViewPlanConfig:
         thread_count(self.threads)
 
     def lens(self, scale: float = 1.0) -> Lens:
-        """Return the picture that views are taken with, or a smaller copy of it."""
+        """Return the picture that views are taken with, or a copy of it in another size."""
+        least = min(_LEAST_SIDE_PX, self.width, self.height)
         return Lens(
-            width=max(_LEAST_SIDE_PX, round(scale * self.width)) if scale < 1.0 else self.width,
-            height=max(_LEAST_SIDE_PX, round(scale * self.height)) if scale < 1.0 else self.height,
+            width=max(least, round(scale * self.width)),
+            height=max(least, round(scale * self.height)),
             slope=math.tan(math.radians(0.5 * self.fov_deg)),
         )
 
@@ -232,7 +236,8 @@ def plan(
     turned: list[Pose] = []
     if planner.subject is not None:
         turned = turntable(planner.subject, _WITNESSES, down, config.near)
-    seen = [pose.camera(lens, down, f"witness-{row:02d}") for row, pose in enumerate(turned)]
+    large = config.lens(_WITNESS_SCALE)
+    seen = [pose.camera(large, down, f"witness-{row:02d}") for row, pose in enumerate(turned)]
     return ViewPlan(views, seen)
 
 

@@ -50,7 +50,7 @@ def test_small_subjects_stay_in_front_of_the_near_plane() -> None:
     small = Subject(np.zeros(3), 0.01, 0.02)
     for row, pose in enumerate(orbit(small, 64, DOWN, 0.2)):
         distance = float(np.linalg.norm(pose.position))
-        assert distance >= 0.2 + (0.005 if row % 2 else 0.02) - 1e-12
+        assert distance >= 0.2 + (0.02 if row % 2 else 0.005) - 1e-12
         assert 0.0149 < distance / pose.zoom < 0.0301, "as large in the picture"
 
 
@@ -60,5 +60,7 @@ def test_a_turntable_has_places_of_its_own_at_one_distance() -> None:
     np.testing.assert_allclose(np.linalg.norm(turned - BALL.centre, axis=1), 2.0)
     apart = np.linalg.norm(turned[:, None] - around[None], axis=2)
     assert apart.min() > 0.02
+    small = turntable(Subject(np.zeros(3), 0.01, 0.02), 16, DOWN, 0.2)
+    np.testing.assert_allclose([np.linalg.norm(pose.position) for pose in small], 0.205)
     rise = (turned - BALL.centre) @ -DOWN / 2.0
     assert ((rise >= -0.15) & (rise <= 0.6)).all()
