@@ -179,6 +179,8 @@ def encode(
 
     if prune is not None and no_prune:
         raise click.UsageError("--prune and --no-prune: expected one of them")
+    if no_extras and choice.by_object:
+        raise click.UsageError("--no-extras and --objects: expected one of them")
     if store_cameras and cameras is None:
         raise click.UsageError("--store-cameras without --cameras, expected cameras to store")
     _require_one_aim(profile, target_psnr, target_size)

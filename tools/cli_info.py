@@ -170,17 +170,19 @@ def _tell_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
             f"{chunk.head_offset:,}",
             f"{chunk.contribution_share:.2%}" if chunk.contribution_share is not None else "-",
             f"{chunk.share_so_far:.2%}" if chunk.share_so_far is not None else "-",
+            f"{chunk.object_label}",
         )
         for chunk in chunks
     ]
     hidden = len(rows) - _FIRST_ROWS - _LAST_ROWS
     if len(rows) > _MOST_ROWS and not all_chunks:
-        gap = ("", f"{hidden:,} more", "--all", "lists", "them", "", "")
+        gap = ("", f"{hidden:,} more", "--all", "lists", "them", "", "", "")
         rows = [*rows[:_FIRST_ROWS], gap, *rows[-_LAST_ROWS:]]
+    heads = ("chunk", "splats", "head B", "tail B", "head at", "contribution", "so far", "object")
+    # Most scenes have no objects.
+    columns = len(heads) if any(chunk.object_label for chunk in chunks) else len(heads) - 1
     say("")
-    table(
-        ("chunk", "splats", "head B", "tail B", "head at", "contribution", "so far"), rows, left=0
-    )
+    table(heads[:columns], [row[:columns] for row in rows], left=0)
 
 
 def tell_attributes(sizes: list[StoredSize], file: CogsFile) -> None:

@@ -59,6 +59,8 @@ class ChunkSizes:
         Sum over its splats.
     contribution_share, share_so_far : float or None
         Of the scene's, alone and with all chunks before; None where nothing was scored.
+    object_label : int
+        Label of what it holds; 0 in scenes without objects.
     """
 
     number: int
@@ -70,6 +72,7 @@ class ChunkSizes:
     contribution: float
     contribution_share: float | None
     share_so_far: float | None
+    object_label: int
 
     def report(self) -> dict[str, object]:
         """Return the fields as JSON output has them."""
@@ -108,6 +111,7 @@ def chunk_sizes(file: CogsFile) -> list[ChunkSizes]:
                 contribution=float(contribution[number]),
                 contribution_share=float(contribution[number]) / total if total > 0 else None,
                 share_so_far=float(so_far[number]) / total if total > 0 else None,
+                object_label=int(file.chunks.object[number]),
             )
         )
     return rows

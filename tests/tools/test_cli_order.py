@@ -124,6 +124,14 @@ def test_each_object_loads_alone(
         assert len(part) <= 128
     both = cogsplat.decode(out, objects=[1, 3])
     assert len(both) == np.isin(truth, (1, 3)).sum()
+    listed = run("info", out, "--json").json["chunks"]
+    assert isinstance(listed, list)
+    held = dict.fromkeys(range(len(OBJECTS) + 1), 0)
+    for chunk in listed:
+        held[chunk["object_label"]] += chunk["splats"]
+    assert list(held.values()) == np.bincount(truth).tolist()
+    assert "object" in run("info", out).out
+    assert "object" not in run("info", small.cogs).out
     told = run("decode", out, tmp_path / "none.ply", "--object", 9)
     assert told.code == 2
     assert "expected some of 0, 1, 2, 3" in told.err
