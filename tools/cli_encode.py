@@ -100,7 +100,7 @@ if TYPE_CHECKING:
 @click.option(
     "--prune",
     type=click.FloatRange(0, 1, max_open=True),
-    show_default="0.02",
+    show_default="0.06",
     metavar="PEAK",
     help="Drop splats whose weight stays below PEAK in every pixel of every view.",
 )
