@@ -14,8 +14,10 @@ from .splats import Splats
 _NEAR = 0.2
 
 
-def lead(rows: NDArray[np.int64], ahead: NDArray[np.int64], share: float) -> NDArray[np.int64]:
-    """Return an order with the first of another before it.
+def lead(
+    rows: NDArray[np.int64], ahead: NDArray[np.int64], share: float, mix: float = 1.0
+) -> NDArray[np.int64]:
+    """Return an order with the first of another before it, or mixed into its beginning.
 
     Parameters
     ----------
@@ -24,17 +26,24 @@ def lead(rows: NDArray[np.int64], ahead: NDArray[np.int64], share: float) -> NDA
     ahead : (M,) int64
         The order by one view: some of the rows, none twice.
     share : float
-        Of all rows, how many of `ahead` come first at most, 0 to 1.
+        Of all rows, how many of `ahead` come early at most, 0 to 1.
+    mix : float
+        Of any beginning, how much is of those, as long as they last, 0 to 1.
 
     Returns
     -------
     (N,) int64
-        The first of `ahead`, then the others as they stand in `rows`.
+        The first `mix` of any beginning are of `ahead`, the rest of `rows`, where a row that is
+        among both counts for both; when `share` is reached, the others as they stand in `rows`.
     """
     first = ahead[: math.ceil(share * len(rows))]
-    rest = np.ones(len(rows), np.bool_)
-    rest[first] = False
-    return np.concatenate([first, rows[rest[rows]]])
+    rank = np.empty(len(rows), np.int64)
+    rank[rows] = np.arange(1, len(rows) + 1)
+    with np.errstate(divide="ignore"):
+        place = rank * np.divide(1.0, 1.0 - mix)
+        early = np.arange(1, len(first) + 1) * np.divide(1.0, mix)
+    place[first] = np.minimum(place[first], early)
+    return np.lexsort((rank, place)).astype(np.int64)
 
 
 def in_frustum(splats: Splats, camera: Camera, margin: float) -> NDArray[np.bool_]:

@@ -42,7 +42,7 @@ class OrderChoice:
         Orders, each alone or with a rule for a pose; all commands but one take one.
     first_view : int or None
         Index of a camera.
-    first_view_share, frustum_share : float
+    first_view_share, first_view_mix, frustum_share : float
     octree_depth, seed : int
     by_object : bool
     budgets : Budgets
@@ -53,6 +53,7 @@ class OrderChoice:
     names: tuple[str, ...]
     first_view: int | None
     first_view_share: float
+    first_view_mix: float
     frustum_share: float
     octree_depth: int
     seed: int
@@ -94,6 +95,7 @@ class OrderChoice:
             octree_depth=self.octree_depth,
             first_view=view,
             first_view_share=self.first_view_share,
+            first_view_mix=self.first_view_mix,
             frustum_share=self.frustum_share,
             seed=self.seed,
             by_object=self.by_object,
@@ -248,6 +250,7 @@ def _with_parameters(
         order: str | tuple[str, ...],
         first_view: int | None,
         first_view_share: float,
+        first_view_mix: float,
         frustum_share: float | None,
         octree_depth: int,
         seed: int,
@@ -260,6 +263,7 @@ def _with_parameters(
             names=_named(order, first_view, frustum_share),
             first_view=first_view,
             first_view_share=first_view_share,
+            first_view_mix=first_view_mix,
             frustum_share=_DEFAULTS.frustum_share if frustum_share is None else frustum_share,
             octree_depth=octree_depth,
             seed=seed,
@@ -284,7 +288,16 @@ def _with_parameters(
             default=_DEFAULTS.first_view_share,
             show_default=True,
             metavar="SHARE",
-            help="Share of the splats that are ordered by the first view alone.",
+            help="Share of the splats that the first view brings forward.",
+        ),
+        click.option(
+            "--first-view-mix",
+            type=click.FloatRange(0, 1),
+            default=_DEFAULTS.first_view_mix,
+            show_default=True,
+            metavar="SHARE",
+            help="How much of any beginning is for the first view, while that lasts; at 1 other "
+            "views wait.",
         ),
         click.option(
             "--frustum-share",

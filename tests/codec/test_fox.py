@@ -98,7 +98,9 @@ def test_first_view_gains_there_and_costs_the_others_little(fox, scored):
     for index in FIRST_VIEWS:
         camera = [cameras[index]]
         there = render_views(splats, camera)
-        rows = order_rows("contribution+first-view", scored, OrderConfig(first_view=camera[0]))
+        # Unmixed: what is for the others comes behind it.
+        config = OrderConfig(first_view=camera[0], first_view_mix=1.0)
+        rows = order_rows("contribution+first-view", scored, config)
         for share, found in gains.items():
             ours, others = (mean_db(splats, r, share, camera, there) for r in (rows, plain))
             found.append(ours - others)

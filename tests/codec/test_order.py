@@ -95,7 +95,7 @@ def test_first_view_is_ordered_by_what_a_direct_render_of_it_shows():
     scene = replace(scored(np.random.default_rng(5).random(60)), splats=oracle.scene(5, n=60))
     camera = oracle.camera()
     weights = oracle.view(scene.splats, camera).weights.sum(axis=0)
-    config = OrderConfig(first_view=camera, first_view_share=0.25)
+    config = OrderConfig(first_view=camera, first_view_share=0.25, first_view_mix=1.0)
     rows = order_rows(f"contribution+{FIRST_VIEW}", scene, config)
     shown = rows[:15]
     falling = weights[shown]
@@ -110,7 +110,7 @@ def test_first_view_leads_only_with_what_it_shows():
     camera = oracle.camera(width=12, height=10)
     seen = int((oracle.view(scene.splats, camera).weights.sum(axis=0) > 0).sum())
     assert 0 < seen < 60
-    config = OrderConfig(first_view=camera, first_view_share=1.0)
+    config = OrderConfig(first_view=camera, first_view_share=1.0, first_view_mix=1.0)
     rows = order_rows(f"contribution+{FIRST_VIEW}", scene, config)
     assert (np.diff(rows[seen:]) < 0).all(), "the rest as without"
     nothing = replace(config, first_view_share=0.0)
@@ -173,6 +173,7 @@ def test_a_rule_needs_a_view():
         {"octree_depth": -1},
         {"octree_depth": 21},
         {"first_view_share": 1.1},
+        {"first_view_mix": -0.1},
         {"frustum_share": -0.1},
         {"frustum_margin": float("nan")},
         {"seed": -1},

@@ -50,3 +50,26 @@ def test_lead_takes_the_first_of_another_order(share, count):
     found = order_views.lead(rows, ahead, share).tolist()
     assert found[:count] == ahead[:count].tolist()
     assert found[count:] == [row for row in rows.tolist() if row not in found[:count]]
+
+
+@given(
+    st.integers(1, 60),
+    st.floats(0, 1),
+    st.sampled_from([0.0, 0.25, 0.5, 0.8, 1.0]),
+    st.randoms(use_true_random=False),
+)
+def test_both_orders_have_their_part_of_any_beginning(count, share, mix, random):
+    rows, ahead = list(range(count)), list(range(count))
+    random.shuffle(rows)
+    random.shuffle(ahead)
+    ahead = ahead[: random.randint(0, count)]
+    found = order_views.lead(np.array(rows), np.array(ahead, np.int64), share, mix).tolist()
+    assert sorted(found) == list(range(count))
+    first = ahead[: int(np.ceil(share * count))]
+    for length in range(count + 1):
+        # Places may tie: one row less of either.
+        own = first[: max(0, int(mix * length + 1e-9) - 1)]
+        others = rows[: max(0, int((1 - mix) * length + 1e-9) - 1)]
+        assert {*own, *others} <= set(found[:length])
+    rest = [row for row in rows if row not in first]
+    assert [row for row in found if row not in first] == rest
