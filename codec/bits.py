@@ -62,11 +62,7 @@ def unpack(data: U8, widths: U8, where: str) -> U64:
     FormatError
         ``bits-padding``: bits behind the last field are not zero.
     """
-    total = int(widths.sum(dtype=np.int64))
-    if total & 7 and int(data[-1]) >> (total & 7):
-        raise FormatError(
-            "bits-padding", f"{where}: padding bits are set, expected zeros", clause="6.5"
-        )
+    require_padding(data, widths, where)
     rows = np.flatnonzero(widths)
     if len(rows) * 2 < len(widths):
         # Fields without bits take no place: leave them out while they are many.
@@ -75,6 +71,15 @@ def unpack(data: U8, widths: U8, where: str) -> U64:
             fields[rows] = _fields(data, widths[rows])
         return fields
     return _fields(data, widths)
+
+
+def require_padding(data: U8, widths: U8, where: str) -> None:
+    """Refuse bits behind the last field that are not zero, as `unpack` does."""
+    total = int(widths.sum(dtype=np.int64))
+    if total & 7 and int(data[-1]) >> (total & 7):
+        raise FormatError(
+            "bits-padding", f"{where}: padding bits are set, expected zeros", clause="6.5"
+        )
 
 
 def _fields(data: U8, widths: U8) -> U64:

@@ -31,6 +31,10 @@ class Payloads:
     head_needs, tail_needs : tuple of int
     order : (n,) int64
         Which of the chunk's rows, as it was given, stands in each place as it is stored.
+    refinement : bytes or None
+        What makes the head's values fine; None where they are.
+    refinement_gain : float
+        Squared error of the picture that it removes.
     """
 
     head: bytes
@@ -38,6 +42,8 @@ class Payloads:
     head_needs: tuple[int, ...]
     tail_needs: tuple[int, ...]
     order: NDArray[np.int64] = field(compare=False)
+    refinement: bytes | None = None
+    refinement_gain: float = 0.0
 
 
 def chunk_means(means: F32, step: float, sort: bool) -> tuple[NDArray[np.int64], Stream]:

@@ -8,9 +8,9 @@ from typing import Final
 DEFAULT_LARGEST: Final = 16384
 MAX_CHUNK_SPLATS: Final = 1 << 18
 """Most splats a chunk may hold (SPEC 9.1)."""
-FIRST_SPLATS: Final = 256
+FIRST_SPLATS: Final = 1024
 # Each chunk so much larger than the one before: the wait for the next stays in proportion.
-_GROWTH: Final = 1.75
+_GROWTH: Final = 1.5
 
 
 def plan_chunks(splats: int, largest: int = DEFAULT_LARGEST) -> list[slice]:

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from . import compiled
+from . import compiled, refinement
 from . import grid as grids
 from .errors import FormatError
 from .grid import ENTRY_BYTES, Grid
@@ -67,8 +67,16 @@ def _on_axes(values: F32, axes: F32) -> F32:
     return out
 
 
-def read_sh0(stream: StoredStream, out: F32) -> None:
-    """Write the sh0 of a basis stream into (rows, 3) float32 `out`."""
+def read_sh0(stream: StoredStream, out: F32, finer: StoredStream | None = None) -> None:
+    """Write the sh0 of a basis stream into (rows, 3) float32 `out`.
+
+    Parameters
+    ----------
+    stream : StoredStream
+    out : (rows, 3) float32
+    finer : StoredStream, optional
+        Digits that refine its coordinates (SPEC 6.16).
+    """
     stream.require_kind(Kind.BASIS)
     params = stream.require_params(3 * ENTRY_BYTES + _AXES_BYTES)
     grid = grids.unpack(params[: 3 * ENTRY_BYTES], 3, stream.where)
@@ -80,7 +88,10 @@ def read_sh0(stream: StoredStream, out: F32) -> None:
             clause="6.13",
         )
     values = np.empty((stream.rows, 3), np.float32)
-    read_grid_planes(stream, grid, 0, 0, values)
+    if finer is None:
+        read_grid_planes(stream, grid, 0, 0, values)
+    else:
+        refinement.read_digits(stream, grid, finer, values, values[:0])
     if compiled.ready():
         from . import decode_kernels
 

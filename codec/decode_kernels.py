@@ -194,6 +194,58 @@ def grid_rows(planes: U8, minimum: F32, maximum: F32, levels: U32, extra: int, o
 
 
 @_exact
+def digit_rows(
+    planes: U8,
+    coarse: tuple[F32, F32, U32],
+    below: U8,
+    radices: I64,
+    fine: tuple[F32, F32, U32],
+    coarse_out: F32,
+    out: F32,
+) -> bool:
+    """Write (rows, c) values from byte planes and digits, all end to end (SPEC 6.16).
+
+    `coarse` and `fine` are minimum, maximum and levels; `coarse_out` may have no rows.
+    """
+    rows, components = out.shape
+    both = len(coarse_out) > 0
+    at = 0
+    digit_at = 0
+    for column in range(components):
+        limit = int(coarse[2][column])
+        count = 0
+        while limit - 1 >> 8 * count:
+            count += 1
+        low, fine_low = coarse[0][column], fine[0][column]
+        width, fine_width = np.float32(0), np.float32(0)
+        if limit > 1:
+            width = (coarse[1][column] - low) / (np.float32(limit) - np.float32(1))
+        fine_limit = int(fine[2][column])
+        if fine_limit > 1:
+            fine_width = (fine[1][column] - fine_low) / (np.float32(fine_limit) - np.float32(1))
+        radix = radices[column]
+        top, top_digit, top_fine = 0, 0, 0
+        for row in range(rows):
+            code = 0
+            for byte in range(count):
+                code |= int(planes[at + byte * rows + row]) << (8 * byte)
+            top = max(top, code)
+            if both:
+                coarse_out[row, column] = np.float32(code) * width + low
+            if radix > 1:
+                digit = int(below[digit_at + row])
+                top_digit = max(top_digit, digit)
+                code = code * radix + digit
+            top_fine = max(top_fine, code)
+            out[row, column] = np.float32(code) * fine_width + fine_low
+        if top >= limit or top_digit >= radix or top_fine >= fine_limit:
+            return False
+        at += count * rows
+        digit_at += rows if radix > 1 else 0
+    return True
+
+
+@_exact
 def climb(steps: F32, out: F32) -> None:
     """Write the scales of a ladder (SPEC 6.12)."""
     for row in range(len(out)):
@@ -252,6 +304,14 @@ def _halvings(scales: F32, coefficients: F32, knees: F32, most: int, halved: U8)
 
 
 @_exact
+def gained(scales: F32, coefficients: F32, knees: F32, most: int, halved: U8, out: U8) -> None:
+    """Write how many halvings more than `halved` scales ask for (SPEC 6.17)."""
+    _halvings(scales, coefficients, knees, most, out)
+    for row in range(len(out)):
+        out[row] = out[row] - halved[row] if out[row] > halved[row] else 0
+
+
+@_exact
 def turn_plan(
     scales: F32, coefficients: F32, knees: F32, most: int, halved: U8, counts: I64
 ) -> None:
@@ -279,22 +339,36 @@ def turn_plan(
 
 
 @_exact
-def turns(planes: U8, halved: U8, counts: I64, steps: F32, out: F32) -> bool:
-    """Write the unit quaternions of tilt, tilt and spin (SPEC 6.11).
+def gained_plan(halved: U8, extra: U8, counts: I64) -> None:
+    """Write what a refinement adds to the turns of a head (SPEC 6.17).
 
     Parameters
     ----------
-    planes : uint8
-        All planes end to end, and two bytes behind them.
-    halved, counts
-        As `turn_plan` writes them.
-    steps : (most + 1,) float32
-        What a code is worth after each number of halvings.
-    out : (n, 4) float32
+    halved, extra : (2, n) uint8
+        Halvings of the head and of the refinement.
+    counts : (2, SYMBOL_GROUPS + 1) int64, out
+        As of `turn_plan`, of the rows without halvings in the head; in column 0 the bits of the
+        others.
     """
+    counts[:] = 0
+    for which in range(2):
+        for row in range(halved.shape[1]):
+            more = int(extra[which, row])
+            if halved[which, row]:
+                counts[which, 0] += more
+            elif more:
+                group = min(more, SYMBOL_GROUPS - 1)
+                counts[which, group] += 1
+                counts[which, SYMBOL_GROUPS] += more - group
+
+
+@_exact
+def _starts(planes: U8, counts: I64) -> tuple[I64, I64, bool]:
+    """Return where symbols and bits of each component start, and whether paddings are zeros."""
     starts = np.zeros((3, SYMBOL_GROUPS), np.int64)
     bits = np.zeros(3, np.int64)
     at = 0
+    right = True
     for column in range(3):
         which = column >> 1
         for group in range(1, SYMBOL_GROUPS):
@@ -304,25 +378,85 @@ def turns(planes: U8, halved: U8, counts: I64, steps: F32, out: F32) -> bool:
         bits[column] = 8 * at
         at += (spare + 7) >> 3
         if spare & 7 and int(planes[at - 1]) >> (spare & 7):
-            return False
+            right = False
+    return starts, bits, right
+
+
+@_exact
+def _turn_code(planes: U8, starts: I64, bits: I64, column: int, wide: int) -> int:
+    """Return the next code of so many halvings of a component, and step behind it."""
+    group = min(wide, SYMBOL_GROUPS - 1)
+    code = int(planes[starts[column, group]])
+    starts[column, group] += 1
+    spare = wide - group
+    if spare:
+        byte, shift = bits[column] >> 3, bits[column] & 7
+        pair = int(planes[byte]) | int(planes[byte + 1]) << 8
+        code = (code << spare) | ((pair >> shift) & ((1 << spare) - 1))
+        bits[column] += spare
+    return code
+
+
+@_exact
+def turns(
+    planes: U8,
+    halved: U8,
+    counts: I64,
+    steps: F32,
+    extra: U8,
+    more_counts: I64,
+    below: U8,
+    fields: U64,
+    out: F32,
+) -> bool:
+    """Write the unit quaternions of tilt, tilt and spin (SPEC 6.11, 6.17).
+
+    Parameters
+    ----------
+    planes : uint8
+        All planes end to end, and two bytes behind them.
+    halved, counts
+        As `turn_plan` writes them.
+    steps : (most + 1,) float32
+        What a code is worth after each number of halvings.
+    extra : (2, n) uint8
+        Halvings that a refinement adds to tilt and spin; no columns where there is none.
+    more_counts : (2, SYMBOL_GROUPS + 1) int64
+        As `gained_plan` writes them.
+    below : uint8
+        The planes of the refinement end to end, and two bytes behind them.
+    fields : uint64
+        The last of them, as `words` gives it.
+    out : (n, 4) float32
+    """
+    starts, bits, found = _starts(planes, counts)
+    more_starts, more_bits, more_found = _starts(below, more_counts)
+    if not found or not more_found:
+        return False
     one = np.float32(1)
     turned = np.empty(3, np.float32)
+    finer = extra.shape[1] > 0
+    position = 0
     for row in range(len(out)):
         for column in range(3):
             wide = int(halved[column >> 1, row])
-            if wide == 0:
+            more = int(extra[column >> 1, row]) if finer else 0
+            if wide:
+                code = _turn_code(planes, starts, bits, column, wide)
+                if code > 1 << wide:
+                    return False
+                if more:
+                    window = _window(fields, position) & np.uint64((1 << more) - 1)
+                    position += more
+                    code = (code << more) + int(np.int64(window)) - (1 << (more - 1))
+                    wide += more
+            elif more:
+                code = _turn_code(below, more_starts, more_bits, column, more)
+                wide = more
+            else:
                 turned[column] = 0
                 continue
-            group = min(wide, SYMBOL_GROUPS - 1)
-            spare = wide - group
-            code = int(planes[starts[column, group]])
-            starts[column, group] += 1
-            if spare:
-                byte, shift = bits[column] >> 3, bits[column] & 7
-                pair = int(planes[byte]) | int(planes[byte + 1]) << 8
-                code = (code << spare) | ((pair >> shift) & ((1 << spare) - 1))
-                bits[column] += spare
-            if code > 1 << wide:
+            if code < 0 or code > 1 << wide:
                 return False
             turned[column] = np.float32(code) * steps[wide] - one
         a, b, c = turned[0], turned[1], turned[2]
@@ -358,16 +492,21 @@ def fine_means(
     levels: I64,
     factors: F32,
     minimum: F32,
+    extra: U8,
+    extra_fields: U64,
     out: F32,
 ) -> bool:
-    """Write means from Morton deltas and the bits below their cells (SPEC 6.5, 6.15).
+    """Write means from Morton deltas and the bits below their cells (SPEC 6.5, 6.15, 6.17).
 
-    `factors` (halvings, 3) is what a code is worth at each number of halvings.
+    `factors` (halvings, 3) is what a code is worth at each number of halvings, `extra` how many a
+    refinement adds to each row, with no rows where there is none, and `extra_fields` their bits.
     """
     mask = np.uint64(_AXIS_MASK)
     code = np.uint64(0)
     at = 0
     position = 0
+    finer = len(extra) > 0
+    extra_position = 0
     for row in range(len(out)):
         bits = int(classes[row])
         if bits:
@@ -384,12 +523,23 @@ def fine_means(
         low = _window(fields, position)
         position += 3 * wide
         below = (np.uint64(1) << np.uint64(wide)) - np.uint64(1)
+        more = int(extra[row]) if finer else 0
+        lower = np.uint64(0)
+        if more:
+            lower = _window(extra_fields, extra_position)
+            extra_position += 3 * more
+        under = (np.uint64(1) << np.uint64(more)) - np.uint64(1)
+        half = (np.int64(1) << np.int64(more)) >> np.int64(1)
         for axis in range(3):
             cell = (cells >> np.uint64(_AXIS_BITS * axis)) & mask
             if np.int64(cell) >= levels[axis]:
                 return False
             fine = (cell << np.uint64(wide)) | ((low >> np.uint64(wide * axis)) & below)
-            value = np.float32(np.int64(fine)) * factors[wide, axis]
+            field = (lower >> np.uint64(more * axis)) & under
+            level = np.int64((fine << np.uint64(more)) + field) - half
+            if level < 0:
+                return False
+            value = np.float32(level) * factors[wide + more, axis]
             out[row, axis] = value + minimum[axis]
     return True
 

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import colour_streams, fine_means, shape_streams, streams
+from . import grid as grids
+from . import refinement as refinement_streams
 from .errors import FormatError
+from .grid import Grid
+from .refinement import Finer
 from .splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from .streams import KEPT, SH_BANDS, Attribute, Kind, StoredStream
 
 F32 = NDArray[np.float32]
 U32 = NDArray[np.uint32]
+
+# Coarse values that nobody asks for.
+_NOBODY: Final = np.empty((0, 3), np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +107,11 @@ def decode_colour_codebook(
 
 
 def decode_head(
-    payload: memoryview, codebooks: Mapping[int, Codebook], out: Splats, where: str
+    payload: memoryview,
+    codebooks: Mapping[int, Codebook],
+    out: Splats,
+    where: str,
+    refinement: memoryview | None = None,
 ) -> None:
     """Write a chunk head's means, opacities, sh0, scales and quats into the rows of `out`.
 
@@ -113,22 +125,28 @@ def decode_head(
         The chunk's rows, as views of a larger scene; shN is left alone.
     where : str
         Names the segment in messages.
+    refinement : memoryview, optional
+        Bytes of the chunk's refinement, likewise checked; without it the head's coarse values.
 
     Raises
     ------
     FormatError, UnsupportedError, LimitError
-        The payload breaks SPEC 6 or 7.2.
+        A payload breaks SPEC 6, 7.2 or 7.4.
     """
     found = _Streams(payload, where, len(out), "7.2")
+    finer = _Refinement(refinement, f"{where}, refined", len(out))
+    # What the halvings of the head's own codes follow from.
+    scales = out.scales
     if found.has(Attribute.SHAPE):
         _read_shapes(found, codebooks, out)
     else:
-        _read_scales(found.take(Attribute.SCALES), out.scales)
-        _read_quats(found.take(Attribute.QUATS), out.scales, out.quats)
-    _read_means(found.take(Attribute.MEANS), out.scales, out.means)
-    found.take(Attribute.OPACITIES).read_numbers(out.opacities[:, None])
-    _read_sh0(found.take(Attribute.SH0), out.sh0)
+        scales = _read_scales(found.take(Attribute.SCALES), finer.take(Attribute.SCALES), out)
+        _read_quats(found.take(Attribute.QUATS), finer, scales, out)
+    _read_means(found.take(Attribute.MEANS), finer, scales, out)
+    _read_opacities(found.take(Attribute.OPACITIES), finer.take(Attribute.OPACITIES), out)
+    _read_sh0(found.take(Attribute.SH0), finer.take(Attribute.SH0), out.sh0)
     found.finish()
+    finer.finish()
 
 
 def _read_shapes(found: _Streams, codebooks: Mapping[int, Codebook], out: Splats) -> None:
@@ -150,32 +168,54 @@ def _read_shapes(found: _Streams, codebooks: Mapping[int, Codebook], out: Splats
     np.add(out.scales, factor, out=out.scales)
 
 
-def _read_scales(stream: StoredStream, out: F32) -> None:
+def _read_scales(stream: StoredStream, finer: StoredStream | None, out: Splats) -> F32:
+    """Read scales into `out`; return those of the head alone."""
+    coarse = out.scales if finer is None else np.empty_like(out.scales)
     if stream.kind == Kind.LADDER:
-        shape_streams.read_ladder(stream, out)
+        shape_streams.read_ladder(stream, out.scales, finer, coarse)
+    elif finer is None:
+        stream.read_numbers(out.scales)
     else:
-        stream.read_numbers(out)
+        refinement_streams.read_digits(stream, _grid(stream, 3), finer, out.scales, coarse)
+    return coarse
 
 
-def _read_quats(stream: StoredStream, scales: F32, out: F32) -> None:
+def _grid(stream: StoredStream, components: int) -> Grid:
+    """Return the grid of a scalar stream that is to be refined."""
+    stream.require_kind(Kind.SCALAR)
+    params = stream.require_params(components * grids.ENTRY_BYTES)
+    return grids.unpack(params, components, stream.where)
+
+
+def _read_quats(stream: StoredStream, finer: _Refinement, scales: F32, out: Splats) -> None:
     if stream.kind == Kind.TURN:
-        shape_streams.read_turns(stream, scales, out)
+        shape_streams.read_turns(stream, scales, out.quats, finer.finer(Attribute.QUATS, out))
     else:
-        stream.read_quats(out)
+        stream.read_quats(out.quats)
 
 
-def _read_means(stream: StoredStream, scales: F32, out: F32) -> None:
+def _read_means(stream: StoredStream, finer: _Refinement, scales: F32, out: Splats) -> None:
     if stream.kind == Kind.FINE:
-        fine_means.read_fine_means(stream, scales, out)
+        fine_means.read_fine_means(stream, scales, out.means, finer.finer(Attribute.MEANS, out))
     else:
-        stream.read_means(out)
+        stream.read_means(out.means)
 
 
-def _read_sh0(stream: StoredStream, out: F32) -> None:
+def _read_opacities(stream: StoredStream, finer: StoredStream | None, out: Splats) -> None:
+    column = out.opacities[:, None]
+    if finer is None:
+        stream.read_numbers(column)
+    else:
+        refinement_streams.read_digits(stream, _grid(stream, 1), finer, column, _NOBODY)
+
+
+def _read_sh0(stream: StoredStream, finer: StoredStream | None, out: F32) -> None:
     if stream.kind == Kind.BASIS:
-        colour_streams.read_sh0(stream, out)
-    else:
+        colour_streams.read_sh0(stream, out, finer)
+    elif finer is None:
         stream.read_numbers(out)
+    else:
+        refinement_streams.read_digits(stream, _grid(stream, 3), finer, out, _NOBODY)
 
 
 def decode_tail(
@@ -312,3 +352,23 @@ class _Streams:
                 f"{self._where}: {names} have no place here",
                 clause=self._clause,
             )
+
+
+class _Refinement:
+    """The streams of a refinement, each to be taken at most once; none where there is none."""
+
+    def __init__(self, payload: memoryview | None, where: str, rows: int) -> None:
+        self._streams = None if payload is None else _Streams(payload, where, rows, "7.4")
+
+    def take(self, attribute: Attribute) -> StoredStream | None:
+        if self._streams is None or not self._streams.has(attribute):
+            return None
+        return self._streams.take(attribute)
+
+    def finer(self, attribute: Attribute, out: Splats) -> Finer | None:
+        stream = self.take(attribute)
+        return None if stream is None else Finer(stream, out.scales)
+
+    def finish(self) -> None:
+        if self._streams is not None:
+            self._streams.finish()

@@ -9,7 +9,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from . import allocation, chunking, objects, profile_near, profile_transform, profile_vq
+from . import (
+    allocation,
+    chunking,
+    objects,
+    profile_near,
+    profile_transform,
+    profile_vq,
+    sequence,
+)
 from .ablation import Ablation
 from .attributes import pack_attributes
 from .cameras import Camera
@@ -24,6 +32,7 @@ from .profile_near import NearBounds
 from .progress import Progress, silent
 from .prune import PruneConfig, kept_rows
 from .score import Scores, unscored
+from .sequence import ChunkParts, Part
 from .splats import Splats, empty
 from .threads import ordered_map, thread_count
 
@@ -50,6 +59,9 @@ class EncodeConfig:
         Most splats in a chunk.
     morton : bool
         Whether to sort by Morton code inside the chunk.
+    refine : bool
+        Whether the heads of the `transform` profile are coarse and refinements bring the rest
+        later.
     prune : PruneConfig or None
         What may be dropped; None keeps every splat, as `near` always does.
     near : NearBounds
@@ -67,6 +79,7 @@ class EncodeConfig:
     ordering: OrderConfig = field(default_factory=OrderConfig)
     chunk_splats: int = chunking.DEFAULT_LARGEST
     morton: bool = True
+    refine: bool = True
     prune: PruneConfig | None = field(default_factory=PruneConfig)
     near: NearBounds = field(default_factory=NearBounds)
     training: TrainingConfig = field(default_factory=TrainingConfig)
@@ -124,6 +137,8 @@ class EncodedChunk:
         Predicted PSNR of a scene that ends with this chunk; 0 where nothing was predicted.
     object : int
         Label of the object it holds; 0 in scenes without.
+    tail_gain : float
+        Squared error of the pictures without its tail.
     """
 
     splats: int
@@ -133,6 +148,17 @@ class EncodedChunk:
     attributes: bytes | None = None
     quality_db: float = 0.0
     object: int = 0
+    tail_gain: float = 0.0
+
+    @property
+    def parts(self) -> ChunkParts:
+        """Sizes and gains of its segments."""
+        head, refinement, tail = self.payloads.head, self.payloads.refinement, self.payloads.tail
+        return ChunkParts(
+            len(head),
+            None if refinement is None else Part(len(refinement), self.payloads.refinement_gain),
+            None if tail is None else Part(len(tail), self.tail_gain),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,13 +245,24 @@ class Prepared:
             # Coarse steps move splats past the box of the source.
             stored = empty(0, len(part))
             decode_head(memoryview(payloads.head), shapes, stored, "chunk")
+            reach = box(stored)
+            if payloads.refinement is not None:
+                refined = memoryview(payloads.refinement)
+                decode_head(memoryview(payloads.head), shapes, stored, "chunk", refined)
+                fine = box(stored)
+                reach = np.concatenate(
+                    [np.minimum(reach[:3], fine[:3]), np.maximum(reach[3:], fine[3:])]
+                )
             return EncodedChunk(
                 splats=len(part),
                 payloads=payloads,
-                box=box(stored),
+                box=reach,
                 contribution=float(self.scores.contribution[part].sum()),
                 attributes=self._attributes(run, payloads),
                 object=label,
+                tail_gain=sequence.tail_gain(
+                    self.ordered.shN[run], self.scores.energy[part], self.scores.basis_spread
+                ),
             )
 
         chunks: list[EncodedChunk] = []
@@ -398,7 +435,13 @@ def _profile(
             costs = costs.levelled()
         slope = allocation.slope(scores, quality_db)
         shared = profile_transform.plan(
-            ordered, costs, scores.basis_spread, slope, prepared.slices, config.ablation
+            ordered,
+            costs,
+            scores.basis_spread,
+            slope,
+            prepared.slices,
+            config.ablation,
+            known.contribution if config.refine else None,
         )
         books = []
         if shared.basis is not None:

@@ -7,11 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from . import bits, compiled, morton
+from . import bits, compiled, morton, refinement
 from . import grid as grids
 from . import resolution as resolutions
 from .errors import FormatError
 from .grid import ENTRY_BYTES, Grid
+from .refinement import Finer
 from .resolution import MAX_HALVINGS, RESOLUTION_BYTES, Resolution
 from .streams import Attribute, Kind, StoredStream, Stream
 
@@ -37,10 +38,37 @@ def fine_codes(means: F32, grid: Grid, halvings: U8) -> U32:
     return out
 
 
+def values(codes: U32, grid: Grid, halvings: U8) -> F32:
+    """Return the (n, 3) means of codes on each row's own halving of a grid."""
+    out: F32 = codes.astype(np.float32) * (_SCALES[halvings][:, None] * grid.step) + grid.minimum
+    return out
+
+
 def morton_order(codes: U32, halvings: U8) -> I64:
     """Return the rows sorted by the Morton code of their coarse cells, ties as they were."""
     keys = morton.interleave(codes >> halvings[:, None])
     return np.argsort(keys, kind="stable").astype(np.int64)
+
+
+def refine(codes: U32, extra: U8, constant: float) -> tuple[U32, Stream]:
+    """Return the codes that a head stores and what refines them.
+
+    Parameters
+    ----------
+    codes : (n, 3) uint32
+        At all halvings.
+    extra : (n,) uint8
+        Those of them that are the refinement's.
+    constant : float
+        First coefficient of the finer resolution.
+    """
+    fields = np.zeros(len(codes), np.uint64)
+    coarse = np.empty_like(codes)
+    for axis in range(3):
+        coarse[:, axis], field = refinement.coarse_of(codes[:, axis], extra)
+        fields |= field << (extra.astype(np.uint64) * np.uint64(axis))
+    plane = bits.pack(fields, extra * _THREE)
+    return coarse, refinement.bits_stream(Attribute.MEANS, [constant], [plane], len(codes))
 
 
 def fine_means(codes: U32, grid: Grid, halvings: U8, resolution: Resolution) -> Stream:
@@ -58,15 +86,19 @@ def _fields(codes: U32, halvings: U8) -> U64:
     return fields
 
 
-def read_fine_means(stream: StoredStream, scales: F32, out: F32) -> None:
+def read_fine_means(
+    stream: StoredStream, scales: F32, out: F32, finer: Finer | None = None
+) -> None:
     """Write the values of a fine stream of means into (rows, 3) float32 `out`.
 
     Parameters
     ----------
     stream : StoredStream
     scales : (rows, 3) float32
-        The same rows' decoded scales.
+        The same rows' scales, as the head alone has them.
     out : (rows, 3) float32
+    finer : Finer, optional
+        What refines them (SPEC 6.17).
     """
     stream.require_kind(Kind.FINE)
     params = stream.require_params(3 * ENTRY_BYTES + RESOLUTION_BYTES)
@@ -78,7 +110,9 @@ def read_fine_means(stream: StoredStream, scales: F32, out: F32) -> None:
             clause="6.15",
         )  # fmt: skip
     classes = stream.plane(0, stream.rows)
-    if compiled.ready() and _compiled_means(stream, classes, scales, (grid, resolution), out):
+    if compiled.ready() and _compiled_means(
+        stream, classes, scales, (grid, resolution), finer, out
+    ):
         return
     halvings = resolution.halvings(scales)
     deltas = stream.plane(1, morton.bits_length(classes, stream.where))
@@ -92,19 +126,40 @@ def read_fine_means(stream: StoredStream, scales: F32, out: F32) -> None:
         )
     widths = halvings * _THREE
     fields = bits.unpack(stream.plane(2, bits.packed_bytes(widths)), widths, stream.where)
-    wide = halvings.astype(np.uint64)
-    mask = (np.uint64(1) << wide) - np.uint64(1)
-    scale = _SCALES[halvings]
+    extra = np.zeros_like(halvings)
+    if finer is not None:
+        (extra,) = finer.extra([resolution], [halvings])
+    below = np.zeros(stream.rows, np.uint64)
+    if finer is not None:
+        finer.stream.require_planes(1)
+        below = finer.fields(0, extra * _THREE)
+    wide, more = halvings.astype(np.uint64), extra.astype(np.uint64)
+    half = refinement.half_of(extra)
+    scale = _SCALES[halvings + extra]
     step = grid.step
     for axis in range(3):
-        low = (fields >> (wide * np.uint64(axis))) & mask
-        codes = (coarse[:, axis].astype(np.uint64) << wide) | low
-        np.multiply(codes.astype(np.float32), scale * step[axis], out=out[:, axis])
+        codes = (coarse[:, axis].astype(np.uint64) << wide) | _field(fields, wide, axis)
+        refined = ((codes << more) | _field(below, more, axis)).astype(np.int64) - half
+        if finer is not None and int(refined.min(initial=0)) < 0:
+            raise finer.refuse()
+        np.multiply(refined.astype(np.float32), scale * step[axis], out=out[:, axis])
     out += grid.minimum
 
 
+def _field(fields: U64, wide: U64, axis: int) -> U64:
+    """Return one axis' bits of fields of three times so many."""
+    mask = (np.uint64(1) << wide) - np.uint64(1)
+    out: U64 = (fields >> (wide * np.uint64(axis))) & mask
+    return out
+
+
 def _compiled_means(
-    stream: StoredStream, classes: U8, scales: F32, given: tuple[Grid, Resolution], out: F32
+    stream: StoredStream,
+    classes: U8,
+    scales: F32,
+    given: tuple[Grid, Resolution],
+    finer: Finer | None,
+    out: F32,
 ) -> bool:
     from . import decode_kernels
 
@@ -120,4 +175,9 @@ def _compiled_means(
     fields = stream.plane(2, bits_of_fields + 7 >> 3)
     cells = morton.Cells(grid.levels, _SCALES[:, None] * grid.step, grid.minimum)
     used = (bits_of_deltas, bits_of_fields)
-    return morton.read_compiled(classes, deltas, halvings, fields, used, cells, out)
+    if finer is None:
+        return morton.read_compiled(classes, deltas, halvings, fields, used, cells, out)
+    (extra,) = finer.extra([resolution], [halvings])
+    finer.stream.require_planes(1)
+    below = finer.plane(0, extra * _THREE)
+    return morton.read_compiled(classes, deltas, halvings, fields, used, cells, out, (extra, below))

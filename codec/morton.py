@@ -184,6 +184,7 @@ def read_compiled(
     used: tuple[int, int],
     cells: Cells,
     out: F32,
+    finer: tuple[U8, U8] | None = None,
 ) -> bool:
     """Write (n, 3) means as `unpack_deltas` and all that follows would, or find something wrong.
 
@@ -198,17 +199,22 @@ def read_compiled(
         Bits that are used of the deltas and of the fields.
     cells : Cells
     out : (n, 3) float32
+    finer : tuple of uint8 arrays, optional
+        Halvings that a refinement adds to each row, and the plane of three times as many bits,
+        its padding checked (SPEC 6.17).
 
     Returns
     -------
     bool
-        False where codes or padding break SPEC 6.5 or 6.15; `out` is then of no use.
+        False where codes or padding break SPEC 6.5, 6.15 or 6.17; `out` is then of no use.
     """
     from . import decode_kernels
 
     for plane, total in zip((deltas, fields), used, strict=True):
         if total & 7 and int(plane[-1]) >> (total & 7):
             return False
+    none = halvings[:0]
+    extra, below = (none, none) if finer is None else finer
     return decode_kernels.fine_means(
         classes,
         decode_kernels.words(deltas),
@@ -218,5 +224,7 @@ def read_compiled(
         cells.levels.astype(np.int64),
         cells.factors,
         cells.minimum,
+        extra,
+        decode_kernels.words(below),
         out,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 
 from . import (
     allocation,
+    coarsening,
     colour_basis,
     colour_streams,
     fine_means,
     morton,
+    refinement,
     resolution,
     rotation,
+    sequence,
     shape_streams,
     streams,
     turn,
@@ -25,6 +28,7 @@ from . import grid as grids
 from .ablation import Ablation
 from .allocation import Costs
 from .chunk import MAX_LOGIT, Payloads, chunk_means
+from .coarsening import Cut
 from .colour_basis import ColourBasis
 from .decoder import decode_colour_codebook
 from .grid import Grid
@@ -54,6 +58,75 @@ _LEAST_SPAN: Final = 2.0**-20
 _COARSEST: Final = 0.02
 
 
+@dataclass(frozen=True)
+class Coarseness:
+    """How much coarser heads are than what their refinements make of them.
+
+    Parameters
+    ----------
+    scales : tuple of int
+        Largest radices of the ladder's components.
+    means, turns : int
+        Halvings that can wait.
+    opacities, sh0 : tuple of int
+        Largest radices.
+    """
+
+    scales: tuple[int, ...]
+    means: int
+    turns: int
+    opacities: tuple[int, ...]
+    sh0: tuple[int, ...]
+
+
+KEPT_WHOLE: Final = Coarseness((1, 1, 1), 0, 0, (1,), (1, 1, 1))
+
+
+# Bits of a coarse splat, about.
+_HEAD_BITS: Final = 24.0
+
+# Halvings that wait, less than what an even slope asks for: sensitivities hold for small errors,
+# and a prefix gains less from coarse splats than their costs say (measured on two trained scenes).
+_LATER: Final = {"scales": 0.25, "opacities": -0.25, "means": -0.75, "turns": -1.5, "sh0": -0.75}
+_MOST_LATER: Final = 5.0
+
+
+def coarseness(contribution: F64, slope: float, chunks: Sequence[slice]) -> dict[int, Coarseness]:
+    """Return how coarse each head is to be: another bit of it gains what the next head's would.
+
+    Parameters
+    ----------
+    contribution : (N,) float64
+    slope : float
+        Of the refined values.
+    chunks : sequence of slice
+    """
+    sums = np.array([contribution[run].sum() for run in chunks])
+    counts = np.array([run.stop - run.start for run in chunks])
+    missing = sequence.missing_shares(sums)
+    per_bit = sequence.head_gains(missing) / (_HEAD_BITS * counts)
+    per_bit /= sequence.refined_gain(missing[1:])
+    # A bit more of a value whose error costs λ/12 gains 2·ln 2 times that.
+    wanted = 0.5 * np.log2(np.maximum(12 / (2 * np.log(2)) * per_bit / slope, _LEAST))
+    return {run.start: _coarse(float(h)) for run, h in zip(chunks, wanted, strict=True)}
+
+
+# A ratio that asks for no halving.
+_LEAST: Final = 2.0**-20
+
+
+def _coarse(halvings: float) -> Coarseness:
+    later = {name: min(max(halvings + own, 0.0), _MOST_LATER) for name, own in _LATER.items()}
+    radices = {name: min(round(2**wait), refinement.MAX_RADIX) for name, wait in later.items()}
+    return Coarseness(
+        scales=(radices["scales"],) * 3,
+        means=round(later["means"]),
+        turns=round(later["turns"]),
+        opacities=(radices["opacities"],),
+        sh0=(radices["sh0"],) * 3,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class TransformPlan:
     """What all chunks share.
@@ -72,6 +145,8 @@ class TransformPlan:
     basis_payloads : tuple of bytes
         One per SH band.
     ablation : Ablation
+    coarse : mapping of int to Coarseness
+        Of the heads of chunks, by their first rows; those that are not there are fine.
     """
 
     slope: float
@@ -81,6 +156,7 @@ class TransformPlan:
     basis: ColourBasis | None
     basis_payloads: tuple[bytes, ...]
     ablation: Ablation
+    coarse: Mapping[int, Coarseness]
 
 
 def plan(
@@ -90,6 +166,7 @@ def plan(
     slope: float,
     chunks: Sequence[slice],
     ablation: Ablation,
+    contribution: F64 | None = None,
 ) -> TransformPlan:
     """Prepare a scene in its final order.
 
@@ -104,7 +181,10 @@ def plan(
     slope : float
     chunks : sequence of slice
     ablation : Ablation
+    contribution : (N,) float64, optional
+        Where heads are to be coarse, and refinements bring the rest.
     """
+    coarse = {} if contribution is None else coarseness(contribution, slope, chunks)
     costs = allocation.limited(costs, splats.scales, slope)
     turns, scales = turn.canonical(rotation.unit(splats.quats), splats.scales)
     basis: ColourBasis | None = None
@@ -118,11 +198,11 @@ def plan(
         views = {band: memoryview(data) for band, data in enumerate(payloads, start=1)}
         stored = decode_colour_codebook(views, len(basis.rows), splats.sh_degree, "basis")
         basis = basis.stored_as(stored.shN)
-    return TransformPlan(slope, costs, turns, scales, basis, payloads, ablation)
+    return TransformPlan(slope, costs, turns, scales, basis, payloads, ablation, coarse)
 
 
 def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -> Payloads:
-    """Return the head and the tail of a chunk.
+    """Return the head, the refinement and the tail of a chunk.
 
     Parameters
     ----------
@@ -137,20 +217,25 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     slope, used = plan_.slope, plan_.ablation
     rows = np.arange(run.start, run.stop, dtype=np.int64)
     ladder, scale_grid = _ladder(plan_.scales[rows], plan_.costs.take(rows), slope, used.areas)
-    scales = shape_streams.climb(scale_grid.dequantise(scale_grid.quantise(ladder)))
+    # Values that the refinement is to bring; where there is none, nothing is cut off.
+    coarse = plan_.coarse.get(run.start, KEPT_WHOLE)
+    sizes = coarsening.cut(
+        Attribute.SCALES, ladder, scale_grid, plan_.costs.scale_long[rows], coarse.scales
+    )
+    head_scales, scales = shape_streams.climb(sizes.coarse), shape_streams.climb(sizes.fine)
     means_costs = plan_.costs.take(rows).mean
     if used.fine_means:
-        inside, means = _means(splats.means[rows], scales, means_costs, slope, sort)
+        inside, means, moved = _means(
+            splats.means[rows], (head_scales, scales), means_costs, (slope, coarse.means), sort
+        )
     else:
         step = allocation.equal_step(slope, means_costs)
         inside, means = chunk_means(splats.means[rows], step, sort)
-    rows, ladder, scales = rows[inside], ladder[inside], scales[inside]
+        moved = _WHOLE
+    rows, head_scales, scales = rows[inside], head_scales[inside], scales[inside]
+    sizes = sizes.take(inside)
     costs = plan_.costs.take(rows)
-    # Of shapes all alike, every one gets the same resolution.
-    shapes = scales if used.fine_turns else np.zeros_like(scales)
-    tilt = resolution.fit(shapes, costs.tilt, slope, _TURN_STEP)
-    spin = resolution.fit(shapes, costs.spin, slope, _TURN_STEP)
-    turns, _ = shape_streams.turns(plan_.turns[rows], scales, tilt, spin)
+    turns, turned = _turns(plan_.turns[rows], (head_scales, scales), costs, plan_, coarse.turns)
     sh0 = splats.sh0[rows].astype(np.float64)
     tail: bytes | None = None
     if plan_.basis is not None:
@@ -161,16 +246,54 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
         tail = streams.pack([stream], digits=used.digits)
     kept_areas = plan_.scales[rows] if used.areas else scales
     opacities = _opacities(splats.opacities[rows], kept_areas, scales)
-    opacity_step = allocation.equal_step(slope, costs.opacity)
+    opacity_grid = grids.fit(opacities, allocation.equal_step(slope, costs.opacity))
+    clear = coarsening.cut(
+        Attribute.OPACITIES, opacities, opacity_grid, costs.opacity, coarse.opacities
+    )
+    colour, coloured = _sh0(sh0, costs.energy, slope, coarse.sh0)
     head = [
-        shape_streams.ladder(ladder, scale_grid),
+        shape_streams.ladder(sizes.coarse, sizes.grid),
         turns,
         means,
-        streams.scalar(Attribute.OPACITIES, opacities, grids.fit(opacities, opacity_step)),
-        _sh0(sh0, costs.energy, slope),
+        streams.scalar(Attribute.OPACITIES, clear.coarse, clear.grid),
+        colour,
     ]
+    sized = _Later(sizes.digits, _scale_gain(sizes, ladder[inside], costs))
+    cleared = _Later(clear.digits, float(costs.opacity @ _squares(clear, opacities)[:, 0]))
+    later = (sized, turned, moved, cleared, coloured)
+    below = [part.stream for part in later if part.stream is not None]
     needs = (BASIS,) if tail is not None else ()
-    return Payloads(streams.pack(head, digits=used.digits), tail, (), needs, inside)
+    return Payloads(
+        streams.pack(head, digits=used.digits),
+        tail,
+        (),
+        needs,
+        inside,
+        streams.pack(below, digits=used.digits) if below else None,
+        sum(part.gain for part in later),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Later:
+    """What a refinement brings of an attribute, and the squared error that it removes."""
+
+    stream: Stream | None
+    gain: float = 0.0
+
+
+_WHOLE: Final = _Later(None)
+
+
+def _squares(parts: Cut, values: F32) -> F64:
+    """Return the squared error that the digits of values remove, (n, c)."""
+    wide = values.astype(np.float64)
+    return np.square(parts.coarse - wide) - np.square(parts.fine - wide)
+
+
+def _scale_gain(parts: Cut, ladder: F32, costs: Costs) -> float:
+    columns = (costs.scale_long, costs.scale_middle, costs.scale_thin)
+    return float((_squares(parts, ladder) * np.stack(columns, axis=1)).sum())
 
 
 def _ladder(scales: F32, costs: Costs, slope: float, areas: bool) -> tuple[F32, Grid]:
@@ -203,21 +326,62 @@ def _opacities(opacities: F32, scales: F32, stored: F32) -> F32:
     return (logits - shift).astype(np.float32)[:, None]
 
 
-def _means(means: F32, scales: F32, costs: F64, slope: float, sort: bool) -> tuple[I64, Stream]:
-    """Return the order inside a chunk and its means, fine where the grid can hold them."""
-    wanted = np.log2(allocation.own_steps(slope, costs))
+def _turns(
+    turns: F64, scales: tuple[F32, F32], costs: Costs, plan_: TransformPlan, halvings: int
+) -> tuple[Stream, _Later]:
+    """Return the rotations of a head, and what refines them by so many halvings."""
+    # Of shapes all alike, every one gets the same resolution.
+    head, fine = scales if plan_.ablation.fine_turns else map(np.zeros_like, scales)
+    slope = plan_.slope * 4.0**halvings
+    tilt = resolution.fit(head, costs.tilt, slope, _TURN_STEP)
+    spin = resolution.fit(head, costs.spin, slope, _TURN_STEP)
+    if not halvings:
+        return shape_streams.turns(turns, head, tilt, spin)[0], _WHOLE
+    constants = [
+        resolution.shifted(tilt, halvings, fine, costs.tilt, plan_.slope, _TURN_STEP),
+        resolution.shifted(spin, halvings, fine, costs.spin, plan_.slope, _TURN_STEP),
+    ]
+    stream, below, coarse = shape_streams.refined_turns(turns, head, tilt, spin, fine, constants)
+    missed = np.square(turns - coarse)
+    gain = float(costs.tilt @ (missed[:, 0] + missed[:, 1]) + costs.spin @ missed[:, 2])
+    return stream, _Later(below, gain)
+
+
+def _means(
+    means: F32, scales: tuple[F32, F32], costs: F64, wish: tuple[float, int], sort: bool
+) -> tuple[I64, Stream, _Later]:
+    """Return the order inside a chunk and its means, fine where the grid can hold them.
+
+    `scales` are the head's and the refined ones; `wish` the slope and the halvings that can wait.
+    """
+    slope, later = wish
+    head, fine = scales
+    coarse_slope = slope * 4.0**later
+    wanted = np.log2(allocation.own_steps(coarse_slope, costs))
     # A power of two below which only the coarsest splats' steps lie: halvings start at 0 there.
     base = float(2.0 ** np.floor(np.quantile(wanted, 1 - _COARSEST)))
     base = min(base, _widest(means))
-    finest = resolution.fit(scales, costs, slope, base)
-    halvings = finest.halvings(scales)
+    coarse = resolution.fit(head, costs, coarse_slope, base)
+    halvings = coarse.halvings(head)
+    extra = np.zeros_like(halvings)
+    constant = 0.0
+    if later:
+        constant = resolution.shifted(coarse, later, fine, costs, slope, base)
+        extra = refinement.gained(refinement.with_constant(coarse, constant), fine, halvings)
+    total = halvings + extra
     grid = _grid(means, base)
-    top = grid.levels.astype(np.float64) * 2.0 ** int(halvings.max())
+    top = grid.levels.astype(np.float64) * 2.0 ** int(total.max())
     if not sort or int(grid.levels.max()) > morton.MAX_LEVELS or top.max() >= 2.0**31:
-        return chunk_means(means, allocation.equal_step(slope, costs), sort)
-    codes = fine_means.fine_codes(means, grid, halvings)
-    order = fine_means.morton_order(codes, halvings)
-    return order, fine_means.fine_means(codes[order], grid, halvings[order], finest)
+        return *chunk_means(means, allocation.equal_step(slope, costs), sort), _WHOLE
+    codes = fine_means.fine_codes(means, grid, total)
+    kept, _ = refinement.coarse_of(codes, extra[:, None])
+    order = fine_means.morton_order(kept, halvings)
+    stored, below = fine_means.refine(codes[order], extra[order], constant)
+    stream = fine_means.fine_means(stored, grid, halvings[order], coarse)
+    if not later:
+        return order, stream, _WHOLE
+    missed = np.square(means[order] - fine_means.values(stored, grid, halvings[order]))
+    return order, stream, _Later(below, float(costs[order] @ missed.sum(axis=1)))
 
 
 def _widest(means: F32) -> float:
@@ -235,7 +399,7 @@ def _grid(means: F32, step: float) -> Grid:
     return Grid(minimum, maximum.astype(np.float32), levels.astype(np.uint32))
 
 
-def _sh0(values: F64, energy: F64, slope: float) -> Stream:
+def _sh0(values: F64, energy: F64, slope: float, most: tuple[int, ...]) -> tuple[Stream, _Later]:
     """Return sh0 on the axes along which its chunk varies most, a Karhunen-Loève transform."""
     weights = energy / energy.sum()
     centred = values - weights @ values
@@ -247,5 +411,7 @@ def _sh0(values: F64, energy: F64, slope: float) -> Stream:
     axes = np.clip(axes, -1, 1)
     on_axes = np.linalg.solve(axes.T.astype(np.float64), values.T).T.astype(np.float32)
     step = allocation.equal_step(slope, energy * allocation.SH0_COST * allocation.SH0_WEIGHT)
-    stream, _ = colour_streams.sh0_on_axes(on_axes, axes, grids.fit(on_axes, step))
-    return stream
+    parts = coarsening.cut(Attribute.SH0, on_axes, grids.fit(on_axes, step), energy, most)
+    stream, _ = colour_streams.sh0_on_axes(parts.coarse, axes, parts.grid)
+    missed = _squares(parts, on_axes) @ np.square(axes.astype(np.float64)).sum(axis=1)
+    return stream, _Later(parts.digits, float(allocation.SH0_COST * (energy @ missed)))

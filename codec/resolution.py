@@ -28,6 +28,9 @@ _MID_THIN_KNEE: Final = (np.float32(0.5), np.float32(3))
 KNEES: Final = np.array([*_LONG_MID_KNEE, *_MID_THIN_KNEE], np.float32)
 """The four, float32."""
 
+# Corrections of a fit: clamped rows make each a little short.
+_CORRECTIONS: Final = 6
+
 MAX_COEFFICIENT: Final = 1e6
 """Largest magnitude of a coefficient: the sum stays finite for any decoded scales."""
 
@@ -99,11 +102,45 @@ def fit(scales: F32, sensitivity: F64, slope: float, base_step: float) -> Resolu
     # A little damping: a chunk of equal shapes leaves features without an answer.
     normal += np.eye(len(normal)) * (1e-6 * np.trace(normal) + 1e-12)
     solution = np.linalg.solve(normal, features @ wanted)
-    # floor() loses half a halving on average, and what counts is the mean of the squares, not of
-    # their logarithms: correct by what the halvings really give.
+    # floor() loses half a halving on average.
     solution[0] += 0.5
+    return _levelled(solution, scales, sensitivity, slope, base_step)
+
+
+def shifted(
+    resolution: Resolution,
+    halvings: int,
+    scales: F32,
+    sensitivity: F64,
+    slope: float,
+    base_step: float,
+) -> float:
+    """Return the first coefficient with which errors cost what another slope allows.
+
+    Parameters
+    ----------
+    resolution : Resolution
+        Whose other coefficients stay.
+    halvings : int
+        About how many more there will be.
+    scales, sensitivity, slope, base_step
+        As `fit` takes them.
+    """
+    start = np.array(resolution.coefficients)
+    start[0] += halvings
+    return _levelled(start, scales, sensitivity, slope, base_step).coefficients[0]
+
+
+def _levelled(
+    solution: F64, scales: F32, sensitivity: F64, slope: float, base_step: float
+) -> Resolution:
+    """Return the resolution whose first coefficient gives the slope.
+
+    What counts is the mean of the squares, not of their logarithms: correct by what the halvings
+    really give.
+    """
     resolution = _rounded(solution)
-    for _ in range(3):
+    for _ in range(_CORRECTIONS):
         step = np.ldexp(base_step, -resolution.halvings(scales).astype(np.int32))
         ratio = float((sensitivity * np.square(step)).mean()) / slope
         solution[0] += 0.5 * np.log2(ratio)

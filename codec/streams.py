@@ -68,6 +68,8 @@ class Kind(IntEnum):
     TURN = 7
     FINE = 8
     BASIS = 9
+    DIGITS = 10
+    BITS = 11
 
 
 KEPT: Final = 1
@@ -457,6 +459,27 @@ def read_grid_planes(stream: StoredStream, grid: Grid, first: int, extra: int, o
         if extra:
             column[codes == levels] = np.inf
             column[codes == levels + 1] = -np.inf
+
+
+def read_grid_codes(stream: StoredStream, grid: Grid) -> U32:
+    """Return the (rows, c) codes of a stream whose planes are those of a grid alone."""
+    counts = _plane_counts(grid, 0)
+    stream.require_planes(sum(counts))
+    out = np.zeros((stream.rows, grid.components), np.uint32)
+    plane = 0
+    for component, count in enumerate(counts):
+        planes = [stream.plane(plane + byte, stream.rows) for byte in range(count)]
+        plane += count
+        out[:, component] = grids.join_planes(planes, stream.rows)
+        levels = int(grid.levels[component])
+        if int(out[:, component].max(initial=0)) >= levels:
+            raise FormatError(
+                "code-range",
+                f"{stream.where}: code {int(out[:, component].max())} in component {component}, "
+                f"expected below {levels}",
+                clause="6.4",
+            )
+    return out
 
 
 def _compiled_planes(

@@ -101,6 +101,7 @@ def decode(
     size_bytes: int | None = None,
     objects: Sequence[int] | None = None,
     sh_degree: int | None = None,
+    refine: bool = True,
     limits: Limits | None = None,
     threads: int = 0,
     progress: Progress = silent,
@@ -120,6 +121,8 @@ def decode(
         The chunks of these objects alone, by label; `splats` counts theirs.
     sh_degree : int, optional
         Highest SH degree wanted, 0 to 3.
+    refine : bool
+        Whether to read the refinements that are there; otherwise the heads' coarse values.
     limits : Limits, optional
     threads : int
         0 uses all cores.
@@ -160,7 +163,9 @@ def decode(
         if splats is not None:
             there = range(file.num_chunks) if wanted is None else wanted
             wanted = file.first_chunks(there, splats)
-        return file.decode(wanted, sh_degree=sh_degree, threads=threads, progress=progress)
+        return file.decode(
+            wanted, sh_degree=sh_degree, refine=refine, threads=threads, progress=progress
+        )
 
 
 def encode(

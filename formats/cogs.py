@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec import sequence
 from cogsplat.codec.attributes import types_of
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.chunk import Payloads
 from cogsplat.codec.encoder import EncodedChunk, EncodedScene
+from cogsplat.codec.sequence import Place
 
 from . import cogs_layout as layout
 from .cogs_cameras import pack_cameras
 from .cogs_layout import SegmentKind
 from .cogs_root import ChunkTable, CodebookEntry, Root, no_segments
 from .cogs_writer import Segment, lay_out, write_cogs
-
-# Heads of this share of the splats come before any SH: shape first, gloss later.
-_PLAIN_SHARE: Final = 0.25
 
 
 def save(
@@ -119,29 +118,33 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
     Behind all that a picture needs stand the cameras, then the extra attributes.
     """
     out: list[Segment] = []
-    shapes = [(i, book) for i, book in enumerate(scene.codebooks) if book.attribute == "shape"]
-    colours = [(i, book) for i, book in enumerate(scene.codebooks) if book.attribute == "colour"]
-    for number, book in shapes:
-        out.append(Segment(SegmentKind.SHAPE_CODEBOOK, number, book.payloads[0]))
-    waiting: list[Segment] = []
-    plain, sent = True, 0
-    for number, chunk in enumerate(scene.chunks):
-        parts = chunk.payloads
-        out.append(Segment(SegmentKind.HEAD, number, parts.head, parts.head_needs))
-        if parts.tail is not None:
-            waiting.append(Segment(SegmentKind.TAIL, number, parts.tail, parts.tail_needs))
-        sent += chunk.splats
-        if plain and sent >= _PLAIN_SHARE * scene.splats:
-            plain = False
-            for index, book in colours:
-                for kind, payload in zip(layout.COLOUR_BANDS, book.payloads, strict=False):
-                    out.append(Segment(kind, index, payload))
-        if not plain:
-            out += waiting
-            waiting = []
+    books: list[Segment] = []
+    for number, book in enumerate(scene.codebooks):
+        if book.attribute == "shape":
+            out.append(Segment(SegmentKind.SHAPE_CODEBOOK, number, book.payloads[0]))
+        else:
+            for kind, payload in zip(layout.COLOUR_BANDS, book.payloads, strict=False):
+                books.append(Segment(kind, number, payload))
+    for place in sequence.order(
+        [chunk.parts for chunk in scene.chunks],
+        sequence.missing_shares(np.array([chunk.contribution for chunk in scene.chunks])),
+        sum(len(book.payload) for book in books),
+    ):
+        if place.what == "books":
+            out += books
+        else:
+            out.append(_segment(place, scene.chunks[place.chunk].payloads))
     if cameras:
         out.append(Segment(SegmentKind.CAMERAS, 0, pack_cameras(cameras)))
     for number, chunk in enumerate(scene.chunks):
         if chunk.attributes is not None:
             out.append(Segment(SegmentKind.ATTRIBUTES, number, chunk.attributes))
     return out
+
+
+def _segment(place: Place, parts: Payloads) -> Segment:
+    if place.what == "refinement" and parts.refinement is not None:
+        return Segment(SegmentKind.REFINEMENT, place.chunk, parts.refinement)
+    if place.what == "tail" and parts.tail is not None:
+        return Segment(SegmentKind.TAIL, place.chunk, parts.tail, parts.tail_needs)
+    return Segment(SegmentKind.HEAD, place.chunk, parts.head, parts.head_needs)

@@ -39,8 +39,8 @@ class Index:
         Likewise.
     offsets : (s,) int64
         Byte offset of each segment.
-    heads, tails : (c,) int64
-        Row of each chunk's head and tail in `segments`; -1 where there is no tail.
+    heads, tails, refinements : (c,) int64
+        Row of each chunk's head, tail and refinement in `segments`; -1 where there is none.
     attributes : (c,) int64
         Row of each chunk's extra attributes; -1 where it has none, or its page is not there.
     cameras : int
@@ -58,6 +58,7 @@ class Index:
     offsets: I64
     heads: I64
     tails: I64
+    refinements: I64
     attributes: I64
     cameras: int
     codebooks: Sequence[Mapping[SegmentKind, int]]
@@ -152,7 +153,7 @@ def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> 
     chunk_table = ChunkTable(
         *(np.concatenate([getattr(t, n) for t in chunks]) for n in _CHUNK_COLUMNS)
     )
-    heads, tails = _chunk_segments(source, root, table, chunk_table)
+    heads = _head_rows(source, table, chunk_table)
     _check_counts(source, root, table, chunk_table, whole=whole)
     return Index(
         root=root,
@@ -161,7 +162,8 @@ def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> 
         chunks=chunk_table,
         offsets=np.concatenate(offsets),
         heads=heads,
-        tails=tails,
+        tails=_tail_rows(source, root, table, heads),
+        refinements=_refinement_rows(source, table, heads),
         attributes=_attribute_segments(source, root, table, heads),
         cameras=_camera_segment(source, table),
         codebooks=_codebook_segments(source, root, table, whole=whole),
@@ -193,10 +195,8 @@ def _check_own_heads(table: SegmentTable, chunks: ChunkTable, where: str) -> Non
         )
 
 
-def _chunk_segments(
-    source: Source, root: Root, table: SegmentTable, chunks: ChunkTable
-) -> tuple[I64, I64]:
-    """Return each chunk's head and tail row (SPEC 5.4)."""
+def _head_rows(source: Source, table: SegmentTable, chunks: ChunkTable) -> I64:
+    """Return each chunk's head (SPEC 5.4)."""
     heads = np.flatnonzero(table.kind == SegmentKind.HEAD).astype(np.int64)
     if not np.array_equal(table.owner[heads], np.arange(len(chunks))):
         raise FormatError(
@@ -205,26 +205,52 @@ def _chunk_segments(
             "expected all in order",
             clause="5.4",
         )
-    tails = np.full(len(chunks), -1, np.int64)
-    rows = np.flatnonzero(table.kind == SegmentKind.TAIL)
-    owners = table.owner[rows]
-    if len(rows) and root.sh_degree == 0:
+    return heads
+
+
+def _tail_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
+    """Return each chunk's tail, -1 where it has none (SPEC 5.4)."""
+    if root.sh_degree == 0 and bool((table.kind == SegmentKind.TAIL).any()):
         raise FormatError(
             "chunk-tails",
             f"{source.name}: a tail in a scene of SH degree 0, expected none",
             clause="5.4",
         )
-    # A chunk whose head is in a page not read yet cannot have its tail before that page.
-    once = len(np.unique(owners)) == len(owners) and bool((owners < len(chunks)).all())
-    if not once or bool((heads[owners] > rows).any()):
+    rows = _rows_behind(table, heads, SegmentKind.TAIL)
+    if rows is None:
         raise FormatError(
             "chunk-tails",
-            f"{source.name}: tails of chunks {owners.tolist()[:8]}, expected at most one for each "
-            f"of {len(chunks)} chunks, behind its head",
+            f"{source.name}: tails, expected at most one for each of {len(heads)} chunks, behind "
+            "its head",
             clause="5.4",
         )
-    tails[owners] = rows
-    return heads, tails
+    return rows
+
+
+def _refinement_rows(source: Source, table: SegmentTable, heads: I64) -> I64:
+    """Return each chunk's refinement, -1 where it has none (SPEC 5.4)."""
+    rows = _rows_behind(table, heads, SegmentKind.REFINEMENT)
+    if rows is None:
+        raise FormatError(
+            "chunk-refinements",
+            f"{source.name}: refinements, expected at most one for each of {len(heads)} chunks, "
+            "behind its head",
+            clause="5.4",
+        )
+    return rows
+
+
+def _rows_behind(table: SegmentTable, heads: I64, kind: SegmentKind) -> I64 | None:
+    """Return each chunk's segment of a kind, -1 where it has none; None where that is wrong."""
+    rows = np.flatnonzero(table.kind == kind)
+    owners = table.owner[rows]
+    # A chunk whose head is in a page not read yet cannot have more of it before that page.
+    once = len(np.unique(owners)) == len(owners) and bool((owners < len(heads)).all())
+    if not once or bool((heads[owners] > rows).any()):
+        return None
+    found = np.full(len(heads), -1, np.int64)
+    found[owners] = rows
+    return found
 
 
 def _attribute_segments(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:

@@ -45,6 +45,7 @@ class SegmentKind(IntEnum):
     COLOUR_BAND1 = 4
     COLOUR_BAND2 = 5
     COLOUR_BAND3 = 6
+    REFINEMENT = 7
     CAMERAS = 128
     ATTRIBUTES = 129
 

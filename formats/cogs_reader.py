@@ -152,6 +152,11 @@ class CogsFile:
             raise self._not_there("the segment of cameras")
         return cogs_cameras.unpack_cameras(bytes(self.read_segment(row)), f"{self.name}: cameras")
 
+    def has_refinement(self, chunk: int) -> bool:
+        """Whether a chunk's values can be decoded as fine as the whole file has them."""
+        row = int(self._index.refinements[chunk])
+        return row < 0 or self._present(row)
+
     def chunks_for_splats(self, splats: int) -> int:
         """Return how many whole chunks hold at least `splats` splats, or all chunks there are."""
         reached = np.cumsum(self.chunks.splats.astype(np.int64)) >= splats
@@ -199,6 +204,7 @@ class CogsFile:
         chunks: Iterable[int] | None = None,
         *,
         sh_degree: int | None = None,
+        refine: bool = True,
         extras: bool = True,
         threads: int = 0,
         progress: Progress = silent,
@@ -211,6 +217,9 @@ class CogsFile:
             Chunk numbers; by default all that are complete.
         sh_degree : int, optional
             Highest SH degree wanted; lower than the file's, bands and perhaps tails are skipped.
+        refine : bool
+            Whether to read refinements, those that are there; otherwise the coarse values of
+            the heads.
         extras : bool
             Whether to read extra attributes of the splats.
         threads : int
@@ -220,7 +229,8 @@ class CogsFile:
         Returns
         -------
         Splats
-            Stored rows, shN zero where a partial file lacks the tail. `Splats.extras` are there
+            Stored rows, coarse where a partial file lacks the refinement, shN zero where it lacks
+            the tail. `Splats.extras` are there
             where every chunk has them.
 
         Raises
@@ -253,17 +263,17 @@ class CogsFile:
         ]
 
         def decode_one(task: tuple[int, Splats]) -> None:
-            self._decode_chunk(*task)
+            self._decode_chunk(*task, refine=refine)
 
         workers = thread_count(threads or _workers(sum(counts)))
         for done, _ in enumerate(ordered_map(decode_one, tasks, workers), start=1):
             progress("decode", done, len(tasks))
         return out
 
-    def iter_chunks(self, *, sh_degree: int | None = None) -> Iterator[Splats]:
+    def iter_chunks(self, *, sh_degree: int | None = None, refine: bool = True) -> Iterator[Splats]:
         """Decode the complete chunks one by one."""
         for chunk in range(self.complete_chunks()):
-            yield self.decode([chunk], sh_degree=sh_degree, threads=1)
+            yield self.decode([chunk], sh_degree=sh_degree, refine=refine, threads=1)
 
     def verify(self, progress: Progress = silent) -> None:
         """Check every segment's CRC and hash, and decode every chunk and look for it in its box.
@@ -289,6 +299,9 @@ class CogsFile:
         self.cameras()
         for chunk in range(self.num_chunks):
             means = self.decode([chunk]).means
+            if self._index.refinements[chunk] >= 0:
+                coarse = self.decode([chunk], sh_degree=0, refine=False, extras=False).means
+                means = np.concatenate([means, coarse])
             box = self.chunks.box[chunk]
             if not ((means >= box[:3]) & (means <= box[3:])).all():
                 raise FormatError(
@@ -379,12 +392,14 @@ class CogsFile:
         payloads = {band: self.read_segment(row) for band, row in enumerate(rows, start=1)}
         return decoder.decode_colour_codebook(payloads, entry.rows, degree, where)
 
-    def _decode_chunk(self, chunk: int, out: Splats) -> None:
+    def _decode_chunk(self, chunk: int, out: Splats, *, refine: bool) -> None:
         degree = out.sh_degree
         head = int(self._index.heads[chunk])
         where = f"{self.name}: chunk {chunk}"
         payload = self.read_segment(head)
-        decoder.decode_head(payload, self._books(head, degree), out, f"{where} head")
+        row = int(self._index.refinements[chunk])
+        finer = self.read_segment(row) if refine and row >= 0 and self._present(row) else None
+        decoder.decode_head(payload, self._books(head, degree), out, f"{where} head", finer)
         if out.extras:
             payload = self.read_segment(int(self._index.attributes[chunk]))
             unpack_attributes(payload, self.root.attributes, out.extras, f"{where} attributes")

@@ -190,6 +190,7 @@ def test_numbers_of_segment_kinds():
     (rows,) = tables(section("5.2 "))
     known = {int(row[0]): row[1] for row in rows if row[0].isdigit()}
     words = {"head": "HEAD", "tail": "TAIL", "shape codebook": "SHAPE_CODEBOOK"}
+    words |= {"refinement": "REFINEMENT"}
     words |= {"cameras": "CAMERAS", "attributes": "ATTRIBUTES"}
     words |= {f"colour codebook, band {b}": f"COLOUR_BAND{b}" for b in (1, 2, 3)}
     assert {n: words[name] for n, name in known.items()} == {

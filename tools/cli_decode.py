@@ -35,6 +35,7 @@ from .cli_values import ByteCount, ChunkRange
 @click.argument("cogs", type=PATH, metavar="IN.cogs")
 @click.argument("out", type=PATH, metavar="OUT.ply")
 @part_options
+@click.option("--no-refine", is_flag=True, help="The coarse values of the heads alone.")
 @threads_option
 @force_option
 @quiet_option
@@ -47,6 +48,7 @@ def decode(
     size: ByteCount | None,
     objects: tuple[int, ...] | None,
     sh_degree: int | None,
+    no_refine: bool,
     threads: int,
     force: bool,
     quiet: bool,
@@ -58,7 +60,7 @@ def decode(
     decoded.
     """
     refuse_existing(out, force=force)
-    part = Part(chunks, least_splats, size, sh_degree, objects)
+    part = Part(chunks, least_splats, size, sh_degree, objects, refine=not no_refine)
     with Stages(shown=not (quiet or as_json)) as stages:
         scene = decode_part(cogs, part, threads=threads, progress=stages)
         with stages.stage("write"):
@@ -106,6 +108,7 @@ def _report(scene: Scene, out: Path, written: int, stages: Stages) -> dict[str, 
         "file_bytes": scene.file_bytes,
         "bytes_read": scene.bytes_read,
         "chunks_without_tails": list(scene.without_tails),
+        "chunks_unrefined": list(scene.unrefined),
         "seconds": stages.rounded(),
     }
 

@@ -97,6 +97,7 @@ if TYPE_CHECKING:
     help="Most splats in a chunk.",
 )
 @click.option("--no-morton", is_flag=True, help="Keep the order inside chunks as well.")
+@click.option("--no-refine", is_flag=True, help="Write heads fine at once, none coarse first.")
 @click.option(
     "--prune",
     type=click.FloatRange(0, 1, max_open=True),
@@ -151,6 +152,7 @@ def encode(
     choice: OrderChoice,
     chunk_splats: int,
     no_morton: bool,
+    no_refine: bool,
     prune: float | None,
     no_prune: bool,
     no_extras: bool,
@@ -191,6 +193,7 @@ def encode(
         order=choice.base,
         chunk_splats=chunk_splats,
         morton=not no_morton,
+        refine=not no_refine,
         prune=None if no_prune else bound,
         threads=threads,
     )

@@ -166,6 +166,7 @@ def _tell_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
             str(chunk.number),
             f"{chunk.splats:,}",
             f"{chunk.head_bytes:,}",
+            f"{chunk.refinement_bytes:,}" if chunk.refinement_bytes else "-",
             f"{chunk.tail_bytes:,}" if chunk.tail_bytes else "-",
             f"{chunk.head_offset:,}",
             f"{chunk.contribution_share:.2%}" if chunk.contribution_share is not None else "-",
@@ -176,9 +177,19 @@ def _tell_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
     ]
     hidden = len(rows) - _FIRST_ROWS - _LAST_ROWS
     if len(rows) > _MOST_ROWS and not all_chunks:
-        gap = ("", f"{hidden:,} more", "--all", "lists", "them", "", "", "")
+        gap = ("", f"{hidden:,} more", "--all", "lists", "them", "", "", "", "")
         rows = [*rows[:_FIRST_ROWS], gap, *rows[-_LAST_ROWS:]]
-    heads = ("chunk", "splats", "head B", "tail B", "head at", "contribution", "so far", "object")
+    heads = (
+        "chunk",
+        "splats",
+        "head B",
+        "finer B",
+        "tail B",
+        "head at",
+        "contribution",
+        "so far",
+        "object",
+    )
     # Most scenes have no objects.
     columns = len(heads) if any(chunk.object_label for chunk in chunks) else len(heads) - 1
     say("")

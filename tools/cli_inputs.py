@@ -50,6 +50,8 @@ class Part:
     sh_degree : int or None
     objects : tuple of int or None
         Chunks of these objects alone; `least_splats` counts theirs.
+    refine : bool
+        Whether refinements are read.
     """
 
     chunks: ChunkRange | None = None
@@ -57,6 +59,7 @@ class Part:
     size: ByteCount | None = None
     sh_degree: int | None = None
     objects: tuple[int, ...] | None = None
+    refine: bool = True
 
     def __post_init__(self) -> None:
         given = {"--chunks": self.chunks, "--splats": self.least_splats, "--bytes": self.size}
@@ -91,6 +94,8 @@ class Scene:
     first_view : Camera or None
     lost_extras : tuple of str
         Extra attributes that the file lists and the part does not have for every chunk.
+    unrefined : tuple of int
+        Chunks whose values are coarse because their refinements lie beyond the bytes looked at.
     """
 
     splats: Splats
@@ -102,6 +107,7 @@ class Scene:
     without_tails: tuple[int, ...]
     first_view: Camera | None
     lost_extras: tuple[str, ...] = ()
+    unrefined: tuple[int, ...] = ()
 
 
 def read_any(
@@ -154,7 +160,13 @@ def decode_part(path: Path, part: Part, *, threads: int = 0, progress: Progress 
             chunks = [chunk for chunk in chunks if chunk in own]
         if part.least_splats is not None:
             chunks = file.first_chunks(chunks, part.least_splats)
-        splats = file.decode(chunks, sh_degree=part.sh_degree, threads=threads, progress=progress)
+        splats = file.decode(
+            chunks,
+            sh_degree=part.sh_degree,
+            refine=part.refine,
+            threads=threads,
+            progress=progress,
+        )
         missing = [chunk for chunk in chunks if not file.has_tail(chunk, splats.sh_degree)]
         return Scene(
             splats=splats,
@@ -168,6 +180,7 @@ def decode_part(path: Path, part: Part, *, threads: int = 0, progress: Progress 
             lost_extras=tuple(
                 kind.name for kind in file.root.attributes if kind.name not in splats.extras
             ),
+            unrefined=tuple(chunk for chunk in chunks if not file.has_refinement(chunk)),
         )
 
 

@@ -30,6 +30,7 @@ _SETTINGS: Final = (
     "order",
     "chunk_splats",
     "no_morton",
+    "no_refine",
     "prune",
     "no_prune",
     "no_jitter",

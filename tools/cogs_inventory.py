@@ -53,7 +53,7 @@ class ChunkSizes:
     ----------
     number, splats : int
     head_bytes, head_offset : int
-    tail_bytes, tail_offset : int
+    refinement_bytes, refinement_offset, tail_bytes, tail_offset : int
         0 where it has none.
     contribution : float
         Sum over its splats.
@@ -67,6 +67,8 @@ class ChunkSizes:
     splats: int
     head_bytes: int
     head_offset: int
+    refinement_bytes: int
+    refinement_offset: int
     tail_bytes: int
     tail_offset: int
     contribution: float
@@ -95,10 +97,12 @@ def chunk_sizes(file: CogsFile) -> list[ChunkSizes]:
     total = float(contribution.sum())
     so_far = np.cumsum(contribution)
     heads = _by_owner(file, SegmentKind.HEAD)
+    refinements = _by_owner(file, SegmentKind.REFINEMENT)
     tails = _by_owner(file, SegmentKind.TAIL)
     rows = []
     for number in range(file.num_chunks):
         head_offset, head_bytes = heads.get(number, (0, 0))
+        refinement_offset, refinement_bytes = refinements.get(number, (0, 0))
         tail_offset, tail_bytes = tails.get(number, (0, 0))
         rows.append(
             ChunkSizes(
@@ -106,6 +110,8 @@ def chunk_sizes(file: CogsFile) -> list[ChunkSizes]:
                 splats=int(file.chunks.splats[number]),
                 head_bytes=head_bytes,
                 head_offset=head_offset,
+                refinement_bytes=refinement_bytes,
+                refinement_offset=refinement_offset,
                 tail_bytes=tail_bytes,
                 tail_offset=tail_offset,
                 contribution=float(contribution[number]),
@@ -155,7 +161,7 @@ def stored_sizes(file: CogsFile) -> list[StoredSize]:
 
 
 def _rows(file: CogsFile, kind: SegmentKind, owner: int) -> int:
-    if kind in (SegmentKind.HEAD, SegmentKind.TAIL):
+    if kind in (SegmentKind.HEAD, SegmentKind.REFINEMENT, SegmentKind.TAIL):
         return int(file.chunks.splats[owner])
     return file.root.codebooks[owner].rows
 

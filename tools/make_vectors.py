@@ -27,6 +27,7 @@ from . import vectors_invalid_root as roots
 from . import vectors_invalid_tables as tables
 from . import vectors_invalid_transform as transform
 from . import vectors_reference
+from . import vectors_refinement as refinements
 from .vectors_dump import dump
 from .vectors_invalid import Invalid
 from .vectors_valid import SMALLEST, Valid
@@ -57,6 +58,8 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     transform.packings,
     transform.kinds,
     transform.bases,
+    refinements.orders,
+    refinements.refinements,
     extras.attributes,
     extras.cameras,
 )
@@ -66,7 +69,7 @@ Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 
 def valid() -> list[Valid]:
     """Return all valid vectors, in the order of the manifest."""
-    return [*plain_valid(), *transform_valid(), *extras.valid()]
+    return [*plain_valid(), *transform_valid(), *refinements.valid(), *extras.valid()]
 
 
 def invalid() -> list[Invalid]:
@@ -110,8 +113,11 @@ def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
         "info": {key: root[key] for key in _INFO if key in root},
         "arrays_sha256": _sha256(arrays),
         "shapes": {name: list(shape) for name, shape in _shapes(scene).items()},
-        "prefixes": [[p.size, p.chunks, list(p.tails)] for p in scene.prefixes],
+        "prefixes": [[p.size, p.chunks, list(p.tails), list(p.refined)] for p in scene.prefixes],
     }
+    coarse = _arrays(vectors_reference.decode(vector.data, refine=False))
+    if coarse != arrays:
+        entry["coarse_sha256"] = _sha256(coarse)
     if scene.attributes:
         entry["attributes"] = [list(kind) for kind in scene.attributes]
         entry["attribute_chunks"] = [

@@ -29,7 +29,7 @@ from .vectors_streams import (
 )
 
 # SPEC 5.2, by number.
-_HEAD, _TAIL, _SHAPE_BOOK = 1, 2, 3
+_HEAD, _TAIL, _SHAPE_BOOK, _REFINEMENT = 1, 2, 3, 7
 _CAMERAS, _ATTRIBUTES = 128, 129
 _BAND_VALUES: Final = (9, 15, 21)
 
@@ -59,11 +59,14 @@ class Prefix:
         Chunks from the first whose heads can be decoded.
     tails : tuple of int
         Those of them whose tails can be decoded too, all bands.
+    refined : tuple of int
+        Those of them that have a refinement and it is there.
     """
 
     size: int
     chunks: int
     tails: tuple[int, ...]
+    refined: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -170,12 +173,21 @@ def _codebook(file: _File, book: int) -> list[Row]:
     return _bands(merged, file.root["sh_degree"], entry["rows"])
 
 
-def _head(payload: Payload, books: dict[int, list[Row]]) -> dict[str, list[Row]]:
-    """Return the rows of a chunk head, its streams read in the order of SPEC 7.2."""
+def _head(payload: Payload, books: dict[int, list[Row]], finer: Payload) -> dict[str, list[Row]]:
+    """Return the rows of a chunk head, its streams read in the order of SPEC 7.2.
+
+    `finer` are the streams of its refinement (SPEC 7.4), none where there is none.
+    """
+
+    def finer_of(attribute: int) -> streams.Finer | None:
+        found = finer.get((attribute, 0))
+        return None if found is None else streams.Finer(found, scales)
+
     shape = payload.get((SHAPE, 0))
     if shape is None:
-        shapes = _shapes(payload, 0)
-        scales = [row[:3] for row in shapes]
+        coarse = streams.numbers(payload[SCALES, 0])
+        scales = streams.numbers(payload[SCALES, 0], None, finer.get((SCALES, 0)))
+        quats = streams.quats(payload[QUATS, 0], coarse, finer_of(QUATS))
     else:
         number, kept = struct.unpack("<II", shape.params)
         book = books[number] + (_shapes(payload, KEPT) if kept else [])
@@ -185,12 +197,13 @@ def _head(payload: Payload, books: dict[int, list[Row]]) -> dict[str, list[Row]]
             [streams.f32(value + factor) for value in row[:3]]
             for row, (factor,) in zip(shapes, factors, strict=True)
         ]
+        coarse, quats = scales, [row[3:] for row in shapes]
     return {
         "scales": scales,
-        "quats": [row[3:] for row in shapes],
-        "means": streams.numbers(payload[MEANS, 0], scales),
-        "opacities": streams.numbers(payload[OPACITIES, 0]),
-        "sh0": streams.numbers(payload[SH0, 0]),
+        "quats": quats,
+        "means": streams.numbers(payload[MEANS, 0], coarse, None, finer_of(MEANS)),
+        "opacities": streams.numbers(payload[OPACITIES, 0], None, finer.get((OPACITIES, 0))),
+        "sh0": streams.numbers(payload[SH0, 0], None, finer.get((SH0, 0))),
     }
 
 
@@ -268,21 +281,27 @@ def _prefixes(file: _File) -> list[Prefix]:
             if not there(file.of(_HEAD, chunk)[0], size):
                 break
             chunks += 1
-        tails = tuple(c for c in range(chunks) for s in file.of(_TAIL, c) if there(s, size))
-        if not out or (out[-1].chunks, out[-1].tails) != (chunks, tails):
-            out.append(Prefix(size, chunks, tails))
+        tails, refined = (
+            tuple(c for c in range(chunks) for s in file.of(kind, c) if there(s, size))
+            for kind in (_TAIL, _REFINEMENT)
+        )
+        given = Prefix(out[-1].size if out else 0, chunks, tails, refined)
+        if not out or out[-1] != given:
+            out.append(Prefix(size, chunks, tails, refined))
     return out
 
 
-def decode(data: bytes) -> Scene:
-    """Decode a valid file whole."""
+def decode(data: bytes, *, refine: bool = True) -> Scene:
+    """Decode a valid file whole, or without its refinements."""
     file = _File(data)
     degree = file.root["sh_degree"]
     books = {book: _codebook(file, book) for book in range(len(file.root["codebooks"]))}
     names = ("means", "scales", "quats", "opacities", "sh0", "shN")
     rows: dict[str, list[Row]] = {name: [] for name in names}
     for chunk, splats in enumerate(file.chunk_splats):
-        head = _head(file.payload(file.of(_HEAD, chunk)[0]), books)
+        refinements = file.of(_REFINEMENT, chunk) if refine else []
+        finer = file.payload(refinements[0]) if refinements else {}
+        head = _head(file.payload(file.of(_HEAD, chunk)[0]), books, finer)
         tails = file.of(_TAIL, chunk)
         blank = [[0.0] * (3 * ((degree + 1) ** 2 - 1))] * splats
         head["shN"] = _tail(file.payload(tails[0]), books, degree, splats) if tails else blank

@@ -18,7 +18,7 @@ Row = list[float]
 # SPEC 6.2, by number.
 MEANS, OPACITIES, SH0, SCALES, QUATS, SCALE_FACTOR, SHAPE, SHN = range(1, 9)
 BANDS: Final = (9, 10, 11)
-SCALAR, MORTON, QUAT, VQ, FLOAT, LADDER, TURN, FINE, BASIS = range(1, 10)
+SCALAR, MORTON, QUAT, VQ, FLOAT, LADDER, TURN, FINE, BASIS, DIGITS, BITS = range(1, 12)
 KEPT, INFINITIES = 1, 2
 
 
@@ -100,8 +100,12 @@ def _on_grid(code: int, minimum: float, step: float) -> float:
     return f32(f32(f32(code) * step) + minimum)
 
 
-def _scalar(record: Record, params: bytes, plane: int = 0) -> list[Row]:
-    """Return the rows of grid codes (SPEC 6.4)."""
+def _scalar(
+    record: Record, params: bytes, plane: int = 0, digits: Record | None = None
+) -> list[Row]:
+    """Return the rows of grid codes (SPEC 6.4), refined where there are digits (SPEC 6.16)."""
+    if digits is not None:
+        return _refined(record, params, digits)
     columns: list[Row] = []
     for minimum, step, levels in _entries(params):
         extra = 2 if record.flags & INFINITIES else 0
@@ -114,6 +118,25 @@ def _scalar(record: Record, params: bytes, plane: int = 0) -> list[Row]:
                 column.append(math.inf if code == levels else -math.inf)
         columns.append(column)
         plane += count
+    return [list(row) for row in zip(*columns, strict=True)]
+
+
+def _refined(record: Record, params: bytes, digits: Record) -> list[Row]:
+    """Return the rows of grid codes and the digits below them (SPEC 6.16)."""
+    columns: list[Row] = []
+    coarse = _entries(params)
+    fine, radices = digits.params[: 12 * len(coarse)], digits.params[12 * len(coarse) :]
+    plane, below = 0, 0
+    entries = zip(coarse, _entries(fine), radices, strict=True)
+    for (_, _, levels), (minimum, step, _), radix in entries:
+        count = _planes_for(levels)
+        codes = _codes(record, plane, count, record.rows)
+        plane += count
+        if radix > 1:
+            digit = digits.plane(below, record.rows)
+            below += 1
+            codes = [code * radix + low for code, low in zip(codes, digit, strict=True)]
+        columns.append([_on_grid(code, minimum, step) for code in codes])
     return [list(row) for row in zip(*columns, strict=True)]
 
 
@@ -168,34 +191,66 @@ def _halvings(params: bytes, scales: Row) -> int:
     return int(min(max(math.floor(total), 0), 15))
 
 
-def _fine(record: Record, scales: list[Row]) -> list[Row]:
-    """Return means on halved grids (SPEC 6.15)."""
+class Finer:
+    """A bits stream and the scales it goes by (SPEC 6.17).
+
+    Parameters
+    ----------
+    record : Record
+    scales : list of list of float
+        Refined, where the refinement has scales.
+    """
+
+    def __init__(self, record: Record, scales: list[Row]) -> None:
+        self.record = record
+        self._scales = scales
+        self._constants = [value for (value,) in struct.iter_unpack("<f", record.params)]
+
+    def gains(self, which: int, params: bytes, halved: list[int]) -> list[int]:
+        """Return the halvings that rows gain, by the resolution of that number."""
+        changed = struct.pack("<f", self._constants[which]) + params[4:]
+        wanted = [_halvings(changed, row) for row in self._scales]
+        return [max(w, h) - h for w, h in zip(wanted, halved, strict=True)]
+
+
+def _finer_code(code: int, gain: int, low: int) -> int:
+    return (code << gain) + low - (1 << gain) // 2
+
+
+def _fine(record: Record, scales: list[Row], finer: Finer | None = None) -> list[Row]:
+    """Return means on halved grids (SPEC 6.15, 6.17)."""
     grid, resolution = _entries(record.params[:36]), record.params[36:]
     coarse = _morton_codes(record)
     halved = [_halvings(resolution, row) for row in scales]
     bits = _Bits(record.plane(2, _bytes_for(sum(3 * h for h in halved))))
+    gains, lows = [0] * record.rows, _Bits(b"")
+    if finer is not None:
+        gains = finer.gains(0, resolution, halved)
+        lows = _Bits(finer.record.plane(0, _bytes_for(sum(3 * e for e in gains))))
     rows = []
-    for cell, h in zip(coarse, halved, strict=True):
+    for cell, h, e in zip(coarse, halved, gains, strict=True):
         codes = [axis << h | bits.take(h) for axis in cell]
+        codes = [_finer_code(code, e, lows.take(e)) for code in codes]
+        h += e
         steps = [f32(step / (1 << h)) for _, step, _ in grid]
         rows.append([_on_grid(codes[i], grid[i][0], steps[i]) for i in range(3)])
     return rows
 
 
-def _ladder(record: Record) -> list[Row]:
+def _ladder(record: Record, digits: Record | None) -> list[Row]:
     """Return scales from the longest down (SPEC 6.12)."""
     rows = []
-    for long, first, second in _scalar(record, record.params):
+    for long, first, second in _scalar(record, record.params, 0, digits):
         middle = f32(long - first)
         rows.append([middle, f32(middle - second), long])
     return rows
 
 
-def _sh0_basis(record: Record) -> list[Row]:
+def _sh0_basis(record: Record, digits: Record | None) -> list[Row]:
     """Return sh0 on three axes (SPEC 6.13)."""
     axes = struct.unpack("<9f", record.params[36:])
     rows = []
-    for x, y, z in _scalar(record, record.params[:36]):
+    for x, y, z in _scalar(record, record.params[:36], 0, digits):
         row = []
         for channel in range(3):
             a, b, c = axes[channel::3]
@@ -204,7 +259,12 @@ def _sh0_basis(record: Record) -> list[Row]:
     return rows
 
 
-def numbers(record: Record, scales: list[Row] | None = None) -> list[Row]:
+def numbers(
+    record: Record,
+    scales: list[Row] | None = None,
+    digits: Record | None = None,
+    finer: Finer | None = None,
+) -> list[Row]:
     """Return the rows of any stream but of quats and vq.
 
     Parameters
@@ -212,6 +272,10 @@ def numbers(record: Record, scales: list[Row] | None = None) -> list[Row]:
     record : Record
     scales : list of list of float, optional
         Of the same rows, for fine means.
+    digits : Record, optional
+        What refines a stream on a grid.
+    finer : Finer, optional
+        What refines fine means.
     """
     if record.kind == FLOAT:
         return _floats(record)
@@ -222,12 +286,12 @@ def numbers(record: Record, scales: list[Row] | None = None) -> list[Row]:
             for cell in _morton_codes(record)
         ]
     if record.kind == FINE and scales is not None:
-        return _fine(record, scales)
+        return _fine(record, scales, finer)
     if record.kind == LADDER:
-        return _ladder(record)
+        return _ladder(record, digits)
     if record.kind == BASIS:
-        return _sh0_basis(record)
-    return _scalar(record, record.params)
+        return _sh0_basis(record, digits)
+    return _scalar(record, record.params, 0, digits)
 
 
 def _unit(row: Row) -> Row:
@@ -238,8 +302,8 @@ def _unit(row: Row) -> Row:
     return [-value for value in row] if row[0] < 0 else row
 
 
-def _turn_column(record: Record, halved: list[int], plane: int) -> tuple[list[float], int]:
-    """Return one component of turns and the number of the plane behind it (SPEC 6.11)."""
+def _turn_codes(record: Record, halved: list[int], plane: int) -> tuple[list[int], int]:
+    """Return the codes of one component of turns and the number of the plane behind (SPEC 6.11)."""
     symbols: dict[int, list[int]] = {}
     for group in range(1, 7):
         rows = [row for row, h in enumerate(halved) if min(h, 6) == group]
@@ -247,36 +311,69 @@ def _turn_column(record: Record, halved: list[int], plane: int) -> tuple[list[fl
             symbols[group] = list(record.plane(plane, len(rows)))
             plane += 1
     bits = _Bits(record.plane(plane, _bytes_for(sum(max(h - 6, 0) for h in halved))))
-    values = []
+    codes = []
     for h in halved:
         spare = max(h - 6, 0)
         low = bits.take(spare)
-        if h:
-            code = symbols[min(h, 6)].pop(0) << spare | low
-            values.append(f32(f32(code * 2.0 ** (1 - h)) - 1))
-        else:
-            values.append(0.0)
-    return values, plane + 1
+        codes.append(symbols[min(h, 6)].pop(0) << spare | low if h else 0)
+    return codes, plane + 1
 
 
-def _turns(record: Record, scales: list[Row]) -> list[Row]:
-    """Return quaternions from tilt and spin (SPEC 6.11)."""
+def _refine_turns(
+    codes: list[list[int]], halved: list[list[int]], gains: list[list[int]], record: Record
+) -> None:
+    """Make the codes of turns finer (SPEC 6.17)."""
+    alone, plane = [], 0
+    for h_column, e_column in zip(halved, gains, strict=True):
+        own = [0 if h else e for h, e in zip(h_column, e_column, strict=True)]
+        found, plane = _turn_codes(record, own, plane)
+        alone.append(found)
+    widths = [
+        e if h else 0
+        for hs, es in zip(halved, gains, strict=True)
+        for h, e in zip(hs, es, strict=True)
+    ]
+    bits = _Bits(record.plane(plane, _bytes_for(sum(widths))))
+    for row in range(record.rows):
+        for i in range(3):
+            if halved[i][row]:
+                e = gains[i][row]
+                codes[i][row] = _finer_code(codes[i][row], e, bits.take(e))
+            else:
+                codes[i][row] = alone[i][row]
+
+
+def _turns(record: Record, scales: list[Row], finer: Finer | None = None) -> list[Row]:
+    """Return quaternions from tilt and spin (SPEC 6.11, 6.17)."""
     tilt = [_halvings(record.params[:24], row) for row in scales]
     spin = [_halvings(record.params[24:], row) for row in scales]
-    columns, plane = [], 0
-    for halved in (tilt, tilt, spin):
-        column, plane = _turn_column(record, halved, plane)
-        columns.append(column)
+    halved = [tilt, tilt, spin]
+    codes, plane = [], 0
+    for column in halved:
+        found, plane = _turn_codes(record, column, plane)
+        codes.append(found)
+    if finer is not None:
+        tilts = finer.gains(0, record.params[:24], tilt)
+        gains = [tilts, tilts, finer.gains(1, record.params[24:], spin)]
+        _refine_turns(codes, halved, gains, finer.record)
+        halved = [
+            [h + e for h, e in zip(hs, es, strict=True)]
+            for hs, es in zip(halved, gains, strict=True)
+        ]
+    columns = [
+        [f32(f32(code * 2.0 ** (1 - h)) - 1) if h else 0.0 for code, h in zip(cs, hs, strict=True)]
+        for cs, hs in zip(codes, halved, strict=True)
+    ]
     rows = []
     for a, b, c in zip(*columns, strict=True):
         rows.append(_unit([1.0, f32(a + f32(b * c)), f32(b - f32(a * c)), c]))
     return rows
 
 
-def quats(record: Record, scales: list[Row] | None = None) -> list[Row]:
+def quats(record: Record, scales: list[Row] | None = None, finer: Finer | None = None) -> list[Row]:
     """Return unit quaternions, w at least 0 (SPEC 6.6, 6.11); turns need the rows' scales."""
     if record.kind == TURN and scales is not None:
-        return _turns(record, scales)
+        return _turns(record, scales, finer)
     largest = record.params[0]
     each = largest == 255
     which = record.plane(0, record.rows) if each else bytes([largest]) * record.rows

@@ -18,19 +18,24 @@ def books(encoded):
     return out
 
 
-def chunk(payloads, rows, degree, codebooks=None) -> Splats:
+def chunk(payloads, rows, degree, codebooks=None, *, refine=True) -> Splats:
     """Rows of one chunk from the codebooks it says it needs."""
     given = codebooks or {}
     out = empty(degree, rows)
     needed = {number: given[number] for number in payloads.head_needs}
-    decoder.decode_head(memoryview(payloads.head), needed, out, "head")
+    finer = payloads.refinement if refine else None
+    finer = None if finer is None else memoryview(finer)
+    decoder.decode_head(memoryview(payloads.head), needed, out, "head", finer)
     if payloads.tail is not None:
         needed = {number: given[number] for number in payloads.tail_needs}
         decoder.decode_tail(memoryview(payloads.tail), needed, out.shN, "tail")
     return out
 
 
-def chunks(encoded) -> list[Splats]:
+def chunks(encoded, *, refine=True) -> list[Splats]:
     """Rows of every chunk."""
     codebooks, degree = books(encoded), encoded.scene.sh_degree
-    return [chunk(part.payloads, part.splats, degree, codebooks) for part in encoded.chunks]
+    return [
+        chunk(part.payloads, part.splats, degree, codebooks, refine=refine)
+        for part in encoded.chunks
+    ]

@@ -32,7 +32,7 @@ def test_chunks_cover_all_rows_once_within_their_limit(splats, largest):
     size = float(FIRST_SPLATS)
     while size < largest:
         growing.append(int(size))
-        size *= 1.75
+        size *= 1.5
     if splats > sum(growing):
         even = found[len(growing) :]
         assert found[: len(growing)] == growing or found[: len(growing) - 1] == growing[:-1]
@@ -43,17 +43,17 @@ def test_chunks_cover_all_rows_once_within_their_limit(splats, largest):
 
 
 def test_each_is_larger_than_the_one_before_and_the_rest_is_even():
-    assert sizes(100_000)[:8] == [256, 448, 784, 1372, 2401, 4201, 7353, 12867]
-    assert sizes(100_000)[8:] == [14063, 14064, 14063, 14064, 14064]
+    assert sizes(100_000)[:7] == [1024, 1536, 2304, 3456, 5184, 7776, 11664]
+    assert sizes(100_000)[7:] == [13411, 13411, 13411, 13411, 13412]
 
 
 def test_nothing_and_little():
     assert sizes(0) == []
     assert sizes(1) == [1]
-    assert sizes(256) == [256]
-    assert sizes(257) == [257]
-    assert sizes(383) == [383]
-    assert sizes(384) == [256, 128]
+    assert sizes(1024) == [1024]
+    assert sizes(1025) == [1025]
+    assert sizes(1535) == [1535]
+    assert sizes(1536) == [1024, 512]
 
 
 def test_the_largest_is_kept_and_no_run_is_tiny():

@@ -40,14 +40,15 @@ def encoded(quality=40.0, found=None, splats=None, **changes):
     return encode(splats or scene(), scores() if found is None else found, config)
 
 
-def decoded(whole):
-    return concatenate(decoding.chunks(whole))
+def decoded(whole, *, refine=True):
+    return concatenate(decoding.chunks(whole, refine=refine))
 
 
 def size(whole):
     payloads = [payload for book in whole.codebooks for payload in book.payloads]
     for chunk in whole.chunks:
-        payloads += [chunk.payloads.head, chunk.payloads.tail or b""]
+        parts = chunk.payloads
+        payloads += [parts.head, parts.refinement or b"", parts.tail or b""]
     return sum(map(len, payloads))
 
 

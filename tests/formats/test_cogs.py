@@ -56,9 +56,11 @@ def test_order_of_segments_serves_a_prefix(profile):
         assert kinds.index((SegmentKind.HEAD, chunk)) < tail
         for kind, owner in kinds[tail:]:
             assert kind != SegmentKind.COLOUR_BAND3, owner
-    # The share of heads that goes ahead of any gloss.
-    plain = [kind for kind, _ in kinds[: kinds.index((SegmentKind.TAIL, 0))]]
-    assert plain.count(SegmentKind.HEAD) == 2
+    for chunk, part in enumerate(made.chunks):
+        refined = (SegmentKind.REFINEMENT, chunk)
+        assert (refined in kinds) == (part.payloads.refinement is not None)
+        if refined in kinds:
+            assert kinds.index((SegmentKind.HEAD, chunk)) < kinds.index(refined)
 
 
 @pytest.mark.parametrize("profile", PROFILES)
