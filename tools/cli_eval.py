@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
 
 import click
 import numpy as np
 from numpy.typing import NDArray
 
 import cogsplat
-from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.order import OrderConfig, Unordered, order_rows
+from cogsplat.codec.order import Unordered, order_rows
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views import hold_out
 from cogsplat.formats.atomic import atomic_write, refuse_existing, storage_errors
 
-from .bench_photos import Photos, read_photos
-from .bench_plots import Series, line_chart
+from .bench_photos import read_photos
 from .cli_inputs import (
     given_cameras,
     judging_cameras,
@@ -46,41 +39,14 @@ from .cli_options import (
     top_k_option,
 )
 from .cli_orders import OrderChoice, orders_option
-from .cli_output import facts, name_of, say, say_json, size_text, table
+from .cli_output import facts, name_of, say, say_json
 from .cli_progress import Stages
 from .cli_values import ByteCount, Colour, byte_count
+from .eval_pages import STRIPS, Subject, picture_names, report, tell, written_pages
 from .eval_panel import Panel
-from .eval_protocol import BYTES, FIGURES, SHARES, SPLATS, Point, areas, by_bytes, by_splats
+from .eval_protocol import BYTES, SHARES, SPLATS, Point, by_bytes, by_splats
 from .eval_strips import STRIP_SHARES, Strip, draw_strips
 from .lpips import read_lpips
-
-if TYPE_CHECKING:
-    from cogsplat.codec.score import Scores
-
-_TITLES: Final[Mapping[str, str]] = {
-    "held_out_db": "held-out",
-    "worst_db": "worst",
-    "roam_db": "roam",
-}
-_STRIPS: Final[Mapping[str, str]] = {SPLATS: "strips-splats.png", BYTES: "strips-bytes.png"}
-
-
-def _charts(by: str) -> dict[str, str]:
-    return {figure: f"{by}-{title}.svg" for figure, title in _TITLES.items()}
-
-
-@dataclass(frozen=True, eq=False)
-class _Subject:
-    """What is judged, and by what."""
-
-    path: Path
-    splats: Splats
-    scores: Scores
-    scored_on: Sequence[Camera]
-    what: str
-    config: OrderConfig
-    panel: Panel
-    photos: Photos | None
 
 
 def shares(text: str) -> tuple[float, ...]:
@@ -224,7 +190,7 @@ def evaluate(
         # Before minutes of work, not after.
         with storage_errors(out):
             out.mkdir(parents=True, exist_ok=True)
-        for name in ("eval.csv", "eval.json", *_pictures(by)):
+        for name in ("eval.csv", "eval.json", *picture_names(by)):
             refuse_existing(out / name, force=force)
     points: list[Point] = []
     strips: dict[str, list[Strip]] = {name: [] for name in by}
@@ -267,22 +233,17 @@ def evaluate(
                     )
                     points += found
                     strips[BYTES].append(Strip.of_file(name, path, found, threads=threads))
-        pages = _pages(subject, points, by)
+        pages = written_pages(subject, points, by)
         if out is not None:
             _write(out, pages, subject, strips, points, force=force, stages=stages)
-    report = _report(subject, points, by)
     if as_json:
-        say_json({**report, "seconds": stages.rounded()})
+        say_json({**report(subject, points, by), "seconds": stages.rounded()})
         return
-    _tell(subject, points, by)
+    tell(subject, points, by)
     if not quiet:
         say("")
-        written = f"{', '.join([*pages, *(_STRIPS[name] for name in by)])} in {out}"
+        written = f"{', '.join([*pages, *(STRIPS[name] for name in by)])} in {out}"
         facts(("written", written if out is not None else ""), ("time", stages.line()))
-
-
-def _pictures(by: Sequence[str]) -> list[str]:
-    return [name for kind in by for name in (*_charts(kind).values(), _STRIPS[kind])]
 
 
 def _size_of(path: Path) -> int:
@@ -303,7 +264,7 @@ def _gather(
     *,
     threads: int,
     stages: Stages,
-) -> _Subject:
+) -> Subject:
     from cogsplat.codec.preset import DEFAULT_PRESET, PRESETS
     from cogsplat.codec.score import score
 
@@ -337,11 +298,11 @@ def _gather(
     scored_on = preset.views(views)
     settings = preset.score_config("transform", top_k=top_k, jitter=not no_jitter, threads=threads)
     scores = score(splats, scored_on, settings, progress=stages)
-    return _Subject(path, splats, scores, scored_on, what, config, panel, photos)
+    return Subject(path, splats, scores, scored_on, what, config, panel, photos)
 
 
 def _encode(
-    subject: _Subject,
+    subject: Subject,
     name: str,
     path: Path,
     quality: float,
@@ -369,52 +330,10 @@ def _strip_of_rows(name: str, splats: Splats, rows: NDArray[np.int64]) -> Strip:
     return Strip.of_order(name, splats, rows, STRIP_SHARES)
 
 
-def _pages(subject: _Subject, points: Sequence[Point], by: Sequence[str]) -> dict[str, str]:
-    pages: dict[str, str] = {}
-    for kind in by:
-        own = [point for point in points if point.by == kind]
-        names = list(dict.fromkeys(point.name for point in own))
-        for figure, page in _charts(kind).items():
-            # From 90 dB on nothing can be seen; the capped points would flatten all others.
-            series = [
-                Series(
-                    name,
-                    tuple(
-                        (point.x, getattr(point.figures, figure))
-                        for point in own
-                        if point.name == name and getattr(point.figures, figure) < 90
-                    ),
-                    look,
-                )
-                for look, name in enumerate(names)
-            ]
-            pages[page] = line_chart(
-                f"{subject.path.absolute().parent.name}/{subject.path.name}, "
-                f"{_TITLES[figure]} views",
-                "splats, %" if kind == SPLATS else "bytes received",
-                "PSNR against the full render, dB",
-                series,
-                x_text=_share_text if kind == SPLATS else lambda x: size_text(int(x)),
-            )
-    table_ = io.StringIO()
-    rows = [point.report() for point in points]
-    columns = list(dict.fromkeys(key for row in rows for key in row))
-    writer = csv.DictWriter(table_, columns, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    pages["eval.csv"] = table_.getvalue()
-    pages["eval.json"] = json.dumps(_report(subject, points, by), indent=2) + "\n"
-    return pages
-
-
-def _share_text(percent: float) -> str:
-    return f"{percent:.3g}"
-
-
 def _write(
     out: Path,
     pages: Mapping[str, str],
-    subject: _Subject,
+    subject: Subject,
     strips: Mapping[str, list[Strip]],
     points: Sequence[Point],
     *,
@@ -428,60 +347,4 @@ def _write(
             file.write(text.encode())
     with stages.stage("strips"):
         for kind, rows in strips.items():
-            write_png(out / _STRIPS[kind], draw_strips(subject.panel, rows), force=force)
-
-
-def _report(subject: _Subject, points: Sequence[Point], by: Sequence[str]) -> dict[str, object]:
-    means = {
-        kind: {
-            name: {figure: round(value, 4) for figure, value in figures.items()}
-            for name, figures in areas([point for point in points if point.by == kind]).items()
-        }
-        for kind in by
-    }
-    return {
-        "scene": name_of(subject.path),
-        "splats": len(subject.splats),
-        "judged_by": subject.what,
-        "views": len(subject.panel.cameras),
-        "scored_on": len(subject.scored_on),
-        "source_photo_db": None if subject.photos is None else subject.photos.source_db,
-        "points": [point.report() for point in points],
-        "mean_over_log": means,
-    }
-
-
-def _tell(subject: _Subject, points: Sequence[Point], by: Sequence[str]) -> None:
-    splats = subject.splats
-    say(f"{subject.path}: {len(splats):,} splats, SH degree {splats.sh_degree}")
-    photos = subject.photos
-    facts(
-        ("judged by", f"{len(subject.panel.cameras)} {subject.what}"),
-        ("scored", f"on {len(subject.scored_on)} views"),
-        ("photos", "" if photos is None else f"{photos.source_db:.2f} dB for the source"),
-    )
-    for kind in by:
-        own = [point for point in points if point.by == kind]
-        means = areas(own)
-        for figure in (*FIGURES, "held_out_ssim", "held_out_lpips", "first_view_db", "photos_db"):
-            if own[0].figures.report().get(figure) is None:
-                continue
-            say("")
-            unit = "dB" if figure.endswith("_db") else ""
-            say(
-                f"{figure.removesuffix('_db').replace('_', ' ')} {unit}, by {kind}".replace(
-                    " ,", ","
-                )
-            )
-            xs = sorted({point.x for point in own})
-            heads = [f"{x:.3g} %" if kind == SPLATS else size_text(int(x)) for x in xs]
-            cells = []
-            for name, area in means.items():
-                there = {
-                    p.x: f"{getattr(p.figures, figure):.{2 if unit else 4}f}"
-                    for p in own
-                    if p.name == name
-                }
-                mean = f"{area[figure]:.2f}" if figure in area else ""
-                cells.append((name, *(there.get(x, "") for x in xs), mean))
-            table((kind, *heads, "mean"), cells)
+            write_png(out / STRIPS[kind], draw_strips(subject.panel, rows), force=force)
