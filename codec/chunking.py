@@ -5,6 +5,9 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 DEFAULT_LARGEST: Final = 16384
 MAX_CHUNK_SPLATS: Final = 1 << 18
 """Most splats a chunk may hold (SPEC 9.1)."""
@@ -48,3 +51,40 @@ def plan_chunks(splats: int, largest: int = DEFAULT_LARGEST) -> list[slice]:
         chunks.append(slice(start, stop))
         start, size = stop, min(size * _GROWTH, float(largest))
     return chunks
+
+
+# Chunks behind the first that are settled together. Of a captured room's bytes an order by gain
+# takes 16 % more than one by contribution, and 4, settled by threes; by fours, 20 % of the splats
+# show 0.6 dB less.
+_SETTLED: Final = 3
+
+
+def settled(
+    rows: NDArray[np.int64], priority: NDArray[np.float64], largest: int = DEFAULT_LARGEST
+) -> NDArray[np.int64]:
+    """Return an order in which splats of equal weight share chunks, and soon the same prefixes.
+
+    The steps of a chunk are one for all its splats: they are finer than they need be for most
+    where a few weigh more. So, of every three chunks but the first, the heaviest splats come first.
+
+    Parameters
+    ----------
+    rows : (n,) int64
+        An order of a scene or of some of it.
+    priority : (N,) float64
+        Of the scene.
+    largest : int
+        As `plan_chunks`.
+
+    Returns
+    -------
+    (n,) int64
+        Ties as they were.
+    """
+    chunks = plan_chunks(len(rows), largest)
+    parts = [rows[run] for run in chunks[:1]]
+    for first in range(1, len(chunks), _SETTLED):
+        last = min(first + _SETTLED, len(chunks)) - 1
+        run = rows[chunks[first].start : chunks[last].stop]
+        parts.append(run[np.argsort(-priority[run], kind="stable")])
+    return np.concatenate(parts) if parts else rows

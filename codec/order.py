@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from . import order_baselines, order_octree, order_views
+from . import chunking, order_baselines, order_octree, order_views
 from .cameras import Camera
 from .progress import Progress, silent
 from .splats import Splats
@@ -137,7 +137,8 @@ def _by_gain(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
     from .gain import GainConfig, gain_order
 
     wanted = GainConfig(thickened=config.thickened, threads=scene.threads)
-    return gain_order(scene.splats, scene.scores, scene.views, wanted, progress=scene.progress)
+    rows = gain_order(scene.splats, scene.scores, scene.views, wanted, progress=scene.progress)
+    return chunking.settled(rows, scene.scores.contribution)
 
 
 def _baseline(priority: Callable[[Splats], NDArray[np.float64]]) -> Order:

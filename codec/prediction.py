@@ -167,7 +167,9 @@ def decoded(encoded: EncodedScene, *, threads: int = 0) -> Splats:
 
     def decode(chunk: EncodedChunk) -> Splats:
         out = empty(degree, chunk.splats)
-        decode_head(memoryview(chunk.payloads.head), books, out, "chunk")
+        fine = chunk.payloads.refinement
+        refinement = None if fine is None else memoryview(fine)
+        decode_head(memoryview(chunk.payloads.head), books, out, "chunk", refinement)
         if chunk.payloads.tail is not None:
             decode_tail(memoryview(chunk.payloads.tail), books, out.shN, "chunk")
         return out

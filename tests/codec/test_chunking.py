@@ -1,3 +1,6 @@
+from itertools import pairwise
+
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -7,6 +10,7 @@ from cogsplat.codec.chunking import (
     FIRST_SPLATS,
     MAX_CHUNK_SPLATS,
     plan_chunks,
+    settled,
 )
 
 
@@ -68,3 +72,24 @@ def test_limits_out_of_range_are_refused(largest):
     with pytest.raises(ValueError, match="expected 1 to"):
         plan_chunks(10, largest)
     assert DEFAULT_LARGEST <= MAX_CHUNK_SPLATS
+
+
+def test_runs_of_three_chunks_are_sorted_behind_the_first():
+    rng = np.random.default_rng(1)
+    rows, priority = rng.permutation(20_000), rng.random(20_000)
+    found = settled(rows, priority)
+    ends = [run.stop for run in plan_chunks(20_000)]
+    assert found[: ends[0]].tolist() == rows[: ends[0]].tolist()
+    bounds = [ends[0], ends[3], ends[6], 20_000]
+    assert ends[6] < 20_000
+    for start, stop in pairwise(bounds):
+        assert sorted(found[start:stop]) == sorted(rows[start:stop])
+        assert (np.diff(priority[found[start:stop]]) <= 0).all()
+    assert settled(found, priority).tolist() == found.tolist()
+
+
+def test_few_rows_stay_and_ties_too():
+    none = np.zeros(0, np.int64)
+    assert settled(none, np.zeros(5)).tolist() == []
+    rows = np.arange(5000)[::-1]
+    assert settled(rows, np.zeros(5000)).tolist() == rows.tolist()
