@@ -28,8 +28,8 @@ def sizes(splats, *largest):
 @settings(derandomize=True, deadline=None, max_examples=300)
 @given(st.integers(0, 200_000), st.one_of(st.integers(1, 2000), st.integers(1, MAX_CHUNK_SPLATS)))
 def test_chunks_cover_all_rows_once_within_their_limit(splats, largest):
-    if splats // largest > 20_000:
-        splats %= 20_000
+    if splats // largest > 40_000:
+        splats %= 40_000
     found = sizes(splats, largest)
     assert all(1 <= size <= largest for size in found)
     growing = []
@@ -76,12 +76,12 @@ def test_limits_out_of_range_are_refused(largest):
 
 def test_runs_of_three_chunks_are_sorted_behind_the_first():
     rng = np.random.default_rng(1)
-    rows, priority = rng.permutation(20_000), rng.random(20_000)
+    rows, priority = rng.permutation(40_000), rng.random(40_000)
     found = settled(rows, priority)
-    ends = [run.stop for run in plan_chunks(20_000)]
+    ends = [run.stop for run in plan_chunks(40_000)]
     assert found[: ends[0]].tolist() == rows[: ends[0]].tolist()
-    bounds = [ends[0], ends[3], ends[6], 20_000]
-    assert ends[6] < 20_000
+    bounds = [ends[0], ends[3], ends[6], 40_000]
+    assert ends[6] < 40_000
     for start, stop in pairwise(bounds):
         assert sorted(found[start:stop]) == sorted(rows[start:stop])
         assert (np.diff(priority[found[start:stop]]) <= 0).all()
