@@ -225,19 +225,32 @@ def digit_rows(
             fine_width = (fine[1][column] - fine_low) / (np.float32(fine_limit) - np.float32(1))
         radix = radices[column]
         top, top_digit, top_fine = 0, 0, 0
-        for row in range(rows):
-            code = 0
-            for byte in range(count):
-                code |= int(planes[at + byte * rows + row]) << (8 * byte)
-            top = max(top, code)
+        for row in range(rows if radix > 1 else 0):
+            top_digit = max(top_digit, int(below[digit_at + row]))
+        if count == 1 and radix > 1:
+            # Nearly all there is: short loops, and a table for the coarse values.
+            table = np.arange(256).astype(np.float32) * width + low
+            for row in range(rows):
+                code = int(planes[at + row])
+                top = max(top, code)
+                fine_code = code * radix + int(below[digit_at + row])
+                top_fine = max(top_fine, fine_code)
+                out[row, column] = np.float32(fine_code) * fine_width + fine_low
             if both:
-                coarse_out[row, column] = np.float32(code) * width + low
-            if radix > 1:
-                digit = int(below[digit_at + row])
-                top_digit = max(top_digit, digit)
-                code = code * radix + digit
-            top_fine = max(top_fine, code)
-            out[row, column] = np.float32(code) * fine_width + fine_low
+                for row in range(rows):
+                    coarse_out[row, column] = table[planes[at + row]]
+        else:
+            for row in range(rows):
+                code = 0
+                for byte in range(count):
+                    code |= int(planes[at + byte * rows + row]) << (8 * byte)
+                top = max(top, code)
+                if both:
+                    coarse_out[row, column] = np.float32(code) * width + low
+                if radix > 1:
+                    code = code * radix + int(below[digit_at + row])
+                top_fine = max(top_fine, code)
+                out[row, column] = np.float32(code) * fine_width + fine_low
         if top >= limit or top_digit >= radix or top_fine >= fine_limit:
             return False
         at += count * rows
