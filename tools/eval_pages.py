@@ -144,26 +144,30 @@ def tell(subject: Subject, points: Sequence[Point], by: Sequence[str]) -> None:
     )
     for kind in by:
         own = [point for point in points if point.by == kind]
-        means = areas(own)
         for figure in (*FIGURES, "held_out_ssim", "held_out_lpips", "first_view_db", "photos_db"):
-            if own[0].figures.report().get(figure) is None:
-                continue
-            say("")
-            unit = "dB" if figure.endswith("_db") else ""
-            say(
-                f"{figure.removesuffix('_db').replace('_', ' ')} {unit}, by {kind}".replace(
-                    " ,", ","
-                )
-            )
-            xs = sorted({point.x for point in own})
-            heads = [f"{x:.3g} %" if kind == SPLATS else size_text(int(x)) for x in xs]
-            cells = []
-            for name, area in means.items():
-                there = {
-                    p.x: f"{getattr(p.figures, figure):.{2 if unit else 4}f}"
-                    for p in own
-                    if p.name == name
-                }
-                mean = f"{area[figure]:.2f}" if figure in area else ""
-                cells.append((name, *(there.get(x, "") for x in xs), mean))
-            table((kind, *heads, "mean"), cells)
+            if getattr(own[0].figures, figure) is not None:
+                say("")
+                _tell_figure(own, kind, figure)
+
+
+def _tell_figure(points: Sequence[Point], kind: str, figure: str) -> None:
+    """Print one figure, a line for each name."""
+    what, digits = figure.replace("_", " "), 4
+    if figure.endswith("_db"):
+        what, digits = f"{figure.removesuffix('_db').replace('_', ' ')} dB", 2
+    say(f"{what}, by {kind}")
+    # Files end where they end: their last points share a column.
+    lengths = sorted({point.x for point in points if point.share < 1})
+    heads = [f"{x:.3g} %" if kind == SPLATS else size_text(int(x)) for x in lengths]
+    whole = {point.name: point for point in points if point.share >= 1}
+    rows = []
+    for name, area in areas(points).items():
+        shown = {p.x: p for p in points if p.name == name and p.share < 1}
+        cells = [shown.get(x) for x in lengths] + ([whole.get(name)] if whole else [])
+        texts = ["" if p is None else f"{getattr(p.figures, figure):.{digits}f}" for p in cells]
+        end = whole.get(name)
+        if kind == BYTES and whole:
+            texts.append("" if end is None else size_text(int(end.x)))
+        rows.append((name, *texts, f"{area[figure]:.2f}" if figure in area else ""))
+    last = (["whole", "of"] if kind == BYTES else ["100 %"]) if whole else []
+    table((kind, *heads, *last, "mean"), rows)

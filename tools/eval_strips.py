@@ -17,7 +17,7 @@ from cogsplat.codec.splats import Splats
 from .cli_output import size_text
 from .eval_panel import Panel
 from .eval_protocol import Point, counts, decode_beginning
-from .filmstrip import filmstrip
+from .filmstrip import BACKGROUND, filmstrip
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -99,7 +99,8 @@ def draw_strips(panel: Panel, strips: Sequence[Strip]) -> Image:
         last = ("full render", f"{len(panel.reference):,} splats")
         title = f"{strip.name}, {camera.name}"
         rows.append(filmstrip([*pictures, whole], [*captions, last], title))
-    page = Image.new("RGB", (max(row.width for row in rows), sum(row.height for row in rows)))
+    size = (max(row.width for row in rows), sum(row.height for row in rows))
+    page = Image.new("RGB", size, BACKGROUND)
     top = 0
     for row in rows:
         page.paste(row, (0, top))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
 # A neutral dark grey: next to it neither bright nor dark pictures look tinted.
-_BACKGROUND = (24, 25, 27)
+BACKGROUND = (24, 25, 27)
 _TITLE_COLOUR = (236, 237, 238)
 _FIRST_LINE_COLOUR = (236, 237, 238)
 _LINE_COLOUR = (160, 164, 168)
@@ -75,7 +75,7 @@ def filmstrip(
             2 * margin + len(images) * width + (len(images) - 1) * gap,
             2 * margin + heading + height + text_height,
         ),
-        _BACKGROUND,
+        BACKGROUND,
     )
     draw = ImageDraw.Draw(strip)
     if title:
