@@ -45,7 +45,11 @@ def test_order_serves_a_first_view(run: Run, small: SmallScene, tmp_path: Path) 
     scene = Unordered(splats, score(splats, train, ScoreConfig(jitter=False)), train)
     common = ["--cameras", small.cameras, "--no-jitter", "--eval-every", 3, "--first-view", 3]
     for more, name, config in (
-        ([], "contribution+first-view", OrderConfig(first_view=cameras[3])),
+        (
+            ["--order", "contribution"],
+            "contribution+first-view",
+            OrderConfig(first_view=cameras[3]),
+        ),
         (
             ["--order", "opacity", "--frustum-share", 0.5],
             "opacity+frustum",
