@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import thickening
+from .cameras import Camera
 from .compensation import (
     OPACITY_STEP,
     SCALE_STEP,
@@ -17,10 +18,12 @@ from .compensation import (
     Compensation,
     Layer,
 )
+from .encoder import EncodedScene
 from .gradient import gradient
+from .prediction import decoded
 from .progress import Progress, silent
 from .splats import Splats
-from .teacher import Teacher
+from .teacher import Teacher, teach
 from .threads import ordered_map, thread_count
 
 F64 = NDArray[np.float64]
@@ -376,6 +379,44 @@ def fit(
     if _whole(chunk_splats, carriers, layers):
         found.append(_nothing(_whole(chunk_splats, carriers, layers)))
     return Compensation(tuple(found), counts)
+
+
+def compensated(
+    encoded: EncodedScene,
+    source: Splats,
+    views: Sequence[Camera],
+    contribution: NDArray[np.float64],
+    config: FitConfig | None = None,
+    *,
+    jittered: bool = True,
+    progress: Progress = silent,
+) -> EncodedScene:
+    """Return an encoded scene with what its prefixes want.
+
+    Parameters
+    ----------
+    encoded : EncodedScene
+    source : Splats
+        What was encoded.
+    views : sequence of Camera
+        In the frame of the means, at least one.
+    contribution : (N,) float64
+        Of the source's splats.
+    config : FitConfig, optional
+    jittered : bool
+        As `teacher.teach`.
+    progress : Progress
+        Called with the stages ``teacher`` and ``compensate``.
+    """
+    config = config or FitConfig()
+    counts = [chunk.splats for chunk in encoded.chunks]
+    carriers = thickening.carriers(contribution)
+    if not plan_layers(counts, carriers):
+        return encoded
+    pictures = teach(source, views, jittered=jittered, threads=config.threads, progress=progress)
+    splats = decoded(encoded, threads=config.threads)
+    found = fit(splats, counts, pictures, carriers, config, progress=progress)
+    return replace(encoded, compensation=found)
 
 
 def blank(

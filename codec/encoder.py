@@ -23,6 +23,7 @@ from .attributes import pack_attributes
 from .cameras import Camera
 from .chunk import Payloads
 from .codebook import TrainingConfig
+from .compensation import Compensation
 from .decoder import Codebook, decode_head, decode_shape_codebook
 from .errors import DataError
 from .extent import box
@@ -66,6 +67,9 @@ class EncodeConfig:
         What may be dropped; None keeps every splat, as `near` always does.
     near : NearBounds
         Error bounds of the `near` profile.
+    compensate : bool
+        Whether the order is made for prefixes that are drawn with compensation. Fitting that
+        takes what is encoded, and views: `compensation_fit.compensated`.
     training : TrainingConfig
     threads : int
         0 uses all cores; the bytes do not depend on it.
@@ -75,13 +79,14 @@ class EncodeConfig:
 
     profile: str = "transform"
     quality_db: float = 36.0
-    order: str = "contribution"
+    order: str = "gain"
     ordering: OrderConfig = field(default_factory=OrderConfig)
     chunk_splats: int = chunking.DEFAULT_LARGEST
     morton: bool = True
     refine: bool = True
     prune: PruneConfig | None = field(default_factory=PruneConfig)
     near: NearBounds = field(default_factory=NearBounds)
+    compensate: bool = True
     training: TrainingConfig = field(default_factory=TrainingConfig)
     threads: int = 0
     ablation: Ablation = field(default_factory=Ablation)
@@ -174,6 +179,8 @@ class EncodedScene:
         Rows of the source that were dropped.
     box : (6,) float64
     codebooks, chunks : sequence
+    compensation : Compensation or None
+        What its prefixes want.
     """
 
     scene: Splats
@@ -182,6 +189,7 @@ class EncodedScene:
     box: NDArray[np.float64]
     codebooks: Sequence[EncodedCodebook]
     chunks: Sequence[EncodedChunk]
+    compensation: Compensation | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,7 +331,8 @@ def prepare(
     _require_scores(scores, len(splats))
     kept = kept_rows(splats, scores, config.dropping(), 0.0)
     scene = Unordered(splats, scores, views, config.threads, progress)
-    rows = order_rows(config.order, scene, config.ordering)
+    thickened = config.ordering.thickened and config.compensate
+    rows = order_rows(config.order, scene, replace(config.ordering, thickened=thickened))
     return _laid_out(splats, rows[kept[rows]], scores, config)
 
 

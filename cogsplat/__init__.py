@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -102,6 +103,7 @@ def decode(
     objects: Sequence[int] | None = None,
     sh_degree: int | None = None,
     refine: bool = True,
+    compensate: bool = False,
     limits: Limits | None = None,
     threads: int = 0,
     progress: Progress = silent,
@@ -123,6 +125,9 @@ def decode(
         Highest SH degree wanted, 0 to 3.
     refine : bool
         Whether to read the refinements that are there; otherwise the heads' coarse values.
+    compensate : bool
+        Make up for what is missing, as the file says (SPEC 8.5): the first chunks only, whose
+        splats become larger and more opaque. Otherwise, rows are as stored.
     limits : Limits, optional
     threads : int
         0 uses all cores.
@@ -138,8 +143,8 @@ def decode(
     CogsplatError
         The file cannot be read, is short, or breaks SPEC.
     ValueError
-        More than one of `chunks`, `splats` and `size_bytes`, a range outside the file, or a
-        negative number.
+        More than one of `chunks`, `splats` and `size_bytes`, a range outside the file, a
+        negative number, or `compensate` with chunks that are not the first.
     """
     if sum(x is not None for x in (chunks, splats, size_bytes)) > 1:
         raise ValueError("more than one of chunks, splats and size_bytes")
@@ -164,7 +169,12 @@ def decode(
             there = range(file.num_chunks) if wanted is None else wanted
             wanted = file.first_chunks(there, splats)
         return file.decode(
-            wanted, sh_degree=sh_degree, refine=refine, threads=threads, progress=progress
+            wanted,
+            sh_degree=sh_degree,
+            refine=refine,
+            compensate=compensate,
+            threads=threads,
+            progress=progress,
         )
 
 
@@ -227,9 +237,11 @@ def encode(
         An unknown preset; a target for the profile `near`, or a PSNR with no views to see it in.
     """
     from .codec import encoder
+    from .codec.compensation_fit import FitConfig, blank, compensated
     from .codec.prediction import predicted
     from .codec.preset import PRESETS
     from .codec.score import score
+    from .codec.thickening import carriers
     from .formats import cogs
     from .formats.atomic import refuse_existing
 
@@ -247,8 +259,8 @@ def encode(
         views = read_cameras(cameras) if given else cameras  # type: ignore[arg-type, assignment]
     chosen = PRESETS[preset]
     first_view = config.ordering.first_view or (views[0] if views else None)
+    settings = score_config or chosen.score_config(config.profile, threads=config.threads)
     if scores is None and len(splats):
-        settings = score_config or chosen.score_config(config.profile, threads=config.threads)
         if cameras is None:
             views, witnesses = _planned(splats, config, progress)
             measured_on = measured_on or witnesses
@@ -258,6 +270,16 @@ def encode(
             scores = score(splats, views, settings, progress=progress)
     prepared = encoder.prepare(splats, scores, config, views=views, progress=progress)
     writer = f"cogsplat {__version__}"
+    fitted = config.compensate and config.profile != "near" and scores is not None and bool(views)
+    fit = FitConfig(threads=config.threads)
+
+    def size_of(trial: EncodedScene) -> int:
+        if fitted and scores is not None:
+            counts = [chunk.splats for chunk in trial.chunks]
+            room = blank(counts, carriers(scores.contribution), fit)
+            trial = replace(trial, compensation=room)
+        return cogs.size_bytes(trial, writer=writer, first_view=first_view, cameras=stored_cameras)
+
     if target is None or not len(splats):
         encoded = prepared.encode(config.quality_db, progress=progress)
     else:
@@ -266,10 +288,18 @@ def encode(
             target,
             splats,
             measured_on or views,
-            lambda trial: cogs.size_bytes(
-                trial, writer=writer, first_view=first_view, cameras=stored_cameras
-            ),
+            size_of,
             progress,
+        )
+    if fitted and scores is not None:
+        encoded = compensated(
+            encoded,
+            splats,
+            views,
+            scores.contribution,
+            fit,
+            jittered=settings.jitter,
+            progress=progress,
         )
     if (measured_on or views) and len(encoded.chunks):
         encoded = predicted(

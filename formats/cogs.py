@@ -17,6 +17,7 @@ from cogsplat.codec.sequence import Place
 
 from . import cogs_layout as layout
 from .cogs_cameras import pack_cameras
+from .cogs_compensation import pack_layer
 from .cogs_layout import SegmentKind
 from .cogs_root import ChunkTable, CodebookEntry, Root, no_segments
 from .cogs_writer import Segment, lay_out, write_cogs
@@ -115,9 +116,11 @@ def _outward(chunks: Sequence[EncodedChunk]) -> NDArray[np.float32]:
 def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segment]:
     """Return the segments of a scene in the order a client should receive them (SPEC 5.1).
 
-    Behind all that a picture needs stand the cameras, then the extra attributes.
+    Layers of compensation stand before the first chunk that they are about and the layer before is
+    not. Behind all that a picture needs stand the cameras, then the extra attributes.
     """
     out: list[Segment] = []
+    layers = _layers(scene)
     books: list[Segment] = []
     for number, book in enumerate(scene.codebooks):
         if book.attribute == "shape":
@@ -133,6 +136,8 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
         if place.what == "books":
             out += books
         else:
+            if place.what == "head":
+                out += layers.get(place.chunk, [])
             out.append(_segment(place, scene.chunks[place.chunk].payloads))
     if cameras:
         out.append(Segment(SegmentKind.CAMERAS, 0, pack_cameras(cameras)))
@@ -140,6 +145,16 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
         if chunk.attributes is not None:
             out.append(Segment(SegmentKind.ATTRIBUTES, number, chunk.attributes))
     return out
+
+
+def _layers(scene: EncodedScene) -> dict[int, list[Segment]]:
+    """Return the layers of compensation by the chunk that each stands before."""
+    found: dict[int, list[Segment]] = {}
+    first = 0
+    for number, layer in enumerate(scene.compensation.layers if scene.compensation else ()):
+        found[first] = [Segment(SegmentKind.COMPENSATION, number, pack_layer(layer))]
+        first = layer.chunks
+    return found
 
 
 def _segment(place: Place, parts: Payloads) -> Segment:

@@ -33,8 +33,10 @@ def pack_layer(layer: Layer) -> bytes:
     return strict_msgpack.pack(value)
 
 
-def unpack_layer(payload: bytes, where: str, before: int, chunk_splats: Sequence[int]) -> Layer:
-    """Return the layer of a segment.
+def unpack_layer(
+    payload: bytes, where: str, before: int, chunk_splats: Sequence[int], all_chunks: int
+) -> Layer | None:
+    """Return the layer of a segment, None where it is about chunks whose page is not there.
 
     Parameters
     ----------
@@ -45,7 +47,9 @@ def unpack_layer(payload: bytes, where: str, before: int, chunk_splats: Sequence
     before : int
         Chunks of the layer before, 0 for the first.
     chunk_splats : sequence of int
-        Splats of the file's chunks.
+        Splats of the chunks that are known.
+    all_chunks : int
+        Chunks of the whole file.
 
     Raises
     ------
@@ -57,10 +61,10 @@ def unpack_layer(payload: bytes, where: str, before: int, chunk_splats: Sequence
     table = CheckedMap(strict_msgpack.unpack(payload, where), where, _CLAUSE)
     scales = table.column("scales", "i1", None).astype(np.int8)
     chunks = len(scales)
-    if not before < chunks <= len(chunk_splats):
-        raise table.error(
-            "scales", f"{chunks} chunks, expected {before + 1} to {len(chunk_splats)}"
-        )
+    if not before < chunks <= all_chunks:
+        raise table.error("scales", f"{chunks} chunks, expected {before + 1} to {all_chunks}")
+    if chunks > len(chunk_splats):
+        return None
     opacities = table.column("opacities", "i1", chunks).astype(np.int8)
     strengths = table.column("strengths", "u1", chunks, 2).astype(np.uint8)
     book = table.column("book", "i1", None, 2).astype(np.int8)

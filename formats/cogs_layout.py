@@ -48,6 +48,7 @@ class SegmentKind(IntEnum):
     REFINEMENT = 7
     CAMERAS = 128
     ATTRIBUTES = 129
+    COMPENSATION = 130
 
 
 COLOUR_BANDS: Final = (

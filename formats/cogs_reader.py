@@ -14,13 +14,14 @@ import numpy as np
 from cogsplat.codec import compiled, decoder
 from cogsplat.codec.attributes import AttributeType, unpack_attributes
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.compensation import Compensation, Layer
 from cogsplat.codec.decoder import Codebook
 from cogsplat.codec.errors import FormatError, LimitError, TruncatedError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, empty, sh_coefficients
 from cogsplat.codec.threads import ordered_map, thread_count
 
-from . import cogs_cameras, cogs_root
+from . import cogs_cameras, cogs_compensation, cogs_root
 from .cogs_index import Index, codebook_kinds, read_index
 from .cogs_layout import SegmentKind
 from .cogs_root import Root
@@ -152,6 +153,42 @@ class CogsFile:
             raise self._not_there("the segment of cameras")
         return cogs_cameras.unpack_cameras(bytes(self.read_segment(row)), f"{self.name}: cameras")
 
+    def compensation(self) -> Compensation:
+        """Return what prefixes of the scene want: the layers that are there.
+
+        Raises
+        ------
+        FormatError, UnsupportedError
+            They break SPEC 5.9.
+        """
+        rows = np.flatnonzero(self.segments.kind == SegmentKind.COMPENSATION).tolist()
+        owners = self.segments.owner[rows].tolist()
+        if owners != list(range(len(rows))):
+            raise FormatError(
+                "compensation-segments",
+                f"{self.name}: layers {owners[:8]}, expected each once, in order",
+                clause="5.9",
+            )
+        counts = self.chunks.splats.astype(np.int64)
+        splats = counts.tolist()
+        layers: list[Layer] = []
+        for number, row in enumerate(rows):
+            if not self._present(row):
+                break
+            before = layers[-1].chunks if layers else 0
+            where = f"{self.name}: compensation, layer {number}"
+            payload = bytes(self.read_segment(row))
+            layer = cogs_compensation.unpack_layer(
+                payload, where, before, splats, self._index.all_chunks
+            )
+            if layer is None:
+                break
+            layers.append(layer)
+        # Chunks of pages that are not there count as one.
+        rest = self.root.splats - int(counts.sum())
+        whole = np.concatenate([counts, [rest]]) if rest else counts
+        return Compensation(tuple(layers), whole.astype(np.int64))
+
     def has_refinement(self, chunk: int) -> bool:
         """Whether a chunk's values can be decoded as fine as the whole file has them."""
         row = int(self._index.refinements[chunk])
@@ -206,6 +243,7 @@ class CogsFile:
         sh_degree: int | None = None,
         refine: bool = True,
         extras: bool = True,
+        compensate: bool = False,
         threads: int = 0,
         progress: Progress = silent,
     ) -> Splats:
@@ -222,6 +260,9 @@ class CogsFile:
             the heads.
         extras : bool
             Whether to read extra attributes of the splats.
+        compensate : bool
+            Whether to return the chunks, which must be the first ones, as they look most like the
+            whole (SPEC 8.5) and not as they are stored.
         threads : int
             0 uses as many as pay. The result does not depend on it.
         progress : Progress
@@ -247,6 +288,10 @@ class CogsFile:
         wanted = list(range(self.complete_chunks()) if chunks is None else chunks)
         for chunk in wanted:
             self._require_chunk(chunk)
+        if compensate and wanted != list(range(len(wanted))):
+            raise ValueError(
+                f"chunks {wanted[:8]} compensated, expected the first ones of the file in order"
+            )
         degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)
         counts = [int(self.chunks.splats[chunk]) for chunk in wanted]
         # Codebooks first, on this thread, so that the workers only read them.
@@ -268,7 +313,7 @@ class CogsFile:
         workers = thread_count(threads or _workers(sum(counts)))
         for done, _ in enumerate(ordered_map(decode_one, tasks, workers), start=1):
             progress("decode", done, len(tasks))
-        return out
+        return self.compensation().apply(out, len(wanted)) if compensate else out
 
     def iter_chunks(self, *, sh_degree: int | None = None, refine: bool = True) -> Iterator[Splats]:
         """Decode the complete chunks one by one."""
@@ -297,6 +342,7 @@ class CogsFile:
         for book in range(len(self.root.codebooks)):
             self._load_codebook(book, self.root.sh_degree)
         self.cameras()
+        self.compensation()
         for chunk in range(self.num_chunks):
             means = self.decode([chunk]).means
             if self._index.refinements[chunk] >= 0:

@@ -192,6 +192,7 @@ def test_numbers_of_segment_kinds():
     words = {"head": "HEAD", "tail": "TAIL", "shape codebook": "SHAPE_CODEBOOK"}
     words |= {"refinement": "REFINEMENT"}
     words |= {"cameras": "CAMERAS", "attributes": "ATTRIBUTES"}
+    words |= {"compensation": "COMPENSATION"}
     words |= {f"colour codebook, band {b}": f"COLOUR_BAND{b}" for b in (1, 2, 3)}
     assert {n: words[name] for n, name in known.items()} == {
         int(k): k.name for k in cogs_layout.SegmentKind
@@ -212,6 +213,8 @@ def test_keys_are_those_the_code_writes():
         assert [key for key in keys(clause) if f'"{key}"' not in source] == []
     source = (ROOT / "formats" / "cogs_cameras.py").read_text(encoding="utf-8")
     assert [key for key in keys("5.8 ") if f'"{key}"' not in source] == []
+    source = (ROOT / "formats" / "cogs_compensation.py").read_text(encoding="utf-8")
+    assert [key for key in keys("5.9 ") if f'"{key}"' not in source] == []
 
 
 def test_limits_are_the_constants():

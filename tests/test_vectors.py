@@ -161,6 +161,22 @@ def test_attributes_and_cameras_come_to_the_bit(entry):
 
 
 @pytest.mark.parametrize("entry", VALID, ids=name_of)
+def test_first_chunks_are_compensated_to_the_bit(entry):
+    expected = dict(entry.get("compensated", []))
+    with open_cogs(BytesSource(data_of("valid", entry))) as file:
+        assert bool(file.compensation().layers) == bool(expected)
+        for chunks in range(1, file.num_chunks + 1):
+            found = file.decode(range(chunks), compensate=True)
+            if expected:
+                values = [found.scales.astype("<f4"), found.opacities.astype("<f4")]
+                data = b"".join(part.tobytes() for part in values)
+                assert hashlib.sha256(data).hexdigest() == expected[chunks]
+            stored = file.decode(range(chunks))
+            for name in ("means", "quats", "sh0", "shN"):
+                np.testing.assert_array_equal(getattr(found, name), getattr(stored, name))
+
+
+@pytest.mark.parametrize("entry", VALID, ids=name_of)
 def test_chunks_alone_in_any_order_are_rows_of_the_whole(entry, kernels):
     arrays = arrays_of(entry)
     ends = np.cumsum([0, *entry["chunk_splats"]])

@@ -15,6 +15,7 @@ from cogsplat.formats.atomic import refuse_existing, storage_errors
 from .cli_inputs import Part, Scene, decode_part
 from .cli_options import (
     PATH,
+    compensate_option,
     force_option,
     json_option,
     part_options,
@@ -35,6 +36,7 @@ from .cli_values import ByteCount, ChunkRange
 @click.argument("cogs", type=PATH, metavar="IN.cogs")
 @click.argument("out", type=PATH, metavar="OUT.ply")
 @part_options
+@compensate_option
 @click.option("--no-refine", is_flag=True, help="The coarse values of the heads alone.")
 @threads_option
 @force_option
@@ -48,6 +50,7 @@ def decode(
     size: ByteCount | None,
     objects: tuple[int, ...] | None,
     sh_degree: int | None,
+    compensate: bool,
     no_refine: bool,
     threads: int,
     force: bool,
@@ -57,10 +60,12 @@ def decode(
     """Decode a COGS file, or a part of it, to a PLY.
 
     With --bytes the file is taken as if its transfer had stopped there: what is complete is
-    decoded.
+    decoded. With --compensate the splats of a beginning are not as stored, but as they look most
+    like the whole.
     """
     refuse_existing(out, force=force)
-    part = Part(chunks, least_splats, size, sh_degree, objects, refine=not no_refine)
+    refine = not no_refine
+    part = Part(chunks, least_splats, size, sh_degree, objects, refine, compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         scene = decode_part(cogs, part, threads=threads, progress=stages)
         with stages.stage("write"):

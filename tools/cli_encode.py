@@ -99,6 +99,11 @@ if TYPE_CHECKING:
 @click.option("--no-morton", is_flag=True, help="Keep the order inside chunks as well.")
 @click.option("--no-refine", is_flag=True, help="Write heads fine at once, none coarse first.")
 @click.option(
+    "--no-compensation",
+    is_flag=True,
+    help="Say nothing of how prefixes make up for what they lack; order for prefixes drawn as is.",
+)
+@click.option(
     "--prune",
     type=click.FloatRange(0, 1, max_open=True),
     show_default="0.06",
@@ -153,6 +158,7 @@ def encode(
     chunk_splats: int,
     no_morton: bool,
     no_refine: bool,
+    no_compensation: bool,
     prune: float | None,
     no_prune: bool,
     no_extras: bool,
@@ -194,6 +200,7 @@ def encode(
         chunk_splats=chunk_splats,
         morton=not no_morton,
         refine=not no_refine,
+        compensate=not no_compensation,
         prune=None if no_prune else bound,
         threads=threads,
     )

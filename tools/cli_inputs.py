@@ -52,6 +52,8 @@ class Part:
         Chunks of these objects alone; `least_splats` counts theirs.
     refine : bool
         Whether refinements are read.
+    compensate : bool
+        Whether the first chunks make up for what is missing.
     """
 
     chunks: ChunkRange | None = None
@@ -60,12 +62,17 @@ class Part:
     sh_degree: int | None = None
     objects: tuple[int, ...] | None = None
     refine: bool = True
+    compensate: bool = False
 
     def __post_init__(self) -> None:
         given = {"--chunks": self.chunks, "--splats": self.least_splats, "--bytes": self.size}
         named = [option for option, value in given.items() if value is not None]
         if len(named) > 1:
             raise click.UsageError(f"{' and '.join(named)}: expected one of them")
+        if self.compensate and self.objects is not None:
+            raise click.UsageError("--compensate and --object: expected one of them")
+        if self.compensate and self.chunks is not None and self.chunks.first:
+            raise click.UsageError("--compensate with --chunks, expected chunks from 0 on")
 
     @property
     def is_cut(self) -> bool:
@@ -125,9 +132,10 @@ def read_any(
     part = part or Part()
     if is_cogs(path):
         return decode_part(path, part, threads=threads, progress=progress)
-    if part.is_cut:
+    if part.is_cut or part.compensate:
         raise click.UsageError(
-            f"{path}: is no COGS file, expected one with --chunks, --splats, --bytes or --object"
+            f"{path}: is no COGS file, expected one with --chunks, --splats, --bytes, --object "
+            "or --compensate"
         )
     splats = read_scene(path)
     size = scene_bytes(path)
@@ -164,6 +172,7 @@ def decode_part(path: Path, part: Part, *, threads: int = 0, progress: Progress 
             chunks,
             sh_degree=part.sh_degree,
             refine=part.refine,
+            compensate=part.compensate,
             threads=threads,
             progress=progress,
         )

@@ -23,6 +23,7 @@ from .cli_options import (
     PATH,
     background_option,
     cameras_option,
+    compensate_option,
     eval_every_option,
     force_option,
     json_option,
@@ -59,6 +60,7 @@ from .cli_values import ByteCount, ChunkRange, Colour, picture_size
 )
 @background_option
 @part_options
+@compensate_option
 @threads_option
 @force_option
 @quiet_option
@@ -75,6 +77,7 @@ def render(
     size: ByteCount | None,
     objects: tuple[int, ...] | None,
     sh_degree: int | None,
+    compensate: bool,
     threads: int,
     force: bool,
     quiet: bool,
@@ -87,7 +90,7 @@ def render(
     from .pictures import to_image, write_png
 
     refuse_existing(out, force=force)
-    part = Part(chunks, least_splats, size, sh_degree, objects)
+    part = Part(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             scene = read_any(path, part, threads=threads)
@@ -169,6 +172,7 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
 @eval_every_option(8, "Compare on the")
 @background_option
 @part_options
+@compensate_option
 @threads_option
 @quiet_option
 @json_option
@@ -183,6 +187,7 @@ def compare(
     size: ByteCount | None,
     objects: tuple[int, ...] | None,
     sh_degree: int | None,
+    compensate: bool,
     threads: int,
     quiet: bool,
     as_json: bool,
@@ -194,7 +199,7 @@ def compare(
     """
     from . import judge
 
-    part = Part(chunks, least_splats, size, sh_degree, objects)
+    part = Part(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             first = read_any(reference, threads=threads)

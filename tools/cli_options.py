@@ -108,6 +108,15 @@ def top_k_option(command: Command) -> Command:
     )(command)
 
 
+def compensate_option(command: Command) -> Command:
+    """Add ``--compensate``."""
+    return click.option(
+        "--compensate",
+        is_flag=True,
+        help="Make up for chunks that are not there: larger, more opaque splats, as the file says.",
+    )(command)
+
+
 def part_options(command: Command) -> Command:
     """Add ``--chunks --splats --bytes --object --sh``: what is decoded of a COGS file."""
     options = [

@@ -195,7 +195,7 @@ def order_options(command: Callable[..., object]) -> Callable[..., object]:
     option = click.option(
         "--order",
         type=order_name,
-        default="contribution",
+        default="gain",
         show_default=True,
         metavar="NAME",
         help=f"Which splats come first: {', '.join(ORDERS)}.",

@@ -31,6 +31,7 @@ _SETTINGS: Final = (
     "chunk_splats",
     "no_morton",
     "no_refine",
+    "no_compensation",
     "prune",
     "no_prune",
     "no_jitter",

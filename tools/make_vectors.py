@@ -21,6 +21,7 @@ import zstandard
 
 from cogsplat.formats.cogs_layout import MAJOR, MINOR
 
+from . import vectors_compensation as compensations
 from . import vectors_extras as extras
 from . import vectors_invalid_payload as payloads
 from . import vectors_invalid_root as roots
@@ -62,6 +63,7 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     refinements.refinements,
     extras.attributes,
     extras.cameras,
+    compensations.compensation,
 )
 
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
@@ -69,7 +71,13 @@ Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 
 def valid() -> list[Valid]:
     """Return all valid vectors, in the order of the manifest."""
-    return [*plain_valid(), *transform_valid(), *refinements.valid(), *extras.valid()]
+    return [
+        *plain_valid(),
+        *transform_valid(),
+        *refinements.valid(),
+        *extras.valid(),
+        *compensations.valid(),
+    ]
 
 
 def invalid() -> list[Invalid]:
@@ -123,6 +131,11 @@ def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
         entry["attribute_chunks"] = [
             [chunk, [_sha256(values) for values in parts]]
             for chunk, parts in scene.attribute_values.items()
+        ]
+    if scene.compensated:
+        entry["compensated"] = [
+            [chunks, _sha256(struct.pack(f"<{len(values)}f", *values))]
+            for chunks, values in scene.compensated.items()
         ]
     if scene.cameras:
         cameras: list[Json] = [_camera(camera) for camera in scene.cameras]

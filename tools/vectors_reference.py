@@ -11,6 +11,7 @@ from typing import Final
 
 import msgpack
 
+from . import vectors_reference_compensation as compensation
 from . import vectors_streams as streams
 from .vectors_streams import (
     BANDS,
@@ -30,7 +31,7 @@ from .vectors_streams import (
 
 # SPEC 5.2, by number.
 _HEAD, _TAIL, _SHAPE_BOOK, _REFINEMENT = 1, 2, 3, 7
-_CAMERAS, _ATTRIBUTES = 128, 129
+_CAMERAS, _ATTRIBUTES, _COMPENSATION = 128, 129, 130
 _BAND_VALUES: Final = (9, 15, 21)
 
 Camera = dict[str, str | int | float | list[float]]
@@ -87,6 +88,8 @@ class Scene:
         For each chunk that has them the little-endian values of each attribute, row by row.
     cameras : list of dict
         With the keys of `first_view` and ``name``.
+    compensated : dict of int to list of float
+        By the number of first chunks, their log scales and then their logits, compensated.
     """
 
     sh_degree: int
@@ -96,6 +99,7 @@ class Scene:
     attributes: list[tuple[str, str, int]]
     attribute_values: dict[int, list[bytes]]
     cameras: list[Camera]
+    compensated: dict[int, Row]
 
 
 class _File:
@@ -266,6 +270,22 @@ def _cameras(file: _File) -> list[Camera]:
     return out
 
 
+def _compensated(file: _File, rows: dict[str, list[Row]]) -> dict[int, Row]:
+    """Return what first chunks look most like the whole with (SPEC 8.5)."""
+    segments = [s for s in file.segments if s.kind == _COMPENSATION]
+    payloads = [file.data[s.start : s.end] for s in sorted(segments, key=lambda s: s.owner)]
+    out: dict[int, Row] = {}
+    for chunks in range(1, len(file.chunk_splats) + 1) if payloads else ():
+        shifts = compensation.shifts(payloads, file.chunk_splats, chunks)
+        scales: Row = []
+        opacities: Row = []
+        for place, (scale, opacity) in enumerate(shifts):
+            scales += compensation.added(rows["scales"][place], scale)
+            opacities += compensation.added(rows["opacities"][place], opacity)
+        out[chunks] = scales + opacities
+    return out
+
+
 def _prefixes(file: _File) -> list[Prefix]:
     """Return what each length of the file gives (SPEC 8.2)."""
 
@@ -315,4 +335,5 @@ def decode(data: bytes, *, refine: bool = True) -> Scene:
         attributes=_attribute_types(file),
         attribute_values=_attributes(file),
         cameras=_cameras(file),
+        compensated=_compensated(file, rows),
     )

@@ -1,0 +1,90 @@
+"""Compensation by SPEC 5.9 and 8.5 alone, in plain Python: for the second decoder."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+import msgpack
+
+Pair = tuple[float, float]
+
+
+def _f32(value: float) -> float:
+    found: float = struct.unpack("<f", struct.pack("<f", value))[0]
+    return found
+
+
+class _Layer:
+    def __init__(self, data: bytes, before: int, chunk_splats: Sequence[int]) -> None:
+        table = msgpack.unpackb(data)
+        self.chunks = len(table["scales"])
+        self.scales = struct.unpack(f"{self.chunks}b", table["scales"])
+        self.opacities = struct.unpack(f"{self.chunks}b", table["opacities"])
+        self.strengths = table["strengths"]
+        numbers = struct.unpack(f"{len(table['book'])}b", table["book"])
+        book = list(zip(numbers[::2], numbers[1::2], strict=True))
+        count = sum(chunk_splats[before : self.chunks])
+        bits = max(len(book) - 1, 0).bit_length()
+        packed = int.from_bytes(table["codes"], "little")
+        codes = [packed >> bits * place & (1 << bits) - 1 for place in range(count)]
+        self.entries = [book[code] for code in codes] if book else [(0, 0)] * count
+
+    def shift(self, chunk: int, entry: tuple[int, int]) -> Pair:
+        scale = self.scales[chunk] / 128 + self.strengths[2 * chunk] / 64 * entry[0] / 128
+        opacity = self.opacities[chunk] / 16 + self.strengths[2 * chunk + 1] / 64 * entry[1] / 16
+        return scale, opacity
+
+
+def shifts(payloads: Sequence[bytes], chunk_splats: Sequence[int], chunks: int) -> list[Pair]:
+    """Return what is added to the scales and the opacity of each splat of the first chunks.
+
+    Parameters
+    ----------
+    payloads : sequence of bytes
+        Of the layers.
+    chunk_splats : sequence of int
+        Of all chunks.
+    chunks : int
+        At least 1.
+    """
+    layers: list[_Layer] = []
+    entries: list[tuple[int, int]] = []
+    for data in payloads:
+        layers.append(_Layer(data, layers[-1].chunks if layers else 0, chunk_splats))
+        entries += layers[-1].entries
+    where = [chunk for chunk in range(chunks) for _ in range(chunk_splats[chunk])]
+    if not layers or chunks == len(chunk_splats):
+        return [(0.0, 0.0)] * len(where)
+
+    def at(number: int, place: int) -> Pair:
+        if number == len(layers):
+            return 0.0, 0.0
+        return layers[number].shift(where[place], entries[place])
+
+    above = sum(layer.chunks < chunks for layer in layers)
+    reached = above < len(layers) and layers[above].chunks == chunks
+    if above == 0 or reached:
+        return [at(above, place) for place in range(len(where))]
+    below = layers[above - 1].chunks
+    end = layers[above].chunks if above < len(layers) else len(chunk_splats)
+    part = _f32(sum(chunk_splats[below:chunks]) / sum(chunk_splats[below:end]))
+    out = []
+    for place, chunk in enumerate(where):
+        upper = at(above, place)
+        if chunk < below:
+            lower = at(above - 1, place)
+            out.append(
+                (
+                    _f32(lower[0] + _f32(_f32(upper[0] - lower[0]) * part)),
+                    _f32(lower[1] + _f32(_f32(upper[1] - lower[1]) * part)),
+                )
+            )
+        else:
+            out.append(upper)
+    return out
+
+
+def added(values: Sequence[float], shift: float) -> list[float]:
+    """Return float32 values with a shift added."""
+    return [_f32(value + shift) for value in values]
