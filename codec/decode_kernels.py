@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from . import morton
 
 F32 = NDArray[np.float32]
+I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 U32 = NDArray[np.uint32]
@@ -194,67 +195,80 @@ def grid_rows(planes: U8, minimum: F32, maximum: F32, levels: U32, extra: int, o
 
 
 @_exact
+def _spread_codes(codes: I32, width: np.float32, low: np.float32, column: int, out: F32) -> None:
+    """Write what codes of a grid are worth into a column."""
+    # Into a run first, then apart: only runs are done several at a time.
+    run = np.empty(len(codes), np.float32)
+    for row in range(len(codes)):
+        run[row] = np.float32(codes[row]) * width + low
+    for row in range(len(codes)):
+        out[row, column] = run[row]
+
+
+@_exact
 def digit_rows(
     planes: U8,
     coarse: tuple[F32, F32, U32],
-    below: U8,
+    first_digit: int,
     radices: I64,
     fine: tuple[F32, F32, U32],
     coarse_out: F32,
     out: F32,
 ) -> bool:
-    """Write (rows, c) values from byte planes and digits, all end to end (SPEC 6.16).
+    """Write (rows, c) values from byte planes and behind them digits, all end to end (SPEC 6.16).
 
-    `coarse` and `fine` are minimum, maximum and levels; `coarse_out` may have no rows.
+    Digits begin at `first_digit`. `coarse` and `fine` are minimum, maximum and levels; `coarse_out`
+    may have no rows.
     """
     rows, components = out.shape
-    both = len(coarse_out) > 0
     at = 0
-    digit_at = 0
+    digit_at = first_digit
+    codes = np.empty(rows, np.int32)
     for column in range(components):
         limit = int(coarse[2][column])
         count = 0
         while limit - 1 >> 8 * count:
             count += 1
-        low, fine_low = coarse[0][column], fine[0][column]
-        width, fine_width = np.float32(0), np.float32(0)
-        if limit > 1:
-            width = (coarse[1][column] - low) / (np.float32(limit) - np.float32(1))
-        fine_limit = int(fine[2][column])
-        if fine_limit > 1:
-            fine_width = (fine[1][column] - fine_low) / (np.float32(fine_limit) - np.float32(1))
-        radix = radices[column]
-        top, top_digit, top_fine = 0, 0, 0
-        for row in range(rows if radix > 1 else 0):
-            top_digit = max(top_digit, int(below[digit_at + row]))
-        if count == 1 and radix > 1:
-            # Nearly all there is: short loops, and a table for the coarse values.
-            table = np.arange(256).astype(np.float32) * width + low
+        codes[:] = 0
+        for byte in range(count):
+            plane = planes[at : at + rows]
             for row in range(rows):
-                code = int(planes[at + row])
-                top = max(top, code)
-                fine_code = code * radix + int(below[digit_at + row])
-                top_fine = max(top_fine, fine_code)
-                out[row, column] = np.float32(fine_code) * fine_width + fine_low
-            if both:
-                for row in range(rows):
-                    coarse_out[row, column] = table[planes[at + row]]
-        else:
-            for row in range(rows):
-                code = 0
-                for byte in range(count):
-                    code |= int(planes[at + byte * rows + row]) << (8 * byte)
-                top = max(top, code)
-                if both:
-                    coarse_out[row, column] = np.float32(code) * width + low
-                if radix > 1:
-                    code = code * radix + int(below[digit_at + row])
-                top_fine = max(top_fine, code)
-                out[row, column] = np.float32(code) * fine_width + fine_low
-        if top >= limit or top_digit >= radix or top_fine >= fine_limit:
+                codes[row] |= np.int32(plane[row]) << np.int32(8 * byte)
+            at += rows
+        top = np.int32(0)
+        for row in range(rows):
+            top = max(top, codes[row])
+        if top >= limit:
             return False
-        at += count * rows
-        digit_at += rows if radix > 1 else 0
+        if len(coarse_out):
+            low = coarse[0][column]
+            width = np.float32(0)
+            if limit > 1:
+                width = (coarse[1][column] - low) / (np.float32(limit) - np.float32(1))
+            _spread_codes(codes, width, low, column, coarse_out)
+        radix = np.int32(radices[column])
+        if radix > 1:
+            digits_of = planes[digit_at : digit_at + rows]
+            digit_at += rows
+            top_digit = np.uint8(0)
+            for row in range(rows):
+                top_digit = max(top_digit, digits_of[row])
+            if top_digit >= radix:
+                return False
+            # Below 2^24 · 16: 28 bits.
+            for row in range(rows):
+                codes[row] = codes[row] * radix + np.int32(digits_of[row])
+        fine_limit = int(fine[2][column])
+        top = np.int32(0)
+        for row in range(rows):
+            top = max(top, codes[row])
+        if top >= fine_limit:
+            return False
+        low = fine[0][column]
+        width = np.float32(0)
+        if fine_limit > 1:
+            width = (fine[1][column] - low) / (np.float32(fine_limit) - np.float32(1))
+        _spread_codes(codes, width, low, column, out)
     return True
 
 
@@ -289,8 +303,8 @@ def delta_bits(classes: U8) -> int:
 
 
 @_exact
-def _halvings(scales: F32, coefficients: F32, knees: F32, most: int, halved: U8) -> I64:
-    """Write the halvings that scales ask for (SPEC 6.10); return how many rows have each."""
+def _wanted(scales: F32, coefficients: F32, knees: F32, most: int, halved: U8) -> None:
+    """Write the halvings that scales ask for (SPEC 6.10)."""
     c0, c1, c2 = coefficients[0], coefficients[1], coefficients[2]
     c3, c4, c5 = coefficients[3], coefficients[4], coefficients[5]
     k0, k1, k2, k3 = knees[0], knees[1], knees[2], knees[3]
@@ -308,6 +322,12 @@ def _halvings(scales: F32, coefficients: F32, knees: F32, most: int, halved: U8)
         total = total if total < limit else limit
         # Of what is not negative, the integer part is the floor.
         halved[row] = np.uint8(np.int32(total if total > zero else zero))
+
+
+@_exact
+def _halvings(scales: F32, coefficients: F32, knees: F32, most: int, halved: U8) -> I64:
+    """Write the halvings that scales ask for (SPEC 6.10); return how many rows have each."""
+    _wanted(scales, coefficients, knees, most, halved)
     # Two histograms in turn: a count need not wait for the one before.
     rows = np.zeros((2, most + 1), np.int64)
     for row in range(len(halved)):
@@ -319,7 +339,7 @@ def _halvings(scales: F32, coefficients: F32, knees: F32, most: int, halved: U8)
 @_exact
 def gained(scales: F32, coefficients: F32, knees: F32, most: int, halved: U8, out: U8) -> None:
     """Write how many halvings more than `halved` scales ask for (SPEC 6.17)."""
-    _halvings(scales, coefficients, knees, most, out)
+    _wanted(scales, coefficients, knees, most, out)
     for row in range(len(out)):
         out[row] = out[row] - halved[row] if out[row] > halved[row] else 0
 

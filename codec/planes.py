@@ -173,13 +173,28 @@ def unpack_planes(
     -------
     uint8, read-only
     """
+    labels = [f"{where}, plane {first + index}" for index in range(len(stored))]
+    return unpack_labelled(stored, words, lengths, labels)
+
+
+def unpack_labelled(
+    stored: Sequence[memoryview], words: Sequence[int], lengths: Sequence[int], labels: list[str]
+) -> U8:
+    """Return what `unpack_planes` does, for planes of more than one stream.
+
+    Parameters
+    ----------
+    stored, words, lengths
+        As `unpack_plane` has them, of each plane.
+    labels : list of str
+        Names each in messages.
+    """
     from . import decode_kernels
 
     parts: list[bytes | memoryview] = []
     radices: list[int] = []
     sizes: list[int] = []
-    for index, (body, word, length) in enumerate(zip(stored, words, lengths, strict=True)):
-        label = f"{where}, plane {first + index}"
+    for body, word, length, label in zip(stored, words, lengths, labels, strict=True):
         radix, size = _before_digits(body, word, length, label)
         parts.append(_raw(body[1:] if radix else body, word, size, label))
         radices.append(radix)
@@ -193,7 +208,7 @@ def unpack_planes(
     wrong = decode_kernels.digits(packed, spans, _digit_tables(), out)
     if wrong >= 0:
         # Says what is wrong with it.
-        unpack_plane(stored[wrong], words[wrong], lengths[wrong], f"{where}, plane {first + wrong}")
+        unpack_plane(stored[wrong], words[wrong], lengths[wrong], labels[wrong])
     # As what zstd gives: kernels are compiled for one kind of array.
     out.flags.writeable = False
     return out

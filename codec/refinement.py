@@ -123,12 +123,12 @@ def _compiled_digits(
 
     counts = [grids.code_bytes(levels) for levels in coarse.levels.tolist()]
     head.require_planes(sum(counts))
-    planes = head.joined(0, [head.rows] * sum(counts))
-    below = finer.joined(0, [finer.rows] * sum(radix > 1 for radix in radices))
+    digits = sum(radix > 1 for radix in radices)
+    planes = head.joined_with(finer, [head.rows] * (sum(counts) + digits))
     return decode_kernels.digit_rows(
         planes,
         (coarse.minimum, coarse.maximum, coarse.levels),
-        below,
+        sum(counts) * head.rows,
         np.array(radices, np.int64),
         (grid.minimum, grid.maximum, grid.levels),
         coarse_out,

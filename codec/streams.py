@@ -15,7 +15,7 @@ from . import compiled, morton
 from . import grid as grids
 from .errors import FormatError, UnsupportedError
 from .grid import ENTRY_BYTES, Grid
-from .planes import LENGTH_MASK, pack_plane, unpack_plane, unpack_planes
+from .planes import LENGTH_MASK, pack_plane, unpack_labelled, unpack_plane, unpack_planes
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -304,6 +304,12 @@ class StoredStream:
         last = first + len(lengths)
         words = self.words[first:last].tolist()
         return unpack_planes(self.bodies[first:last], words, lengths, self.where, first)
+
+    def joined_with(self, other: StoredStream, lengths: Sequence[int]) -> U8:
+        """Return all planes of two streams end to end, as `joined` does those of one."""
+        labels = [f"{s.where}, plane {i}" for s in (self, other) for i in range(len(s.words))]
+        words = [*self.words.tolist(), *other.words.tolist()]
+        return unpack_labelled((*self.bodies, *other.bodies), words, lengths, labels)
 
     def require_kind(self, kind: Kind) -> None:
         """Refuse a stream of another kind."""
