@@ -22,6 +22,7 @@ from .encoder import EncodedScene
 from .gradient import gradient
 from .prediction import decoded
 from .progress import Progress, silent
+from .rasterise import RenderConfig, render
 from .splats import Splats
 from .teacher import Teacher, teach
 from .threads import ordered_map, thread_count
@@ -54,6 +55,8 @@ _QUANTISED_FROM: Final = 0.6
 # Added to a view's mean squared error before the logarithm that is minimised.
 _ERROR_FLOOR: Final = 3e-4
 _BOOK_ROUNDS: Final = 12
+# Views that the errors of prefixes are measured in.
+_MEASURED_VIEWS: Final = 12
 
 
 @dataclass(frozen=True)
@@ -416,7 +419,47 @@ def compensated(
     pictures = teach(source, views, jittered=jittered, threads=config.threads, progress=progress)
     splats = decoded(encoded, threads=config.threads)
     found = fit(splats, counts, pictures, carriers, config, progress=progress)
-    return replace(encoded, compensation=found)
+    lacking = errors(found, splats, pictures, threads=config.threads)
+    return replace(encoded, compensation=found, lacking=lacking)
+
+
+def errors(
+    compensation: Compensation, splats: Splats, teacher: Teacher, *, threads: int = 0
+) -> F64:
+    """Measure how far compensated prefixes are from the whole.
+
+    Parameters
+    ----------
+    compensation : Compensation
+    splats : Splats
+        All of the scene's, as they are decoded.
+    teacher : Teacher
+    threads : int
+        0 for every core this process may use.
+
+    Returns
+    -------
+    (c + 1,) float64
+        Mean squared error of pictures without chunks, of the first, and so on to all.
+    """
+    views = teacher.sample(_MEASURED_VIEWS, 0)
+    weights = teacher.weights[views] / teacher.weights[views].sum()
+    ends = np.concatenate([[0], np.cumsum(compensation.chunk_splats)])
+    found = np.zeros(len(ends))
+    for chunks, end in enumerate(ends.tolist()):
+        prefix = compensation.apply(splats.take(slice(0, end)), chunks)
+
+        def far(view: int, prefix: Splats = prefix) -> float:
+            picture = teacher.pictures[view]
+            kernel_px, near = teacher.kernels[view], teacher.near
+            info = prefix.info
+            config = RenderConfig(kernel_px, info.antialiased, near=near, threads=1)
+            drawn = np.clip(render(prefix, teacher.cameras[view], config), 0.0, 1.0)
+            return float(np.mean(np.square(drawn - picture, dtype=np.float64)))
+
+        each = list(ordered_map(far, views, thread_count(threads)))
+        found[chunks] = float(weights @ np.array(each))
+    return found
 
 
 def blank(

@@ -181,6 +181,9 @@ class EncodedScene:
     codebooks, chunks : sequence
     compensation : Compensation or None
         What its prefixes want.
+    lacking : (c + 1,) float64 or None
+        Mean squared error of pictures of nothing, of the first chunk, and so on to the whole, for
+        what the splats behind are missing; None where that was not measured.
     """
 
     scene: Splats
@@ -190,6 +193,7 @@ class EncodedScene:
     codebooks: Sequence[EncodedCodebook]
     chunks: Sequence[EncodedChunk]
     compensation: Compensation | None = None
+    lacking: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)

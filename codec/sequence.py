@@ -117,6 +117,24 @@ def missing_shares(contribution: F64) -> F64:
     return shares
 
 
+def measured_shares(lacking: F64) -> F64:
+    """Return the shares that would be missing, had pictures the errors that were measured.
+
+    Parameters
+    ----------
+    lacking : (c + 1,) float64
+        Squared error of the pictures before each chunk and after the last.
+
+    Returns
+    -------
+    (c + 1,) float64
+        From 1 at most, never rising.
+    """
+    excess = np.maximum(lacking - lacking[-1], 0.0)
+    shares: F64 = np.sqrt(np.minimum.accumulate(excess) / _MISSING_ALL)
+    return np.minimum(shares, 1.0)
+
+
 def head_gains(missing: F64) -> F64:
     """Return what each chunk's head removes of a picture's error, (c,) float64."""
     gains: F64 = -_MISSING_ALL * np.diff(np.square(missing))

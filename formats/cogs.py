@@ -130,7 +130,7 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
                 books.append(Segment(kind, number, payload))
     for place in sequence.order(
         [chunk.parts for chunk in scene.chunks],
-        sequence.missing_shares(np.array([chunk.contribution for chunk in scene.chunks])),
+        _missing(scene),
         sum(len(book.payload) for book in books),
     ):
         if place.what == "books":
@@ -145,6 +145,12 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
         if chunk.attributes is not None:
             out.append(Segment(SegmentKind.ATTRIBUTES, number, chunk.attributes))
     return out
+
+
+def _missing(scene: EncodedScene) -> NDArray[np.float64]:
+    if scene.lacking is not None:
+        return sequence.measured_shares(scene.lacking)
+    return sequence.missing_shares(np.array([chunk.contribution for chunk in scene.chunks]))
 
 
 def _layers(scene: EncodedScene) -> dict[int, list[Segment]]:

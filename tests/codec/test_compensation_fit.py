@@ -3,7 +3,7 @@ import oracle
 import pytest
 
 from cogsplat.codec import thickening
-from cogsplat.codec.compensation_fit import FitConfig, blank, fit, plan_layers
+from cogsplat.codec.compensation_fit import FitConfig, blank, errors, fit, plan_layers
 from cogsplat.codec.errors import Cancelled
 from cogsplat.codec.gain import GainConfig, gain_order
 from cogsplat.codec.metrics import psnr
@@ -107,3 +107,17 @@ def test_progress_can_cancel(scene):
 def test_config_is_checked(wrong):
     with pytest.raises(ValueError, match="expected"):
         FitConfig(**wrong)
+
+
+def test_errors_of_prefixes_are_those_of_their_pictures(scene):
+    splats, _, teacher, carriers = scene
+    found = fit(splats, _COUNTS, teacher, carriers, FitConfig(iterations=3))
+    lacking = errors(found, splats, teacher, threads=2)
+    assert len(lacking) == len(_COUNTS) + 1
+    assert lacking[0] == pytest.approx(np.mean([np.mean(p**2) for p in teacher.pictures]))
+    assert lacking[-1] < 1e-12
+    drawn = found.apply(splats.take(slice(0, 90)), 2)
+    pictures = [render(drawn, camera) for camera in teacher.cameras]
+    pairs = zip(pictures, teacher.pictures, strict=True)
+    expected = np.mean([np.mean((np.clip(a, 0, 1) - b) ** 2) for a, b in pairs])
+    assert lacking[2] == pytest.approx(expected, rel=1e-4)

@@ -99,3 +99,11 @@ def test_what_tails_gain_is_their_energy():
     )
     assert sequence.tail_gain(coefficients, energy, spread) == pytest.approx(expected)
     assert sequence.tail_gain(coefficients[:, :0], energy, spread) == 0
+
+
+def test_measured_errors_stand_for_missing_shares():
+    # Nothing, one chunk, two that make it worse, and the whole, which is off by its coding alone.
+    shares = sequence.measured_shares(np.array([0.16, 0.06, 0.065, 0.01]))
+    np.testing.assert_allclose(np.diff(shares) <= 0, True)
+    np.testing.assert_allclose(sequence.head_gains(shares), [0.1, 0.0, 0.05])
+    assert sequence.measured_shares(np.array([3.0, 0.0])).tolist() == [1.0, 0.0]
