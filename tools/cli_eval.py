@@ -117,6 +117,11 @@ def sizes(text: str) -> tuple[ByteCount, ...]:
     help="Lengths of the files to judge at; none for none.  [default: 32 KiB, doubled to the end]",
 )
 @click.option(
+    "--compensate",
+    is_flag=True,
+    help="Judge beginnings of files as they make up for what they lack.",
+)
+@click.option(
     "--quality",
     type=click.FloatRange(10, 90),
     default=36.0,
@@ -163,6 +168,7 @@ def evaluate(
     files: tuple[Path, ...],
     wanted: tuple[float, ...],
     lengths: tuple[ByteCount, ...] | None,
+    compensate: bool,
     quality: float,
     target_psnr: float | None,
     out: Path | None,
@@ -229,10 +235,18 @@ def evaluate(
                     size = path.stat().st_size if not files else _size_of(path)
                     chosen = None if lengths is None else [one.of(size) for one in lengths]
                     found = by_bytes(
-                        subject.panel, name, path, chosen, threads=threads, progress=stages
+                        subject.panel,
+                        name,
+                        path,
+                        chosen,
+                        compensate=compensate,
+                        threads=threads,
+                        progress=stages,
                     )
                     points += found
-                    strips[BYTES].append(Strip.of_file(name, path, found, threads=threads))
+                    strips[BYTES].append(
+                        Strip.of_file(name, path, found, compensate=compensate, threads=threads)
+                    )
         pages = written_pages(subject, points, by)
         if out is not None:
             _write(out, pages, subject, strips, points, force=force, stages=stages)

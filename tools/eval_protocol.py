@@ -115,8 +115,18 @@ def sizes_of(file_bytes: int) -> list[int]:
     return [*(FIRST_BYTES << k for k in range(doublings)), file_bytes]
 
 
-def decode_beginning(path: Path, size_bytes: int, *, threads: int = 0) -> Splats:
+def decode_beginning(
+    path: Path, size_bytes: int, *, compensate: bool = False, threads: int = 0
+) -> Splats:
     """Decode what is complete in the first bytes of a file, as if its transfer had stopped there.
+
+    Parameters
+    ----------
+    path : Path
+    size_bytes : int
+    compensate : bool
+        Whether the splats make up for what is missing.
+    threads : int
 
     Returns
     -------
@@ -126,7 +136,7 @@ def decode_beginning(path: Path, size_bytes: int, *, threads: int = 0) -> Splats
     source = PrefixSource(FileSource(path), size_bytes)
     try:
         with cogsplat.open(source, partial=True) as file:
-            return file.decode(threads=threads)
+            return file.decode(compensate=compensate, threads=threads)
     except TruncatedError:
         return empty(0)
 
@@ -137,6 +147,7 @@ def by_bytes(
     path: Path,
     sizes: Sequence[int] | None = None,
     *,
+    compensate: bool = False,
     threads: int = 0,
     progress: Progress = silent,
 ) -> list[Point]:
@@ -150,13 +161,18 @@ def by_bytes(
     sizes : sequence of int, optional
         Bytes; `sizes_of` the file where none are given. What is longer than the file is left out,
         and the whole file measured.
+    compensate : bool
+        Whether beginnings make up for what they lack.
     threads : int
     progress : Progress
         Called with the stage ``judge``.
     """
     whole = path.stat().st_size
     wanted = sizes_of(whole) if sizes is None else sorted({min(size, whole) for size in sizes})
-    versions = [decode_beginning(path, size, threads=threads).without_extras() for size in wanted]
+    versions = [
+        decode_beginning(path, size, compensate=compensate, threads=threads).without_extras()
+        for size in wanted
+    ]
     found = panel.measure(versions, progress=progress)
     return [
         Point(name, BYTES, size / whole, size, len(version), figures)

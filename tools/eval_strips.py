@@ -59,7 +59,14 @@ class Strip:
         )
 
     @staticmethod
-    def of_file(name: str, path: Path, points: Sequence[Point], *, threads: int = 0) -> Strip:
+    def of_file(
+        name: str,
+        path: Path,
+        points: Sequence[Point],
+        *,
+        compensate: bool = False,
+        threads: int = 0,
+    ) -> Strip:
         """Return the beginnings of a file, the shortest that were judged."""
         lengths = [point.size_bytes for point in points if point.size_bytes is not None]
         lengths = lengths[:_MOST_PICTURES]
@@ -67,7 +74,9 @@ class Strip:
             name,
             tuple(size_text(length) for length in lengths),
             tuple(
-                decode_beginning(path, length, threads=threads).without_extras()
+                decode_beginning(
+                    path, length, compensate=compensate, threads=threads
+                ).without_extras()
                 for length in lengths
             ),
         )
