@@ -17,8 +17,8 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 U32 = NDArray[np.uint32]
 
-# What a bit that can wait is worth, in bits of the file.
-_WORTH: Final = 0.1
+WORTH: Final = 0.06
+"""What a bit that can wait is worth, in bits of the file."""
 
 # Bits of what a plane of digits takes beside its content: its word and a frame's header.
 _PLANE_BITS: Final = 8 * 8
@@ -102,7 +102,7 @@ def _radix(codes: U32, levels: int, limit: int) -> tuple[int, int]:
     if levels > _ALIGNED_LEVELS:
         return limit, 0
     counts = np.bincount(codes, minlength=levels)
-    whole = _bits(counts)
+    whole = bits(counts)
     best, gain = (1, 0), 0.0
     for radix in (r for r in _RADICES if r <= limit):
         cells = -(-(levels + radix - 1) // radix)
@@ -111,16 +111,18 @@ def _radix(codes: U32, levels: int, limit: int) -> tuple[int, int]:
             padded[:] = 0
             padded[shift : shift + levels] = counts
             grouped = padded.reshape(cells, radix)
-            below = _bits(grouped.sum(axis=0))
-            loss = _bits(grouped.sum(axis=1)) + below - whole + _PLANE_BITS
-            if _WORTH * below - loss > gain:
-                best, gain = (radix, shift), _WORTH * below - loss
+            below = bits(grouped.sum(axis=0))
+            loss = bits(grouped.sum(axis=1)) + below - whole + _PLANE_BITS
+            if WORTH * below - loss > gain:
+                best, gain = (radix, shift), WORTH * below - loss
     return best
 
 
-def _bits(counts: I64) -> float:
+def bits(counts: I64) -> float:
     """Return about how many bits symbols of these counts take, all of them."""
     used = counts[counts > 0].astype(np.float64)
+    if len(used) < 2:
+        return 0.0
     total = used.sum()
     ideal = total * np.log2(total) - (used * np.log2(used)).sum()
     # What a code costs to describe; where that is too much, all symbols take the same bits.

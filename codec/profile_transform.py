@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -225,8 +225,11 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     head_scales, scales = shape_streams.climb(sizes.coarse), shape_streams.climb(sizes.fine)
     means_costs = plan_.costs.take(rows).mean
     if used.fine_means:
-        inside, means, moved = _means(
-            splats.means[rows], (head_scales, scales), means_costs, (slope, coarse.means), sort
+        inside, means, moved = _affordable(
+            lambda halvings: _means(
+                splats.means[rows], (head_scales, scales), means_costs, (slope, halvings), sort
+            ),
+            coarse.means,
         )
     else:
         step = allocation.equal_step(slope, means_costs)
@@ -235,7 +238,13 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     rows, head_scales, scales = rows[inside], head_scales[inside], scales[inside]
     sizes = sizes.take(inside)
     costs = plan_.costs.take(rows)
-    turns, turned = _turns(plan_.turns[rows], (head_scales, scales), costs, plan_, coarse.turns)
+    _, turns, turned = _affordable(
+        lambda halvings: (
+            inside,
+            *_turns(plan_.turns[rows], (head_scales, scales), costs, plan_, halvings),
+        ),
+        coarse.turns,
+    )
     sh0 = splats.sh0[rows].astype(np.float64)
     tail: bytes | None = None
     if plan_.basis is not None:
@@ -345,6 +354,31 @@ def _turns(
     missed = np.square(turns - coarse)
     gain = float(costs.tilt @ (missed[:, 0] + missed[:, 1]) + costs.spin @ missed[:, 2])
     return stream, _Later(below, gain)
+
+
+def _about_bits(stream: Stream | None) -> float:
+    """Return about how many bits the planes of a stream take: those of their bytes, each alone."""
+    if stream is None:
+        return 0.0
+    return sum(coarsening.bits(np.bincount(np.ravel(plane))) for plane in stream.planes)
+
+
+def _affordable(
+    cut: Callable[[int], tuple[I64, Stream, _Later]], most: int
+) -> tuple[I64, Stream, _Later]:
+    """Return a cut by as many halvings as cost no more than the bits that wait are worth.
+
+    Values that follow from a row's own resolution cost more in two parts; and splats that share a
+    cell of a coarse grid have no order there, which a sorted fine one need not spend bits on.
+    """
+    whole = cut(0)
+    bits = _about_bits(whole[1])
+    for halvings in range(most, 0, -1):
+        tried = cut(halvings)
+        waiting = _about_bits(tried[2].stream)
+        if _about_bits(tried[1]) + waiting - bits <= coarsening.WORTH * waiting:
+            return tried
+    return whole
 
 
 def _means(
