@@ -458,6 +458,7 @@ def _profile(
             prepared.slices,
             config.ablation,
             known.contribution if config.refine else None,
+            sequence.MISSING_COMPENSATED if config.compensate else sequence.MISSING_ALL,
         )
         books = []
         if shared.basis is not None:

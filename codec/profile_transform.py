@@ -91,7 +91,9 @@ _LATER: Final = {"scales": 0.25, "opacities": -0.25, "means": -0.75, "turns": -1
 _MOST_LATER: Final = 5.0
 
 
-def coarseness(contribution: F64, slope: float, chunks: Sequence[slice]) -> dict[int, Coarseness]:
+def coarseness(
+    contribution: F64, slope: float, chunks: Sequence[slice], missing_all: float
+) -> dict[int, Coarseness]:
     """Return how coarse each head is to be: another bit of it gains what the next head's would.
 
     Parameters
@@ -100,11 +102,13 @@ def coarseness(contribution: F64, slope: float, chunks: Sequence[slice]) -> dict
     slope : float
         Of the refined values.
     chunks : sequence of slice
+    missing_all : float
+        Squared error of pictures of nothing, as `sequence.head_gains` takes it.
     """
     sums = np.array([contribution[run].sum() for run in chunks])
     counts = np.array([run.stop - run.start for run in chunks])
     missing = sequence.missing_shares(sums)
-    per_bit = sequence.head_gains(missing) / (_HEAD_BITS * counts)
+    per_bit = sequence.head_gains(missing, missing_all) / (_HEAD_BITS * counts)
     per_bit /= sequence.refined_gain(missing[1:])
     # A bit more of a value whose error costs λ/12 gains 2·ln 2 times that.
     wanted = 0.5 * np.log2(np.maximum(12 / (2 * np.log(2)) * per_bit / slope, _LEAST))
@@ -167,6 +171,7 @@ def plan(
     chunks: Sequence[slice],
     ablation: Ablation,
     contribution: F64 | None = None,
+    missing_all: float = sequence.MISSING_ALL,
 ) -> TransformPlan:
     """Prepare a scene in its final order.
 
@@ -183,8 +188,12 @@ def plan(
     ablation : Ablation
     contribution : (N,) float64, optional
         Where heads are to be coarse, and refinements bring the rest.
+    missing_all : float
+        As `coarseness` takes it.
     """
-    coarse = {} if contribution is None else coarseness(contribution, slope, chunks)
+    coarse = {}
+    if contribution is not None:
+        coarse = coarseness(contribution, slope, chunks, missing_all)
     costs = allocation.limited(costs, splats.scales, slope)
     turns, scales = turn.canonical(rotation.unit(splats.quats), splats.scales)
     basis: ColourBasis | None = None

@@ -30,7 +30,9 @@ def encoded(refine=True):
         contribution=contribution.astype(np.float64),
         energy=(contribution / contribution.sum() * 0.1).astype(np.float64),
     )
-    config = EncodeConfig(chunk_splats=300, prune=None, refine=refine, quality_db=45.0)
+    config = EncodeConfig(
+        chunk_splats=300, prune=None, refine=refine, quality_db=45.0, compensate=False
+    )
     return encoder.encode(cogs_samples.scene(N), scores, config)
 
 
