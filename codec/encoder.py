@@ -78,7 +78,7 @@ class EncodeConfig:
     """
 
     profile: str = "transform"
-    quality_db: float = 36.0
+    quality_db: float = 40.0
     order: str = "gain"
     ordering: OrderConfig = field(default_factory=OrderConfig)
     chunk_splats: int = chunking.DEFAULT_LARGEST

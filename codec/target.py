@@ -26,8 +26,8 @@ _NEAR_DB: Final = 0.1
 
 # Before a search knows better: what a nominal quality is above the PSNR, bytes of a splat at one,
 # PSNR per nominal dB, and log2 of the bytes per nominal dB, of trained scenes between 33 and 47 dB.
-_NOMINAL_DB: Final = 3.0
-_START_DB: Final = 36.0
+_NOMINAL_DB: Final = 0.0
+_START_DB: Final = 35.5
 _START_BYTES: Final = 6.0
 _PSNR_PER_DB: Final = 0.85
 _LOG2_BYTES_PER_DB: Final = 0.085

@@ -33,8 +33,8 @@ FOREIGN: Final = (*(format_.name for format_ in FORMATS if format_.write), BASEL
 
 # Nominal qualities where none are asked for, dB. `vq` and `near` are for comparison.
 QUALITIES: Final = {
-    "transform": (34.0, 38.0, 42.0, 46.0, 50.0, 54.0),
-    "vq": (30.0, 38.0, 46.0),
+    "transform": (30.0, 34.0, 38.0, 42.0, 46.0, 50.0),
+    "vq": (26.0, 34.0, 42.0),
 }
 
 _FIRST_PREFIX: Final = 32 << 10

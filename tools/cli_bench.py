@@ -42,7 +42,7 @@ from .cli_values import Colour
 _PROFILES: Final = ("transform", "vq", "near")
 
 # What an ablation is measured at, nominal: 40 dB on a captured room, where scenes are published.
-_ABLATION_DB: Final = 46.0
+_ABLATION_DB: Final = 41.0
 
 _FILES: Final = ("bench.csv", "bench.json", "prefixes.csv", "rate-distortion.svg", "received.svg")
 _ABLATION_FILES: Final = ("ablation.csv", "ablation.json", "ablation.svg")
@@ -92,7 +92,7 @@ def format_names(text: str) -> tuple[str, ...]:
 
 
 def decibels(text: str) -> tuple[float, ...]:
-    """Read nominal qualities such as ``30,36,42``.
+    """Read nominal qualities such as ``30,35,40``.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def decibels(text: str) -> tuple[float, ...]:
     except ValueError:
         values = ()
     if not values or not all(10 <= value <= 90 for value in values):
-        raise click.BadParameter(f"{text!r}, expected dB from 10 to 90 such as 30,36,42")
+        raise click.BadParameter(f"{text!r}, expected dB from 10 to 90 such as 30,35,40")
     return values
 
 

@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 @click.option(
     "--quality",
     type=click.FloatRange(10, 90),
-    default=36.0,
+    default=40.0,
     show_default=True,
     metavar="DB",
     help="Nominal PSNR of the profiles for viewing.",

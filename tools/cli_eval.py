@@ -124,7 +124,7 @@ def sizes(text: str) -> tuple[ByteCount, ...]:
 @click.option(
     "--quality",
     type=click.FloatRange(10, 90),
-    default=36.0,
+    default=40.0,
     show_default=True,
     metavar="DB",
     help="Nominal PSNR of the files that are encoded.",

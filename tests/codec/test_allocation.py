@@ -25,7 +25,7 @@ def test_a_scene_quantised_at_the_slope_has_the_nominal_error():
     energy = np.random.default_rng(1).lognormal(-12, 2, 5000)
     slope = allocation.slope(with_energy(energy), 36)
     steps = np.sqrt(slope / energy)
-    shares = 8
+    shares = 22
     error = shares * (energy * steps**2 / 12).sum()
     assert -10 * math.log10(error) == pytest.approx(36)
 

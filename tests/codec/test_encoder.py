@@ -202,8 +202,8 @@ def test_pruned_rows_are_gone_and_counted(profile):
     prune = PruneConfig(peak=0.5, views=3)
     prepared = prepare(splats, scores, EncodeConfig(profile=profile, prune=prune))
     assert prepared.encode(60.0).pruned < prepared.encode(30.0).pruned
-    encoded = prepared.encode(36.0)
-    worth = scores.energy >= prune.worth * slope(scores, 36.0)
+    encoded = prepared.encode(31.0)
+    worth = scores.energy >= prune.worth * slope(scores, 31.0)
     gone = (scores.peak < 0.5) & (scores.covered >= 3) & ~worth
     gone |= splats.opacities < -np.log(254)
     assert encoded.pruned == gone.sum() > 5
