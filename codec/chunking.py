@@ -18,6 +18,8 @@ MAX_CHUNK_SPLATS: Final = 1 << 18
 #   1024 1.5  16384  483,226  17.4 19.0 21.7 25.7     1024 1.25  8192  502,746  16.1 18.3 21.2 25.8
 #   2048 1.5  16384  478,711  15.8 19.5 22.4 27.1     1024 1.75 16384  481,114  15.9 18.2 21.6 26.1
 # How a chunk's end happens to fall decides as much; a first chunk of 1,024 takes about 6 KiB.
+# Rows that are not sorted by Morton code inside their chunks take 35 % more, and 256 KiB of them
+# show 3.6 dB less.
 FIRST_SPLATS: Final = 1024
 # Each chunk so much larger than the one before: the wait for the next stays in proportion.
 _GROWTH: Final = 1.5
