@@ -212,7 +212,8 @@ def encode(
     target : Target, optional
         A PSNR or a size to hit; then `EncodeConfig.quality_db` does not count.
     preset : str
-        One of `codec.preset.PRESETS`: how carefully the scene is scored.
+        One of `codec.preset.PRESETS`: how carefully the scene is looked at; where no `config` is
+        given, also whether prefixes are ordered and compensated by what they show.
     stored_cameras : sequence of Camera
         Stored in the file, for whoever reads it; nothing else depends on them.
     measured_on : sequence of Camera, optional
@@ -252,17 +253,17 @@ def encode(
     refuse_existing(path, force=force)
     splats = scene if isinstance(scene, Splats) else read(scene)
     splats.require_valid()
-    config = config or encoder.EncodeConfig()
+    chosen = PRESETS[preset]
+    config = config or encoder.EncodeConfig(order=chosen.order, compensate=chosen.compensate)
     views: Sequence[Camera] = []
     if cameras is not None:
         given = isinstance(cameras, str | os.PathLike)
         views = read_cameras(cameras) if given else cameras  # type: ignore[arg-type, assignment]
-    chosen = PRESETS[preset]
     first_view = config.ordering.first_view or (views[0] if views else None)
     settings = score_config or chosen.score_config(config.profile, threads=config.threads)
     if scores is None and len(splats):
         if cameras is None:
-            views, witnesses = _planned(splats, config, progress)
+            views, witnesses = _planned(splats, config, chosen.planned_views, progress)
             measured_on = measured_on or witnesses
         # An empty list is refused, not taken for none given.
         if cameras is not None or views:
@@ -321,7 +322,7 @@ def encode(
 
 
 def _planned(
-    splats: Splats, config: EncodeConfig, progress: Progress
+    splats: Splats, config: EncodeConfig, count: int, progress: Progress
 ) -> tuple[list[Camera], list[Camera]]:
     """Return views of a scene that came without, to score and to measure in.
 
@@ -330,7 +331,8 @@ def _planned(
     from .codec.virtual import ViewPlanConfig, plan
 
     try:
-        found = plan(splats, ViewPlanConfig(threads=config.threads), progress=progress)
+        wanted = ViewPlanConfig(views=count, threads=config.threads)
+        found = plan(splats, wanted, progress=progress)
         return found.views, found.witnesses
     except DataError as error:
         if error.code != "empty-scene" or config.profile != "near":

@@ -85,7 +85,8 @@ if TYPE_CHECKING:
     type=click.Choice(["fast", "balanced", "best"]),
     default="balanced",
     show_default=True,
-    help="fast scores one view in three; best measures every view in full and takes longest.",
+    help="fast scores one view in three, and orders by contribution without compensation; best "
+    "plans twice the views, measures every one in full and takes longest.",
 )
 @order_options
 @click.option(
@@ -193,6 +194,10 @@ def encode(
         raise click.UsageError("--store-cameras without --cameras, expected cameras to store")
     _require_one_aim(profile, target_psnr, target_size)
     bound = PruneConfig() if prune is None else PruneConfig(peak=prune)
+    chosen = PRESETS[preset]
+    asked = click.get_current_context().get_parameter_source("order")
+    if asked is click.core.ParameterSource.DEFAULT:
+        choice = choice.over(chosen.order)
     config = EncodeConfig(
         profile=profile,
         quality_db=quality,
@@ -200,7 +205,7 @@ def encode(
         chunk_splats=chunk_splats,
         morton=not no_morton,
         refine=not no_refine,
-        compensate=not no_compensation,
+        compensate=chosen.compensate and not no_compensation,
         prune=None if no_prune else bound,
         threads=threads,
     )
@@ -231,7 +236,7 @@ def encode(
             out,
             cameras=views,
             config=config,
-            score_config=PRESETS[preset].score_config(
+            score_config=chosen.score_config(
                 profile, top_k=top_k, jitter=not no_jitter, threads=threads
             ),
             target=_target(target_psnr, target_size, given.file_bytes),

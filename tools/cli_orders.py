@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -70,6 +70,11 @@ class OrderChoice:
     def base(self) -> str:
         """The order without its rule for a pose."""
         return split_name(self.name)[0]
+
+    def over(self, base: str) -> OrderChoice:
+        """Return the same rule for a pose over another order."""
+        rule = split_name(self.name)[1]
+        return replace(self, names=(f"{base}+{rule}" if rule else base,))
 
     def config(self, cameras: Sequence[Camera]) -> OrderConfig:
         """Return the parameters for a scene.

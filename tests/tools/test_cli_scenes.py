@@ -50,6 +50,23 @@ def test_choices_and_defaults_are_the_encoder_s_own() -> None:
     assert ScoreConfig().jitter
 
 
+def test_presets_choose_the_order_unless_one_is_asked_for(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    def encoded(*options: object) -> bytes:
+        out = tmp_path / "out.cogs"
+        given = ("encode", small.ply, out, "--cameras", small.cameras, "--force", *options)
+        assert run(*given).code == 0
+        return out.read_bytes()
+
+    fast = encoded("--preset", "fast")
+    plain = ("--order", "contribution", "--no-compensation")
+    assert fast == encoded("--preset", "fast", *plain)
+    assert fast != encoded("--preset", "fast", "--order", "source")
+    assert encoded() == encoded("--order", "gain")
+    assert encoded() != encoded(*plain)
+
+
 def test_encode_then_decode_gives_back_the_scene(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
