@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Final
 
 from .cameras import Camera
+from .prediction import evenly
 from .score import TOP_K, ScoreConfig
 
 
@@ -20,7 +21,7 @@ class Preset:
     planned_views : int
         Views of a scene that comes without cameras.
     views_every : int
-        One of so many of the given views is scored, with its jittered copies.
+        One of so many of the views given is scored, with its jittered copies.
     sensitivity_every : int
         `ScoreConfig.sensitivity_every` of the profile that uses sensitivities.
     prediction_views : int
@@ -40,9 +41,9 @@ class Preset:
     compensate: bool = True
 
     def views(self, cameras: Sequence[Camera]) -> list[Camera]:
-        """Return the views to score on: at least as many as a small scene needs, or all."""
+        """Return the given views to score on: at least as many as a small scene needs, or all."""
         every = min(self.views_every, max(len(cameras) // FEWEST_VIEWS, 1))
-        return list(cameras[every // 2 :: every])
+        return evenly(cameras, -(-len(cameras) // every))
 
     def score_config(
         self, profile: str, *, top_k: int = TOP_K, jitter: bool = True, threads: int = 0
@@ -69,7 +70,7 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
     {
         # The order by gain and its compensation take longer than all else together.
         "fast": Preset(
-            planned_views=64,
+            planned_views=32,
             views_every=3,
             sensitivity_every=2,
             prediction_views=8,
@@ -77,8 +78,8 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             compensate=False,
         ),
         "balanced": Preset(
-            planned_views=64, views_every=1, sensitivity_every=2, prediction_views=16
+            planned_views=96, views_every=1, sensitivity_every=2, prediction_views=16
         ),
-        "best": Preset(planned_views=128, views_every=1, sensitivity_every=1, prediction_views=24),
+        "best": Preset(planned_views=160, views_every=1, sensitivity_every=1, prediction_views=24),
     }
 )

@@ -265,9 +265,10 @@ def encode(
         if cameras is None:
             views, witnesses = _planned(splats, config, chosen.planned_views, progress)
             measured_on = measured_on or witnesses
+        else:
+            views = chosen.views(views)
         # An empty list is refused, not taken for none given.
         if cameras is not None or views:
-            views = chosen.views(views)
             scores = score(splats, views, settings, progress=progress)
     prepared = encoder.prepare(splats, scores, config, views=views, progress=progress)
     writer = f"cogsplat {__version__}"

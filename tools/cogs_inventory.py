@@ -145,6 +145,9 @@ def stored_sizes(file: CogsFile) -> list[StoredSize]:
             for label, size in attribute_bytes(payload, file.root.attributes).items():
                 found["attributes", label] += size
             continue
+        if number == SegmentKind.COMPENSATION:
+            found["compensation", "shifts and codes"] += int(file.segments.length[row])
+            continue
         if number >= SKIPPABLE_KIND:
             found[f"kind {number}", "unknown"] += int(file.segments.length[row])
             continue
