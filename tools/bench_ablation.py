@@ -15,7 +15,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.views import roam
 
 if TYPE_CHECKING:
-    from cogsplat.codec.encoder import EncodeConfig
+    from cogsplat.codec.encoder import EncodeConfig, Prepared
     from cogsplat.codec.prediction import Witness
 
     from .bench import Subject
@@ -91,7 +91,9 @@ def changes(sh_degree: int) -> dict[str, Change]:
         return lambda config: replace(config, ablation=replace(config.ablation, **flags))
 
     named: dict[str, Change] = {
-        "order by contribution": lambda config: replace(config, order="source"),
+        "order by gain: contribution's": lambda config: replace(config, order="contribution"),
+        "any order: the source's": lambda config: replace(config, order="source"),
+        "coarse heads": lambda config: replace(config, refine=False),
         "steps by chunk": without(chunk_steps=False),
         "scored sensitivities": without(sensitivities=False),
         "means as fine as splats are small": without(fine_means=False),
@@ -109,7 +111,7 @@ def changes(sh_degree: int) -> dict[str, Change]:
         }
     nothing = Ablation(**dict.fromkeys(Ablation.__dataclass_fields__, False))
     named["all of these"] = lambda config: replace(
-        config, order="source", morton=False, prune=None, ablation=nothing
+        config, order="source", refine=False, morton=False, prune=None, ablation=nothing
     )
     return named
 
@@ -135,6 +137,7 @@ def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> 
     DataError
         ``no-cameras``.
     """
+    from cogsplat.codec import encoder
     from cogsplat.codec.encoder import EncodeConfig
     from cogsplat.codec.prediction import Witness
 
@@ -144,13 +147,22 @@ def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> 
     held_out = Witness(subject.splats, subject.cameras, subject.threads)
     roaming = roam(subject.splats, subject.cameras)
     judges = held_out, Witness(subject.splats, roaming, subject.threads)
-    measure = _measurer(subject, whole, judges)
+    start = time.perf_counter()
+    prepared = encoder.prepare(subject.splats, subject.scores, whole, views=subject.scored_on)
+    ordered_s = time.perf_counter() - start
+    measure = _measurer(subject, prepared, judges, ordered_s)
     base = measure(quality_db)
     per_splat = 1 / len(subject.splats)
     rows = [Without("nothing", base.file_bytes * per_splat, 0.0, base.roam_db, base.encode_s, 0.0)]
     progress("ablation", 1, len(named) + 1)
     for name, change in named.items():
-        measure = _measurer(subject, change(whole), judges)
+        changed = replace(prepared, config=change(whole))
+        prepare_s = ordered_s
+        if changed.config.order != whole.order:
+            start = time.perf_counter()
+            changed = encoder.prepare(subject.splats, subject.scores, changed.config)
+            prepare_s = time.perf_counter() - start
+        measure = _measurer(subject, changed, judges, prepare_s)
         points = _around(measure, quality_db, base.held_out_db)
         size, roam_db = equal_quality(
             [(p.held_out_db, p.file_bytes, p.roam_db) for p in points], base.held_out_db
@@ -170,15 +182,10 @@ def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> 
 
 
 def _measurer(
-    subject: Subject, config: EncodeConfig, judges: tuple[Witness, Witness]
+    subject: Subject, prepared: Prepared, judges: tuple[Witness, Witness], prepare_s: float
 ) -> Callable[[float], _Point]:
-    from cogsplat.codec import encoder
     from cogsplat.codec.prediction import decoded
     from cogsplat.formats import cogs
-
-    start = time.perf_counter()
-    prepared = encoder.prepare(subject.splats, subject.scores, config)
-    prepare_s = time.perf_counter() - start
 
     def measure(quality_db: float) -> _Point:
         start = time.perf_counter()
