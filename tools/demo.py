@@ -183,8 +183,8 @@ def run(
     strip = filmstrip(
         [*pictures, draw(scene)],
         captions,
-        title=f"One .cogs file of {_size(size)} as its bytes arrive; a view never given to the "
-        "encoder",
+        title=f"One .cogs file of {_size(size)} as its bytes arrive, compensated; a view never given "
+        "to the encoder",
     )
     write_png(files.strip, strip, force=force)
     progress("film-strip", 1, 1)
@@ -192,11 +192,11 @@ def run(
 
 
 def _first_bytes(path: Path, size: int, threads: int) -> Splats:
-    """Decode what is complete in the first bytes of a file."""
+    """Decode what is complete in the first bytes of a file, made up for what is not there."""
     source = PrefixSource(FileSource(path), size)
     try:
         with cogsplat.open(source, partial=True) as file:
-            return file.decode(threads=threads)
+            return file.decode(compensate=True, threads=threads)
     except TruncatedError:
         # Of a small file the first hundredth ends inside the root: nothing to draw yet.
         return empty(0)

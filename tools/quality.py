@@ -59,7 +59,7 @@ class PrefixQuality:
 
 
 def decode_share(path: Path, share: float, *, threads: int = 0) -> Splats:
-    """Decode what is complete in the first bytes of a file.
+    """Decode what is complete in the first bytes of a file, made up for what is not there.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def decode_share(path: Path, share: float, *, threads: int = 0) -> Splats:
     source = PrefixSource(whole, int(share * whole.size))
     try:
         with cogsplat.open(source, partial=True) as file:
-            return file.decode(threads=threads)
+            return file.decode(compensate=True, threads=threads)
     except TruncatedError:
         return empty(0)
 
