@@ -183,8 +183,8 @@ def run(
     strip = filmstrip(
         [*pictures, draw(scene)],
         captions,
-        title=f"One .cogs file of {_size(size)} as its bytes arrive, compensated; a view never given "
-        "to the encoder",
+        title=f"One .cogs file of {_size(size)} as its bytes arrive, compensated; a view never "
+        "given to the encoder",
     )
     write_png(files.strip, strip, force=force)
     progress("film-strip", 1, 1)
