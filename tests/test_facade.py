@@ -13,6 +13,7 @@ import cogsplat
 from cogsplat import Camera, Cancelled, DataError, FormatError, Splats, StorageError, TruncatedError
 from cogsplat.codec.encoder import PROFILES, EncodeConfig
 from cogsplat.codec.score import ScoreConfig, score
+from cogsplat.codec.preset import PRESETS
 from cogsplat.codec.splats import empty
 from cogsplat.formats.camera_files import write_cameras_json
 from cogsplat.formats.source import FileSource
@@ -84,7 +85,8 @@ def test_without_cameras_virtual_views_are_scored(tmp_path):
     stages = []
     path = tmp_path / "virtual.cogs"
     cogsplat.encode(splats, path, progress=lambda *call: stages.append(call))
-    assert ("plan views", 384, 384) in stages
+    looks = 6 * PRESETS["balanced"].planned_views
+    assert ("plan views", looks, looks) in stages
     assert any(stage == "score" and total >= 3 * 64 for stage, _, total in stages)
     assert len(cogsplat.decode(path)) <= 200
     with cogsplat.open(path) as file:
