@@ -12,8 +12,8 @@ import pytest
 import cogsplat
 from cogsplat import Camera, Cancelled, DataError, FormatError, Splats, StorageError, TruncatedError
 from cogsplat.codec.encoder import PROFILES, EncodeConfig
-from cogsplat.codec.score import ScoreConfig, score
 from cogsplat.codec.preset import PRESETS
+from cogsplat.codec.score import ScoreConfig, score
 from cogsplat.codec.splats import empty
 from cogsplat.formats.camera_files import write_cameras_json
 from cogsplat.formats.source import FileSource
