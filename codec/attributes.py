@@ -77,9 +77,22 @@ def pack_attributes(extras: Mapping[str, Extra]) -> bytes:
     return b"".join([np.array(words, _WORD).tobytes(), *bodies])
 
 
-def attribute_bytes(payload: memoryview, types: Sequence[AttributeType]) -> dict[str, int]:
-    """Return the bytes that each attribute takes of a payload that `unpack_attributes` accepts."""
-    words = np.frombuffer(payload, _WORD, sum(kind.row_bytes for kind in types)).tolist()
+def attribute_bytes(
+    payload: memoryview, types: Sequence[AttributeType], where: str
+) -> dict[str, int]:
+    """Return the bytes that each attribute takes of a payload.
+
+    Parameters
+    ----------
+    payload, types, where
+        As `unpack_attributes` takes them.
+
+    Raises
+    ------
+    FormatError
+        ``attribute-record``: words and planes are not exactly the payload.
+    """
+    words = _words(payload, types, where)
     sizes = {}
     for kind in types:
         own, words = words[: kind.row_bytes], words[kind.row_bytes :]
@@ -109,19 +122,9 @@ def unpack_attributes(
         ``attribute-record``: words and planes are not exactly the payload; otherwise as
         `planes.unpack_plane`.
     """
-    count = sum(kind.row_bytes for kind in types)
-    position = count * _WORD.itemsize
-    words: list[int] = []
-    if position <= len(payload):
-        words = np.frombuffer(payload, _WORD, count).tolist()
-    end = position + sum(word & LENGTH_MASK for word in words)
-    if end != len(payload) or len(words) != count:
-        raise FormatError(
-            "attribute-record",
-            f"{where}: {len(payload)} bytes, expected {end} for {count} planes",
-            clause="5.7",
-        )
-    plane = iter(range(count))
+    words = _words(payload, types, where)
+    position = len(words) * _WORD.itemsize
+    plane = iter(range(len(words)))
     for kind in types:
         values = out[kind.name]
         octets: NDArray[np.uint8] = np.empty((len(values), kind.row_bytes), np.uint8)
@@ -134,3 +137,20 @@ def unpack_attributes(
             position = stop
         little = octets.view(f"<{kind.dtype}")
         values[...] = little.reshape(values.shape)
+
+
+def _words(payload: memoryview, types: Sequence[AttributeType], where: str) -> list[int]:
+    """Return the words of all planes, checked to give exactly the payload."""
+    count = sum(kind.row_bytes for kind in types)
+    end = count * _WORD.itemsize
+    words: list[int] = []
+    if end <= len(payload):
+        words = np.frombuffer(payload, _WORD, count).tolist()
+    end += sum(word & LENGTH_MASK for word in words)
+    if end != len(payload) or len(words) != count:
+        raise FormatError(
+            "attribute-record",
+            f"{where}: {len(payload)} bytes, expected {end} for {count} planes",
+            clause="5.7",
+        )
+    return words

@@ -129,7 +129,7 @@ def stored_sizes(file: CogsFile) -> list[StoredSize]:
     Raises
     ------
     CogsplatError
-        A segment cannot be read or breaks SPEC 6.
+        A segment cannot be read or breaks SPEC 5.7 or 6.
     """
     found: dict[tuple[str, str], int] = defaultdict(int)
     segment_bytes = int(file.segments.length.sum(dtype=np.uint64))
@@ -142,7 +142,8 @@ def stored_sizes(file: CogsFile) -> list[StoredSize]:
             continue
         if number == SegmentKind.ATTRIBUTES:
             payload = file.read_segment(row)
-            for label, size in attribute_bytes(payload, file.root.attributes).items():
+            where = f"{file.name}: segment {row}"
+            for label, size in attribute_bytes(payload, file.root.attributes, where).items():
                 found["attributes", label] += size
             continue
         if number == SegmentKind.COMPENSATION:

@@ -5,7 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cogsplat.codec.attributes import AttributeType, pack_attributes, types_of, unpack_attributes
+from cogsplat.codec.attributes import (
+    AttributeType,
+    attribute_bytes,
+    pack_attributes,
+    types_of,
+    unpack_attributes,
+)
 from cogsplat.codec.errors import CogsplatError, FormatError
 from cogsplat.codec.splats import EXTRA_DTYPES
 
@@ -85,6 +91,18 @@ def test_any_cut_and_any_byte_more_is_refused(rows):
         with pytest.raises(FormatError, match="expected") as caught:
             unpacked(broken, types, rows)
         assert caught.value.code == "attribute-record"
+        with pytest.raises(FormatError, match="expected") as caught:
+            attribute_bytes(memoryview(broken), types, "here")
+        assert caught.value.code == "attribute-record"
+
+
+def test_sizes_of_attributes_add_up_to_the_payload():
+    extras = some(700)
+    payload = pack_attributes(extras)
+    sizes = attribute_bytes(memoryview(payload), types_of(extras), "here")
+    assert list(sizes) == list(extras)
+    assert sum(sizes.values()) == len(payload)
+    assert sizes["label"] < sizes["u4 x3"]
 
 
 def test_no_attributes_are_no_bytes():
