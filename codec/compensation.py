@@ -183,7 +183,8 @@ def pack_codes(codes: NDArray[np.uint8], bits: int) -> bytes:
 def unpack_codes(packed: bytes, bits: int, count: int) -> NDArray[np.uint8]:
     """Return `count` codes; the caller has checked that the bytes are as many as they take."""
     if bits == 0:
-        return np.zeros(count, np.uint8)
+        # One byte for all: so many may be a number that a file states and no bytes stand for.
+        return np.broadcast_to(np.uint8(0), (count,))
     flat = np.unpackbits(np.frombuffer(packed, np.uint8), bitorder="little")[: count * bits]
     each = np.zeros((count, 8), np.uint8)
     each[:, :bits] = flat.reshape(count, bits)

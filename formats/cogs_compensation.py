@@ -85,6 +85,6 @@ def unpack_layer(
     spare = 8 * len(packed) - count * bits
     if spare and packed[-1] >> (8 - spare):
         raise table.error("codes", "the bits behind the last code are set, expected zeros")
-    if len(codes) and int(codes.max()) >= len(book):
+    if bits and len(codes) and int(codes.max()) >= len(book):
         raise table.error("codes", f"code {int(codes.max())}, expected below {len(book)}")
     return Layer(scales, opacities, strengths, book, codes)

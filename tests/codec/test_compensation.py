@@ -100,6 +100,14 @@ def test_codes_are_packed_as_they_come(values, bits):
     assert int.from_bytes(packed, "little") == number
 
 
+def test_codes_of_no_bits_take_no_room():
+    # A file may state any number of splats in a few bytes.
+    codes = unpack_codes(b"", 0, 1 << 40)
+    assert codes.shape == (1 << 40,)
+    assert codes.dtype == np.uint8
+    assert codes.strides == (0,)
+
+
 def test_bits_of_a_book():
     assert [code_bits(rows) for rows in (0, 1, 2, 3, 4, 5, 8, 9, 256)] == [
         0,
