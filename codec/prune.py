@@ -31,7 +31,7 @@ class PruneConfig:
     ----------
     peak : float
         A splat goes when its weight T·α stays below this in every pixel of every scoring view,
-        jittered views included; 0.02 means never more than 2 % of any pixel.
+        jittered views included; 0.06 means never more than 6 % of any pixel.
     views : int
         And only when its footprint lay in at least so many of those views. What no view covers is
         unknown, not worthless: it stays.

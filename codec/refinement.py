@@ -123,8 +123,8 @@ def _compiled_digits(
 
     counts = [grids.code_bytes(levels) for levels in coarse.levels.tolist()]
     head.require_planes(sum(counts))
-    digits = sum(radix > 1 for radix in radices)
-    planes = head.joined_with(finer, [head.rows] * (sum(counts) + digits))
+    count = sum(counts) + sum(radix > 1 for radix in radices)
+    planes = head.joined_with(finer, [head.rows] * count)
     return decode_kernels.digit_rows(
         planes,
         (coarse.minimum, coarse.maximum, coarse.levels),

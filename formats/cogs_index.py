@@ -164,7 +164,7 @@ def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> 
         heads=heads,
         tails=_tail_rows(source, root, table, heads),
         refinements=_refinement_rows(source, table, heads),
-        attributes=_attribute_segments(source, root, table, heads),
+        attributes=_attribute_rows(source, root, table, heads),
         cameras=_camera_segment(source, table),
         codebooks=_codebook_segments(source, root, table, whole=whole),
         all_chunks=len(root.chunks) + sum(page.chunks for page in root.pages),
@@ -219,10 +219,7 @@ def _tail_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I
     rows = _rows_behind(table, heads, SegmentKind.TAIL)
     if rows is None:
         raise FormatError(
-            "chunk-tails",
-            f"{source.name}: tails, expected at most one for each of {len(heads)} chunks, behind "
-            "its head",
-            clause="5.4",
+            "chunk-tails", _misplaced(source, table, heads, SegmentKind.TAIL), clause="5.4"
         )
     return rows
 
@@ -233,9 +230,26 @@ def _refinement_rows(source: Source, table: SegmentTable, heads: I64) -> I64:
     if rows is None:
         raise FormatError(
             "chunk-refinements",
-            f"{source.name}: refinements, expected at most one for each of {len(heads)} chunks, "
-            "behind its head",
+            _misplaced(source, table, heads, SegmentKind.REFINEMENT),
             clause="5.4",
+        )
+    return rows
+
+
+def _attribute_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
+    """Return each chunk's extra attributes, -1 where it has none (SPEC 5.7)."""
+    if not root.attributes and bool((table.kind == SegmentKind.ATTRIBUTES).any()):
+        raise FormatError(
+            "attribute-segments",
+            f"{source.name}: a segment of attributes and none in the root, expected some there",
+            clause="5.7",
+        )
+    rows = _rows_behind(table, heads, SegmentKind.ATTRIBUTES)
+    if rows is None:
+        raise FormatError(
+            "attribute-segments",
+            _misplaced(source, table, heads, SegmentKind.ATTRIBUTES),
+            clause="5.7",
         )
     return rows
 
@@ -253,23 +267,13 @@ def _rows_behind(table: SegmentTable, heads: I64, kind: SegmentKind) -> I64 | No
     return found
 
 
-def _attribute_segments(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
-    """Return the row of each chunk's extra attributes (SPEC 5.7)."""
-    rows = np.flatnonzero(table.kind == SegmentKind.ATTRIBUTES)
-    owners = table.owner[rows]
-    found = np.full(len(heads), -1, np.int64)
-    once = len(np.unique(owners)) == len(owners) and bool((owners < len(heads)).all())
-    listed = bool(root.attributes) or not len(rows)
-    if not listed or not once or bool((heads[owners] > rows).any()):
-        raise FormatError(
-            "attribute-segments",
-            f"{source.name}: attributes of chunks {owners.tolist()[:8]}, expected at most one "
-            f"segment for each of {len(heads)} chunks, behind its head, of "
-            f"{len(root.attributes)} attributes in the root",
-            clause="5.7",
-        )
-    found[owners] = rows
-    return found
+def _misplaced(source: Source, table: SegmentTable, heads: I64, kind: SegmentKind) -> str:
+    """Return the message where `_rows_behind` finds something wrong."""
+    owners = table.owner[table.kind == kind].tolist()
+    return (
+        f"{source.name}: {kind.name.lower()} segments of chunks {owners[:8]}, expected at most one "
+        f"for each of {len(heads)} chunks, behind its head"
+    )
 
 
 def _camera_segment(source: Source, table: SegmentTable) -> int:

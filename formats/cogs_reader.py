@@ -38,7 +38,7 @@ class Limits:
     Parameters
     ----------
     decoded_bytes : int
-        Bytes of the decoded arrays and codebooks together.
+        Bytes of the decoded arrays, extra attributes among them, and codebooks together.
     expansion : int
         Those bytes per byte of the source, where they are more than 64 MiB.
     """
@@ -126,6 +126,11 @@ class CogsFile:
         row = int(self._index.tails[chunk])
         return row < 0 or self._complete(row, min(sh_degree, self.root.sh_degree))
 
+    def has_refinement(self, chunk: int) -> bool:
+        """Whether a chunk's values can be decoded as fine as the whole file has them."""
+        row = int(self._index.refinements[chunk])
+        return row < 0 or self._present(row)
+
     def has_extras(self, chunk: int) -> bool:
         """Whether the extra attributes of a chunk's splats can be decoded."""
         row = int(self._index.attributes[chunk])
@@ -188,18 +193,6 @@ class CogsFile:
         rest = self.root.splats - int(counts.sum())
         whole = np.concatenate([counts, [rest]]) if rest else counts
         return Compensation(tuple(layers), whole.astype(np.int64))
-
-    def has_refinement(self, chunk: int) -> bool:
-        """Whether a chunk's values can be decoded as fine as the whole file has them."""
-        row = int(self._index.refinements[chunk])
-        return row < 0 or self._present(row)
-
-    def chunks_for_splats(self, splats: int) -> int:
-        """Return how many whole chunks hold at least `splats` splats, or all chunks there are."""
-        reached = np.cumsum(self.chunks.splats.astype(np.int64)) >= splats
-        if splats <= 0:
-            return 0
-        return int(reached.argmax()) + 1 if reached.any() else self.num_chunks
 
     def chunks_of_objects(self, objects: Iterable[int]) -> list[int]:
         """Return the chunks that hold some of these objects, by label, in the file's order."""
@@ -271,8 +264,7 @@ class CogsFile:
         -------
         Splats
             Stored rows, coarse where a partial file lacks the refinement, shN zero where it lacks
-            the tail. `Splats.extras` are there
-            where every chunk has them.
+            the tail. `Splats.extras` are there where every chunk has them.
 
         Raises
         ------

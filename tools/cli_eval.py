@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
@@ -249,7 +249,7 @@ def evaluate(
                     )
         pages = written_pages(subject, points, by)
         if out is not None:
-            _write(out, pages, subject, strips, points, force=force, stages=stages)
+            _write(out, pages, subject, strips, force=force, stages=stages)
     if as_json:
         say_json({**report(subject, points, by), "seconds": stages.rounded()})
         return
@@ -349,7 +349,6 @@ def _write(
     pages: Mapping[str, str],
     subject: Subject,
     strips: Mapping[str, list[Strip]],
-    points: Sequence[Point],
     *,
     force: bool,
     stages: Stages,

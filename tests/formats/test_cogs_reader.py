@@ -125,12 +125,12 @@ def test_several_threads_may_decode_one_file(data):
             assert_same(splats, whole)
 
 
-def test_chunks_for_splats_are_whole_and_enough(data):
+def test_first_chunks_are_whole_and_enough(data):
     with open_cogs(BytesSource(data)) as file:
         ends = ends_of(file).tolist()
         total = ends[-1]
         for splats in (-1, 0, 1, ends[1], ends[1] + 1, total, total + 1):
-            count = file.chunks_for_splats(splats)
+            count = len(file.first_chunks(range(file.num_chunks), splats))
             assert ends[count] >= min(splats, total)
             assert count == 0 or ends[count - 1] < splats
 
