@@ -90,6 +90,9 @@ _HEAD_BITS: Final = 24.0
 _LATER: Final = {"scales": 0.25, "opacities": -0.25, "means": -0.75, "turns": -1.5, "sh0": -0.75}
 _MOST_LATER: Final = 5.0
 
+# A ratio that asks for no halving.
+_LEAST: Final = 2.0**-20
+
 
 def coarseness(
     contribution: F64, slope: float, chunks: Sequence[slice], missing_all: float
@@ -113,10 +116,6 @@ def coarseness(
     # A bit more of a value whose error costs λ/12 gains 2·ln 2 times that.
     wanted = 0.5 * np.log2(np.maximum(12 / (2 * np.log(2)) * per_bit / slope, _LEAST))
     return {run.start: _coarse(float(h)) for run, h in zip(chunks, wanted, strict=True)}
-
-
-# A ratio that asks for no halving.
-_LEAST: Final = 2.0**-20
 
 
 def _coarse(halvings: float) -> Coarseness:

@@ -38,7 +38,14 @@ _MOST_SPLATS = 20_000_000
     metavar="N",
     help="Size of the scene; from about 10,000 it is whole.",
 )
-@click.option("--seed", type=click.IntRange(0), default=7, show_default=True, metavar="N")
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=7,
+    show_default=True,
+    metavar="N",
+    help="Of what is random about it; the same scene for the same seed.",
+)
 @click.option(
     "--sh",
     "sh_degree",
