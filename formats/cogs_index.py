@@ -154,6 +154,8 @@ def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> 
         *(np.concatenate([getattr(t, n) for t in chunks]) for n in _CHUNK_COLUMNS)
     )
     heads = _head_rows(source, table, chunk_table)
+    tails = _tail_rows(source, root, table, heads)
+    refinements = _refinement_rows(source, table, heads)
     _check_counts(source, root, table, chunk_table, whole=whole)
     return Index(
         root=root,
@@ -162,11 +164,11 @@ def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> 
         chunks=chunk_table,
         offsets=np.concatenate(offsets),
         heads=heads,
-        tails=_tail_rows(source, root, table, heads),
-        refinements=_refinement_rows(source, table, heads),
+        tails=tails,
+        refinements=refinements,
+        codebooks=_codebook_segments(source, root, table, whole=whole),
         attributes=_attribute_rows(source, root, table, heads),
         cameras=_camera_segment(source, table),
-        codebooks=_codebook_segments(source, root, table, whole=whole),
         all_chunks=len(root.chunks) + sum(page.chunks for page in root.pages),
     )
 
