@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import thickening
-from .cameras import Camera
 from .compensation import (
     OPACITY_STEP,
     SCALE_STEP,
@@ -23,8 +23,9 @@ from .gradient import gradient
 from .prediction import decoded
 from .progress import Progress, silent
 from .rasterise import RenderConfig, render
+from .shading import row_colours
 from .splats import Splats
-from .teacher import Teacher, teach
+from .teacher import Teacher
 from .threads import ordered_map, thread_count
 
 F64 = NDArray[np.float64]
@@ -193,6 +194,7 @@ class _Fit:
         config: FitConfig,
     ) -> None:
         self.splats = splats
+        self._bare = splats.without_extras().with_sh_degree(0)
         self.layers = layers
         self.config = config
         ends = np.cumsum(chunk_splats)
@@ -249,30 +251,44 @@ class _Fit:
             self.books.append(_rounded_book(_book(values, rows)))
             first = size
 
-    def improve(self, number: int, turn: int, pace: float, teacher: Teacher) -> None:
-        """Take a step with one layer's prefix."""
+    def shade(self, views: Sequence[int], teacher: Teacher) -> list[NDArray[np.float32]]:
+        """Return the colours of all splats in some views: no shift changes them."""
+        rows = np.arange(len(self.splats), dtype=np.int32)
+        cameras = [teacher.cameras[view] for view in views]
+        threads = thread_count(self.config.threads)
+        return list(ordered_map(partial(row_colours, self.splats, rows), cameras, threads))
+
+    def improve(
+        self,
+        number: int,
+        pace: float,
+        teacher: Teacher,
+        views: Sequence[int],
+        colours: Sequence[NDArray[np.float32]],
+    ) -> None:
+        """Take a step with one layer's prefix, as some views show it in these colours."""
         size, count = self.sizes[number], self.layers[number]
         chunk = self.chunk[:size]
         table, strength = self.tables[number], self.strengths[number]
         said = self._said(size)
         shift = (table[chunk] + strength[chunk] * said).astype(np.float32)
-        prefix = self.splats.take(slice(0, size))
+        prefix = self._bare.take(slice(0, size))
         drawn = replace(
             prefix,
             scales=prefix.scales + shift[:, :1],
             opacities=prefix.opacities + shift[:, 1],
         )
         slope = np.zeros((size, 2))
-        views = teacher.sample(self.config.views, turn)
         found = ordered_map(
-            lambda view: gradient(
+            lambda seen: gradient(
                 drawn,
-                teacher.cameras[view],
-                teacher.pictures[view],
-                kernel_px=teacher.kernels[view],
+                seen[1],
+                teacher.cameras[seen[0]],
+                teacher.pictures[seen[0]],
+                kernel_px=teacher.kernels[seen[0]],
                 near=teacher.near,
             ),
-            views,
+            zip(views, colours, strict=True),
             thread_count(self.config.threads),
         )
         for view, result in zip(views, found, strict=True):
@@ -373,8 +389,10 @@ def fit(
         if turn == close:
             state.close_books()
         pace = min(1.0, 2.0 * (1.0 - turn / config.iterations))
+        views = teacher.sample(config.views, turn)
+        colours = state.shade(views, teacher)
         for number in range(len(layers)):
-            state.improve(number, turn, pace, teacher)
+            state.improve(number, pace, teacher, views, colours)
             progress("compensate", turn * len(layers) + number + 1, total)
     if not state.books:
         state.close_books()
@@ -386,12 +404,10 @@ def fit(
 
 def compensated(
     encoded: EncodedScene,
-    source: Splats,
-    views: Sequence[Camera],
+    teacher: Teacher,
     contribution: NDArray[np.float64],
     config: FitConfig | None = None,
     *,
-    jittered: bool = True,
     progress: Progress = silent,
 ) -> EncodedScene:
     """Return an encoded scene with what its prefixes want.
@@ -399,27 +415,22 @@ def compensated(
     Parameters
     ----------
     encoded : EncodedScene
-    source : Splats
-        What was encoded.
-    views : sequence of Camera
-        In the frame of the means, at least one.
+    teacher : Teacher
+        Pictures of what was encoded.
     contribution : (N,) float64
         Of the source's splats.
     config : FitConfig, optional
-    jittered : bool
-        As `teacher.teach`.
     progress : Progress
-        Called with the stages ``teacher`` and ``compensate``.
+        Called with the stage ``compensate``.
     """
     config = config or FitConfig()
     counts = [chunk.splats for chunk in encoded.chunks]
     carriers = thickening.carriers(contribution)
     if not plan_layers(counts, carriers):
         return encoded
-    pictures = teach(source, views, jittered=jittered, threads=config.threads, progress=progress)
     splats = decoded(encoded, threads=config.threads)
-    found = fit(splats, counts, pictures, carriers, config, progress=progress)
-    lacking = errors(found, splats, pictures, threads=config.threads)
+    found = fit(splats, counts, teacher, carriers, config, progress=progress)
+    lacking = errors(found, splats, teacher, threads=config.threads)
     return replace(encoded, compensation=found, lacking=lacking)
 
 

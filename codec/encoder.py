@@ -35,6 +35,7 @@ from .prune import PruneConfig, kept_rows
 from .score import Scores, unscored
 from .sequence import ChunkParts, Part
 from .splats import Splats, empty
+from .teacher import Teacher
 from .threads import ordered_map, thread_count
 
 PROFILES: Final = ("transform", "vq", "near")
@@ -311,6 +312,8 @@ def prepare(
     config: EncodeConfig | None = None,
     *,
     views: Sequence[Camera] = (),
+    jitter: bool = True,
+    teacher: Teacher | None = None,
     progress: Progress = silent,
 ) -> Prepared:
     """Order a scene and cut it.
@@ -321,6 +324,10 @@ def prepare(
         As `encode` takes them.
     views : sequence of Camera
         Those the scores are of, for orders that render.
+    jitter : bool
+        Whether these look from jittered copies as well.
+    teacher : Teacher, optional
+        What they would draw, where it has been drawn.
     progress : Progress
 
     Raises
@@ -334,7 +341,7 @@ def prepare(
     scores = unscored(len(splats)) if scores is None else scores
     _require_scores(scores, len(splats))
     kept = kept_rows(splats, scores, config.dropping(), 0.0)
-    scene = Unordered(splats, scores, views, config.threads, progress)
+    scene = Unordered(splats, scores, views, config.threads, progress, jitter, teacher)
     thickened = config.ordering.thickened and config.compensate
     rows = order_rows(config.order, scene, replace(config.ordering, thickened=thickened))
     return _laid_out(splats, rows[kept[rows]], scores, config)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,8 +11,9 @@ from .cameras import Camera
 from .kernels import kernel
 from .projection import ALPHA_MIN, FLAT, NARROW, NEAR, OPACITY, SHEAR, X, Y, project
 from .rasterise import ALPHA_MAX, TRANSMITTANCE_MIN, falloff
-from .sensitivity import view_colours
+from .shading import footprint_colours
 from .splats import Splats
+from .thickening import Thickening, thicken
 from .tiles import TILE, tile_lists
 
 _ALPHA_MIN = np.float32(ALPHA_MIN)
@@ -186,8 +189,33 @@ def _gather(
         sums[members[pair]] += pair_sums[pair]
 
 
+@dataclass(frozen=True, eq=False)
+class Pool:
+    """Some splats of a scene as they are drawn in a probe, without a copy of their colours.
+
+    Parameters
+    ----------
+    scene : Splats
+        Anti-aliased where its `info` says so.
+    rows : (n,) int32
+        Ascending.
+    shapes : Splats
+        Those rows, without higher SH coefficients and extra attributes.
+    """
+
+    scene: Splats
+    rows: NDArray[np.int32]
+    shapes: Splats
+
+
+def pool_of(scene: Splats, rows: NDArray[np.integer], by: Thickening | None = None) -> Pool:
+    """Return some rows of a scene, ascending, thickened where asked for."""
+    shapes = scene.without_extras().with_sh_degree(0).take(rows)
+    return Pool(scene, rows.astype(np.int32), shapes if by is None else thicken(shapes, by))
+
+
 def probe(
-    splats: Splats,
+    pool: Pool,
     present: NDArray[np.bool_],
     camera: Camera,
     target: NDArray[np.float32],
@@ -199,9 +227,9 @@ def probe(
 
     Parameters
     ----------
-    splats : Splats
-        N of them. Anti-aliased where ``splats.info`` says so.
-    present : (N,) bool
+    pool : Pool
+        n splats.
+    present : (n,) bool
         Those in the picture.
     camera : Camera
         In the frame of the means.
@@ -215,7 +243,7 @@ def probe(
     Returns
     -------
     rows : (M,) int32
-        Splats whose footprint reaches the image.
+        Places in the pool of splats whose footprint reaches the image.
     gains : (M,) float64
         By how much the sum of squared errors over pixels and channels falls when this one splat
         alone changes sides. Exact but for pixels that it would bring to their end
@@ -223,10 +251,11 @@ def probe(
     error : float
         The sum of squared errors as it is.
     """
+    antialiased = pool.scene.info.antialiased
     footprints = project(
-        splats, camera, kernel_px=kernel_px, antialiased=splats.info.antialiased, near=near
+        pool.shapes, camera, kernel_px=kernel_px, antialiased=antialiased, near=near
     )
-    colours = view_colours(splats, camera, footprints)
+    colours = footprint_colours(pool.scene, pool.rows, camera, footprints)
     here = present[footprints.index]
     gains = np.zeros(len(footprints), np.float64)
     error = 0.0

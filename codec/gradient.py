@@ -1,4 +1,4 @@
-"""How the error of a picture changes with the opacity, size and colour of every splat in it."""
+"""How the error of a picture changes with the opacity and size of every splat in it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from . import sh
 from .cameras import Camera
 from .kernels import kernel
 from .projection import (
@@ -23,7 +22,6 @@ from .projection import (
     project,
 )
 from .rasterise import ALPHA_MAX, TRANSMITTANCE_MIN, falloff
-from .sensitivity import view_colours
 from .splats import Splats
 from .tiles import TILE, tile_lists
 
@@ -37,9 +35,9 @@ _PIXELS = TILE * TILE
 _TILE = np.uintp(TILE)
 _RED, _GREEN, _BLUE, _OFF_RED, _OFF_GREEN, _OFF_BLUE = (np.uintp(k * _PIXELS) for k in range(1, 7))
 
-# Sums of a footprint: by ln alpha, by ln scale, by colour.
-_SUMS = 5
-_BY_ALPHA, _BY_SCALE, _BY_RED, _BY_GREEN, _BY_BLUE = (np.uintp(k * TILE) for k in range(_SUMS))
+# Sums of a footprint: by ln alpha, by ln scale.
+_SUMS = 2
+_BY_ALPHA, _BY_SCALE = (np.uintp(k * TILE) for k in range(_SUMS))
 
 
 @kernel
@@ -176,9 +174,6 @@ def _differentiate(
                     wider = wider if moves else _ZERO
                     lanes[lane + _BY_ALPHA] += slope
                     lanes[lane + _BY_SCALE] += slope * wider
-                    lanes[lane + _BY_RED] += off_red * weight
-                    lanes[lane + _BY_GREEN] += off_green * weight
-                    lanes[lane + _BY_BLUE] += off_blue * weight
             for k in range(_SUMS):
                 row = np.uintp(k * TILE)
                 total = _ZERO
@@ -211,7 +206,6 @@ class Gradient:
         By the logit.
     scales : (M,) float64
         By a number added to all three log scales.
-    sh0 : (M, 3) float64
     error : float
         The sum of squared errors.
     """
@@ -219,7 +213,6 @@ class Gradient:
     rows: NDArray[np.int32]
     opacities: NDArray[np.float64]
     scales: NDArray[np.float64]
-    sh0: NDArray[np.float64]
     error: float
 
 
@@ -239,6 +232,7 @@ def _opacity_by_scale(footprints: Footprints, kernel_px: float) -> NDArray[np.fl
 
 def gradient(
     splats: Splats,
+    colours: NDArray[np.float32],
     camera: Camera,
     target: NDArray[np.float32],
     *,
@@ -250,7 +244,10 @@ def gradient(
     Parameters
     ----------
     splats : Splats
-        Those in the picture. Anti-aliased where ``splats.info`` says so.
+        N of them, in the picture. Anti-aliased where ``splats.info`` says so; their SH coefficients
+        do not count.
+    colours : (n, 3) float32
+        What they show to the camera; of n at least N rows the first N count.
     camera : Camera
         In the frame of the means.
     target : (H, W, 3) float32
@@ -266,7 +263,7 @@ def gradient(
     """
     antialiased = splats.info.antialiased
     footprints = project(splats, camera, kernel_px=kernel_px, antialiased=antialiased, near=near)
-    colours = view_colours(splats, camera, footprints)
+    shown = colours[footprints.index]
     sums = np.zeros((len(footprints), _SUMS), np.float64)
     error = 0.0
     for lists in tile_lists(footprints, camera.width, camera.height):
@@ -278,7 +275,7 @@ def gradient(
             lists.members,
             footprints.ellipse,
             footprints.rows,
-            colours,
+            shown,
             target,
             np.float32(kernel_px),
             pair_sums,
@@ -292,7 +289,5 @@ def gradient(
         footprints.index,
         sums[:, 0] * np.exp(-np.logaddexp(0.0, logits)),
         by_scale,
-        # A colour clamped at 0 does not move.
-        sh.C0 * sums[:, 2:] * (colours > 0.0),
         error,
     )

@@ -16,6 +16,7 @@ from .splats import Splats
 
 if TYPE_CHECKING:
     from .score import Scores
+    from .teacher import Teacher
 
 FIRST_VIEW: Final = "first-view"
 FRUSTUM: Final = "frustum"
@@ -106,6 +107,11 @@ class Unordered:
     threads : int
         0 for all cores; no order depends on it.
     progress : Progress
+    jitter : bool
+        Whether orders that render look from jittered copies of the views as well.
+    teacher : Teacher or None
+        The scene in these views, and their copies where `jitter` says so; None where it has not
+        been drawn.
     """
 
     splats: Splats
@@ -113,6 +119,8 @@ class Unordered:
     views: Sequence[Camera] = ()
     threads: int = 0
     progress: Progress = field(default=silent)
+    jitter: bool = True
+    teacher: Teacher | None = None
 
 
 Order = Callable[[Unordered, OrderConfig], NDArray[np.int64]]
@@ -136,8 +144,14 @@ def _octree_quota(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
 def _by_gain(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
     from .gain import GainConfig, gain_order
 
-    wanted = GainConfig(thickened=config.thickened, threads=scene.threads)
-    rows = gain_order(scene.splats, scene.scores, scene.views, wanted, progress=scene.progress)
+    rows = gain_order(
+        scene.splats,
+        scene.scores,
+        scene.views,
+        GainConfig(thickened=config.thickened, jitter=scene.jitter, threads=scene.threads),
+        teacher=scene.teacher,
+        progress=scene.progress,
+    )
     return chunking.settled(rows, scene.scores.contribution)
 
 
@@ -262,4 +276,4 @@ def _seen_from(scene: Unordered, camera: Camera) -> Unordered:
     # for it, and in a short prefix the others are not there.
     config = ScoreConfig(top_k=0, jitter=False, threads=scene.threads)
     scores = score(scene.splats, [camera], config)
-    return replace(scene, scores=scores, views=[camera])
+    return replace(scene, scores=scores, views=[camera], teacher=None)

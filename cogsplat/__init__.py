@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .codec.encoder import EncodeConfig, EncodedScene, Prepared
     from .codec.score import ScoreConfig, Scores
     from .codec.target import Target
+    from .codec.teacher import Teacher
 
 __all__ = [
     "Camera",
@@ -239,9 +240,11 @@ def encode(
     """
     from .codec import encoder
     from .codec.compensation_fit import FitConfig, blank, compensated
+    from .codec.order import split_name
     from .codec.prediction import predicted
     from .codec.preset import PRESETS
     from .codec.score import score
+    from .codec.teacher import teach
     from .codec.thickening import carriers
     from .formats import cogs
     from .formats.atomic import refuse_existing
@@ -270,9 +273,22 @@ def encode(
         # An empty list is refused, not taken for none given.
         if cameras is not None or views:
             scores = score(splats, views, settings, progress=progress)
-    prepared = encoder.prepare(splats, scores, config, views=views, progress=progress)
-    writer = f"cogsplat {__version__}"
     fitted = config.compensate and config.profile != "near" and scores is not None and bool(views)
+    teacher: Teacher | None = None
+    if len(splats) and views and (fitted or split_name(config.order)[0] == "gain"):
+        teacher = teach(
+            splats, views, jittered=settings.jitter, threads=config.threads, progress=progress
+        )
+    prepared = encoder.prepare(
+        splats,
+        scores,
+        config,
+        views=views,
+        jitter=settings.jitter,
+        teacher=teacher,
+        progress=progress,
+    )
+    writer = f"cogsplat {__version__}"
     fit = FitConfig(threads=config.threads)
 
     def size_of(trial: EncodedScene) -> int:
@@ -293,16 +309,8 @@ def encode(
             size_of,
             progress,
         )
-    if fitted and scores is not None:
-        encoded = compensated(
-            encoded,
-            splats,
-            views,
-            scores.contribution,
-            fit,
-            jittered=settings.jitter,
-            progress=progress,
-        )
+    if fitted and scores is not None and teacher is not None:
+        encoded = compensated(encoded, teacher, scores.contribution, fit, progress=progress)
     if (measured_on or views) and len(encoded.chunks):
         encoded = predicted(
             encoded,

@@ -4,10 +4,10 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec import thickening
+from cogsplat.codec import chunking, thickening
 from cogsplat.codec.errors import Cancelled
 from cogsplat.codec.gain import GainConfig, gain_order, gain_rows, gains
-from cogsplat.codec.gain_probe import probe
+from cogsplat.codec.gain_probe import pool_of, probe
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.order import Unordered, order_rows
 from cogsplat.codec.rasterise import render
@@ -58,7 +58,8 @@ def test_a_copy_in_the_same_place_waits(scene):
     scores = score(pairs, cameras, ScoreConfig(jitter=False))
     rows = gain_order(pairs, scores, cameras, GainConfig(thickened=False, jitter=False))
     first = rows[:120] % len(splats)
-    assert len(np.unique(first)) > 90
+    # In pairs there would be 60; by the seed of the random parts there are 80 to 92.
+    assert len(np.unique(first)) > 75
 
 
 def test_without_cameras_the_order_is_by_contribution(scene):
@@ -89,11 +90,12 @@ def test_gains_weigh_the_views(scene):
     splats, cameras, _ = scene
     teacher = teach(splats, cameras, jittered=False)
     present = np.arange(len(splats)) % 2 == 0
-    total = gains(splats, present, teacher, [0, 2], threads=1)
+    pool = pool_of(splats, np.arange(len(splats)))
+    total = gains(pool, present, teacher, [0, 2], threads=1)
     expected = np.zeros(len(splats))
     for view in (0, 2):
         camera = teacher.cameras[view]
-        rows, found, _ = probe(splats, present, camera, teacher.pictures[view], kernel_px=0.3)
+        rows, found, _ = probe(pool, present, camera, teacher.pictures[view], kernel_px=0.3)
         expected[rows] += found / 3 / (camera.width * camera.height)
     np.testing.assert_allclose(total, expected, rtol=1e-12)
 
@@ -177,3 +179,37 @@ def test_thickened_splats_are_larger_and_more_opaque():
     np.testing.assert_allclose(thick.scales - splats.scales, 0.25, rtol=1e-5)
     np.testing.assert_allclose(thick.opacities - splats.opacities, 1.5, rtol=1e-5)
     assert thick.scales.dtype == thick.opacities.dtype == np.float32
+
+
+def test_a_teacher_at_hand_is_not_drawn_again(scene, monkeypatch):
+    splats, cameras, scores = scene
+    expected = gain_order(splats, scores, cameras)
+    teacher = teach(splats, cameras)
+
+    def refuse(*args, **kwargs):
+        raise AssertionError
+
+    monkeypatch.setattr("cogsplat.codec.gain.teach", refuse)
+    given = Unordered(splats, scores, cameras, teacher=teacher)
+    np.testing.assert_array_equal(gain_order(splats, scores, cameras, teacher=teacher), expected)
+    np.testing.assert_array_equal(
+        order_rows("gain", given), chunking.settled(expected, scores.contribution)
+    )
+
+
+def test_without_jitter_only_the_given_views_are_looked_at(scene):
+    splats, cameras, scores = scene
+    without = gain_order(splats, scores, cameras, GainConfig(jitter=False))
+    assert (without != gain_order(splats, scores, cameras)).any()
+    found = order_rows("gain", Unordered(splats, scores, cameras, jitter=False))
+    np.testing.assert_array_equal(found, chunking.settled(without, scores.contribution))
+
+
+def test_pools_copy_no_colours(scene):
+    splats, _, _ = scene
+    rows = np.arange(0, len(splats), 2)
+    pool = pool_of(splats, rows, thickening.Thickening(0.25, 1.5))
+    assert pool.scene is splats
+    assert pool.shapes.sh_degree == 0
+    np.testing.assert_array_equal(pool.shapes.means, splats.means[rows])
+    np.testing.assert_allclose(pool.shapes.scales, splats.scales[rows] + 0.25, rtol=1e-6)

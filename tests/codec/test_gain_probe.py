@@ -2,9 +2,13 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.gain_probe import probe
+from cogsplat.codec.gain_probe import pool_of, probe
 from cogsplat.codec.rasterise import RenderConfig, render
 from cogsplat.codec.splats import concatenate
+
+
+def _all(splats):
+    return pool_of(splats, np.arange(len(splats)))
 
 
 def _error(splats, camera, target):
@@ -20,7 +24,7 @@ def test_gains_equal_pictures_with_and_without_each_splat(seed):
     present = rng.random(len(splats)) < 0.5
     target = render(splats, camera) * np.float32(0.9) + np.float32(0.05)
 
-    rows, gains, error = probe(splats, present, camera, target, kernel_px=0.3)
+    rows, gains, error = probe(_all(splats), present, camera, target, kernel_px=0.3)
 
     before = _error(splats.take(np.flatnonzero(present)), camera, target)
     np.testing.assert_allclose(error, before, rtol=1e-4)
@@ -42,7 +46,7 @@ def test_nothing_is_gained_where_the_pixel_has_ended():
     scene = concatenate([splats, wall])
     present = np.arange(len(scene)) >= len(splats)
     target = np.full((camera.height, camera.width, 3), 0.5, np.float32)
-    rows, gains, _ = probe(scene, present, camera, target, kernel_px=0.3)
+    rows, gains, _ = probe(_all(scene), present, camera, target, kernel_px=0.3)
     behind = rows < len(splats)
     assert behind.any()
     # One capped splat of the wall leaves 1 %; the second ends the pixel.
@@ -53,6 +57,6 @@ def test_no_splat_in_view_is_the_error_of_black():
     splats, camera = oracle.scene(1, n=10), oracle.camera()
     splats.means[:] = np.nan
     target = np.full((camera.height, camera.width, 3), 0.5, np.float32)
-    rows, gains, error = probe(splats, np.ones(10, bool), camera, target, kernel_px=0.3)
+    rows, gains, error = probe(_all(splats), np.ones(10, bool), camera, target, kernel_px=0.3)
     assert len(rows) == len(gains) == 0
     assert error == pytest.approx(0.25 * target.size)
