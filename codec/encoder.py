@@ -28,7 +28,7 @@ from .decoder import Codebook, decode_head, decode_shape_codebook
 from .errors import DataError
 from .extent import box
 from .grid import MAX_VALUE
-from .order import OrderConfig, Unordered, order_rows, require_order, split_name
+from .order import OrderConfig, Unordered, order_rows, require_order
 from .profile_near import NearBounds
 from .progress import Progress, silent
 from .prune import PruneConfig, kept_rows
@@ -360,8 +360,9 @@ def _laid_out(
             config.ordering.object_budgets,
         )
     else:
-        if split_name(config.order)[0] == "gain":
-            # Again: what was pruned moved the others into other chunks.
+        if config.order == "gain":
+            # Again: what was pruned moved the others into other chunks. Not where a pose is served
+            # first: its splats would lose their places.
             rows = chunking.settled(rows, scores.contribution, config.chunk_splats)
         slices = chunking.plan_chunks(len(rows), config.chunk_splats)
         arranged = objects.Arrangement(rows, slices, np.zeros(len(slices), np.uint32))

@@ -33,7 +33,6 @@ class Preset:
     """
 
     planned_views: int
-
     views_every: int
     sensitivity_every: int
     prediction_views: int

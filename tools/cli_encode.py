@@ -109,7 +109,8 @@ if TYPE_CHECKING:
     type=click.FloatRange(0, 1, max_open=True),
     show_default="0.06",
     metavar="PEAK",
-    help="Drop splats whose weight stays below PEAK in every pixel of every view.",
+    help="Drop splats that are not worth their bytes, of those whose weight stays below PEAK in "
+    "every pixel of every view.",
 )
 @click.option("--no-prune", is_flag=True, help="Keep every splat.")
 @click.option(
