@@ -416,21 +416,6 @@ def _starts(planes: U8, counts: I64) -> tuple[I64, I64, bool]:
 
 
 @_exact
-def _turn_code(planes: U8, starts: I64, bits: I64, column: int, wide: int) -> int:
-    """Return the next code of so many halvings of a component, and step behind it."""
-    group = min(wide, SYMBOL_GROUPS - 1)
-    code = int(planes[starts[column, group]])
-    starts[column, group] += 1
-    spare = wide - group
-    if spare:
-        byte, shift = bits[column] >> 3, bits[column] & 7
-        pair = int(planes[byte]) | int(planes[byte + 1]) << 8
-        code = (code << spare) | ((pair >> shift) & ((1 << spare) - 1))
-        bits[column] += spare
-    return code
-
-
-@_exact
 def turns(
     planes: U8,
     halved: U8,
@@ -474,8 +459,17 @@ def turns(
         for column in range(3):
             wide = int(halved[column >> 1, row])
             more = int(extra[column >> 1, row]) if finer else 0
+            # Written out twice: a call for each code takes as long as all the rest.
             if wide:
-                code = _turn_code(planes, starts, bits, column, wide)
+                group = min(wide, SYMBOL_GROUPS - 1)
+                spare = wide - group
+                code = int(planes[starts[column, group]])
+                starts[column, group] += 1
+                if spare:
+                    byte, shift = bits[column] >> 3, bits[column] & 7
+                    pair = int(planes[byte]) | int(planes[byte + 1]) << 8
+                    code = (code << spare) | ((pair >> shift) & ((1 << spare) - 1))
+                    bits[column] += spare
                 if code > 1 << wide:
                     return False
                 if more:
@@ -484,7 +478,15 @@ def turns(
                     code = (code << more) + int(np.int64(window)) - (1 << (more - 1))
                     wide += more
             elif more:
-                code = _turn_code(below, more_starts, more_bits, column, more)
+                group = min(more, SYMBOL_GROUPS - 1)
+                spare = more - group
+                code = int(below[more_starts[column, group]])
+                more_starts[column, group] += 1
+                if spare:
+                    byte, shift = more_bits[column] >> 3, more_bits[column] & 7
+                    pair = int(below[byte]) | int(below[byte + 1]) << 8
+                    code = (code << spare) | ((pair >> shift) & ((1 << spare) - 1))
+                    more_bits[column] += spare
                 wide = more
             else:
                 turned[column] = 0

@@ -214,7 +214,14 @@ def evaluate(
             threads=threads,
             stages=stages,
         )
-        unordered = Unordered(subject.splats, subject.scores, subject.scored_on, threads, stages)
+        unordered = Unordered(
+            subject.splats,
+            subject.scores,
+            subject.scored_on,
+            threads,
+            stages,
+            jitter=not no_jitter,
+        )
         if SPLATS in by:
             for name in choice.names:
                 with stages.stage("order"):

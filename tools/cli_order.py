@@ -81,7 +81,7 @@ def order(
         settings = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads)
         scores = score(splats, views, settings, progress=stages)
         with stages.stage("order"):
-            scene = Unordered(splats, scores, views, threads, stages)
+            scene = Unordered(splats, scores, views, threads, stages, jitter=not no_jitter)
             rows = order_rows(choice.name, scene, config)
             labels: NDArray[np.uint32] | None = None
             if choice.by_object:
