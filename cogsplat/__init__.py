@@ -291,35 +291,45 @@ def encode(
     writer = f"cogsplat {__version__}"
     fit = FitConfig(threads=config.threads)
 
-    def size_of(trial: EncodedScene) -> int:
+    def size_of(scene: EncodedScene) -> int:
+        return cogs.size_bytes(scene, writer=writer, first_view=first_view, cameras=stored_cameras)
+
+    def room_of(trial: EncodedScene) -> int:
         if fitted and scores is not None:
             counts = [chunk.splats for chunk in trial.chunks]
             room = blank(counts, carriers(scores.contribution), fit)
             trial = replace(trial, compensation=room)
-        return cogs.size_bytes(trial, writer=writer, first_view=first_view, cameras=stored_cameras)
+        if measured_on or views:
+            foreseen = [replace(chunk, quality_db=1.0) for chunk in trial.chunks]
+            trial = replace(trial, chunks=foreseen)
+        return size_of(trial)
+
+    def finished(encoded: EncodedScene) -> EncodedScene:
+        if fitted and scores is not None and teacher is not None:
+            encoded = compensated(encoded, teacher, scores.contribution, fit, progress=progress)
+        if (measured_on or views) and len(encoded.chunks):
+            encoded = predicted(
+                encoded,
+                splats,
+                measured_on or views,
+                most_views=chosen.prediction_views,
+                threads=config.threads,
+                progress=progress,
+            )
+        return encoded
 
     if target is None or not len(splats):
-        encoded = prepared.encode(config.quality_db, progress=progress)
+        encoded = finished(prepared.encode(config.quality_db, progress=progress))
     else:
-        encoded = _at_target(
-            prepared,
-            target,
-            splats,
-            measured_on or views,
-            size_of,
-            progress,
-        )
-    if fitted and scores is not None and teacher is not None:
-        encoded = compensated(encoded, teacher, scores.contribution, fit, progress=progress)
-    if (measured_on or views) and len(encoded.chunks):
-        encoded = predicted(
-            encoded,
-            splats,
-            measured_on or views,
-            most_views=chosen.prediction_views,
-            threads=config.threads,
-            progress=progress,
-        )
+        aim = target
+        while True:
+            trial = _at_target(prepared, aim, splats, measured_on or views, room_of, progress)
+            encoded = finished(trial)
+            over = 0 if target.size_bytes is None else size_of(encoded) - target.size_bytes
+            if over <= 0 or aim.size_bytes is None:
+                break
+            # The order of segments, and with it where index pages end, follows from the fit.
+            aim = replace(aim, size_bytes=aim.size_bytes - over)
     return cogs.save(
         Path(path),
         encoded,
