@@ -22,7 +22,7 @@ from cogsplat.formats.source import FileSource, PrefixSource
 
 from .synth import synth, synth_cameras
 
-SHARES: Final = (0.01, 0.05, 0.10, 0.25, 1.0)
+SHARES: Final = (0.02, 0.05, 0.10, 0.25, 1.0)
 """Shares of the file that the film-strip shows."""
 
 EVERY: Final = 8
@@ -198,7 +198,7 @@ def _first_bytes(path: Path, size: int, threads: int) -> Splats:
         with cogsplat.open(source, partial=True) as file:
             return file.decode(compensate=True, threads=threads)
     except TruncatedError:
-        # Of a small file the first hundredth ends inside the root: nothing to draw yet.
+        # Of a small file the first fiftieth ends inside the root: nothing to draw yet.
         return empty(0)
 
 
