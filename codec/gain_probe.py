@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .cameras import Camera
 from .kernels import kernel
 from .projection import ALPHA_MIN, FLAT, NARROW, NEAR, OPACITY, SHEAR, X, Y, project
-from .rasterise import ALPHA_MAX, TRANSMITTANCE_MIN, falloff
+from .rasterise import ALPHA_MAX, TRANSMITTANCE_MIN, blend_tile, falloff
 from .shading import footprint_colours
 from .splats import Splats
 from .thickening import Thickening, thicken
@@ -42,7 +42,7 @@ def _probe(
 ) -> float:
     """Fill the gain of every pair of a tile and a splat; return the sum of squared errors.
 
-    Two walks over each tile. The first blends what is present, as `rasterise._blend` over black.
+    Two walks over each tile. The first blends what is present, over black.
     The second goes front to back again and knows, at each splat, the transmittance before it and
     the colour still to come from behind: all that adding it (or taking it out) would change.
     """
@@ -57,48 +57,21 @@ def _probe(
         left = tile % tiles_x * TILE
         num_rows = min(TILE, height - top)
         num_columns = min(TILE, width - left)
-        state[:] = _ZERO
-        for y in range(num_rows):
-            for x in range(num_columns):
-                state[y * TILE + x] = _ONE
         begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
-        unfinished = num_rows * num_columns
-        stop = end
-        for pair in range(begin, end):
-            i = members[pair]
-            if not present[i]:
-                continue
-            narrow = ellipse[i, NARROW]
-            shear = ellipse[i, SHEAR]
-            flat = ellipse[i, FLAT]
-            opacity = ellipse[i, OPACITY]
-            centre_x = ellipse[i, X] - np.float32(left) - _HALF
-            centre_y = ellipse[i, Y] - np.float32(top) - _HALF
-            red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
-            finished = 0
-            for y in range(max(rows[i, 0] - top, 0), min(rows[i, 1] - top, num_rows)):
-                dy = np.float32(y) - centre_y
-                row_x = centre_x + shear * dy
-                row_exponent = -flat * dy * dy
-                base = np.uintp(y * TILE)
-                for lane in range(_TILE):
-                    at = base + lane
-                    u = narrow * (np.float32(lane) - row_x)
-                    alpha = min(ALPHA_MAX, opacity * falloff(row_exponent - u * u))
-                    live = state[at]
-                    after = live * (_ONE - alpha)
-                    touched = alpha >= _ALPHA_MIN
-                    goes_on = after >= TRANSMITTANCE_MIN
-                    weight = live * alpha if touched & goes_on else _ZERO
-                    finished += int(touched & (live > _ZERO) & ~goes_on)
-                    state[at] = (after if goes_on else _ZERO) if touched else live
-                    state[at + _RED] += weight * red
-                    state[at + _GREEN] += weight * green
-                    state[at + _BLUE] += weight * blue
-            unfinished -= finished
-            if unfinished == 0:
-                stop = pair + 1
-                break
+        stop = blend_tile(
+            state,
+            begin,
+            end,
+            members,
+            ellipse,
+            rows,
+            colours,
+            present,
+            top,
+            left,
+            num_rows,
+            num_columns,
+        )
         for y in range(num_rows):
             for x in range(num_columns):
                 pixel = y * TILE + x

@@ -21,7 +21,7 @@ from .projection import (
     Y,
     project,
 )
-from .rasterise import ALPHA_MAX, TRANSMITTANCE_MIN, falloff
+from .rasterise import ALPHA_MAX, TRANSMITTANCE_MIN, blend_tile, falloff
 from .splats import Splats
 from .tiles import TILE, tile_lists
 
@@ -49,6 +49,7 @@ def _differentiate(
     ellipse: NDArray[np.float32],
     rows: NDArray[np.int32],
     colours: NDArray[np.float32],
+    present: NDArray[np.bool_],
     target: NDArray[np.float32],
     kernel_px: np.float32,
     sums: NDArray[np.float32],
@@ -67,46 +68,21 @@ def _differentiate(
         left = tile % tiles_x * TILE
         num_rows = min(TILE, height - top)
         num_columns = min(TILE, width - left)
-        state[:] = _ZERO
-        for y in range(num_rows):
-            for x in range(num_columns):
-                state[y * TILE + x] = _ONE
         begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
-        unfinished = num_rows * num_columns
-        stop = end
-        for pair in range(begin, end):
-            i = members[pair]
-            narrow = ellipse[i, NARROW]
-            shear = ellipse[i, SHEAR]
-            flat = ellipse[i, FLAT]
-            opacity = ellipse[i, OPACITY]
-            centre_x = ellipse[i, X] - np.float32(left) - _HALF
-            centre_y = ellipse[i, Y] - np.float32(top) - _HALF
-            red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
-            finished = 0
-            for y in range(max(rows[i, 0] - top, 0), min(rows[i, 1] - top, num_rows)):
-                dy = np.float32(y) - centre_y
-                row_x = centre_x + shear * dy
-                row_exponent = -flat * dy * dy
-                base = np.uintp(y * TILE)
-                for lane in range(_TILE):
-                    at = base + lane
-                    u = narrow * (np.float32(lane) - row_x)
-                    alpha = min(ALPHA_MAX, opacity * falloff(row_exponent - u * u))
-                    live = state[at]
-                    after = live * (_ONE - alpha)
-                    touched = alpha >= _ALPHA_MIN
-                    goes_on = after >= TRANSMITTANCE_MIN
-                    weight = live * alpha if touched & goes_on else _ZERO
-                    finished += int(touched & (live > _ZERO) & ~goes_on)
-                    state[at] = (after if goes_on else _ZERO) if touched else live
-                    state[at + _RED] += weight * red
-                    state[at + _GREEN] += weight * green
-                    state[at + _BLUE] += weight * blue
-            unfinished -= finished
-            if unfinished == 0:
-                stop = pair + 1
-                break
+        stop = blend_tile(
+            state,
+            begin,
+            end,
+            members,
+            ellipse,
+            rows,
+            colours,
+            present,
+            top,
+            left,
+            num_rows,
+            num_columns,
+        )
         for y in range(num_rows):
             for x in range(num_columns):
                 pixel = y * TILE + x
@@ -264,6 +240,7 @@ def gradient(
     antialiased = splats.info.antialiased
     footprints = project(splats, camera, kernel_px=kernel_px, antialiased=antialiased, near=near)
     shown = colours[footprints.index]
+    everything = np.ones(len(footprints), np.bool_)
     sums = np.zeros((len(footprints), _SUMS), np.float64)
     error = 0.0
     for lists in tile_lists(footprints, camera.width, camera.height):
@@ -276,6 +253,7 @@ def gradient(
             footprints.ellipse,
             footprints.rows,
             shown,
+            everything,
             target,
             np.float32(kernel_px),
             pair_sums,

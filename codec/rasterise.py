@@ -55,6 +55,7 @@ _PIXELS = TILE * TILE
 # Unsigned, so that no index is checked for counting from the end: such checks stop vectorisation.
 _TILE = np.uintp(TILE)
 _REST, _RED, _GREEN, _BLUE = (np.uintp(k * _PIXELS) for k in range(1, 5))
+_TILE_RED, _TILE_GREEN, _TILE_BLUE = (np.uintp(k * _PIXELS) for k in range(1, 4))
 
 # Ranges of tiles per thread: tiles differ in cost, and small ranges even that out.
 _RANGES_PER_THREAD = 4
@@ -221,6 +222,82 @@ def _blend(
                     image[top + y, left + x, channel] = (
                         state[pixel + (2 + channel) * _PIXELS] + rest * background[channel]
                     )
+
+
+@kernel
+def blend_tile(
+    state: NDArray[np.float32],
+    begin: int,
+    end: int,
+    members: NDArray[np.int32],
+    ellipse: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    colours: NDArray[np.float32],
+    present: NDArray[np.bool_],
+    top: int,
+    left: int,
+    num_rows: int,
+    num_columns: int,
+) -> int:
+    """Blend the pairs of one tile over black, front to back; return the first that nothing reaches.
+
+    What `_blend` does without a background, for walks that go over a tile again: row by row and
+    without branches, likewise.
+
+    Parameters
+    ----------
+    state : (at least 4 * TILE * TILE,) float32
+        Filled: transmittance, red, green and blue, a tile's pixels of each.
+    begin, end : int
+        Pairs, front to back.
+    members : (pairs,) int32
+    ellipse, rows, colours
+        Of every footprint.
+    present : (footprints,) bool
+        Which are drawn.
+    top, left, num_rows, num_columns : int
+        The tile's part of the picture, px.
+    """
+    state[:] = _ZERO
+    for y in range(num_rows):
+        for x in range(num_columns):
+            state[y * TILE + x] = _ONE
+    unfinished = num_rows * num_columns
+    for pair in range(begin, end):
+        i = members[pair]
+        if not present[i]:
+            continue
+        narrow = ellipse[i, NARROW]
+        shear = ellipse[i, SHEAR]
+        flat = ellipse[i, FLAT]
+        opacity = ellipse[i, OPACITY]
+        centre_x = ellipse[i, X] - np.float32(left) - _HALF
+        centre_y = ellipse[i, Y] - np.float32(top) - _HALF
+        red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
+        finished = 0
+        for y in range(max(rows[i, 0] - top, 0), min(rows[i, 1] - top, num_rows)):
+            dy = np.float32(y) - centre_y
+            row_x = centre_x + shear * dy
+            row_exponent = -flat * dy * dy
+            base = np.uintp(y * TILE)
+            for lane in range(_TILE):
+                at = base + lane
+                u = narrow * (np.float32(lane) - row_x)
+                alpha = min(ALPHA_MAX, opacity * falloff(row_exponent - u * u))
+                live = state[at]
+                after = live * (_ONE - alpha)
+                touched = alpha >= _ALPHA_MIN
+                goes_on = after >= TRANSMITTANCE_MIN
+                weight = live * alpha if touched & goes_on else _ZERO
+                finished += int(touched & (live > _ZERO) & ~goes_on)
+                state[at] = (after if goes_on else _ZERO) if touched else live
+                state[at + _TILE_RED] += weight * red
+                state[at + _TILE_GREEN] += weight * green
+                state[at + _TILE_BLUE] += weight * blue
+        unfinished -= finished
+        if unfinished == 0:
+            return pair + 1
+    return end
 
 
 def _draw(

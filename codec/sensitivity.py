@@ -12,7 +12,7 @@ from . import sh
 from .cameras import Camera
 from .kernels import kernel
 from .projection import _GUARD, ALPHA_MIN, FLAT, NARROW, OPACITY, SHEAR, Footprints, X, Y
-from .rasterise import ALPHA_MAX, TRANSMITTANCE_MIN, _shade, falloff
+from .rasterise import ALPHA_MAX, TRANSMITTANCE_MIN, _shade, blend_tile, falloff
 from .splats import Splats
 from .threads import ordered_map
 from .tiles import TILE, TileLists
@@ -100,6 +100,7 @@ def _moments(
     ellipse: NDArray[np.float32],
     rows: NDArray[np.int32],
     colours: NDArray[np.float32],
+    present: NDArray[np.bool_],
     width: int,
     height: int,
     sums: NDArray[np.float32],
@@ -109,7 +110,7 @@ def _moments(
     With (u, v) the offset from the centre in which alpha is ``opacity · exp(-u² - v²)``, and
     g = Σ over channels of (∂C/∂alpha · alpha)², the moments are Σ over pixels of g·u^p·v^q.
     A pixel's ∂C/∂alpha is T·c less what lies behind, over 1 - alpha (Kerbl et al. 2023, appendix
-    C), so that the tile is walked twice as in `rasterise._blend`: to blend its colours, and to
+    C), so that the tile is walked twice as in `rasterise.blend_tile`: to blend its colours, and to
     take them off again from the front.
     """
     tiles_x = (width + TILE - 1) // TILE
@@ -122,46 +123,23 @@ def _moments(
         num_rows = min(TILE, height - top)
         num_columns = min(TILE, width - left)
         begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
-        state[:] = _ZERO
-        for y in range(num_rows):
-            for x in range(num_columns):
-                state[y * TILE + x] = _ONE
-        unfinished = num_rows * num_columns
-        for pair in range(begin, end):
-            i = members[pair]
-            narrow = ellipse[i, NARROW]
-            shear = ellipse[i, SHEAR]
-            flat = ellipse[i, FLAT]
-            opacity = ellipse[i, OPACITY]
-            centre_x = ellipse[i, X] - np.float32(left) - _HALF
-            centre_y = ellipse[i, Y] - np.float32(top) - _HALF
-            red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
-            finished = 0
-            for y in range(max(rows[i, 0] - top, 0), min(rows[i, 1] - top, num_rows)):
-                dy = np.float32(y) - centre_y
-                row_x = centre_x + shear * dy
-                row_exponent = -flat * dy * dy
-                base = np.uintp(y * TILE)
-                for lane in range(_TILE):
-                    at = base + lane
-                    u = narrow * (np.float32(lane) - row_x)
-                    alpha = min(ALPHA_MAX, opacity * falloff(row_exponent - u * u))
-                    before = state[at]
-                    after = before * (_ONE - alpha)
-                    touched = alpha >= _ALPHA_MIN
-                    goes_on = after >= TRANSMITTANCE_MIN
-                    weight = before * alpha if touched & goes_on else _ZERO
-                    finished += int(touched & (before > _ZERO) & ~goes_on)
-                    state[at] = (after if goes_on else _ZERO) if touched else before
-                    state[at + _RED] += weight * red
-                    state[at + _GREEN] += weight * green
-                    state[at + _BLUE] += weight * blue
-            unfinished -= finished
-            if unfinished == 0:
-                for rest in range(pair + 1, end):
-                    sums[rest, :] = _ZERO
-                end = pair + 1
-                break
+        stop = blend_tile(
+            state,
+            begin,
+            end,
+            members,
+            ellipse,
+            rows,
+            colours,
+            present,
+            top,
+            left,
+            num_rows,
+            num_columns,
+        )
+        for rest in range(stop, end):
+            sums[rest, :] = _ZERO
+        end = stop
         for y in range(num_rows):
             for x in range(num_columns):
                 state[y * TILE + x] = _ONE
@@ -271,6 +249,7 @@ def add_moments(
         Σ over pixels and channels, see `_moments`; changed in place.
     """
     pair_sums = np.empty((len(lists.members), MOMENTS), np.float32)
+    everything = np.ones(len(footprints), np.bool_)
 
     def sum_up(tiles: tuple[int, int]) -> None:
         _moments(
@@ -282,6 +261,7 @@ def add_moments(
             footprints.ellipse,
             footprints.rows,
             colours,
+            everything,
             camera.width,
             camera.height,
             pair_sums,
