@@ -26,14 +26,16 @@ from .codec.errors import (
 )
 from .codec.progress import Progress, silent
 from .codec.splats import SceneInfo, Splats
-from .formats.cogs_reader import CogsFile, Limits, open_cogs
-from .formats.source import FileSource, PrefixSource, Source
+from .formats.cogs.reader import CogsFile, Limits, open_cogs
+from .formats.storage.source import FileSource, PrefixSource, Source
 
 if TYPE_CHECKING:
-    from .codec.encoder import EncodeConfig, EncodedScene, Prepared
-    from .codec.score import ScoreConfig, Scores
-    from .codec.target import Target
-    from .codec.teacher import Teacher
+    from .codec.encode.config import EncodeConfig
+    from .codec.encode.encoded import EncodedScene
+    from .codec.encode.encoder import Prepared
+    from .codec.encode.rate_control import Target
+    from .codec.scoring.contribution import ScoreConfig, Scores
+    from .codec.scoring.reference_views import Teacher
 
 __all__ = [
     "Camera",
@@ -238,16 +240,17 @@ def encode(
     ValueError
         An unknown preset; a target for the profile `near`, or a PSNR with no views to see it in.
     """
-    from .codec import encoder
-    from .codec.compensation_fit import FitConfig, blank, compensated
-    from .codec.order import split_name
-    from .codec.prediction import predicted
-    from .codec.preset import PRESETS
-    from .codec.score import score
-    from .codec.teacher import teach
-    from .codec.thickening import carriers
-    from .formats import cogs
-    from .formats.atomic import refuse_existing
+    from .codec.encode import config as encode_config
+    from .codec.encode import encoder
+    from .codec.encode.compensation_fit import FitConfig, blank, compensated
+    from .codec.encode.prefix_quality import predicted
+    from .codec.encode.presets import PRESETS
+    from .codec.order.orders import split_name
+    from .codec.order.prefix_inflation import carriers
+    from .codec.scoring.contribution import score
+    from .codec.scoring.reference_views import teach
+    from .formats.cogs import scene as cogs
+    from .formats.storage.atomic import refuse_existing
 
     if preset not in PRESETS:
         raise ValueError(f"preset {preset!r}, expected one of {tuple(PRESETS)}")
@@ -257,7 +260,7 @@ def encode(
     splats = scene if isinstance(scene, Splats) else read(scene)
     splats.require_valid()
     chosen = PRESETS[preset]
-    config = config or encoder.EncodeConfig(order=chosen.order, compensate=chosen.compensate)
+    config = config or encode_config.EncodeConfig(order=chosen.order, compensate=chosen.compensate)
     views: Sequence[Camera] = []
     if cameras is not None:
         given = isinstance(cameras, str | os.PathLike)
@@ -347,7 +350,7 @@ def _planned(
 
     There are none where an archive shows nothing.
     """
-    from .codec.virtual import ViewPlanConfig, plan
+    from .codec.views.planner import ViewPlanConfig, plan
 
     try:
         wanted = ViewPlanConfig(views=count, threads=config.threads)
@@ -367,8 +370,9 @@ def _at_target(
     size_of: Callable[[EncodedScene], int],
     progress: Progress,
 ) -> EncodedScene:
-    from .codec.prediction import Witness, decoded, evenly
-    from .codec.target import TARGET_VIEWS, to_psnr, to_size
+    from .codec.encode.prefix_quality import Witness, decoded
+    from .codec.encode.rate_control import TARGET_VIEWS, to_psnr, to_size
+    from .codec.views.view_sets import evenly
 
     if prepared.config.profile == "near":
         raise ValueError("a target for the profile 'near', expected a profile for viewing")
@@ -394,7 +398,7 @@ def read(path: _Path) -> Splats:
     CogsplatError
         The file cannot be read, or is of no known format.
     """
-    from .formats.registry import is_cogs, read_scene
+    from .formats.scenes.registry import is_cogs, read_scene
 
     return decode(path) if is_cogs(path) else read_scene(path)
 
@@ -407,7 +411,7 @@ def write(path: _Path, splats: Splats, *, force: bool = False) -> None:
     CogsplatError
         The extension names no format that can be written, or the file cannot be.
     """
-    from .formats.registry import write_scene
+    from .formats.scenes.registry import write_scene
 
     write_scene(path, splats, force=force)
 
@@ -420,6 +424,6 @@ def read_cameras(path: _Path) -> list[Camera]:
     CogsplatError
         They cannot be read.
     """
-    from .formats.camera_files import read_cameras as read_camera_files
+    from .formats.cameras.files import read_cameras as read_camera_files
 
     return read_camera_files(path)

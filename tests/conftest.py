@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from cogsplat.codec import compiled
+from cogsplat.codec.streams import compiled
 
 
 @pytest.fixture(scope="module", params=["numpy", "compiled"])

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 import cogsplat
-from cogsplat import Camera, Cancelled, DataError, FormatError, Splats, StorageError, TruncatedError
-from cogsplat.codec.encoder import PROFILES, EncodeConfig
-from cogsplat.codec.preset import PRESETS
-from cogsplat.codec.score import ScoreConfig, score
-from cogsplat.codec.splats import empty
-from cogsplat.formats.camera_files import write_cameras_json
-from cogsplat.formats.source import FileSource
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.config import PROFILES, EncodeConfig
+from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.errors import Cancelled, DataError, FormatError, StorageError, TruncatedError
+from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.splats import Splats, empty
+from cogsplat.formats.cameras.inria import write_cameras_json
+from cogsplat.formats.storage.source import FileSource
 
 ROOT = Path(__file__).resolve().parents[1]
 FIELDS = ("means", "scales", "quats", "opacities", "sh0", "shN")
@@ -217,8 +218,8 @@ import numpy as np
 sys.path.insert(0, "tests")
 from test_facade import ring, scene
 import cogsplat
-from cogsplat.codec.encoder import EncodeConfig
-from cogsplat.codec.score import ScoreConfig
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.scoring.contribution import ScoreConfig
 threads = int(sys.argv[2])
 for profile in ("transform", "vq"):
     config = EncodeConfig(profile=profile, chunk_splats=200, threads=threads)

@@ -16,10 +16,10 @@ EXTRAS = ("numba", "scipy", "sklearn", "PIL", "plyfile", "skimage", "threadpoolc
 # What the core install must be able to import.
 CORE = (
     "cogsplat",
-    "cogsplat.codec.decoder",
-    "cogsplat.formats.cogs_reader",
-    "cogsplat.formats.ply",
-    "cogsplat.tools.synth",
+    "cogsplat.codec.segments.heads",
+    "cogsplat.formats.cogs.reader",
+    "cogsplat.formats.scenes.ply.scene",
+    "cogsplat.tools.synthetic.scene",
 )
 
 # `setuptools` of pyproject.toml; older ones do not know its licence field.

@@ -9,10 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from cogsplat.codec import chunking, colour_streams, grid, morton, planes, resolution, streams
+from cogsplat.codec.geometry import morton
 from cogsplat.codec.splats import MAX_EXTRA_COMPONENTS, MAX_EXTRAS, MAX_SH_DEGREE
-from cogsplat.formats import cogs_layout, cogs_root, strict_msgpack
+from cogsplat.codec.streams import adaptive_step, byte_planes, colour_streams, grid, limits, records
+from cogsplat.formats.cogs import canonical_msgpack, layout, root
 from cogsplat.tools import make_vectors
+from cogsplat.tools.conformance import valid
 
 ROOT = Path(__file__).resolve().parents[1]
 SPEC = (ROOT / "SPEC.md").read_text(encoding="utf-8")
@@ -21,11 +23,10 @@ MANIFEST = json.loads((ROOT / "tests" / "vectors" / "manifest.json").read_text(e
 # Every module between the bytes of a file and its rows: whatever else raises a reason code.
 READING = sorted(
     {
-        *(ROOT / "formats").glob("cogs*.py"),
-        ROOT / "formats" / "strict_msgpack.py",
-        ROOT / "formats" / "source.py",
-        *(path for path in (ROOT / "codec").glob("*.py") if "clause=" in path.read_text("utf-8")),
-        *(path for path in (ROOT / "codec").glob("*.py") if "(SPEC " in path.read_text("utf-8")),
+        *(ROOT / "formats" / "cogs").rglob("*.py"),
+        ROOT / "formats" / "storage" / "source.py",
+        *(path for path in (ROOT / "codec").rglob("*.py") if "clause=" in path.read_text("utf-8")),
+        *(path for path in (ROOT / "codec").rglob("*.py") if "(SPEC " in path.read_text("utf-8")),
     }
 )
 CLASSES = {
@@ -99,7 +100,7 @@ def test_every_clause_the_code_cites_is_a_heading():
     headings = set(re.findall(r"^#{2,4} (\d+(?:\.\d+)?) ", SPEC, re.MULTILINE))
     cited = set()
     for package in ("codec", "formats", "tools"):
-        for path in (ROOT / package).glob("*.py"):
+        for path in (ROOT / package).rglob("*.py"):
             cited |= set(CITED.findall(path.read_text(encoding="utf-8")))
     assert len(cited) > 20
     assert cited - headings == set()
@@ -139,16 +140,16 @@ def layout_of(rows):
 def test_preamble_is_as_the_code_packs_it():
     (rows,) = tables(section("3.1 "))
     text, _ = layout_of(rows)
-    assert struct.calcsize(text) == cogs_layout.PREAMBLE_BYTES == 64
-    preamble = cogs_layout.Preamble(0, 1, 0x1234, 0x56789A, 0xBCDEF012)
+    assert struct.calcsize(text) == layout.PREAMBLE_BYTES == 64
+    preamble = layout.Preamble(0, 1, 0x1234, 0x56789A, 0xBCDEF012)
     fields = dict(
         zip(
             [row[3] for row in rows],
-            struct.unpack(text, cogs_layout.pack_preamble(preamble)),
+            struct.unpack(text, layout.pack_preamble(preamble)),
             strict=True,
         )
     )
-    assert fields["magic"] == cogs_layout.MAGIC == bytes.fromhex(rows[0][4].replace(" ", ""))
+    assert fields["magic"] == layout.MAGIC == bytes.fromhex(rows[0][4].replace(" ", ""))
     stated = ("major", "minor", "root_length", "file_length", "root_crc")
     assert [fields[name] for name in stated] == [0, 1, 0x1234, 0x56789A, 0xBCDEF012]
     assert fields["reserved"] == bytes(32)
@@ -156,9 +157,9 @@ def test_preamble_is_as_the_code_packs_it():
 
 def test_record_is_as_the_code_packs_it():
     text, offsets = layout_of(tables(section("6.2 "))[0])
-    assert struct.calcsize(text) == streams.RECORD_BYTES == 12
+    assert struct.calcsize(text) == records.RECORD_BYTES == 12
     assert offsets == [0, 1, 2, 3, 4, 8, 10, 12]
-    assert struct.Struct(text).format == streams._RECORD.format
+    assert struct.Struct(text).format == records._RECORD.format
 
 
 @pytest.mark.parametrize(
@@ -172,17 +173,17 @@ def test_parameters_are_as_the_code_packs_them(clause, expected):
 
 def test_numbers_of_attributes_kinds_and_flags():
     _, attributes, kinds, flags = tables(section("6.2 "))
-    names = {a: a.name.lower() for a in streams.Attribute}
-    assert {int(row[0]) for row in attributes} == {int(a) for a in streams.Attribute}
+    names = {a: a.name.lower() for a in records.Attribute}
+    assert {int(row[0]) for row in attributes} == {int(a) for a in records.Attribute}
     for row in attributes:
-        attribute = streams.Attribute(int(row[0]))
+        attribute = records.Attribute(int(row[0]))
         assert row[1].split(",")[0].replace(" ", "_").lower() == names[attribute]
-        assert int(row[2].split(",")[0]) == streams.COMPONENTS[attribute]
-        assert set(row[3].split(", ")) <= {k.name.lower() for k in streams.Kind}
-    assert {int(n): name for n, name, _ in kinds} == {int(k): k.name.lower() for k in streams.Kind}
+        assert int(row[2].split(",")[0]) == records.COMPONENTS[attribute]
+        assert set(row[3].split(", ")) <= {k.name.lower() for k in records.Kind}
+    assert {int(n): name for n, name, _ in kinds} == {int(k): k.name.lower() for k in records.Kind}
     assert {int(n): name for n, name, _ in flags} == {
-        streams.KEPT: "kept",
-        streams.INFINITIES: "infinities",
+        records.KEPT: "kept",
+        records.INFINITIES: "infinities",
     }
 
 
@@ -195,9 +196,9 @@ def test_numbers_of_segment_kinds():
     words |= {"compensation": "COMPENSATION"}
     words |= {f"colour codebook, band {b}": f"COLOUR_BAND{b}" for b in (1, 2, 3)}
     assert {n: words[name] for n, name in known.items()} == {
-        int(k): k.name for k in cogs_layout.SegmentKind
+        int(k): k.name for k in layout.SegmentKind
     }
-    assert rows[-1][0] == f"{cogs_layout.SKIPPABLE_KIND}–255"
+    assert rows[-1][0] == f"{layout.SKIPPABLE_KIND}–255"
 
 
 def test_keys_are_those_the_code_writes():
@@ -206,41 +207,41 @@ def test_keys_are_those_the_code_writes():
             name.strip("` ") for row in tables(section(clause))[0] for name in row[0].split(", ")
         ]
 
-    blank = cogs_root.no_segments()
-    assert keys("5.3 ") == list(cogs_root.segments_value(blank))
-    source = (ROOT / "formats" / "cogs_root.py").read_text(encoding="utf-8")
+    blank = root.no_segments()
+    assert keys("5.3 ") == list(root.segments_value(blank))
+    source = (ROOT / "formats" / "cogs" / "root.py").read_text(encoding="utf-8")
     for clause in ("4.2 ", "4.4 ", "5.4 ", "5.5 ", "5.6 ", "5.7 "):
         assert [key for key in keys(clause) if f'"{key}"' not in source] == []
-    source = (ROOT / "formats" / "cogs_cameras.py").read_text(encoding="utf-8")
+    source = (ROOT / "formats" / "cogs" / "cameras.py").read_text(encoding="utf-8")
     assert [key for key in keys("5.8 ") if f'"{key}"' not in source] == []
-    source = (ROOT / "formats" / "cogs_compensation.py").read_text(encoding="utf-8")
+    source = (ROOT / "formats" / "cogs" / "compensation.py").read_text(encoding="utf-8")
     assert [key for key in keys("5.9 ") if f'"{key}"' not in source] == []
 
 
 def test_limits_are_the_constants():
     (rows,) = tables(section("9.1 "))
     assert {what: number(most) for what, most, _ in rows} == {
-        "end of the root, bytes": cogs_layout.MAX_ROOT_END,
-        "file, bytes": cogs_layout.MAX_FILE_BYTES,
-        "splats of a file": cogs_layout.MAX_SPLATS,
-        "splats of a chunk": chunking.MAX_CHUNK_SPLATS,
-        "segments of a file": cogs_layout.MAX_SEGMENTS,
-        "index pages": cogs_layout.MAX_PAGES,
-        "bytes of an index page": cogs_layout.MAX_PAGE_BYTES,
+        "end of the root, bytes": layout.MAX_ROOT_END,
+        "file, bytes": layout.MAX_FILE_BYTES,
+        "splats of a file": layout.MAX_SPLATS,
+        "splats of a chunk": limits.MAX_CHUNK_SPLATS,
+        "segments of a file": layout.MAX_SEGMENTS,
+        "index pages": layout.MAX_PAGES,
+        "bytes of an index page": layout.MAX_PAGE_BYTES,
         "attributes": MAX_EXTRAS,
         "components of an attribute": MAX_EXTRA_COMPONENTS,
-        "cameras": cogs_layout.MAX_CAMERAS,
-        "nesting of root and pages": strict_msgpack.MAX_DEPTH,
-        "codebooks": cogs_layout.MAX_CODEBOOKS,
-        "rows of a codebook": streams.MAX_CODEBOOK_ROWS,
-        "streams of a payload": streams.MAX_STREAMS,
-        "radix of a packed plane": max(planes.DIGITS),
-        "bytes of a decoded plane": planes.MAX_PLANE_BYTES,
-        "zstd window, bytes": planes.MAX_WINDOW_BYTES,
+        "cameras": layout.MAX_CAMERAS,
+        "nesting of root and pages": canonical_msgpack.MAX_DEPTH,
+        "codebooks": layout.MAX_CODEBOOKS,
+        "rows of a codebook": limits.MAX_CODEBOOK_ROWS,
+        "streams of a payload": limits.MAX_STREAMS,
+        "radix of a packed plane": max(byte_planes.DIGITS),
+        "bytes of a decoded plane": limits.MAX_PLANE_BYTES,
+        "zstd window, bytes": limits.MAX_WINDOW_BYTES,
         "levels of a grid": grid.MAX_LEVELS,
         "levels of a Morton grid": morton.MAX_LEVELS,
         "coordinates of a basis stream": colour_streams.MAX_BASIS_ROWS,
-        "halvings": resolution.MAX_HALVINGS,
+        "halvings": adaptive_step.MAX_HALVINGS,
         "SH degree": MAX_SH_DEGREE,
     }
 
@@ -251,8 +252,8 @@ def test_limits_name_known_codes():
 
 
 def test_version_is_the_code_s():
-    assert f"Version {cogs_layout.MAJOR}.{cogs_layout.MINOR}," in SPEC
-    assert MANIFEST["format"] == f"{cogs_layout.MAJOR}.{cogs_layout.MINOR}"
+    assert f"Version {layout.MAJOR}.{layout.MINOR}," in SPEC
+    assert MANIFEST["format"] == f"{layout.MAJOR}.{layout.MINOR}"
 
 
 def test_reason_codes_are_those_the_code_raises():
@@ -289,7 +290,7 @@ def test_clauses_of_a_reason_code_name_it():
 
 def test_dump_and_lists_come_from_the_files():
     assert make_vectors.with_blocks(SPEC, make_vectors.spec_blocks()) == SPEC
-    smallest = (ROOT / "tests" / "vectors" / "valid" / f"{make_vectors.SMALLEST}.cogs").read_bytes()
+    smallest = (ROOT / "tests" / "vectors" / "valid" / f"{valid.SMALLEST}.cogs").read_bytes()
     lines = section("Appendix A").split("```text\n")[1].split("```")[0].splitlines()
     shown = b"".join(bytes.fromhex(line[7:54]) for line in lines)
     assert shown == smallest

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.errors import CogsplatError, TruncatedError
-from cogsplat.formats.cogs_reader import open_cogs
-from cogsplat.formats.source import BytesSource
+from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools import make_vectors
 
 VECTORS = Path(__file__).resolve().parent / "vectors"

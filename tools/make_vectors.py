@@ -19,21 +19,19 @@ from typing import Final
 import msgpack
 import zstandard
 
-from cogsplat.formats.cogs_layout import MAJOR, MINOR
-
-from . import vectors_compensation as compensations
-from . import vectors_extras as extras
-from . import vectors_invalid_payload as payloads
-from . import vectors_invalid_root as roots
-from . import vectors_invalid_tables as tables
-from . import vectors_invalid_transform as transform
-from . import vectors_reference
-from . import vectors_refinement as refinements
-from .vectors_dump import dump
-from .vectors_invalid import Invalid
-from .vectors_valid import SMALLEST, Valid
-from .vectors_valid import valid as plain_valid
-from .vectors_valid_transform import valid as transform_valid
+from cogsplat.formats.cogs.layout import MAJOR, MINOR
+from cogsplat.tools.conformance import compensation as compensations
+from cogsplat.tools.conformance import extras, reference_decoder
+from cogsplat.tools.conformance import invalid_payload as payloads
+from cogsplat.tools.conformance import invalid_root as roots
+from cogsplat.tools.conformance import invalid_tables as tables
+from cogsplat.tools.conformance import invalid_transform as transform
+from cogsplat.tools.conformance import refinement as refinements
+from cogsplat.tools.conformance.annotated_dump import dump
+from cogsplat.tools.conformance.invalid import Invalid
+from cogsplat.tools.conformance.valid import SMALLEST, Valid
+from cogsplat.tools.conformance.valid import valid as plain_valid
+from cogsplat.tools.conformance.valid_transform import valid as transform_valid
 
 _ROOT: Final = Path(__file__).resolve().parents[1]
 VECTORS: Final = _ROOT / "tests" / "vectors"
@@ -89,14 +87,14 @@ def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def _shapes(scene: vectors_reference.Scene) -> dict[str, list[int]]:
+def _shapes(scene: reference_decoder.Scene) -> dict[str, list[int]]:
     count = len(scene.rows["means"])
     widths = {"means": [3], "scales": [3], "quats": [4], "opacities": [], "sh0": [3]}
     widths["shN"] = [(scene.sh_degree + 1) ** 2 - 1, 3]
     return {name: [count, *widths[name]] for name in ATTRIBUTES}
 
 
-def _arrays(scene: vectors_reference.Scene) -> bytes:
+def _arrays(scene: reference_decoder.Scene) -> bytes:
     values = [value for name in ATTRIBUTES for row in scene.rows[name] for value in row]
     return struct.pack(f"<{len(values)}f", *values)
 
@@ -105,7 +103,7 @@ _INFO: Final = ("origin", "axes", "colour_space", "kernel_px", "antialiased", "f
 
 
 def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
-    scene = vectors_reference.decode(vector.data)
+    scene = reference_decoder.decode(vector.data)
     arrays = _arrays(scene)
     (root_length,) = struct.unpack_from("<I", vector.data, 12)
     root = msgpack.unpackb(vector.data[64 : 64 + root_length])
@@ -123,7 +121,7 @@ def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
         "shapes": {name: list(shape) for name, shape in _shapes(scene).items()},
         "prefixes": [[p.size, p.chunks, list(p.tails), list(p.refined)] for p in scene.prefixes],
     }
-    coarse = _arrays(vectors_reference.decode(vector.data, refine=False))
+    coarse = _arrays(reference_decoder.decode(vector.data, refine=False))
     if coarse != arrays:
         entry["coarse_sha256"] = _sha256(coarse)
     if scene.attributes:
@@ -143,7 +141,7 @@ def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
     return entry, arrays
 
 
-def _camera(camera: vectors_reference.Camera) -> Json:
+def _camera(camera: reference_decoder.Camera) -> Json:
     return {key: list(value) if isinstance(value, list) else value for key, value in camera.items()}
 
 
@@ -256,7 +254,7 @@ def differences() -> list[str]:
         if same_zstd and content != files[name]:
             found.append(f"{name}: its bytes")
         elif name.startswith("valid/") and name.endswith(".cogs"):
-            arrays = _arrays(vectors_reference.decode(content))
+            arrays = _arrays(reference_decoder.decode(content))
             if arrays != files[name.removesuffix(".cogs") + ".f32"]:
                 found.append(f"{name}: its decoded values")
     text = SPEC.read_text(encoding="utf-8")

@@ -3,7 +3,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from cogsplat.codec import compiled
+from cogsplat.codec.streams import compiled
 
 
 @pytest.fixture(scope="module", params=["numpy", "compiled"])
@@ -12,7 +12,7 @@ def arithmetic(request: pytest.FixtureRequest) -> Iterator[str]:
     before = compiled.ready()
     if request.param == "compiled":
         pytest.importorskip("numba")
-        importlib.import_module("cogsplat.codec.decode_kernels")
+        importlib.import_module("cogsplat.codec.streams.kernels")
     compiled.use(request.param == "compiled")
     yield request.param
     compiled.use(before)

@@ -1,6 +1,7 @@
 """Decode an encoded scene from its payloads alone, without a container."""
 
-from cogsplat.codec import decoder
+from cogsplat.codec.segments import codebooks as segments_codebooks
+from cogsplat.codec.segments import heads, tails
 from cogsplat.codec.splats import Splats, empty
 
 
@@ -11,10 +12,12 @@ def books(encoded):
     for number, book in enumerate(encoded.codebooks):
         payloads = [memoryview(payload) for payload in book.payloads]
         if book.attribute == "shape":
-            out[number] = decoder.decode_shape_codebook(payloads[0], book.rows, "shape")
+            out[number] = segments_codebooks.decode_shape_codebook(payloads[0], book.rows, "shape")
         else:
             bands = dict(enumerate(payloads, start=1))
-            out[number] = decoder.decode_colour_codebook(bands, book.rows, degree, "colour")
+            out[number] = segments_codebooks.decode_colour_codebook(
+                bands, book.rows, degree, "colour"
+            )
     return out
 
 
@@ -25,10 +28,10 @@ def chunk(payloads, rows, degree, codebooks=None, *, refine=True) -> Splats:
     needed = {number: given[number] for number in payloads.head_needs}
     finer = payloads.refinement if refine else None
     finer = None if finer is None else memoryview(finer)
-    decoder.decode_head(memoryview(payloads.head), needed, out, "head", finer)
+    heads.decode_head(memoryview(payloads.head), needed, out, "head", finer)
     if payloads.tail is not None:
         needed = {number: given[number] for number in payloads.tail_needs}
-        decoder.decode_tail(memoryview(payloads.tail), needed, out.shN, "tail")
+        tails.decode_tail(memoryview(payloads.tail), needed, out.shN, "tail")
     return out
 
 

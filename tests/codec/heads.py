@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from cogsplat.codec import streams
-from cogsplat.codec.decoder import decode_head
-from cogsplat.codec.grid import Grid
+from cogsplat.codec.segments.heads import decode_head
 from cogsplat.codec.splats import Splats, empty
-from cogsplat.codec.streams import COMPONENTS, Attribute, Kind, Stream
+from cogsplat.codec.streams import records
+from cogsplat.codec.streams.grid import Grid
+from cogsplat.codec.streams.records import COMPONENTS, Attribute, Kind, Stream
 
 ORDER = (Attribute.SCALES, Attribute.QUATS, Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0)
 
@@ -22,14 +22,14 @@ def constant(attribute, rows) -> Stream:
     if attribute == Attribute.QUATS:
         return Stream(attribute, Kind.QUAT, rows, bytes(4) + flat(3).pack(), [])
     values = np.zeros((rows, COMPONENTS[attribute]), np.float32)
-    return streams.scalar(attribute, values, flat(COMPONENTS[attribute]))
+    return records.scalar(attribute, values, flat(COMPONENTS[attribute]))
 
 
 def decode(*given: Stream) -> Splats:
     """Rows of a head of these streams; errors say ``chunk 7``."""
     rows = given[0].rows
     parts = {stream.attribute: stream for stream in given}
-    payload = streams.pack([parts.get(name) or constant(name, rows) for name in ORDER])
+    payload = records.pack([parts.get(name) or constant(name, rows) for name in ORDER])
     out = empty(0, rows)
     for name in ("means", "scales", "quats", "opacities", "sh0"):
         getattr(out, name)[:] = np.nan

@@ -13,7 +13,7 @@ from cogsplat.codec.errors import (
     StorageError,
     TruncatedError,
 )
-from cogsplat.formats.atomic import TargetExistsError
+from cogsplat.formats.storage.atomic import TargetExistsError
 
 ERRORS = [
     DataError("invalid-rows", "3 of 4 rows"),

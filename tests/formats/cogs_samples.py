@@ -4,11 +4,11 @@ from functools import cache
 
 import numpy as np
 
-from cogsplat.codec import encoder
-from cogsplat.codec.encoder import EncodeConfig
+from cogsplat.codec.encode import encoder
+from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.splats import Splats
-from cogsplat.formats import cogs
-from cogsplat.formats.cogs_writer import lay_out
+from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs.writer import lay_out
 
 ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 

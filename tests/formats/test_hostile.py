@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cogsplat.codec.errors import CogsplatError
-from cogsplat.formats.cogs_index import read_index
-from cogsplat.formats.cogs_reader import Limits, open_cogs
-from cogsplat.formats.source import BytesSource
-from cogsplat.formats.strict_msgpack import pack, unpack
-from cogsplat.tools import vectors_reference
-from cogsplat.tools.vectors_file import refitted, root_bytes, with_root
+from cogsplat.formats.cogs.canonical_msgpack import pack, unpack
+from cogsplat.formats.cogs.index import read_index
+from cogsplat.formats.cogs.reader import Limits, open_cogs
+from cogsplat.formats.storage.source import BytesSource
+from cogsplat.tools.conformance import reference_decoder
+from cogsplat.tools.conformance.file_builder import refitted, root_bytes, with_root
 
 VECTORS = Path(__file__).resolve().parents[1] / "vectors"
 MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))
@@ -113,7 +113,7 @@ def test_roots_with_wrong_numbers(kernels, data, draw):
 
 def assert_as_reference(data, splats):
     """What our reader accepts is a valid file: the second decoder must get the same bits."""
-    rows = vectors_reference.decode(data).rows
+    rows = reference_decoder.decode(data).rows
     for name in ARRAYS:
         found = getattr(splats, name)
         wanted = np.array(rows[name], np.float32).reshape(found.shape)

@@ -7,15 +7,15 @@ from click.testing import CliRunner, Result
 from running import SPLATS, VIEWS, Ran, Run, SmallScene, program
 
 import cogsplat
-from cogsplat.codec.prune import PruneConfig
-from cogsplat.formats.camera_files import write_cameras_json
-from cogsplat.tools.cli import cli
-from cogsplat.tools.synth import synth, synth_cameras
+from cogsplat.codec.rate.pruning import PruneConfig
+from cogsplat.formats.cameras.inria import write_cameras_json
+from cogsplat.tools.cli.main import cli
+from cogsplat.tools.synthetic.scene import synth, synth_cameras
 
 
 @pytest.fixture(scope="session")
 def small(tmp_path_factory: pytest.TempPathFactory) -> SmallScene:
-    from cogsplat.codec.encoder import EncodeConfig
+    from cogsplat.codec.encode.config import EncodeConfig
 
     folder = tmp_path_factory.mktemp("small")
     scene = SmallScene(folder / "scene.ply", folder / "scene.cogs", folder / "cameras.json")

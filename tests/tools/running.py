@@ -48,7 +48,7 @@ def program(arguments: Sequence[object], before: str = "") -> list[str]:
         "signal.signal(signal.SIGINT, signal.default_int_handler)",
         before,
         f"sys.argv = ['cogsplat', *{[str(a) for a in arguments]!r}]",
-        "from cogsplat.tools.cli import main",
+        "from cogsplat.tools.cli.main import main",
         "main()",
     ]
     return [sys.executable, "-c", "\n".join(lines)]

@@ -1,0 +1,245 @@
+"""Palettes: codebooks of tens of thousands of rows in near-linear time, by k-means on two levels.
+
+Plain k-means looks at every row for every vector. Here coarse clusters split the vectors first and
+share out the rows, and a vector looks only at the rows of the clusters around its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.threads import ordered_map, thread_count
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+# A cluster with more rows than this is split again, so that no search in one takes long.
+_LEAF_ROWS: Final = 512
+_SPLIT: Final = 256
+_ROWS_PER_PART: Final = 128
+# Data that hardly splits stops here, with fewer rows than asked for.
+_DEEPEST: Final = 4
+
+# Coarse clusters come from a sample: they need not be good, only small.
+_SPLIT_SAMPLE: Final = 40_000
+_SEED_SAMPLE_PER_ROW: Final = 32
+_SMALLEST_SAMPLE: Final = 8192
+
+_LOCAL_ITERATIONS: Final = 3
+_ROUNDS: Final = 2
+# Vectors times rows that a round compares at most, about, and the clusters it looks into for it.
+_ROUND_COMPARISONS: Final = 1 << 31
+_FEWEST_NEIGHBOURS: Final = 4
+_MOST_NEIGHBOURS: Final = 16
+
+# Vectors per product with the rows: the distances stay in the cache.
+_BLOCK: Final = 1024
+
+
+@dataclass(frozen=True)
+class _Leaf:
+    """Vectors that lie together, by their indices, their middle, and the rows made for them."""
+
+    members: Index
+    centre: F32
+    rows: F32
+
+
+def train_palette(vectors: F32, rows: int, threads: int = 0) -> tuple[F32, NDArray[np.uint32]]:
+    """Return the rows that stand for many vectors, and which row stands for each.
+
+    Parameters
+    ----------
+    vectors : (n, d) float32
+        Finite.
+    rows : int
+        Most rows, at least 1.
+    threads : int
+        0 for all cores; the result does not depend on it.
+
+    Returns
+    -------
+    palette : (C, d) float32
+        C ≤ `rows`; every row is used. Ordered by first use.
+    labels : (n,) uint32
+        Index of a row near each vector, the nearest but for a few.
+    """
+    from threadpoolctl import threadpool_limits
+
+    if not len(vectors):
+        return np.empty((0, vectors.shape[1]), np.float32), np.empty(0, np.uint32)
+    vectors = np.ascontiguousarray(vectors)
+    # One BLAS thread: its sums depend on how many it has.
+    with threadpool_limits(limits=1):
+        everything = np.arange(len(vectors))
+        leaves = list(_leaves(vectors, everything, rows, 0, thread_count(threads)))
+        labels = np.empty(len(vectors), np.intp)
+        palette = np.empty((0, vectors.shape[1]), np.float32)
+        for _ in range(_ROUNDS):
+            labels = _assign(vectors, leaves, thread_count(threads))
+            palette, used = _means(vectors, labels, sum(len(leaf.rows) for leaf in leaves))
+            leaves = _updated(leaves, palette, used)
+            labels = (np.cumsum(used) - 1)[labels]
+    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.argsort(first, kind="stable")
+    rank = np.empty(len(order), np.uint32)
+    rank[order] = np.arange(len(order), dtype=np.uint32)
+    return palette[order], rank[inverse.reshape(-1)]
+
+
+def _leaves(vectors: F32, members: Index, rows: int, depth: int, threads: int) -> Iterator[_Leaf]:
+    """Yield clusters of `members` with at most `_LEAF_ROWS` of the `rows` each."""
+    if rows <= _LEAF_ROWS or depth == _DEEPEST:
+        made = _local(vectors[members], min(rows, _LEAF_ROWS), depth)
+        yield _Leaf(members, made.mean(axis=0), made)
+        return
+    parts = min(_SPLIT, -(-rows // _ROWS_PER_PART))
+    rng = np.random.default_rng([depth, len(members)])
+    sample = members
+    if len(members) > _SPLIT_SAMPLE:
+        sample = members[np.sort(rng.choice(len(members), _SPLIT_SAMPLE, replace=False))]
+    centres = _local(vectors[sample], parts, depth)
+    labels, errors = _nearest(vectors, members, centres, threads)
+    order = np.argsort(labels, kind="stable")
+    counts = np.bincount(labels, minlength=len(centres))
+    shares = _shares(counts, np.bincount(labels, errors, len(centres)).astype(np.float64), rows)
+    groups = np.split(members[order], np.cumsum(counts)[:-1])
+    work = [(group, int(share)) for group, share in zip(groups, shares, strict=True) if len(group)]
+
+    def grow(item: tuple[Index, int]) -> list[_Leaf]:
+        return list(_leaves(vectors, *item, depth + 1, 1))
+
+    for grown in ordered_map(grow, work, threads):
+        yield from grown
+
+
+def _shares(counts: Index, errors: F64, rows: int) -> Index:
+    """Return how many rows each cluster gets: by count and error, at most a row per vector."""
+    weights = np.sqrt(counts * errors)
+    shares = np.minimum(counts, 1)
+    # What clusters have too much of goes to the others, a few times over.
+    for _ in range(8):
+        left = rows - int(shares.sum())
+        open_ = np.where(shares < counts, weights, 0.0)
+        if left <= 0 or open_.sum() == 0:
+            break
+        more = np.floor(open_ / open_.sum() * left).astype(np.intp)
+        if not more.any():
+            break
+        shares = np.minimum(shares + more, counts)
+    return shares
+
+
+def _local(vectors: F32, rows: int, seed: int) -> F32:
+    """Return k-means rows of a few vectors, fewer than `rows` where there are not as many."""
+    centres = _seeds(vectors, rows, seed)
+    if len(centres) == len(vectors):
+        return centres
+    for _ in range(_LOCAL_ITERATIONS):
+        labels = _closest(vectors, centres)
+        centres = _means(vectors, labels, len(centres))[0]
+    return centres
+
+
+def _seeds(vectors: F32, rows: int, seed: int) -> F32:
+    """Choose distinct vectors far from each other (k-means++, Arthur and Vassilvitskii 2007)."""
+    rng = np.random.default_rng([seed, len(vectors), rows])
+    sample = max(_SEED_SAMPLE_PER_ROW * rows, _SMALLEST_SAMPLE)
+    if len(vectors) > sample:
+        vectors = vectors[rng.choice(len(vectors), sample, replace=False)]
+    if len(vectors) <= rows:
+        return vectors
+    norms = np.square(vectors).sum(axis=1)
+    chosen = [int(rng.integers(len(vectors)))]
+    distances = np.full(len(vectors), np.inf, np.float32)
+    while len(chosen) < rows:
+        last = vectors[chosen[-1]]
+        latest = norms - 2 * (vectors @ last) + norms[chosen[-1]]
+        np.minimum(distances, latest.clip(0), out=distances)
+        # Where rounding leaves a little, it would be drawn again.
+        distances[chosen[-1]] = 0
+        total = np.cumsum(distances, dtype=np.float64)
+        if total[-1] <= 0:
+            break
+        place = int(np.searchsorted(total, rng.random() * total[-1], side="right"))
+        chosen.append(min(place, len(vectors) - 1))
+    return vectors[chosen]
+
+
+def _closest(vectors: F32, rows: F32) -> Index:
+    """Return the index of the nearest row, by comparing with every one."""
+    half_norms = np.square(rows).sum(axis=1) / 2
+    transposed = np.ascontiguousarray(rows.T)
+    out = np.empty(len(vectors), np.intp)
+    for start in range(0, len(vectors), _BLOCK):
+        block = vectors[start : start + _BLOCK]
+        out[start : start + _BLOCK] = (half_norms - block @ transposed).argmin(axis=1)
+    return out
+
+
+def _nearest(vectors: F32, members: Index, rows: F32, threads: int) -> tuple[Index, F64]:
+    """Return the nearest row of each member, and the squared distance."""
+
+    def search(start: int) -> tuple[Index, F64]:
+        block = vectors[members[start : start + 16 * _BLOCK]]
+        best = _closest(block, rows)
+        return best, np.square(block - rows[best]).sum(axis=1, dtype=np.float64)
+
+    found = list(ordered_map(search, range(0, len(members), 16 * _BLOCK), threads))
+    return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
+
+
+def _means(vectors: F32, labels: Index, count: int) -> tuple[F32, NDArray[np.bool_]]:
+    """Return the mean vector of each label that is used, and which of `count` labels are."""
+    order = np.argsort(labels, kind="stable")
+    counts = np.bincount(labels, minlength=count)
+    used = counts > 0
+    starts = (np.cumsum(counts) - counts)[used]
+    means = np.empty((len(starts), vectors.shape[1]), np.float32)
+    # Column by column: a float64 copy of everything would be the largest array of all.
+    for column in range(vectors.shape[1]):
+        values = vectors[order, column].astype(np.float64)
+        means[:, column] = np.add.reduceat(values, starts) / counts[used]
+    return means, used
+
+
+def _assign(vectors: F32, leaves: list[_Leaf], threads: int) -> Index:
+    """Return the nearest row of each vector among those of the leaves around its own."""
+    sizes = np.array([len(leaf.rows) for leaf in leaves])
+    bases = np.cumsum(sizes) - sizes
+    centres = np.stack([leaf.centre for leaf in leaves])
+    # A leaf may have lost its rows to those around it.
+    centres[sizes == 0] = np.inf
+    comparisons = len(vectors) * int(sizes.sum()) / len(leaves)
+    neighbours = int(_ROUND_COMPARISONS / comparisons)
+    neighbours = min(max(neighbours, _FEWEST_NEIGHBOURS), _MOST_NEIGHBOURS, len(leaves))
+    labels = np.empty(len(vectors), np.intp)
+
+    def search(index: int) -> Index:
+        distances = np.square(centres - leaves[index].centre).sum(axis=1)
+        near = np.argsort(distances, kind="stable")[:neighbours]
+        rows = np.concatenate([leaves[k].rows for k in near])
+        names = np.concatenate([np.arange(bases[k], bases[k] + sizes[k]) for k in near])
+        found: Index = names[_closest(vectors[leaves[index].members], rows)]
+        return found
+
+    results = ordered_map(search, range(len(leaves)), threads)
+    for leaf, found in zip(leaves, results, strict=True):
+        labels[leaf.members] = found
+    return labels
+
+
+def _updated(leaves: list[_Leaf], palette: F32, used: NDArray[np.bool_]) -> list[_Leaf]:
+    """Return the leaves with the rows of a new palette in place of theirs."""
+    updated, base, start = [], 0, 0
+    for leaf in leaves:
+        stop = start + int(used[base : base + len(leaf.rows)].sum())
+        updated.append(replace(leaf, rows=palette[start:stop]))
+        base, start = base + len(leaf.rows), stop
+    return updated

@@ -1,0 +1,166 @@
+"""The basis of shN: few coordinates, in the order of what viewers see of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.rate import allocation
+from cogsplat.codec.streams import colour_streams
+from cogsplat.codec.streams import grid as grids
+from cogsplat.codec.streams.records import SH_BANDS, Stream, scalar
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+# Directions nobody scored from count this much of an even spread over the sphere: less, and a
+# visitor who leaves the capture path sees colours that were never checked.
+_EVEN_SHARE: Final = 0.1
+_EVEN: Final = 1 / (4 * np.pi)  # mean of Y² over the sphere
+
+# Coordinates below this many steps become zero; half a step is plain rounding. Rates fall faster
+# than errors rise up to about here on trained scenes.
+_DEAD_ZONE: Final = 0.6
+# What a non-zero coordinate is worth less than its code, in steps: small ones are more frequent.
+_SHRINK: Final = 0.05
+
+# Steps finer than this share of a chunk's largest coordinate: its code would not fit three bytes,
+# signed (SPEC 6.14). And where all are zero, the least step that float32 holds well.
+_MOST_STEPS: Final = 1 << 22
+_FINEST_STEP: Final = 2.0**-100
+
+_ROW_LEVELS: Final = 256
+
+
+@dataclass(frozen=True, eq=False)
+class ColourBasis:
+    """Rows on which shN is expressed, most visible first.
+
+    Parameters
+    ----------
+    rows : (B, 3·(K-1)) float32
+        Coefficients, SH index first, channels inside.
+    metric : (3·(K-1), 3·(K-1)) float64
+        Squared error of colour per squared errors of coefficients.
+    """
+
+    rows: F32
+    metric: F64
+
+    def streams(self) -> list[Stream]:
+        """Return the rows as one scalar stream per SH band."""
+        out: list[Stream] = []
+        for band, attribute in enumerate(SH_BANDS, start=1):
+            first, last = 3 * (band * band - 1), 3 * ((band + 1) * (band + 1) - 1)
+            if self.rows.shape[1] >= last:
+                values = np.ascontiguousarray(self.rows[:, first:last])
+                span = np.ptp(values.astype(np.float64), axis=0)
+                step = np.maximum(span, 1e-6) / (_ROW_LEVELS - 1)
+                out.append(scalar(attribute, values, grids.fit(values, step)))
+        return out
+
+    def stored_as(self, decoded: F32) -> ColourBasis:
+        """Return the basis with the rows that a decoder will have."""
+        return replace(self, rows=decoded.reshape(len(decoded), -1))
+
+    def coordinates(self, coefficients: F32) -> F64:
+        """Return the coordinates (n, B) that come nearest to (n, K-1, 3) coefficients."""
+        rows: F64 = self.rows.astype(np.float64)
+        weighted: F64 = self.metric @ rows.T
+        projected = coefficients.reshape(len(coefficients), -1).astype(np.float64) @ weighted
+        return np.linalg.solve(rows @ weighted, projected.T).T.astype(np.float64)
+
+    def encode(
+        self, coefficients: F32, energy: F64, slope: float, codebook: int
+    ) -> tuple[Stream, F64]:
+        """Return the shN stream of a chunk and what it loses.
+
+        Parameters
+        ----------
+        coefficients : (n, K-1, 3) float32
+        energy : (n,) float64
+        slope : float
+        codebook : int
+            Number of the basis in the file.
+
+        Returns
+        -------
+        stream : Stream
+        missed : (n, K-1, 3) float64
+            Source minus decoded.
+        """
+        coordinates = self.coordinates(coefficients)
+        largest = float(np.abs(coordinates).max(initial=0))
+        step = max(allocation.shn_step(slope, energy), largest / _MOST_STEPS, _FINEST_STEP)
+        codes = _round(coordinates / step)
+        stream = colour_streams.shn_on_basis(codes, codebook, step, _SHRINK)
+        values = np.sign(codes) * np.maximum(np.abs(codes) - _SHRINK, 0) * step
+        decoded = (values @ self.rows.astype(np.float64)).reshape(coefficients.shape)
+        return stream, coefficients - decoded
+
+
+def _round(values: F64) -> I64:
+    codes = np.rint(values)
+    codes[np.abs(values) < _DEAD_ZONE] = 0
+    return codes.astype(np.int64)
+
+
+def fit(
+    coefficients: F32,
+    energy: F64,
+    basis_spread: F64,
+    slope: float,
+    chunks: Sequence[slice],
+    *,
+    principal: bool = True,
+) -> ColourBasis:
+    """Return the basis of a scene: a Karhunen-Loève transform in the metric of its views.
+
+    Parameters
+    ----------
+    coefficients : (N, K-1, 3) float32
+    energy : (N,) float64
+        Positive.
+    basis_spread : (15, 15) float64
+        `Scores.basis_spread`: what sh0 can make up for is not in it.
+    slope : float
+    chunks : sequence of slice
+        Their steps decide which rows are ever used.
+    principal : bool
+        Otherwise the coefficients themselves, those that take most levels first.
+    """
+    count = coefficients.shape[1]
+    spread = basis_spread[:count, :count]
+    even = _EVEN_SHARE if spread.any() else 1.0
+    directions = (1 - even) * spread + even * _EVEN * np.eye(count)
+    metric: F64 = np.kron(directions, np.eye(3)).astype(np.float64)
+    values, vectors = np.linalg.eigh(directions)
+    root = np.kron((vectors * np.sqrt(values)) @ vectors.T, np.eye(3))
+    inverse = np.kron((vectors / np.sqrt(values)) @ vectors.T, np.eye(3))
+    flat = coefficients.reshape(len(coefficients), -1)
+    moments = np.zeros(metric.shape)
+    # Each chunk in units of its own step: what counts is how many levels a direction takes.
+    for run in chunks:
+        visible = flat[run] @ root.T
+        moments += (visible.T @ visible) / allocation.shn_step(slope, energy[run]) ** 2
+    if principal:
+        _, axes = np.linalg.eigh(moments)
+        rows = (axes[:, ::-1].T @ inverse).astype(np.float32)
+    else:
+        # Scaled to cost one each, as principal axes do: all share one step.
+        lengths = np.sqrt(np.diagonal(metric))
+        levels = np.diagonal(inverse @ moments @ inverse) * lengths**2
+        order = np.argsort(-levels, kind="stable")
+        rows = (np.eye(len(metric)) / lengths)[order].astype(np.float32)
+    basis = ColourBasis(np.ascontiguousarray(rows), metric)
+    used = np.zeros(len(rows), np.bool_)
+    for run in chunks:
+        step = allocation.shn_step(slope, energy[run])
+        used |= (np.abs(basis.coordinates(coefficients[run])) >= _DEAD_ZONE * step).any(axis=0)
+    last = int(np.flatnonzero(used)[-1]) + 1 if used.any() else 1
+    return replace(basis, rows=basis.rows[:last])

@@ -1,0 +1,103 @@
+"""An encoded scene: payloads and tables, ready for a container."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.rate.segment_order import ChunkParts, Part
+from cogsplat.codec.segments.compensation import Compensation
+from cogsplat.codec.segments.payloads import Payloads
+from cogsplat.codec.splats import Splats
+
+
+@dataclass(frozen=True)
+class EncodedCodebook:
+    """A codebook's payloads.
+
+    Parameters
+    ----------
+    attribute : str
+        ``shape`` or ``colour``.
+    rows : int
+    payloads : tuple of bytes
+        One for a shape codebook, one per SH band for a colour codebook.
+    """
+
+    attribute: str
+    rows: int
+    payloads: tuple[bytes, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedChunk:
+    """A chunk's payloads and its row of the chunk table.
+
+    Parameters
+    ----------
+    splats : int
+    payloads : Payloads
+    box : (6,) float64
+        What its splats reach as they are decoded, scene units.
+    contribution : float
+    attributes : bytes or None
+        Payload of its splats' extra attributes; None where the scene has none.
+    quality_db : float
+        Predicted PSNR of a scene that ends with this chunk; 0 where nothing was predicted.
+    object : int
+        Label of the object it holds; 0 in scenes without.
+    tail_gain : float
+        Squared error of the pictures without its tail.
+    """
+
+    splats: int
+    payloads: Payloads
+    box: NDArray[np.float64]
+    contribution: float
+    attributes: bytes | None = None
+    quality_db: float = 0.0
+    object: int = 0
+    tail_gain: float = 0.0
+
+    @property
+    def parts(self) -> ChunkParts:
+        """Sizes and gains of its segments."""
+        head, refinement, tail = self.payloads.head, self.payloads.refinement, self.payloads.tail
+        return ChunkParts(
+            len(head),
+            None if refinement is None else Part(len(refinement), self.payloads.refinement_gain),
+            None if tail is None else Part(len(tail), self.tail_gain),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedScene:
+    """A scene ready for a container.
+
+    Parameters
+    ----------
+    scene : Splats
+        No rows: SH degree, `info` and extra attributes of the scene.
+    splats : int
+    pruned : int
+        Rows of the source that were dropped.
+    box : (6,) float64
+    codebooks, chunks : sequence
+    compensation : Compensation or None
+        What its prefixes want.
+    lacking : (c + 1,) float64 or None
+        Mean squared error of pictures of nothing, of the first chunk, and so on to the whole, for
+        what the splats behind are missing; None where that was not measured.
+    """
+
+    scene: Splats
+    splats: int
+    pruned: int
+    box: NDArray[np.float64]
+    codebooks: Sequence[EncodedCodebook]
+    chunks: Sequence[EncodedChunk]
+    compensation: Compensation | None = None
+    lacking: NDArray[np.float64] | None = None

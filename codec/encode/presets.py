@@ -1,0 +1,84 @@
+"""Presets: how much of the views is looked at before a scene is encoded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.scoring.contribution import TOP_K, ScoreConfig
+from cogsplat.codec.views.view_sets import evenly
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How carefully a scene is looked at; the bytes are found the same way after it.
+
+    Parameters
+    ----------
+    planned_views : int
+        Views of a scene that comes without cameras.
+    views_every : int
+        One of so many of the views given is scored, with its jittered copies.
+    sensitivity_every : int
+        `ScoreConfig.sensitivity_every` of the profile that uses sensitivities.
+    prediction_views : int
+        Views that the quality of prefixes is predicted in, at most.
+    order : str
+        What `EncodeConfig.order` is where nothing else is asked for.
+    compensate : bool
+        Whether compensation is fitted where nothing else is asked for.
+    """
+
+    planned_views: int
+    views_every: int
+    sensitivity_every: int
+    prediction_views: int
+    order: str = "gain"
+    compensate: bool = True
+
+    def views(self, cameras: Sequence[Camera]) -> list[Camera]:
+        """Return the given views to score on: at least as many as a small scene needs, or all."""
+        every = min(self.views_every, max(len(cameras) // FEWEST_VIEWS, 1))
+        return evenly(cameras, -(-len(cameras) // every))
+
+    def score_config(
+        self, profile: str, *, top_k: int = TOP_K, jitter: bool = True, threads: int = 0
+    ) -> ScoreConfig:
+        """Return how to score for a profile.
+
+        Parameters
+        ----------
+        profile : str
+            One of `config.PROFILES`; only ``transform`` uses sensitivities.
+        top_k, jitter, threads
+            As `ScoreConfig` has them.
+        """
+        every = self.sensitivity_every if profile == "transform" else 0
+        return ScoreConfig(top_k=top_k, jitter=jitter, threads=threads, sensitivity_every=every)
+
+
+FEWEST_VIEWS: Final = 12
+"""Fewer given views than this are never thinned out further."""
+
+DEFAULT_PRESET: Final = "balanced"
+
+PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
+    {
+        # The order by gain and its compensation take longer than all else together.
+        "fast": Preset(
+            planned_views=32,
+            views_every=3,
+            sensitivity_every=2,
+            prediction_views=8,
+            order="contribution",
+            compensate=False,
+        ),
+        "balanced": Preset(
+            planned_views=96, views_every=1, sensitivity_every=2, prediction_views=16
+        ),
+        "best": Preset(planned_views=160, views_every=1, sensitivity_every=1, prediction_views=24),
+    }
+)

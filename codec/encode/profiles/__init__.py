@@ -1,0 +1,1 @@
+"""The encoding profiles: how the rows of one chunk become streams."""

@@ -1,0 +1,139 @@
+"""The `near` profile: every attribute within a stated bound of the source, for archives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.geometry import morton, rotations
+from cogsplat.codec.segments.payloads import Payloads
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.streams import grid as grids
+from cogsplat.codec.streams import records
+from cogsplat.codec.streams.records import SH_BANDS, Attribute, Stream
+
+from .chunk_streams import chunk_means
+
+F32 = NDArray[np.float32]
+
+# Steps this much below twice the bound leave room for float32 rounding in the decoder.
+_SLACK: Final = 1 - 2.0**-8
+
+# What float32 rounding may add to a decoded component of a unit quaternion.
+_QUAT_ROUNDING: Final = 5e-7
+_MIN_QUAT_BOUND: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class NearBounds:
+    """Largest differences between source and decoded scene, by attribute.
+
+    Parameters
+    ----------
+    means : float
+        Times the median deviation of the scene's splats, scene units.
+    scales : float
+        Log: 0.002 is 0.2 % of a deviation.
+    quats : float
+        Per component of the unit quaternion, whose sign is free; at least 1e-6.
+    opacities : float
+        Logit; ±inf is kept exactly.
+    sh0, shN : float
+        Per coefficient.
+    """
+
+    means: float = 0.01
+    scales: float = 0.002
+    quats: float = 0.0005
+    opacities: float = 0.004
+    sh0: float = 0.0005
+    shN: float = 0.001  # noqa: N815 - the field's name
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if not getattr(self, name) > 0:
+                raise ValueError(f"bound {name} {getattr(self, name)}, expected more than 0")
+        if self.quats < _MIN_QUAT_BOUND:
+            raise ValueError(f"bound quats {self.quats}, expected at least {_MIN_QUAT_BOUND}")
+
+
+def mean_bound(splats: Splats, bounds: NearBounds) -> float:
+    """Return the bound of means in scene units."""
+    if len(splats) == 0:
+        return bounds.means
+    return float(bounds.means * np.exp(np.median(splats.scales.astype(np.float64))))
+
+
+def encode_chunk(splats: Splats, means_bound: float, bounds: NearBounds, sort: bool) -> Payloads:
+    """Return the head and the tail of a chunk whose every value stays within bounds.
+
+    Parameters
+    ----------
+    splats : Splats
+        The chunk's rows.
+    means_bound : float
+        Scene units.
+    bounds : NearBounds
+    sort : bool
+        Whether to sort by Morton code inside the chunk.
+    """
+    rows, means = _means(splats.means, means_bound, sort)
+    splats = splats.take(rows)
+    head = [
+        _bounded(Attribute.SCALES, splats.scales, bounds.scales),
+        records.quats(rotations.unit(splats.quats), _quat_step(bounds.quats)),
+        means,
+        _opacities(splats.opacities[:, None], bounds.opacities),
+        _bounded(Attribute.SH0, splats.sh0, bounds.sh0),
+    ]
+    tail: list[Stream] = []
+    for band, attribute in enumerate(SH_BANDS[: splats.sh_degree], start=1):
+        first, last = band * band - 1, (band + 1) * (band + 1) - 1
+        values = np.ascontiguousarray(splats.shN[:, first:last].reshape(len(splats), -1))
+        tail.append(_bounded(attribute, values, bounds.shN))
+    return Payloads(records.pack(head), records.pack(tail) if tail else None, (), (), rows)
+
+
+def _quat_step(bound: float) -> float:
+    # The component left out is at least 1/2, so its error is up to three times the others' to the
+    # first order; 6·bound covers the second.
+    return 2 * (bound - _QUAT_ROUNDING) / (3 + 6 * bound)
+
+
+def _means(means: F32, bound: float, sort: bool) -> tuple[NDArray[np.int64], Stream]:
+    step = 2 * bound * _SLACK
+    grid = grids.fit(means, step)
+    within = int(grid.levels.max()) <= morton.MAX_LEVELS and _error(means, grid) <= bound
+    if within:
+        return chunk_means(means, step, sort)
+    # Coordinates too large for the bound on any grid: as they are.
+    rows = np.arange(len(means), dtype=np.int64)
+    return rows, records.floats(Attribute.MEANS, means)
+
+
+def _bounded(attribute: Attribute, values: F32, bound: float) -> Stream:
+    grid = grids.fit(values, 2 * bound * _SLACK)
+    if _error(values, grid) <= bound:
+        return records.scalar(attribute, values, grid)
+    return records.floats(attribute, values)
+
+
+def _opacities(values: F32, bound: float) -> Stream:
+    finite = np.isfinite(values[:, 0])
+    if not finite.all():
+        inner = values[finite] if finite.any() else np.zeros((1, 1), np.float32)
+        grid = grids.fit(inner, 2 * bound * _SLACK)
+        # Two codes more, and all of them must fit three bytes.
+        fits = int(grid.levels[0]) <= grids.MAX_LEVELS - 2
+        if fits and _error(inner, grid) <= bound:
+            return records.scalar_with_infinities(Attribute.OPACITIES, values, grid)
+        return records.floats(Attribute.OPACITIES, values)
+    return _bounded(Attribute.OPACITIES, values, bound)
+
+
+def _error(values: F32, grid: grids.Grid) -> float:
+    decoded = grid.dequantise(grid.quantise(values))
+    return float(np.abs(decoded.astype(np.float64) - values).max(initial=0))

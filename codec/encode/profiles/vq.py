@@ -1,0 +1,278 @@
+"""The `vq` profile: shape and colour codebooks, kept vectors in the chunk (Niedermayr et al.)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.clustering import kmeans
+from cogsplat.codec.clustering.kmeans import TrainingConfig
+from cogsplat.codec.geometry import covariance, rotations
+from cogsplat.codec.progress import Progress
+from cogsplat.codec.rate import allocation, costs
+from cogsplat.codec.segments.payloads import Payloads
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.streams import grid as grids
+from cogsplat.codec.streams import records
+from cogsplat.codec.streams.records import SH_BANDS, Attribute, Stream
+
+from .chunk_streams import chunk_means, chunk_opacities
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U32 = NDArray[np.uint32]
+
+# Bits that a kept vector costs beyond an index, for the choice between the two.
+_KEPT_SHAPE_BITS: Final = 26.0
+_KEPT_COLOUR_BITS_PER_VALUE: Final = 1.6
+
+# Squared error of the picture per energy and squared distance of shape vectors, as the costs of
+# `allocation`: measured with codebooks of 1024 and 4096 rows on trained scenes.
+_SHAPE_COST: Final = 0.25
+# Mean of Y² over directions, 1/4π: squared error of colour per squared error of a coefficient.
+_SH_COST: Final = 0.0796
+
+_SPLATS_PER_SHAPE_ROW: Final = 16
+_SPLATS_PER_COLOUR_ROW: Final = 32
+MAX_ROWS: Final = 4096  # Niedermayr et al., section 3.2
+
+
+@dataclass(frozen=True, eq=False)
+class VqPlan:
+    """Trained codebooks and every splat's place in them.
+
+    Parameters
+    ----------
+    shape_payload : bytes
+    shape_rows : int
+    colour_payloads : tuple of bytes
+        One per SH band; empty where the scene has none.
+    colour_rows : int
+    """
+
+    slope: float
+    energy: F64
+    quats: F32
+    scales: F32
+    factors: F32
+    shape_payload: bytes
+    shape_rows: int
+    shape_indices: U32
+    shape_kept: NDArray[np.bool_]
+    colour_payloads: tuple[bytes, ...]
+    colour_rows: int
+    colour_indices: U32
+    colour_kept: NDArray[np.bool_]
+
+
+MAX_COEFFICIENT: Final = 1e4
+"""SH coefficients beyond ± this are stored as this: the least alpha of one saturates a pixel, and a
+stray value widens the steps of all that share its grid."""
+
+MAX_LOG_SCALE: Final = 40.0
+"""Log scales beyond ± this are stored as this: deviations of 4e-18 and 2e17 scene units."""
+
+SHAPE_CODEBOOK: Final = 0
+COLOUR_CODEBOOK: Final = 1
+
+
+def codebook_rows(splats: int, per_row: int) -> int:
+    """Return how many rows a codebook may have: a power of two in proportion to the scene."""
+    wanted = max(splats // per_row, 1)
+    return min(1 << (wanted.bit_length() - 1), MAX_ROWS)
+
+
+def clip_strays(splats: Splats) -> Splats:
+    """Return the scene with scales clipped to ±`MAX_LOG_SCALE`, SH to ±`MAX_COEFFICIENT`."""
+    limits = {"scales": MAX_LOG_SCALE, "sh0": MAX_COEFFICIENT, "shN": MAX_COEFFICIENT}
+    clipped: dict[str, F32] = {}
+    for name, limit in limits.items():
+        values: F32 = getattr(splats, name)
+        # Looked at first, for hardly any scene has strays and shN is large.
+        if -float(values.min(initial=0)) > limit or float(values.max(initial=0)) > limit:
+            clipped[name] = np.clip(values, -limit, limit)
+    return replace(
+        splats,
+        scales=clipped.get("scales", splats.scales),
+        sh0=clipped.get("sh0", splats.sh0),
+        shN=clipped.get("shN", splats.shN),
+    )
+
+
+def plan(
+    splats: Splats,
+    energy: F64,
+    slope: float,
+    *,
+    training: TrainingConfig,
+    threads: int,
+    progress: Progress,
+) -> VqPlan:
+    """Train the codebooks of a scene and assign its splats.
+
+    Parameters
+    ----------
+    splats : Splats
+        Valid rows, at least one; from `clip_strays`.
+    energy : (N,) float64
+        Positive.
+    slope : float
+        λ of `allocation.slope`.
+    training : TrainingConfig
+    threads : int
+    progress : Progress
+    """
+    progress("codebooks", 0, 2)
+    quats, scales = rotations.largest_w(rotations.unit(splats.quats), splats.scales)
+    factors = covariance.scale_factor(scales)
+    vectors = covariance.vectors(quats, scales)
+    rows = kmeans.train(
+        vectors, energy, codebook_rows(len(splats), _SPLATS_PER_SHAPE_ROW), training
+    )
+    indices, _ = kmeans.nearest(vectors, rows, threads)
+    payload, rows = _store_shapes(rows, indices, energy, slope)
+    indices, errors = kmeans.nearest(vectors, rows, threads)
+    # Equal slope: an error is worth the bits that would remove it at dD/dR = 2·ln2·λ/12.
+    per_bit = 2 * np.log(2) * slope / 12
+    kept = energy * errors * _SHAPE_COST > _KEPT_SHAPE_BITS * per_bit
+    progress("codebooks", 1, 2)
+    colour_payloads: tuple[bytes, ...] = ()
+    colour_rows, colour_indices = 0, np.zeros(len(splats), np.uint32)
+    colour_kept = np.zeros(len(splats), np.bool_)
+    if splats.sh_degree:
+        coefficients = splats.shN.reshape(len(splats), -1)
+        values = kmeans.train(
+            coefficients, energy, codebook_rows(len(splats), _SPLATS_PER_COLOUR_ROW), training
+        )
+        colour_indices, _ = kmeans.nearest(coefficients, values, threads)
+        colour_payloads, values = _store_colours(values, colour_indices, energy, slope)
+        colour_indices, colour_errors = kmeans.nearest(coefficients, values, threads)
+        colour_rows = len(values)
+        bits = _KEPT_COLOUR_BITS_PER_VALUE * coefficients.shape[1]
+        colour_kept = energy * colour_errors * _SH_COST > bits * per_bit
+    progress("codebooks", 2, 2)
+    return VqPlan(
+        slope=slope,
+        energy=costs.limited_energy(energy, slope),
+        quats=quats,
+        scales=scales,
+        factors=factors,
+        shape_payload=payload,
+        shape_rows=len(rows),
+        shape_indices=indices,
+        shape_kept=kept,
+        colour_payloads=colour_payloads,
+        colour_rows=colour_rows,
+        colour_indices=colour_indices,
+        colour_kept=colour_kept,
+    )
+
+
+def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton: bool) -> Payloads:
+    """Return the head and the tail of the chunk that holds `rows` of a planned scene."""
+    energy = plan_.energy[rows]
+    slope = plan_.slope
+    step = allocation.mean_step(slope, energy, plan_.scales[rows])
+    inside, means = chunk_means(splats.means[rows], step, morton)
+    rows, energy = rows[inside], energy[inside]
+    factors = plan_.factors[rows][:, None]
+    factor_step = allocation.step(slope, costs.SCALE_FACTOR_COST, energy)
+    sh0_step = allocation.step(slope, costs.SH0_COST, energy)
+    head: list[Stream] = []
+    kept = plan_.shape_kept[rows]
+    if kept.any():
+        own = energy[kept]
+        scales = plan_.scales[rows[kept]] - factors[kept]
+        scale_step = allocation.step(slope, costs.SCALE_COST, own)
+        head.append(
+            records.scalar(Attribute.SCALES, scales, grids.fit(scales, scale_step), kept=True)
+        )
+        turn = allocation.step(slope, costs.ROTATION_COST, own)
+        head.append(records.quats(plan_.quats[rows[kept]], turn, kept=True))
+    indices = plan_.shape_indices[rows]
+    head += [
+        _indices(Attribute.SHAPE, SHAPE_CODEBOOK, plan_.shape_rows, indices, kept),
+        records.scalar(Attribute.SCALE_FACTOR, factors, grids.fit(factors, factor_step)),
+        means,
+        chunk_opacities(splats.opacities[rows], allocation.step(slope, costs.OPACITY_COST, energy)),
+        records.scalar(Attribute.SH0, splats.sh0[rows], grids.fit(splats.sh0[rows], sh0_step)),
+    ]
+    if not plan_.colour_rows:
+        return Payloads(records.pack(head), None, (SHAPE_CODEBOOK,), (), inside)
+    kept = plan_.colour_kept[rows]
+    tail: list[Stream] = []
+    if kept.any():
+        sh_step = allocation.step(slope, _SH_COST, energy[kept])
+        tail += _bands(splats.shN[rows[kept]], sh_step, kept=True)
+    indices = plan_.colour_indices[rows]
+    tail.append(_indices(Attribute.SHN, COLOUR_CODEBOOK, plan_.colour_rows, indices, kept))
+    needs = (COLOUR_CODEBOOK,)
+    return Payloads(records.pack(head), records.pack(tail), (SHAPE_CODEBOOK,), needs, inside)
+
+
+def _indices(
+    attribute: Attribute, book: int, size: int, indices: U32, kept: NDArray[np.bool_]
+) -> Stream:
+    count = int(kept.sum())
+    indices = indices.copy()
+    indices[kept] = size + np.arange(count, dtype=np.uint32)
+    return records.vq(attribute, indices, book, size, count)
+
+
+def _bands(coefficients: F32, step: float, *, kept: bool = False) -> list[Stream]:
+    """Return one scalar stream per SH band of (n, K-1, 3) coefficients."""
+    out: list[Stream] = []
+    for band, attribute in enumerate(SH_BANDS, start=1):
+        first, last = band * band - 1, (band + 1) * (band + 1) - 1
+        if coefficients.shape[1] >= last:
+            values = np.ascontiguousarray(
+                coefficients[:, first:last].reshape(len(coefficients), -1)
+            )
+            out.append(records.scalar(attribute, values, grids.fit(values, step), kept=kept))
+    return out
+
+
+def _row_step(slope: float, cost: float, indices: U32, energy: F64, rows: int) -> float:
+    """Return the step of codebook rows: a row's error is that of all splats that use it."""
+    weight = np.bincount(indices, weights=energy, minlength=rows)
+    return allocation.step(slope, cost, np.maximum(weight, energy.min()))
+
+
+def _store_shapes(rows: F32, indices: U32, energy: F64, slope: float) -> tuple[bytes, F32]:
+    """Return a shape codebook's payload and the vectors that its decoded rows stand for."""
+    quats, scales = covariance.decompose(rows)
+    # Similar rows together: their planes compress.
+    order = np.lexsort((quats[:, 2], quats[:, 1], np.rint(scales.min(axis=1))))
+    quats, scales = quats[order], scales[order]
+    place = np.argsort(order).astype(np.uint32)
+    scale_step = _row_step(slope, costs.SCALE_COST, place[indices], energy, len(rows))
+    grid = grids.fit(scales, scale_step)
+    turn = _row_step(slope, costs.ROTATION_COST, place[indices], energy, len(rows))
+    body = [records.scalar(Attribute.SCALES, scales, grid), records.quats(quats, turn)]
+    payload = records.pack(body)
+    stored = records.unpack(memoryview(payload), "shape codebook", len(rows))
+    stored[0].read_numbers(scales)
+    stored[1].read_quats(quats)
+    return payload, covariance.vectors(quats, scales)
+
+
+def _store_colours(
+    rows: F32, indices: U32, energy: F64, slope: float
+) -> tuple[tuple[bytes, ...], F32]:
+    """Return a colour codebook's payloads by band and its decoded rows."""
+    used = np.bincount(indices, weights=energy, minlength=len(rows))
+    order = np.argsort(-used, kind="stable")
+    rows = np.ascontiguousarray(rows[order])
+    place = np.argsort(order).astype(np.uint32)
+    step = _row_step(slope, _SH_COST, place[indices], energy, len(rows))
+    bands = _bands(rows.reshape(len(rows), -1, 3), step)
+    payloads = tuple(records.pack([band]) for band in bands)
+    decoded: list[F32] = []
+    for payload, band in zip(payloads, bands, strict=True):
+        values = np.empty((len(rows), records.COMPONENTS[band.attribute]), np.float32)
+        records.unpack(memoryview(payload), "colour codebook", len(rows))[0].read_numbers(values)
+        decoded.append(values)
+    return payloads, np.ascontiguousarray(np.concatenate(decoded, axis=1))

@@ -1,0 +1,66 @@
+"""Shapes as trace-normalised covariances, and back to scales and rotations (Niedermayr, 3.2)."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import rotations
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+# Off-diagonal entries stand for two of the matrix: so weighted, distances are Frobenius'.
+_UPPER: Final = ((0, 0, 1.0), (1, 1, 1.0), (2, 2, 1.0), (0, 1, 2.0), (0, 2, 2.0), (1, 2, 2.0))
+
+MIN_RELATIVE_SCALE: Final = 1e-4
+"""Thinnest axis of a shape relative to its norm: below it no pixel changes, and logs stay small."""
+
+
+def scale_factor(scales: F32) -> F32:
+    """Return log‖exp(scales)‖ of (n, 3) log scales, (n,) float32."""
+    wide = scales.astype(np.float64)
+    top = wide.max(axis=1)
+    sums = np.exp(2 * (wide - top[:, None])).sum(axis=1)
+    factors: F32 = (top + 0.5 * np.log(sums)).astype(np.float32)
+    return factors
+
+
+def vectors(quats: F32, scales: F32) -> F32:
+    """Return the trace-normalised covariances R·diag(ŝ²)·Rᵀ as (n, 6) float32.
+
+    Parameters
+    ----------
+    quats : (n, 4) float32
+        Unit, wxyz.
+    scales : (n, 3) float32
+        Log.
+    """
+    relative = np.exp(2 * (scales - scale_factor(scales)[:, None]).astype(np.float64))
+    turned = rotations.matrices(quats)
+    covariance = np.einsum("nij,nj,nkj->nik", turned, relative, turned)
+    columns = [covariance[:, i, j] * np.sqrt(weight) for i, j, weight in _UPPER]
+    return np.stack(columns, axis=1).astype(np.float32)
+
+
+def decompose(rows: F32) -> tuple[F32, F32]:
+    """Return the quats and normalised log scales of (C, 6) covariance vectors.
+
+    Returns
+    -------
+    quats : (C, 4) float32
+        Unit, wxyz, w the largest component.
+    scales : (C, 3) float32
+        Log, with ‖exp(scales)‖ = 1.
+    """
+    covariance = np.empty((len(rows), 3, 3))
+    for column, (i, j, weight) in enumerate(_UPPER):
+        covariance[:, i, j] = covariance[:, j, i] = rows[:, column] / np.sqrt(weight)
+    values, axes = np.linalg.eigh(covariance)
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    deviations = np.sqrt(np.maximum(values, MIN_RELATIVE_SCALE**2))
+    scales = np.log(deviations / np.sqrt(np.square(deviations).sum(axis=1, keepdims=True)))
+    quats = rotations.from_matrices(axes).astype(np.float32)
+    return rotations.largest_w(quats, scales.astype(np.float32))

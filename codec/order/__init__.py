@@ -1,0 +1,1 @@
+"""Which splats come first, and how that order is cut into chunks."""

@@ -1,0 +1,56 @@
+"""Orders that look at nothing but a splat's own values: what others sort by, to be compared with.
+
+All return priorities, higher first.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.splats import Splats
+
+F64 = NDArray[np.float64]
+
+# SGSS (Zhu et al. 2025), importance score: the power of the volume.
+_SGSS_POWER = 0.1
+
+
+def descending(priority: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Return rows by descending priority, ties in file order, NaN last."""
+    return np.argsort(-priority, kind="stable").astype(np.int64)
+
+
+def antimatter(splats: Splats) -> F64:
+    """Return the logarithm of volume times opacity, exp(Σs)·σ(o): what web viewers sort by."""
+    return scale(splats) + _log_opacity(splats)
+
+
+def sgss(splats: Splats) -> F64:
+    """Return the logarithm of SGSS' importance, σ(o)·(Πexp(s) / S₉₀)^0.1 (Zhu et al. 2025).
+
+    S₉₀, the scene's 90th percentile of the volume, is the same for all and left out.
+    """
+    return _log_opacity(splats) + _SGSS_POWER * scale(splats)
+
+
+def opacity(splats: Splats) -> F64:
+    """Return the opacity, as a logit."""
+    return splats.opacities.astype(np.float64)
+
+
+def scale(splats: Splats) -> F64:
+    """Return the logarithm of the volume, Σs."""
+    volume: F64 = splats.scales.astype(np.float64).sum(axis=1)
+    return volume
+
+
+def nearness(splats: Splats) -> F64:
+    """Return the negated distance of the mean from the origin, scene units."""
+    squares: F64 = np.square(splats.means.astype(np.float64)).sum(axis=1)
+    return -np.sqrt(squares)
+
+
+def _log_opacity(splats: Splats) -> F64:
+    logs: F64 = -np.logaddexp(0.0, -splats.opacities.astype(np.float64))
+    return logs

@@ -1,0 +1,224 @@
+"""The order by marginal gain: at every moment, the splats that the picture so far needs most."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.render.marginal_gains import Pool, pool_of, probe
+from cogsplat.codec.scoring.contribution import Scores
+from cogsplat.codec.scoring.reference_views import Teacher, teach
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.threads import ordered_map, thread_count
+
+from . import prefix_inflation
+
+# By how much a prefix grows in one stage, and what it begins with, as a share of the scene: the
+# fewer splats at once, the less they are redundant among themselves. From the sweep on a captured
+# room; finer stages are worth 0.2 dB and cost in proportion.
+_GROWTH: Final = 0.16
+_FIRST: Final = 1 / 8000
+_MOST_FIRST: Final = 16
+# Views looked at in one stage; the next looks at others.
+_VIEWS: Final = 24
+# Only so many times the prefix, the best by contribution or by contribution and size, are
+# candidates: what is further back is not worth looking at yet.
+_POOL: Final = 8
+_LEAST_POOL: Final = 4000
+# Splats picked at once for the same hole are redundant. A stage picks from a random part of the
+# candidates only, so that it takes fewer of each hole; the next sees what is still missing. It is
+# worth 0.5 dB at 10 to 20 % of a scene and costs as much where nearly all are needed.
+_THINNED: Final = 0.45
+_THIN_FROM: Final = 4
+_THIN_UNTIL: Final = 0.25
+# Beyond this share the rest are in order of contribution: nothing is left to choose.
+_UNTIL: Final = 0.8
+# Big splats first (antimatter, SGSS): the exponent of volume in the second choice of candidates.
+_VOLUME: Final = 0.2
+
+
+@dataclass(frozen=True)
+class GainConfig:
+    """How the order by gain is made.
+
+    Parameters
+    ----------
+    thickened : bool
+        Whether prefixes are made for being drawn with compensation (`prefix_inflation.typical`),
+        which shows far more in few splats, or as they are.
+    jitter : bool
+        Also look from copies of the cameras that step back and turn.
+    threads : int
+        0 for every core this process may use. The order does not depend on it.
+    """
+
+    thickened: bool = True
+    jitter: bool = True
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        thread_count(self.threads)
+
+
+def _places(priority: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the place of every row in descending order, ties in file order."""
+    places = np.empty(len(priority), np.int64)
+    places[np.argsort(-priority, kind="stable")] = np.arange(len(priority))
+    return places
+
+
+def gains(
+    pool: Pool,
+    present: NDArray[np.bool_],
+    teacher: Teacher,
+    views: Sequence[int],
+    threads: int,
+) -> NDArray[np.float64]:
+    """Return by how much each splat would lower the mean squared error, summed over views.
+
+    Parameters
+    ----------
+    pool : Pool
+        n splats.
+    present : (n,) bool
+    teacher : Teacher
+    views : sequence of int
+        Of the teacher's.
+    threads : int
+        At least 1. The gains do not depend on it.
+
+    Returns
+    -------
+    (n,) float64
+        Weighted as the teacher says; per pixel, summed over channels.
+    """
+    total = np.zeros(len(pool.rows), np.float64)
+    found = ordered_map(
+        lambda view: probe(
+            pool,
+            present,
+            teacher.cameras[view],
+            teacher.pictures[view],
+            kernel_px=teacher.kernels[view],
+            near=teacher.near,
+        ),
+        views,
+        threads,
+    )
+    for view, (rows, gain, _) in zip(views, found, strict=True):
+        camera = teacher.cameras[view]
+        total[rows] += teacher.weights[view] / (camera.width * camera.height) * gain
+    return total
+
+
+def gain_rows(
+    splats: Splats,
+    scores: Scores,
+    teacher: Teacher,
+    config: GainConfig | None = None,
+    *,
+    progress: Progress = silent,
+) -> NDArray[np.int64]:
+    """Order a scene by marginal gain.
+
+    Parameters
+    ----------
+    splats : Splats
+    scores : Scores
+        Of these splats.
+    teacher : Teacher
+        What prefixes are compared with.
+    config : GainConfig, optional
+    progress : Progress
+        Called with ``("gain", splats placed, splats to place)``.
+
+    Returns
+    -------
+    (N,) int64
+        Rows of the scene, first to last; the same for any number of threads.
+
+    Notes
+    -----
+    In stages of growing size. One walk over the pixels of a few views tells for every candidate
+    what adding it alone would do for the picture (`marginal_gains.probe`); the best of a random
+    part of them join. Contribution (PRoGS, section 3.1) measures what a splat adds to the *full*
+    picture, where others stand before it and share its work; a prefix is another picture.
+    """
+    config = config or GainConfig()
+    threads = thread_count(config.threads)
+    count = len(splats)
+    volume = np.exp(_VOLUME * splats.scales.astype(np.float64).sum(axis=1))
+    by_contribution = _places(scores.contribution)
+    place = np.minimum(by_contribution, _places(scores.contribution * volume))
+    chosen = np.zeros(count, np.bool_)
+    stages: list[NDArray[np.int64]] = []
+    placed = 0
+    carriers = prefix_inflation.carriers(scores.contribution)
+    until = int(_UNTIL * count)
+    first = min(max(1, round(_FIRST * count)), _MOST_FIRST)
+    rng = np.random.default_rng(0)
+    progress("gain", 0, until)
+    while placed < until:
+        wanted = min(max(first, int(placed * _GROWTH)), until - placed)
+        candidates = ~chosen & (place < max(_POOL * (placed + wanted), _LEAST_POOL))
+        if len(stages) >= _THIN_FROM and placed + wanted < _THIN_UNTIL * count:
+            part = candidates & (rng.random(count) < _THINNED)
+            if part.sum() >= wanted:
+                candidates = part
+        # In file order, in which memory is read fastest.
+        rows = np.flatnonzero(chosen | candidates)
+        present = chosen[rows]
+        by = prefix_inflation.typical((placed + wanted) / carriers) if config.thickened else None
+        views = teacher.sample(_VIEWS, len(stages))
+        gain = gains(pool_of(splats, rows, by), present, teacher, views, threads)
+        gain[present] = -np.inf
+        # Ties, such as splats that these views do not show, are in order of contribution.
+        picked = rows[np.lexsort((by_contribution[rows], -gain))[:wanted]]
+        stages.append(picked)
+        chosen[picked] = True
+        placed += wanted
+        progress("gain", placed, until)
+    rest = np.flatnonzero(~chosen)
+    rest = rest[np.argsort(by_contribution[rest])]
+    return np.concatenate([*stages, rest]).astype(np.int64)
+
+
+def gain_order(
+    splats: Splats,
+    scores: Scores,
+    cameras: Sequence[Camera],
+    config: GainConfig | None = None,
+    *,
+    teacher: Teacher | None = None,
+    progress: Progress = silent,
+) -> NDArray[np.int64]:
+    """Order a scene by marginal gain, drawing it from some cameras first unless that was done.
+
+    Parameters
+    ----------
+    splats, scores, config, progress
+        As `gain_rows`; progress also of `reference_views.teach`.
+    cameras : sequence of Camera
+        In the frame of the means. Without any, or without splats, the order is by contribution.
+    teacher : Teacher, optional
+        The scene in views of these cameras, where it has been drawn; then `GainConfig.jitter` does
+        not count.
+
+    Returns
+    -------
+    (N,) int64
+    """
+    config = config or GainConfig()
+    if not cameras or not len(splats):
+        return np.argsort(-scores.contribution, kind="stable").astype(np.int64)
+    if teacher is None:
+        teacher = teach(
+            splats, cameras, jittered=config.jitter, threads=config.threads, progress=progress
+        )
+    return gain_rows(splats, scores, teacher, config, progress=progress)

@@ -1,0 +1,166 @@
+"""Objects of a scene: labels per splat, and chunks of one object each (PRoGS, section 3.4)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.splats import Splats
+
+from . import chunks as chunking
+
+ATTRIBUTE: Final = "object"
+"""Name of the extra attribute that holds labels: one integer per splat, 0 for what is no object."""
+
+_MOST_LABEL: Final = (1 << 32) - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Arrangement:
+    """Rows cut into chunks.
+
+    Parameters
+    ----------
+    rows : (n,) int64
+        First to last.
+    slices : sequence of slice
+        The chunks, consecutive runs of `rows`.
+    objects : (chunks,) uint32
+        What each chunk holds.
+    """
+
+    rows: NDArray[np.int64]
+    slices: Sequence[slice]
+    objects: NDArray[np.uint32]
+
+
+def labels_of(splats: Splats) -> NDArray[np.uint32]:
+    """Return the labels of a scene, from its attribute ``object``.
+
+    Returns
+    -------
+    (N,) uint32
+
+    Raises
+    ------
+    DataError
+        ``no-objects``: there is no such attribute. ``bad-objects``: it is no single integer from 0
+        to 2³² - 1 per splat.
+    """
+    if ATTRIBUTE not in splats.extras:
+        raise DataError(
+            "no-objects",
+            f"no attribute {ATTRIBUTE!r} in the scene's {sorted(splats.extras)}, expected labels",
+        )
+    labels = splats.extras[ATTRIBUTE]
+    labels = labels[:, 0] if labels.ndim == 2 and labels.shape[1] == 1 else labels
+    if labels.ndim != 1:
+        raise DataError(
+            "bad-objects", f"{ATTRIBUTE!r} of shape {labels.shape}, expected one label per splat"
+        )
+    # Text formats and old tools hold labels as floats; whole ones lose nothing.
+    if len(labels) and not (
+        np.isfinite(labels).all()
+        and (labels == np.floor(labels)).all()
+        and labels.min() >= 0
+        and labels.max() <= _MOST_LABEL
+    ):
+        raise DataError(
+            "bad-objects",
+            f"{ATTRIBUTE!r} from {labels.min()} to {labels.max()}, "
+            f"expected whole numbers from 0 to {_MOST_LABEL}",
+        )
+    return labels.astype(np.uint32)
+
+
+def with_labels(splats: Splats, labels: NDArray[np.integer]) -> Splats:
+    """Return a scene with labels as its attribute ``object``, in the smallest type that holds them.
+
+    Parameters
+    ----------
+    splats : Splats
+    labels : (N,) integer
+        0 to 2³² - 1.
+    """
+    most = int(labels.max()) if len(labels) else 0
+    narrow = labels.astype(np.min_scalar_type(most))
+    return replace(splats, extras={**splats.extras, ATTRIBUTE: narrow})
+
+
+def ranked(
+    labels: NDArray[np.uint32], contribution: NDArray[np.float64]
+) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
+    """Return the objects by descending contribution, and those contributions.
+
+    Parameters
+    ----------
+    labels : (N,) uint32
+    contribution : (N,) float64
+
+    Returns
+    -------
+    objects : (n,) uint32
+        Ties by label.
+    total : (n,) float64
+    """
+    objects, member = np.unique(labels, return_inverse=True)
+    total: NDArray[np.float64] = np.bincount(member, contribution, len(objects)).astype(np.float64)
+    rank = np.argsort(-total, kind="stable")
+    return objects[rank], total[rank]
+
+
+def arrange(
+    rows: NDArray[np.int64],
+    labels: NDArray[np.uint32],
+    contribution: NDArray[np.float64],
+    largest: int,
+    budgets: Sequence[tuple[int | None, float]] = (),
+) -> Arrangement:
+    """Cut an order into chunks of one object each.
+
+    Parameters
+    ----------
+    rows : (n,) int64
+        The order over all objects; inside an object it stays.
+    labels : (N,) uint32
+        Of the scene.
+    contribution : (N,) float64
+        Of the scene; ranks the objects.
+    largest : int
+        Most splats in a chunk.
+    budgets : sequence of (int, float)
+        Share of an object's splats that comes before all that is beyond budgets; None for all
+        objects that are not named.
+
+    Returns
+    -------
+    Arrangement
+        First what is within budgets, object by object as `ranked`. Then the other chunks by the
+        mean place of their splats in `rows`, so that the whole scene sharpens as if it had none.
+    """
+    shares = dict(budgets)
+    others = shares.pop(None, 0.0)
+    places = np.arange(len(rows))
+    of_rows = labels[rows]
+    first: list[NDArray[np.int64]] = []
+    rest: list[tuple[float, int, NDArray[np.int64]]] = []
+    for rank, label in enumerate(ranked(of_rows, contribution[rows])[0].tolist()):
+        own = places[of_rows == label]
+        count = math.ceil(shares.get(label, others) * len(own))
+        first += [own[run] for run in chunking.plan_chunks(count, largest)]
+        own = own[count:]
+        runs = [own[run] for run in chunking.plan_chunks(len(own), largest)]
+        rest += [(float(run.mean()), rank, run) for run in runs]
+    rest.sort(key=lambda entry: entry[:2])
+    chunks = first + [run for _, _, run in rest]
+    stops = np.cumsum([len(run) for run in chunks]).tolist()
+    slices = [slice(stop - len(run), stop) for run, stop in zip(chunks, stops, strict=True)]
+    order = np.concatenate(chunks) if chunks else places
+    held = np.array([of_rows[run[0]] for run in chunks], np.uint32)
+    return Arrangement(rows[order], slices, held)

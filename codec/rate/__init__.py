@@ -1,0 +1,1 @@
+"""How many bytes each value is worth: costs, steps, pruning, refinement, segment order."""

@@ -1,0 +1,181 @@
+"""What an error of each stored value costs the picture: sensitivities as squared error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.scoring.contribution import Scores
+from cogsplat.codec.splats import Splats
+
+F64 = NDArray[np.float64]
+
+# Squared error of the picture per squared step and energy, relative to a change of colour.
+# Measured by perturbing trained scenes of three kinds (a captured room, a cleaned object, a
+# figure) one attribute at a time; they agree within a factor of three, steps within 1.7.
+SH0_BASIS: Final = 0.28209479177387814  # Y_00: sh0 to colour
+SH0_COST: Final = SH0_BASIS**2
+OPACITY_COST: Final = 0.02
+SCALE_FACTOR_COST: Final = 0.2
+SCALE_COST: Final = 0.06
+ROTATION_COST: Final = 0.48  # per squared step of a quaternion component, half the angle
+MEAN_COST: Final = 0.04  # per squared step relative to the splat's mean deviation
+
+# Squared radians per squared value of a turn, the mean over tilts of up to 90°.
+_TURN_COST: Final = 2.5
+
+
+def floor_energy(scores: Scores) -> F64:
+    """Return (N,) energies of which none is zero.
+
+    A splat that no scoring view shows may still be seen by a visitor: it counts as much as the
+    faintest hundredth of those that were.
+    """
+    seen = scores.energy[scores.energy > 0]
+    if len(seen) == 0:
+        return np.ones_like(scores.energy)
+    return np.maximum(scores.energy, np.quantile(seen, 0.01))
+
+
+@dataclass(frozen=True, eq=False)
+class Costs:
+    """Squared error of the picture per squared error of a stored value, splat by splat.
+
+    Parameters
+    ----------
+    energy : (n,) float64
+        Of colour.
+    mean : (n,) float64
+        Of a coordinate, per squared scene unit.
+    opacity : (n,) float64
+        Of the logit.
+    scale_long, scale_middle, scale_thin : (n,) float64
+        Of the three values of a ladder: all log scales, the two shorter, the shortest.
+    tilt, spin : (n,) float64
+        Of the values of a turn.
+    basis_mean : (n, K-1) float64
+        `Scores.basis_mean`.
+    """
+
+    energy: F64
+    mean: F64
+    opacity: F64
+    scale_long: F64
+    scale_middle: F64
+    scale_thin: F64
+    tilt: F64
+    spin: F64
+    basis_mean: F64
+
+    def take(self, rows: NDArray[np.int64]) -> Costs:
+        """Return the costs of some rows."""
+        return Costs(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    def levelled(self) -> Costs:
+        """Return the same costs for every row: their means, from which equal steps follow."""
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        level = {name: np.full_like(x, x.mean()) for name, x in values.items() if x.ndim == 1}
+        return replace(self, **level)
+
+
+# Coarsest steps worth writing. What no scoring view weighs may still come into a visitor's: such
+# splats stay where they are and about as large, as dark and as clear as they were.
+_COLOUR_LIMIT: Final = 0.15
+_OPACITY_LIMIT: Final = 1.0
+_SCALE_LIMITS: Final = (0.35, 0.5, 0.7)  # long, middle, thin; log
+_MEAN_LIMIT: Final = 1.0  # deviations
+
+# Least cost of each value relative to its splat's energy. Sensitivities hold for small errors
+# only: what happens to match its surroundings now would show once it moved.
+_MEAN_FLOOR: Final = 1e-3  # per squared deviation
+_OPACITY_FLOOR: Final = 1e-3
+_SCALE_FLOOR: Final = 3e-3
+_TURN_FLOOR: Final = 3e-3
+
+# What renders of three trained scenes at 35 to 45 dB found the real costs to be, relative to the
+# sensitivities: steps are coarse there, and errors of one value partly hide another's.
+_OPACITY_WEIGHT: Final = 1.3
+_MIDDLE_WEIGHT: Final = 2.0
+_THIN_WEIGHT: Final = 1.5
+_TURN_WEIGHT: Final = 1.7
+SH0_WEIGHT: Final = 0.6
+
+
+def costs(splats: Splats, scores: Scores) -> Costs:
+    """Return what errors cost, from the sensitivities of a scoring pass or from energies alone.
+
+    Parameters
+    ----------
+    splats : Splats
+    scores : Scores
+        Without sensitivities the constants of this module stand in for them.
+    """
+    energy = floor_energy(scores)
+    order = np.argsort(splats.scales, axis=1, kind="stable")
+    sizes = np.take_along_axis(splats.scales, order, axis=1).astype(np.float64)
+    thin = np.exp(-2 * np.clip(sizes[:, 0], -40, 40))
+    count = splats.shN.shape[1]
+    basis_mean = scores.basis_mean[:, :count].astype(np.float64)
+    found = scores.sensitivities
+    if found is None:
+        mean_size = np.exp(-2 * np.clip(sizes.mean(axis=1), -40, 40))
+        flat = np.square(np.clip(1 - np.exp(2 * (sizes[:, 0] - sizes[:, 2])), 0, 1))
+        return Costs(
+            energy=energy,
+            mean=MEAN_COST * energy * mean_size,
+            opacity=OPACITY_COST * energy,
+            scale_long=3 * SCALE_COST * energy,
+            scale_middle=2 * SCALE_COST * energy,
+            scale_thin=SCALE_COST * energy,
+            tilt=ROTATION_COST * energy * np.maximum(flat, 0.05),
+            spin=0.5 * ROTATION_COST * energy * np.maximum(flat, 0.05),
+            basis_mean=basis_mean,
+        )
+    by_size = np.take_along_axis(found.scales, order, axis=1)
+    turned = np.take_along_axis(found.rotations, order, axis=1)
+    reach = np.minimum(thin, 20 * np.exp(-2 * np.clip(sizes.mean(axis=1), -40, 40)))
+    tilted = _TURN_COST * 0.5 * (turned[:, 0] + turned[:, 1])
+    # A turn's value is the tangent of half an angle: twice the sensitivity of a radian or more.
+    return Costs(
+        energy=energy,
+        mean=np.maximum(found.means.mean(axis=1), _MEAN_FLOOR * energy * reach),
+        opacity=_OPACITY_WEIGHT * np.maximum(found.opacities, _OPACITY_FLOOR * energy),
+        scale_long=np.maximum(by_size.sum(axis=1), _SCALE_FLOOR * energy),
+        scale_middle=_MIDDLE_WEIGHT
+        * np.maximum(by_size[:, 0] + by_size[:, 1], _SCALE_FLOOR * energy),
+        scale_thin=_THIN_WEIGHT * np.maximum(by_size[:, 0], _SCALE_FLOOR * energy),
+        tilt=_TURN_WEIGHT * np.maximum(tilted, _TURN_FLOOR * energy),
+        spin=_TURN_WEIGHT * np.maximum(_TURN_COST * turned[:, 2], _TURN_FLOOR * energy),
+        basis_mean=basis_mean,
+    )
+
+
+def limited(found: Costs, scales: NDArray[np.float32], slope_value: float) -> Costs:
+    """Return costs that give no step beyond the coarsest worth writing.
+
+    Parameters
+    ----------
+    found : Costs
+    scales : (n, 3) float32
+        Log.
+    slope_value : float
+    """
+    size = np.exp(np.clip(scales.astype(np.float64).mean(axis=1), -40, 40))
+    long, middle, thin = (slope_value / limit**2 for limit in _SCALE_LIMITS)
+    return replace(
+        found,
+        energy=limited_energy(found.energy, slope_value),
+        mean=np.maximum(found.mean, slope_value / np.square(_MEAN_LIMIT * size)),
+        opacity=np.maximum(found.opacity, slope_value / _OPACITY_LIMIT**2),
+        scale_long=np.maximum(found.scale_long, long),
+        scale_middle=np.maximum(found.scale_middle, middle),
+        scale_thin=np.maximum(found.scale_thin, thin),
+    )
+
+
+def limited_energy(energy: F64, slope_value: float) -> F64:
+    """Return energies that give no step of colour beyond the coarsest worth writing."""
+    return np.maximum(energy, slope_value / _COLOUR_LIMIT**2)

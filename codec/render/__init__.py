@@ -1,0 +1,1 @@
+"""Pictures of splats, and everything that is measured by blending them (numba)."""

@@ -1,0 +1,233 @@
+"""Splats seen by a camera: the ellipses on the image within which they reach alpha 1/255."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
+from cogsplat.codec.splats import Splats
+
+from .jit import kernel
+
+# 3DGS, computeCov2D: the Jacobian is taken inside the image widened by this share of its half size
+# (1.3 tan(fov / 2) for a centred principal point).
+GUARD = 0.3
+# Bounds of an ellipse are widened by this, in px and relative to its place and size, because the
+# footprint is rounded to float32; the test of alpha decides.
+_SLACK_PX = 0.01
+_SLACK = 1e-6
+# Footprints beyond this, in px or its powers, are left out: their squares would leave float32.
+_HUGE = 1e18
+
+# Columns of `Footprints.ellipse`.
+X, Y, NARROW, SHEAR, FLAT, OPACITY, HALF_WIDTH, HALF_HEIGHT = range(8)
+
+
+@dataclass(frozen=True, eq=False)
+class Footprints:
+    """What M visible splats cover, nearest first (camera-space z of the mean, ties by row).
+
+    Alpha at an offset (dx, dy) from the centre is
+    ``opacity · exp(-(narrow · (dx - shear · dy))² - flat · dy²)``, which is the projected Gaussian
+    with its square completed in dx: thin diagonal ellipses stay accurate in float32.
+
+    Parameters
+    ----------
+    index : (M,) int32
+        Row of each in the scene.
+    ellipse : (M, 8) float32
+        x, y (px), narrow (1/px), shear, flat (1/px²), opacity (0 to 1, rescaled when
+        anti-aliased), half width along the centre's row and half height (px) at alpha 1/255.
+    rows : (M, 2) int32
+        First image row that may be covered and the one after the last.
+    """
+
+    index: NDArray[np.int32]
+    ellipse: NDArray[np.float32]
+    rows: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+
+@kernel
+def slack(centre: float, extent: float) -> float:
+    """Return how far bounds of a footprint are widened, px."""
+    return _SLACK_PX + _SLACK * (abs(centre) + extent)
+
+
+@kernel
+def _project(
+    means: NDArray[np.float32],
+    scales: NDArray[np.float32],
+    quats: NDArray[np.float32],
+    opacities: NDArray[np.float32],
+    rotation: NDArray[np.float64],
+    translation: NDArray[np.float64],
+    intrinsics: NDArray[np.float64],
+    width: int,
+    height: int,
+    kernel_px: float,
+    antialiased: bool,
+    near: float,
+    index: NDArray[np.int32],
+    depths: NDArray[np.float64],
+    ellipse: NDArray[np.float32],
+    rows: NDArray[np.int32],
+) -> int:
+    """Fill the outputs with the splats that may reach a pixel and return how many there are.
+
+    Every test is written so that NaN fails it.
+    """
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    guard_x = GUARD * width / (2.0 * fx)
+    guard_y = GUARD * height / (2.0 * fy)
+    low_x, high_x = -cx / fx - guard_x, (width - cx) / fx + guard_x
+    low_y, high_y = -cy / fy - guard_y, (height - cy) / fy + guard_y
+    r = rotation
+    count = 0
+    for i in range(len(means)):
+        mx, my, mz = float(means[i, 0]), float(means[i, 1]), float(means[i, 2])
+        z = r[2, 0] * mx + r[2, 1] * my + r[2, 2] * mz + translation[2]
+        if not z > near:
+            continue
+        x = (r[0, 0] * mx + r[0, 1] * my + r[0, 2] * mz + translation[0]) / z
+        y = (r[1, 0] * mx + r[1, 1] * my + r[1, 2] * mz + translation[1]) / z
+        px, py = fx * x + cx, fy * y + cy
+        opacity = 1.0 / (1.0 + math.exp(-float(opacities[i])))
+        if not opacity >= ALPHA_MIN:
+            continue
+
+        # Rotation of the splat from its quaternion, normalised here.
+        qw, qx, qy, qz = (
+            float(quats[i, 0]),
+            float(quats[i, 1]),
+            float(quats[i, 2]),
+            float(quats[i, 3]),
+        )
+        norm = 2.0 / (qw * qw + qx * qx + qy * qy + qz * qz)
+        xx, yy, zz = norm * qx * qx, norm * qy * qy, norm * qz * qz
+        xy, xz, yz = norm * qx * qy, norm * qx * qz, norm * qy * qz
+        wx, wy, wz = norm * qw * qx, norm * qw * qy, norm * qw * qz
+
+        # Rows of the projection's Jacobian, times world to camera: two vectors in world axes.
+        jx = -min(max(x, low_x), high_x)
+        jy = -min(max(y, low_y), high_y)
+        ax = (fx / z) * (r[0, 0] + jx * r[2, 0])
+        ay = (fx / z) * (r[0, 1] + jx * r[2, 1])
+        az = (fx / z) * (r[0, 2] + jx * r[2, 2])
+        bx = (fy / z) * (r[1, 0] + jy * r[2, 0])
+        by = (fy / z) * (r[1, 1] + jy * r[2, 1])
+        bz = (fy / z) * (r[1, 2] + jy * r[2, 2])
+
+        # The same in the splat's axes, times its standard deviations: covariance = m mᵀ.
+        s0, s1, s2 = math.exp(scales[i, 0]), math.exp(scales[i, 1]), math.exp(scales[i, 2])
+        a0 = s0 * (ax * (1.0 - yy - zz) + ay * (xy + wz) + az * (xz - wy))
+        a1 = s1 * (ax * (xy - wz) + ay * (1.0 - xx - zz) + az * (yz + wx))
+        a2 = s2 * (ax * (xz + wy) + ay * (yz - wx) + az * (1.0 - xx - yy))
+        b0 = s0 * (bx * (1.0 - yy - zz) + by * (xy + wz) + bz * (xz - wy))
+        b1 = s1 * (bx * (xy - wz) + by * (1.0 - xx - zz) + bz * (yz + wx))
+        b2 = s2 * (bx * (xz + wy) + by * (yz - wx) + bz * (1.0 - xx - yy))
+        var_x = a0 * a0 + a1 * a1 + a2 * a2
+        var_y = b0 * b0 + b1 * b1 + b2 * b2
+        cov = a0 * b0 + a1 * b1 + a2 * b2
+        # Cauchy-Binet: a sum of squares, where var_x var_y - cov² cancels for thin splats.
+        n0, n1, n2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+        det_bare = n0 * n0 + n1 * n1 + n2 * n2
+        det = det_bare + kernel_px * (var_x + var_y) + kernel_px * kernel_px
+        var_x += kernel_px
+        var_y += kernel_px
+        if not (det > 0.0 and var_y > 0.0):
+            continue
+        if antialiased:
+            # Mip-Splatting, section 4.2: the wider footprint keeps the splat's total opacity.
+            opacity *= math.sqrt(det_bare / det)
+            if not opacity >= ALPHA_MIN:
+                continue
+
+        cut = math.log(opacity / ALPHA_MIN)
+        half_height = math.sqrt(2.0 * cut * var_y)
+        half_width = math.sqrt(2.0 * cut * det / var_y)
+        reach_x = math.sqrt(2.0 * cut * var_x)
+        edge_x = reach_x + slack(px, reach_x)
+        edge_y = half_height + slack(py, half_height)
+        if not (px + edge_x > 0.5 and px - edge_x < width - 0.5):
+            continue
+        if not (py + edge_y > 0.5 and py - edge_y < height - 0.5):
+            continue
+        narrow = math.sqrt(0.5 * var_y / det)
+        shear = cov / var_y
+        flat = 0.5 / var_y
+        if not (abs(px) < _HUGE and abs(py) < _HUGE and abs(shear) < _HUGE):
+            continue
+        if not (narrow < _HUGE and flat < _HUGE):
+            continue
+        index[count] = i
+        depths[count] = z
+        ellipse[count, X] = px
+        ellipse[count, Y] = py
+        ellipse[count, NARROW] = narrow
+        ellipse[count, SHEAR] = shear
+        ellipse[count, FLAT] = flat
+        ellipse[count, OPACITY] = opacity
+        ellipse[count, HALF_WIDTH] = half_width
+        ellipse[count, HALF_HEIGHT] = half_height
+        # Clamped as floats: a huge splat would overflow the integers.
+        rows[count, 0] = math.ceil(max(py - edge_y - 0.5, 0.0))
+        rows[count, 1] = math.floor(min(py + edge_y - 0.5, height - 1.0)) + 1
+        count += 1
+    return count
+
+
+def project(
+    splats: Splats, camera: Camera, *, kernel_px: float, antialiased: bool, near: float = NEAR
+) -> Footprints:
+    """Project a scene into a camera.
+
+    Parameters
+    ----------
+    splats : Splats
+        Rows that cannot be drawn (NaN, zero quaternions) are left out.
+    camera : Camera
+        In the frame of the means.
+    kernel_px : float
+        Variance added to the diagonal of the projected covariance, px².
+    antialiased : bool
+        Rescale opacities by the area the kernel adds (Mip-Splatting, section 4.2).
+    near : float
+        Means at or before this camera-space depth are left out, scene units.
+
+    Returns
+    -------
+    Footprints
+    """
+    n = len(splats)
+    index = np.empty(n, np.int32)
+    depths = np.empty(n, np.float64)
+    ellipse = np.empty((n, 8), np.float32)
+    rows = np.empty((n, 2), np.int32)
+    count = _project(
+        splats.means,
+        splats.scales,
+        splats.quats,
+        splats.opacities,
+        camera.rotation,
+        camera.translation,
+        np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64),
+        camera.width,
+        camera.height,
+        float(kernel_px),
+        bool(antialiased),
+        float(near),
+        index,
+        depths,
+        ellipse,
+        rows,
+    )
+    order = np.argsort(depths[:count], kind="stable")
+    return Footprints(index[order], ellipse[order], rows[order])

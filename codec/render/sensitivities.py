@@ -1,0 +1,472 @@
+"""How much error of the picture a small error of each stored value costs: the slopes of rates."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.geometry import sh
+from cogsplat.codec.geometry.frustum import ALPHA_MIN
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.threads import ordered_map
+
+from .jit import kernel
+from .projection import FLAT, GUARD, NARROW, OPACITY, SHEAR, Footprints, X, Y
+from .rasteriser import ALPHA_MAX, TRANSMITTANCE_MIN, _shade, blend_tile, falloff
+from .tiles import TILE, TileLists
+
+_ALPHA_MIN = np.float32(ALPHA_MIN)
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+_HALF = np.float32(0.5)
+_PIXELS = TILE * TILE
+# Unsigned, so that no index is checked for counting from the end: such checks stop vectorisation.
+_TILE = np.uintp(TILE)
+_RED, _GREEN, _BLUE = (np.uintp(k * _PIXELS) for k in range(1, 4))
+_RANGES_PER_THREAD = 4
+
+# A tile and its neighbours list at most this many pairs at once, 36 bytes of moments each.
+PAIRS_AT_ONCE = 1 << 22
+
+# Moments Σ g·u^p·v^q, named by p and q; their rows in a tile's lanes.
+M00, M20, M11, M02, M40, M31, M22, M13, M04 = range(9)
+MOMENTS = 9
+_L20, _L11, _L02, _L40, _L31, _L22, _L13, _L04 = (np.uintp(k * TILE) for k in range(1, MOMENTS))
+
+# Columns of a view's sensitivities.
+_OPACITY, _MEANS, _SCALES, _ROTATIONS, _SH0 = 0, 1, 4, 7, 10
+COLUMNS = 13
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """Mean squared error of the pictures per squared error of one stored value of one splat.
+
+    An error δ of the value alone costs ``sensitivity · δ²``, and independent errors of several
+    values cost the sum: the diagonal of the Gauss-Newton matrix. The mean is over channels, pixels
+    and views, given and jittered ones half each, as in `Scores.energy`; colours are not clipped.
+
+    Parameters
+    ----------
+    opacities : (N,) float64
+        Of the logit.
+    means : (N, 3) float64
+        Along the world's axes, per squared scene unit.
+    scales : (N, 3) float64
+        Of the logarithms.
+    rotations : (N, 3) float64
+        Of small turns about the splat's own axes, per squared radian: ``q ← q · (1, δ / 2)``.
+    sh0 : (N, 3) float64
+        Of the DC coefficients, each channel for itself; nothing where its colour is clamped at 0.
+
+    Notes
+    -----
+    Exact derivatives of the blend, but for what changes by jumps (the cut at alpha 1/255, where a
+    pixel ends, the order in depth) and the shape and colour that a shift of the mean changes
+    through its new direction, which is smaller by the splat's size over its distance.
+    """
+
+    opacities: NDArray[np.float64]
+    means: NDArray[np.float64]
+    scales: NDArray[np.float64]
+    rotations: NDArray[np.float64]
+    sh0: NDArray[np.float64]
+
+    def take(self, rows: NDArray[np.integer]) -> Sensitivities:
+        """Return the sensitivities of some splats."""
+        return Sensitivities(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+def from_columns(columns: NDArray[np.float64]) -> Sensitivities:
+    """Name the (N, 13) columns that `view_sensitivities` gives and callers add up."""
+    return Sensitivities(
+        opacities=columns[:, _OPACITY].copy(),
+        means=columns[:, _MEANS:_SCALES].copy(),
+        scales=columns[:, _SCALES:_ROTATIONS].copy(),
+        rotations=columns[:, _ROTATIONS:_SH0].copy(),
+        sh0=columns[:, _SH0:COLUMNS].copy(),
+    )
+
+
+@kernel
+def _moments(
+    first: int,
+    last: int,
+    lists_first: int,
+    starts: NDArray[np.int64],
+    members: NDArray[np.int32],
+    ellipse: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    colours: NDArray[np.float32],
+    present: NDArray[np.bool_],
+    width: int,
+    height: int,
+    sums: NDArray[np.float32],
+) -> None:
+    """Sum the moments of every pair of a tile and a splat, for the tiles ``first`` to ``last``.
+
+    With (u, v) the offset from the centre in which alpha is ``opacity · exp(-u² - v²)``, and
+    g = Σ over channels of (∂C/∂alpha · alpha)², the moments are Σ over pixels of g·u^p·v^q.
+    A pixel's ∂C/∂alpha is T·c less what lies behind, over 1 - alpha (Kerbl et al. 2023, appendix
+    C), so that the tile is walked twice as in `rasteriser.blend_tile`: to blend its colours, and to
+    take them off again from the front.
+    """
+    tiles_x = (width + TILE - 1) // TILE
+    # live, red, green, blue of 256 pixels each, the colours first blended, then what lies behind.
+    state = np.empty(4 * _PIXELS, np.float32)
+    lanes = np.empty(MOMENTS * TILE, np.float32)
+    for tile in range(first, last):
+        top = tile // tiles_x * TILE
+        left = tile % tiles_x * TILE
+        num_rows = min(TILE, height - top)
+        num_columns = min(TILE, width - left)
+        begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
+        stop = blend_tile(
+            state,
+            begin,
+            end,
+            members,
+            ellipse,
+            rows,
+            colours,
+            present,
+            top,
+            left,
+            num_rows,
+            num_columns,
+        )
+        for rest in range(stop, end):
+            sums[rest, :] = _ZERO
+        end = stop
+        for y in range(num_rows):
+            for x in range(num_columns):
+                state[y * TILE + x] = _ONE
+        for pair in range(begin, end):
+            i = members[pair]
+            narrow = ellipse[i, NARROW]
+            shear = ellipse[i, SHEAR]
+            flat = ellipse[i, FLAT]
+            opacity = ellipse[i, OPACITY]
+            centre_x = ellipse[i, X] - np.float32(left) - _HALF
+            centre_y = ellipse[i, Y] - np.float32(top) - _HALF
+            red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
+            root_flat = math.sqrt(flat)
+            lanes[:] = _ZERO
+            for y in range(max(rows[i, 0] - top, 0), min(rows[i, 1] - top, num_rows)):
+                dy = np.float32(y) - centre_y
+                row_x = centre_x + shear * dy
+                row_exponent = -flat * dy * dy
+                v = root_flat * dy
+                vv = v * v
+                base = np.uintp(y * TILE)
+                for lane in range(_TILE):
+                    at = base + lane
+                    u = narrow * (np.float32(lane) - row_x)
+                    raw = opacity * falloff(row_exponent - u * u)
+                    alpha = min(ALPHA_MAX, raw)
+                    before = state[at]
+                    after = before * (_ONE - alpha)
+                    touched = alpha >= _ALPHA_MIN
+                    goes_on = after >= TRANSMITTANCE_MIN
+                    drawn = touched & goes_on
+                    weight = before * alpha if drawn else _ZERO
+                    state[at] = (after if goes_on else _ZERO) if touched else before
+                    odds = alpha / (_ONE - alpha)
+                    weighted_red = weight * red
+                    weighted_green = weight * green
+                    weighted_blue = weight * blue
+                    behind_red = state[at + _RED] - weighted_red
+                    behind_green = state[at + _GREEN] - weighted_green
+                    behind_blue = state[at + _BLUE] - weighted_blue
+                    state[at + _RED] = behind_red
+                    state[at + _GREEN] = behind_green
+                    state[at + _BLUE] = behind_blue
+                    slope_red = weighted_red - behind_red * odds
+                    slope_green = weighted_green - behind_green * odds
+                    slope_blue = weighted_blue - behind_blue * odds
+                    g = slope_red * slope_red + slope_green * slope_green + slope_blue * slope_blue
+                    # A capped alpha does not move.
+                    g = g if drawn & (raw <= ALPHA_MAX) else _ZERO
+                    # Where nothing is drawn, u may be too large for its powers.
+                    u = u if drawn else _ZERO
+                    gu = g * u
+                    guu = gu * u
+                    guuu = guu * u
+                    gvv = g * vv
+                    lanes[lane] += g
+                    lanes[lane + _L20] += guu
+                    lanes[lane + _L11] += gu * v
+                    lanes[lane + _L02] += gvv
+                    lanes[lane + _L40] += guuu * u
+                    lanes[lane + _L31] += guuu * v
+                    lanes[lane + _L22] += guu * vv
+                    lanes[lane + _L13] += gu * vv * v
+                    lanes[lane + _L04] += gvv * vv
+            for moment in range(MOMENTS):
+                row = np.uintp(moment * TILE)
+                total = _ZERO
+                for lane in range(_TILE):
+                    total += lanes[row + lane]
+                sums[pair, moment] = total
+
+
+@kernel
+def _gather(
+    members: NDArray[np.int32], pair_sums: NDArray[np.float32], sums: NDArray[np.float64]
+) -> None:
+    """Add up the tiles of each footprint, in the order of the lists."""
+    for pair in range(len(members)):
+        i = members[pair]
+        for moment in range(MOMENTS):
+            sums[i, moment] += pair_sums[pair, moment]
+
+
+def add_moments(
+    lists: TileLists,
+    footprints: Footprints,
+    colours: NDArray[np.float32],
+    camera: Camera,
+    threads: int,
+    moments: NDArray[np.float64],
+) -> None:
+    """Add what the tiles of `lists` show of each footprint's moments.
+
+    Parameters
+    ----------
+    lists : TileLists
+        Of the footprints.
+    footprints : Footprints
+        M of them.
+    colours : (M, 3) float32
+        Of the footprints.
+    camera : Camera
+        That the footprints are seen by.
+    threads : int
+        At least 1. The sums do not depend on it.
+    moments : (M, 9) float64
+        Σ over pixels and channels, see `_moments`; changed in place.
+    """
+    pair_sums = np.empty((len(lists.members), MOMENTS), np.float32)
+    everything = np.ones(len(footprints), np.bool_)
+
+    def sum_up(tiles: tuple[int, int]) -> None:
+        _moments(
+            tiles[0],
+            tiles[1],
+            lists.first,
+            lists.starts,
+            lists.members,
+            footprints.ellipse,
+            footprints.rows,
+            colours,
+            everything,
+            camera.width,
+            camera.height,
+            pair_sums,
+        )
+
+    parts = 1 if threads == 1 else threads * _RANGES_PER_THREAD
+    for _ in ordered_map(sum_up, lists.split(parts), threads):
+        pass
+    _gather(lists.members, pair_sums, moments)
+
+
+@kernel
+def _quartic(moments: NDArray[np.float64], c: float, p: float, q: float, r: float) -> float:
+    """Return Σ g·(c + p u² + q uv + r v²)² from the moments."""
+    total = c * c * moments[M00]
+    total += 2.0 * c * (p * moments[M20] + q * moments[M11] + r * moments[M02])
+    total += p * p * moments[M40] + r * r * moments[M04]
+    total += 2.0 * q * (p * moments[M31] + r * moments[M13])
+    total += (q * q + 2.0 * p * r) * moments[M22]
+    # Where terms cancel, rounding may leave less than nothing.
+    return float(max(total, 0.0))
+
+
+@kernel
+def _map(
+    index: NDArray[np.int32],
+    ellipse: NDArray[np.float32],
+    moments: NDArray[np.float64],
+    squares: NDArray[np.float64],
+    colours: NDArray[np.float32],
+    means: NDArray[np.float32],
+    scales: NDArray[np.float32],
+    quats: NDArray[np.float32],
+    opacities: NDArray[np.float32],
+    rotation: NDArray[np.float64],
+    translation: NDArray[np.float64],
+    intrinsics: NDArray[np.float64],
+    width: int,
+    height: int,
+    antialiased: bool,
+    columns: NDArray[np.float64],
+) -> None:
+    """Turn the moments of footprints into sums of squared derivatives by stored values."""
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    guard_x = GUARD * width / (2.0 * fx)
+    guard_y = GUARD * height / (2.0 * fy)
+    low_x, high_x = -cx / fx - guard_x, (width - cx) / fx + guard_x
+    low_y, high_y = -cy / fy - guard_y, (height - cy) / fy + guard_y
+    local = np.empty(3, np.float64)
+    turn = np.empty((3, 3), np.float64)
+    # Image vectors (px) of the splat's three axes, of unit length in the scene, bare and in (u, v).
+    bare = np.empty((3, 2), np.float64)
+    axes = np.empty((3, 2), np.float64)
+    variances = np.empty(3, np.float64)
+    for row in range(len(index)):
+        i = index[row]
+        for channel in range(3):
+            if colours[row, channel] > 0.0:
+                columns[row, _SH0 + channel] = sh.C0 * sh.C0 / 3.0 * squares[row]
+        m = moments[row]
+        if not m[M00] > 0.0:
+            continue
+        rest = 1.0 / (1.0 + math.exp(float(opacities[i])))
+        columns[row, _OPACITY] = rest * rest * m[M00] / 3.0
+
+        for k in range(3):
+            local[k] = translation[k]
+            for axis in range(3):
+                local[k] += rotation[k, axis] * means[i, axis]
+        z = local[2]
+        x, y = local[0] / z, local[1] / z
+        narrow = float(ellipse[row, NARROW])
+        sheared = -narrow * float(ellipse[row, SHEAR])
+        root_flat = math.sqrt(float(ellipse[row, FLAT]))
+        for axis in range(3):
+            # d(log alpha) = 2 (u, v) · d(u, v) of the centre.
+            right = fx / z * (rotation[0, axis] - x * rotation[2, axis])
+            down = fy / z * (rotation[1, axis] - y * rotation[2, axis])
+            du = narrow * right + sheared * down
+            dv = root_flat * down
+            square = du * du * m[M20] + 2.0 * du * dv * m[M11] + dv * dv * m[M02]
+            columns[row, _MEANS + axis] = 4.0 / 3.0 * max(square, 0.0)
+
+        qw, qx, qy, qz = (
+            float(quats[i, 0]),
+            float(quats[i, 1]),
+            float(quats[i, 2]),
+            float(quats[i, 3]),
+        )
+        norm = 2.0 / (qw * qw + qx * qx + qy * qy + qz * qz)
+        turn[0, 0] = 1.0 - norm * (qy * qy + qz * qz)
+        turn[0, 1] = norm * (qx * qy - qw * qz)
+        turn[0, 2] = norm * (qx * qz + qw * qy)
+        turn[1, 0] = norm * (qx * qy + qw * qz)
+        turn[1, 1] = 1.0 - norm * (qx * qx + qz * qz)
+        turn[1, 2] = norm * (qy * qz - qw * qx)
+        turn[2, 0] = norm * (qx * qz - qw * qy)
+        turn[2, 1] = norm * (qy * qz + qw * qx)
+        turn[2, 2] = 1.0 - norm * (qx * qx + qy * qy)
+        slope_x = min(max(x, low_x), high_x)
+        slope_y = min(max(y, low_y), high_y)
+        var_x, var_y, cov, det = 0.0, 0.0, 0.0, 0.0
+        for j in range(3):
+            variances[j] = math.exp(2.0 * float(scales[i, j]))
+            for k in range(3):
+                local[k] = 0.0
+                for axis in range(3):
+                    local[k] += rotation[k, axis] * turn[axis, j]
+            right = fx / z * (local[0] - slope_x * local[2])
+            down = fy / z * (local[1] - slope_y * local[2])
+            bare[j, 0], bare[j, 1] = right, down
+            axes[j, 0] = narrow * right + sheared * down
+            axes[j, 1] = root_flat * down
+            var_x += variances[j] * right * right
+            var_y += variances[j] * down * down
+            cov += variances[j] * right * down
+            for k in range(j):
+                area = bare[k, 0] * down - bare[k, 1] * right
+                det += variances[j] * variances[k] * area * area
+        for j in range(3):
+            for k in range(j + 1):
+                # d(covariance) = strength · (a bᵀ + b aᵀ), of axis j scaled or turned against k.
+                if j == k:
+                    strength = variances[j]
+                    column = _SCALES + j
+                else:
+                    strength = variances[j] - variances[k]
+                    # Axes 1 and 2 turn about 0, 2 and 0 about 1, 0 and 1 about 2.
+                    column = _ROTATIONS + 3 - j - k
+                constant = 0.0
+                if antialiased and det > 0.0:
+                    # The logarithm of the opacity's factor is half the bare covariance's ln det
+                    # less half the widened one's, whose inverse is 2 (u, v)·(u, v).
+                    inner = var_y * bare[j, 0] * bare[k, 0] + var_x * bare[j, 1] * bare[k, 1]
+                    inner -= cov * (bare[j, 0] * bare[k, 1] + bare[j, 1] * bare[k, 0])
+                    widened = axes[j, 0] * axes[k, 0] + axes[j, 1] * axes[k, 1]
+                    constant = inner / det - 2.0 * widened
+                quartic = _quartic(
+                    m,
+                    constant,
+                    4.0 * axes[j, 0] * axes[k, 0],
+                    4.0 * (axes[j, 0] * axes[k, 1] + axes[j, 1] * axes[k, 0]),
+                    4.0 * axes[j, 1] * axes[k, 1],
+                )
+                columns[row, column] = strength * strength / 3.0 * quartic
+
+
+def view_colours(splats: Splats, camera: Camera, footprints: Footprints) -> NDArray[np.float32]:
+    """Return the (M, 3) float32 colours that footprints show to their camera, clamped at 0."""
+    colours = np.empty((len(footprints), 3), np.float32)
+    _shade(
+        footprints.index,
+        splats.means,
+        splats.sh0,
+        splats.shN,
+        camera.position,
+        splats.shN.shape[1],
+        colours,
+    )
+    return colours
+
+
+def view_sensitivities(
+    splats: Splats,
+    camera: Camera,
+    footprints: Footprints,
+    colours: NDArray[np.float32],
+    moments: NDArray[np.float64],
+    squares: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Turn the moments of one view into the sensitivities of the stored values.
+
+    Parameters
+    ----------
+    splats, camera, footprints, colours
+        As the moments were made from.
+    moments : (M, 9) float64
+        From `add_moments`, over all tiles.
+    squares : (M,) float64
+        Sum over pixels of the squared weight of each footprint.
+
+    Returns
+    -------
+    (M, 13) float64
+        By footprint, what `from_columns` names; sums over pixels, mean over channels.
+    """
+    columns = np.zeros((len(footprints), COLUMNS), np.float64)
+    _map(
+        footprints.index,
+        footprints.ellipse,
+        moments,
+        squares,
+        colours,
+        splats.means,
+        splats.scales,
+        splats.quats,
+        splats.opacities,
+        camera.rotation,
+        camera.translation,
+        np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64),
+        camera.width,
+        camera.height,
+        splats.info.antialiased,
+        columns,
+    )
+    return columns

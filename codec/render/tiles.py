@@ -1,0 +1,172 @@
+"""Which footprints touch which 16x16 px tile of an image, nearest first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .jit import kernel
+from .projection import HALF_HEIGHT, HALF_WIDTH, SHEAR, Footprints, X, Y, slack
+
+TILE = 16
+
+# Pairs of a tile and a splat listed at once: bounds memory (4 bytes here, 12 more while scoring)
+# where huge splats cover every tile.
+_PAIRS_AT_ONCE = 1 << 24
+
+
+@dataclass(frozen=True, eq=False)
+class TileLists:
+    """Splats of the tiles ``first`` to ``last``, half-open, numbered row by row.
+
+    Parameters
+    ----------
+    first, last : int
+        Tiles covered.
+    starts : (last - first + 1,) int64
+        Where each tile's run in `members` begins.
+    members : (P,) int32
+        Rows of the footprints, nearest first inside each run.
+    """
+
+    first: int
+    last: int
+    starts: NDArray[np.int64]
+    members: NDArray[np.int32]
+
+    def split(self, parts: int) -> list[tuple[int, int]]:
+        """Cut the tiles into at most `parts` ranges of about equally many pairs."""
+        wanted = np.linspace(0, len(self.members), parts + 1)[1:-1]
+        cuts = self.first + np.searchsorted(self.starts, wanted)
+        edges = np.unique(np.concatenate(([self.first], cuts, [self.last])))
+        return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+
+
+@kernel
+def _tile_columns(
+    ellipse: NDArray[np.float32], first_row: int, last_row: int, width: int
+) -> tuple[int, int]:
+    """Return the tile columns that an ellipse meets between two image rows, half-open."""
+    x, y = float(ellipse[X]), float(ellipse[Y])
+    shear = float(ellipse[SHEAR])
+    half_width, half_height = float(ellipse[HALF_WIDTH]), float(ellipse[HALF_HEIGHT])
+    reach = math.sqrt(half_width * half_width + shear * shear * half_height * half_height)
+    # Offset of the row where the ellipse reaches furthest right; mirrored, furthest left.
+    furthest = 0.0
+    if reach > 0.0:
+        furthest = shear * half_height * (half_height / reach)
+    low = max(first_row + 0.5 - y, -half_height)
+    high = min(last_row - 0.5 - y, half_height)
+    right_row = min(max(furthest, low), high)
+    left_row = min(max(-furthest, low), high)
+    share = right_row / half_height if half_height > 0.0 else 0.0
+    right = x + shear * right_row + half_width * math.sqrt(max(0.0, 1.0 - share * share))
+    share = left_row / half_height if half_height > 0.0 else 0.0
+    left = x + shear * left_row - half_width * math.sqrt(max(0.0, 1.0 - share * share))
+    margin = slack(x, reach + abs(shear) * half_height)
+    # Clamped as floats: a NaN or a huge value must not reach the integers.
+    left = left - 0.5 - margin
+    if not left > 0.0:
+        left = 0.0
+    right = right - 0.5 + margin
+    if not right < width - 1.0:
+        right = width - 1.0
+    if not left <= right:
+        return 0, 0
+    return math.ceil(left) // TILE, math.floor(right) // TILE + 1
+
+
+@kernel
+def _count(
+    ellipse: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    width: int,
+    tiles_x: int,
+    counts: NDArray[np.int64],
+) -> None:
+    """Add one to every tile that a footprint may meet."""
+    for i in range(len(ellipse)):
+        for tile_y in range(rows[i, 0] // TILE, (rows[i, 1] + TILE - 1) // TILE):
+            top = max(rows[i, 0], tile_y * TILE)
+            bottom = min(rows[i, 1], tile_y * TILE + TILE)
+            left, right = _tile_columns(ellipse[i], top, bottom, width)
+            for tile in range(tile_y * tiles_x + left, tile_y * tiles_x + right):
+                counts[tile] += 1
+
+
+@kernel
+def _fill(
+    ellipse: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    width: int,
+    tiles_x: int,
+    first: int,
+    last: int,
+    cursors: NDArray[np.int64],
+    members: NDArray[np.int32],
+) -> None:
+    """Append every footprint, in order, to the runs of its tiles."""
+    top_tile = first // tiles_x
+    bottom_tile = (last + tiles_x - 1) // tiles_x
+    for i in range(len(ellipse)):
+        begin = max(rows[i, 0] // TILE, top_tile)
+        end = min((rows[i, 1] + TILE - 1) // TILE, bottom_tile)
+        for tile_y in range(begin, end):
+            top = max(rows[i, 0], tile_y * TILE)
+            bottom = min(rows[i, 1], tile_y * TILE + TILE)
+            left, right = _tile_columns(ellipse[i], top, bottom, width)
+            for tile in range(
+                max(tile_y * tiles_x + left, first), min(tile_y * tiles_x + right, last)
+            ):
+                members[cursors[tile - first]] = i
+                cursors[tile - first] += 1
+
+
+def tile_lists(
+    footprints: Footprints, width: int, height: int, pairs_at_once: int = _PAIRS_AT_ONCE
+) -> Iterator[TileLists]:
+    """List the splats of every tile of an image, in bands of bounded memory.
+
+    Parameters
+    ----------
+    footprints : Footprints
+        Nearest first.
+    width, height : int
+        Image size, px.
+    pairs_at_once : int
+        A band ends before it would hold more pairs than this, but has at least one tile.
+
+    Yields
+    ------
+    TileLists
+        Together they cover every tile once; how they are cut depends on the view alone.
+    """
+    tiles_x = -(-width // TILE)
+    num_tiles = tiles_x * -(-height // TILE)
+    counts = np.zeros(num_tiles, np.int64)
+    _count(footprints.ellipse, footprints.rows, width, tiles_x, counts)
+    ends = np.cumsum(counts)
+    first = 0
+    while first < num_tiles:
+        before = int(ends[first - 1]) if first else 0
+        last = int(np.searchsorted(ends, before + pairs_at_once, side="right"))
+        last = min(max(last, first + 1), num_tiles)
+        starts = np.zeros(last - first + 1, np.int64)
+        starts[1:] = ends[first:last] - before
+        members = np.empty(int(starts[-1]), np.int32)
+        _fill(
+            footprints.ellipse,
+            footprints.rows,
+            width,
+            tiles_x,
+            first,
+            last,
+            starts[:-1].copy(),
+            members,
+        )
+        yield TileLists(first, last, starts, members)
+        first = last

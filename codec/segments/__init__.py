@@ -1,0 +1,1 @@
+"""Payloads of whole segments: heads, refinements, tails, codebooks, attributes, compensation."""

@@ -1,0 +1,98 @@
+"""Codebook segments: rows of shapes and of SH coefficients that chunks share (SPEC 7.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.splats import sh_coefficients
+from cogsplat.codec.streams.records import Attribute
+
+from .bands import read_band
+from .stream_set import StreamSet
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeCodebook:
+    """Rows of normalised shapes.
+
+    Parameters
+    ----------
+    scales : (C, 3) float32
+        Natural logarithm, without the splat's scale factor.
+    quats : (C, 4) float32
+        Unit, wxyz, w ≥ 0.
+    """
+
+    scales: F32
+    quats: F32
+
+    def __len__(self) -> int:
+        return len(self.scales)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of both arrays."""
+        return self.scales.nbytes + self.quats.nbytes
+
+
+@dataclass(frozen=True, eq=False)
+class ColourCodebook:
+    """Rows of SH coefficients above DC.
+
+    Parameters
+    ----------
+    shN : (C, K-1, 3) float32
+        Zeros in the bands that were not read.
+    """
+
+    shN: F32  # noqa: N815 - the field's name
+
+    def __len__(self) -> int:
+        return len(self.shN)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the array."""
+        return self.shN.nbytes
+
+
+Codebook = ShapeCodebook | ColourCodebook
+
+
+def decode_shape_codebook(payload: memoryview, rows: int, where: str) -> ShapeCodebook:
+    """Return the rows of a shape codebook segment (SPEC 7.1)."""
+    found = StreamSet(payload, where, rows, "7.1")
+    book = ShapeCodebook(np.empty((rows, 3), np.float32), np.empty((rows, 4), np.float32))
+    found.take(Attribute.SCALES).read_numbers(book.scales)
+    found.take(Attribute.QUATS).read_quats(book.quats)
+    found.finish()
+    return book
+
+
+def decode_colour_codebook(
+    payloads: Mapping[int, memoryview], rows: int, degree: int, where: str
+) -> ColourCodebook:
+    """Return the rows of a colour codebook from its band segments (SPEC 7.1).
+
+    Parameters
+    ----------
+    payloads : mapping of int to memoryview
+        Band (1 to `degree`) to the bytes of its segment.
+    rows, degree : int
+        Of the codebook and of the result.
+    where : str
+        Names the codebook in messages.
+    """
+    coefficients = np.zeros((rows, sh_coefficients(degree) - 1, 3), np.float32)
+    for band, payload in payloads.items():
+        label = f"{where}, band {band}"
+        found = StreamSet(payload, label, rows, "7.1")
+        read_band(found, band, coefficients)
+        found.finish()
+    return ColourCodebook(coefficients)

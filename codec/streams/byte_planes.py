@@ -1,0 +1,295 @@
+"""Byte planes: stored, digits packed together, or a zstd frame of either (SPEC 6.3)."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from functools import cache
+from typing import Final
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import FormatError
+
+from .limits import MAX_PLANE_BYTES, MAX_WINDOW_BYTES
+
+U8 = NDArray[np.uint8]
+
+ZSTD_FLAG: Final = 0x8000_0000
+"""Bit 31 of a plane's word: the stored bytes are a zstd frame (SPEC 6.3)."""
+
+PACKED_FLAG: Final = 0x4000_0000
+"""Bit 30 of a plane's word: several symbols to the byte, the radix in front (SPEC 6.9)."""
+
+LENGTH_MASK: Final = 0x3FFF_FFFF
+
+DIGITS: Final = {radix: int(np.log(256.0 + 1e-9) / np.log(radix)) for radix in range(2, 17)}
+"""Symbols of each radix that fit a byte (SPEC 6.9)."""
+
+_FRAME_MAGIC: Final = bytes.fromhex("28b52ffd")  # RFC 8878, 3.1.1
+
+# Level 19 is where the ratio stops growing on planes this small.
+_LEVEL: Final = 19
+
+_local = threading.local()
+
+
+def pack_plane(plane: U8, *, digits: bool = True) -> tuple[int, bytes]:
+    """Code one plane in whatever way takes the fewest bytes.
+
+    Parameters
+    ----------
+    plane : (n,) uint8
+    digits : bool
+        Whether several symbols may share a byte.
+
+    Returns
+    -------
+    word : int
+        Stored length and flags.
+    stored : bytes
+
+    Notes
+    -----
+    zstd's Huffman stage spends whole bits on a symbol. Where there are few symbols, several to a
+    byte share that loss: on sparse planes this takes nearly as little as a range coder would.
+    """
+    best, word = _smaller(plane.tobytes())
+    radix = int(plane.max(initial=0)) + 1
+    if digits and len(plane) and radix in DIGITS:
+        packed, flag = _smaller(_pack_digits(plane, radix).tobytes())
+        if len(packed) + 1 < len(best):
+            best = bytes([radix]) + packed
+            word = len(best) | PACKED_FLAG | (flag & ZSTD_FLAG)
+    return word, best
+
+
+def _smaller(raw: bytes) -> tuple[bytes, int]:
+    # One thread, no checksum (the segment has its CRC), content size always stated.
+    compressor = zstandard.ZstdCompressor(
+        level=_LEVEL, write_checksum=False, write_content_size=True, threads=0
+    )
+    frame = compressor.compress(raw)
+    if len(frame) < len(raw):
+        return frame, len(frame) | ZSTD_FLAG
+    return raw, len(raw)
+
+
+def _pack_digits(plane: U8, radix: int) -> U8:
+    count = DIGITS[radix]
+    padded = np.zeros(-(-len(plane) // count) * count, np.uint8)
+    padded[: len(plane)] = plane
+    weights = (radix ** np.arange(count)).astype(np.int64)
+    packed = (padded.reshape(-1, count) * weights).sum(axis=1)
+    out: U8 = packed.astype(np.uint8)
+    return out
+
+
+@cache
+def _digit_table(radix: int) -> U8:
+    """Return the (radix^count, count) digits of every byte value, the lowest first."""
+    count = DIGITS[radix]
+    values = np.arange(radix**count)
+    return ((values[:, None] // radix ** np.arange(count)) % radix).astype(np.uint8)
+
+
+@cache
+def _digit_tables() -> U8:
+    """Return the (17, 256, 8) digits of every byte value by radix, zeros where there are none."""
+    tables = np.zeros((max(DIGITS) + 1, 256, max(DIGITS.values())), np.uint8)
+    for radix, count in DIGITS.items():
+        tables[radix, : radix**count, :count] = _digit_table(radix)
+    return tables
+
+
+def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
+    """Return the bytes of one plane.
+
+    Parameters
+    ----------
+    stored : memoryview
+        Exactly the plane's stored bytes.
+    word : int
+        The plane's word.
+    length : int
+        Decoded length in bytes that the stream's record implies.
+    where : str
+        Names the plane in messages.
+
+    Returns
+    -------
+    (length,) uint8, read-only; a view of `stored` where the plane is not compressed.
+
+    Raises
+    ------
+    FormatError
+        ``plane-length``, ``plane-radix``, ``plane-digits``, ``zstd-frame``, ``zstd-size``,
+        ``zstd-window``, ``zstd-dictionary``, ``zstd-checksum``.
+    """
+    radix, size = _before_digits(stored, word, length, where)
+    packed = np.frombuffer(_raw(stored[1:] if radix else stored, word, size, where), np.uint8)
+    if not radix:
+        return packed
+    table = _digit_table(radix)
+    if size and int(packed.max()) >= len(table):
+        raise FormatError(
+            "plane-digits",
+            f"{where}: byte {int(packed.max())}, expected below {len(table)} at radix {radix}",
+            clause="6.9",
+        )
+    digits = table.take(packed, axis=0).reshape(-1)
+    if digits[length:].any():
+        raise FormatError(
+            "plane-digits", f"{where}: digits behind the last symbol, expected zeros", clause="6.9"
+        )
+    digits = digits[:length]
+    digits.flags.writeable = False
+    return digits
+
+
+def unpack_planes(
+    stored: Sequence[memoryview],
+    words: Sequence[int],
+    lengths: Sequence[int],
+    where: str,
+    first: int = 0,
+) -> U8:
+    """Return the bytes of several planes end to end, and two zeros, by a compiled kernel.
+
+    Parameters
+    ----------
+    stored, words, lengths, where
+        As `unpack_plane` has them, of each plane; `where` names their stream.
+    first : int
+        Number of the first plane in its stream.
+
+    Returns
+    -------
+    uint8, read-only
+    """
+    labels = [f"{where}, plane {first + index}" for index in range(len(stored))]
+    return unpack_labelled(stored, words, lengths, labels)
+
+
+def unpack_labelled(
+    stored: Sequence[memoryview], words: Sequence[int], lengths: Sequence[int], labels: list[str]
+) -> U8:
+    """Return what `unpack_planes` does, for planes of more than one stream.
+
+    Parameters
+    ----------
+    stored, words, lengths
+        As `unpack_plane` has them, of each plane.
+    labels : list of str
+        Names each in messages.
+    """
+    from cogsplat.codec.streams import kernels
+
+    parts: list[bytes | memoryview] = []
+    radices: list[int] = []
+    sizes: list[int] = []
+    for body, word, length, label in zip(stored, words, lengths, labels, strict=True):
+        radix, size = _before_digits(body, word, length, label)
+        parts.append(_raw(body[1:] if radix else body, word, size, label))
+        radices.append(radix)
+        sizes.append(size)
+    parts.append(b"\0\0")
+    packed = np.frombuffer(b"".join(parts), np.uint8)
+    if not any(radices):
+        return packed
+    out = np.empty(sum(lengths) + 2, np.uint8)
+    spans = np.array([radices, sizes, lengths], np.int64)
+    wrong = kernels.digits(packed, spans, _digit_tables(), out)
+    if wrong >= 0:
+        # Says what is wrong with it.
+        unpack_plane(stored[wrong], words[wrong], lengths[wrong], labels[wrong])
+    # As what zstd gives: kernels are compiled for one kind of array.
+    out.flags.writeable = False
+    return out
+
+
+def _before_digits(stored: memoryview, word: int, length: int, where: str) -> tuple[int, int]:
+    """Return the radix of a plane, 0 where its bytes are its symbols, and its packed length."""
+    if length > MAX_PLANE_BYTES:
+        raise FormatError(
+            "plane-length",
+            f"{where}: {length} bytes, expected at most {MAX_PLANE_BYTES}",
+            clause="9.1",
+        )
+    if not word & PACKED_FLAG:
+        return 0, length
+    radix = stored[0] if len(stored) else 0
+    if radix not in DIGITS:
+        raise FormatError(
+            "plane-radix", f"{where}: radix {radix}, expected 2 to {max(DIGITS)}", clause="6.9"
+        )
+    return radix, -(-length // DIGITS[radix])
+
+
+def _raw(stored: memoryview, word: int, length: int, where: str) -> bytes | memoryview:
+    if not word & ZSTD_FLAG:
+        if len(stored) != length:
+            raise FormatError(
+                "plane-length",
+                f"{where}: {len(stored)} stored bytes, expected {length}",
+                clause="6.3",
+            )
+        return stored
+    # Skippable and legacy frames have other magic numbers, and zstd would accept the first.
+    if stored[:4] != _FRAME_MAGIC:
+        raise FormatError(
+            "zstd-frame",
+            f"{where}: starts with {bytes(stored[:4]).hex()}, expected {_FRAME_MAGIC.hex()}",
+            clause="6.3",
+        )
+    try:
+        parameters = zstandard.get_frame_parameters(stored)
+    except zstandard.ZstdError as error:
+        raise FormatError("zstd-frame", f"{where}: {error}", clause="6.3") from error
+    # Before anything is allocated: the frame's own claim must be the length the record implies.
+    if parameters.content_size != length:
+        raise FormatError(
+            "zstd-size",
+            f"{where}: the frame states {parameters.content_size} bytes, expected {length}",
+            clause="6.3",
+        )
+    if parameters.window_size > MAX_WINDOW_BYTES:
+        raise FormatError(
+            "zstd-window",
+            f"{where}: window of {parameters.window_size} bytes, "
+            f"expected at most {MAX_WINDOW_BYTES}",
+            clause="6.3",
+        )
+    if parameters.dict_id:
+        raise FormatError(
+            "zstd-dictionary",
+            f"{where}: dictionary {parameters.dict_id}, expected none",
+            clause="6.3",
+        )
+    # Decoders for browsers do not verify it: a wrong one would be an error in some readers only.
+    if parameters.has_checksum:
+        raise FormatError(
+            "zstd-checksum",
+            f"{where}: the frame has a checksum, expected none beside the segment's CRC",
+            clause="6.3",
+        )
+    try:
+        raw: bytes = _decompressor().decompress(stored, allow_extra_data=False)
+    except zstandard.ZstdError as error:
+        raise FormatError("zstd-frame", f"{where}: {error}", clause="6.3") from error
+    if len(raw) != length:
+        raise FormatError(
+            "zstd-size", f"{where}: {len(raw)} bytes, expected {length}", clause="6.3"
+        )
+    return raw
+
+
+def _decompressor() -> zstandard.ZstdDecompressor:
+    """Return this thread's decompressor: making one takes longer than a small frame."""
+    try:
+        found: zstandard.ZstdDecompressor = _local.decompressor
+    except AttributeError:
+        found = _local.decompressor = zstandard.ZstdDecompressor()
+    return found

@@ -1,0 +1,374 @@
+"""COLMAP reconstructions: the cameras and images of a sparse model, binary or text.
+
+Layout after COLMAP's documentation, "Output format": little-endian, no padding.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import (
+    DataError,
+    FormatError,
+    LimitError,
+    TruncatedError,
+    UnsupportedError,
+)
+from cogsplat.formats.storage.atomic import open_for_read, storage_errors
+
+MAX_CAMERAS = 1_000_000
+"""Most cameras, and most images, that are read from one model."""
+
+# COLMAP, camera models: number in binary files, name, parameters.
+_MODELS: dict[int, tuple[str, tuple[str, ...]]] = {
+    0: ("SIMPLE_PINHOLE", ("f", "cx", "cy")),
+    1: ("PINHOLE", ("fx", "fy", "cx", "cy")),
+    2: ("SIMPLE_RADIAL", ("f", "cx", "cy", "k")),
+    3: ("RADIAL", ("f", "cx", "cy", "k1", "k2")),
+    4: ("OPENCV", ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")),
+}
+# Never read, but named in the refusal.
+_OTHER_MODELS = {
+    5: "OPENCV_FISHEYE",
+    6: "FULL_OPENCV",
+    7: "FOV",
+    8: "SIMPLE_RADIAL_FISHEYE",
+    9: "RADIAL_FISHEYE",
+    10: "THIN_PRISM_FISHEYE",
+    11: "RAD_TAN_THIN_PRISM_FISHEYE",
+}
+_PARAMETERS = dict(_MODELS.values())
+
+_COUNT = struct.Struct("<Q")
+_CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; parameters follow
+_POSE = struct.Struct("<I7dI")  # id, qw qx qy qz, tx ty tz, camera; a zero-ended name follows
+_POINT_BYTES = 24  # x, y as doubles, then the point's 64-bit number
+
+_MAX_NAME_BYTES = 4096
+_MAX_LINE_BYTES = 65536
+
+
+@dataclass(frozen=True)
+class _Lens:
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+@dataclass(frozen=True)
+class _Image:
+    number: int
+    quaternion: tuple[float, ...]
+    translation: tuple[float, ...]
+    lens: int
+    name: str
+
+
+def find_model(folder: Path) -> Path | None:
+    """Return the folder that holds a sparse model: this one, its ``sparse/0`` or ``sparse``."""
+    for candidate in (folder, folder / "sparse" / "0", folder / "sparse"):
+        if _suffix(candidate):
+            return candidate
+    return None
+
+
+def _suffix(folder: Path) -> str:
+    # COLMAP itself prefers binary where both are there.
+    for suffix in (".bin", ".txt"):
+        if all((folder / f"{stem}{suffix}").is_file() for stem in ("cameras", "images")):
+            return suffix
+    return ""
+
+
+def read_colmap(folder: Path) -> list[Camera]:
+    """Read one camera per image of a sparse model.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds ``cameras`` and ``images``, both ``.bin`` or both ``.txt``. Pinhole models are read,
+        and SIMPLE_RADIAL, RADIAL and OPENCV whose distortion is zero. Both sides count pixel
+        centres from 0.5, so principal points are taken as they are.
+
+    Returns
+    -------
+    list of Camera
+        Sorted by image name, then image number, at least one. Poses are as COLMAP's: world to
+        camera.
+
+    Raises
+    ------
+    FormatError
+        ``colmap-malformed``, ``colmap-trailing-bytes``, ``colmap-duplicate-camera``,
+        ``colmap-missing-camera``; ``unknown-cameras``: the files are not there.
+    TruncatedError
+        ``colmap-truncated``: a file ends before what it counts.
+    UnsupportedError
+        ``camera-model``: a lens that is not a pinhole.
+    DataError
+        ``bad-camera``: as `Camera`, or a zero quaternion; ``no-cameras``.
+    LimitError
+        ``too-many-cameras``.
+    StorageError
+        As `open_for_read`.
+    """
+    suffix = _suffix(folder)
+    if not suffix:
+        raise FormatError("unknown-cameras", f"{folder}: expected cameras.bin and images.bin")
+    binary = suffix == ".bin"
+    path = folder / f"cameras{suffix}"
+    with storage_errors(path), open_for_read(path) as file:
+        rows = _binary_lenses(file, str(path)) if binary else _text_lenses(file, str(path))
+        lenses: dict[int, _Lens] = {}
+        for number, lens in rows:
+            if number in lenses:
+                raise FormatError(
+                    "colmap-duplicate-camera", f"{path}: camera {number} twice, expected once"
+                )
+            lenses[number] = lens
+    path = folder / f"images{suffix}"
+    with storage_errors(path), open_for_read(path) as file:
+        images = list(_binary_images(file, str(path)) if binary else _text_images(file, str(path)))
+    if not images:
+        raise DataError("no-cameras", f"{path}: holds no images, expected at least one")
+    images.sort(key=lambda image: (image.name, image.number))
+    # Absurd magnitudes overflow on the way to `Camera`, which refuses what comes of them.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return [_camera(image, lenses, str(path)) for image in images]
+
+
+def _camera(image: _Image, lenses: dict[int, _Lens], where: str) -> Camera:
+    lens = lenses.get(image.lens)
+    if lens is None:
+        raise FormatError(
+            "colmap-missing-camera",
+            f"{where}: image {image.number} ({image.name!r}) is of camera {image.lens}, expected "
+            "one of the model's cameras",
+        )
+    try:
+        return Camera(
+            width=lens.width,
+            height=lens.height,
+            fx=lens.fx,
+            fy=lens.fy,
+            cx=lens.cx,
+            cy=lens.cy,
+            rotation=_rotation(image),
+            translation=np.array(image.translation),
+            name=image.name,
+        )
+    except DataError as error:
+        raise DataError(error.code, f"{where}: image {image.number}: {error.message}") from error
+
+
+def _rotation(image: _Image) -> NDArray[np.float64]:
+    """Return the rotation matrix of a wxyz quaternion, normalised."""
+    quaternion = np.array(image.quaternion)
+    norm = float(np.sqrt(np.square(quaternion).sum()))
+    if not 0.0 < norm < np.inf:
+        raise DataError(
+            "bad-camera", f"camera {image.name!r}: quaternion of norm {norm}, expected about 1"
+        )
+    w, x, y, z = quaternion / norm
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _lens(name: str, width: int, height: int, values: list[float], where: str) -> _Lens:
+    parameters = dict(zip(_PARAMETERS[name], values, strict=True))
+    bent = [key for key, value in parameters.items() if key[0] in "kp" and value != 0]
+    if bent:
+        raise UnsupportedError(
+            "camera-model",
+            f"{where}: {name} with {', '.join(f'{k}={parameters[k]:g}' for k in bent)}, expected "
+            "no distortion: splats are trained on the images of COLMAP's image_undistorter, whose "
+            "model lies in the folder that it wrote",
+        )
+    fx = parameters.get("fx", parameters.get("f", 0.0))
+    fy = parameters.get("fy", fx)
+    return _Lens(width, height, fx, fy, parameters["cx"], parameters["cy"])
+
+
+def _refuse_model(name: str, where: str) -> UnsupportedError:
+    return UnsupportedError(
+        "camera-model", f"{where}: camera model {name}, expected one of {', '.join(_PARAMETERS)}"
+    )
+
+
+class _Reader:
+    """Takes records off a file whose size is known, and never more than is there."""
+
+    def __init__(self, file: BinaryIO, where: str) -> None:
+        self.file = file
+        self.where = where
+        self.size = os.fstat(file.fileno()).st_size
+        self.offset = 0
+
+    def take(self, length: int, what: str) -> bytes:
+        self.require(length, what)
+        data = self.file.read(length)
+        if len(data) != length:
+            raise self.truncated(length, what)
+        self.offset += length
+        return data
+
+    def skip(self, length: int, what: str) -> None:
+        self.require(length, what)
+        self.offset += length
+        self.file.seek(self.offset)
+
+    def require(self, length: int, what: str) -> None:
+        if length > self.size - self.offset:
+            raise self.truncated(length, what)
+
+    def truncated(self, length: int, what: str) -> TruncatedError:
+        return TruncatedError(
+            "colmap-truncated",
+            f"{self.where}: {self.size} bytes, expected {length} more from byte {self.offset} on "
+            f"for {what}",
+            offset=self.offset,
+            needed=self.offset + length,
+        )
+
+    def count(self, least_bytes: int, what: str) -> int:
+        """Read a count of records that take at least so many bytes each."""
+        count: int = _COUNT.unpack(self.take(_COUNT.size, f"the count of {what}"))[0]
+        self.require(count * least_bytes, f"{count} {what}")
+        return count
+
+    def name(self, what: str) -> str:
+        data = self.file.read(_MAX_NAME_BYTES)
+        end = data.find(b"\0")
+        if end < 0 and len(data) < _MAX_NAME_BYTES:
+            raise self.truncated(len(data) + 1, f"the name of {what}")
+        if end < 0:
+            raise FormatError(
+                "colmap-malformed",
+                f"{self.where}: the name of {what} at byte {self.offset} is longer than "
+                f"{_MAX_NAME_BYTES - 1} bytes, expected a zero byte",
+                offset=self.offset,
+            )
+        self.offset += end + 1
+        self.file.seek(self.offset)
+        return data[:end].decode("utf-8", "replace")
+
+    def finish(self) -> None:
+        if self.offset != self.size:
+            raise FormatError(
+                "colmap-trailing-bytes",
+                f"{self.where}: {self.size} bytes, expected {self.offset}",
+                offset=self.offset,
+            )
+
+
+def _limited(count: int, what: str, where: str) -> int:
+    if count > MAX_CAMERAS:
+        raise LimitError(
+            "too-many-cameras", f"{where}: {count} {what}, expected at most {MAX_CAMERAS}"
+        )
+    return count
+
+
+def _binary_lenses(file: BinaryIO, where: str) -> Iterator[tuple[int, _Lens]]:
+    reader = _Reader(file, where)
+    least = _CAMERA.size + 8 * min(map(len, _PARAMETERS.values()))
+    for _ in range(_limited(reader.count(least, "cameras"), "cameras", where)):
+        number, model, width, height = _CAMERA.unpack(reader.take(_CAMERA.size, "a camera"))
+        at = f"{where}: camera {number}"
+        if model not in _MODELS:
+            raise _refuse_model(_OTHER_MODELS.get(model, f"number {model}"), at)
+        name, parameters = _MODELS[model]
+        data = reader.take(8 * len(parameters), f"the parameters of camera {number}")
+        values = list(struct.unpack(f"<{len(parameters)}d", data))
+        yield number, _lens(name, width, height, values, at)
+    reader.finish()
+
+
+def _binary_images(file: BinaryIO, where: str) -> Iterator[_Image]:
+    reader = _Reader(file, where)
+    least = _POSE.size + 1 + _COUNT.size
+    for _ in range(_limited(reader.count(least, "images"), "images", where)):
+        number, *pose, lens = _POSE.unpack(reader.take(_POSE.size, "an image"))
+        name = reader.name(f"image {number}")
+        points = reader.count(_POINT_BYTES, f"points of image {number}")
+        reader.skip(points * _POINT_BYTES, f"{points} points of image {number}")
+        yield _Image(number, tuple(pose[:4]), tuple(pose[4:]), lens, name)
+    reader.finish()
+
+
+def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Give numbered lines, long ones in their first part only: points can take megabytes."""
+    number = 0
+    while line := file.readline(_MAX_LINE_BYTES):
+        number += 1
+        yield number, line
+        while line and not line.endswith(b"\n"):
+            line = file.readline(_MAX_LINE_BYTES)
+
+
+def _records(file: BinaryIO, where: str, *, has_points: bool) -> Iterator[tuple[str, list[str]]]:
+    """Give the fields of each record and where it stands; images have a line of points behind."""
+    lines = _lines(file)
+    records = 0
+    for number, line in lines:
+        text = line.decode("utf-8", "replace").strip()
+        if not text or text.startswith("#"):
+            continue
+        records = _limited(records + 1, "records", where)
+        # The last field of an image is its name, which may hold spaces.
+        yield f"{where}: line {number}", text.split(maxsplit=9 if has_points else -1)
+        if has_points:
+            # Empty where there are no points, so it must not be looked at.
+            next(lines, None)
+
+
+def _text_lenses(file: BinaryIO, where: str) -> Iterator[tuple[int, _Lens]]:
+    for at, fields in _records(file, where, has_points=False):
+        if len(fields) < 4:
+            raise _malformed(at, fields, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS")
+        name = fields[1]
+        if name not in _PARAMETERS:
+            raise _refuse_model(name[:40], at)
+        if len(fields) != 4 + len(_PARAMETERS[name]):
+            raise _malformed(at, fields, f"the {len(_PARAMETERS[name])} parameters of {name}")
+        try:
+            number, width, height = int(fields[0]), int(fields[2]), int(fields[3])
+            values = [float(field) for field in fields[4:]]
+        except ValueError as error:
+            raise _malformed(at, fields, "numbers") from error
+        yield number, _lens(name, width, height, values, at)
+
+
+def _text_images(file: BinaryIO, where: str) -> Iterator[_Image]:
+    for at, fields in _records(file, where, has_points=True):
+        if len(fields) != 10:
+            raise _malformed(at, fields, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME")
+        try:
+            number, lens = int(fields[0]), int(fields[8])
+            pose = [float(field) for field in fields[1:8]]
+        except ValueError as error:
+            raise _malformed(at, fields, "numbers") from error
+        yield _Image(number, tuple(pose[:4]), tuple(pose[4:]), lens, fields[9])
+
+
+def _malformed(where: str, fields: list[str], expected: str) -> FormatError:
+    return FormatError(
+        "colmap-malformed", f"{where}: {' '.join(fields)[:80]!r}, expected {expected}"
+    )

@@ -1,0 +1,93 @@
+"""Cameras from whatever holds them: INRIA's or nerfstudio's JSON, COLMAP folders, COGS files."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import FormatError
+from cogsplat.formats.cogs.layout import MAGIC
+from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.source import FileSource
+
+from .colmap import find_model, read_colmap
+from .inria import read_cameras_json, write_cameras_json
+from .nerfstudio import read_transforms
+
+__all__ = ["read_cameras", "write_cameras_json"]
+
+_HEAD_BYTES = 64
+
+# In a folder without a COLMAP model; the second is Blender's.
+_TRANSFORMS = ("transforms.json", "transforms_train.json")
+
+
+def read_cameras(path: StrPath) -> list[Camera]:
+    """Read the cameras of a scene.
+
+    Parameters
+    ----------
+    path : path
+        A ``cameras.json`` as 3DGS training writes it, a nerfstudio ``transforms.json``, a COGS
+        file that cameras were stored in, or a folder: one that holds COLMAP's ``cameras`` and
+        ``images`` as ``.bin`` or ``.txt``, or has them in ``sparse/0``, or else holds a
+        ``transforms.json``.
+
+    Returns
+    -------
+    list of Camera
+        At least one. From COLMAP by name, from others in file order.
+
+    Raises
+    ------
+    FormatError
+        ``unknown-cameras``: none of these; ``no-cameras``: a COGS file without. Otherwise as
+        `read_cameras_json`, `read_transforms`, `read_colmap` and `open_cogs`.
+    StorageError
+        As `open_for_read`.
+    """
+    where = os.fspath(path)
+    if Path(path).is_dir():
+        model = find_model(Path(path))
+        if model is not None:
+            return read_colmap(model)
+        for name in _TRANSFORMS:
+            if (Path(path) / name).is_file():
+                return read_transforms(Path(path) / name)
+        raise FormatError(
+            "unknown-cameras",
+            f"{where}: expected cameras.bin and images.bin, or .txt, in this folder or in its "
+            "sparse/0, or a transforms.json",
+        )
+    with storage_errors(path), open_for_read(path) as file:
+        head = file.read(_HEAD_BYTES)
+    # A byte order mark is legal to find before JSON, if not to write.
+    first = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
+    if first == b"[":
+        return read_cameras_json(path)
+    if first == b"{":
+        return read_transforms(path)
+    if head.startswith(MAGIC):
+        return _stored_cameras(path)
+    raise FormatError(
+        "unknown-cameras",
+        f"{where}: starts with {head[:8]!r}, expected a cameras.json, a transforms.json, a "
+        "COGS file, or a COLMAP folder",
+    )
+
+
+def _stored_cameras(path: StrPath) -> list[Camera]:
+    source = FileSource(Path(path))
+    try:
+        with open_cogs(source) as file:
+            cameras = file.cameras()
+    finally:
+        source.close()
+    if not cameras:
+        raise FormatError(
+            "no-cameras",
+            f"{os.fspath(path)}: brings no cameras, expected a file encoded with --store-cameras",
+        )
+    return cameras

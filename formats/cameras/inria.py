@@ -1,0 +1,213 @@
+"""``cameras.json`` as the 3DGS reference training writes it, in and out."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import DataError, FormatError, LimitError
+from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
+
+MAX_FILE_BYTES = 1 << 26
+"""Longest file that is read; a camera takes about 500 bytes."""
+
+MAX_CAMERAS = 1_000_000
+"""Most cameras that are read from one file."""
+
+# How far a given translation may be from the one that position and rotation make, relative to
+# the position: files round rotations, and `Camera` lets them be off orthonormal by 1e-3.
+_TRANSLATION_TOLERANCE = 1e-2
+
+
+def read_cameras_json(path: StrPath) -> list[Camera]:
+    """Read cameras from an INRIA ``cameras.json``.
+
+    Parameters
+    ----------
+    path : path
+        A JSON array of objects with ``width``, ``height``, ``fx``, ``fy`` (px), ``position`` (3;
+        the centre, scene units) and ``rotation`` (3 rows of 3; camera to world, so its columns are
+        the camera's axes), and maybe ``img_name``. Ours have ``cx``, ``cy`` (px; otherwise the
+        image's centre) and ``translation`` (3; world to camera, the exact one) as well.
+
+    Returns
+    -------
+    list of Camera
+        In file order, at least one.
+
+    Raises
+    ------
+    FormatError
+        ``bad-cameras-json``, with entry and key.
+    DataError
+        ``bad-camera``: as `Camera`; ``no-cameras``: the array is empty.
+    LimitError
+        ``too-many-cameras``: more than `MAX_CAMERAS`, or beyond `MAX_FILE_BYTES`.
+    StorageError
+        As `open_for_read`.
+    """
+    where = os.fspath(path)
+    with storage_errors(path), open_for_read(path) as file:
+        text = file.read(MAX_FILE_BYTES + 1)
+    if len(text) > MAX_FILE_BYTES:
+        raise LimitError(
+            "too-many-cameras", f"{where}: expected at most {MAX_FILE_BYTES} bytes of JSON"
+        )
+    try:
+        entries: object = json.loads(text, parse_constant=_refuse_constant)
+    # RecursionError: nested deeper than the parser goes.
+    except (ValueError, RecursionError) as error:
+        raise FormatError(
+            "bad-cameras-json", f"{where}: {error}, expected a JSON array of cameras"
+        ) from error
+    if not isinstance(entries, list):
+        raise FormatError(
+            "bad-cameras-json", f"{where}: is {_kind(entries)}, expected an array of cameras"
+        )
+    if not entries:
+        raise DataError("no-cameras", f"{where}: the array is empty, expected cameras")
+    if len(entries) > MAX_CAMERAS:
+        raise LimitError(
+            "too-many-cameras", f"{where}: {len(entries)} cameras, expected at most {MAX_CAMERAS}"
+        )
+    # Absurd magnitudes overflow on the way to `Camera`, which refuses what comes of them.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return [_camera(entry, f"{where}: entry {index}") for index, entry in enumerate(entries)]
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no JSON number")
+
+
+def _camera(entry: object, where: str) -> Camera:
+    if not isinstance(entry, dict):
+        raise _bad(where, entry, "an object")
+    width, height = _size(entry, "width", where), _size(entry, "height", where)
+    rotation = _array(entry, "rotation", (3, 3), where).T
+    position = _array(entry, "position", (3,), where)
+    translation = -rotation @ position
+    if "translation" in entry:
+        given = _array(entry, "translation", (3,), where)
+        if np.abs(given - translation).max() > _TRANSLATION_TOLERANCE * np.abs(position).sum():
+            raise _bad(f"{where}, key 'translation'", entry["translation"], "-rotationᵀ·position")
+        translation = given
+    name = entry.get("img_name", "")
+    if not isinstance(name, str):
+        raise _bad(f"{where}, key 'img_name'", name, "a string")
+    try:
+        return Camera(
+            width=width,
+            height=height,
+            fx=_number(entry, "fx", where),
+            fy=_number(entry, "fy", where),
+            cx=_number(entry, "cx", where) if "cx" in entry else width / 2,
+            cy=_number(entry, "cy", where) if "cy" in entry else height / 2,
+            rotation=rotation,
+            translation=translation,
+            name=name,
+        )
+    except DataError as error:
+        raise DataError(error.code, f"{where}: {error.message}") from error
+
+
+def _number(entry: dict[object, object], key: str, where: str) -> float:
+    if key not in entry:
+        raise FormatError("bad-cameras-json", f"{where}: has no key '{key}', expected a number")
+    return _float(entry[key], f"{where}, key '{key}'")
+
+
+def _float(value: object, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise _bad(where, value, "a number")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise _bad(where, value, "a number that fits a double")
+    return number
+
+
+def _size(entry: dict[object, object], key: str, where: str) -> int:
+    value = _number(entry, key, where)
+    # Some writers give sizes as 1920.0.
+    if not value.is_integer():
+        raise _bad(f"{where}, key '{key}'", value, "a whole number")
+    return int(value)
+
+
+def _array(
+    entry: dict[object, object], key: str, shape: tuple[int, ...], where: str
+) -> NDArray[np.float64]:
+    where = f"{where}, key '{key}'"
+    if key not in entry:
+        raise FormatError("bad-cameras-json", f"{where}: is not there, expected numbers")
+    numbers: list[float] = []
+
+    def collect(value: object, sizes: tuple[int, ...]) -> None:
+        if not sizes:
+            numbers.append(_float(value, where))
+            return
+        if not isinstance(value, list) or len(value) != sizes[0]:
+            raise _bad(where, value, " by ".join(map(str, shape)) + " numbers")
+        for item in value:
+            collect(item, sizes[1:])
+
+    collect(entry[key], shape)
+    return np.array(numbers, np.float64).reshape(shape)
+
+
+def _bad(where: str, value: object, expected: str) -> FormatError:
+    return FormatError("bad-cameras-json", f"{where}: is {_kind(value)}, expected {expected}")
+
+
+def _kind(value: object) -> str:
+    if isinstance(value, list):
+        return f"an array of {len(value)}"
+    if isinstance(value, dict):
+        return "an object"
+    return json.dumps(value)[:40]
+
+
+def write_cameras_json(path: StrPath, cameras: Sequence[Camera], force: bool = False) -> None:
+    """Write cameras as an INRIA ``cameras.json`` that `read_cameras_json` gives back exactly.
+
+    Parameters
+    ----------
+    path : path
+        The output.
+    cameras : sequence of Camera
+        ``cx``, ``cy`` and ``translation`` are written beside what INRIA's training writes: its
+        position alone does not give the translation back to the last bit.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    StorageError
+        As `atomic_write`, ``exists`` among them.
+    """
+    entries = [
+        {
+            "id": index,
+            "img_name": camera.name,
+            "width": camera.width,
+            "height": camera.height,
+            "position": camera.position.tolist(),
+            "rotation": camera.rotation.T.tolist(),
+            "fy": float(camera.fy),
+            "fx": float(camera.fx),
+            "cx": float(camera.cx),
+            "cy": float(camera.cy),
+            "translation": camera.translation.tolist(),
+        }
+        for index, camera in enumerate(cameras)
+    ]
+    with atomic_write(path, force) as file:
+        file.write(json.dumps(entries, indent=1, allow_nan=False).encode() + b"\n")

@@ -1,0 +1,341 @@
+"""The index of a file: root and pages read, checked against one another, segments located.
+
+SPEC 3 to 5 say what is checked, SPEC 8.1 in which order.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import FormatError, TruncatedError
+from cogsplat.formats.storage.source import Source
+
+from . import canonical_msgpack, layout
+from . import root as cogs_root
+from .layout import SegmentKind
+from .root import ChunkTable, Root, SegmentTable
+
+I64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Index:
+    """What is known of a file before any segment is read.
+
+    Parameters
+    ----------
+    root : Root
+    file_length : int
+        Bytes the preamble states.
+    segments : SegmentTable
+        Of the root and of all pages that are there.
+    chunks : ChunkTable
+        Likewise.
+    offsets : (s,) int64
+        Byte offset of each segment.
+    heads, tails, refinements : (c,) int64
+        Row of each chunk's head, tail and refinement in `segments`; -1 where there is none.
+    attributes : (c,) int64
+        Row of each chunk's extra attributes; -1 where it has none, or its page is not there.
+    cameras : int
+        Row of the cameras; -1 where there are none, or their page is not there.
+    codebooks : sequence of mapping of SegmentKind to int
+        For each codebook, the rows of its segments by kind; a page that is not there may lack some.
+    all_chunks : int
+        Chunks of the whole file, those of missing pages counted.
+    """
+
+    root: Root
+    file_length: int
+    segments: SegmentTable
+    chunks: ChunkTable
+    offsets: I64
+    heads: I64
+    tails: I64
+    refinements: I64
+    attributes: I64
+    cameras: int
+    codebooks: Sequence[Mapping[SegmentKind, int]]
+    all_chunks: int
+
+
+def codebook_kinds(attribute: str, degree: int) -> tuple[SegmentKind, ...]:
+    """Return the kinds of segment that a codebook has up to an SH degree (SPEC 5.5)."""
+    return (SegmentKind.SHAPE_CODEBOOK,) if attribute == "shape" else layout.COLOUR_BANDS[:degree]
+
+
+def read_index(source: Source, *, partial: bool) -> Index:
+    """Read preamble, root and pages; raises as `reader.open_cogs` says."""
+    name = source.name
+    first = source.read(0, min(layout.FIRST_READ, source.size))
+    preamble = layout.unpack_preamble(first[: layout.PREAMBLE_BYTES], name)
+    root_end = layout.PREAMBLE_BYTES + preamble.root_length
+    if len(first) < root_end:
+        raise TruncatedError(
+            "root-truncated",
+            f"{name}: {len(first)} bytes, expected a root up to byte {root_end}",
+            clause="3.3",
+            needed=root_end,
+        )
+    data = first[layout.PREAMBLE_BYTES : root_end]
+    if zlib.crc32(data) != preamble.root_crc:
+        raise FormatError(
+            "root-crc",
+            f"{name}: the root's CRC does not match",
+            clause="3.3",
+            offset=layout.PREAMBLE_BYTES,
+        )
+    root = cogs_root.parse_root(canonical_msgpack.unpack(data, f"{name}: root"), f"{name}: root")
+    if source.size < preamble.file_length and not partial:
+        raise TruncatedError(
+            "file-truncated",
+            f"{name}: {source.size} bytes, expected {preamble.file_length}",
+            clause="3.3",
+            needed=preamble.file_length,
+        )
+    if source.size > preamble.file_length:
+        raise FormatError(
+            "file-trailing",
+            f"{name}: {source.size} bytes, expected {preamble.file_length}",
+            clause="3.3",
+            offset=preamble.file_length,
+        )
+    return _read_pages(source, root, root_end, preamble.file_length)
+
+
+_SEGMENT_COLUMNS: Final = ("kind", "owner", "length", "crc", "hash", "needs")
+_CHUNK_COLUMNS: Final = ("splats", "box", "contribution", "layer", "cell", "object", "quality")
+
+
+def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> Index:
+    rows = len(root.segments) + sum(page.segments for page in root.pages)
+    if rows > layout.MAX_SEGMENTS:
+        raise FormatError(
+            "segment-count",
+            f"{source.name}: {rows} segments, expected at most {layout.MAX_SEGMENTS}",
+            clause="9.1",
+        )
+    segments, chunks = [root.segments], [root.chunks]
+    offsets = [_offsets(root.segments, root_end)]
+    _check_own_heads(root.segments, root.chunks, f"{source.name}: root")
+    position = root_end + int(root.segments.length.sum(dtype=np.uint64))
+    whole = True
+    for number, entry in enumerate(root.pages):
+        where = f"{source.name}: index page {number}"
+        end = position + entry.length
+        if end > file_length:
+            raise _leaves(source, end, file_length)
+        if end > source.size:
+            whole = False
+            break
+        data = source.read(position, entry.length)
+        if zlib.crc32(data) != entry.crc:
+            raise FormatError(
+                "page-crc", f"{where}: its CRC does not match", clause="5.6", offset=position
+            )
+        page = cogs_root.parse_page(canonical_msgpack.unpack(data, where), entry, where)
+        _check_own_heads(*page, where)
+        segments.append(page[0])
+        chunks.append(page[1])
+        offsets.append(_offsets(page[0], end))
+        position = end + entry.span
+    if whole and position != file_length:
+        raise _leaves(source, position, file_length)
+    table = SegmentTable(
+        *(np.concatenate([getattr(t, n) for t in segments]) for n in _SEGMENT_COLUMNS)
+    )
+    chunk_table = ChunkTable(
+        *(np.concatenate([getattr(t, n) for t in chunks]) for n in _CHUNK_COLUMNS)
+    )
+    heads = _head_rows(source, table, chunk_table)
+    tails = _tail_rows(source, root, table, heads)
+    refinements = _refinement_rows(source, table, heads)
+    _check_counts(source, root, table, chunk_table, whole=whole)
+    return Index(
+        root=root,
+        file_length=file_length,
+        segments=table,
+        chunks=chunk_table,
+        offsets=np.concatenate(offsets),
+        heads=heads,
+        tails=tails,
+        refinements=refinements,
+        codebooks=_codebook_segments(source, root, table, whole=whole),
+        attributes=_attribute_rows(source, root, table, heads),
+        cameras=_camera_segment(source, table),
+        all_chunks=len(root.chunks) + sum(page.chunks for page in root.pages),
+    )
+
+
+def _offsets(table: SegmentTable, start: int) -> I64:
+    lengths = table.length.astype(np.int64)
+    offsets: I64 = start + np.cumsum(lengths) - lengths
+    return offsets
+
+
+def _leaves(source: Source, end: int, file_length: int) -> FormatError:
+    return FormatError(
+        "segments-length",
+        f"{source.name}: index and segments end at byte {end}, the file at {file_length}",
+        clause="5.1",
+    )
+
+
+def _check_own_heads(table: SegmentTable, chunks: ChunkTable, where: str) -> None:
+    heads = int((table.kind == SegmentKind.HEAD).sum())
+    if heads != len(chunks):
+        raise FormatError(
+            "chunk-heads",
+            f"{where}: {heads} heads and {len(chunks)} chunks, expected as many",
+            clause="5.4",
+        )
+
+
+def _head_rows(source: Source, table: SegmentTable, chunks: ChunkTable) -> I64:
+    """Return each chunk's head (SPEC 5.4)."""
+    heads = np.flatnonzero(table.kind == SegmentKind.HEAD).astype(np.int64)
+    if not np.array_equal(table.owner[heads], np.arange(len(chunks))):
+        raise FormatError(
+            "chunk-heads",
+            f"{source.name}: heads of chunks {table.owner[heads].tolist()[:8]} and on, "
+            "expected all in order",
+            clause="5.4",
+        )
+    return heads
+
+
+def _tail_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
+    """Return each chunk's tail, -1 where it has none (SPEC 5.4)."""
+    if root.sh_degree == 0 and bool((table.kind == SegmentKind.TAIL).any()):
+        raise FormatError(
+            "chunk-tails",
+            f"{source.name}: a tail in a scene of SH degree 0, expected none",
+            clause="5.4",
+        )
+    rows = _rows_behind(table, heads, SegmentKind.TAIL)
+    if rows is None:
+        raise FormatError(
+            "chunk-tails", _misplaced(source, table, heads, SegmentKind.TAIL), clause="5.4"
+        )
+    return rows
+
+
+def _refinement_rows(source: Source, table: SegmentTable, heads: I64) -> I64:
+    """Return each chunk's refinement, -1 where it has none (SPEC 5.4)."""
+    rows = _rows_behind(table, heads, SegmentKind.REFINEMENT)
+    if rows is None:
+        raise FormatError(
+            "chunk-refinements",
+            _misplaced(source, table, heads, SegmentKind.REFINEMENT),
+            clause="5.4",
+        )
+    return rows
+
+
+def _attribute_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
+    """Return each chunk's extra attributes, -1 where it has none (SPEC 5.7)."""
+    if not root.attributes and bool((table.kind == SegmentKind.ATTRIBUTES).any()):
+        raise FormatError(
+            "attribute-segments",
+            f"{source.name}: a segment of attributes and none in the root, expected some there",
+            clause="5.7",
+        )
+    rows = _rows_behind(table, heads, SegmentKind.ATTRIBUTES)
+    if rows is None:
+        raise FormatError(
+            "attribute-segments",
+            _misplaced(source, table, heads, SegmentKind.ATTRIBUTES),
+            clause="5.7",
+        )
+    return rows
+
+
+def _rows_behind(table: SegmentTable, heads: I64, kind: SegmentKind) -> I64 | None:
+    """Return each chunk's segment of a kind, -1 where it has none; None where that is wrong."""
+    rows = np.flatnonzero(table.kind == kind)
+    owners = table.owner[rows]
+    # A chunk whose head is in a page not read yet cannot have more of it before that page.
+    once = len(np.unique(owners)) == len(owners) and bool((owners < len(heads)).all())
+    if not once or bool((heads[owners] > rows).any()):
+        return None
+    found = np.full(len(heads), -1, np.int64)
+    found[owners] = rows
+    return found
+
+
+def _misplaced(source: Source, table: SegmentTable, heads: I64, kind: SegmentKind) -> str:
+    """Return the message where `_rows_behind` finds something wrong."""
+    owners = table.owner[table.kind == kind].tolist()
+    return (
+        f"{source.name}: {kind.name.lower()} segments of chunks {owners[:8]}, expected at most one "
+        f"for each of {len(heads)} chunks, behind its head"
+    )
+
+
+def _camera_segment(source: Source, table: SegmentTable) -> int:
+    """Return the row of the cameras (SPEC 5.8)."""
+    rows = np.flatnonzero(table.kind == SegmentKind.CAMERAS)
+    owners = table.owner[rows]
+    if len(rows) > 1 or owners.any():
+        raise FormatError(
+            "camera-segments",
+            f"{source.name}: cameras of the owners {owners.tolist()[:8]}, expected one segment at "
+            "most, of owner 0",
+            clause="5.8",
+        )
+    return int(rows[0]) if len(rows) else -1
+
+
+def _check_counts(
+    source: Source, root: Root, table: SegmentTable, chunks: ChunkTable, *, whole: bool
+) -> None:
+    total = int(chunks.splats.sum(dtype=np.uint64))
+    if total > root.splats or (whole and total != root.splats):
+        raise FormatError(
+            "splat-count",
+            f"{source.name}: chunks of {total} splats, expected {root.splats} as the root states",
+            clause="5.4",
+        )
+    books = len(root.codebooks)
+    if len(table) and int(table.needs.max()) >> books:
+        raise FormatError(
+            "needs-range",
+            f"{source.name}: a segment needs a codebook above the {books} there are",
+            clause="5.3",
+        )
+
+
+def _codebook_segments(
+    source: Source, root: Root, table: SegmentTable, *, whole: bool
+) -> list[dict[SegmentKind, int]]:
+    """Return the rows of each codebook's segments by kind (SPEC 5.5)."""
+    found: list[dict[SegmentKind, int]] = [{} for _ in root.codebooks]
+
+    def refuse(message: str) -> FormatError:
+        return FormatError("codebook-segments", f"{source.name}: {message}", clause="5.5")
+
+    expected = [codebook_kinds(entry.attribute, root.sh_degree) for entry in root.codebooks]
+    for row in np.flatnonzero(np.isin(table.kind, layout.CODEBOOK_KINDS)).tolist():
+        kind, owner = SegmentKind(int(table.kind[row])), int(table.owner[row])
+        label = f"segment {row}, {kind.name.lower()} of codebook {owner}"
+        if owner >= len(found):
+            raise refuse(f"{label}: expected a codebook below {len(found)}")
+        if kind not in expected[owner]:
+            raise refuse(
+                f"{label}: expected {[k.name.lower() for k in expected[owner]]} "
+                f"for {root.codebooks[owner].attribute}"
+            )
+        if kind in found[owner]:
+            raise refuse(f"{label}: a second time, expected one")
+        found[owner][kind] = row
+    for number, kinds in enumerate(expected):
+        missing = [kind.name.lower() for kind in kinds if kind not in found[number]]
+        if whole and missing:
+            raise refuse(f"codebook {number}: no {missing}, expected one each")
+    return found

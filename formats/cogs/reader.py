@@ -1,0 +1,504 @@
+"""Open a COGS file and decode all of it, a prefix, or a set of chunks (SPEC 8)."""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Final
+
+import numpy as np
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import FormatError, LimitError, TruncatedError
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.segments import codebooks, heads, tails
+from cogsplat.codec.segments.attributes import AttributeType, unpack_attributes
+from cogsplat.codec.segments.codebooks import Codebook
+from cogsplat.codec.segments.compensation import Compensation, Layer
+from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, empty, sh_coefficients
+from cogsplat.codec.streams import compiled
+from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.formats.storage.source import Source
+
+from . import cameras as cogs_cameras
+from . import compensation as cogs_compensation
+from . import root as cogs_root
+from .index import Index, codebook_kinds, read_index
+from .layout import SegmentKind
+from .root import Root
+
+# Means, scales, quats, opacities and sh0 of one splat, float32.
+_HEAD_ROW_BYTES: Final = 4 * (3 + 3 + 4 + 1 + 3)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a reader allocates at most for a file it does not trust (SPEC 9.2).
+
+    Parameters
+    ----------
+    decoded_bytes : int
+        Bytes of the decoded arrays, extra attributes among them, and codebooks together.
+    expansion : int
+        Those bytes per byte of the source, where they are more than 64 MiB.
+    """
+
+    decoded_bytes: int = 1 << 35
+    expansion: int = 4096
+
+
+_SMALL_RESULT: Final = 64 * 1024 * 1024
+
+# Below this, and without compiled kernels, threads wait for the interpreter's lock longer than
+# they save (measured: a scene of 80,000 splats takes a third longer on two threads).
+_WORTH_THREADS: Final = 500_000
+
+
+class CogsFile:
+    """An open file: its root, its tables, and its chunks on demand.
+
+    Use `open_cogs`. A context manager; safe to decode from several threads.
+
+    Attributes
+    ----------
+    root : Root
+    segments : SegmentTable
+        Of the root and of all pages that are there.
+    chunks : ChunkTable
+        Likewise.
+    offsets : (s,) int64
+        Byte offset of each segment.
+    missing_bytes : int
+        Bytes that a partial source lacks; 0 for a complete one.
+    """
+
+    def __init__(self, source: Source, index: Index, limits: Limits) -> None:
+        self._source = source
+        self._index = index
+        self._limits = limits
+        self.root = index.root
+        self.file_length = index.file_length
+        self.missing_bytes = max(0, index.file_length - source.size)
+        self.segments = index.segments
+        self.chunks = index.chunks
+        self.offsets = index.offsets
+        self._codebooks: dict[tuple[int, int], Codebook] = {}
+
+    def __enter__(self) -> CogsFile:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()
+
+    @property
+    def name(self) -> str:
+        """Names the file in messages."""
+        return self._source.name
+
+    @property
+    def num_chunks(self) -> int:
+        """Chunks the tables list; a partial file may lack the last pages' chunks."""
+        return len(self.chunks)
+
+    @property
+    def page_bytes(self) -> int:
+        """Bytes of all index pages."""
+        return sum(page.length for page in self.root.pages)
+
+    def complete_chunks(self) -> int:
+        """Return how many chunks, counted from the first, have heads that can be decoded."""
+        for chunk in range(self.num_chunks):
+            if not self._complete(int(self._index.heads[chunk]), 0):
+                return chunk
+        return self.num_chunks
+
+    def has_tail(self, chunk: int, sh_degree: int = MAX_SH_DEGREE) -> bool:
+        """Whether a chunk's shN can be decoded up to an SH degree, or there is none to decode."""
+        row = int(self._index.tails[chunk])
+        return row < 0 or self._complete(row, min(sh_degree, self.root.sh_degree))
+
+    def has_refinement(self, chunk: int) -> bool:
+        """Whether a chunk's values can be decoded as fine as the whole file has them."""
+        row = int(self._index.refinements[chunk])
+        return row < 0 or self._present(row)
+
+    def has_extras(self, chunk: int) -> bool:
+        """Whether the extra attributes of a chunk's splats can be decoded."""
+        row = int(self._index.attributes[chunk])
+        return row >= 0 and self._present(row)
+
+    @property
+    def camera_row(self) -> int | None:
+        """Row of the segment of cameras, None where the file has none."""
+        return self._index.cameras if self._index.cameras >= 0 else None
+
+    def cameras(self) -> list[Camera]:
+        """Return the cameras that the file brings, none where it brings none.
+
+        Raises
+        ------
+        TruncatedError
+            ``file-truncated``: a partial source does not hold them.
+        FormatError, UnsupportedError
+            They break SPEC 5.8.
+        """
+        row = self.camera_row
+        if row is None:
+            return []
+        if not self._present(row):
+            raise self._not_there("the segment of cameras")
+        return cogs_cameras.unpack_cameras(bytes(self.read_segment(row)), f"{self.name}: cameras")
+
+    def compensation(self) -> Compensation:
+        """Return what prefixes of the scene want: the layers that are there.
+
+        Raises
+        ------
+        FormatError, UnsupportedError
+            They break SPEC 5.9.
+        """
+        rows = np.flatnonzero(self.segments.kind == SegmentKind.COMPENSATION).tolist()
+        owners = self.segments.owner[rows].tolist()
+        if owners != list(range(len(rows))):
+            raise FormatError(
+                "compensation-segments",
+                f"{self.name}: layers {owners[:8]}, expected each once, in order",
+                clause="5.9",
+            )
+        counts = self.chunks.splats.astype(np.int64)
+        splats = counts.tolist()
+        layers: list[Layer] = []
+        for number, row in enumerate(rows):
+            if not self._present(row):
+                break
+            before = layers[-1].chunks if layers else 0
+            where = f"{self.name}: compensation, layer {number}"
+            payload = bytes(self.read_segment(row))
+            layer = cogs_compensation.unpack_layer(
+                payload, where, before, splats, self._index.all_chunks
+            )
+            if layer is None:
+                break
+            layers.append(layer)
+        # Chunks of pages that are not there count as one.
+        rest = self.root.splats - int(counts.sum())
+        whole = np.concatenate([counts, [rest]]) if rest else counts
+        return Compensation(tuple(layers), whole.astype(np.int64))
+
+    def chunks_of_objects(self, objects: Iterable[int]) -> list[int]:
+        """Return the chunks that hold some of these objects, by label, in the file's order."""
+        wanted = np.isin(self.chunks.object, np.array(sorted(set(objects)), np.int64))
+        return [int(chunk) for chunk in np.flatnonzero(wanted)]
+
+    def first_chunks(self, chunks: Sequence[int], splats: int) -> Sequence[int]:
+        """Return the first of some chunks, so many that they hold at least `splats` splats."""
+        if splats <= 0:
+            return chunks[:0]
+        ends = np.cumsum(self.chunks.splats[list(chunks)].astype(np.int64))
+        return chunks[: int(np.searchsorted(ends, splats)) + 1]
+
+    def read_segment(self, row: int) -> memoryview:
+        """Return a segment's bytes, its CRC checked.
+
+        Raises
+        ------
+        TruncatedError
+            ``file-truncated``: a partial source does not hold it.
+        FormatError
+            ``segment-crc``.
+        """
+        offset = int(self.offsets[row])
+        length = int(self.segments.length[row])
+        data = self._source.read(offset, length)
+        if zlib.crc32(data) != int(self.segments.crc[row]):
+            raise FormatError(
+                "segment-crc",
+                f"{self.name}: segment {row} at byte {offset}, {length} bytes: "
+                "its CRC does not match the table's",
+                clause="5.3",
+                offset=offset,
+            )
+        return memoryview(data)
+
+    def decode(
+        self,
+        chunks: Iterable[int] | None = None,
+        *,
+        sh_degree: int | None = None,
+        refine: bool = True,
+        extras: bool = True,
+        compensate: bool = False,
+        threads: int = 0,
+        progress: Progress = silent,
+    ) -> Splats:
+        """Decode chunks into one scene, in the order given.
+
+        Parameters
+        ----------
+        chunks : iterable of int, optional
+            Chunk numbers; by default all that are complete.
+        sh_degree : int, optional
+            Highest SH degree wanted; lower than the file's, bands and perhaps tails are skipped.
+        refine : bool
+            Whether to read refinements, those that are there; otherwise the coarse values of
+            the heads.
+        extras : bool
+            Whether to read extra attributes of the splats.
+        compensate : bool
+            Whether to return the chunks, which must be the first ones, as they look most like the
+            whole (SPEC 8.5) and not as they are stored.
+        threads : int
+            0 uses as many as pay. The result does not depend on it.
+        progress : Progress
+
+        Returns
+        -------
+        Splats
+            Stored rows, coarse where a partial file lacks the refinement, shN zero where it lacks
+            the tail. `Splats.extras` are there where every chunk has them.
+
+        Raises
+        ------
+        FormatError, UnsupportedError
+            The file breaks SPEC.
+        TruncatedError
+            A chunk asked for by number is not there.
+        LimitError
+            ``decoded-size``: more than `Limits` allow.
+        """
+        if sh_degree is not None and not 0 <= sh_degree <= MAX_SH_DEGREE:
+            raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
+        wanted = list(range(self.complete_chunks()) if chunks is None else chunks)
+        for chunk in wanted:
+            self._require_chunk(chunk)
+        if compensate and wanted != list(range(len(wanted))):
+            raise ValueError(
+                f"chunks {wanted[:8]} compensated, expected the first ones of the file in order"
+            )
+        degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)
+        counts = [int(self.chunks.splats[chunk]) for chunk in wanted]
+        # Codebooks first, on this thread, so that the workers only read them.
+        for chunk in wanted:
+            self._load_codebooks(chunk, degree)
+        kinds = self.root.attributes if extras and all(map(self.has_extras, wanted)) else ()
+        self._check_size(sum(counts), degree, sum(kind.row_bytes for kind in kinds))
+        compiled.prepare(sum(counts))
+        out = _allocate(sum(counts), degree, self.root, kinds)
+        stops = np.cumsum(counts).tolist()
+        tasks = [
+            (chunk, out.take(slice(stop - count, stop)))
+            for chunk, count, stop in zip(wanted, counts, stops, strict=True)
+        ]
+
+        def decode_one(task: tuple[int, Splats]) -> None:
+            self._decode_chunk(*task, refine=refine)
+
+        workers = thread_count(threads or _workers(sum(counts)))
+        for done, _ in enumerate(ordered_map(decode_one, tasks, workers), start=1):
+            progress("decode", done, len(tasks))
+        return self.compensation().apply(out, len(wanted)) if compensate else out
+
+    def iter_chunks(self, *, sh_degree: int | None = None, refine: bool = True) -> Iterator[Splats]:
+        """Decode the complete chunks one by one."""
+        for chunk in range(self.complete_chunks()):
+            yield self.decode([chunk], sh_degree=sh_degree, refine=refine, threads=1)
+
+    def verify(self, progress: Progress = silent) -> None:
+        """Check every segment's CRC and hash, and decode every chunk and look for it in its box.
+
+        Raises
+        ------
+        FormatError
+            ``segment-crc``, ``segment-hash``, ``chunk-box``, or what decoding finds.
+        """
+        for row in range(len(self.segments)):
+            digest = hashlib.sha256(self.read_segment(row)).digest()[: cogs_root.HASH_BYTES]
+            if digest != self.segments.hash[row].tobytes():
+                raise FormatError(
+                    "segment-hash",
+                    f"{self.name}: segment {row}: its SHA-256 does not match the table's",
+                    clause="5.3",
+                    offset=int(self.offsets[row]),
+                )
+            progress("verify", row + 1, len(self.segments))
+        # Codebooks that no chunk needs are part of the file too.
+        for book in range(len(self.root.codebooks)):
+            self._load_codebook(book, self.root.sh_degree)
+        self.cameras()
+        self.compensation()
+        for chunk in range(self.num_chunks):
+            means = self.decode([chunk]).means
+            if self._index.refinements[chunk] >= 0:
+                coarse = self.decode([chunk], sh_degree=0, refine=False, extras=False).means
+                means = np.concatenate([means, coarse])
+            box = self.chunks.box[chunk]
+            if not ((means >= box[:3]) & (means <= box[3:])).all():
+                raise FormatError(
+                    "chunk-box",
+                    f"{self.name}: chunk {chunk}: means from {means.min(axis=0).tolist()} to "
+                    f"{means.max(axis=0).tolist()}, expected within {box.tolist()}",
+                    clause="5.4",
+                )
+
+    def segment_rows(self, kind: SegmentKind, owner: int) -> list[int]:
+        """Return the rows of the segments of a kind that belong to a chunk or codebook."""
+        mask = (self.segments.kind == kind) & (self.segments.owner == owner)
+        return [int(row) for row in np.flatnonzero(mask)]
+
+    def _require_chunk(self, chunk: int) -> None:
+        if not 0 <= chunk < self._index.all_chunks:
+            raise ValueError(f"chunk {chunk}, expected 0 to {self._index.all_chunks - 1}")
+        if chunk >= self.num_chunks:
+            raise self._not_there(f"chunk {chunk}: the index page that lists it")
+
+    def _not_there(self, what: str) -> TruncatedError:
+        return TruncatedError(
+            "file-truncated",
+            f"{self.name}: {what} is behind the {self._source.size} bytes there are, "
+            f"expected {self.file_length}",
+            clause="3.3",
+            needed=self.file_length,
+        )
+
+    def _present(self, row: int) -> bool:
+        return bool(self.offsets[row] + self.segments.length[row] <= self._source.size)
+
+    def _complete(self, row: int, degree: int) -> bool:
+        """Whether a segment and the codebooks it needs are there, up to an SH degree."""
+        return self._present(row) and all(
+            self._codebook_rows(book, degree) is not None for book in self._needed(row)
+        )
+
+    def _needed(self, row: int) -> list[int]:
+        needs = int(self.segments.needs[row])
+        return [book for book in range(len(self.root.codebooks)) if needs >> book & 1]
+
+    def _codebook_rows(self, book: int, degree: int) -> list[int] | None:
+        """Return the segments of a codebook up to an SH degree, None where one is not there."""
+        kinds = codebook_kinds(self.root.codebooks[book].attribute, degree)
+        found = self._index.codebooks[book]
+        rows = [found[kind] for kind in kinds if kind in found]
+        return rows if len(rows) == len(kinds) and all(map(self._present, rows)) else None
+
+    def _check_size(self, splats: int, degree: int, extra_bytes: int = 0) -> None:
+        size = splats * (_HEAD_ROW_BYTES + 12 * (sh_coefficients(degree) - 1) + extra_bytes)
+        size += sum(book.nbytes for book in self._codebooks.values())
+        limits = self._limits
+        allowed = min(
+            limits.decoded_bytes, max(_SMALL_RESULT, limits.expansion * self._source.size)
+        )
+        if size > allowed:
+            raise LimitError(
+                "decoded-size",
+                f"{self.name}: {splats} splats and codebooks take {size} bytes, "
+                f"expected at most {allowed} from {self._source.size} bytes (SPEC 9.2)",
+            )
+
+    def _load_codebooks(self, chunk: int, degree: int) -> None:
+        rows = [int(self._index.heads[chunk])]
+        tail = int(self._index.tails[chunk])
+        if degree and tail >= 0 and self.has_tail(chunk, degree):
+            rows.append(tail)
+        for row in rows:
+            for book in self._needed(row):
+                key = self._codebook_key(book, degree)
+                if key not in self._codebooks:
+                    self._codebooks[key] = self._load_codebook(book, degree)
+
+    def _codebook_key(self, book: int, degree: int) -> tuple[int, int]:
+        return book, degree if self.root.codebooks[book].attribute == "colour" else 0
+
+    def _load_codebook(self, book: int, degree: int) -> Codebook:
+        entry = self.root.codebooks[book]
+        where = f"{self.name}: codebook {book}"
+        rows = self._codebook_rows(book, degree)
+        if rows is None:
+            raise self._not_there(f"a segment of codebook {book}")
+        # Nothing is allocated for rows that no segment brings.
+        self._check_size(entry.rows, degree)
+        if entry.attribute == "shape":
+            return codebooks.decode_shape_codebook(self.read_segment(rows[0]), entry.rows, where)
+        payloads = {band: self.read_segment(row) for band, row in enumerate(rows, start=1)}
+        return codebooks.decode_colour_codebook(payloads, entry.rows, degree, where)
+
+    def _decode_chunk(self, chunk: int, out: Splats, *, refine: bool) -> None:
+        degree = out.sh_degree
+        head = int(self._index.heads[chunk])
+        where = f"{self.name}: chunk {chunk}"
+        payload = self.read_segment(head)
+        row = int(self._index.refinements[chunk])
+        finer = self.read_segment(row) if refine and row >= 0 and self._present(row) else None
+        heads.decode_head(payload, self._books(head, degree), out, f"{where} head", finer)
+        if out.extras:
+            payload = self.read_segment(int(self._index.attributes[chunk]))
+            unpack_attributes(payload, self.root.attributes, out.extras, f"{where} attributes")
+        if not degree:
+            return
+        tail = int(self._index.tails[chunk])
+        if tail < 0 or not self.has_tail(chunk, degree):
+            out.shN[:] = 0
+            return
+        payload = self.read_segment(tail)
+        books = self._books(tail, degree)
+        tails.decode_tail(payload, books, out.shN, f"{where} tail", sh_degree=self.root.sh_degree)
+
+    def _books(self, row: int, degree: int) -> dict[int, Codebook]:
+        keys = {book: self._codebook_key(book, degree) for book in self._needed(row)}
+        return {book: self._codebooks[key] for book, key in keys.items()}
+
+
+def open_cogs(source: Source, *, partial: bool = False, limits: Limits | None = None) -> CogsFile:
+    """Read the index of a file and check it.
+
+    Parameters
+    ----------
+    source : Source
+    partial : bool
+        Accept a source that ends before the file does; its complete chunks can be decoded.
+    limits : Limits, optional
+
+    Returns
+    -------
+    CogsFile
+
+    Raises
+    ------
+    FormatError
+        The preamble, the root, a page or their tables break SPEC 3 to 5.
+    TruncatedError
+        The file is short (strict), or its root is not complete (partial).
+    UnsupportedError
+        A newer major version, or something that must be understood and is not.
+    """
+    return CogsFile(source, read_index(source, partial=partial), limits or Limits())
+
+
+def _workers(splats: int) -> int:
+    """Return how many threads pay: 1, or 0 for all cores."""
+    return 0 if compiled.ready() and splats >= _WORTH_THREADS else 1
+
+
+def _allocate(rows: int, degree: int, root: Root, kinds: Sequence[AttributeType]) -> Splats:
+    blank = empty(degree, 0, root.info)
+    return replace(
+        blank,
+        means=np.empty((rows, 3), np.float32),
+        scales=np.empty((rows, 3), np.float32),
+        quats=np.empty((rows, 4), np.float32),
+        opacities=np.empty(rows, np.float32),
+        sh0=np.empty((rows, 3), np.float32),
+        shN=np.empty((rows, sh_coefficients(degree) - 1, 3), np.float32),
+        extras={kind.name: kind.allocate(rows) for kind in kinds},
+    )

@@ -1,0 +1,480 @@
+"""The root and the index pages: what a reader must know before any chunk (SPEC 4, 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import DataError, FormatError, UnsupportedError
+from cogsplat.codec.metrics import PSNR_CAP_DB
+from cogsplat.codec.segments.attributes import AttributeType
+from cogsplat.codec.splats import (
+    EXTRA_DTYPES,
+    MAX_EXTRA_COMPONENTS,
+    MAX_EXTRAS,
+    MAX_SH_DEGREE,
+    SceneInfo,
+)
+from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS, MAX_CODEBOOK_ROWS
+
+from . import layout
+from .canonical_msgpack import Value
+from .msgpack_map import CheckedMap
+
+U32 = NDArray[np.uint32]
+
+HASH_BYTES: Final = 16
+"""First bytes of a segment's SHA-256 (SPEC 5.3)."""
+
+CODEBOOK_ATTRIBUTES: Final = ("shape", "colour")
+COLOUR_SPACES: Final = ("srgb", "linear")
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentTable:
+    """Rows in file order (SPEC 5.3).
+
+    Parameters
+    ----------
+    kind : (s,) uint8
+        `SegmentKind`, or 128 and above.
+    owner : (s,) uint32
+        Chunk or codebook the segment belongs to.
+    length : (s,) uint32
+        Bytes in the file.
+    crc : (s,) uint32
+        CRC-32 of those bytes.
+    hash : (s, 16) uint8
+        First 16 bytes of their SHA-256.
+    needs : (s,) uint32
+        Bit i: codebook i is needed to decode the segment.
+    """
+
+    kind: NDArray[np.uint8]
+    owner: U32
+    length: U32
+    crc: U32
+    hash: NDArray[np.uint8]
+    needs: U32
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+def no_segments() -> SegmentTable:
+    """Return a segment table without rows."""
+    none = np.zeros(0, np.uint32)
+    kinds = np.zeros(0, np.uint8)
+    return SegmentTable(kinds, none, none, none, np.zeros((0, HASH_BYTES), np.uint8), none)
+
+
+@dataclass(frozen=True, eq=False)
+class ChunkTable:
+    """Rows in chunk order (SPEC 5.4).
+
+    Parameters
+    ----------
+    splats : (c,) uint32
+        Rows of each chunk.
+    box : (c, 6) float32
+        Minimum then maximum corner of what its splats reach, scene units.
+    contribution : (c,) float64
+        Sum of its splats' contributions; zeros where the scene was not scored.
+    layer, cell, object : (c,) uint32
+        Zeros where the scene has none.
+    quality : (c,) float32
+        Predicted PSNR, dB, of a scene that ends with the chunk; 0 where nothing was predicted.
+    """
+
+    splats: U32
+    box: NDArray[np.float32]
+    contribution: NDArray[np.float64]
+    layer: U32
+    cell: U32
+    object: U32
+    quality: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.splats)
+
+
+@dataclass(frozen=True)
+class CodebookEntry:
+    """One codebook: what its rows are and how many (SPEC 5.5)."""
+
+    attribute: str
+    rows: int
+
+
+@dataclass(frozen=True)
+class PageEntry:
+    """One index page (SPEC 5.6).
+
+    Parameters
+    ----------
+    length, crc : int
+        Of the page's bytes.
+    segments, chunks : int
+        Rows in the page.
+    span : int
+        Bytes of the page's segments, which stand right behind it.
+    """
+
+    length: int
+    crc: int
+    segments: int
+    chunks: int
+    span: int
+
+
+@dataclass(frozen=True, eq=False)
+class Root:
+    """Everything the root states.
+
+    Parameters
+    ----------
+    writer : str
+        Name and version of what wrote the file.
+    splats : int
+    sh_degree : int
+    info : SceneInfo
+    box : (6,) float64
+        Minimum then maximum corner of what the scene's splats reach, scene units.
+    codebooks : sequence of CodebookEntry
+    first_view : Camera or None
+    segments : SegmentTable
+        Of the root alone; pages add theirs.
+    chunks : ChunkTable
+        Likewise.
+    pages : sequence of PageEntry
+    attributes : sequence of AttributeType
+        Extra attributes of the splats, of which chunks have segments of their own.
+    """
+
+    writer: str
+    splats: int
+    sh_degree: int
+    info: SceneInfo
+    box: NDArray[np.float64]
+    codebooks: Sequence[CodebookEntry]
+    first_view: Camera | None
+    segments: SegmentTable
+    chunks: ChunkTable
+    pages: Sequence[PageEntry] = field(default=())
+    attributes: Sequence[AttributeType] = field(default=())
+
+
+def _column(values: NDArray[np.generic], dtype: str) -> bytes:
+    return np.ascontiguousarray(values).astype(dtype).tobytes()
+
+
+def segments_value(table: SegmentTable) -> dict[str, Value]:
+    """Return a segment table as msgpack columns."""
+    return {
+        "kind": _column(table.kind, "u1"),
+        "owner": _column(table.owner, "<u4"),
+        "length": _column(table.length, "<u4"),
+        "crc": _column(table.crc, "<u4"),
+        "hash": _column(table.hash, "u1"),
+        "needs": _column(table.needs, "<u4"),
+    }
+
+
+def chunks_value(table: ChunkTable) -> dict[str, Value]:
+    """Return a chunk table as msgpack columns; columns of zeros are left out."""
+    value: dict[str, Value] = {
+        "splats": _column(table.splats, "<u4"),
+        "box": _column(table.box, "<f4"),
+        "contribution": _column(table.contribution, "<f8"),
+    }
+    for name in ("layer", "cell", "object"):
+        column = getattr(table, name)
+        if column.any():
+            value[name] = _column(column, "<u4")
+    if table.quality.any():
+        value["quality"] = _column(table.quality, "<f4")
+    return value
+
+
+def root_value(root: Root) -> dict[str, Value]:
+    """Return the root as a msgpack map (SPEC 4.2)."""
+    info = root.info
+    value: dict[str, Value] = {
+        "writer": root.writer,
+        "splats": root.splats,
+        "sh_degree": root.sh_degree,
+        "origin": [float(x) for x in info.origin],
+        "axes": info.axes,
+        "colour_space": info.colour_space,
+        "kernel_px": float(info.kernel_px),
+        "antialiased": info.antialiased,
+        "box": [float(x) for x in root.box],
+        "codebooks": [{"attribute": c.attribute, "rows": c.rows} for c in root.codebooks],
+        "segments": segments_value(root.segments),
+        "chunks": chunks_value(root.chunks),
+    }
+    if root.first_view is not None:
+        value["first_view"] = _camera_value(root.first_view)
+    if root.attributes:
+        value["attributes"] = [_attribute_value(kind) for kind in root.attributes]
+    if root.pages:
+        value["pages"] = [
+            {
+                "length": page.length,
+                "crc": page.crc,
+                "segments": page.segments,
+                "chunks": page.chunks,
+                "span": page.span,
+            }
+            for page in root.pages
+        ]
+    return value
+
+
+def _attribute_value(kind: AttributeType) -> dict[str, Value]:
+    value: dict[str, Value] = {"name": kind.name, "type": kind.dtype}
+    if kind.components:
+        value["components"] = kind.components
+    return value
+
+
+def _camera_value(camera: Camera) -> dict[str, Value]:
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "fx": float(camera.fx),
+        "fy": float(camera.fy),
+        "cx": float(camera.cx),
+        "cy": float(camera.cy),
+        "rotation": [float(x) for x in camera.rotation.reshape(-1)],
+        "translation": [float(x) for x in camera.translation],
+    }
+
+
+def parse_segments(value: Value, where: str) -> SegmentTable:
+    """Read a segment table.
+
+    Raises
+    ------
+    FormatError
+        ``root-missing``, ``root-type``, ``root-columns``, ``root-value``.
+    UnsupportedError
+        ``segment-kind-unknown``, ``root-must-understand``.
+    """
+    table = CheckedMap(value, f"{where}, segments", "5.3")
+    kind = table.column("kind", "u1", None).astype(np.uint8)
+    rows = len(kind)
+    owner = table.column("owner", "<u4", rows)
+    length = table.column("length", "<u4", rows)
+    crc = table.column("crc", "<u4", rows)
+    digest = table.column("hash", "u1", rows, HASH_BYTES)
+    needs = table.column("needs", "<u4", rows)
+    table.finish()
+    known = [int(k) for k in layout.SegmentKind]
+    unknown = np.flatnonzero((kind < layout.SKIPPABLE_KIND) & ~np.isin(kind, known))
+    if len(unknown):
+        raise UnsupportedError(
+            "segment-kind-unknown",
+            f"{where}, segment {unknown[0]}: kind {kind[unknown[0]]}, expected {known} or "
+            f"{layout.SKIPPABLE_KIND} and above (SPEC 5.2)",
+        )
+    if rows and int(length.min()) == 0:
+        raise table.error("length", "a segment of 0 bytes, expected at least 1")
+    return SegmentTable(
+        kind,
+        owner.astype(np.uint32),
+        length.astype(np.uint32),
+        crc.astype(np.uint32),
+        digest.astype(np.uint8).reshape(rows, HASH_BYTES),
+        needs.astype(np.uint32),
+    )
+
+
+def parse_chunks(value: Value, where: str) -> ChunkTable:
+    """Read a chunk table; raises as `parse_segments` does."""
+    table = CheckedMap(value, f"{where}, chunks", "5.4")
+    splats = table.column("splats", "<u4", None).astype(np.uint32)
+    rows = len(splats)
+    box = table.column("box", "<f4", rows, 6).astype(np.float32).reshape(rows, 6)
+    contribution = table.column("contribution", "<f8", rows).astype(np.float64)
+    optional = {
+        name: (
+            table.column(name, "<u4", rows).astype(np.uint32)
+            if table.has(name)
+            else np.zeros(rows, np.uint32)
+        )
+        for name in ("layer", "cell", "object")
+    }
+    quality = np.zeros(rows, np.float32)
+    if table.has("quality"):
+        quality = table.column("quality", "<f4", rows).astype(np.float32)
+    table.finish()
+    if rows and not 1 <= int(splats.min()) <= int(splats.max()) <= MAX_CHUNK_SPLATS:
+        raise table.error(
+            "splats",
+            f"{int(splats.min())} to {int(splats.max())} in a chunk, "
+            f"expected 1 to {MAX_CHUNK_SPLATS}",
+        )
+    if not (np.isfinite(box).all() and (box[:, :3] <= box[:, 3:]).all()):
+        raise table.error("box", "corners not finite or in the wrong order")
+    if not (np.isfinite(contribution).all() and (contribution >= 0).all()):
+        raise table.error("contribution", "not finite or negative")
+    if not ((quality >= 0) & (quality <= PSNR_CAP_DB)).all():
+        raise table.error("quality", f"expected 0 to {PSNR_CAP_DB:g} dB")
+    return ChunkTable(splats, box, contribution, **optional, quality=quality)
+
+
+def parse_root(value: Value, where: str) -> Root:
+    """Read the root map (SPEC 4.2); raises as `parse_segments` does."""
+    root = CheckedMap(value, where, "4.2")
+    writer = root.text("writer")
+    splats = root.integer("splats", 0, layout.MAX_SPLATS)
+    sh_degree = root.integer("sh_degree", 0, MAX_SH_DEGREE)
+    origin = root.numbers("origin", 3)
+    info = SceneInfo(
+        origin=(origin[0], origin[1], origin[2]),
+        axes=_axes(root),
+        colour_space=_colour_space(root),
+        kernel_px=root.number("kernel_px"),
+        antialiased=root.take("antialiased", bool),
+    )
+    if info.kernel_px < 0:
+        raise root.error("kernel_px", f"{info.kernel_px}, expected 0 or more")
+    box = np.array(root.numbers("box", 6))
+    if not (box[:3] <= box[3:]).all():
+        raise root.error("box", "corners in the wrong order")
+    codebooks = [_codebook(v, where) for v in root.take("codebooks", list)]
+    if len(codebooks) > layout.MAX_CODEBOOKS:
+        raise root.error("codebooks", f"{len(codebooks)}, expected at most {layout.MAX_CODEBOOKS}")
+    first_view = _camera(root.take("first_view", dict), where) if root.has("first_view") else None
+    attributes = _attributes(root, where)
+    pages = [_page(v, where) for v in root.take("pages", list)] if root.has("pages") else []
+    if len(pages) > layout.MAX_PAGES:
+        raise root.error("pages", f"{len(pages)}, expected at most {layout.MAX_PAGES}")
+    segments = parse_segments(root.take("segments", dict), where)
+    chunks = parse_chunks(root.take("chunks", dict), where)
+    root.finish()
+    return Root(
+        writer=writer,
+        splats=splats,
+        sh_degree=sh_degree,
+        info=info,
+        box=box,
+        codebooks=codebooks,
+        first_view=first_view,
+        segments=segments,
+        chunks=chunks,
+        pages=pages,
+        attributes=attributes,
+    )
+
+
+def parse_page(value: Value, entry: PageEntry, where: str) -> tuple[SegmentTable, ChunkTable]:
+    """Read an index page and check it against the root's entry (SPEC 5.6)."""
+    page = CheckedMap(value, where, "5.6")
+    segments = parse_segments(page.take("segments", dict), where)
+    chunks = parse_chunks(page.take("chunks", dict), where)
+    page.finish()
+    span = int(segments.length.sum(dtype=np.uint64))
+    found = (len(segments), len(chunks), span)
+    expected = (entry.segments, entry.chunks, entry.span)
+    if found != expected:
+        raise FormatError(
+            "page-entry",
+            f"{where}: segments, chunks and span {found}, expected {expected}",
+            clause="5.6",
+        )
+    return segments, chunks
+
+
+def _axes(root: CheckedMap) -> str:
+    axes = root.text("axes")
+    pairs = ["RL", "UD", "FB"]
+    if len(axes) != 3 or {next((p for p in pairs if a in p), "") for a in axes} != set(pairs):
+        raise root.error("axes", f"{axes!r}, expected one of R/L, U/D and F/B each, such as 'RDF'")
+    return axes
+
+
+def _colour_space(root: CheckedMap) -> str:
+    name = root.text("colour_space")
+    if name not in COLOUR_SPACES:
+        raise UnsupportedError(
+            "colour-space-unknown",
+            root.error("colour_space", f"{name!r}, expected one of {COLOUR_SPACES}").message,
+        )
+    return name
+
+
+def _codebook(value: Value, where: str) -> CodebookEntry:
+    book = CheckedMap(value, f"{where}, codebooks", "5.5")
+    entry = CodebookEntry(book.text("attribute"), book.integer("rows", 1, MAX_CODEBOOK_ROWS))
+    book.finish()
+    if entry.attribute not in CODEBOOK_ATTRIBUTES:
+        raise UnsupportedError(
+            "codebook-unknown",
+            f"{where}: a codebook of {entry.attribute!r}, expected {CODEBOOK_ATTRIBUTES} "
+            "(SPEC 5.5)",
+        )
+    return entry
+
+
+def _attributes(root: CheckedMap, where: str) -> list[AttributeType]:
+    if not root.has("attributes"):
+        return []
+    values = root.take("attributes", list)
+    if len(values) > MAX_EXTRAS:
+        raise root.error("attributes", f"{len(values)}, expected at most {MAX_EXTRAS}")
+    found = [_attribute(value, where) for value in values]
+    if len({kind.name for kind in found}) < len(found):
+        raise root.error("attributes", "a name twice, expected each once")
+    return found
+
+
+def _attribute(value: Value, where: str) -> AttributeType:
+    entry = CheckedMap(value, f"{where}, attributes", "5.7")
+    name, dtype = entry.text("name"), entry.text("type")
+    components = 0
+    if entry.has("components"):
+        components = entry.integer("components", 1, MAX_EXTRA_COMPONENTS)
+    entry.finish()
+    if not name:
+        raise entry.error("name", "no characters, expected some")
+    if dtype not in EXTRA_DTYPES:
+        raise UnsupportedError(
+            "attribute-type-unknown",
+            f"{where}: attribute {name!r} of type {dtype!r}, expected one of "
+            f"{', '.join(EXTRA_DTYPES)} (SPEC 5.7)",
+        )
+    return AttributeType(name, dtype, components)
+
+
+def _page(value: Value, where: str) -> PageEntry:
+    page = CheckedMap(value, f"{where}, pages", "5.6")
+    entry = PageEntry(
+        length=page.integer("length", 1, layout.MAX_PAGE_BYTES),
+        crc=page.integer("crc", 0, (1 << 32) - 1),
+        segments=page.integer("segments", 1, layout.MAX_SEGMENTS),
+        chunks=page.integer("chunks", 0, layout.MAX_SEGMENTS),
+        span=page.integer("span", 1, layout.MAX_FILE_BYTES),
+    )
+    page.finish()
+    return entry
+
+
+def _camera(value: Value, where: str) -> Camera:
+    view = CheckedMap(value, f"{where}, first_view", "4.4")
+    width = view.integer("width", 1, 65535)
+    height = view.integer("height", 1, 65535)
+    fx, fy, cx, cy = (view.number(key) for key in ("fx", "fy", "cx", "cy"))
+    rotation = np.array(view.numbers("rotation", 9)).reshape(3, 3)
+    translation = np.array(view.numbers("translation", 3))
+    view.finish()
+    try:
+        return Camera(width, height, fx, fy, cx, cy, rotation, translation, "first view")
+    except DataError as error:
+        raise FormatError("root-value", f"{where}, first_view: {error}", clause="4.4") from error

@@ -1,0 +1,171 @@
+"""From an encoded scene to a COGS file: the order of its segments and its root."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.encoded import EncodedChunk, EncodedScene
+from cogsplat.codec.rate import segment_order
+from cogsplat.codec.rate.segment_order import Place
+from cogsplat.codec.segments.attributes import types_of
+from cogsplat.codec.segments.payloads import Payloads
+
+from . import layout
+from .cameras import pack_cameras
+from .compensation import pack_layer
+from .layout import SegmentKind
+from .root import ChunkTable, CodebookEntry, Root, no_segments
+from .writer import Segment, lay_out, write_cogs
+
+
+def save(
+    path: Path,
+    scene: EncodedScene,
+    *,
+    writer: str,
+    first_view: Camera | None = None,
+    cameras: Sequence[Camera] = (),
+    force: bool = False,
+) -> int:
+    """Write an encoded scene as a COGS file.
+
+    Parameters
+    ----------
+    path : Path
+    scene : EncodedScene
+    writer : str
+        Name and version of the program, for the root.
+    first_view : Camera, optional
+        Where a viewer starts.
+    cameras : sequence of Camera
+        Stored in the file.
+    force : bool
+        Replace an existing file.
+
+    Returns
+    -------
+    int
+        Bytes written.
+
+    Raises
+    ------
+    StorageError
+        ``exists``, ``disk-full``, ``permission``, ``not-found`` or ``io``.
+    DataError
+        ``root-size``, ``bad-scene-info``, ``too-many-cameras`` or ``bad-camera``.
+    """
+    root = build_root(scene, writer, first_view)
+    return write_cogs(path, root, segments(scene, cameras), force=force)
+
+
+def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = None) -> Root:
+    """Return the root of an encoded scene; the writer fills in its segment table."""
+    chunks = scene.chunks
+    count = len(chunks)
+    none = np.zeros(count, np.uint32)
+    table = ChunkTable(
+        splats=np.array([chunk.splats for chunk in chunks], np.uint32),
+        box=_outward(chunks),
+        contribution=np.array([chunk.contribution for chunk in chunks], np.float64),
+        quality=np.array([chunk.quality_db for chunk in chunks], np.float32),
+        layer=none,
+        cell=none,
+        object=np.array([chunk.object for chunk in chunks], np.uint32),
+    )
+    return Root(
+        writer=writer,
+        splats=scene.splats,
+        sh_degree=scene.scene.sh_degree,
+        info=scene.scene.info,
+        box=scene.box,
+        codebooks=[CodebookEntry(book.attribute, book.rows) for book in scene.codebooks],
+        first_view=first_view,
+        segments=no_segments(),
+        chunks=table,
+        attributes=types_of(scene.scene.extras),
+    )
+
+
+def size_bytes(
+    scene: EncodedScene,
+    *,
+    writer: str,
+    first_view: Camera | None = None,
+    cameras: Sequence[Camera] = (),
+) -> int:
+    """Return the bytes that `save` would write."""
+    parts = lay_out(build_root(scene, writer, first_view), segments(scene, cameras))
+    return sum(len(part) for part in parts)
+
+
+def _outward(chunks: Sequence[EncodedChunk]) -> NDArray[np.float32]:
+    """Return the boxes as float32, rounded outward so that they still hold their splats."""
+    wide = np.array([chunk.box for chunk in chunks], np.float64).reshape(-1, 6)
+    limit = float(np.finfo(np.float32).max)
+    narrow = np.clip(wide, -limit, limit).astype(np.float32)
+    low = np.where(narrow[:, :3] > wide[:, :3], np.nextafter(narrow[:, :3], -np.inf), narrow[:, :3])
+    high = np.where(narrow[:, 3:] < wide[:, 3:], np.nextafter(narrow[:, 3:], np.inf), narrow[:, 3:])
+    return np.concatenate([low, high], axis=1).astype(np.float32)
+
+
+def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segment]:
+    """Return the segments of a scene in the order a client should receive them (SPEC 5.1).
+
+    Layers of compensation stand before the first chunk that they are about and the layer before is
+    not. Behind all that a picture needs stand the cameras, then the extra attributes.
+    """
+    out: list[Segment] = []
+    layers = _layers(scene)
+    books: list[Segment] = []
+    for number, book in enumerate(scene.codebooks):
+        if book.attribute == "shape":
+            out.append(Segment(SegmentKind.SHAPE_CODEBOOK, number, book.payloads[0]))
+        else:
+            for kind, payload in zip(layout.COLOUR_BANDS, book.payloads, strict=False):
+                books.append(Segment(kind, number, payload))
+    for place in segment_order.order(
+        [chunk.parts for chunk in scene.chunks],
+        _missing(scene),
+        sum(len(book.payload) for book in books),
+    ):
+        if place.what == "books":
+            out += books
+        else:
+            if place.what == "head":
+                out += layers.get(place.chunk, [])
+            out.append(_segment(place, scene.chunks[place.chunk].payloads))
+    if cameras:
+        out.append(Segment(SegmentKind.CAMERAS, 0, pack_cameras(cameras)))
+    for number, chunk in enumerate(scene.chunks):
+        if chunk.attributes is not None:
+            out.append(Segment(SegmentKind.ATTRIBUTES, number, chunk.attributes))
+    return out
+
+
+def _missing(scene: EncodedScene) -> NDArray[np.float64]:
+    if scene.lacking is not None:
+        return segment_order.measured_shares(scene.lacking)
+    return segment_order.missing_shares(np.array([chunk.contribution for chunk in scene.chunks]))
+
+
+def _layers(scene: EncodedScene) -> dict[int, list[Segment]]:
+    """Return the layers of compensation by the chunk that each stands before."""
+    found: dict[int, list[Segment]] = {}
+    first = 0
+    for number, layer in enumerate(scene.compensation.layers if scene.compensation else ()):
+        found[first] = [Segment(SegmentKind.COMPENSATION, number, pack_layer(layer))]
+        first = layer.chunks
+    return found
+
+
+def _segment(place: Place, parts: Payloads) -> Segment:
+    if place.what == "refinement" and parts.refinement is not None:
+        return Segment(SegmentKind.REFINEMENT, place.chunk, parts.refinement)
+    if place.what == "tail" and parts.tail is not None:
+        return Segment(SegmentKind.TAIL, place.chunk, parts.tail, parts.tail_needs)
+    return Segment(SegmentKind.HEAD, place.chunk, parts.head, parts.head_needs)

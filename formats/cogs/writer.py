@@ -1,0 +1,215 @@
+"""Write a COGS file: segments behind an index that fits the first request (SPEC 3 to 5)."""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from cogsplat.codec.errors import DataError, FormatError, UnsupportedError
+from cogsplat.formats.storage.atomic import atomic_write
+
+from . import canonical_msgpack, layout
+from . import root as cogs_root
+from .layout import SegmentKind
+from .root import HASH_BYTES, ChunkTable, PageEntry, Root, SegmentTable
+
+# Index pages stay small enough to be one quick request each, and few enough for the root.
+_PAGE_TARGET: Final = 65536
+_PAGES_TARGET: Final = 100
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One segment to write.
+
+    Parameters
+    ----------
+    kind : int
+        `SegmentKind`, or 128 and above for what readers may skip.
+    owner : int
+        Chunk or codebook it belongs to.
+    payload : bytes
+    needs : tuple of int
+        Codebooks needed to decode it.
+    """
+
+    kind: int
+    owner: int
+    payload: bytes
+    needs: tuple[int, ...] = ()
+
+
+def write_cogs(path: Path, root: Root, segments: Sequence[Segment], *, force: bool = False) -> int:
+    """Write a file beside `path` and rename it.
+
+    Parameters
+    ----------
+    path : Path
+    root : Root
+        Its segment table and pages are made here and replace what it holds.
+    segments : sequence of Segment
+        In file order.
+    force : bool
+        Replace an existing file.
+
+    Returns
+    -------
+    int
+        Bytes written.
+
+    Raises
+    ------
+    StorageError
+        ``exists``, ``disk-full``, ``permission``, ``not-found`` or ``io``.
+    DataError
+        As `lay_out` says.
+    """
+    parts = lay_out(root, segments)
+    with atomic_write(path, force=force) as file:
+        for part in parts:
+            file.write(part)
+    return sum(len(part) for part in parts)
+
+
+def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
+    """Return the bytes of a file, part by part: preamble, root, segments and pages in order.
+
+    Raises
+    ------
+    DataError
+        ``bad-scene-info``: the root holds a value that no reader would accept; ``root-size``: it
+        is too long.
+    """
+    if len(segments) > layout.MAX_SEGMENTS:
+        raise ValueError(f"{len(segments)} segments, expected at most {layout.MAX_SEGMENTS}")
+    rows = _table(segments)
+    groups = _split(root, segments)
+    first = groups[0]
+    pages: list[PageEntry] = []
+    page_bytes: list[bytes] = []
+    for group in groups[1:]:
+        value: dict[str, canonical_msgpack.Value] = {
+            "segments": cogs_root.segments_value(_rows(rows, group.segments)),
+            "chunks": cogs_root.chunks_value(_chunk_rows(root.chunks, group.chunks)),
+        }
+        data = canonical_msgpack.pack(value)
+        span = sum(len(s.payload) for s in segments[group.segments])
+        count = group.segments.stop - group.segments.start
+        chunks = group.chunks.stop - group.chunks.start
+        pages.append(PageEntry(len(data), zlib.crc32(data), count, chunks, span))
+        page_bytes.append(data)
+    whole = replace(
+        root,
+        segments=_rows(rows, first.segments),
+        chunks=_chunk_rows(root.chunks, first.chunks),
+        pages=pages,
+    )
+    root_bytes = canonical_msgpack.pack(cogs_root.root_value(whole))
+    try:
+        cogs_root.parse_root(canonical_msgpack.unpack(root_bytes, "root"), "root")
+    except (FormatError, UnsupportedError) as error:
+        raise DataError("bad-scene-info", error.message) from error
+    parts: list[bytes] = [root_bytes]
+    parts += [s.payload for s in segments[first.segments]]
+    for group, data in zip(groups[1:], page_bytes, strict=True):
+        parts.append(data)
+        parts += [s.payload for s in segments[group.segments]]
+    length = layout.PREAMBLE_BYTES + sum(len(part) for part in parts)
+    preamble = layout.Preamble(
+        layout.MAJOR, layout.MINOR, len(root_bytes), length, zlib.crc32(root_bytes)
+    )
+    if layout.PREAMBLE_BYTES + len(root_bytes) > layout.MAX_ROOT_END:
+        raise DataError(
+            "root-size",
+            f"a root of {len(root_bytes)} bytes, expected at most "
+            f"{layout.MAX_ROOT_END - layout.PREAMBLE_BYTES}: fewer attributes or shorter names",
+        )
+    return [layout.pack_preamble(preamble), *parts]
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Rows of one index: the root's own or a page's."""
+
+    segments: slice
+    chunks: slice
+
+
+def _table(segments: Sequence[Segment]) -> SegmentTable:
+    digests = [hashlib.sha256(s.payload).digest()[:HASH_BYTES] for s in segments]
+    return SegmentTable(
+        kind=np.array([s.kind for s in segments], np.uint8),
+        owner=np.array([s.owner for s in segments], np.uint32),
+        length=np.array([len(s.payload) for s in segments], np.uint32),
+        crc=np.array([zlib.crc32(s.payload) for s in segments], np.uint32),
+        hash=np.frombuffer(b"".join(digests), np.uint8).reshape(-1, HASH_BYTES),
+        needs=np.array([sum(1 << need for need in s.needs) for s in segments], np.uint32),
+    )
+
+
+def _rows(table: SegmentTable, rows: slice) -> SegmentTable:
+    return SegmentTable(
+        table.kind[rows],
+        table.owner[rows],
+        table.length[rows],
+        table.crc[rows],
+        table.hash[rows],
+        table.needs[rows],
+    )
+
+
+def _chunk_rows(table: ChunkTable, rows: slice) -> ChunkTable:
+    return ChunkTable(
+        table.splats[rows],
+        table.box[rows],
+        table.contribution[rows],
+        table.layer[rows],
+        table.cell[rows],
+        table.object[rows],
+        table.quality[rows],
+    )
+
+
+# Bytes a row takes in an index, all columns present (SPEC 5.3, 5.4).
+_SEGMENT_ROW: Final = 1 + 4 + 4 + 4 + HASH_BYTES + 4
+_CHUNK_ROW: Final = 4 + 24 + 8 + 12 + 4
+# Keys and bin headers of the two tables.
+_TABLE_OVERHEAD: Final = 256
+# A page's entry in the root: keys, and integers of up to nine bytes.
+_PAGE_ENTRY: Final = 96
+
+
+def _split(root: Root, segments: Sequence[Segment]) -> list[_Group]:
+    """Cut the rows into the root's share and pages, a chunk's row where its head is."""
+    empty = replace(
+        root,
+        segments=_rows(_table([]), slice(0)),
+        chunks=_chunk_rows(root.chunks, slice(0)),
+        pages=[],
+    )
+    fixed = layout.PREAMBLE_BYTES + len(canonical_msgpack.pack(cogs_root.root_value(empty)))
+    room = layout.MAX_ROOT_END - fixed - _TABLE_OVERHEAD
+    weights = [_SEGMENT_ROW + (_CHUNK_ROW if s.kind == SegmentKind.HEAD else 0) for s in segments]
+    total = sum(weights)
+    if total <= room:
+        return [_Group(slice(0, len(segments)), slice(0, len(root.chunks)))]
+    page = max(_PAGE_TARGET, total // _PAGES_TARGET) - _TABLE_OVERHEAD
+    room -= _PAGE_ENTRY * (total // (page - _SEGMENT_ROW - _CHUNK_ROW) + 1)
+    groups: list[_Group] = []
+    first, chunk, used, limit = 0, 0, 0, room
+    first_chunk = 0
+    for index, weight in enumerate(weights):
+        if used + weight > limit:
+            groups.append(_Group(slice(first, index), slice(first_chunk, chunk)))
+            first, first_chunk, used = index, chunk, 0
+            limit = page
+        used += weight
+        chunk += segments[index].kind == SegmentKind.HEAD
+    groups.append(_Group(slice(first, len(segments)), slice(first_chunk, chunk)))
+    return groups

@@ -1,0 +1,1 @@
+"""Scene formats of others."""

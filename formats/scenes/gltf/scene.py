@@ -1,0 +1,497 @@
+"""glTF with KHR_gaussian_splatting: splats as point primitives with attributes of their own.
+
+Follows the extension as ratified by Khronos in 2026 (github.com/KhronosGroup/glTF): scales are
+linear, opacities from 0 to 1, SH as 3DGS has them. glTF's axes are x left, y up, z front (glTF 2.0,
+section 3.4), "LUF" here: half a turn about z away from those of PLY.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import re
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import BinaryIO, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import (
+    CogsplatWarning,
+    DataError,
+    FormatError,
+    LimitError,
+    UnsupportedError,
+)
+from cogsplat.codec.geometry.rotations import unit
+from cogsplat.codec.geometry.sh import C0, COLOUR_OFFSET
+from cogsplat.codec.geometry.transforms import convert_axes, transform
+from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo, Splats, concatenate, sh_coefficients
+from cogsplat.formats.scenes.losses import extra_losses, info_losses, warn_of_losses
+from cogsplat.formats.scenes.quantised_values import opacity_bytes, opacity_logits, unit_opacities
+from cogsplat.formats.storage.atomic import StrPath, atomic_write
+from cogsplat.formats.storage.strict_json import JsonObject
+
+from .file import (
+    BIN_CHUNK,
+    GLB_CHUNK,
+    GLB_HEADER,
+    GLB_MAGIC,
+    JSON_CHUNK,
+    MAX_TEXT_BYTES,
+    Gltf,
+    instances,
+    open_gltf,
+)
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+GLTF_AXES: Final = "LUF"
+
+_AXES: Final = "RDF"
+_EXTENSION: Final = "KHR_gaussian_splatting"
+_POINTS: Final = 0
+_TRIANGLES: Final = 4
+_COLOUR_SPACES: Final = {"srgb_rec709_display": "srgb", "lin_rec709_display": "linear"}
+
+# Far more than exporters cut a scene into.
+_MAX_PRIMITIVES: Final = 1 << 16
+
+# A mesh may stand in many places; past this many times its splats it is no scan any more.
+_MAX_REPEATS: Final = 16
+
+# How far a node's axes may be from equally long and square: JSON rounds them.
+_SIMILARITY_TOLERANCE: Final = 1e-4
+
+# Rounding may carry an opacity this far out of 0 to 1.
+_OPACITY_TOLERANCE: Final = 1e-5
+
+_SMALLEST_SCALE: Final = float(np.finfo(np.float32).tiny)
+_LARGEST_SCALE: Final = float(np.finfo(np.float32).max)
+
+_MAX_DOCUMENT_BYTES: Final = 1 << 14
+_MAX_GLB_BYTES: Final = (1 << 32) - 1
+
+# Section 3.6.2.2, and WebGL's ARRAY_BUFFER.
+_UNSIGNED_BYTE: Final = 5121
+_FLOAT: Final = 5126
+_ARRAY_BUFFER: Final = 34962
+
+
+def is_gltf(head: bytes) -> bool:
+    """Tell whether a file that starts with these bytes is a GLB, or glTF that has splats."""
+    start = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
+    return head.startswith(GLB_MAGIC) or (start == b"{" and _EXTENSION.encode() in head)
+
+
+def read_gltf(path: StrPath) -> Splats:
+    """Read all splats of a glTF scene.
+
+    Parameters
+    ----------
+    path : path
+        A ``.glb``, or a ``.gltf`` whose buffers are in it or beside it. Attributes may be floats
+        or integers. Other primitives are skipped.
+
+    Returns
+    -------
+    Splats
+        In RDF, the frame of PLY, nodes' transforms applied; several primitives one after the
+        other, at the highest SH degree among them. An opacity of 1 is a logit of +inf, of 0 -inf.
+
+    Raises
+    ------
+    FormatError
+        ``gltf-`` and ``no-splats``, ``mode``, ``missing-attribute``, ``bad-sh``, ``count``,
+        ``bad-opacity``; otherwise as `open_gltf`, `Gltf.accessor`, `instances`.
+    TruncatedError
+        ``gltf-truncated``.
+    UnsupportedError
+        ``gltf-`` and ``spz``, ``compressed``, ``extension``, ``kernel``, ``colour-space``,
+        ``projection``, ``shear``, ``sparse``, ``component-type``, ``uri``, ``version``.
+    LimitError
+        ``gltf-too-many-instances``; ``json-too-long``.
+    StorageError
+        As `open_for_read`.
+
+    Warns
+    -----
+    CogsplatWarning
+        Negative scales, which drafts of the extension stored as logarithms: read as such.
+
+    Notes
+    -----
+    Nothing is allocated for a count that the buffers do not bear out.
+    """
+    gltf = open_gltf(path)
+    placed = _placed_primitives(gltf)
+    if not placed:
+        raise FormatError(
+            "gltf-no-splats", f"{gltf.where}: no primitive with {_EXTENSION}, expected one"
+        )
+    read: dict[int, Splats] = {}
+    for node, _ in placed:
+        if id(node.values) not in read:
+            read[id(node.values)] = _read_primitive(gltf, node)
+    total = sum(len(read[id(node.values)]) for node, _ in placed)
+    distinct = sum(map(len, read.values()))
+    if total > _MAX_REPEATS * distinct:
+        raise LimitError(
+            "gltf-too-many-instances",
+            f"{gltf.where}: nodes repeat {distinct} splats to {total}, expected at most "
+            f"{_MAX_REPEATS} times",
+        )
+    spaces = {splats.info.colour_space for splats in read.values()}
+    if len(spaces) > 1:
+        raise UnsupportedError(
+            "gltf-colour-space", f"{gltf.where}: splats in several colour spaces, expected one"
+        )
+    degree = max(splats.sh_degree for splats in read.values())
+    parts = [
+        _place(_with_degree(read[id(node.values)], degree), matrix, node.where)
+        for node, matrix in placed
+    ]
+    return convert_axes(concatenate(parts) if len(parts) > 1 else parts[0], _AXES)
+
+
+def _placed_primitives(gltf: Gltf) -> list[tuple[JsonObject, F64]]:
+    """Return every primitive of splats in the scene, and how its node stands in the world."""
+    meshes = gltf.items("meshes")
+    primitives: dict[int, list[JsonObject]] = {}
+    placed: list[tuple[JsonObject, F64]] = []
+    for mesh, matrix in instances(gltf):
+        if mesh >= len(meshes):
+            raise FormatError(
+                "gltf-bad-json", f"{gltf.where}: a node names mesh {mesh}, expected {len(meshes)}"
+            )
+        if mesh not in primitives:
+            primitives[mesh] = [
+                node
+                for node in meshes[mesh].children("primitives")
+                if "extensions" in node and _EXTENSION in node.child("extensions")
+            ]
+        placed += [(node, matrix) for node in primitives[mesh]]
+        if len(placed) > _MAX_PRIMITIVES:
+            raise LimitError(
+                "gltf-too-many-instances",
+                f"{gltf.where}: more than {_MAX_PRIMITIVES} primitives of splats, expected fewer",
+            )
+    return placed
+
+
+def _read_primitive(gltf: Gltf, node: JsonObject) -> Splats:
+    """Return a primitive's splats in glTF's axes, in the frame of its mesh."""
+    colour_space = _check_extension(node)
+    if node.integer("mode", 0, 6, default=_TRIANGLES) != _POINTS:
+        raise FormatError("gltf-mode", f"{node.where}: mode is not {_POINTS}, expected points")
+    attributes = node.child("attributes")
+    degree = _sh_degree(attributes)
+    means = _attribute(gltf, attributes, "POSITION", "VEC3", None)
+    count = len(means)
+    quats = _attribute(gltf, attributes, f"{_EXTENSION}:ROTATION", "VEC4", count)
+    scales = _attribute(gltf, attributes, f"{_EXTENSION}:SCALE", "VEC3", count)
+    opacities_unit = _attribute(gltf, attributes, f"{_EXTENSION}:OPACITY", "SCALAR", count)
+    sh0 = _attribute(gltf, attributes, _sh_name(0, 0), "VEC3", count)
+    shN = np.empty((count, sh_coefficients(degree) - 1, 3), np.float32)
+    for k, (band, order) in enumerate(_sh_orders(degree)):
+        shN[:, k] = _attribute(gltf, attributes, _sh_name(band, order), "VEC3", count)
+    return Splats(
+        means=means,
+        scales=_log_scales(scales, node.where),
+        quats=np.roll(quats, 1, axis=1),
+        opacities=_logits(opacities_unit[:, 0], node.where),
+        sh0=sh0,
+        shN=shN,
+        info=SceneInfo(axes=GLTF_AXES, colour_space=colour_space),
+    )
+
+
+def _check_extension(node: JsonObject) -> str:
+    """Return the colour space, or raise where splats are meant otherwise than ours."""
+    extension = node.child("extensions").child(_EXTENSION)
+    inner = list(extension.child("extensions").values) if "extensions" in extension else []
+    if inner:
+        spz = any("spz" in name.lower() for name in inner)
+        raise UnsupportedError(
+            "gltf-spz" if spz else "gltf-extension",
+            f"{extension.where}: extended by {', '.join(inner[:4])[:200]}, expected the plain "
+            "extension" + (" (its SPZ can be taken out and read)" if spz else ""),
+        )
+    for key, known in (("kernel", "ellipse"), ("projection", "perspective")):
+        if extension.text(key, known) != known:
+            raise UnsupportedError(
+                f"gltf-{key}", f"{extension.where}: {key} {extension.text(key)!r}, expected {known}"
+            )
+    colour_space = extension.text("colorSpace", "srgb_rec709_display")
+    if colour_space not in _COLOUR_SPACES:
+        raise UnsupportedError(
+            "gltf-colour-space",
+            f"{extension.where}: colour space {colour_space[:60]!r}, expected "
+            f"{' or '.join(_COLOUR_SPACES)}",
+        )
+    return _COLOUR_SPACES[colour_space]
+
+
+def _sh_name(band: int, order: int) -> str:
+    return f"{_EXTENSION}:SH_DEGREE_{band}_COEF_{order}"
+
+
+def _sh_orders(degree: int) -> Iterator[tuple[int, int]]:
+    """Yield band and place within it of each coefficient above DC."""
+    for band in range(1, degree + 1):
+        for order in range(2 * band + 1):
+            yield band, order
+
+
+def _sh_degree(attributes: JsonObject) -> int:
+    """Return the SH degree whose attributes are there, all of them and no others."""
+    names = {name for name in attributes.values if name.startswith(f"{_EXTENSION}:SH_DEGREE_")}
+    for degree in range(MAX_SH_DEGREE + 1):
+        if names == {_sh_name(0, 0), *(_sh_name(*place) for place in _sh_orders(degree))}:
+            return degree
+    bands = {int(m[1]) for m in (re.search("_DEGREE_([0-9]{1,3})_", name) for name in names) if m}
+    raise FormatError(
+        "gltf-bad-sh" if names else "gltf-missing-attribute",
+        f"{attributes.where}: {len(names)} SH attributes of the bands {sorted(bands)}, expected "
+        f"all {' or '.join(str(sh_coefficients(d)) for d in range(MAX_SH_DEGREE + 1))} of a degree",
+    )
+
+
+def _attribute(gltf: Gltf, attributes: JsonObject, name: str, kind: str, count: int | None) -> F32:
+    if name not in attributes:
+        raise FormatError(
+            "gltf-missing-attribute",
+            f"{attributes.where}: no {name}, expected it beside "
+            f"{', '.join(list(attributes.values)[:8])[:300]}",
+        )
+    values = gltf.accessor(attributes.integer(name, 0, (1 << 31) - 1), kind, name)
+    if count is not None and len(values) != count:
+        raise FormatError(
+            "gltf-count", f"{attributes.where}: {len(values)} values of {name}, expected {count}"
+        )
+    return values
+
+
+def _log_scales(scales: F32, where: str) -> F32:
+    if (scales < 0).any():
+        warnings.warn(
+            f"{where}: negative scales, as drafts of {_EXTENSION} wrote: read as logarithms",
+            CogsplatWarning,
+            stacklevel=4,
+        )
+        return scales
+    # Flat splats are legal here; a logarithm has no zero.
+    logs: F32 = np.log(np.maximum(scales, np.float32(_SMALLEST_SCALE)))
+    return logs
+
+
+def _logits(opacities_unit: F32, where: str) -> F32:
+    outside = np.abs(opacities_unit - np.float32(0.5)) > 0.5 + _OPACITY_TOLERANCE
+    if outside.any():
+        raise FormatError(
+            "gltf-bad-opacity",
+            f"{where}: splat {int(outside.argmax())} has the opacity "
+            f"{opacities_unit[outside.argmax()]}, expected 0 to 1",
+        )
+    return opacity_logits(opacities_unit.clip(0, 1))
+
+
+def _with_degree(splats: Splats, degree: int) -> Splats:
+    """Return the scene with zeros up to an SH degree."""
+    missing = sh_coefficients(degree) - 1 - splats.shN.shape[1]
+    return replace(splats, shN=np.pad(splats.shN, ((0, 0), (0, missing), (0, 0))))
+
+
+def _place(splats: Splats, matrix: F64, where: str) -> Splats:
+    """Return splats moved by a node's transform, which keeps angles."""
+    if np.array_equal(matrix, np.eye(4)):
+        return splats
+    linear = matrix[:3, :3]
+    if np.linalg.det(linear) < 0:
+        # As seen in a mirror: x counted the other way, then what turns that into `linear`.
+        mirrored = convert_axes(splats, "R" + GLTF_AXES[1:])
+        splats = replace(mirrored, info=splats.info)
+        linear = linear * np.array([-1.0, 1.0, 1.0])
+    left, lengths, right = np.linalg.svd(linear)
+    if not lengths[0] > 0 or lengths[0] - lengths[2] > _SIMILARITY_TOLERANCE * lengths[0]:
+        raise UnsupportedError(
+            "gltf-shear",
+            f"{where}: its node stretches axes by {lengths[2]:g} to {lengths[0]:g}, expected all "
+            "by the same",
+        )
+    x, y, z = (float(value) for value in matrix[:3, 3])
+    return transform(splats, float(lengths.mean()), left @ right, (x, y, z))
+
+
+def write_gltf(path: StrPath, splats: Splats, *, force: bool = False) -> None:
+    """Write a scene as glTF with KHR_gaussian_splatting, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        The output: a GLB, or JSON with its buffer inside where the name ends in ``.gltf``.
+    splats : Splats
+        At least one. Written as floats in file order; colours for viewers that know points only
+        go along as ``COLOR_0``.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    DataError
+        ``invalid-rows``; ``bad-scene-info``; ``no-splats``.
+    LimitError
+        ``gltf-too-large``: beyond the 4 GiB of a GLB, or `MAX_TEXT_BYTES` of a ``.gltf``.
+    StorageError
+        As `atomic_write`, ``exists`` among them.
+
+    Warns
+    -----
+    CogsplatWarning
+        Where `splats.info` says what the extension has no place for, or there are extras.
+    """
+    where = os.fspath(path)
+    splats.require_valid()
+    if not len(splats):
+        raise DataError("no-splats", f"{where}: no splats, expected one: glTF has no empty arrays")
+    info = splats.info
+    losses = info_losses(replace(info, colour_space=SceneInfo().colour_space))
+    losses += extra_losses(splats)
+    warn_of_losses(path, "glTF", losses)
+    splats = convert_axes(splats, GLTF_AXES)
+    layout = _layout(splats.sh_degree)
+    length = len(splats) * sum(entry.nbytes for entry in layout)
+    document = _document(splats, layout, length)
+    with atomic_write(path, force) as file:
+        if where.lower().endswith(".gltf"):
+            # Base64 makes four bytes of three; the rest is JSON of known size.
+            if length // 3 * 4 + _MAX_DOCUMENT_BYTES > MAX_TEXT_BYTES:
+                raise LimitError(
+                    "gltf-too-large",
+                    f"{where}: {length} bytes of values, expected a .glb for more than "
+                    f"{MAX_TEXT_BYTES} bytes of text",
+                )
+            data = base64.b64encode(b"".join(map(np.ndarray.tobytes, _values(splats))))
+            uri = "data:application/octet-stream;base64," + data.decode("ascii")
+            document["buffers"] = [{"byteLength": length, "uri": uri}]
+            file.write(_json(document))
+        else:
+            _write_glb(file, document, _values(splats), length, where)
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """An attribute as it is written: name, accessor type, component type, bytes of a splat."""
+
+    name: str
+    kind: str
+    component: int
+    nbytes: int
+
+
+def _layout(degree: int) -> list[_Entry]:
+    """Return the attributes in the order of `_values`."""
+    return [
+        _Entry("POSITION", "VEC3", _FLOAT, 12),
+        _Entry("COLOR_0", "VEC4", _UNSIGNED_BYTE, 4),
+        _Entry(f"{_EXTENSION}:ROTATION", "VEC4", _FLOAT, 16),
+        _Entry(f"{_EXTENSION}:SCALE", "VEC3", _FLOAT, 12),
+        _Entry(f"{_EXTENSION}:OPACITY", "SCALAR", _FLOAT, 4),
+        _Entry(_sh_name(0, 0), "VEC3", _FLOAT, 12),
+        *(_Entry(_sh_name(*place), "VEC3", _FLOAT, 12) for place in _sh_orders(degree)),
+    ]
+
+
+def _values(splats: Splats) -> Iterator[NDArray[np.generic]]:
+    """Yield the values of one attribute after the other."""
+    yield splats.means.astype("<f4", copy=False)
+    colours = (splats.sh0 * np.float32(C0) + np.float32(COLOUR_OFFSET)).clip(0, 1)
+    rgba = np.empty((len(splats), 4), np.uint8)
+    rgba[:, :3] = np.rint(colours * 255)
+    rgba[:, 3] = opacity_bytes(splats.opacities)
+    yield rgba
+    yield np.roll(unit(splats.quats), -1, axis=1).astype("<f4", copy=False)
+    # float32 ends before log scales do; what lies beyond is no size.
+    with np.errstate(over="ignore"):
+        scales = np.exp(splats.scales.astype(np.float64)).clip(_SMALLEST_SCALE, _LARGEST_SCALE)
+    yield scales.astype("<f4")
+    yield unit_opacities(splats.opacities).astype("<f4")
+    yield splats.sh0.astype("<f4", copy=False)
+    for k in range(splats.shN.shape[1]):
+        yield splats.shN[:, k].astype("<f4", order="C")
+
+
+def _document(splats: Splats, layout: list[_Entry], length: int) -> dict[str, object]:
+    views, accessors, offset = [], [], 0
+    for index, entry in enumerate(layout):
+        nbytes = len(splats) * entry.nbytes
+        views.append(
+            {"buffer": 0, "byteOffset": offset, "byteLength": nbytes, "target": _ARRAY_BUFFER}
+        )
+        offset += nbytes
+        accessor: dict[str, object] = {
+            "bufferView": index,
+            "componentType": entry.component,
+            "count": len(splats),
+            "type": entry.kind,
+        }
+        if entry.component != _FLOAT:
+            accessor["normalized"] = True
+        if entry.name == "POSITION":
+            # Required of positions alone (section 3.7.2.1).
+            accessor["min"] = [float(value) for value in splats.means.min(axis=0)]
+            accessor["max"] = [float(value) for value in splats.means.max(axis=0)]
+        accessors.append(accessor)
+    spaces = {ours: theirs for theirs, ours in _COLOUR_SPACES.items()}
+    extension = {
+        "kernel": "ellipse",
+        "colorSpace": spaces[splats.info.colour_space],
+        "projection": "perspective",
+        "sortingMethod": "cameraDistance",
+    }
+    primitive = {
+        "attributes": {entry.name: index for index, entry in enumerate(layout)},
+        "mode": _POINTS,
+        "extensions": {_EXTENSION: extension},
+    }
+    return {
+        "asset": {"version": "2.0", "generator": "cogsplat"},
+        "extensionsUsed": [_EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": length}],
+    }
+
+
+def _json(document: dict[str, object]) -> bytes:
+    return json.dumps(document, separators=(",", ":"), allow_nan=False).encode("ascii")
+
+
+def _write_glb(
+    file: BinaryIO,
+    document: dict[str, object],
+    values: Iterator[NDArray[np.generic]],
+    length: int,
+    where: str,
+) -> None:
+    text = _json(document)
+    # Chunks are multiples of 4 long; the values are anyway.
+    text += b" " * (-len(text) % 4)
+    total = GLB_HEADER.size + 2 * GLB_CHUNK.size + len(text) + length
+    if total > _MAX_GLB_BYTES:
+        raise LimitError(
+            "gltf-too-large", f"{where}: {total} bytes, expected at most {_MAX_GLB_BYTES} of a GLB"
+        )
+    file.write(GLB_HEADER.pack(GLB_MAGIC, 2, total))
+    file.write(GLB_CHUNK.pack(len(text), JSON_CHUNK) + text)
+    file.write(GLB_CHUNK.pack(length, BIN_CHUNK))
+    for array in values:
+        file.write(array.data)

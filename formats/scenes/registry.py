@@ -1,0 +1,217 @@
+"""Foreign scene formats: one row each, found by their first bytes, then by their extension.
+
+A format joins with one file of its own, ``formats/<name>.py``, holding a sniffer, a reader and,
+where it can be written, a writer, and with one row in `FORMATS`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from cogsplat.codec.errors import FormatError, UnsupportedError
+from cogsplat.codec.splats import Splats
+from cogsplat.formats.cogs.layout import MAGIC
+from cogsplat.formats.scenes.gltf.file import gltf_files
+from cogsplat.formats.scenes.gltf.scene import is_gltf, read_gltf, write_gltf
+from cogsplat.formats.scenes.ply.header import is_ply
+from cogsplat.formats.scenes.ply.scene import read_ply, write_ply
+from cogsplat.formats.scenes.sog.scene import is_sog, read_sog, sog_files, write_sog
+from cogsplat.formats.scenes.spz.container import is_spz
+from cogsplat.formats.scenes.spz.scene import read_spz, write_spz
+from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.magic import describe
+
+from .compressed_ply import is_compressed_ply, read_compressed_ply, write_compressed_ply
+from .ksplat import read_ksplat
+from .splat import no_magic, read_splat, write_splat
+
+HEAD_BYTES = 65536
+"""Bytes that a sniffer is given, fewer where the file is shorter."""
+
+
+class Writer(Protocol):
+    """What writes a scene, whole or not at all."""
+
+    def __call__(self, path: StrPath, splats: Splats, *, force: bool = False) -> None:
+        """Write `splats` to `path`, replacing an existing file only with `force`."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """A foreign format.
+
+    Parameters
+    ----------
+    name : str
+        As messages and the command line call it.
+    extensions : tuple of str
+        In lower case with their dots, ``".compressed.ply"`` among them; where several fit a path,
+        the longest wins.
+    sniff : callable
+        Tells from the first `HEAD_BYTES` whether a file is of this format. A format without a
+        magic always says no and is found by its extension.
+    read : callable
+        Gives the scene in a file.
+    write : callable or None
+        Writes one, where this format can be written.
+    files : callable or None
+        Gives the files that a scene lies in, where they may be several.
+    """
+
+    name: str
+    extensions: tuple[str, ...]
+    sniff: Callable[[bytes], bool]
+    read: Callable[[StrPath], Splats]
+    write: Writer | None
+    files: Callable[[StrPath], list[Path]] | None = None
+
+
+# The first one whose sniffer says yes reads the file: the narrower of two goes first.
+FORMATS: tuple[Format, ...] = (
+    Format(
+        "compressed ply",
+        (".compressed.ply",),
+        is_compressed_ply,
+        read_compressed_ply,
+        write_compressed_ply,
+    ),
+    Format("ply", (".ply",), is_ply, read_ply, write_ply),
+    Format("gltf", (".glb", ".gltf"), is_gltf, read_gltf, write_gltf, gltf_files),
+    Format("sog", (".sog",), is_sog, read_sog, write_sog, sog_files),
+    Format("spz", (".spz",), is_spz, read_spz, write_spz),
+    Format("splat", (".splat",), no_magic, read_splat, write_splat),
+    Format("ksplat", (".ksplat",), no_magic, read_ksplat, None),
+)
+
+
+def is_cogs(path: StrPath) -> bool:
+    """Tell whether a file is a COGS container, which is not read here.
+
+    A damaged one counts by its extension, so that the container's reader can say what is wrong.
+
+    Raises
+    ------
+    StorageError
+        As `open_for_read`.
+    """
+    head = _head(path)
+    if head.startswith(MAGIC):
+        return True
+    named = os.fspath(path).lower().endswith(".cogs")
+    return named and not any(format_.sniff(head) for format_ in FORMATS)
+
+
+def read_scene(path: StrPath) -> Splats:
+    """Read a scene of any foreign format.
+
+    Raises
+    ------
+    FormatError
+        ``unknown-format``: neither first bytes nor extension are known; ``cogs-file``: it is a
+        COGS container. Otherwise as the format's reader.
+    StorageError
+        As `open_for_read`.
+    """
+    return format_of(path).read(path)
+
+
+def scene_bytes(path: StrPath) -> int:
+    """Return the bytes of a foreign scene, those of files that it names beside it included.
+
+    A file that is named and not there counts nothing: the reader says whether it is needed.
+
+    Raises
+    ------
+    CogsplatError
+        As `read_scene`.
+    """
+    files = format_of(path).files
+    total = 0
+    for part in files(path) if files else [Path(path)]:
+        with storage_errors(part):
+            total += part.stat().st_size if part.exists() else 0
+    return total
+
+
+def format_of(path: StrPath) -> Format:
+    """Return the foreign format of a file, by its first bytes, then by its extension.
+
+    Raises
+    ------
+    FormatError
+        ``unknown-format``, ``cogs-file``.
+    StorageError
+        As `open_for_read`.
+    """
+    head = _head(path)
+    if head.startswith(MAGIC):
+        raise FormatError(
+            "cogs-file", f"{os.fspath(path)}: is a COGS file, expected a foreign scene"
+        )
+    sniffed = next((format_ for format_ in FORMATS if format_.sniff(head)), None)
+    format_ = sniffed or _by_extension(path)
+    if format_ is None:
+        raise FormatError(
+            "unknown-format",
+            f"{os.fspath(path)}: is {describe(head)}, expected {_known(FORMATS)}",
+        )
+    return format_
+
+
+def write_scene(path: StrPath, splats: Splats, *, force: bool = False) -> None:
+    """Write a scene in the foreign format that the extension names.
+
+    Raises
+    ------
+    FormatError, UnsupportedError
+        As `format_to_write`.
+    StorageError
+        As `atomic_write`, ``exists`` among them.
+    """
+    write = format_to_write(path).write
+    assert write is not None
+    write(path, splats, force=force)
+
+
+def format_to_write(path: StrPath) -> Format:
+    """Return the foreign format that the extension names, one that can be written.
+
+    Raises
+    ------
+    FormatError
+        ``unknown-format``: no format has this extension.
+    UnsupportedError
+        ``read-only-format``: it can be read but not written.
+    """
+    writable = tuple(format_ for format_ in FORMATS if format_.write)
+    format_ = _by_extension(path)
+    if format_ is None:
+        raise FormatError(
+            "unknown-format",
+            f"{os.fspath(path)}: no format has this extension, expected {_known(writable)}",
+        )
+    if format_.write is None:
+        raise UnsupportedError(
+            "read-only-format",
+            f"{os.fspath(path)}: {format_.name} is not written, expected {_known(writable)}",
+        )
+    return format_
+
+
+def _head(path: StrPath) -> bytes:
+    with storage_errors(path), open_for_read(path) as file:
+        return file.read(HEAD_BYTES)
+
+
+def _by_extension(path: StrPath) -> Format | None:
+    name = os.fspath(path).lower()
+    matches = [(len(e), f) for f in FORMATS for e in f.extensions if name.endswith(e)]
+    return max(matches, key=lambda match: match[0])[1] if matches else None
+
+
+def _known(formats: tuple[Format, ...]) -> str:
+    return " or ".join(f"{f.name} ({', '.join(f.extensions)})" for f in formats)

@@ -1,0 +1,174 @@
+"""Where the files of a SOG scene lie: a ZIP bundle, or the folder of a ``meta.json``."""
+
+from __future__ import annotations
+
+import errno
+import zipfile
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from cogsplat.codec.errors import CogsplatError, FormatError, LimitError, UnsupportedError
+from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.magic import describe
+from cogsplat.formats.storage.siblings import sibling
+
+META_NAME: Final = "meta.json"
+
+ZIP_MAGIC: Final = b"PK\x03\x04"
+
+_HEAD_BYTES: Final = 64
+
+# WebP does not shrink in a ZIP, JSON does by less than this.
+_MAX_RATIO: Final = 64
+
+# The earliest date that ZIP can hold, so that a scene gives the same bytes on any day.
+_DATE: Final = (1980, 1, 1, 0, 0, 0)
+_UNIX: Final = 3
+
+
+class SogFiles(ABC):
+    """The files of one scene, by the names that its ``meta.json`` gives them."""
+
+    @abstractmethod
+    def read(self, name: str, max_bytes: int) -> bytes:
+        """Return a file's bytes.
+
+        Raises
+        ------
+        FormatError
+            ``sog-missing-file``, ``sog-file-name``, ``sog-zip``.
+        LimitError
+            ``sog-file-too-large``, ``sog-zip-ratio``.
+        UnsupportedError
+            ``sog-zip-method``.
+        StorageError
+            As `open_for_read`.
+        """
+
+
+@contextmanager
+def open_files(path: StrPath, where: str) -> Iterator[SogFiles]:
+    """Open a bundle, or the folder around a ``meta.json``.
+
+    Raises
+    ------
+    FormatError
+        ``sog-magic``: neither of the two; ``sog-zip``: a damaged bundle.
+    StorageError
+        As `open_for_read`.
+    """
+    with storage_errors(path), open_for_read(path) as file:
+        head = file.read(_HEAD_BYTES)
+        if not head.startswith(ZIP_MAGIC):
+            if head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] != b"{":
+                raise FormatError(
+                    "sog-magic", f"{where}: is {describe(head)}, expected a SOG bundle or meta.json"
+                )
+            yield Folder(Path(path), where)
+            return
+        with _zip_errors(where):
+            archive = zipfile.ZipFile(file)
+        with archive:
+            yield _Bundle(archive, where)
+
+
+class Folder(SogFiles):
+    """The folder around a ``meta.json``."""
+
+    def __init__(self, meta: Path, where: str) -> None:
+        self.meta = meta
+        self.where = where
+
+    def path(self, name: str) -> Path:
+        """Return where a file lies, or raise ``sog-file-name``."""
+        if name == META_NAME:
+            return self.meta
+        return sibling(self.meta.parent, name, self.where, "sog-file-name")
+
+    def read(self, name: str, max_bytes: int) -> bytes:
+        """Return a file's bytes."""
+        path = self.path(name)
+        with storage_errors(path), open_for_read(path) as file:
+            data = file.read(max_bytes + 1)
+        if len(data) > max_bytes:
+            raise _too_large(f"{self.where}: {name!r}", f"more than {max_bytes}", max_bytes)
+        return data
+
+
+class _Bundle(SogFiles):
+    def __init__(self, archive: zipfile.ZipFile, where: str) -> None:
+        self.archive = archive
+        self.where = where
+
+    def read(self, name: str, max_bytes: int) -> bytes:
+        where = f"{self.where}: {name!r}"
+        try:
+            entry = self.archive.getinfo(name)
+        except KeyError as error:
+            names = ", ".join(map(repr, self.archive.namelist()[:12])) or "nothing"
+            raise FormatError(
+                "sog-missing-file", f"{where} is not in the ZIP, expected it beside {names}"
+            ) from error
+        if entry.flag_bits & 1 or entry.compress_type not in (
+            zipfile.ZIP_STORED,
+            zipfile.ZIP_DEFLATED,
+        ):
+            raise UnsupportedError(
+                "sog-zip-method",
+                f"{where} is encrypted or packed by a method of its own, expected "
+                "it stored or deflated",
+            )
+        if entry.file_size > max_bytes:
+            raise _too_large(where, str(entry.file_size), max_bytes)
+        if entry.file_size > _MAX_RATIO * entry.compress_size:
+            raise LimitError(
+                "sog-zip-ratio",
+                f"{where} grows from {entry.compress_size} to {entry.file_size} bytes, expected "
+                f"at most {_MAX_RATIO} times",
+            )
+        with _zip_errors(where), self.archive.open(entry) as file:
+            # One byte more: the directory may understate what the stream holds.
+            data = file.read(entry.file_size + 1)
+        if len(data) != entry.file_size:
+            raise FormatError(
+                "sog-zip", f"{where} has {len(data)} bytes, expected {entry.file_size}"
+            )
+        return data
+
+
+def _too_large(where: str, found: str, max_bytes: int) -> LimitError:
+    return LimitError(
+        "sog-file-too-large", f"{where} has {found} bytes, expected at most {max_bytes}"
+    )
+
+
+@contextmanager
+def _zip_errors(where: str) -> Iterator[None]:
+    try:
+        yield
+    except CogsplatError:
+        raise
+    except OSError as error:
+        # A place outside the file is the archive's fault, anything else the file system's.
+        if error.errno != errno.EINVAL:
+            raise
+        raise FormatError("sog-zip", f"{where}: {error}, expected a whole ZIP file") from error
+    # A damaged archive makes zipfile and zlib raise almost anything.
+    except Exception as error:
+        raise FormatError(
+            "sog-zip",
+            f"{where}: {str(error)[:200] or type(error).__name__}, expected a whole ZIP file",
+        ) from error
+
+
+def write_bundle(file: BinaryIO, files: Mapping[str, bytes]) -> None:
+    """Write files as a ZIP in which nothing is packed again, the same bytes every time."""
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+        for name, data in files.items():
+            entry = zipfile.ZipInfo(name, _DATE)
+            entry.create_system = _UNIX
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, data)

@@ -1,0 +1,456 @@
+"""SOG version 2: splats as lossless images beside a ``meta.json``, bundled in a ZIP or in a folder.
+
+The format is PlayCanvas' (developer.playcanvas.com, "The SOG Format", cited here by its sections).
+Its section 1.2 says that y points up; its tools store the axes of the PLY they read, and so do we.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.clustering.hierarchical_kmeans import train_palette
+from cogsplat.codec.clustering.scalar_kmeans import nearest_scalars, train_scalars
+from cogsplat.codec.errors import FormatError, LimitError, UnsupportedError
+from cogsplat.codec.geometry.transforms import convert_axes
+from cogsplat.codec.splats import SceneInfo, Splats, sh_coefficients
+from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.formats.scenes.losses import extra_losses, info_losses, warn_of_losses
+from cogsplat.formats.scenes.quantised_values import (
+    BYTE_LOGITS,
+    from_smallest_three,
+    morton_order,
+    opacity_bytes,
+    to_smallest_three,
+)
+from cogsplat.formats.storage.atomic import StrPath, atomic_write
+from cogsplat.formats.storage.images import MAX_SIDE, decode_image, encode_image, image_size
+from cogsplat.formats.storage.strict_json import JsonObject, parse_object
+
+from .files import META_NAME, ZIP_MAGIC, Folder, open_files, write_bundle
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+MAX_COUNT: Final = MAX_SIDE**2
+"""Most splats that a file may count; images set a lower limit before that."""
+
+_VERSION: Final = 2
+_MAX_META_BYTES: Final = 1 << 22
+_MAX_IMAGE_BYTES: Final = 1 << 30
+_CODEBOOK: Final = 256
+_CODE: Final = "sog-bad-meta"
+
+# Images of one colour take no bytes for any number of splats; real ones take eight a splat.
+_FREE_SPLATS: Final = 1 << 18
+# Images hold about one pixel a splat, in textures of powers of two up to four.
+_PIXELS_PER_SPLAT: Final = 4
+_FREE_PIXELS: Final = 1 << 16
+
+# Section 3.2: alpha 252 to 255 names the largest component, w first.
+_QUAT_ALPHA: Final = 252
+_SQRT2: Final = math.sqrt(2)
+_QUAT_VALUES: Final = ((np.arange(256) / 255 - 0.5) * _SQRT2).astype(np.float32)
+
+# Section 3.5.
+_PALETTE_ROWS: Final = 65536
+_PALETTE_COLUMNS: Final = 64
+# Below this many splats a palette saves nothing.
+_SMALL_SCENE: Final = 1024
+
+
+def is_sog(head: bytes) -> bool:
+    """Tell whether a file that starts with these bytes is a SOG bundle or its ``meta.json``."""
+    if head.startswith(ZIP_MAGIC):
+        return True
+    start = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
+    return start == b"{" and all(f'"{key}"'.encode() in head for key in ("means", "scales"))
+
+
+@dataclass(frozen=True)
+class _Sh:
+    """What ``meta.json`` says of SH above DC: bands, and palette entries."""
+
+    bands: int
+    count: int
+    codebook: F32
+    files: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Meta:
+    """What ``meta.json`` says, checked but for the images."""
+
+    count: int
+    antialiased: bool
+    low: list[float]
+    high: list[float]
+    scales: F32
+    sh0: F32
+    sh: _Sh | None
+    # means_l, means_u, scales, quats, sh0, and shN's labels last.
+    files: tuple[str, ...]
+
+
+def read_sog(path: StrPath) -> Splats:
+    """Read a scene from a SOG bundle, or from the ``meta.json`` of an unpacked one.
+
+    Parameters
+    ----------
+    path : path
+        A ``.sog``, or the ``meta.json`` whose folder holds the images.
+
+    Returns
+    -------
+    Splats
+        In file order, in the axes of PLY, unit quaternions; an opacity of 255 is +inf, 0 is -inf.
+
+    Raises
+    ------
+    FormatError
+        ``sog-`` and ``magic``, ``zip``, ``missing-file``, ``file-name``, ``bad-meta``,
+        ``image-size``, ``bad-index``, ``bad-quaternion``; ``image-damaged``.
+    TruncatedError
+        ``image-truncated``.
+    UnsupportedError
+        ``sog-version``, ``sog-model``, ``sog-zip-method``, ``image-format``, ``needs-pillow``.
+    LimitError
+        ``json-too-long``, ``image-too-large``, ``sog-`` and ``file-too-large``, ``zip-ratio``,
+        ``too-many-splats``.
+    StorageError
+        As `open_for_read`.
+
+    Notes
+    -----
+    Sizes of images are known before they are decoded, and fit the count and the bytes there are.
+    """
+    where = os.fspath(path)
+    with open_files(path, where) as files:
+        meta = _parse_meta(files.read(META_NAME, _MAX_META_BYTES), where)
+        data = [files.read(name, _MAX_IMAGE_BYTES) for name in meta.files]
+        centroids = files.read(meta.sh.files[0], _MAX_IMAGE_BYTES) if meta.sh else b""
+    _check_sizes(meta, data, where)
+    pixels = (
+        decode_image(image, f"{where}: {name!r}").reshape(-1, 4)[: meta.count]
+        for name, image in zip(meta.files, data, strict=True)
+    )
+    # One image at a time: what follows holds no more of them than it needs.
+    means = _unpack_means(next(pixels), next(pixels), meta)
+    scales = _look_up(meta.scales, next(pixels)[:, :3], f"{where}: scales")
+    quats = _unpack_quats(next(pixels), where)
+    colours = next(pixels)
+    sh0 = _look_up(meta.sh0, colours[:, :3], f"{where}: sh0")
+    opacities = BYTE_LOGITS[colours[:, 3]]
+    if meta.sh:
+        palette = _unpack_palette(centroids, meta.sh, where)
+        labels = next(pixels)
+        indices = labels[:, 0] | labels[:, 1].astype(np.uint16) << np.uint16(8)
+        shN = _look_up(palette, indices, f"{where}: shN labels")
+    else:
+        shN = np.empty((meta.count, 0, 3), np.float32)
+    info = SceneInfo(antialiased=meta.antialiased)
+    return Splats(means, scales, quats, opacities, sh0, shN, info)
+
+
+def sog_files(path: StrPath) -> list[Path]:
+    """Return the files that a scene lies in: the bundle, or ``meta.json`` and its images.
+
+    Raises
+    ------
+    FormatError, LimitError, StorageError
+        As `read_sog`.
+    """
+    where = os.fspath(path)
+    found = [Path(path)]
+    with open_files(path, where) as files:
+        if isinstance(files, Folder):
+            meta = _parse_meta(files.read(META_NAME, _MAX_META_BYTES), where)
+            names = [*meta.files, *(meta.sh.files[:1] if meta.sh else ())]
+            found += [files.path(name) for name in dict.fromkeys(names)]
+    return found
+
+
+def _parse_meta(data: bytes, where: str) -> _Meta:
+    root = parse_object(data, _MAX_META_BYTES, f"{where}: {META_NAME}", _CODE)
+    version = root.integer("version", 0, 1 << 31, default=1)
+    if version != _VERSION:
+        raise UnsupportedError(
+            "sog-version", f"{where}: SOG version {version}, expected {_VERSION}"
+        )
+    model = root.text("model", "default")
+    if model not in ("default", "antialiased"):
+        raise UnsupportedError(
+            "sog-model", f"{where}: splats of the model {model!r}, expected 3D Gaussians"
+        )
+    means, scales, quats = root.child("means"), root.child("scales"), root.child("quats")
+    sh0 = root.child("sh0")
+    sh = _parse_sh(root.child("shN")) if "shN" in root else None
+    return _Meta(
+        count=root.integer("count", 0, MAX_COUNT),
+        antialiased=root.boolean("antialias", False) or model == "antialiased",
+        low=means.numbers("mins", 3),
+        high=means.numbers("maxs", 3),
+        scales=_codebook(scales),
+        sh0=_codebook(sh0),
+        sh=sh,
+        files=(
+            *means.texts("files", 2),
+            *scales.texts("files", 1),
+            *quats.texts("files", 1),
+            *sh0.texts("files", 1),
+            *(sh.files[1:] if sh else ()),
+        ),
+    )
+
+
+def _parse_sh(node: JsonObject) -> _Sh:
+    return _Sh(
+        bands=node.integer("bands", 1, 3),
+        count=node.integer("count", 1, _PALETTE_ROWS),
+        codebook=_codebook(node),
+        files=tuple(node.texts("files", 2)),
+    )
+
+
+def _codebook(node: JsonObject) -> F32:
+    """Return a codebook of at most 256 float32 values."""
+    values = node.values.get("codebook")
+    if isinstance(values, list) and len(values) == _CODEBOOK and values[0] is None:
+        # Writers of 2025 lost a first entry that was not finite; PlayCanvas' engine continues the
+        # others to it (its pull request 8056), and files look right with that.
+        rest = JsonObject({"codebook": values[1:]}, node.where, node.code).numbers("codebook")
+        numbers = [rest[0] + (rest[0] - rest[-1]) / (_CODEBOOK - 1), *rest]
+    else:
+        numbers = node.numbers("codebook")
+    codebook = np.array(numbers, np.float64)
+    if not 1 <= len(numbers) <= _CODEBOOK or np.abs(codebook).max() > np.finfo(np.float32).max:
+        raise node.wrong("codebook", f"1 to {_CODEBOOK} numbers that fit float32")
+    return codebook.astype(np.float32)
+
+
+def _check_sizes(meta: _Meta, data: list[bytes], where: str) -> None:
+    """Check every image's size against the count, and the count against the bytes there are."""
+    total = sum(map(len, data))
+    if meta.count > total + _FREE_SPLATS:
+        raise LimitError(
+            "sog-too-many-splats",
+            f"{where}: {meta.count} splats in {total} bytes of images, expected at most a splat a "
+            f"byte beyond the first {_FREE_SPLATS}",
+        )
+    sizes = [
+        image_size(image, f"{where}: {name!r}")
+        for name, image in zip(meta.files, data, strict=True)
+    ]
+    most = _PIXELS_PER_SPLAT * meta.count + _FREE_PIXELS
+    for (width, height), name in zip(sizes, meta.files, strict=True):
+        if (width, height) != sizes[0] or not meta.count <= width * height <= most:
+            raise FormatError(
+                "sog-image-size",
+                f"{where}: {name!r} is {width}x{height}, expected {meta.count} to {most} pixels "
+                f"and {sizes[0][0]}x{sizes[0][1]} like {meta.files[0]!r}",
+            )
+
+
+def _unpack_means(lower: U8, upper: U8, meta: _Meta) -> F32:
+    means = np.empty((meta.count, 3), np.float32)
+    shares = np.arange(65536) / 65535
+    for axis in range(3):
+        logs = meta.low[axis] * (1 - shares) + meta.high[axis] * shares
+        # Ranges of a damaged file overflow; rows of infinite means are refused later.
+        with np.errstate(over="ignore"):
+            values = (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
+        indices = lower[:, axis] | upper[:, axis].astype(np.uint16) << np.uint16(8)
+        means[:, axis] = values[indices]
+    return means
+
+
+def _look_up(table: F32, indices: NDArray[np.unsignedinteger], where: str) -> F32:
+    """Return rows of a table, or raise where an index is outside it."""
+    highest = int(indices.max(initial=0))
+    if highest >= len(table):
+        raise FormatError(
+            "sog-bad-index", f"{where}: index {highest}, expected less than {len(table)}"
+        )
+    found: F32 = table.take(indices, axis=0)
+    return found
+
+
+def _unpack_quats(pixels: U8, where: str) -> F32:
+    wrong = np.flatnonzero(pixels[:, 3] < _QUAT_ALPHA)
+    if len(wrong):
+        raise FormatError(
+            "sog-bad-quaternion",
+            f"{where}: splat {wrong[0]} has alpha {pixels[wrong[0], 3]} in its quaternion, "
+            f"expected {_QUAT_ALPHA} to 255",
+        )
+    return from_smallest_three(pixels[:, 3] - np.uint8(_QUAT_ALPHA), _QUAT_VALUES[pixels[:, :3]])
+
+
+def _unpack_palette(data: bytes, sh: _Sh, where: str) -> F32:
+    """Return (entries, K-1, 3) float32."""
+    name = f"{where}: {sh.files[0]!r}"
+    coefficients = sh_coefficients(sh.bands) - 1
+    columns, rows = _PALETTE_COLUMNS * coefficients, -(-sh.count // _PALETTE_COLUMNS)
+    width, height = image_size(data, name)
+    most = 4 * rows + 64
+    if width != columns or not rows <= height <= most:
+        raise FormatError(
+            "sog-image-size",
+            f"{name} is {width}x{height}, expected {columns} by {rows} to {most} for {sh.count} "
+            f"entries of {sh.bands} bands",
+        )
+    codes = decode_image(data, name)[:rows, :, :3].reshape(-1, coefficients, 3)[: sh.count]
+    return _look_up(sh.codebook, codes, name)
+
+
+def write_sog(path: StrPath, splats: Splats, *, force: bool = False) -> None:
+    """Write a scene as a bundled SOG, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        The output.
+    splats : Splats
+        Rows come out in Morton order, in the axes of PLY. SH above DC becomes a palette of as many
+        entries as the largest power of two of splats, at most 65536.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    DataError
+        ``invalid-rows``; ``bad-scene-info``.
+    LimitError
+        ``sog-too-many-splats``: more than an image has pixels.
+    UnsupportedError
+        ``needs-pillow``.
+    StorageError
+        As `atomic_write`, ``exists`` among them.
+
+    Warns
+    -----
+    CogsplatWarning
+        Where `splats.info` says what SOG has no place for, or there are extras.
+    """
+    where = os.fspath(path)
+    splats.require_valid()
+    if len(splats) > MAX_COUNT:
+        raise LimitError(
+            "sog-too-many-splats", f"{where}: {len(splats)} splats, expected at most {MAX_COUNT}"
+        )
+    losses = info_losses(splats.info, antialiased=True) + extra_losses(splats)
+    warn_of_losses(path, "SOG", losses)
+    splats = convert_axes(splats, "RDF")
+    splats = splats.take(morton_order(splats.means))
+    meta, images = _pack(splats)
+    names = list(images)
+    encoded = ordered_map(lambda name: encode_image(images[name], where), names, thread_count(0))
+    files = dict(zip(names, encoded, strict=True))
+    files[META_NAME] = json.dumps(meta, separators=(",", ":"), allow_nan=False).encode("ascii")
+    with atomic_write(path, force) as file:
+        write_bundle(file, files)
+
+
+def _pack(splats: Splats) -> tuple[dict[str, object], dict[str, U8]]:
+    """Return the contents of ``meta.json``, and the pixels of every image it names."""
+    count = len(splats)
+    # Sides that are multiples of 4, as other writers have them.
+    width = max(4, 4 * math.ceil(math.sqrt(count) / 4))
+    shape = max(4, 4 * math.ceil(count / width / 4)), width
+
+    def image(*columns: NDArray[np.generic]) -> U8:
+        pixels = np.zeros((shape[0] * shape[1], sum(c.shape[1] for c in columns)), np.uint8)
+        np.concatenate(columns, axis=1, out=pixels[:count], casting="unsafe")
+        return pixels.reshape(*shape, -1)
+
+    means, low, high = _pack_means(splats.means)
+    scales, scale_codes = _scalars(splats.scales)
+    sh0, sh0_codes = _scalars(splats.sh0)
+    largest, others = to_smallest_three(splats.quats)
+    quat_codes = np.rint((others / _SQRT2 + 0.5) * 255).clip(0, 255)
+    images = {
+        "means_l.webp": image(means & 255),
+        "means_u.webp": image(means >> 8),
+        "scales.webp": image(scale_codes),
+        "quats.webp": image(quat_codes, largest[:, None] + _QUAT_ALPHA),
+        "sh0.webp": image(sh0_codes, opacity_bytes(splats.opacities)[:, None]),
+    }
+    meta: dict[str, object] = {
+        "version": _VERSION,
+        "asset": {"generator": "cogsplat"},
+        "count": count,
+        "antialias": splats.info.antialiased,
+    }
+    if splats.info.antialiased:
+        # How PlayCanvas' tools say it since their version 3.2.
+        meta["model"] = "antialiased"
+    meta["means"] = {"mins": low, "maxs": high, "files": ["means_l.webp", "means_u.webp"]}
+    meta["scales"] = {"codebook": scales, "files": ["scales.webp"]}
+    meta["quats"] = {"files": ["quats.webp"]}
+    meta["sh0"] = {"codebook": sh0, "files": ["sh0.webp"]}
+    if splats.sh_degree:
+        palette, labels = _palette(splats.shN)
+        codebook, codes = _scalars(palette)
+        images["shN_centroids.webp"] = _centroid_image(codes)
+        images["shN_labels.webp"] = image(
+            labels[:, None] & 255, labels[:, None] >> 8, np.zeros((count, 1), np.uint8)
+        )
+        meta["shN"] = {
+            "count": len(palette),
+            "bands": splats.sh_degree,
+            "codebook": codebook,
+            "files": ["shN_centroids.webp", "shN_labels.webp"],
+        }
+    return meta, images
+
+
+def _pack_means(means: F32) -> tuple[NDArray[np.uint16], list[float], list[float]]:
+    """Return 16-bit codes and the ranges they divide, in the symmetric log of section 3.1."""
+    wide = means.astype(np.float64)
+    logs = np.copysign(np.log1p(np.abs(wide)), wide)
+    if not len(logs):
+        return np.empty((0, 3), np.uint16), [0.0] * 3, [0.0] * 3
+    low, high = logs.min(axis=0), logs.max(axis=0)
+    extent = np.where(high > low, high - low, 1.0)
+    codes = np.rint((logs - low) / extent * 65535).astype(np.uint16)
+    return codes, low.tolist(), high.tolist()
+
+
+def _scalars(values: F32) -> tuple[list[float], NDArray[np.intp]]:
+    """Return a codebook of 256 values, and the index of the nearest for each value."""
+    codebook = train_scalars(values.reshape(-1), _CODEBOOK)
+    if not len(codebook):
+        codebook = np.zeros(1, np.float32)
+    codes = nearest_scalars(values, codebook)
+    # Readers expect 256: the last one again fills up.
+    padded = np.pad(codebook, (0, _CODEBOOK - len(codebook)), mode="edge")
+    return [float(value) for value in padded], codes
+
+
+def _palette(shN: F32) -> tuple[F32, NDArray[np.uint32]]:
+    """Return (entries, K-1, 3) SH coefficients, and the entry of each splat."""
+    count, coefficients = len(shN), shN.shape[1]
+    if count <= _SMALL_SCENE:
+        # An empty scene has an entry that nobody uses: the format has none without.
+        palette = shN if count else np.zeros((1, coefficients, 3), np.float32)
+        return palette, np.arange(count, dtype=np.uint32)
+    rows = min(1 << (count.bit_length() - 1), _PALETTE_ROWS)
+    flat, labels = train_palette(shN.reshape(count, -1), rows)
+    return flat.reshape(-1, coefficients, 3), labels
+
+
+def _centroid_image(codes: NDArray[np.intp]) -> U8:
+    """Lay entries out in rows of 64, a pixel for each coefficient (section 3.5)."""
+    count, coefficients, _ = codes.shape
+    rows = -(-count // _PALETTE_COLUMNS)
+    pixels = np.zeros((rows * _PALETTE_COLUMNS, coefficients, 3), np.uint8)
+    pixels[:count] = codes
+    return pixels.reshape(rows, _PALETTE_COLUMNS * coefficients, 3)

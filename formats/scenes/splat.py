@@ -1,0 +1,173 @@
+""".splat scenes: records of 32 bytes without a header, as antimatter15/splat defined them.
+
+A record is position (3 float32), standard deviations (3 float32, linear), colour and opacity
+(4 uint8, activated) and a quaternion (4 uint8, wxyz, 128 for zero). There is no SH above degree 0.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import FormatError, StorageError
+from cogsplat.codec.geometry.rotations import unit
+from cogsplat.codec.geometry.sh import C0
+from cogsplat.codec.geometry.transforms import convert_axes
+from cogsplat.codec.splats import Splats, empty
+from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
+from cogsplat.formats.storage.magic import describe
+
+from .losses import extra_losses, info_losses, warn_of_losses
+from .quantised_values import BYTE_LOGITS, opacity_bytes, unit_opacities
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+
+RECORD: Final = np.dtype(
+    [("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)]
+)
+
+# The frame that 3DGS trains in and that viewers of this format expect.
+_AXES: Final = "RDF"
+
+_BLOCK_ROWS: Final = 1 << 14
+
+COLOUR_BYTES: Final = ((np.arange(256) / 255 - 0.5) / C0).astype(np.float32)
+"""DC coefficient of each colour that a byte can hold, (256,) float32."""
+
+# Half the smallest float32: what a scale of zero, which has no logarithm, stands for.
+_FLAT: Final = np.float32(np.log(2.0**-150))
+
+
+def no_magic(head: bytes) -> bool:
+    """Say no: any bytes could be the first of this format, so its extension decides."""
+    return False
+
+
+def log_scales(linear: F32, flat: np.float32) -> F32:
+    """Return the logarithm of standard deviations, `flat` for zero and NaN below.
+
+    Parameters
+    ----------
+    linear : (..., 3) float32
+        Scene units.
+    flat : float32
+        What zero becomes: a splat without thickness is drawn, one with infinite values is not.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.log(linear)
+        logs[linear == 0] = flat
+    return logs
+
+
+def read_splat(path: StrPath) -> Splats:
+    """Read a scene from a .splat file.
+
+    Parameters
+    ----------
+    path : path
+        A file of 32-byte records.
+
+    Returns
+    -------
+    Splats
+        SH degree 0, in RDF. Opacity 255 is a logit of inf, 0 of -inf. Rows with NaN are kept.
+
+    Raises
+    ------
+    FormatError
+        ``splat-size``: not a multiple of 32 bytes.
+    StorageError
+        As `open_for_read`; ``file-changed``: it was cut short meanwhile.
+    """
+    where = os.fspath(path)
+    with storage_errors(path), open_for_read(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        count, rest = divmod(size, RECORD.itemsize)
+        if rest:
+            raise FormatError(
+                "splat-size",
+                f"{where}: {size} bytes of {describe(file.read(64))}, expected a multiple of "
+                f"{RECORD.itemsize}",
+            )
+        splats = empty(0, count)
+        buffer = np.empty(min(count, _BLOCK_ROWS), RECORD)
+        for start in range(0, count, _BLOCK_ROWS):
+            block = buffer[: min(_BLOCK_ROWS, count - start)]
+            if file.readinto(block.view(np.uint8).data) != block.nbytes:
+                raise StorageError(
+                    "file-changed",
+                    f"{where}: ended before its {size} bytes, expected a file at rest",
+                )
+            rows = slice(start, start + len(block))
+            splats.means[rows] = block["means"]
+            splats.scales[rows] = log_scales(block["scales"], _FLAT)
+            splats.sh0[rows] = COLOUR_BYTES[block["rgba"][:, :3]]
+            splats.opacities[rows] = BYTE_LOGITS[block["rgba"][:, 3]]
+            splats.quats[rows] = _unpack_quats(block["quats"])
+    return splats
+
+
+def _unpack_quats(stored: U8) -> F32:
+    quats = (stored.astype(np.float32) - np.float32(128)) / np.float32(128)
+    # Four bytes of 128 have no direction; viewers draw something, so it may as well be unturned.
+    quats[~quats.any(axis=1), 0] = 1
+    return unit(quats)
+
+
+def write_splat(path: StrPath, splats: Splats, *, force: bool = False) -> None:
+    """Write a scene as .splat, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        The output.
+    splats : Splats
+        In any axes; stored in RDF, by falling product of standard deviations and opacity, so that
+        readers of a part see the large opaque splats (antimatter15/splat's order).
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    DataError
+        ``invalid-rows``: a row that cannot be drawn; ``bad-scene-info``: axes that are none.
+    StorageError
+        As `atomic_write`, ``exists`` among them.
+
+    Warns
+    -----
+    CogsplatWarning
+        What .splat cannot hold: SH above degree 0, an origin, a colour space, anti-aliasing.
+
+    Notes
+    -----
+    Steps: colours and opacities 1/255, clipped to 0 to 1; quaternions 1/128 per component.
+    """
+    stored = convert_axes(splats.with_sh_degree(0).require_valid(), _AXES)
+    # Compared as logarithms, which do not overflow.
+    volumes = stored.scales.astype(np.float64).sum(axis=1)
+    with np.errstate(divide="ignore"):
+        order = np.argsort(-(volumes + np.log(unit_opacities(stored.opacities))), kind="stable")
+    with atomic_write(path, force) as file:
+        for start in range(0, len(stored), _BLOCK_ROWS):
+            rows = order[start : start + _BLOCK_ROWS]
+            block = np.empty(len(rows), RECORD)
+            block["means"] = stored.means[rows]
+            with np.errstate(over="ignore"):
+                block["scales"] = np.exp(stored.scales[rows])
+            block["rgba"][:, :3] = _to_byte((stored.sh0[rows].astype(np.float64) * C0 + 0.5) * 255)
+            block["rgba"][:, 3] = opacity_bytes(stored.opacities[rows])
+            block["quats"] = _to_byte(unit(stored.quats[rows]).astype(np.float64) * 128 + 128)
+            file.write(block.view(np.uint8).data)
+    losses = info_losses(splats.info) + extra_losses(splats)
+    if splats.sh_degree:
+        losses.insert(0, f"SH of degree {splats.sh_degree}")
+    warn_of_losses(path, ".splat", losses)
+
+
+def _to_byte(values: NDArray[np.float64]) -> U8:
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)

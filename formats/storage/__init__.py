@@ -1,0 +1,1 @@
+"""Bytes in and out: sources, atomic writes, strict JSON, images, file signatures."""

@@ -1,0 +1,123 @@
+import numpy as np
+import oracle
+import pytest
+
+from cogsplat.codec.encode.compensation_fit import FitConfig, blank, errors, fit, plan_layers
+from cogsplat.codec.errors import Cancelled
+from cogsplat.codec.metrics import psnr
+from cogsplat.codec.order import prefix_inflation
+from cogsplat.codec.order.marginal_gain import GainConfig, gain_order
+from cogsplat.codec.render.rasteriser import render
+from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.reference_views import teach
+
+_COUNTS = (40, 50, 60, 90, 130, 130)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    splats = oracle.scene(5, n=500)
+    cameras = [oracle.camera(angle=angle) for angle in (0, 20, 40)]
+    scores = score(splats, cameras, ScoreConfig(jitter=False))
+    rows = gain_order(splats, scores, cameras, GainConfig(jitter=False))
+    teacher = teach(splats, cameras, jittered=False)
+    return splats.take(rows), cameras, teacher, prefix_inflation.carriers(scores.contribution)
+
+
+def _same(one, other):
+    for a, b in zip(one.layers, other.layers, strict=True):
+        for name in ("scales", "opacities", "strengths", "book", "codes"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def test_prefixes_show_more_and_codes_pay(scene):
+    splats, cameras, teacher, carriers = scene
+    plain = fit(splats, _COUNTS, teacher, carriers, FitConfig(code_bits=0))
+    coded = fit(splats, _COUNTS, teacher, carriers, FitConfig(code_bits=4))
+    assert [layer.chunks for layer in coded.layers] == [layer.chunks for layer in plain.layers]
+
+    def quality(drawn):
+        return np.mean([psnr(render(splats, view), render(drawn, view)) for view in cameras])
+
+    for chunks in (1, 2):
+        prefix = splats.take(slice(0, sum(_COUNTS[:chunks])))
+        raw = quality(prefix)
+        assert quality(plain.apply(prefix, chunks)) > raw + 0.3
+        assert quality(coded.apply(prefix, chunks)) > quality(plain.apply(prefix, chunks)) + 0.3
+
+
+def test_the_fit_does_not_depend_on_threads(scene):
+    splats, _, teacher, carriers = scene
+    found = [
+        fit(splats, _COUNTS, teacher, carriers, FitConfig(iterations=4, threads=threads))
+        for threads in (1, 3)
+    ]
+    _same(*found)
+
+
+def test_a_blank_takes_the_same_room(scene):
+    splats, _, teacher, carriers = scene
+    config = FitConfig(iterations=3)
+    found = fit(splats, _COUNTS, teacher, carriers, config)
+    empty = blank(_COUNTS, carriers, config)
+    for a, b in zip(found.layers, empty.layers, strict=True):
+        for name in ("scales", "opacities", "strengths", "book", "codes"):
+            assert getattr(a, name).shape == getattr(b, name).shape
+            assert getattr(a, name).dtype == getattr(b, name).dtype
+    assert not empty.shifts(2).any()
+
+
+def test_codes_name_rows_of_the_book(scene):
+    splats, _, teacher, carriers = scene
+    found = fit(splats, _COUNTS, teacher, carriers, FitConfig(code_bits=2, iterations=5))
+    before = 0
+    for layer in found.layers:
+        if len(layer.book):
+            assert len(layer.book) <= 4
+            assert len(layer.codes) == sum(_COUNTS[before : layer.chunks])
+            assert layer.codes.max() < len(layer.book)
+        before = layer.chunks
+
+
+def test_layers_grow_and_leave_out_the_whole():
+    assert plan_layers([100] * 10, 800) == [1, 2, 3, 5, 7]
+    assert plan_layers([100], 800) == []
+    assert plan_layers([900, 100], 800) == []
+
+
+def test_one_chunk_wants_nothing(scene):
+    splats, _, teacher, carriers = scene
+    found = fit(splats, (500,), teacher, carriers)
+    assert found.layers == ()
+
+
+def test_progress_can_cancel(scene):
+    splats, _, teacher, carriers = scene
+
+    def stop(stage, done, total):
+        assert stage == "compensate"
+        if done == 2:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        fit(splats, _COUNTS, teacher, carriers, progress=stop)
+
+
+@pytest.mark.parametrize("wrong", [{"code_bits": 9}, {"iterations": 0}, {"views": 0}])
+def test_config_is_checked(wrong):
+    with pytest.raises(ValueError, match="expected"):
+        FitConfig(**wrong)
+
+
+def test_errors_of_prefixes_are_those_of_their_pictures(scene):
+    splats, _, teacher, carriers = scene
+    found = fit(splats, _COUNTS, teacher, carriers, FitConfig(iterations=3))
+    lacking = errors(found, splats, teacher, threads=2)
+    assert len(lacking) == len(_COUNTS) + 1
+    assert lacking[0] == pytest.approx(np.mean([np.mean(p**2) for p in teacher.pictures]))
+    assert lacking[-1] < 1e-12
+    drawn = found.apply(splats.take(slice(0, 90)), 2)
+    pictures = [render(drawn, camera) for camera in teacher.cameras]
+    pairs = zip(pictures, teacher.pictures, strict=True)
+    expected = np.mean([np.mean((np.clip(a, 0, 1) - b) ** 2) for a, b in pairs])
+    assert lacking[2] == pytest.approx(expected, rel=1e-4)

@@ -1,0 +1,108 @@
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.encoder import encode
+from cogsplat.codec.encode.prefix_quality import Witness, decoded, predicted
+from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.metrics import psnr
+from cogsplat.codec.render.rasteriser import render
+from cogsplat.codec.splats import SceneInfo
+from cogsplat.codec.views.view_sets import evenly
+
+
+def views(count):
+    return [oracle.camera(0.2 * k) for k in range(count)]
+
+
+def scene(n=600):
+    return replace(oracle.scene(2, n=n), info=SceneInfo(kernel_px=0.1, antialiased=True))
+
+
+def encoded_in(chunks, profile="transform", n=600):
+    config = EncodeConfig(profile=profile, prune=None, chunk_splats=n // chunks, order="source")
+    return encode(scene(n), None, config)
+
+
+@pytest.mark.parametrize("profile", ["transform", "vq", "near"])
+def test_decoding_gives_the_rows_and_the_info_of_the_scene(profile):
+    n = 90
+    back = decoded(encoded_in(3, profile, n))
+    assert (len(back), back.sh_degree) == (n, 3)
+    assert back.info == scene(n).info
+    np.testing.assert_allclose(np.sort(back.means[:, 0]), np.sort(scene(n).means[:, 0]), atol=1.0)
+
+
+def test_an_empty_scene_has_nothing_to_predict():
+    none = encode(scene().take(slice(0, 0)), None)
+    assert len(decoded(none)) == 0
+    assert Witness(scene(), views(1)).prefixes_db(none) == []
+
+
+def test_quality_is_the_mean_over_the_views():
+    source, other = scene(), decoded(encoded_in(1))
+    settings = {"kernel_px": 0.1, "antialiased": True}
+    from cogsplat.codec.render.rasteriser import RenderConfig
+
+    config = RenderConfig(**settings)
+    each = [psnr(render(source, v, config), render(other, v, config)) for v in views(3)]
+    witness = Witness(source, views(3))
+    assert witness.psnr_db(other) == pytest.approx(np.mean(each))
+    assert witness.psnr_db(source) == 100.0
+    assert Witness(source, views(3), threads=1).psnr_db(other) == witness.psnr_db(other)
+
+
+def test_no_views_are_refused():
+    with pytest.raises(DataError) as caught:
+        Witness(scene(), [])
+    assert caught.value.code == "no-cameras"
+
+
+def test_every_chunk_says_what_the_scene_up_to_it_shows():
+    encoded = encoded_in(5)
+    found = predicted(encoded, scene(), views(3))
+    witness, whole = Witness(scene(), views(3)), decoded(encoded)
+    ends = np.cumsum([chunk.splats for chunk in encoded.chunks])
+    for chunk, end in zip(found.chunks, ends, strict=True):
+        expected = witness.psnr_db(whole.take(slice(0, int(end))))
+        assert chunk.quality_db == pytest.approx(expected)
+    assert all(chunk.quality_db == 0 for chunk in encoded.chunks)
+
+
+def test_of_many_chunks_some_are_measured():
+    encoded = encoded_in(40, n=400)
+    calls = []
+    witness = Witness(scene(400), views(1))
+    found = witness.prefixes_db(encoded, progress=lambda *call: calls.append(call))
+    assert len(found) == len(encoded.chunks) == 40
+    assert calls[-1] == ("predict", 12, 12)
+    assert found[-1] == witness.psnr_db(decoded(encoded))
+    assert np.isfinite(found).all()
+
+
+def test_views_are_spread_evenly():
+    cameras = list(range(43))
+    assert evenly(cameras, 50) == cameras
+    for count in (1, 2, 8, 16):
+        chosen = evenly(cameras, count)
+        run = 43 / count
+        for k, camera in enumerate(chosen):
+            assert int(k * run) <= camera < (k + 1) * run
+    for period in (2, 3):
+        kinds = [camera % period for camera in evenly(list(range(48)), 8)]
+        assert min(kinds.count(kind) for kind in range(period)) >= 2
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("count", [1, 5, 12, 24, 43, 300])
+def test_presets_thin_out_views_but_not_small_sets(name, count):
+    preset = PRESETS[name]
+    chosen = preset.views(views(count))
+    assert len(chosen) >= min(count, 12)
+    assert len(chosen) <= -(-count // preset.views_every) or count < 36
+    assert preset.score_config("vq").sensitivity_every == 0
+    assert preset.score_config("transform").sensitivity_every == preset.sensitivity_every

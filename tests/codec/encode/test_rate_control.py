@@ -1,0 +1,152 @@
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+
+from cogsplat.codec.encode import config
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.encoder import prepare
+from cogsplat.codec.encode.prefix_quality import Witness, decoded
+from cogsplat.codec.encode.rate_control import MAX_TRIALS, Target, to_psnr, to_size
+from cogsplat.codec.errors import Cancelled, DataError
+from cogsplat.codec.scoring.contribution import ScoreConfig, score
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return oracle.scene(1, n=400)
+
+
+@pytest.fixture(scope="module")
+def views():
+    return [oracle.camera(0.3 * k) for k in range(4)]
+
+
+@pytest.fixture(scope="module")
+def prepared(scene, views):
+    scores = score(scene, views, ScoreConfig(sensitivity_every=1))
+    return prepare(scene, scores, EncodeConfig(prune=None))
+
+
+def payload_bytes(encoded):
+    parts = [payload for book in encoded.codebooks for payload in book.payloads]
+    for chunk in encoded.chunks:
+        parts += [chunk.payloads.head, chunk.payloads.tail or b""]
+    return sum(len(part) for part in parts)
+
+
+class Curve:
+    """A scene of which only the quality matters: what is measured is any function of it."""
+
+    def __init__(self, function, rows=1000):
+        self.function, self.rows, self.tried = function, np.arange(rows), []
+
+    def encode(self, quality_db):
+        self.tried.append(quality_db)
+        return self.function(quality_db)
+
+
+def psnr_hit(curve, goal):
+    return to_psnr(curve, goal, lambda value: value)
+
+
+@pytest.mark.parametrize("goal", [25.0, 33.3, 40.0, 52.0])
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda q: q,
+        lambda q: 0.7 * q + 9,
+        lambda q: 60 - 80 * np.exp(-q / 25),
+        lambda q: q + 0.3 * np.sin(3 * q),
+        lambda q: q + (0.4 if q > 36 else 0.0) - 0.02,
+    ],
+)
+def test_a_psnr_is_found_on_curves_of_any_kind(function, goal):
+    curve = Curve(function)
+    hit = psnr_hit(curve, goal)
+    assert hit.trials == len(curve.tried) <= MAX_TRIALS
+    assert abs(hit.value - goal) <= 0.1
+    assert function(hit.quality_db) == hit.value == hit.encoded
+
+
+@pytest.mark.parametrize("each", [3, 6.2, 12, 40])
+@pytest.mark.parametrize("overhead", [0, 1500])
+def test_a_size_is_found_and_never_exceeded(each, overhead):
+    rows = 50_000
+    curve = Curve(lambda q: int(rows * 6 * 2 ** ((q - 36) / 11.0)) + overhead, rows)
+    size = each * rows
+    hit = to_size(curve, size, lambda value: value)
+    assert 0.99 * size <= hit.encoded <= size
+    assert hit.trials == len(curve.tried) <= 6
+
+
+def test_a_size_that_jumps_stays_below():
+    curve = Curve(lambda q: 1000 if q < 41.7 else 5000, 500)
+    assert to_size(curve, 3000, lambda value: value).encoded == 1000
+
+
+def test_what_cannot_be_reached_is_said():
+    with pytest.raises(DataError) as caught:
+        psnr_hit(Curve(lambda q: min(q, 31.0)), 40.0)
+    assert caught.value.code == "target-out-of-reach"
+    with pytest.raises(DataError) as caught:
+        to_size(Curve(lambda q: 5000 + int(q)), 2000, lambda value: value)
+    assert caught.value.code == "target-out-of-reach"
+
+
+def test_more_room_than_a_scene_needs_gives_the_finest():
+    hit = to_size(Curve(lambda q: int(100 * q)), 10**9, lambda value: value)
+    assert hit.quality_db == 90.0
+
+
+def test_real_scenes_hit_their_targets(prepared, scene, views):
+    witness = Witness(scene, views)
+    hit = to_psnr(prepared, 34.0, lambda trial: witness.psnr_db(decoded(trial)))
+    assert witness.psnr_db(decoded(hit.encoded)) == hit.value
+    # In small views of few splats one splat's step is a jump of the curve.
+    assert abs(hit.value - 34.0) <= 1.0
+    size = payload_bytes(hit.encoded)
+    again = to_size(prepared, size + 300, payload_bytes)
+    assert 0.9 * (size + 300) <= payload_bytes(again.encoded) <= size + 300
+    assert again.quality_db >= hit.quality_db - 0.1
+
+
+def test_progress_ends_and_cancels():
+    calls = []
+    to_psnr(Curve(lambda q: q), 40.0, lambda v: v, progress=lambda *call: calls.append(call))
+    assert calls[0] == ("search", 0, MAX_TRIALS)
+    assert calls[-1] == ("search", MAX_TRIALS, MAX_TRIALS)
+
+    def stop(*call):
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        to_psnr(Curve(lambda q: q), 40.0, lambda value: value, progress=stop)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {},
+        {"psnr_db": 40.0, "size_bytes": 1000},
+        {"psnr_db": float("nan")},
+        {"psnr_db": 4.0},
+        {"psnr_db": 91.0},
+        {"size_bytes": 0},
+    ],
+)
+def test_targets_are_one_thing_in_reach(fields):
+    with pytest.raises(ValueError, match="expected"):
+        Target(**fields)
+
+
+def test_a_search_never_leaves_the_range_of_qualities(prepared):
+    curve = Curve(lambda q: 20 + 0.01 * q)
+    with pytest.raises(DataError):
+        psnr_hit(curve, 60.0)
+    assert all(10 <= q <= 90 for q in curve.tried)
+    assert len(set(curve.tried)) == len(curve.tried)
+    with pytest.raises(ValueError, match="expected"):
+        prepared.encode(config.MAX_QUALITY_DB + 1)
+    assert replace(prepared.config, quality_db=90.0).quality_db == 90.0

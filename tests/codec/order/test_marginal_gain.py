@@ -1,0 +1,217 @@
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+
+from cogsplat.codec.errors import Cancelled
+from cogsplat.codec.metrics import psnr
+from cogsplat.codec.order import chunks, prefix_inflation
+from cogsplat.codec.order.marginal_gain import GainConfig, gain_order, gain_rows, gains
+from cogsplat.codec.order.orders import Unordered, order_rows
+from cogsplat.codec.render.marginal_gains import pool_of, probe
+from cogsplat.codec.render.rasteriser import render
+from cogsplat.codec.scoring.contribution import ScoreConfig, score, unscored
+from cogsplat.codec.scoring.reference_views import MOST_VIEWS, PICTURE_PIXELS, teach
+from cogsplat.codec.splats import concatenate
+
+
+@pytest.fixture(scope="module")
+def scene():
+    splats = oracle.scene(5, n=600)
+    cameras = [oracle.camera(angle=angle) for angle in (0, 20, 40)]
+    return splats, cameras, score(splats, cameras, ScoreConfig(jitter=False))
+
+
+def test_order_is_a_permutation_whatever_the_threads(scene):
+    splats, cameras, scores = scene
+    orders = [
+        gain_order(splats, scores, cameras, GainConfig(threads=threads)) for threads in (1, 2, 3)
+    ]
+    np.testing.assert_array_equal(np.sort(orders[0]), np.arange(len(splats)))
+    np.testing.assert_array_equal(orders[0], orders[1])
+    np.testing.assert_array_equal(orders[0], orders[2])
+
+
+@pytest.mark.parametrize("thickened", [False, True])
+def test_short_prefixes_show_more_than_those_by_contribution(scene, thickened):
+    splats, cameras, scores = scene
+    config = GainConfig(thickened=thickened, jitter=False)
+    by_gain = gain_order(splats, scores, cameras, config)
+    by_contribution = np.argsort(-scores.contribution, kind="stable")
+
+    def quality(rows, share):
+        prefix = splats.take(rows[: int(share * len(splats))])
+        if thickened:
+            carriers = prefix_inflation.carriers(scores.contribution)
+            prefix = prefix_inflation.thicken(
+                prefix, prefix_inflation.typical(len(prefix) / carriers)
+            )
+        return np.mean([psnr(render(splats, view), render(prefix, view)) for view in cameras])
+
+    for share in (0.05, 0.1):
+        assert quality(by_gain, share) > quality(by_contribution, share) + 0.3
+
+
+def test_a_copy_in_the_same_place_waits(scene):
+    splats, cameras, _ = scene
+    # Twice the same scene: by contribution every splat stands beside its copy.
+    pairs = concatenate([splats, splats])
+    scores = score(pairs, cameras, ScoreConfig(jitter=False))
+    rows = gain_order(pairs, scores, cameras, GainConfig(thickened=False, jitter=False))
+    first = rows[:120] % len(splats)
+    # In pairs there would be 60; by the seed of the random parts there are 80 to 92.
+    assert len(np.unique(first)) > 75
+
+
+def test_without_cameras_the_order_is_by_contribution(scene):
+    splats, _, scores = scene
+    expected = np.argsort(-scores.contribution, kind="stable")
+    np.testing.assert_array_equal(gain_order(splats, scores, []), expected)
+    nothing = gain_order(splats, unscored(len(splats)), [])
+    np.testing.assert_array_equal(nothing, np.arange(len(splats)))
+
+
+def test_a_scene_without_splats_has_an_empty_order(scene):
+    splats, cameras, scores = scene
+    none = np.zeros(0, np.int64)
+    rows = gain_order(splats.take(none), scores.take(none), cameras)
+    assert rows.dtype == np.int64
+    assert len(rows) == 0
+
+
+def test_order_by_name(scene):
+    splats, cameras, scores = scene
+    unordered = Unordered(splats, scores, cameras)
+    np.testing.assert_array_equal(
+        order_rows("gain", unordered), gain_order(splats, scores, cameras)
+    )
+
+
+def test_gains_weigh_the_views(scene):
+    splats, cameras, _ = scene
+    teacher = teach(splats, cameras, jittered=False)
+    present = np.arange(len(splats)) % 2 == 0
+    pool = pool_of(splats, np.arange(len(splats)))
+    total = gains(pool, present, teacher, [0, 2], threads=1)
+    expected = np.zeros(len(splats))
+    for view in (0, 2):
+        camera = teacher.cameras[view]
+        rows, found, _ = probe(pool, present, camera, teacher.pictures[view], kernel_px=0.3)
+        expected[rows] += found / 3 / (camera.width * camera.height)
+    np.testing.assert_allclose(total, expected, rtol=1e-12)
+
+
+def test_progress_can_cancel(scene):
+    splats, cameras, scores = scene
+    teacher = teach(splats, cameras)
+    calls = []
+
+    def stop(stage, done, total):
+        calls.append((stage, done, total))
+        if done > 100:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        gain_rows(splats, scores, teacher, progress=stop)
+    assert calls[0] == ("gain", 0, 480)
+
+
+def test_teacher_shows_the_scene_small(scene):
+    splats, cameras, _ = scene
+    large = [replace(c, width=4 * 310, height=4 * 200, fx=900.0, fy=900.0) for c in cameras]
+    teacher = teach(splats, large)
+    assert len(teacher.cameras) == len(teacher.pictures) == len(teacher.weights) == 9
+    assert teacher.given == 3
+    np.testing.assert_allclose(teacher.weights, [1 / 3] * 3 + [1 / 6] * 6)
+    for camera, picture, kernel_px in zip(
+        teacher.cameras, teacher.pictures, teacher.kernels, strict=True
+    ):
+        assert picture.shape == (camera.height, camera.width, 3)
+        assert PICTURE_PIXELS / 2 < camera.width * camera.height <= PICTURE_PIXELS
+        assert kernel_px == pytest.approx(0.3 / 25)
+        assert picture.min() >= 0
+        assert picture.max() <= 1
+
+
+def test_teacher_bounds_its_views(scene):
+    splats, cameras, _ = scene
+    teacher = teach(splats.take(np.arange(3)), cameras * 100)
+    assert len(teacher.cameras) == MOST_VIEWS
+    assert teacher.given == MOST_VIEWS // 3
+
+
+def test_samples_reach_every_view_equally(scene):
+    splats, cameras, _ = scene
+    teacher = teach(splats.take(np.arange(3)), cameras * 5)
+    seen = np.zeros(len(teacher.cameras), int)
+    for turn in range(90):
+        views = teacher.sample(9, turn)
+        assert len(set(views)) == len(views) == 9
+        assert sum(view < teacher.given for view in views) == 3
+        seen[views] += 1
+    assert seen.min() >= 14
+    assert seen.max() <= 22
+    assert teacher.sample(100, 3) == list(range(45))
+
+
+def test_no_cameras_teach_nothing(scene):
+    with pytest.raises(ValueError, match="0 cameras"):
+        teach(scene[0], [])
+
+
+def test_typical_thickening_falls_to_nothing():
+    assert prefix_inflation.typical(2.0) == prefix_inflation.Thickening(0.0, 0.0)
+    few, some = prefix_inflation.typical(0.0), prefix_inflation.typical(0.1)
+    assert few == prefix_inflation.typical(0.001)
+    assert few.scales > some.scales > 0
+    assert few.opacities > some.opacities > 0
+
+
+def test_carriers_bring_most_of_the_contribution():
+    assert prefix_inflation.carriers(np.array([1.0, 90.0, 6.0, 3.0])) == 2
+    assert prefix_inflation.carriers(np.ones(100)) == 95
+    assert prefix_inflation.carriers(np.zeros(7)) == 7
+    assert prefix_inflation.carriers(np.zeros(0)) == 1
+
+
+def test_thickened_splats_are_larger_and_more_opaque():
+    splats = oracle.scene(1, n=4)
+    thick = prefix_inflation.thicken(splats, prefix_inflation.Thickening(0.25, 1.5))
+    np.testing.assert_allclose(thick.scales - splats.scales, 0.25, rtol=1e-5)
+    np.testing.assert_allclose(thick.opacities - splats.opacities, 1.5, rtol=1e-5)
+    assert thick.scales.dtype == thick.opacities.dtype == np.float32
+
+
+def test_a_teacher_at_hand_is_not_drawn_again(scene, monkeypatch):
+    splats, cameras, scores = scene
+    expected = gain_order(splats, scores, cameras)
+    teacher = teach(splats, cameras)
+
+    def refuse(*args, **kwargs):
+        raise AssertionError
+
+    monkeypatch.setattr("cogsplat.codec.order.marginal_gain.teach", refuse)
+    given = Unordered(splats, scores, cameras, teacher=teacher)
+    np.testing.assert_array_equal(gain_order(splats, scores, cameras, teacher=teacher), expected)
+    np.testing.assert_array_equal(
+        order_rows("gain", given), chunks.settled(expected, scores.contribution)
+    )
+
+
+def test_without_jitter_only_the_given_views_are_looked_at(scene):
+    splats, cameras, scores = scene
+    without = gain_order(splats, scores, cameras, GainConfig(jitter=False))
+    assert (without != gain_order(splats, scores, cameras)).any()
+    found = order_rows("gain", Unordered(splats, scores, cameras, jitter=False))
+    np.testing.assert_array_equal(found, chunks.settled(without, scores.contribution))
+
+
+def test_pools_copy_no_colours(scene):
+    splats, _, _ = scene
+    rows = np.arange(0, len(splats), 2)
+    pool = pool_of(splats, rows, prefix_inflation.Thickening(0.25, 1.5))
+    assert pool.scene is splats
+    assert pool.shapes.sh_degree == 0
+    np.testing.assert_array_equal(pool.shapes.means, splats.means[rows])
+    np.testing.assert_allclose(pool.shapes.scales, splats.scales[rows] + 0.25, rtol=1e-6)

@@ -1,0 +1,205 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+
+from cogsplat.codec.rate import allocation
+from cogsplat.codec.rate import costs as rate_costs
+from cogsplat.codec.render.sensitivities import Sensitivities
+from cogsplat.codec.scoring.contribution import unscored
+
+
+def with_energy(values):
+    energy = np.array(values, np.float64)
+    return replace(unscored(len(energy)), energy=energy)
+
+
+def test_ten_decibels_are_a_tenth_of_the_slope():
+    scores = with_energy([0.0, 1.0, 2.0])
+    assert allocation.slope(scores, 30) == pytest.approx(10 * allocation.slope(scores, 40))
+
+
+def test_a_scene_quantised_at_the_slope_has_the_nominal_error():
+    # N splats that each take up one share: their uniform errors, Δ²/12 times energy, add up to it.
+    energy = np.random.default_rng(1).lognormal(-12, 2, 5000)
+    slope = allocation.slope(with_energy(energy), 36)
+    steps = np.sqrt(slope / energy)
+    shares = 22
+    error = shares * (energy * steps**2 / 12).sum()
+    assert -10 * math.log10(error) == pytest.approx(36)
+
+
+def test_unseen_splats_do_not_count():
+    seen = with_energy([1.0, 2.0])
+    more = with_energy([1.0, 2.0, 0.0, 0.0])
+    assert allocation.slope(seen, 36) == allocation.slope(more, 36)
+    assert allocation.slope(unscored(4), 36) == allocation.slope(with_energy([1.0]), 36)
+    assert math.isfinite(allocation.slope(unscored(0), 36))
+
+
+def test_no_energy_is_zero():
+    energy = np.append(np.zeros(10), np.linspace(1, 2, 101))
+    out = rate_costs.floor_energy(with_energy(energy))
+    assert out.min() == pytest.approx(1.01)
+    np.testing.assert_array_equal(out[energy > 1.01], energy[energy > 1.01])
+    np.testing.assert_array_equal(out[:10], out.min())
+    assert (rate_costs.floor_energy(unscored(5)) == 1).all()
+    assert rate_costs.floor_energy(unscored(0)).shape == (0,)
+    assert (rate_costs.floor_energy(with_energy([0.0, 5e-324])) > 0).all()
+
+
+def test_steps_spend_the_same_slope():
+    rng = np.random.default_rng(2)
+    for cost in (1.0, 0.02):
+        energy = rng.lognormal(-10, 3, 100)
+        step = allocation.step(1e-6, cost, energy)
+        assert cost * energy.mean() * step**2 == pytest.approx(1e-6)
+
+
+def test_mean_steps_follow_the_size_of_the_splats():
+    energy = np.full(50, 1e-4)
+    scales = np.random.default_rng(3).normal(-4, 0.5, (50, 3)).astype(np.float32)
+    step = allocation.mean_step(1e-6, energy, scales)
+    larger = allocation.mean_step(1e-6, energy, scales + np.float32(math.log(2)))
+    assert larger == pytest.approx(2 * step, rel=1e-5)
+    one = allocation.mean_step(1e-6, energy[:1], np.full((1, 3), math.log(0.1), np.float32))
+    assert rate_costs.MEAN_COST * 1e-4 * (one / 0.1) ** 2 == pytest.approx(1e-6, rel=1e-5)
+
+
+@pytest.mark.parametrize("scale", [-1e30, -200.0, 200.0, 1e30])
+def test_mean_steps_of_extreme_scales_are_numbers_above_zero(scale):
+    scales = np.full((3, 3), scale, np.float32)
+    step = allocation.mean_step(1e-9, np.full(3, 1e-3), scales)
+    assert 0 < step < math.inf
+
+
+# Costs.
+
+VALUES = (
+    "energy", "mean", "opacity", "scale_long", "scale_middle", "scale_thin", "tilt", "spin",
+)  # fmt: skip
+
+
+def sensitive(rows, seed=4, scale=1.0):
+    rng = np.random.default_rng(seed)
+
+    def some(*shape):
+        return scale * rng.lognormal(-3, 1, (rows, *shape))
+
+    return Sensitivities(some(), some(3), some(3), some(3), some(3))
+
+
+def a_scene(rows=80, seed=5):
+    splats = oracle.scene(seed, n=rows)
+    energy = np.random.default_rng(seed).lognormal(-9, 2, rows)
+    return splats, replace(unscored(rows), energy=energy)
+
+
+def test_costs_are_above_zero_with_and_without_sensitivities():
+    splats, scores = a_scene()
+    for energy in (scores.energy, np.zeros(80), np.geomspace(1e-200, 1e3, 80)):
+        for found in (None, sensitive(80), sensitive(80, scale=0.0)):
+            given = replace(scores, energy=energy, sensitivities=found)
+            costs = rate_costs.costs(splats, given)
+            for name in VALUES:
+                values = getattr(costs, name)
+                assert values.shape == (80,)
+                assert ((values > 0) & np.isfinite(values)).all(), name
+            assert costs.basis_mean.shape == (80, 15)
+
+
+def test_renaming_the_axes_of_a_splat_changes_no_cost():
+    splats, scores = a_scene()
+    found = sensitive(80)
+    turned = [1, 2, 0]
+    other = replace(found, scales=found.scales[:, turned], rotations=found.rotations[:, turned])
+    for one, two in ((None, None), (found, other)):
+        plain = rate_costs.costs(splats, replace(scores, sensitivities=one))
+        named = rate_costs.costs(
+            replace(splats, scales=splats.scales[:, turned]), replace(scores, sensitivities=two)
+        )
+        for name in VALUES:
+            np.testing.assert_allclose(getattr(named, name), getattr(plain, name), rtol=1e-12)
+
+
+def test_sensitivities_say_what_errors_cost():
+    splats, scores = a_scene()
+    found = sensitive(80, scale=1e9)  # far above any floor
+    costs = rate_costs.costs(splats, replace(scores, sensitivities=found))
+    by_size = np.take_along_axis(found.scales, np.argsort(splats.scales, axis=1), axis=1)
+    for name, expected in (
+        ("mean", found.means.mean(axis=1)),
+        ("opacity", found.opacities),
+        ("scale_long", found.scales.sum(axis=1)),
+        ("scale_middle", by_size[:, :2].sum(axis=1)),
+        ("scale_thin", by_size[:, 0]),
+        (
+            "spin",
+            np.take_along_axis(found.rotations, np.argsort(splats.scales, axis=1), axis=1)[:, 2],
+        ),
+    ):
+        ratio = getattr(costs, name) / expected
+        np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)
+        assert 0.5 < ratio[0] < 5
+
+
+def test_larger_sensitivities_and_energies_cost_more():
+    splats, scores = a_scene()
+    for low, high in (
+        (scores, replace(scores, energy=10 * scores.energy)),
+        (
+            replace(scores, sensitivities=sensitive(80)),
+            replace(scores, sensitivities=sensitive(80, scale=10.0)),
+        ),
+    ):
+        one, two = rate_costs.costs(splats, low), rate_costs.costs(splats, high)
+        for name in VALUES:
+            assert (getattr(two, name) >= getattr(one, name)).all()
+            assert name == "energy" or (getattr(two, name) > getattr(one, name)).any()
+
+
+def test_rows_and_levels_of_costs():
+    splats, scores = a_scene()
+    costs = rate_costs.costs(splats, replace(scores, sensitivities=sensitive(80)))
+    rows = np.array([5, 2, 2, 79])
+    part, level = costs.take(rows), costs.levelled()
+    for name in VALUES:
+        values = getattr(costs, name)
+        np.testing.assert_array_equal(getattr(part, name), values[rows])
+        np.testing.assert_allclose(getattr(level, name), values.mean())
+    np.testing.assert_array_equal(part.basis_mean, costs.basis_mean[rows])
+    np.testing.assert_array_equal(level.basis_mean, costs.basis_mean)
+
+
+def test_steps_follow_the_mean_cost_or_each_ones():
+    cost = np.random.default_rng(6).lognormal(-5, 2, 300)
+    assert cost.mean() * allocation.equal_step(1e-7, cost) ** 2 == pytest.approx(1e-7)
+    np.testing.assert_allclose(cost * allocation.own_steps(1e-7, cost) ** 2, 1e-7)
+    assert allocation.shn_step(1e-7, 4 * cost) == pytest.approx(allocation.shn_step(1e-7, cost) / 2)
+
+
+@pytest.mark.parametrize("cost", [1e-300, 1e-60, 1e60, 1e300])
+def test_steps_of_extreme_costs_are_what_the_format_holds(cost):
+    for slope in (1e-20, 1e-3, 10.0):
+        step = allocation.equal_step(slope, np.full(4, cost))
+        assert 0 < step <= 2.0**32
+        assert 0 < allocation.shn_step(slope, np.full(4, cost)) <= 2.0**32
+
+
+def test_limits_leave_no_step_that_loses_a_splat():
+    splats, scores = a_scene()
+    for slope in (1e-9, 1.0):
+        costs = rate_costs.costs(splats, replace(scores, energy=np.full(80, 1e-12)))
+        limited = rate_costs.limited(costs, splats.scales, slope)
+        for name in VALUES:
+            assert (getattr(limited, name) >= getattr(costs, name)).all()
+        assert allocation.own_steps(slope, limited.opacity).max() <= 2
+        assert allocation.own_steps(slope, limited.scale_long).max() <= 1
+        size = np.exp(splats.scales.astype(float).mean(axis=1))
+        assert (allocation.own_steps(slope, limited.mean) <= 2 * size).all()
+    strong = rate_costs.costs(splats, replace(scores, energy=np.full(80, 1e3)))
+    same = rate_costs.limited(strong, splats.scales, 1e-9)
+    for name in VALUES:
+        np.testing.assert_array_equal(getattr(same, name), getattr(strong, name))

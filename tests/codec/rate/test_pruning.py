@@ -1,0 +1,92 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cogsplat.codec.rate.pruning import PruneConfig, kept_rows
+from cogsplat.codec.scoring.contribution import score, unscored
+
+
+def seen(peak, covered, opacities=None):
+    n = len(peak)
+    splats = oracle.scene(1, n=n, degree=0)
+    splats.opacities[:] = 1.0 if opacities is None else opacities
+    scores = replace(
+        unscored(n), peak=np.array(peak, np.float32), covered=np.array(covered, np.int32)
+    )
+    return splats, scores
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(
+    st.lists(st.tuples(st.floats(0, 1, width=32), st.integers(0, 8)), max_size=20),
+    st.floats(0, 0.99),
+    st.integers(1, 8),
+)
+def test_a_visible_splat_goes_only_below_the_peak_and_where_views_cover_it(rows, peak, views):
+    splats, scores = seen([row[0] for row in rows], [row[1] for row in rows])
+    kept = kept_rows(splats, scores, PruneConfig(peak=peak, views=views))
+    assert kept.dtype == np.bool_
+    assert kept.tolist() == [p >= np.float32(peak) or c < views for p, c in rows]
+
+
+def test_only_what_is_not_worth_its_bytes_goes():
+    splats, scores = seen([0.01] * 4, [9, 9, 9, 3])
+    scores = replace(scores, energy=np.array([1.0, 5.9, 6.0, 1.0]))
+    kept = kept_rows(splats, scores, PruneConfig(worth=6.0), slope=1.0)
+    assert kept.tolist() == [False, False, True, True]
+    assert kept_rows(splats, scores, PruneConfig(worth=6.0), slope=0.1).tolist() == [True] * 4
+    assert kept_rows(splats, scores, PruneConfig(), slope=0.0).all()
+
+
+def test_what_no_view_covers_stays():
+    splats, scores = seen([0.0] * 5, [0, 1, 2, 3, 4])
+    assert kept_rows(splats, scores, PruneConfig()).tolist() == [True] * 4 + [False]
+    assert kept_rows(splats, scores, PruneConfig(views=1)).tolist() == [True] + [False] * 4
+    assert kept_rows(splats, unscored(5), PruneConfig(peak=0.999, views=1)).all()
+
+
+def test_a_peak_at_the_bound_stays():
+    splats, scores = seen([0.25, np.nextafter(np.float32(0.25), np.float32(0))], [9, 9])
+    assert kept_rows(splats, scores, PruneConfig(peak=0.25)).tolist() == [True, False]
+    assert kept_rows(splats, scores, PruneConfig(peak=0)).tolist() == [True, True]
+
+
+def test_what_can_never_touch_a_pixel_goes_even_unseen():
+    edge = -math.log(254)
+    logits = [-np.inf, edge - 1e-4, edge + 1e-4, 0.0, np.inf]
+    splats, scores = seen([0.0] * 5, [0] * 5, logits)
+    assert kept_rows(splats, scores, PruneConfig()).tolist() == [False, False, True, True, True]
+    assert kept_rows(splats, scores, None).all()
+
+
+def test_dropping_keeps_every_pixel_within_the_bound_of_each():
+    splats = oracle.scene(5, n=150, opacity=3.0)
+    cameras = [oracle.camera(angle) for angle in (0.0, 0.6, 1.2, 1.8)]
+    config = PruneConfig(peak=0.05, views=4)
+    kept = kept_rows(splats, score(splats, cameras), config)
+    assert 0 < kept.sum() < len(kept)
+    for camera in cameras:
+        weights = oracle.view(splats, camera).weights
+        visible = splats.opacities >= -math.log(254)
+        assert weights[:, ~kept].max() < config.peak + 1e-5
+        assert weights[:, ~visible].max(initial=0) == 0
+
+
+def test_an_empty_scene_keeps_nothing():
+    splats, scores = seen([], [])
+    assert kept_rows(splats, scores, PruneConfig()).shape == (0,)
+    assert kept_rows(splats, scores, None).shape == (0,)
+
+
+@pytest.mark.parametrize(
+    "settings_",
+    [{"peak": -0.1}, {"peak": 1.0}, {"peak": float("nan")}, {"views": 0}, {"worth": 0.0}],
+)
+def test_bounds_out_of_range_are_refused(settings_):
+    with pytest.raises(ValueError, match="expected"):
+        PruneConfig(**settings_)

@@ -1,0 +1,92 @@
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+
+from cogsplat.codec.geometry import frustum
+from cogsplat.codec.render.projection import (
+    FLAT,
+    HALF_HEIGHT,
+    HALF_WIDTH,
+    NARROW,
+    OPACITY,
+    SHEAR,
+    X,
+    Y,
+    project,
+)
+from cogsplat.codec.splats import empty
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("shift", [0.0, 6.5])
+def test_footprints_are_the_projected_gaussians(antialiased, shift):
+    splats, camera = oracle.scene(1), oracle.camera(shift=shift)
+    footprints = project(splats, camera, kernel_px=0.3, antialiased=antialiased)
+    assert len(footprints) > 30
+    for row, index in enumerate(footprints.index):
+        bare, centre, _ = oracle.covariance(splats, camera, index)
+        wide = bare + 0.3 * np.eye(2)
+        values = footprints.ellipse[row].astype(np.float64)
+        np.testing.assert_allclose(values[[X, Y]], centre, rtol=1e-6, atol=1e-5)
+        narrow, shear, flat = values[NARROW], values[SHEAR], values[FLAT]
+        completed = np.array([[1.0, -shear], [0.0, 1.0]])
+        half_inverse = completed.T @ np.diag([narrow**2, 0.0]) @ completed + np.diag([0.0, flat])
+        np.testing.assert_allclose(2 * half_inverse, np.linalg.inv(wide), rtol=1e-4, atol=1e-7)
+        opacity = 1 / (1 + np.exp(-float(splats.opacities[index])))
+        if antialiased:
+            opacity *= np.sqrt(np.linalg.det(bare) / np.linalg.det(wide))
+        assert values[OPACITY] == pytest.approx(opacity, rel=1e-5)
+        reach = 2 * np.log(opacity * 255)
+        assert values[HALF_HEIGHT] ** 2 == pytest.approx(reach * wide[1, 1], rel=1e-4)
+        assert values[HALF_WIDTH] ** 2 == pytest.approx(
+            reach * np.linalg.det(wide) / wide[1, 1], rel=1e-4
+        )
+
+
+def test_nearest_comes_first_and_ties_keep_their_rows():
+    splats = empty(0, 6)
+    splats.means[:, 2] = [0.0, -1.0, 0.0, 1.0, -1.0, 0.0]
+    camera = replace(oracle.camera(), rotation=np.eye(3))
+    assert project(splats, camera, kernel_px=0.3, antialiased=False).index.tolist() == [
+        1, 4, 0, 2, 5, 3,
+    ]  # fmt: skip
+
+
+def test_near_plane_is_open():
+    splats = empty(0, 3)
+    splats.scales[:] = -3.0
+    splats.means[:, 2] = np.array([-0.5, 0.0, 0.5], np.float32)
+    camera = replace(oracle.camera(), rotation=np.eye(3), translation=np.array([0.0, 0.0, 1.0]))
+    assert project(splats, camera, kernel_px=0.3, antialiased=False, near=1.0).index.tolist() == [2]
+
+
+def test_rows_that_cannot_be_drawn_are_left_out():
+    splats = oracle.scene(2, n=20)
+    camera = oracle.camera()
+    splats.opacities[0] = np.nan
+    splats.opacities[1] = -np.inf
+    splats.means[2] = np.nan
+    splats.means[3] = np.inf
+    splats.scales[4] = np.nan
+    splats.scales[5] = np.inf
+    splats.quats[6] = 0.0
+    splats.quats[7] = np.nan
+    splats.opacities[8] = -6.0  # below 1/255
+    footprints = project(splats, camera, kernel_px=0.3, antialiased=False)
+    assert footprints.index.min() > 8
+    assert np.isfinite(footprints.ellipse).all()
+
+
+def test_without_a_kernel_flat_splats_vanish_instead_of_dividing_by_zero():
+    splats = empty(0, 2)
+    splats.scales[0] = -200.0
+    splats.scales[1] = -2.0
+    footprints = project(splats, oracle.camera(), kernel_px=0.0, antialiased=False)
+    assert footprints.index.tolist() == [1]
+
+
+def test_views_use_the_same_near_plane():
+
+    assert frustum.NEAR == frustum.NEAR

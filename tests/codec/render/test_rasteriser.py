@@ -1,0 +1,234 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from cogsplat.codec.errors import Cancelled
+from cogsplat.codec.geometry import sh
+from cogsplat.codec.render.rasteriser import RenderConfig, falloff, render, render_views
+from cogsplat.codec.splats import SceneInfo, Splats, empty
+
+# Share of pixels that may land on the other side of the 1/255 or 1e-4 cut in float32.
+_ON_THE_EDGE = 0.003
+
+
+def _assert_same_picture(actual, expected):
+    assert actual.dtype == np.float32
+    assert actual.shape == expected.shape
+    off = np.abs(actual - expected).max(axis=2)
+    assert np.mean(off > 1e-4) <= _ON_THE_EDGE, f"{np.mean(off > 1e-4):.2%} of the pixels are off"
+    assert off.max() < 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("kernel_px", [0.3, 0.1])
+def test_picture_equals_brute_force(seed, antialiased, kernel_px):
+    splats, camera = oracle.scene(seed, n=150), oracle.camera(angle=seed, shift=2.0 * seed)
+    background = (0.6, 0.0, 0.4)
+    config = RenderConfig(kernel_px=kernel_px, antialiased=antialiased, background=background)
+    expected = oracle.view(
+        splats, camera, kernel_px=kernel_px, antialiased=antialiased, background=background
+    )
+    _assert_same_picture(render(splats, camera, config), expected.image)
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_picture_equals_brute_force_at_every_sh_degree(degree):
+    splats, camera = oracle.scene(7, degree=degree), oracle.camera()
+    _assert_same_picture(render(splats, camera), oracle.view(splats, camera).image)
+
+
+def test_opaque_layers_stop_the_pixel():
+    splats, camera = oracle.scene(8, n=200, opacity=8.0), oracle.camera()
+    seen = oracle.view(splats, camera)
+    assert (seen.weights.sum(axis=1) > 0.98).any()
+    _assert_same_picture(render(splats, camera), seen.image)
+
+
+def test_second_fully_opaque_splat_is_not_blended():
+    # (1 - 0.99f)² is below 1e-4f in float32: 3DGS stops there.
+    splats = empty(0, 2)
+    splats.scales[:] = 3.0
+    splats.opacities[:] = np.inf
+    splats.means[:, 2] = [0.0, 1.0]
+    splats.sh0[0] = -10.0  # black
+    splats.sh0[1] = 10.0
+    picture = render(splats, oracle.camera())
+    assert picture[18, 26].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_views_from_inside_the_scene_equal_brute_force():
+    splats, camera = oracle.scene(9, n=120), oracle.camera(distance=0.3)
+    _assert_same_picture(render(splats, camera), oracle.view(splats, camera).image)
+
+
+def test_config_comes_from_the_scene_when_none_is_given():
+    info = SceneInfo(kernel_px=0.1, antialiased=True)
+    splats, camera = oracle.scene(10, info=info), oracle.camera()
+    explicit = render(splats, camera, RenderConfig(kernel_px=0.1, antialiased=True))
+    np.testing.assert_array_equal(render(splats, camera), explicit)
+    assert not np.array_equal(explicit, render(splats, camera, RenderConfig()))
+
+
+def test_empty_scene_is_background():
+    picture = render(empty(3), oracle.camera(), RenderConfig(background=(0.25, 0.5, 2.0)))
+    assert (picture == np.array([0.25, 0.5, 2.0], np.float32)).all()
+
+
+def test_scene_behind_the_camera_is_background():
+    picture = render(oracle.scene(0), oracle.camera(distance=-20.0))
+    assert not picture.any()
+
+
+def test_one_splat_reaches_exactly_the_pixels_of_alpha_1_255():
+    splats = empty(0, 1)
+    splats.scales[0] = [-1.0, -2.0, -1.5]
+    splats.quats[0] = [0.9, 0.1, -0.2, 0.4]
+    splats.sh0[0] = 1.0
+    camera = oracle.camera()
+    touched = render(splats, camera).max(axis=2) > 0
+    np.testing.assert_array_equal(
+        touched, (oracle.view(splats, camera).weights[:, 0] > 0).reshape(touched.shape)
+    )
+
+
+def test_infinite_opacities_are_capped_or_gone():
+    splats = empty(0, 2)
+    splats.scales[:] = 2.0
+    splats.opacities[:] = [np.inf, -np.inf]
+    splats.means[1, 2] = -0.5  # nearer, invisible
+    picture = render(splats, oracle.camera())
+    np.testing.assert_allclose(picture[18, 26], 0.5 * 0.99, rtol=1e-3)
+
+
+def test_picture_is_not_clipped():
+    splats = empty(0, 1)
+    splats.scales[:] = 2.0
+    splats.opacities[:] = 10.0
+    splats.sh0[:] = 20.0
+    assert render(splats, oracle.camera()).max() > 5.0
+
+
+def test_lower_sh_degree_draws_as_the_cut_scene():
+    splats, camera = oracle.scene(11), oracle.camera()
+    for degree in range(4):
+        np.testing.assert_array_equal(
+            render(splats, camera, RenderConfig(sh_degree=degree)),
+            render(splats.with_sh_degree(degree), camera),
+        )
+    flat = splats.with_sh_degree(0)
+    np.testing.assert_array_equal(
+        render(flat, camera, RenderConfig(sh_degree=3)), render(flat, camera)
+    )
+
+
+def test_pictures_do_not_depend_on_threads():
+    splats = oracle.scene(12, n=400)
+    cameras = [oracle.camera(angle=0.5 * k, width=40 + 9 * k, height=61) for k in range(5)]
+    expected = [render(splats, camera, RenderConfig(threads=1)) for camera in cameras]
+    for threads in (1, 2, 3, 8):
+        config = RenderConfig(threads=threads)
+        for camera, picture in zip(cameras, expected, strict=True):
+            np.testing.assert_array_equal(render(splats, camera, config), picture)
+        for several, picture in zip(render_views(splats, cameras, config), expected, strict=True):
+            np.testing.assert_array_equal(several, picture)
+
+
+def test_order_of_rows_does_not_matter_but_for_ties():
+    splats, camera = oracle.scene(13), oracle.camera()
+    shuffled = splats.take(np.random.default_rng(0).permutation(len(splats)))
+    np.testing.assert_array_equal(render(splats, camera), render(shuffled, camera))
+
+
+def test_progress_is_reported_and_may_cancel():
+    splats = oracle.scene(14, n=10)
+    cameras = [oracle.camera(angle=k) for k in range(6)]
+    calls = []
+    render_views(splats, cameras, progress=lambda *call: calls.append(call))
+    assert calls == [("render", done, 6) for done in range(7)]
+
+    def stop(stage, done, total):
+        if done == 2:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        render_views(splats, cameras, progress=stop)
+
+
+def test_no_views_give_no_pictures():
+    assert render_views(oracle.scene(0), []) == []
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"kernel_px": -0.1},
+        {"kernel_px": math.nan},
+        {"near": 0.0},
+        {"sh_degree": 4},
+        {"threads": -1},
+    ],
+)
+def test_senseless_config_is_refused(options):
+    with pytest.raises(ValueError, match="expected"):
+        RenderConfig(**options)
+
+
+def test_falloff_is_exp_to_two_millionths():
+    exponents = np.linspace(-6.0, 0.0, 2001, dtype=np.float32)
+    actual = np.array([falloff(value) for value in exponents])
+    np.testing.assert_allclose(actual, np.exp(exponents.astype(np.float64)), rtol=2e-6)
+    assert falloff(np.float32(-np.inf)) < np.float32(1 / 255)
+
+
+def test_colours_in_pictures_are_those_of_sh():
+    splats, camera = oracle.scene(15, n=1), oracle.camera()
+    splats.means[:] = 0.0
+    splats.scales[:] = 3.0
+    splats.opacities[:] = np.inf
+    colour = sh.colours(splats.sh0, splats.shN, oracle.directions(splats, camera))[0]
+    np.testing.assert_allclose(render(splats, camera)[18, 26] / 0.99, colour, atol=2e-3)
+
+
+# Anything a float32 can hold, and often the sizes at which squares overflow.
+_wild = st.floats(width=32, allow_nan=True, allow_infinity=True) | st.sampled_from(
+    [0.0, -0.0, 1e-30, 1e9, -1e9, 1e18, 3e38, -3e38, 40.0, 88.0, 700.0, -700.0]
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    values=arrays.arrays(np.float32, (3, 11), elements=_wild),
+    antialiased=st.booleans(),
+    kernel_px=st.sampled_from([0.0, 0.3]),
+)
+def test_wild_splats_give_finite_pictures(values, antialiased, kernel_px):
+    splats = Splats(
+        means=np.ascontiguousarray(values[:, :3]),
+        scales=np.ascontiguousarray(values[:, 3:6]),
+        quats=np.ascontiguousarray(values[:, 6:10]),
+        opacities=np.ascontiguousarray(values[:, 10]),
+        sh0=np.ones((3, 3), np.float32),
+        shN=np.zeros((3, 0, 3), np.float32),
+    )
+    config = RenderConfig(antialiased=antialiased, kernel_px=kernel_px)
+    camera = replace(oracle.camera(), rotation=np.eye(3))
+    picture = render(splats, camera, config)
+    assert np.isfinite(picture).all()
+    assert picture.min() >= 0.0
+    assert picture.max() <= 1.0
+
+
+def test_huge_splat_covers_the_picture():
+    splats = empty(0, 1)
+    splats.scales[:] = 60.0
+    splats.opacities[:] = np.inf
+    splats.sh0[:] = 1.0
+    picture = render(splats, oracle.camera())
+    np.testing.assert_allclose(picture, 0.99 * (0.5 + sh.C0), rtol=1e-5)

@@ -1,0 +1,197 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+
+from cogsplat.codec.errors import Cancelled, DataError
+from cogsplat.codec.render.rasteriser import render
+from cogsplat.codec.scoring import contribution as scoring
+from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.splats import SceneInfo, empty
+from cogsplat.codec.views.view_sets import jitter
+
+# Of unlike sizes, so that averages over views and over pixels differ.
+CAMERAS = [
+    oracle.camera(angle=0.3),
+    oracle.camera(angle=1.4, width=40, height=50, shift=3.0),
+    oracle.camera(angle=-0.9, width=33, height=17, distance=2.0),
+]
+
+
+def _close(actual, expected, scale):
+    """Equal but for the few pixels that a cut takes or leaves in float32."""
+    off = np.abs(actual - expected)
+    assert off.max() <= 2e-3 * scale, f"off by {off.max() / scale:.2e} of the largest"
+    assert np.mean(off > 1e-5 * scale) < 0.05
+
+
+@pytest.mark.parametrize("top_k", [0, 1, 3, 20])
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_scores_equal_brute_force(top_k, antialiased):
+    info = SceneInfo(antialiased=antialiased)
+    splats = oracle.scene(3, n=150, info=info)
+    scores = score(splats, CAMERAS, ScoreConfig(top_k=top_k, jitter=False))
+    seen = [oracle.view(splats, camera, antialiased=antialiased) for camera in CAMERAS]
+    pixels = sum(camera.width * camera.height for camera in CAMERAS)
+    kept = [oracle.top_weights(view, top_k).sum(axis=0) for view in seen]
+    contribution = np.mean(kept, axis=0)
+    _close(scores.contribution, contribution, contribution.max())
+    if top_k:
+        assert not np.allclose(contribution, np.mean([v.weights.sum(axis=0) for v in seen], axis=0))
+
+    bases = [np.abs(oracle.real_sh(oracle.directions(splats, camera), 3)) for camera in CAMERAS]
+    per_basis = sum(b * k[:, None] for b, k in zip(bases, kept, strict=True)) / pixels
+    assert len(set(per_basis.argmax(axis=1))) > 5, "too few bases were tried"
+    sensitivity = per_basis.max(axis=1)
+    _close(scores.colour_sensitivity, sensitivity, sensitivity.max())
+
+    energy = sum(np.square(view.weights).sum(axis=0) for view in seen) / pixels
+    _close(scores.energy, energy, energy.max())
+    peak = np.max([view.weights.max(axis=0) for view in seen], axis=0)
+    _close(scores.peak, peak, 1.0)
+    count = sum((view.weights > 0).any(axis=0) for view in seen)
+    np.testing.assert_array_equal(scores.seen, count)
+    assert scores.num_pixels == pixels
+
+
+@pytest.mark.parametrize("basis", range(16))
+def test_sensitivity_is_the_derivative_of_the_mean_pixel(basis):
+    # One splat in one view: the basis that is largest there must be the one reported, and every
+    # basis' derivative, measured on renders, must be |Y| times the contribution.
+    splats = oracle.scene(20 + basis, n=1)
+    splats.means[:] = 0.0
+    splats.sh0[:] = 0.0
+    splats.shN[:] = 0.0
+    camera = oracle.camera(angle=0.4 * basis)
+    scores = score(splats, [camera], ScoreConfig(jitter=False))
+    values = np.abs(oracle.real_sh(oracle.directions(splats, camera), 3))[0]
+    assert scores.colour_sensitivity[0] == pytest.approx(
+        values.max() * scores.contribution[0] / scores.num_pixels, rel=1e-6
+    )
+    changed = replace(splats, sh0=splats.sh0.copy(), shN=splats.shN.copy())
+    step = 0.125
+    if basis:
+        changed.shN[0, basis - 1] = step
+    else:
+        changed.sh0[0] = step
+    slope = np.abs(
+        render(changed, camera).mean(axis=(0, 1)) - render(splats, camera).mean(axis=(0, 1))
+    )
+    expected = values[basis] * scores.contribution[0] / scores.num_pixels
+    np.testing.assert_allclose(slope / step, expected, rtol=1e-3, atol=1e-6)
+    assert scores.colour_sensitivity[0] >= expected * (1 - 1e-6)
+
+
+def test_energy_predicts_the_error_of_a_wrong_colour():
+    splats = oracle.scene(4, n=100, degree=0)
+    splats.sh0[:] = 2.0  # bright enough that nothing is clamped
+    scores = score(splats, CAMERAS, ScoreConfig(jitter=False))
+    changed = replace(splats, sh0=splats.sh0.copy())
+    worst = int(scores.energy.argmax())
+    changed.sh0[worst] += 0.25 / 0.28209479177387814
+    errors = [
+        np.square(render(changed, camera) - render(splats, camera)).mean(axis=2).ravel()
+        for camera in CAMERAS
+    ]
+    assert np.concatenate(errors).mean() == pytest.approx(scores.energy[worst] * 0.25**2, rel=1e-4)
+
+
+def test_jitter_adds_the_mean_over_the_copies():
+    splats = oracle.scene(5, n=120)
+    copies = jitter(splats, CAMERAS)
+    plain = score(splats, CAMERAS, ScoreConfig(jitter=False))
+    other = score(splats, copies, ScoreConfig(jitter=False))
+    both = score(splats, CAMERAS, ScoreConfig(jitter=True))
+    np.testing.assert_allclose(both.contribution, plain.contribution + other.contribution)
+    np.testing.assert_allclose(both.energy, (plain.energy + other.energy) / 2)
+    np.testing.assert_array_equal(both.peak, np.maximum(plain.peak, other.peak))
+    np.testing.assert_array_equal(both.seen, plain.seen + other.seen)
+    assert both.num_pixels == plain.num_pixels + other.num_pixels
+    bound = (plain.colour_sensitivity + other.colour_sensitivity) / 2
+    assert (both.colour_sensitivity <= bound * (1 + 1e-9)).all()
+    assert (both.colour_sensitivity >= bound / 2).all()
+
+
+def test_scores_do_not_depend_on_threads():
+    splats = oracle.scene(6, n=300)
+    for cameras in (CAMERAS, CAMERAS[:1]):
+        expected = score(splats, cameras, ScoreConfig(threads=1, jitter=False))
+        for threads in (2, 3, 7):
+            actual = score(splats, cameras, ScoreConfig(threads=threads, jitter=False))
+            for name in ("contribution", "colour_sensitivity", "energy", "peak", "seen"):
+                np.testing.assert_array_equal(getattr(actual, name), getattr(expected, name), name)
+
+
+def test_of_equal_weights_the_nearest_counts():
+    # Alpha 1/4, and 1/3 of the 3/4 that it leaves: both weigh 1/4 in every pixel.
+    splats = empty(0, 2)
+    splats.scales[:] = 12.0
+    splats.means[:, 2] = [1.0, 0.0]
+    splats.opacities[:] = [np.log(1 / 2), np.log(1 / 3)]
+    camera = oracle.camera(width=16, height=16)
+    everything = score(splats, [camera], ScoreConfig(top_k=0, jitter=False))
+    assert everything.contribution.tolist() == [64.0, 64.0]
+    largest = score(splats, [camera], ScoreConfig(top_k=1, jitter=False))
+    assert largest.contribution.tolist() == [0.0, 64.0]
+
+
+def test_huge_top_k_counts_everything():
+    splats = oracle.scene(7)
+    everything = score(splats, CAMERAS, ScoreConfig(top_k=0, jitter=False))
+    huge = score(splats, CAMERAS, ScoreConfig(top_k=10**12, jitter=False))
+    np.testing.assert_array_equal(huge.contribution, everything.contribution)
+
+
+def test_no_pixel_blends_more_than_the_bound():
+    alpha = 1 / 255
+    assert math.ceil(math.log(1e-4) / math.log(1 - alpha)) < scoring._MOST_WEIGHTS
+
+
+def test_unseen_and_invalid_splats_score_nothing():
+    splats = oracle.scene(8, n=30)
+    splats.means[0] = [0, 0, 500]
+    splats.means[0] = -CAMERAS[0].rotation.T @ np.array([0, 0, 50.0])  # behind
+    splats.opacities[1] = np.nan
+    splats.opacities[2] = -np.inf
+    scores = score(splats, CAMERAS[:1], ScoreConfig(jitter=False))
+    assert not scores.contribution[:3].any()
+    assert not scores.seen[:3].any()
+    assert np.isfinite(scores.contribution).all()
+
+
+def test_cameras_that_see_nothing_are_refused():
+    with pytest.raises(DataError, match="none of 60 splats") as caught:
+        score(oracle.scene(0), [oracle.camera(distance=-50.0)])
+    assert caught.value.code == "cameras-see-nothing"
+    with pytest.raises(DataError) as caught:
+        score(empty(0), CAMERAS)
+    assert caught.value.code == "cameras-see-nothing"
+
+
+def test_no_cameras_are_refused():
+    with pytest.raises(DataError) as caught:
+        score(oracle.scene(0), [])
+    assert caught.value.code == "no-cameras"
+
+
+def test_progress_is_reported_and_may_cancel():
+    splats = oracle.scene(9, n=10)
+    calls = []
+    score(splats, CAMERAS, progress=lambda *call: calls.append(call))
+    assert calls == [("score", done, 9) for done in range(10)]
+
+    def stop(stage, done, total):
+        if done == 1:
+            raise Cancelled
+
+    for threads in (1, 2):
+        with pytest.raises(Cancelled):
+            score(splats, CAMERAS, ScoreConfig(threads=threads), progress=stop)
+
+
+@pytest.mark.parametrize("options", [{"top_k": -1}, {"near": 0.0}, {"threads": -2}])
+def test_senseless_config_is_refused(options):
+    with pytest.raises(ValueError, match="expected"):
+        ScoreConfig(**options)

@@ -1,0 +1,165 @@
+"""Compiled decoding against numpy's: the same bits, the same refusals."""
+
+import json
+import sys
+from pathlib import Path
+
+import decoding
+import numpy as np
+import pytest
+
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.encoder import encode
+from cogsplat.codec.errors import CogsplatError
+from cogsplat.codec.streams import compiled, records
+from cogsplat.codec.streams.adaptive_step import MAX_HALVINGS
+from cogsplat.codec.streams.byte_planes import DIGITS, pack_plane, unpack_plane
+from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.storage.source import BytesSource
+from cogsplat.tools.synthetic.scene import synth
+
+VECTORS = Path(__file__).resolve().parents[2] / "vectors"
+MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))
+ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
+
+
+@pytest.fixture
+def both():
+    """Call something with numpy alone and then with kernels."""
+    before = compiled.ready()
+
+    def call(function):
+        compiled.use(False)
+        plain = function()
+        compiled.prepare(compiled.WORTH_LOADING)
+        assert compiled.ready()
+        return plain, function()
+
+    yield call
+    compiled.use(before)
+
+
+def assert_same_bits(actual, expected):
+    for name in ARRAYS:
+        ours, theirs = getattr(actual, name), getattr(expected, name)
+        assert np.array_equal(ours.view(np.uint32), theirs.view(np.uint32)), name
+
+
+def test_valid_vectors_decode_to_the_same_bits(both):
+    for entry in MANIFEST["valid"]:
+        data = (VECTORS / "valid" / f"{entry['name']}.cogs").read_bytes()
+        for degree in range(entry["sh_degree"] + 1):
+            with open_cogs(BytesSource(data)) as file:
+                plain, fast = both(lambda: file.decode(sh_degree=degree))  # noqa: B023
+            assert_same_bits(fast, plain)
+
+
+def test_invalid_vectors_are_refused_in_the_same_words(both):
+    def refusal(data):
+        try:
+            with open_cogs(BytesSource(data)) as file:
+                file.decode()
+                file.verify()
+        except CogsplatError as error:
+            return type(error), error.code, error.message
+        return None
+
+    for entry in MANIFEST["invalid"]:
+        data = (VECTORS / "invalid" / f"{entry['name']}.cogs").read_bytes()
+        plain, fast = both(lambda: refusal(data))  # noqa: B023
+        assert plain is not None
+        assert fast == plain
+
+
+@pytest.mark.parametrize("profile", ["transform", "vq", "near"])
+@pytest.mark.parametrize("degree", [0, 3])
+def test_encoded_scenes_decode_to_the_same_bits(profile, degree, both):
+    scene = synth(3000, sh_degree=degree)
+    encoded = encode(scene, None, EncodeConfig(profile=profile, prune=None))
+    for plain, fast in zip(*both(lambda: decoding.chunks(encoded)), strict=True):
+        assert_same_bits(fast, plain)
+
+
+@pytest.mark.parametrize("radix", sorted(DIGITS))
+@pytest.mark.parametrize("length", [1, 7, 240, 241, 2000])
+def test_digits(radix, length, both):
+    plane = np.random.default_rng(radix).integers(0, radix, length).astype(np.uint8)
+    plane[0] = radix - 1
+    word, stored = pack_plane(plane)
+    for found in both(lambda: unpack_plane(memoryview(stored), word, length, "here")):
+        np.testing.assert_array_equal(found, plane)
+
+
+@pytest.mark.parametrize("levels", [(1, 2, 256), (257, 70_000, 1 << 24), (255, 65_536, 65_537)])
+def test_grids_of_every_width(levels, both):
+    from cogsplat.codec.streams.grid import Grid
+
+    rng = np.random.default_rng(levels[1])
+    minimum = np.array([-0.0, -3.7, 1e-3], np.float32)
+    grid = Grid(minimum, minimum + np.float32(2.3), np.array(levels, np.uint32))
+    values = (rng.random((500, 3)) * 2.3 + minimum).astype(np.float32)
+    payload = records.pack([records.scalar(records.Attribute.SCALES, values, grid)])
+
+    def read():
+        out = np.empty((500, 3), np.float32)
+        (stored,) = records.unpack(memoryview(payload), "here", 500)
+        stored.read_numbers(out)
+        return out
+
+    plain, fast = both(read)
+    assert np.array_equal(plain.view(np.uint32), fast.view(np.uint32))
+
+
+@pytest.mark.parametrize("offset", [-6.0, -1.0, 0.0, 9.0])
+def test_fine_streams_at_every_halving(offset, both):
+    from cogsplat.codec.geometry import rotations
+    from cogsplat.codec.streams import fine_means, shape_streams, turn
+    from cogsplat.codec.streams.adaptive_step import Resolution
+    from cogsplat.codec.streams.grid import Grid
+
+    rng = np.random.default_rng(11)
+    rows = 700
+    resolution = Resolution((float(offset), -1.25, 0.5, 0.25, -0.75, 0.125))
+    quats = rotations.unit(rng.normal(size=(rows, 4)).astype(np.float32))
+    values, scales = turn.canonical(quats, rng.normal(-4, 4, (rows, 3)).astype(np.float32))
+    turned, _ = shape_streams.turns(values, scales, resolution, resolution)
+    halvings = resolution.halvings(scales)
+    assert (halvings.max() == MAX_HALVINGS) == (offset > 0)
+    grid = Grid(np.full(3, -1, np.float32), np.full(3, 1, np.float32), np.full(3, 99, np.uint32))
+    codes = fine_means.fine_codes(rng.uniform(-1, 1, (rows, 3)).astype(np.float32), grid, halvings)
+    # The rows' scales go where the Morton order takes the rows.
+    order = fine_means.morton_order(codes, halvings)
+    means = fine_means.fine_means(codes[order], grid, halvings[order], resolution)
+    payloads = [records.pack([turned]), records.pack([means])]
+
+    def read():
+        out = np.empty((rows, 4), np.float32), np.empty((rows, 3), np.float32)
+        stored = [records.unpack(memoryview(payload), "here", rows)[0] for payload in payloads]
+        shape_streams.read_turns(stored[0], scales, out[0])
+        fine_means.read_fine_means(stored[1], scales[order], out[1])
+        return out
+
+    for plain, fast in zip(*both(read), strict=True):
+        assert np.array_equal(plain.view(np.uint32), fast.view(np.uint32))
+
+
+def test_kernels_are_used_where_numba_is_loaded_or_the_work_is_large(monkeypatch):
+    before = compiled.ready()
+    numba = sys.modules["numba"]
+    try:
+        for loaded, splats, expected in (
+            (numba, 1, True),
+            (None, 1, False),
+            (None, compiled.WORTH_LOADING - 1, False),
+        ):
+            compiled.use(False)
+            monkeypatch.setitem(sys.modules, "numba", loaded)
+            compiled.prepare(splats)
+            assert compiled.ready() is expected
+        # Not to be had: numpy decodes, whatever the size.
+        monkeypatch.delitem(sys.modules, "cogsplat.codec.streams.kernels")
+        compiled.prepare(compiled.WORTH_LOADING)
+        assert not compiled.ready()
+    finally:
+        monkeypatch.undo()
+        compiled.use(before)

@@ -1,0 +1,66 @@
+"""Orbits: around the subject, about level, clear of the near plane where they can be."""
+
+import numpy as np
+import pytest
+
+from cogsplat.codec.views.orbit import Subject, orbit, subject_of, turntable
+
+DOWN = np.array([0.0, 1.0, 0.0])
+BALL = Subject(np.array([3.0, -1.0, 2.0]), 1.0, 1.2)
+
+
+def test_a_subject_is_where_most_of_the_scene_is() -> None:
+    rng = np.random.default_rng(1)
+    means = rng.normal(size=(2000, 3))
+    means *= rng.uniform(0, 1, (2000, 1)) ** (1 / 3) / np.linalg.norm(means, axis=1, keepdims=True)
+    means[:100] *= 1e4
+    found = subject_of(means + np.array([5.0, 0.0, -5.0]), np.ones(2000))
+    np.testing.assert_allclose(found.centre, [5.0, 0.0, -5.0], atol=0.05)
+    assert 0.9 < found.radius < 1.05
+    assert found.reach > 100.0
+
+
+def test_rows_count_as_often_as_they_say() -> None:
+    means = np.array([[0.0, 0, 0], [1.0, 0, 0], [9.0, 0, 0]])
+    found = subject_of(means, np.array([50.0, 49.0, 1.0]))
+    np.testing.assert_allclose(found.centre, [49 / 99, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("down", [DOWN, np.array([0.0, 0.0, -1.0]), np.zeros(3)])
+def test_poses_look_at_the_middle_from_rather_above(down: np.ndarray) -> None:
+    poses = orbit(BALL, 200, down, 0.01)
+    away = np.array([pose.position for pose in poses]) - BALL.centre
+    distances = np.linalg.norm(away, axis=1)
+    assert ((distances > 1.49) & (distances < 3.01)).all()
+    assert all(pose.zoom == 1.0 for pose in poses)
+    np.testing.assert_allclose(
+        [pose.forward for pose in poses], -away / distances[:, None], atol=1e-12
+    )
+    up = -down if down.any() else DOWN
+    rise = away @ up / distances
+    assert rise.min() >= -0.15
+    assert rise.max() <= 0.6
+    level = away - np.outer(away @ up, up)
+    level /= np.linalg.norm(level, axis=1, keepdims=True)
+    assert np.linalg.norm(level.mean(axis=0)) < 0.1, "from no side alone"
+    assert np.linalg.norm(level[:50].mean(axis=0)) < 0.15, "nor the first of them"
+
+
+def test_small_subjects_stay_in_front_of_the_near_plane() -> None:
+    small = Subject(np.zeros(3), 0.01, 0.02)
+    for row, pose in enumerate(orbit(small, 64, DOWN, 0.2)):
+        distance = float(np.linalg.norm(pose.position))
+        assert distance >= 0.2 + (0.02 if row % 2 else 0.005) - 1e-12
+        assert 0.0149 < distance / pose.zoom < 0.0301, "as large in the picture"
+
+
+def test_a_turntable_has_places_of_its_own_at_one_distance() -> None:
+    around = np.array([pose.position for pose in orbit(BALL, 64, DOWN, 0.01)])
+    turned = np.array([pose.position for pose in turntable(BALL, 16, DOWN, 0.01)])
+    np.testing.assert_allclose(np.linalg.norm(turned - BALL.centre, axis=1), 2.0)
+    apart = np.linalg.norm(turned[:, None] - around[None], axis=2)
+    assert apart.min() > 0.02
+    small = turntable(Subject(np.zeros(3), 0.01, 0.02), 16, DOWN, 0.2)
+    np.testing.assert_allclose([np.linalg.norm(pose.position) for pose in small], 0.205)
+    rise = (turned - BALL.centre) @ -DOWN / 2.0
+    assert ((rise >= -0.15) & (rise <= 0.6)).all()

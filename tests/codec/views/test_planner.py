@@ -1,0 +1,247 @@
+"""Views planned from splats alone: what they see, from where, and that they are always the same."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import Cancelled, DataError
+from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.splats import SceneInfo, Splats, concatenate, empty
+from cogsplat.codec.views.planner import ViewPlanConfig, plan, plan_views
+from cogsplat.tools.synthetic.scene import synth
+
+SMALL = ViewPlanConfig(views=24, width=64, height=48)
+
+
+def balls(points: NDArray[np.float64], size: float) -> Splats:
+    """Return round, nearly opaque splats."""
+    splats = empty(0, len(points))
+    splats.means[:] = points
+    splats.scales[:] = math.log(size)
+    splats.opacities[:] = 4.0
+    return splats
+
+
+def sphere(radius: float, n: int = 1500, centre: Sequence[float] = (0.0, 0.0, 0.0)) -> Splats:
+    points = np.random.default_rng(1).normal(size=(n, 3))
+    points *= radius / np.linalg.norm(points, axis=1, keepdims=True)
+    return balls(points + np.asarray(centre), radius * math.sqrt(4.0 * math.pi / n))
+
+
+def box(half: Sequence[float], n: int, centre: Sequence[float] = (0.0, 0.0, 0.0)) -> Splats:
+    """Return the walls of a box, splats as dense on all of them."""
+    rng = np.random.default_rng(2)
+    sides = np.asarray(half, float)
+    areas = np.repeat(np.prod(sides) / sides, 2)
+    points = rng.uniform(-1.0, 1.0, (n, 3))
+    walls = rng.choice(6, n, p=areas / areas.sum())
+    points[np.arange(n), walls // 2] = np.where(walls % 2, 1.0, -1.0)
+    size = 0.8 * math.sqrt(4.0 * areas.sum() / n)
+    return balls(points * sides + np.asarray(centre), size)
+
+
+def places(cameras: list[Camera]) -> NDArray[np.float64]:
+    return np.array([camera.position for camera in cameras])
+
+
+def gaze(cameras: list[Camera], point: Sequence[float]) -> NDArray[np.float64]:
+    """Return the cosines between where cameras look and where a point is."""
+    ways = np.asarray(point, float) - places(cameras)
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    return (ways * np.array([camera.rotation[2] for camera in cameras])).sum(axis=1)
+
+
+def covered(splats: Splats, cameras: list[Camera]) -> NDArray[np.bool_]:
+    return score(splats, cameras, ScoreConfig(jitter=False)).covered > 0
+
+
+def same(first: list[Camera], second: list[Camera]) -> None:
+    assert len(first) == len(second)
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.rotation, b.rotation)
+        np.testing.assert_array_equal(a.translation, b.translation)
+        assert (a.fx, a.fy, a.width, a.height, a.name) == (b.fx, b.fy, b.width, b.height, b.name)
+
+
+def test_plans_do_not_depend_on_threads() -> None:
+    splats = synth(2000, sh_degree=0)
+    same(
+        plan_views(splats, replace(SMALL, threads=1)), plan_views(splats, replace(SMALL, threads=2))
+    )
+
+
+def test_views_have_the_size_and_the_field_that_were_asked_for() -> None:
+    config = ViewPlanConfig(views=5, width=90, height=40, fov_deg=90.0)
+    cameras = plan_views(sphere(3.0), config)
+    assert 5 <= len(cameras) <= 5 + 5 // 8
+    assert [camera.name for camera in cameras] == [f"virtual-{k:03d}" for k in range(len(cameras))]
+    for camera in cameras:
+        assert (camera.width, camera.height, camera.cx, camera.cy) == (90, 40, 45.0, 20.0)
+        assert camera.fx == camera.fy == pytest.approx(45.0)
+
+
+@pytest.mark.parametrize("size", [0.01, 1.0, 1000.0])
+def test_an_object_is_seen_from_all_around_and_close(size: float) -> None:
+    centre = [7.0 * size, -2.0 * size, 3.0 * size]
+    splats = sphere(size, centre=centre)
+    cameras = plan_views(splats, SMALL)
+    away = places(cameras) - centre
+    distances = np.linalg.norm(away, axis=1)
+    assert distances.min() > 1.05 * size, "none inside"
+    assert np.quantile(distances, 0.9) < max(8.0 * size, 2.0), "it fills the pictures"
+    assert (gaze(cameras, centre) > 0.8).all()
+    directions = away / distances[:, None]
+    assert np.linalg.norm(directions.mean(axis=0)) < 0.4, "from no side alone"
+    assert covered(splats, cameras).all()
+
+
+def test_only_a_subject_that_stands_free_has_witnesses() -> None:
+    ball = plan(sphere(1.0), SMALL)
+    assert len(ball.witnesses) == 16
+    same(ball.views, plan_views(sphere(1.0), SMALL))
+    assert (gaze(ball.witnesses, (0.0, 0.0, 0.0)) > 0.99).all()
+    room = concatenate([box((2.5, 1.3, 2.0), 3000), sphere(0.2, 1200)])
+    assert plan(room, SMALL).witnesses == []
+
+
+def test_rooms_are_seen_from_inside() -> None:
+    half = np.array([2.5, 1.3, 2.0])
+    table = box((0.5, 0.4, 0.4), 2000, (1.0, 0.9, 0.5))
+    splats = concatenate([box(half, 3000), table, sphere(0.2, 1200, (-1.0, 0.2, 0.3))])
+    cameras = plan_views(splats, SMALL)
+    within = (np.abs(places(cameras)) < half).all(axis=1)
+    assert within.mean() > 0.6
+    in_table = (np.abs(places(cameras) - [1.0, 0.9, 0.5]) < [0.5, 0.4, 0.4]).all(axis=1)
+    assert in_table.mean() < 0.1
+    assert covered(splats, cameras).mean() > 0.99
+
+
+def test_open_ground_is_seen_from_above() -> None:
+    rng = np.random.default_rng(3)
+    ground = rng.uniform(-50.0, 50.0, (4000, 3))
+    ground[:, 1] = 2.0 * np.sin(ground[:, 0] / 9.0)
+    # Its back is bare to sight as well; visitors still look down on it.
+    splats = balls(ground, 1.2)
+    cameras = plan_views(splats, SMALL)
+    above = places(cameras)[:, 1] < 0.0
+    assert above.mean() > 0.5, "y points down"
+    upside_down = replace(splats, info=SceneInfo(axes="RUB"))
+    above = places(plan_views(upside_down, SMALL))[:, 1] > 0.0
+    assert above.mean() > 0.5, "y points up"
+
+
+def test_things_far_apart_are_each_looked_at() -> None:
+    first, second = sphere(1.0, 800, (-10.0, 0.0, 0.0)), sphere(1.0, 800, (10.0, 0.0, 0.0))
+    cameras = plan_views(concatenate([first, second]), SMALL)
+    near = [np.linalg.norm(places(cameras) - [x, 0.0, 0.0], axis=1) < 8.0 for x in (-10.0, 10.0)]
+    assert near[0].sum() >= 6
+    assert near[1].sum() >= 6
+
+
+def test_cameras_keep_upright() -> None:
+    for camera in plan_views(sphere(1.0), SMALL):
+        down, forward = camera.rotation[1], camera.rotation[2]
+        if abs(forward[1]) < 0.99:
+            assert abs(camera.rotation[0][1]) < 1e-9
+            assert down[1] > 0.0
+
+
+def test_extreme_outliers_do_not_draw_views_away() -> None:
+    rng = np.random.default_rng(4)
+    splats = sphere(1.0)
+    splats.means[:10] = rng.normal(size=(10, 3)) * 1e7
+    splats.scales[10] = 60.0
+    splats.opacities[10] = -3.0
+    cameras = plan_views(splats, SMALL)
+    assert (np.linalg.norm(places(cameras), axis=1) < 20.0).mean() > 0.8
+    assert all(np.isfinite(camera.translation).all() for camera in cameras)
+    assert covered(splats, cameras).mean() > 0.98
+
+
+@pytest.mark.parametrize("log_scale", [-30.0, -4.0, 3.0, 70.0])
+def test_one_splat_is_seen(log_scale: float) -> None:
+    splats = empty(0, 1)
+    splats.means[0] = [3.0, -2.0, 1.0]
+    splats.scales[0] = log_scale
+    cameras = plan_views(splats, replace(SMALL, views=4))
+    assert len(cameras) >= 4
+    assert (gaze(cameras, [3.0, -2.0, 1.0]) > 0.9).all()
+    if -10.0 < log_scale < 10.0:
+        assert score(splats, cameras, ScoreConfig(jitter=False)).seen[0] == len(cameras)
+
+
+def test_splats_all_in_one_point_are_seen() -> None:
+    splats = balls(np.full((300, 3), 3.0), 0.1)
+    cameras = plan_views(splats, SMALL)
+    assert (gaze(cameras, [3.0, 3.0, 3.0]) > 0.9).all()
+    assert covered(splats, cameras).all()
+
+
+def test_rows_that_cannot_be_drawn_are_left_out() -> None:
+    splats = oracle.scene(6)
+    broken = splats.take(np.arange(6))
+    broken.means[0] = np.nan
+    broken.opacities[1] = np.nan
+    broken.opacities[2] = -np.inf
+    broken.scales[3] = np.inf
+    broken.quats[4] = 0.0
+    broken.opacities[5] = -9.0
+    same(plan_views(concatenate([splats, broken]), SMALL), plan_views(splats, SMALL))
+
+
+def test_scenes_without_anything_to_see_are_refused() -> None:
+    invisible = empty(0, 3)
+    invisible.opacities[:] = -np.inf
+    for splats in (empty(0), invisible):
+        with pytest.raises(DataError) as caught:
+            plan_views(splats)
+        assert caught.value.code == "empty-scene"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"views": 0}, {"width": 0}, {"height": 70000}, {"fov_deg": 180.0}, {"threads": -1}],
+)
+def test_wrong_settings_are_refused(wrong: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        ViewPlanConfig(**wrong)
+
+
+def test_progress_ends_at_its_total_and_may_stop_the_work() -> None:
+    calls: list[tuple[str, int, int]] = []
+    plan_views(sphere(1.0, 200), SMALL, progress=lambda *call: calls.append(call))
+    done = [call[1] for call in calls]
+    assert done == sorted(done)
+    assert {call[2] for call in calls} == {done[-1]}
+    assert len({call[0] for call in calls}) == 1
+
+    def stop(stage: str, done: int, total: int) -> None:
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        plan_views(sphere(1.0, 200), SMALL, progress=stop)
+
+
+@pytest.mark.slow
+def test_a_scene_with_everything_is_covered() -> None:
+    splats = synth(10_000, sh_degree=0)
+    cameras = plan_views(splats)
+    small = [
+        replace(
+            camera,
+            width=camera.width // 2,
+            height=camera.height // 2,
+            fx=camera.fx / 2,
+            fy=camera.fy / 2,
+            cx=camera.cx / 2,
+            cy=camera.cy / 2,
+        )
+        for camera in cameras
+    ]
+    assert covered(splats, small).mean() >= 0.97

@@ -1,0 +1,81 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+
+from cogsplat.codec.geometry.frustum import visible_depth
+from cogsplat.codec.splats import concatenate, empty
+from cogsplat.codec.views.view_sets import hold_out, jitter, roam
+
+
+def _named(count):
+    return [replace(oracle.camera(angle=0.3 * k), name=str(k)) for k in range(count)]
+
+
+def test_every_eighth_camera_is_held_out():
+    train, held = hold_out(_named(50), 8)
+    assert [camera.name for camera in held] == ["0", "8", "16", "24", "32", "40", "48"]
+    assert len(train) == 43
+    assert not {camera.name for camera in train} & {camera.name for camera in held}
+
+
+def test_zero_holds_out_none_and_one_holds_out_all():
+    cameras = _named(3)
+    assert hold_out(cameras, 0) == (cameras, [])
+    assert hold_out(cameras, 1) == ([], cameras)
+    with pytest.raises(ValueError, match="expected 0"):
+        hold_out(cameras, -1)
+
+
+def test_visible_depth_is_the_median_over_means_in_the_picture():
+    splats = empty(0, 6)
+    camera = replace(oracle.camera(), rotation=np.eye(3), translation=np.zeros(3))
+    splats.means[:] = [[0, 0, 1], [0, 0, 2], [0.1, 0, 9], [5, 0, 3], [0, 0, -4], [0, 0, 0.1]]
+    assert visible_depth(splats, camera) == 2.0
+
+
+def test_visible_depth_ignores_what_is_not_finite_and_is_zero_for_nothing():
+    splats = oracle.scene(0, n=9)
+    expected = visible_depth(splats, oracle.camera())
+    broken = splats.take(np.arange(9))
+    broken.means[:] = np.nan
+    broken.means[4] = np.inf
+    assert visible_depth(concatenate([splats, broken]), oracle.camera()) == expected
+    assert visible_depth(broken, oracle.camera()) == 0.0
+    assert visible_depth(empty(0), oracle.camera()) == 0.0
+
+
+def test_roam_moves_back_and_turns_alternately():
+    splats, cameras = oracle.scene(1), _named(3)
+    views = roam(splats, cameras)
+    assert [view.name for view in views] == [
+        "0-back", "0-turned", "1-back", "1-turned", "2-back", "2-turned",
+    ]  # fmt: skip
+    for index, camera in enumerate(cameras):
+        moved, turned = views[2 * index], views[2 * index + 1]
+        forward, right = camera.rotation[2], camera.rotation[0]
+        np.testing.assert_allclose(
+            moved.position, camera.position - 0.3 * visible_depth(splats, camera) * forward
+        )
+        np.testing.assert_array_equal(moved.rotation, camera.rotation)
+        np.testing.assert_allclose(turned.position, camera.position, atol=1e-12)
+        np.testing.assert_allclose(turned.rotation[1], camera.rotation[1])
+        assert turned.rotation[2] @ forward == pytest.approx(math.cos(math.radians(20)))
+        assert (turned.rotation[2] @ right > 0) == (index % 2 == 0)
+        assert (moved.fx, moved.width, turned.cy) == (camera.fx, camera.width, camera.cy)
+
+
+def test_roam_of_a_camera_that_sees_nothing_only_turns():
+    camera = oracle.camera(distance=-50.0)
+    moved, turned = roam(oracle.scene(0), [camera])
+    np.testing.assert_array_equal(moved.translation, camera.translation)
+    assert not np.allclose(turned.rotation, camera.rotation)
+
+
+def test_jitter_is_the_rule_of_roam():
+    splats, cameras = oracle.scene(1), _named(2)
+    for first, second in zip(jitter(splats, cameras), roam(splats, cameras), strict=True):
+        np.testing.assert_array_equal(first.rotation, second.rotation)
+        np.testing.assert_array_equal(first.translation, second.translation)

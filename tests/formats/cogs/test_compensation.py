@@ -1,0 +1,57 @@
+"""Layers of compensation as payloads: as they were, refused, or about chunks not known yet."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cogsplat.codec.errors import CogsplatError, FormatError
+from cogsplat.codec.segments.compensation import Layer
+from cogsplat.formats.cogs.compensation import pack_layer, unpack_layer
+
+COUNTS = [3, 2, 4]
+
+
+def layer(chunks, rows, codes):
+    rng = np.random.default_rng(chunks + rows)
+    return Layer(
+        rng.integers(-128, 128, chunks).astype(np.int8),
+        rng.integers(-128, 128, chunks).astype(np.int8),
+        rng.integers(0, 256, (chunks, 2)).astype(np.uint8),
+        rng.integers(-128, 128, (rows, 2)).astype(np.int8),
+        rng.integers(0, max(rows, 1), codes).astype(np.uint8),
+    )
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2, 5, 256])
+def test_layers_come_back_as_they_were(rows):
+    expected = layer(3, rows, 6 if rows else 0)
+    found = unpack_layer(pack_layer(expected), "here", 1, COUNTS, 3)
+    assert found is not None
+    for name in ("scales", "opacities", "strengths", "book", "codes"):
+        assert getattr(found, name).dtype == getattr(expected, name).dtype
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+def test_a_layer_of_chunks_not_known_waits():
+    payload = pack_layer(layer(3, 2, 9))
+    assert unpack_layer(payload, "here", 0, COUNTS[:2], 3) is None
+    with pytest.raises(FormatError, match="expected 1 to 2"):
+        unpack_layer(payload, "here", 0, COUNTS[:2], 2)
+
+
+@settings(derandomize=True, max_examples=200, deadline=None)
+@given(st.data())
+def test_damaged_layers_are_read_or_refused(data):
+    payload = bytearray(pack_layer(layer(2, 3, 5)))
+    for _ in range(data.draw(st.integers(1, 3))):
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        found, code = unpack_layer(bytes(payload), "here", 0, COUNTS, 3), ""
+    except CogsplatError as error:
+        found, code = None, error.code
+    if found is None:
+        assert code.startswith(("msgpack-", "root-"))
+        return
+    assert len(found.codes) == (sum(COUNTS[: found.chunks]) if len(found.book) else 0)
+    assert int(found.codes.max(initial=0)) < max(len(found.book), 1)

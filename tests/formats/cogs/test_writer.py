@@ -1,0 +1,176 @@
+import dataclasses
+import hashlib
+import zlib
+
+import numpy as np
+import pytest
+
+from cogsplat.codec.errors import DataError, StorageError
+from cogsplat.codec.splats import SceneInfo
+from cogsplat.formats.cogs import layout, writer
+from cogsplat.formats.cogs import root as cogs_root
+from cogsplat.formats.cogs.index import read_index
+from cogsplat.formats.cogs.layout import SegmentKind
+from cogsplat.formats.cogs.root import ChunkTable, Root, no_segments
+from cogsplat.formats.cogs.writer import Segment, lay_out, write_cogs
+from cogsplat.formats.storage.source import BytesSource
+
+
+def root(count, degree=1, *, layers=False, **changes):
+    numbers = np.arange(count, dtype=np.uint32)
+    none = np.zeros(count, np.uint32)
+    extra = numbers + 1 if layers else none
+    box = np.tile(np.array([-1, -1, -1, 1, 1, 1], np.float32), (count, 1))
+    quality = extra.astype(np.float32) % 100
+    falling = numbers[::-1].astype(np.float64)
+    table = ChunkTable(none + 2, box, falling, extra, extra, extra, quality)
+    plain = Root(
+        "writer", 2 * count, degree, SceneInfo(), np.zeros(6), [], None, no_segments(), table
+    )
+    return dataclasses.replace(plain, **changes)
+
+
+def parts(count, tails=True):
+    """Heads, each with its tail three heads later: what the container does not look into."""
+    out = []
+    for chunk in range(count):
+        out.append(Segment(SegmentKind.HEAD, chunk, b"h%d" % chunk))
+        if tails and chunk >= 3:
+            out.append(Segment(SegmentKind.TAIL, chunk - 3, b"tail %d" % (chunk - 3)))
+    return out
+
+
+def index_of(data):
+    return read_index(BytesSource(data), partial=False)
+
+
+def check(data, root_given, segments):
+    """Read a file back and compare all that was given."""
+    index = index_of(data)
+    assert len(index.segments) == len(segments)
+    assert index.segments.kind.tolist() == [s.kind for s in segments]
+    assert index.segments.owner.tolist() == [s.owner for s in segments]
+    for row, segment in enumerate(segments):
+        start = int(index.offsets[row])
+        found = data[start : start + int(index.segments.length[row])]
+        assert found == segment.payload
+        assert zlib.crc32(found) == index.segments.crc[row]
+        assert hashlib.sha256(found).digest()[:16] == index.segments.hash[row].tobytes()
+        assert index.segments.needs[row] == sum(1 << need for need in segment.needs)
+    for name in ("splats", "box", "contribution", "layer", "cell", "object", "quality"):
+        assert np.array_equal(getattr(index.chunks, name), getattr(root_given.chunks, name))
+    assert index.all_chunks == len(root_given.chunks)
+    root_length = len(data) - len(data[64:])
+    assert root_length == 64
+    assert 64 + int.from_bytes(data[12:16], "little") <= layout.MAX_ROOT_END
+    assert int.from_bytes(data[16:24], "little") == len(data)
+    return index
+
+
+@pytest.mark.parametrize("layers", [False, True])
+@pytest.mark.parametrize("count", [0, 1, 5, 90])
+def test_a_small_file_has_no_pages(count, layers):
+    made = root(count, layers=layers)
+    data = b"".join(lay_out(made, parts(count)))
+    assert check(data, made, parts(count)).root.pages == []
+
+
+@pytest.mark.parametrize("count", [400, 2000])
+def test_a_large_file_has_pages_and_a_root_of_16_kib(count):
+    made = root(count, layers=True)
+    data = b"".join(lay_out(made, parts(count)))
+    index = check(data, made, parts(count))
+    assert 1 <= len(index.root.pages) <= 8
+    assert all(page.length <= 65536 for page in index.root.pages)
+
+
+def test_every_count_around_the_first_page():
+    """The root fills up, one row too many opens a page, and nothing is lost on the way."""
+    seen = set()
+    for count in range(120, 230):
+        made = root(count, degree=0)
+        data = b"".join(lay_out(made, parts(count, tails=False)))
+        index = check(data, made, parts(count, tails=False))
+        seen.add(len(index.root.pages))
+        if count > 190:
+            room = layout.MAX_ROOT_END - 64 - int.from_bytes(data[12:16], "little")
+            assert room < 3600
+    assert seen == {0, 1}
+
+
+def test_every_count_around_the_second_page(monkeypatch):
+    monkeypatch.setattr(writer, "_PAGE_TARGET", 2048)
+    pages = []
+    for count in range(180, 260):
+        made = root(count, degree=0)
+        data = b"".join(lay_out(made, parts(count, tails=False)))
+        index = check(data, made, parts(count, tails=False))
+        pages.append(len(index.root.pages))
+        assert all(page.length <= 2048 for page in index.root.pages)
+    assert pages == sorted(pages)
+    assert {0, 1, 2, 3} <= set(pages)
+
+
+def test_many_segments_make_larger_pages_not_more():
+    count = 120_000
+    segments = [Segment(SegmentKind.HEAD, chunk, b"x") for chunk in range(count)]
+    made = root(count, degree=0)
+    index = index_of(b"".join(lay_out(made, segments)))
+    assert 64 < len(index.root.pages) <= layout.MAX_PAGES
+    assert max(page.length for page in index.root.pages) <= layout.MAX_PAGE_BYTES
+    assert len(index.chunks) == count
+
+
+def test_a_long_first_view_and_codebooks_leave_less_room():
+    entries = [cogs_root.CodebookEntry("shape", 100)] * 32
+    books = [Segment(SegmentKind.SHAPE_CODEBOOK, i, b"book", ()) for i in range(32)]
+    made = root(300, degree=0, writer="w" * 255, codebooks=entries)
+    segments = [*books, *parts(300, tails=False)]
+    data = b"".join(lay_out(made, segments))
+    assert check(data, made, segments).root.pages
+
+
+def test_segments_of_unknown_kinds_can_be_written():
+    segments = [*parts(2), Segment(200, 9, b"skip me")]
+    made = root(2)
+    check(b"".join(lay_out(made, segments)), made, segments)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"info": SceneInfo(axes="XYZ")},
+        {"info": SceneInfo(colour_space="cmyk")},
+        {"info": SceneInfo(kernel_px=-1.0)},
+        {"info": SceneInfo(origin=(0.0, float("nan"), 0.0))},
+        {"writer": "x" * 256},
+        {"sh_degree": 4},
+        {"box": np.array([1.0, 0, 0, 0, 0, 0])},
+    ],
+)
+def test_what_no_reader_accepts_is_not_written(tmp_path, changes):
+    with pytest.raises(DataError) as caught:
+        write_cogs(tmp_path / "a.cogs", root(2, **changes), parts(2))
+    assert caught.value.code == "bad-scene-info"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_too_many_segments_are_misuse(monkeypatch):
+    monkeypatch.setattr(layout, "MAX_SEGMENTS", 4)
+    with pytest.raises(ValueError, match="at most 4"):
+        lay_out(root(4), parts(4))
+
+
+def test_files_are_written_whole_and_replaced_only_when_told(tmp_path):
+    path = tmp_path / "a.cogs"
+    size = write_cogs(path, root(3), parts(3))
+    data = path.read_bytes()
+    assert size == len(data)
+    assert data == b"".join(lay_out(root(3), parts(3)))
+    with pytest.raises(StorageError) as caught:
+        write_cogs(path, root(4), parts(4))
+    assert caught.value.code == "exists"
+    assert path.read_bytes() == data
+    write_cogs(path, root(4), parts(4), force=True)
+    assert path.read_bytes() != data
+    assert [p.name for p in tmp_path.iterdir()] == ["a.cogs"]

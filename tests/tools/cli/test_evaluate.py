@@ -1,0 +1,188 @@
+"""eval: PRoGS' protocol from the command line."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+from lpips_weights import alex
+from PIL import Image
+from running import SPLATS, Run, SmallScene
+
+import cogsplat
+from cogsplat.codec.metrics import psnr
+from cogsplat.codec.order.orders import ORDERS, Unordered, order_rows
+from cogsplat.codec.render.rasteriser import render_views
+from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.views.view_sets import hold_out, roam
+from cogsplat.formats.cameras.inria import write_cameras_json
+from cogsplat.formats.storage.source import FileSource, PrefixSource
+from cogsplat.tools.cli.evaluate import shares, sizes
+from cogsplat.tools.cli.order_options import order_names
+from cogsplat.tools.evaluation.progs_protocol import mean_over_log, sizes_of
+
+
+def mean_db(whole, part, cameras):
+    pairs = zip(render_views(whole, cameras), render_views(part, cameras), strict=True)
+    return [psnr(a, b) for a, b in pairs]
+
+
+def test_orders_are_judged_at_shares_of_the_splats(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    told = run(
+        "eval", small.ply, "--cameras", small.cameras, "--eval-every", 4, "--orders",
+        "contribution,sgss,random+first-view", "--first-view", 5, "--shares", "5,20,100", "--sizes",
+        "none", "--out", tmp_path, "--json",
+    )  # fmt: skip
+    assert (told.code, told.err) == (0, "")
+    points = told.json["points"]
+    assert isinstance(points, list)
+    assert len(points) == 9
+    splats, cameras = cogsplat.read(small.ply), cogsplat.read_cameras(small.cameras)
+    train, held = hold_out(cameras, 4)
+    scores = score(splats, train, ScoreConfig(sensitivity_every=2))
+    rows = order_rows("sgss", Unordered(splats, scores, train))
+    point = points[4]
+    assert (point["name"], point["by"], point["splats"]) == ("sgss", "splats", SPLATS // 5)
+    part = splats.take(rows[: SPLATS // 5])
+    each = mean_db(splats, part, held)
+    assert point["held_out_db"] == pytest.approx(np.mean(each), abs=1e-4)
+    assert point["worst_db"] == pytest.approx(min(each), abs=1e-4)
+    assert point["worst_view"] == held[int(np.argmin(each))].name
+    roaming = mean_db(splats, part, roam(splats, held))
+    assert point["roam_db"] == pytest.approx(np.mean(roaming), abs=1e-4)
+    first = mean_db(splats, part, [cameras[5]])
+    assert point["first_view_db"] == pytest.approx(first[0], abs=1e-4)
+    assert points[2]["held_out_db"] == 100.0, "all of them"
+    means = told.json["mean_over_log"]
+    assert isinstance(means, dict)
+    own = [p["held_out_db"] for p in points[3:5]]
+    assert means["splats"]["sgss"]["held_out_db"] == pytest.approx(np.mean(own), abs=1e-3)
+
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "eval.csv", "eval.json", "splats-held-out.svg", "splats-roam.svg", "splats-worst.svg",
+        "strips-splats.png",
+    ]  # fmt: skip
+    with (tmp_path / "eval.csv").open() as file:
+        table = list(csv.DictReader(file))
+    assert [float(row["held_out_db"]) for row in table] == [p["held_out_db"] for p in points]
+    assert json.loads((tmp_path / "eval.json").read_text())["points"] == points
+    with Image.open(tmp_path / "strips-splats.png") as picture:
+        assert picture.width > 7 * 64
+    assert "sgss" in (tmp_path / "splats-roam.svg").read_text()
+
+
+def test_files_are_judged_where_they_are_cut(run: Run, small: SmallScene) -> None:
+    size = small.cogs.stat().st_size
+    arguments = ["eval", small.ply, "--cameras", small.cameras, "--shares", "none", "--eval-every"]
+    told = run(*arguments, 4, "--file", small.cogs, "--sizes", "100,40%,100MB", "--json")
+    assert told.code == 0, told.err
+    points = told.json["points"]
+    assert isinstance(points, list)
+    assert [point["bytes"] for point in points] == [100, int(0.4 * size), size]
+    assert points[0]["splats"] == 0
+    held = hold_out(cogsplat.read_cameras(small.cameras), 4)[1]
+    source = PrefixSource(FileSource(small.cogs), int(0.4 * size))
+    with cogsplat.open(source, partial=True) as file:
+        part = file.decode()
+    each = mean_db(cogsplat.read(small.ply), part, held)
+    assert points[1]["held_out_db"] == pytest.approx(np.mean(each), abs=1e-4)
+    assert points[1]["splats"] == len(part)
+
+
+def test_orders_are_encoded_to_be_judged_by_bytes(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    told = run(
+        "eval", small.ply, "--cameras", small.cameras, "--orders", "contribution,source",
+        "--shares", "10", "--quality", 30, "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert told.code == 0, told.err
+    with (tmp_path / "out" / "eval.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["by"] == "bytes"]
+    names = [row["name"] for row in rows]
+    assert set(names) == {"contribution", "source"}
+    for name in set(names):
+        own = [int(row["bytes"]) for row in rows if row["name"] == name]
+        assert own == sizes_of(own[-1])
+    assert "held out dB, by bytes" in told.out
+    assert (tmp_path / "out" / "strips-bytes.png").exists()
+    assert run("eval", small.ply, "--out", tmp_path / "out").code == 2, "is there already"
+
+
+def test_lpips_and_photos_are_measured_where_given(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    np.savez(tmp_path / "weights.npz", **alex(4))
+    cameras = cogsplat.read_cameras(small.cameras)
+    splats = cogsplat.read(small.ply)
+    for camera, image in zip(cameras, render_views(splats, cameras), strict=True):
+        levels = (np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)
+        Image.fromarray(levels).save(tmp_path / f"{camera.name}.png")
+    renamed = [replace(camera, name=f"{camera.name}.png") for camera in cameras]
+    write_cameras_json(tmp_path / "cameras.json", renamed)
+    told = run(
+        "eval", small.ply, "--cameras", tmp_path / "cameras.json", "--orders", "contribution",
+        "--shares", "10,100", "--sizes", "none", "--lpips-weights", tmp_path / "weights.npz",
+        "--images", tmp_path, "--json",
+    )  # fmt: skip
+    assert told.code == 0, told.err
+    part, whole = told.json["points"]  # type: ignore[misc]
+    assert part["held_out_lpips"] > whole["held_out_lpips"] == 0.0
+    assert part["worst_lpips"] >= part["held_out_lpips"]
+    assert part["photos_db"] < 40 < whole["photos_db"] < 100, "photos are rounded to 8 bits"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--shares", "none", "--sizes", "none"], "nothing to judge"),
+        (["--shares", "0"], "expected percents"),
+        (["--sizes", "12 parsecs"], "expected bytes"),
+        (["--orders", "contribution,gloss"], "expected one of"),
+        (["--orders", "contribution+frustum"], "without --first-view"),
+    ],
+)
+def test_what_makes_no_sense_is_usage(
+    run: Run, small: SmallScene, arguments: list[str], message: str
+) -> None:
+    told = run("eval", small.ply, "--cameras", small.cameras, *arguments)
+    assert told.code == 2
+    assert message in told.err
+
+
+def test_option_values_are_read() -> None:
+    assert shares("0.2, 5,100") == (0.002, 0.05, 1.0)
+    assert shares("none") == ()
+    assert [one.of(1000) for one in sizes("10%,32KiB")] == [100, 1000]
+    assert order_names("all") == ORDERS
+    assert order_names("sgss, source,sgss") == ("sgss", "source")
+    with pytest.raises(click.BadParameter):
+        shares("five")
+
+
+def test_area_is_the_mean_over_the_logarithm() -> None:
+    assert mean_over_log([(1, 10.0), (4, 20.0)], 4) == 15.0
+    assert mean_over_log([(1, 10.0), (4, 20.0)], 16) == 17.5
+    assert mean_over_log([(1, 10.0), (2, 20.0), (16, 20.0)], 16) == pytest.approx(18.75)
+    assert mean_over_log([(3, 7.0)], 3) == 7.0
+    xs = np.linspace(5.0, 9.0, 4001)
+    curve = [(float(2**x), float(x**2)) for x in xs]
+    assert mean_over_log(curve, 2**9.0) == pytest.approx((9**3 - 5**3) / 12, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"),
+    [
+        (1, [1]),
+        (32768, [32768]),
+        (32769, [32768, 32769]),
+        (200_000, [32768, 65536, 131072, 200_000]),
+    ],
+)
+def test_lengths_double_to_the_end(size: int, expected: list[int]) -> None:
+    assert sizes_of(size) == expected

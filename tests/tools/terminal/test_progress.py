@@ -1,0 +1,103 @@
+"""Stages: lines in logs, bars on terminals, seconds that add up."""
+
+import io
+import sys
+
+import pytest
+
+from cogsplat.tools.terminal import progress
+from cogsplat.tools.terminal.progress import Stages
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Return a list whose one number is the time."""
+    now = [100.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_lines_are_few_and_single_steps_have_none(
+    clock: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Stages() as stages:
+        with stages.stage("read"):
+            clock[0] += 60.0
+        stages("score", 0, 50)
+        for step in range(50):
+            clock[0] += 0.5
+            stages("score", step + 1, 50)
+    out, err = capsys.readouterr()
+    lines = err.splitlines()
+    assert out == ""
+    assert lines[:2] == ["score 0/50", "score 4/50"]
+    assert len(lines) == 1 + 12
+
+
+def test_nothing_is_written_when_not_shown(
+    clock: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Stages(shown=False) as stages:
+        for step in range(5):
+            clock[0] += 10.0
+            stages("score", step, 5)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_seconds_add_up_to_the_whole(clock: list[float]) -> None:
+    with Stages(shown=False) as stages:
+        with stages.stage("read"):
+            clock[0] += 1.0
+        clock[0] += 2.0
+        stages("score", 0, 2)
+        clock[0] += 3.0
+        stages("score", 2, 2)
+        clock[0] += 0.01
+        stages("write", 1, 1)
+    assert stages.rounded() == {"read": 1.0, "score": 5.0, "write": 0.01}
+    assert stages.total_seconds == pytest.approx(6.01)
+    assert stages.line() == "6.0 s: read 1.0, score 5.0"
+    assert stages.totals == {"read": 1, "score": 2, "write": 1}
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_bars_on_a_terminal_leave_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "80")
+
+    def interrupted() -> None:
+        with Stages() as stages:
+            stages("score", 0, 3)
+            stages("score", 2, 3)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    shown = terminal.getvalue()
+    assert "score" in shown
+    assert "2/3" in shown
+    hidden, back = "\x1b[?25l", "\x1b[?25h"
+    assert shown.count(hidden) == shown.count(back)
+    assert shown.rindex(back) > shown.rindex(hidden)
+
+
+def test_dumb_terminals_get_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "dumb")
+    with Stages() as stages:
+        stages("score", 0, 3)
+    assert terminal.getvalue() == "score 0/3\n"
+
+
+def test_closed_standard_error_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", None)
+    with Stages() as stages:
+        stages("score", 0, 3)
+    assert stages.totals == {"score": 3}

@@ -1,0 +1,1 @@
+"""How COGS compares with other formats."""

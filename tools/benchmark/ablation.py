@@ -1,0 +1,249 @@
+"""What each technique of the encoder buys: bytes at equal quality with it switched off."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+import cogsplat
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.views.view_sets import roam
+
+if TYPE_CHECKING:
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.encoder import Prepared
+    from cogsplat.codec.encode.prefix_quality import Witness
+
+    from .rate_distortion import Subject
+
+Change = Callable[["EncodeConfig"], "EncodeConfig"]
+
+# The third measurement lies this far beyond the aim, so that two enclose it.
+_BEYOND_DB: Final = 0.3
+
+
+@dataclass(frozen=True)
+class Without:
+    """The encoder without a technique.
+
+    Parameters
+    ----------
+    technique : str
+    bytes_per_splat : float
+        At the held-out PSNR of the whole encoder, interpolated; per splat of the source.
+    more : float
+        Bytes over those of the whole encoder, less one.
+    roam_db : float
+        At that size, interpolated.
+    encode_s : float
+        Fastest of the encodes, without scoring.
+    nearest_db : float
+        How far the nearest measurement is from that PSNR.
+    """
+
+    technique: str
+    bytes_per_splat: float
+    more: float
+    roam_db: float
+    encode_s: float
+    nearest_db: float
+
+    def report(self) -> dict[str, object]:
+        """Return the figures as CSV and JSON have them."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class AblationTable:
+    """The whole encoder and what it is without each technique.
+
+    Parameters
+    ----------
+    held_out_db : float
+        PSNR that all bytes are given at.
+    rows : tuple of Without
+        The whole encoder first.
+    """
+
+    held_out_db: float
+    rows: tuple[Without, ...]
+
+
+@dataclass(frozen=True)
+class _Point:
+    """One encode, measured."""
+
+    held_out_db: float
+    roam_db: float
+    file_bytes: int
+    encode_s: float
+
+
+def changes(sh_degree: int) -> dict[str, Change]:
+    """Return what is switched off, by name, for a scene of an SH degree."""
+    from cogsplat.codec.encode.ablation import Ablation
+
+    def without(**flags: bool) -> Change:
+        return lambda config: replace(config, ablation=replace(config.ablation, **flags))
+
+    named: dict[str, Change] = {
+        "order by gain: contribution's": lambda config: replace(config, order="contribution"),
+        "any order: the source's": lambda config: replace(config, order="source"),
+        "coarse heads": lambda config: replace(config, refine=False),
+        "steps by chunk": without(chunk_steps=False),
+        "scored sensitivities": without(sensitivities=False),
+        "means as fine as splats are small": without(fine_means=False),
+        "Morton order in chunks": lambda config: replace(config, morton=False),
+        "turns as fine as shapes ask": without(fine_turns=False),
+        "kept areas": without(areas=False),
+        "symbols sharing bytes": without(digits=False),
+        "pruning": lambda config: replace(config, prune=None),
+    }
+    if sh_degree:
+        named |= {
+            "principal axes of shN": without(colour_basis=False),
+            "shN weighed by its views": without(view_metric=False),
+            "sh0 for what shN loses": without(sh0_makes_up=False),
+        }
+    nothing = Ablation(**dict.fromkeys(Ablation.__dataclass_fields__, False))
+    named["all of these"] = lambda config: replace(
+        config, order="source", refine=False, morton=False, prune=None, ablation=nothing
+    )
+    return named
+
+
+def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> AblationTable:
+    """Measure the encoder whole and without each technique, at three qualities.
+
+    Parameters
+    ----------
+    subject : Subject
+        Its background is not used: all is judged on black.
+    quality_db : float
+        Nominal; the whole encoder's PSNR there is what all are compared at.
+    progress : Progress
+        Called with ``ablation``, encoders done and all.
+
+    Returns
+    -------
+    AblationTable
+
+    Raises
+    ------
+    DataError
+        ``no-cameras``.
+    """
+    from cogsplat.codec.encode import encoder
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.prefix_quality import Witness
+
+    whole = EncodeConfig(profile="transform", quality_db=quality_db, threads=subject.threads)
+    named = changes(subject.splats.sh_degree)
+    progress("ablation", 0, len(named) + 1)
+    held_out = Witness(subject.splats, subject.cameras, subject.threads)
+    roaming = roam(subject.splats, subject.cameras)
+    judges = held_out, Witness(subject.splats, roaming, subject.threads)
+    start = time.perf_counter()
+    prepared = encoder.prepare(subject.splats, subject.scores, whole, views=subject.scored_on)
+    ordered_s = time.perf_counter() - start
+    measure = _measurer(subject, prepared, judges, ordered_s)
+    base = measure(quality_db)
+    per_splat = 1 / len(subject.splats)
+    rows = [Without("nothing", base.file_bytes * per_splat, 0.0, base.roam_db, base.encode_s, 0.0)]
+    progress("ablation", 1, len(named) + 1)
+    for name, change in named.items():
+        changed = replace(prepared, config=change(whole))
+        prepare_s = ordered_s
+        if changed.config.order != whole.order:
+            start = time.perf_counter()
+            changed = encoder.prepare(subject.splats, subject.scores, changed.config)
+            prepare_s = time.perf_counter() - start
+        measure = _measurer(subject, changed, judges, prepare_s)
+        points = _around(measure, quality_db, base.held_out_db)
+        size, roam_db = equal_quality(
+            [(p.held_out_db, p.file_bytes, p.roam_db) for p in points], base.held_out_db
+        )
+        rows.append(
+            Without(
+                name,
+                size * per_splat,
+                size / base.file_bytes - 1,
+                roam_db,
+                min(point.encode_s for point in points),
+                min(abs(point.held_out_db - base.held_out_db) for point in points),
+            )
+        )
+        progress("ablation", len(rows), len(named) + 1)
+    return AblationTable(base.held_out_db, tuple(rows))
+
+
+def _measurer(
+    subject: Subject, prepared: Prepared, judges: tuple[Witness, Witness], prepare_s: float
+) -> Callable[[float], _Point]:
+    from cogsplat.codec.encode.prefix_quality import decoded
+    from cogsplat.formats.cogs import scene
+
+    def measure(quality_db: float) -> _Point:
+        start = time.perf_counter()
+        encoded = prepared.encode(quality_db)
+        encode_s = prepare_s + time.perf_counter() - start
+        size = scene.size_bytes(encoded, writer=f"cogsplat {cogsplat.__version__}")
+        splats = decoded(encoded, threads=subject.threads)
+        held_out_db, roam_db = (judge.psnr_db(splats) for judge in judges)
+        return _Point(held_out_db, roam_db, size, encode_s)
+
+    return measure
+
+
+def _around(
+    measure: Callable[[float], _Point], quality_db: float, wanted_db: float
+) -> list[_Point]:
+    """Return three measurements, the last two as near the wanted PSNR as one guess comes."""
+    points: list[_Point] = []
+    at = quality_db
+    for beyond in (0.0, _BEYOND_DB, 0.0):
+        points.append(measure(_legal(at)))
+        missing = wanted_db - points[-1].held_out_db
+        at += missing + math.copysign(beyond, missing)
+    return points
+
+
+def _legal(quality_db: float) -> float:
+    from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB
+
+    return min(max(quality_db, MIN_QUALITY_DB), MAX_QUALITY_DB)
+
+
+def equal_quality(
+    points: Sequence[tuple[float, float, float]], wanted_db: float
+) -> tuple[float, float]:
+    """Return bytes and roam PSNR at a held-out PSNR.
+
+    Parameters
+    ----------
+    points : sequence of (held-out dB, bytes, roam dB)
+        At least two of different PSNR; the two on either side of the wanted one count, or the
+        nearest two where it is beyond all.
+    wanted_db : float
+
+    Returns
+    -------
+    tuple of float
+        The logarithm of the bytes and the roam PSNR are taken as straight between them.
+    """
+    table = np.unique(np.array(points, np.float64), axis=0)
+    quality, sizes, roam = table.T
+    if len(quality) == 1:
+        return float(sizes[0]), float(roam[0])
+    upper = int(np.clip(np.searchsorted(quality, wanted_db), 1, len(quality) - 1))
+    lower = upper - 1
+    span = quality[upper] - quality[lower]
+    share = (wanted_db - quality[lower]) / span if span > 0 else 0.0
+    logs = np.log(sizes)
+    size = math.exp(float(logs[lower] + share * (logs[upper] - logs[lower])))
+    return size, float(roam[lower] + share * (roam[upper] - roam[lower]))

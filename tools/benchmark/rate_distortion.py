@@ -1,0 +1,384 @@
+"""Profiles and foreign formats side by side: bytes, seconds, and what is left of the picture."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import CogsplatError
+from cogsplat.codec.metrics import PSNR_CAP_DB
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.splats import Splats
+from cogsplat.formats.scenes.registry import FORMATS, Format, read_scene
+from cogsplat.tools.evaluation import view_quality
+from cogsplat.tools.evaluation.photos import Photos
+
+if TYPE_CHECKING:
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.scoring.contribution import Scores
+
+BASELINE: Final = "c3dgs-style npz"
+"""Name of the comparison with Niedermayr et al. (`baseline_npz`)."""
+
+FOREIGN: Final = (*(format_.name for format_ in FORMATS if format_.write), BASELINE)
+"""What can be compared with."""
+
+# Nominal qualities where none are asked for, dB. `vq` and `near` are for comparison.
+QUALITIES: Final = {
+    "transform": (30.0, 34.0, 38.0, 42.0, 46.0, 50.0),
+    "vq": (26.0, 34.0, 42.0),
+}
+
+_FIRST_PREFIX: Final = 32 << 10
+
+# Reads are timed so often, and the fastest counts: the first one loads code.
+_READS: Final = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A scene with all that is known before it is written.
+
+    Parameters
+    ----------
+    splats : Splats
+        Valid rows, at least one.
+    scores : Scores
+        From views that do not judge.
+    score_s : float
+        Seconds that scoring took; part of what our encoder and the baseline take.
+    cameras : sequence of Camera
+        Judging views.
+    scored_on : sequence of Camera
+        Given or made up.
+    photos : Photos or None
+        Of the judging views.
+    background : tuple of float
+    threads : int
+    """
+
+    splats: Splats
+    scores: Scores
+    score_s: float
+    cameras: Sequence[Camera]
+    scored_on: Sequence[Camera]
+    photos: Photos | None
+    background: tuple[float, float, float]
+    threads: int
+
+
+def _label(method: str, quality_db: float | None) -> str:
+    return method if quality_db is None else f"{method} {quality_db:g}"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One way of writing the scene, measured.
+
+    Parameters
+    ----------
+    method : str
+        Profile or foreign format.
+    quality_db : float or None
+        Nominal, where the profile has one.
+    refused : str
+        Reason code, where the format cannot hold the scene; the figures are zeros then.
+    file_bytes : int
+    bytes_per_splat : float
+        Per splat of the source, whatever was pruned.
+    held_out_db, worst_db, roam_db : float
+        PSNR against the source's own renders, at most 100.
+    held_out_ssim, worst_ssim, roam_ssim : float
+    photo_db, photo_loss_db : float or None
+        PSNR against the photos of the held-out views, and how much less that is than the source's.
+    encode_s, decode_s : float
+        Seconds from arrays to a file, scoring included, and back.
+    """
+
+    method: str
+    quality_db: float | None
+    refused: str = ""
+    file_bytes: int = 0
+    bytes_per_splat: float = 0.0
+    held_out_db: float = 0.0
+    held_out_ssim: float = 0.0
+    worst_db: float = 0.0
+    worst_ssim: float = 0.0
+    roam_db: float = 0.0
+    roam_ssim: float = 0.0
+    photo_db: float | None = None
+    photo_loss_db: float | None = None
+    encode_s: float = 0.0
+    decode_s: float = 0.0
+
+    @property
+    def label(self) -> str:
+        """Method and nominal quality."""
+        return _label(self.method, self.quality_db)
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether it is a profile of COGS."""
+        return self.method not in FOREIGN
+
+    @property
+    def is_identical(self) -> bool:
+        """Whether no held-out view differs."""
+        return self.held_out_db >= PSNR_CAP_DB
+
+    def report(self) -> dict[str, object]:
+        """Return the figures as CSV and JSON have them."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Prefix:
+    """What the first bytes of a file show.
+
+    Parameters
+    ----------
+    method : str
+    quality_db : float or None
+    prefix_bytes : int
+    splats : int
+    held_out_db : float
+    """
+
+    method: str
+    quality_db: float | None
+    prefix_bytes: int
+    splats: int
+    held_out_db: float
+
+    @property
+    def label(self) -> str:
+        """Method and nominal quality."""
+        return _label(self.method, self.quality_db)
+
+    def report(self) -> dict[str, object]:
+        """Return the figures as CSV and JSON have them."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """All that was measured of a scene.
+
+    Parameters
+    ----------
+    rows : tuple of Row
+    prefixes : tuple of Prefix
+        Of one file of each profile, the one in the middle of its qualities.
+    """
+
+    rows: tuple[Row, ...]
+    prefixes: tuple[Prefix, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Method:
+    """A way to write the scene: its row's name, and both directions."""
+
+    name: str
+    quality_db: float | None
+    extension: str
+    write: Callable[[Path], None]
+    read: Callable[[Path], Splats]
+    scored: bool
+    prefixes: bool = False
+
+
+def run(
+    subject: Subject,
+    folder: Path,
+    *,
+    profiles: Sequence[str],
+    qualities: Sequence[float] | None,
+    formats: Sequence[str],
+    progress: Progress = silent,
+) -> Bench:
+    """Write a scene in every way, read it back and compare.
+
+    Parameters
+    ----------
+    subject : Subject
+    folder : Path
+        For the files, which stay there.
+    profiles : sequence of str
+        Of `EncodeConfig.profile`.
+    qualities : sequence of float or None
+        Nominal, dB, for each profile that has them; None for `QUALITIES`.
+    formats : sequence of str
+        Of `FOREIGN`.
+    progress : Progress
+        Called with ``files``, those done and all.
+
+    Returns
+    -------
+    Bench
+        Rows in the order of the parameters; formats that refuse the scene have their reason.
+
+    Raises
+    ------
+    DataError
+        As `view_quality.compare`.
+    """
+    methods = [*_ours(subject, profiles, qualities), *_foreign(subject, formats)]
+    rows: list[Row] = []
+    prefixes: list[Prefix] = []
+    progress("files", 0, len(methods))
+    for number, method in enumerate(methods, start=1):
+        path = folder / f"{number}{method.extension}"
+        row = _measure(subject, method, path)
+        rows.append(row)
+        if method.prefixes and not row.refused:
+            prefixes += _prefixes(subject, method, path)
+        progress("files", number, len(methods))
+    return Bench(tuple(rows), tuple(prefixes))
+
+
+def _ours(
+    subject: Subject, profiles: Sequence[str], qualities: Sequence[float] | None
+) -> list[_Method]:
+    from cogsplat.codec.encode.config import EncodeConfig
+
+    methods: list[_Method] = []
+    for profile in profiles:
+        steps: Sequence[float | None] = [None]
+        if profile in QUALITIES:
+            steps = sorted(qualities or QUALITIES[profile])
+        for index, quality_db in enumerate(steps):
+            config = EncodeConfig(profile=profile, threads=subject.threads)
+            if quality_db is not None:
+                config = EncodeConfig(
+                    profile=profile, quality_db=quality_db, threads=subject.threads
+                )
+            methods.append(
+                _Method(
+                    profile,
+                    quality_db,
+                    ".cogs",
+                    _encoder(subject, config),
+                    lambda path: cogsplat.decode(path, threads=subject.threads),
+                    scored=True,
+                    prefixes=index == len(steps) // 2 and profile in QUALITIES,
+                )
+            )
+    return methods
+
+
+def _encoder(subject: Subject, config: EncodeConfig) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        cogsplat.encode(
+            subject.splats,
+            path,
+            cameras=subject.scored_on,
+            scores=subject.scores,
+            config=config,
+            force=True,
+        )
+
+    return write
+
+
+def _foreign(subject: Subject, names: Sequence[str]) -> list[_Method]:
+    from . import c3dgs_npz
+
+    methods: list[_Method] = []
+    for name in names:
+        if name == BASELINE:
+
+            def write_npz(path: Path) -> None:
+                c3dgs_npz.write(path, subject.splats, subject.scores, threads=subject.threads)
+
+            def read_npz(path: Path) -> Splats:
+                return c3dgs_npz.read(path, subject.splats.info)
+
+            methods.append(_Method(name, None, ".npz", write_npz, read_npz, scored=True))
+            continue
+        format_ = next(f for f in FORMATS if f.name == name)
+        write = _writer(subject, format_)
+        methods.append(_Method(name, None, format_.extensions[0], write, read_scene, scored=False))
+    return methods
+
+
+def _writer(subject: Subject, format_: Format) -> Callable[[Path], None]:
+    write_scene = format_.write
+    if write_scene is None:
+        raise ValueError(f"format {format_.name!r} is not written, expected one of {FOREIGN}")
+
+    def write(path: Path) -> None:
+        write_scene(path, subject.splats, force=True)
+
+    return write
+
+
+def _measure(subject: Subject, method: _Method, path: Path) -> Row:
+    start = time.perf_counter()
+    try:
+        method.write(path)
+    except CogsplatError as error:
+        return Row(method.name, method.quality_db, refused=error.code)
+    encode_s = time.perf_counter() - start + (subject.score_s if method.scored else 0.0)
+    decode_s = float("inf")
+    for _ in range(_READS):
+        start = time.perf_counter()
+        decoded = method.read(path)
+        decode_s = min(decode_s, time.perf_counter() - start)
+    found = view_quality.compare(
+        subject.splats,
+        decoded,
+        subject.cameras,
+        background=subject.background,
+        threads=subject.threads,
+    )
+    photo_db = loss_db = None
+    if subject.photos is not None:
+        photo_db = subject.photos.psnr_db(decoded, subject.background, threads=subject.threads)
+        loss_db = subject.photos.source_db - photo_db
+    size = path.stat().st_size
+    return Row(
+        method=method.name,
+        quality_db=method.quality_db,
+        file_bytes=size,
+        bytes_per_splat=size / len(subject.splats),
+        held_out_db=view_quality.mean_psnr_db(found.held_out),
+        held_out_ssim=view_quality.mean_ssim(found.held_out),
+        worst_db=found.worst.psnr_db,
+        worst_ssim=found.worst.ssim,
+        roam_db=view_quality.mean_psnr_db(found.roaming),
+        roam_ssim=view_quality.mean_ssim(found.roaming),
+        photo_db=photo_db,
+        photo_loss_db=loss_db,
+        encode_s=encode_s,
+        decode_s=decode_s,
+    )
+
+
+def prefix_sizes(file_bytes: int) -> list[int]:
+    """Return 32 KiB, doubled while it is below a file's size, and that size."""
+    doublings = max(int(np.ceil(np.log2(max(file_bytes, 1) / _FIRST_PREFIX))), 0)
+    return [*(_FIRST_PREFIX << k for k in range(doublings)), file_bytes]
+
+
+def _prefixes(subject: Subject, method: _Method, path: Path) -> list[Prefix]:
+    prefixes: list[Prefix] = []
+    for size in prefix_sizes(path.stat().st_size):
+        decoded = cogsplat.decode(path, size_bytes=size, threads=subject.threads)
+        found = view_quality.view_qualities(
+            subject.splats,
+            decoded,
+            subject.cameras,
+            background=subject.background,
+            threads=subject.threads,
+        )
+        held_out_db = view_quality.mean_psnr_db(found)
+        prefixes.append(Prefix(method.name, method.quality_db, size, len(decoded), held_out_db))
+    return prefixes

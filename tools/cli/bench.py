@@ -1,0 +1,460 @@
+"""``cogsplat bench``: our profiles against what else there is, on one scene."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import platform
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import click
+
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.threads import thread_count
+from cogsplat.formats.storage.atomic import atomic_write, refuse_existing, storage_errors
+from cogsplat.tools.benchmark import ablation as bench_ablation
+from cogsplat.tools.benchmark import rate_distortion as benches
+from cogsplat.tools.benchmark.ablation import AblationTable
+from cogsplat.tools.benchmark.rate_distortion import Bench, Row, Subject
+from cogsplat.tools.evaluation.photos import read_photos
+from cogsplat.tools.pictures.svg_charts import Series, bar_chart, line_chart
+from cogsplat.tools.terminal.options import (
+    PATH,
+    background_option,
+    cameras_option,
+    eval_every_option,
+    force_option,
+    json_option,
+    quiet_option,
+    threads_option,
+)
+from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.values import Colour
+
+from .inputs import judging_cameras, read_any, scoring_cameras, usable_rows, virtual_views
+
+_PROFILES: Final = ("transform", "vq", "near")
+
+# What an ablation is measured at, nominal: 40 dB on a captured room, where scenes are published.
+_ABLATION_DB: Final = 41.0
+
+_FILES: Final = ("bench.csv", "bench.json", "prefixes.csv", "rate-distortion.svg", "received.svg")
+_ABLATION_FILES: Final = ("ablation.csv", "ablation.json", "ablation.svg")
+
+
+def _names(text: str, known: Sequence[str]) -> tuple[str, ...]:
+    """Read names or what they begin with, separated by commas; ``all`` and ``none``."""
+    if text.strip().lower() in ("all", "none"):
+        return tuple(known) if text.strip().lower() == "all" else ()
+    found: list[str] = []
+    for part in text.split(","):
+        key = _key(part)
+        exact = [name for name in known if _key(name) == key]
+        begun = exact or [name for name in known if key and _key(name).startswith(key)]
+        if len(begun) != 1:
+            raise click.BadParameter(
+                f"{part.strip()!r}, expected all, none or some of {', '.join(known)}"
+            )
+        found.append(begun[0])
+    return tuple(dict.fromkeys(found))
+
+
+def _key(name: str) -> str:
+    return "".join(character for character in name.lower() if character.isalnum())
+
+
+def profile_names(text: str) -> tuple[str, ...]:
+    """Read profiles as ``--profiles`` takes them.
+
+    Raises
+    ------
+    click.BadParameter
+        One is unknown or ambiguous.
+    """
+    return _names(text, _PROFILES)
+
+
+def format_names(text: str) -> tuple[str, ...]:
+    """Read foreign formats as ``--formats`` takes them.
+
+    Raises
+    ------
+    click.BadParameter
+        One is unknown or ambiguous.
+    """
+    return _names(text, benches.FOREIGN)
+
+
+def decibels(text: str) -> tuple[float, ...]:
+    """Read nominal qualities such as ``30,35,40``.
+
+    Raises
+    ------
+    click.BadParameter
+        They are no numbers from 10 to 90.
+    """
+    try:
+        values = tuple(sorted({float(part) for part in text.split(",")}))
+    except ValueError:
+        values = ()
+    if not values or not all(10 <= value <= 90 for value in values):
+        raise click.BadParameter(f"{text!r}, expected dB from 10 to 90 such as 30,35,40")
+    return values
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat bench scene.ply --cameras cameras.json --out figures\n"
+    "  cogsplat bench scene.ply --cameras cameras.json --ablation --qualities 40"
+)
+@click.argument("scene", type=PATH)
+@cameras_option("Without it, views are made up to score on; eval_cameras.json beside SCENE judges.")
+@eval_every_option(8, "Judge by, and keep from scoring, the")
+@click.option(
+    "--out",
+    type=PATH,
+    metavar="DIR",
+    help="Also write the figures as CSV, JSON and SVG into this folder.",
+)
+@click.option(
+    "--profiles",
+    type=profile_names,
+    default="all",
+    show_default=True,
+    metavar="NAMES",
+    help=f"Of ours, separated by commas: {', '.join(_PROFILES)}; all or none.",
+)
+@click.option(
+    "--formats",
+    type=format_names,
+    default="all",
+    show_default=True,
+    metavar="NAMES",
+    help=f"To compare with: {', '.join(benches.FOREIGN)}; all or none.",
+)
+@click.option(
+    "--qualities",
+    type=decibels,
+    metavar="DB,…",
+    help="Nominal PSNRs of the profiles that have one.  [default: a range for each]",
+)
+@click.option(
+    "--images",
+    type=PATH,
+    metavar="DIR",
+    help="Photos named as the cameras: also what each loses against them.",
+)
+@click.option(
+    "--ablation",
+    is_flag=True,
+    help="In place of all that: what each technique of the transform profile buys.",
+)
+@background_option
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def bench(
+    scene: Path,
+    cameras: Path | None,
+    eval_every: int,
+    out: Path | None,
+    profiles: tuple[str, ...],
+    formats: tuple[str, ...],
+    qualities: tuple[float, ...] | None,
+    images: Path | None,
+    ablation: bool,
+    background: Colour,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Hold our profiles against foreign formats on SCENE.
+
+    All are written, read back and judged by the same views against the source's own renders.
+    Seconds are of this machine and of one run; those of our profiles include scoring. Bytes per
+    splat count the source's splats, pruned ones included.
+    """
+    if ablation and qualities is not None and len(qualities) != 1:
+        raise click.UsageError("--ablation measures at one quality, expected one in --qualities")
+    if not ablation and not profiles and not formats:
+        raise click.UsageError("--profiles none and --formats none: nothing to measure")
+    if out is not None:
+        # Before minutes of work, not after.
+        with storage_errors(out):
+            out.mkdir(parents=True, exist_ok=True)
+        for name in _ABLATION_FILES if ablation else _FILES:
+            refuse_existing(out / name, force=force)
+    with Stages(shown=not (quiet or as_json)) as stages:
+        subject, what = _subject(
+            scene, cameras, eval_every, images, background, threads=threads, stages=stages
+        )
+        about = _about(scene, subject, what)
+        with tempfile.TemporaryDirectory(prefix="cogsplat-bench-") as folder:
+            if ablation:
+                found = bench_ablation.run(
+                    subject,
+                    quality_db=qualities[0] if qualities else _ABLATION_DB,
+                    progress=stages,
+                )
+            else:
+                measured = benches.run(
+                    subject,
+                    Path(folder),
+                    profiles=profiles,
+                    qualities=qualities,
+                    formats=formats,
+                    progress=stages,
+                )
+    title = f"{scene.absolute().parent.name}/{scene.name}"
+    pages = (
+        _ablation_pages(found, about, title) if ablation else _bench_pages(measured, about, title)
+    )
+    if out is not None:
+        _write_pages(out, pages, force=force)
+    if as_json:
+        report = _ablation_report(found, about) if ablation else _bench_report(measured, about)
+        say_json({**report, "seconds": stages.rounded()})
+        return
+    _tell_about(scene, subject, what)
+    if ablation:
+        _tell_ablation(found)
+    else:
+        _tell_rows(measured.rows)
+        _tell_prefixes(measured)
+    if not quiet:
+        say("")
+        facts(
+            ("written", f"{', '.join(pages)} in {out}" if out is not None else ""),
+            ("time", stages.line()),
+        )
+
+
+def _subject(
+    scene: Path,
+    cameras: Path | None,
+    eval_every: int,
+    images: Path | None,
+    background: Colour,
+    *,
+    threads: int,
+    stages: Stages,
+) -> tuple[Subject, str]:
+    from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+    from cogsplat.codec.scoring.contribution import score
+
+    with stages.stage("read"):
+        views = scoring_cameras(cameras, eval_every)
+        # Formats are compared by what they draw; most hold nothing else.
+        drawn = read_any(scene, threads=threads).splats.without_extras()
+        splats = usable_rows(drawn, scene)
+        if not len(splats):
+            raise DataError("no-splats", f"{scene}: 0 splats, expected some to measure")
+        judging, what = judging_cameras(scene, splats, cameras, eval_every)
+        photos = None
+        if images is not None:
+            photos = read_photos(images, splats, judging, background, threads=threads)
+    preset = PRESETS[DEFAULT_PRESET]
+    config = preset.score_config("transform", threads=threads)
+    start = time.perf_counter()
+    scored_on = preset.views(virtual_views(splats) if views is None else views)
+    scores = score(splats, scored_on, config, progress=stages)
+    score_s = time.perf_counter() - start
+    subject = Subject(splats, scores, score_s, judging, scored_on, photos, background, threads)
+    return subject, what
+
+
+def _about(scene: Path, subject: Subject, what: str) -> dict[str, object]:
+    return {
+        "scene": name_of(scene),
+        "splats": len(subject.splats),
+        "sh_degree": subject.splats.sh_degree,
+        "judged_by": what,
+        "views": len(subject.cameras),
+        "scored_on": len(subject.scored_on),
+        "score_s": round(subject.score_s, 3),
+        "background": list(subject.background),
+        "source_photo_db": None if subject.photos is None else subject.photos.source_db,
+        "machine": {
+            "platform": platform.platform(),
+            "cores": thread_count(0),
+            "threads": thread_count(subject.threads),
+            "python": platform.python_version(),
+        },
+    }
+
+
+def _tell_about(scene: Path, subject: Subject, what: str) -> None:
+    splats = subject.splats
+    say(f"{scene}: {len(splats):,} splats, SH degree {splats.sh_degree}")
+    photo = "" if subject.photos is None else f"{subject.photos.source_db:.2f} dB for the source"
+    facts(
+        ("judged by", f"{len(subject.cameras)} {what}"),
+        ("scored", f"on {len(subject.scored_on)} views, {subject.score_s:.1f} s"),
+        ("photos", photo),
+    )
+    say("")
+
+
+def _tell_rows(rows: Sequence[Row]) -> None:
+    with_photos = any(row.photo_loss_db is not None for row in rows)
+    columns = ["", "bytes", "B/splat", "held-out", "worst", "roam", "SSIM"]
+    columns += ["lost", "enc s", "dec s"] if with_photos else ["enc s", "dec s"]
+    cells: list[list[str]] = []
+    for row in rows:
+        if row.refused:
+            cells.append([row.label, row.refused, *[""] * (len(columns) - 2)])
+            continue
+        cells.append(
+            [
+                row.label,
+                size_text(row.file_bytes),
+                f"{row.bytes_per_splat:.2f}",
+                f"{row.held_out_db:.2f}",
+                f"{row.worst_db:.2f}",
+                f"{row.roam_db:.2f}",
+                f"{row.held_out_ssim:.4f}",
+                *([] if row.photo_loss_db is None else [f"{row.photo_loss_db:.2f}"]),
+                f"{row.encode_s:.1f}",
+                f"{row.decode_s:.3f}",
+            ]
+        )
+    table(columns, cells)
+
+
+def _tell_prefixes(measured: Bench) -> None:
+    named = list(dict.fromkeys(prefix.label for prefix in measured.prefixes))
+    if not named:
+        return
+    by_size: dict[int, dict[str, str]] = {}
+    for prefix in measured.prefixes:
+        text = f"{prefix.held_out_db:.2f}"
+        by_size.setdefault(prefix.prefix_bytes, {})[prefix.label] = text
+    say("")
+    cells = [
+        [size_text(size), *(by_size[size].get(name, "") for name in named)]
+        for size in sorted(by_size)
+    ]
+    table(["received", *named], cells)
+
+
+def _tell_ablation(found: AblationTable) -> None:
+    say(f" bytes at {found.held_out_db:.2f} dB held-out, without")
+    cells = [
+        [
+            row.technique,
+            f"{row.bytes_per_splat:.2f}",
+            f"{100 * row.more:+.1f} %" if row.more else "",
+            f"{row.roam_db:.2f}",
+            f"{row.encode_s:.1f}",
+        ]
+        for row in found.rows
+    ]
+    table(["", "B/splat", "more", "roam", "enc s"], cells)
+
+
+def _bench_report(measured: Bench, about: Mapping[str, object]) -> dict[str, object]:
+    return {
+        **about,
+        "rows": [row.report() for row in measured.rows],
+        "prefixes": [prefix.report() for prefix in measured.prefixes],
+    }
+
+
+def _ablation_report(found: AblationTable, about: Mapping[str, object]) -> dict[str, object]:
+    rows = [row.report() for row in found.rows]
+    return {**about, "held_out_db": found.held_out_db, "without": rows}
+
+
+def _bench_pages(measured: Bench, about: Mapping[str, object], title: str) -> dict[str, str]:
+    report = _bench_report(measured, about)
+    pages = (
+        _csv([row.report() for row in measured.rows]),
+        json.dumps(report, indent=2, allow_nan=False) + "\n",
+        _csv([prefix.report() for prefix in measured.prefixes]),
+        _rate_distortion(measured, title),
+        _received(measured, title),
+    )
+    return dict(zip(_FILES, pages, strict=True))
+
+
+def _ablation_pages(
+    found: AblationTable, about: Mapping[str, object], title: str
+) -> dict[str, str]:
+    bars = [(row.technique, 100 * row.more) for row in found.rows[1:]]
+    drawn = bar_chart(f"{title}: more bytes at {found.held_out_db:.1f} dB, without", bars, unit="%")
+    pages = (
+        _csv([row.report() for row in found.rows]),
+        json.dumps(_ablation_report(found, about), indent=2, allow_nan=False) + "\n",
+        drawn,
+    )
+    return dict(zip(_ABLATION_FILES, pages, strict=True))
+
+
+def _look(method: str) -> int:
+    return (*_PROFILES, *benches.FOREIGN).index(method)
+
+
+def _series(measured: Bench) -> list[Series]:
+    """Return bytes per splat and PSNR by method; what changes no view is not drawn."""
+    series: list[Series] = []
+    for method in dict.fromkeys(row.method for row in measured.rows):
+        rows = [row for row in measured.rows if row.method == method and not row.refused]
+        points = [(row.bytes_per_splat, row.held_out_db) for row in rows if not row.is_identical]
+        if points:
+            series.append(Series(method, tuple(points), _look(method), joined=len(points) > 1))
+    return series
+
+
+def _rate_distortion(measured: Bench, title: str) -> str:
+    identical = [row.label for row in measured.rows if row.is_identical and not row.refused]
+    return line_chart(
+        f"{title}: quality for size",
+        "bytes per splat",
+        "PSNR of held-out views, dB",
+        _series(measured),
+        note=f"Not drawn, for identical: {', '.join(identical)}" if identical else "",
+    )
+
+
+def _received(measured: Bench, title: str) -> str:
+    series: list[Series] = []
+    for label in dict.fromkeys(prefix.label for prefix in measured.prefixes):
+        own = [prefix for prefix in measured.prefixes if prefix.label == label]
+        points = tuple((prefix.prefix_bytes, prefix.held_out_db) for prefix in own)
+        series.append(Series(label, points, _look(own[0].method)))
+    series += [
+        Series(row.label, ((row.file_bytes, row.held_out_db),), _look(row.method), joined=False)
+        for row in measured.rows
+        if not (row.is_ours or row.refused or row.is_identical)
+    ]
+    return line_chart(
+        f"{title}: quality by what has arrived",
+        "bytes received",
+        "PSNR of held-out views, dB",
+        series,
+        x_text=lambda x: f"{x / 1024:g} KiB" if x < 1 << 20 else f"{x / (1 << 20):g} MiB",
+        note="Single points: foreign formats show nothing before their last byte.",
+    )
+
+
+def _csv(rows: Sequence[Mapping[str, object]]) -> str:
+    page = io.StringIO()
+    if rows:
+        writer = csv.DictWriter(page, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    return page.getvalue()
+
+
+def _write_pages(folder: Path, pages: Mapping[str, str], *, force: bool) -> None:
+    for name, text in pages.items():
+        with atomic_write(folder / name, force=force) as file:
+            file.write(text.encode())

@@ -1,0 +1,273 @@
+"""``cogsplat render`` and ``compare``: what scenes look like, and how far they are apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import click
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.formats.storage.atomic import refuse_existing
+from cogsplat.tools.terminal.options import (
+    PATH,
+    background_option,
+    cameras_option,
+    compensate_option,
+    eval_every_option,
+    force_option,
+    json_option,
+    part_options,
+    quiet_option,
+    threads_option,
+)
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.values import ByteCount, ChunkRange, Colour, picture_size
+
+from .inputs import Part, Scene, given_cameras, judging_cameras, read_any, virtual_views
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat render scene.cogs whole.png --cameras cameras.json --camera 3\n"
+    "  cogsplat render scene.cogs tenth.png --bytes 10% --size 960x720"
+)
+@click.argument("path", type=PATH, metavar="IN")
+@click.argument("out", type=PATH, metavar="OUT.png")
+@cameras_option("Without it, the file's first view, else a view made up around the scene.")
+@click.option(
+    "--camera",
+    "index",
+    type=click.IntRange(min=0),
+    metavar="INDEX",
+    help="Which camera, from 0; without --cameras, of the views made up.",
+)
+@click.option(
+    "--size",
+    "picture",
+    type=picture_size,
+    metavar="WxH",
+    help="Picture size; nothing of the camera's view is cut off.  [default: the camera's]",
+)
+@background_option
+@part_options
+@compensate_option
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def render(
+    path: Path,
+    out: Path,
+    cameras: Path | None,
+    index: int | None,
+    picture: tuple[int, int] | None,
+    background: Colour,
+    chunks: ChunkRange | None,
+    least_splats: int | None,
+    size: ByteCount | None,
+    objects: tuple[int, ...] | None,
+    sh_degree: int | None,
+    compensate: bool,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Draw a scene, or a part of a COGS file, as a PNG."""
+    from cogsplat.codec.render.rasteriser import RenderConfig
+    from cogsplat.codec.render.rasteriser import render as draw
+    from cogsplat.tools.pictures.png import to_image, write_png
+
+    refuse_existing(out, force=force)
+    part = Part(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("read"):
+            scene = read_any(path, part, threads=threads)
+            camera = _camera(scene, cameras, index)
+        if picture:
+            camera = fitted(camera, *picture)
+        info = scene.splats.info
+        config = RenderConfig(
+            kernel_px=info.kernel_px,
+            antialiased=info.antialiased,
+            background=background,
+            threads=threads,
+        )
+        with stages.stage("render"):
+            image = to_image(draw(scene.splats, camera, config))
+        with stages.stage("write"):
+            written = write_png(out, image, force=force)
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                "bytes": written,
+                "width": camera.width,
+                "height": camera.height,
+                "camera": camera.name,
+                "splats": len(scene.splats),
+                "file_splats": scene.file_splats,
+                "sh_degree": scene.splats.sh_degree,
+                "seconds": stages.rounded(),
+            }
+        )
+    elif not quiet:
+        say(f"{out}: {camera.width}x{camera.height}, {size_text(written)}")
+        drawn = f"{len(scene.splats):,} of {scene.file_splats:,}"
+        facts(
+            ("camera", camera.name or f"{index or 0}"),
+            ("splats", f"{drawn}, SH degree {scene.splats.sh_degree}"),
+            ("time", stages.line()),
+        )
+
+
+def _camera(scene: Scene, cameras: Path | None, index: int | None) -> Camera:
+    if cameras is None and index is None and scene.first_view is not None:
+        return scene.first_view
+    views = given_cameras(cameras) if cameras else virtual_views(scene.splats)
+    index = index or 0
+    if index >= len(views):
+        raise click.UsageError(f"--camera {index}, expected 0 to {len(views) - 1}")
+    return views[index]
+
+
+def fitted(camera: Camera, width: int, height: int) -> Camera:
+    """Return a camera for another picture size that shows all of its view, undistorted.
+
+    Parameters
+    ----------
+    camera : Camera
+    width, height : int
+        Px; where their ratio is another, the picture shows more at two sides.
+    """
+    scale = min(width / camera.width, height / camera.height)
+    return replace(
+        camera,
+        width=width,
+        height=height,
+        fx=camera.fx * scale,
+        fy=camera.fy * scale,
+        cx=0.5 * width + (camera.cx - 0.5 * camera.width) * scale,
+        cy=0.5 * height + (camera.cy - 0.5 * camera.height) * scale,
+    )
+
+
+@click.command(
+    epilog="\b\nExample:\n  cogsplat compare scene.ply scene.cogs --cameras cameras.json"
+)
+@click.argument("reference", type=PATH, metavar="A")
+@click.argument("other", type=PATH, metavar="B")
+@cameras_option("Without it, eval_cameras.json beside A, all of it; else views made up.")
+@eval_every_option(8, "Compare on the")
+@background_option
+@part_options
+@compensate_option
+@threads_option
+@quiet_option
+@json_option
+def compare(
+    reference: Path,
+    other: Path,
+    cameras: Path | None,
+    eval_every: int,
+    background: Colour,
+    chunks: ChunkRange | None,
+    least_splats: int | None,
+    size: ByteCount | None,
+    objects: tuple[int, ...] | None,
+    sh_degree: int | None,
+    compensate: bool,
+    threads: int,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Measure how far B, or a part of it, is from A.
+
+    PSNR and SSIM of rendered views, three figures each: the mean over held-out cameras, the worst
+    of them, and the mean over roaming views, which stand back from those cameras and turn away.
+    """
+    from cogsplat.tools.evaluation import view_quality
+
+    part = Part(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("read"):
+            first = read_any(reference, threads=threads)
+            second = read_any(other, part, threads=threads)
+            views, what = judging_cameras(reference, first.splats, cameras, eval_every)
+        found = view_quality.compare(
+            first.splats,
+            second.splats,
+            views,
+            background=background,
+            threads=threads,
+            progress=stages,
+        )
+    rows = {
+        "held-out": (
+            view_quality.mean_psnr_db(found.held_out),
+            view_quality.mean_ssim(found.held_out),
+        ),
+        "worst": (found.worst.psnr_db, found.worst.ssim),
+        "roam": (view_quality.mean_psnr_db(found.roaming), view_quality.mean_ssim(found.roaming)),
+    }
+    if as_json:
+        figures = {name: {"psnr_db": p, "ssim": s} for name, (p, s) in rows.items()}
+        say_json(
+            {
+                "reference": _subject(reference, first),
+                "other": _subject(other, second),
+                "cameras": what,
+                "background": list(background),
+                "held_out": {**figures["held-out"], "views": len(found.held_out)},
+                "worst": {**figures["worst"], "view": found.worst.view},
+                "roam": {**figures["roam"], "views": len(found.roaming)},
+                "per_view": {
+                    "held_out": [asdict(quality) for quality in found.held_out],
+                    "roam": [asdict(quality) for quality in found.roaming],
+                },
+                "seconds": stages.rounded(),
+            }
+        )
+        return
+    say(f"{other} against {reference}")
+    facts(
+        ("splats", f"{len(second.splats):,} against {len(first.splats):,}"),
+        ("by", f"{what}, {_colour_name(background)} background"),
+    )
+    say("")
+    notes = [
+        counted(len(found.held_out), "view"),
+        found.worst.view,
+        counted(len(found.roaming), "view"),
+    ]
+    _tell_figures(rows, notes)
+    if not quiet:
+        say("")
+        facts(("time", stages.line()))
+
+
+def _subject(path: Path, scene: Scene) -> dict[str, object]:
+    return {
+        "path": name_of(path),
+        "splats": len(scene.splats),
+        "file_splats": scene.file_splats,
+        "sh_degree": scene.splats.sh_degree,
+        "bytes_read": scene.bytes_read,
+        "file_bytes": scene.file_bytes,
+    }
+
+
+def _tell_figures(rows: dict[str, tuple[float, float]], notes: Sequence[str]) -> None:
+    cells = [
+        (name, note, f"{psnr_db:.2f}", f"{ssim:.4f}")
+        for (name, (psnr_db, ssim)), note in zip(rows.items(), notes, strict=True)
+    ]
+    table(("", "", "PSNR dB", "SSIM"), cells, left=2)
+
+
+def _colour_name(colour: Colour) -> str:
+    names = {(0.0, 0.0, 0.0): "black", (1.0, 1.0, 1.0): "white"}
+    return names.get(colour) or "({:g}, {:g}, {:g})".format(*colour)

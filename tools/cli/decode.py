@@ -1,0 +1,138 @@
+"""``cogsplat decode``: from a COGS file, or a part of it, back to a scene."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+import cogsplat
+from cogsplat.codec.errors import CogsplatWarning
+from cogsplat.formats.storage.atomic import refuse_existing, storage_errors
+from cogsplat.tools.terminal.options import (
+    PATH,
+    compensate_option,
+    force_option,
+    json_option,
+    part_options,
+    quiet_option,
+    threads_option,
+)
+from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.values import ByteCount, ChunkRange
+
+from .inputs import Part, Scene, decode_part
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat decode scene.cogs scene.ply\n"
+    "  cogsplat decode scene.cogs preview.ply --bytes 20% --sh 0\n"
+    "  cogsplat decode scene.cogs vase.ply --object 3"
+)
+@click.argument("cogs", type=PATH, metavar="IN.cogs")
+@click.argument("out", type=PATH, metavar="OUT.ply")
+@part_options
+@compensate_option
+@click.option("--no-refine", is_flag=True, help="The coarse values of the heads alone.")
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def decode(
+    cogs: Path,
+    out: Path,
+    chunks: ChunkRange | None,
+    least_splats: int | None,
+    size: ByteCount | None,
+    objects: tuple[int, ...] | None,
+    sh_degree: int | None,
+    compensate: bool,
+    no_refine: bool,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Decode a COGS file, or a part of it, to a PLY.
+
+    With --bytes the file is taken as if its transfer had stopped there: what is complete is
+    decoded. With --compensate the splats of a beginning are not as stored, but as they look most
+    like the whole.
+    """
+    refuse_existing(out, force=force)
+    refine = not no_refine
+    part = Part(chunks, least_splats, size, sh_degree, objects, refine, compensate)
+    with Stages(shown=not (quiet or as_json)) as stages:
+        scene = decode_part(cogs, part, threads=threads, progress=stages)
+        with stages.stage("write"):
+            cogsplat.write(out, scene.splats, force=force)
+    if not scene.chunks and scene.file_chunks and part.size is not None:
+        warnings.warn(
+            f"{cogs}: no chunk is complete in the first {scene.bytes_read} bytes",
+            CogsplatWarning,
+            stacklevel=1,
+        )
+    if scene.without_tails:
+        first, last = scene.without_tails[0], scene.without_tails[-1]
+        span = f"chunk {first}" if first == last else f"chunks {first} to {last}"
+        warnings.warn(
+            f"{cogs}: {span} came without the SH above DC, which lies beyond byte "
+            f"{scene.bytes_read}",
+            CogsplatWarning,
+            stacklevel=1,
+        )
+    if scene.lost_extras:
+        warnings.warn(
+            f"{cogs}: came without the attributes {', '.join(scene.lost_extras)}, which not every "
+            "chunk brings",
+            CogsplatWarning,
+            stacklevel=1,
+        )
+    with storage_errors(out):
+        written = out.stat().st_size
+    if as_json:
+        say_json(_report(scene, out, written, stages))
+    elif not quiet:
+        _tell(scene, out, written, stages)
+
+
+def _report(scene: Scene, out: Path, written: int, stages: Stages) -> dict[str, object]:
+    return {
+        "output": name_of(out),
+        "bytes": written,
+        "splats": len(scene.splats),
+        "file_splats": scene.file_splats,
+        "sh_degree": scene.splats.sh_degree,
+        "chunks": list(_span(scene.chunks)),
+        "chunks_decoded": len(scene.chunks),
+        "file_chunks": scene.file_chunks,
+        "file_bytes": scene.file_bytes,
+        "bytes_read": scene.bytes_read,
+        "chunks_without_tails": list(scene.without_tails),
+        "chunks_unrefined": list(scene.unrefined),
+        "seconds": stages.rounded(),
+    }
+
+
+def _span(chunks: Sequence[int]) -> tuple[int, int]:
+    """Return the half-open range that chunks lie in."""
+    return (chunks[0], chunks[-1] + 1) if chunks else (0, 0)
+
+
+def _tell(scene: Scene, out: Path, written: int, stages: Stages) -> None:
+    found, (first, last) = len(scene.splats), _span(scene.chunks)
+    say(f"{out}: {found:,} of {scene.file_splats:,} splats, {size_text(written)}")
+    span = f"{first}:{last} of {scene.file_chunks}"
+    if len(scene.chunks) < last - first:
+        span = f"{len(scene.chunks)} in {span}"
+    if scene.bytes_read < scene.file_bytes:
+        span += f" in the first {size_text(scene.bytes_read)} of {size_text(scene.file_bytes)}"
+    facts(
+        ("chunks", span),
+        ("SH degree", str(scene.splats.sh_degree)),
+        ("time", stages.line()),
+    )

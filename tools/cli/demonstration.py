@@ -1,0 +1,241 @@
+"""The whole way in one go: make a scene, encode it, decode prefixes of it, and look at them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import TruncatedError
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.splats import Splats, empty
+from cogsplat.codec.views.view_sets import hold_out
+from cogsplat.formats.cameras.inria import write_cameras_json
+from cogsplat.formats.storage.atomic import refuse_existing, storage_errors
+from cogsplat.formats.storage.source import FileSource, PrefixSource
+from cogsplat.tools.synthetic.scene import synth, synth_cameras
+
+SHARES: Final = (0.02, 0.05, 0.10, 0.25, 1.0)
+"""Shares of the file that the film-strip shows."""
+
+EVERY: Final = 8
+"""Cameras with this index are held out: encoding never sees them."""
+
+# Of the held-out cameras, the one that has all objects in its picture.
+_SHOWN: Final = 3
+
+
+@dataclass(frozen=True)
+class DemoFiles:
+    """Where a demonstration puts what it makes, all in one folder."""
+
+    folder: Path
+
+    @property
+    def scene(self) -> Path:
+        """The scene as it was made."""
+        return self.folder / "scene.ply"
+
+    @property
+    def cameras(self) -> Path:
+        """Its cameras."""
+        return self.folder / "cameras.json"
+
+    @property
+    def cogs(self) -> Path:
+        """The scene encoded."""
+        return self.folder / "scene.cogs"
+
+    @property
+    def decoded(self) -> Path:
+        """The encoded scene as a PLY."""
+        return self.folder / "decoded.ply"
+
+    @property
+    def strip(self) -> Path:
+        """The film-strip."""
+        return self.folder / "filmstrip.png"
+
+    def all(self) -> tuple[Path, ...]:
+        """Return every file."""
+        return self.scene, self.cameras, self.cogs, self.decoded, self.strip
+
+
+@dataclass(frozen=True)
+class Prefix:
+    """What the first bytes of the file show.
+
+    Parameters
+    ----------
+    share : float
+        Of the file.
+    size_bytes, splats : int
+    held_out_db, worst_db, roam_db : float
+        PSNR against the scene as it was made.
+    """
+
+    share: float
+    size_bytes: int
+    splats: int
+    held_out_db: float
+    worst_db: float
+    roam_db: float
+
+
+@dataclass(frozen=True)
+class Demo:
+    """What a demonstration made.
+
+    Parameters
+    ----------
+    files : DemoFiles
+    splats, scene_bytes, cogs_bytes : int
+    prefixes : tuple of Prefix
+        By `SHARES`.
+    """
+
+    files: DemoFiles
+    splats: int
+    scene_bytes: int
+    cogs_bytes: int
+    prefixes: tuple[Prefix, ...]
+
+
+def run(
+    folder: Path,
+    *,
+    splats: int = 120_000,
+    threads: int = 0,
+    force: bool = False,
+    progress: Progress = silent,
+) -> Demo:
+    """Make a scene, encode it, decode it whole and in part, compare, and draw the film-strip.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it is not there.
+    splats : int
+        Size of the scene.
+    threads : int
+        0 for all cores.
+    force : bool
+        Replace files of an earlier run.
+    progress : Progress
+        Called with the stages of the way.
+
+    Returns
+    -------
+    Demo
+
+    Raises
+    ------
+    CogsplatError
+        A file cannot be written, or is there already and `force` is not set.
+    """
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.tools.pictures.filmstrip import filmstrip
+    from cogsplat.tools.pictures.png import write_png
+
+    files = DemoFiles(folder)
+    with storage_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    for path in files.all():
+        refuse_existing(path, force=force)
+
+    progress("synth", 0, 1)
+    scene, cameras = synth(splats), synth_cameras()
+    cogsplat.write(files.scene, scene, force=force)
+    write_cameras_json(files.cameras, cameras, force=force)
+    progress("synth", 1, 1)
+
+    train, held = hold_out(cameras, EVERY)
+    config = EncodeConfig(threads=threads)
+    size = cogsplat.encode(
+        scene, files.cogs, cameras=train, config=config, force=force, progress=progress
+    )
+    progress("write", 1, 1)
+
+    decoded = cogsplat.decode(files.cogs, threads=threads, progress=progress)
+    cogsplat.write(files.decoded, decoded, force=force)
+    progress("decode", 1, 1)
+
+    draw = _drawer(held[_SHOWN], threads)
+    prefixes, pictures = [], []
+    for step, share in enumerate(SHARES):
+        progress("compare", step, len(SHARES))
+        part = decoded if share == 1.0 else _first_bytes(files.cogs, int(share * size), threads)
+        prefixes.append(_measured(scene, part, held, share, int(share * size), threads))
+        pictures.append(draw(part))
+    progress("compare", len(SHARES), len(SHARES))
+
+    scene_bytes = files.scene.stat().st_size
+    captions = [_caption(prefix) for prefix in prefixes]
+    captions.append([f"original, {_size(scene_bytes)}", f"{splats:,} splats", "PLY"])
+    strip = filmstrip(
+        [*pictures, draw(scene)],
+        captions,
+        title=f"One .cogs file of {_size(size)} as its bytes arrive, compensated; a view never "
+        "given to the encoder",
+    )
+    write_png(files.strip, strip, force=force)
+    progress("film-strip", 1, 1)
+    return Demo(files, splats, scene_bytes, size, tuple(prefixes))
+
+
+def _first_bytes(path: Path, size: int, threads: int) -> Splats:
+    """Decode what is complete in the first bytes of a file, made up for what is not there."""
+    source = PrefixSource(FileSource(path), size)
+    try:
+        with cogsplat.open(source, partial=True) as file:
+            return file.decode(compensate=True, threads=threads)
+    except TruncatedError:
+        # Of a small file the first fiftieth ends inside the root: nothing to draw yet.
+        return empty(0)
+
+
+def _measured(
+    scene: Splats, part: Splats, held: list[Camera], share: float, size: int, threads: int
+) -> Prefix:
+    from cogsplat.tools.evaluation import view_quality
+
+    found = view_quality.compare(scene, part, held, threads=threads)
+    return Prefix(
+        share=share,
+        size_bytes=size,
+        splats=len(part),
+        held_out_db=view_quality.mean_psnr_db(found.held_out),
+        worst_db=found.worst.psnr_db,
+        roam_db=view_quality.mean_psnr_db(found.roaming),
+    )
+
+
+def _drawer(camera: Camera, threads: int) -> Callable[[Splats], NDArray[np.float32]]:
+    from cogsplat.codec.render.rasteriser import RenderConfig, render
+
+    def draw(splats: Splats) -> NDArray[np.float32]:
+        info = splats.info
+        config = RenderConfig(info.kernel_px, info.antialiased, threads=threads)
+        return render(splats, replace(camera, name=""), config)
+
+    return draw
+
+
+def _caption(prefix: Prefix) -> list[str]:
+    return [
+        f"{prefix.share:.0%}, {_size(prefix.size_bytes)}",
+        f"{prefix.splats:,} splats",
+        f"PSNR {prefix.held_out_db:.1f} dB held-out",
+    ]
+
+
+def _size(size_bytes: int) -> str:
+    from cogsplat.tools.terminal.output import size_text
+
+    return size_text(size_bytes)

@@ -1,0 +1,358 @@
+"""``cogsplat encode``: from a scene to a COGS file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+import cogsplat
+from cogsplat.codec.order.chunks import DEFAULT_LARGEST
+from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
+from cogsplat.formats.storage.atomic import refuse_existing
+from cogsplat.tools.evaluation.byte_inventory import stored_sizes
+from cogsplat.tools.evaluation.prefix_quality import PrefixQuality
+from cogsplat.tools.evaluation.report_page import write_report
+from cogsplat.tools.terminal.options import (
+    PATH,
+    background_option,
+    cameras_option,
+    eval_every_option,
+    force_option,
+    jitter_option,
+    json_option,
+    quiet_option,
+    threads_option,
+    top_k_option,
+)
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.values import ByteCount, Colour, byte_count
+
+from .info import tell_attributes
+from .inputs import given_cameras, measured_in, read_any, scoring_cameras, virtual_views
+from .measure import Judges, settings_of
+from .order_options import OrderChoice, order_options
+from .scene_edits import SceneEdits, edit_options
+
+if TYPE_CHECKING:
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.rate_control import Target
+    from cogsplat.formats.cogs.reader import CogsFile
+
+# The choices and defaults below are those of `EncodeConfig` and `PruneConfig`, which take a
+# compiler to import; a test compares them.
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat encode scene.ply scene.cogs --cameras cameras.json --quality 38"
+)
+@click.argument("scene", type=PATH)
+@click.argument("out", type=PATH, metavar="OUT.cogs")
+@cameras_option("Without it, views are made up around the scene.")
+@click.option(
+    "--profile",
+    type=click.Choice(["transform", "vq", "near"]),
+    default="transform",
+    show_default=True,
+    help="transform, vq: for viewing, by a shared transform or by codebooks. near: every attribute "
+    "within a bound, for archives.",
+)
+@click.option(
+    "--quality",
+    type=click.FloatRange(10, 90),
+    default=40.0,
+    show_default=True,
+    metavar="DB",
+    help="Nominal PSNR of the profiles for viewing.",
+)
+@click.option(
+    "--target-psnr",
+    type=click.FloatRange(5, 90),
+    metavar="DB",
+    help="Search for the quality that gives this PSNR in the views given.",
+)
+@click.option(
+    "--target-size",
+    type=byte_count,
+    metavar="SIZE",
+    help="Search for the best quality in a file of this size: 12MB, 500KiB, 20% of SCENE.",
+)
+@click.option(
+    "--preset",
+    type=click.Choice(["fast", "balanced", "best"]),
+    default="balanced",
+    show_default=True,
+    help="fast scores one view in three, and orders by contribution without compensation; best "
+    "plans twice the views, measures every one in full and takes longest.",
+)
+@order_options
+@click.option(
+    "--chunk-splats",
+    type=click.IntRange(1, MAX_CHUNK_SPLATS),
+    default=DEFAULT_LARGEST,
+    show_default=True,
+    metavar="N",
+    help="Most splats in a chunk.",
+)
+@click.option("--no-morton", is_flag=True, help="Keep the order inside chunks as well.")
+@click.option("--no-refine", is_flag=True, help="Write heads fine at once, none coarse first.")
+@click.option(
+    "--no-compensation",
+    is_flag=True,
+    help="Say nothing of how prefixes make up for what they lack; order for prefixes drawn as is.",
+)
+@click.option(
+    "--prune",
+    type=click.FloatRange(0, 1, max_open=True),
+    show_default="0.06",
+    metavar="PEAK",
+    help="Drop splats that are not worth their bytes, of those whose weight stays below PEAK in "
+    "every pixel of every view.",
+)
+@click.option("--no-prune", is_flag=True, help="Keep every splat.")
+@click.option(
+    "--no-extras",
+    is_flag=True,
+    help="Leave out what the splats carry beside what is drawn: labels, normals and so on.",
+)
+@click.option(
+    "--store-cameras", is_flag=True, help="Store the cameras of --cameras in the file, all of them."
+)
+@jitter_option
+@top_k_option
+@eval_every_option(0, "Keep from scoring, and judge by, the")
+@click.option(
+    "--measure",
+    is_flag=True,
+    help="Say how good the file is as its bytes arrive, and where they are.",
+)
+@click.option(
+    "--report",
+    type=PATH,
+    metavar="OUT.html",
+    help="Write what --measure finds, with plots and pictures, as one page.",
+)
+@click.option(
+    "--images",
+    type=PATH,
+    metavar="DIR",
+    help="Photos named as the cameras are: measure against them, too.",
+)
+@background_option
+@edit_options
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def encode(
+    scene: Path,
+    out: Path,
+    cameras: Path | None,
+    profile: str,
+    quality: float,
+    target_psnr: float | None,
+    target_size: ByteCount | None,
+    preset: str,
+    choice: OrderChoice,
+    chunk_splats: int,
+    no_morton: bool,
+    no_refine: bool,
+    no_compensation: bool,
+    prune: float | None,
+    no_prune: bool,
+    no_extras: bool,
+    store_cameras: bool,
+    no_jitter: bool,
+    top_k: int,
+    eval_every: int,
+    measure: bool,
+    report: Path | None,
+    images: Path | None,
+    background: Colour,
+    edits: SceneEdits,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Encode SCENE into a progressive COGS file.
+
+    Splats are scored from the cameras, put in the order of what they contribute, pruned, cut into
+    chunks and compressed. The bytes do not depend on the number of threads.
+    """
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.presets import PRESETS
+    from cogsplat.codec.rate.pruning import PruneConfig
+
+    if prune is not None and no_prune:
+        raise click.UsageError("--prune and --no-prune: expected one of them")
+    if no_extras and choice.by_object:
+        raise click.UsageError("--no-extras and --objects: expected one of them")
+    if store_cameras and cameras is None:
+        raise click.UsageError("--store-cameras without --cameras, expected cameras to store")
+    _require_one_aim(profile, target_psnr, target_size)
+    bound = PruneConfig() if prune is None else PruneConfig(peak=prune)
+    chosen = PRESETS[preset]
+    asked = click.get_current_context().get_parameter_source("order")
+    if asked is click.core.ParameterSource.DEFAULT:
+        choice = choice.over(chosen.order)
+    config = EncodeConfig(
+        profile=profile,
+        quality_db=quality,
+        order=choice.base,
+        chunk_splats=chunk_splats,
+        morton=not no_morton,
+        refine=not no_refine,
+        compensate=chosen.compensate and not no_compensation,
+        prune=None if no_prune else bound,
+        threads=threads,
+    )
+    refuse_existing(out, force=force)
+    if report is not None:
+        refuse_existing(report, force=force)
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("read"):
+            views = scoring_cameras(cameras, eval_every)
+            given = read_any(scene, threads=threads)
+            labelled = choice.labelled(given.splats, cameras, threads=threads, progress=stages)
+            splats = edits.apply(labelled, scene)
+            if no_extras:
+                splats = splats.without_extras()
+            if views is not None:
+                views = [edits.camera(view) for view in views]
+            judges = None
+            if len(splats) and (measure or report is not None or images is not None):
+                judges = Judges.gather(
+                    scene, splats, cameras, eval_every, edits, images, background, threads=threads
+                )
+        if choice.first_view is not None and cameras is None:
+            views = virtual_views(splats, threads=threads, progress=stages)
+        numbered = [edits.camera(view) for view in given_cameras(cameras)] if cameras else views
+        config = replace(config, order=choice.name, ordering=choice.config(numbered or []))
+        size = cogsplat.encode(
+            splats,
+            out,
+            cameras=views,
+            config=config,
+            score_config=chosen.score_config(
+                profile, top_k=top_k, jitter=not no_jitter, threads=threads
+            ),
+            target=_target(target_psnr, target_size, given.file_bytes),
+            preset=preset,
+            stored_cameras=list(numbered or []) if store_cameras else [],
+            measured_on=measured_in(numbered, eval_every) if cameras and numbered else None,
+            force=force,
+            progress=stages,
+        )
+        stages("write", 1, 1)
+        judged: list[PrefixQuality] = []
+        if judges is not None:
+            settings = settings_of(
+                click.get_current_context(), stages.totals.get("score", 0), stages.total_seconds
+            )
+            judged = judges.measure(out, threads=threads, progress=stages)
+            if report is not None:
+                subject = judges.subject(scene, given.file_bytes, out, judged, settings)
+                write_report(report, subject, force=force, progress=stages)
+    if quiet and not as_json:
+        return
+    with cogsplat.open(out) as file:
+        told = _report(file, size, config, stages)
+        seen = _predicted(file)
+        sizes = stored_sizes(file) if judged else []
+    rows_in, kept = given.file_splats, int(file.root.splats)
+    dropped, pruned = rows_in - len(splats), len(splats) - kept
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                **told,
+                "quality": [quality.report() for quality in judged],
+                "attributes": [stored.report() for stored in sizes],
+                "source_bytes": given.file_bytes,
+                "ratio": round(given.file_bytes / size, 3),
+                "splats_in": rows_in,
+                "splats_dropped": dropped,
+                "splats_pruned": pruned,
+            }
+        )
+        return
+    say(f"{out}: {size_text(size)}, {given.file_bytes / size:.1f} times smaller than {scene}")
+    gone = f"{pruned:,} pruned" + (f", {dropped:,} left out" if dropped else "")
+    books = [f"{book.attribute} {book.rows:,}" for book in file.root.codebooks]
+    facts(
+        ("splats", f"{kept:,} of {rows_in:,} ({gone}), {size / max(kept, 1):.2f} B each"),
+        ("chunks", f"{file.num_chunks}, SH degree {file.root.sh_degree}"),
+        ("codebooks", f"{', '.join(books)} rows" if books else ""),
+        ("predicted", f"{seen:.2f} dB in views given to the encoder" if seen else ""),
+        ("scored", counted(stages.totals.get("score", 0), "view") + _with_copies(no_jitter)),
+        ("time", stages.line()),
+        ("report", str(report) if report else ""),
+    )
+    if judges is not None:
+        tell_attributes(sizes, file)
+        judges.tell(judged)
+
+
+def _require_one_aim(
+    profile: str, target_psnr: float | None, target_size: ByteCount | None
+) -> None:
+    aims = {"--target-psnr": target_psnr, "--target-size": target_size}
+    named = [option for option, value in aims.items() if value is not None]
+    context = click.get_current_context()
+    if context.get_parameter_source("quality") is click.core.ParameterSource.COMMANDLINE:
+        named.append("--quality")
+    if len(named) > 1:
+        raise click.UsageError(f"{' and '.join(named)}: expected one of them")
+    if profile == "near" and named and named != ["--quality"]:
+        raise click.UsageError(f"{named[0]} with --profile near, expected a profile for viewing")
+
+
+def _target(
+    target_psnr: float | None, target_size: ByteCount | None, file_bytes: int
+) -> Target | None:
+    from cogsplat.codec.encode.rate_control import Target
+
+    if target_psnr is not None:
+        return Target(psnr_db=target_psnr)
+    if target_size is None:
+        return None
+    wanted = target_size.of(file_bytes) if target_size.is_share else int(target_size.amount)
+    if wanted < 1:
+        raise click.UsageError("--target-size of 0 bytes, expected at least 1")
+    return Target(size_bytes=wanted)
+
+
+def _with_copies(no_jitter: bool) -> str:
+    return "" if no_jitter else ", jittered copies included"
+
+
+def _predicted(file: CogsFile) -> float | None:
+    """Return the PSNR that the encoder saw of the whole scene, dB."""
+    if not len(file.chunks.quality) or not file.chunks.quality[-1]:
+        return None
+    return round(float(file.chunks.quality[-1]), 3)
+
+
+def _report(file: CogsFile, size: int, config: EncodeConfig, stages: Stages) -> dict[str, object]:
+    """Return what the new file holds and how it came about."""
+    splats = file.root.splats
+    return {
+        "bytes": size,
+        "splats": splats,
+        "bytes_per_splat": round(size / max(splats, 1), 3),
+        "sh_degree": file.root.sh_degree,
+        "chunks": file.num_chunks,
+        "codebooks": [
+            {"attribute": book.attribute, "rows": book.rows} for book in file.root.codebooks
+        ],
+        "profile": config.profile,
+        "predicted_psnr_db": _predicted(file),
+        "order": config.order,
+        "scored_views": stages.totals.get("score", 0),
+        "seconds": stages.rounded(),
+    }

@@ -1,0 +1,384 @@
+"""``cogsplat eval``: how good a scene is as it arrives, orders side by side."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+import cogsplat
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.order.orders import Unordered, order_rows
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.view_sets import hold_out
+from cogsplat.formats.storage.atomic import atomic_write, refuse_existing, storage_errors
+from cogsplat.tools.evaluation.lpips import read_lpips
+from cogsplat.tools.evaluation.panel import Panel
+from cogsplat.tools.evaluation.photos import read_photos
+from cogsplat.tools.evaluation.progs_protocol import (
+    BYTES,
+    SHARES,
+    SPLATS,
+    Point,
+    by_bytes,
+    by_splats,
+)
+from cogsplat.tools.evaluation.strips import STRIP_SHARES, Strip, draw_strips
+from cogsplat.tools.evaluation.tables import (
+    STRIPS,
+    Subject,
+    picture_names,
+    report,
+    tell,
+    written_pages,
+)
+from cogsplat.tools.terminal.options import (
+    PATH,
+    background_option,
+    cameras_option,
+    eval_every_option,
+    force_option,
+    jitter_option,
+    json_option,
+    quiet_option,
+    threads_option,
+    top_k_option,
+)
+from cogsplat.tools.terminal.output import facts, name_of, say, say_json
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.values import ByteCount, Colour, byte_count
+
+from .inputs import (
+    given_cameras,
+    judging_cameras,
+    read_any,
+    scoring_cameras,
+    usable_rows,
+    virtual_views,
+)
+from .order_options import OrderChoice, orders_option
+
+
+def shares(text: str) -> tuple[float, ...]:
+    """Read shares of the splats such as ``1,5,20`` in percent, or ``none``.
+
+    Raises
+    ------
+    click.BadParameter
+        They are none.
+    """
+    if text.strip().lower() == "none":
+        return ()
+    try:
+        values = sorted({float(part) / 100 for part in text.split(",")})
+    except ValueError:
+        values = []
+    if not values or not all(0 < value <= 1 for value in values):
+        raise click.BadParameter(f"{text!r}, expected percents such as 1,5,20, or none")
+    return tuple(values)
+
+
+def sizes(text: str) -> tuple[ByteCount, ...]:
+    """Read lengths of a file such as ``32KiB,64KiB,10%``, or ``none``.
+
+    Raises
+    ------
+    click.BadParameter
+        They are none.
+    """
+    if text.strip().lower() == "none":
+        return ()
+    return tuple(byte_count(part) for part in text.split(","))
+
+
+@click.command(
+    name="eval",
+    epilog="\b\nExample:\n"
+    "  cogsplat eval scene.ply --cameras cameras.json --out figures\n"
+    "  cogsplat eval scene.ply --cameras cameras.json --file scene.cogs",
+)
+@click.argument("scene", type=PATH)
+@cameras_option("Without it, views are made up to score on; eval_cameras.json beside SCENE judges.")
+@eval_every_option(8, "Judge by, and keep from scoring, the")
+@orders_option
+@click.option(
+    "--file",
+    "files",
+    type=PATH,
+    multiple=True,
+    metavar="PATH",
+    help="A COGS file of SCENE to judge by bytes, in place of encoding every order; may be given "
+    "again.",
+)
+@click.option(
+    "--shares",
+    "wanted",
+    type=shares,
+    default=",".join(f"{100 * share:g}" for share in SHARES),
+    show_default=True,
+    metavar="P,…",
+    help="Percents of the splats to judge orders at; none for none.",
+)
+@click.option(
+    "--sizes",
+    "lengths",
+    type=sizes,
+    metavar="N|P%,…",
+    help="Lengths of the files to judge at; none for none.  [default: 32 KiB, doubled to the end]",
+)
+@click.option(
+    "--compensate",
+    is_flag=True,
+    help="Judge beginnings of files as they make up for what they lack.",
+)
+@click.option(
+    "--quality",
+    type=click.FloatRange(10, 90),
+    default=40.0,
+    show_default=True,
+    metavar="DB",
+    help="Nominal PSNR of the files that are encoded.",
+)
+@click.option(
+    "--target-psnr",
+    type=click.FloatRange(5, 90),
+    metavar="DB",
+    help="Encode every file to this PSNR instead, in views that do not judge.",
+)
+@click.option(
+    "--out",
+    type=PATH,
+    metavar="DIR",
+    help="Also write the figures as CSV, JSON and SVG, and film-strips, into this folder.",
+)
+@click.option(
+    "--images",
+    type=PATH,
+    metavar="DIR",
+    help="Photos named as the cameras: judge against them, too.",
+)
+@click.option(
+    "--lpips-weights",
+    type=PATH,
+    metavar="FILE",
+    help="State dict of LPIPS, AlexNet or VGG-16, as torch.save or .npz: measure it, too.",
+)
+@jitter_option
+@top_k_option
+@background_option
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def evaluate(
+    scene: Path,
+    cameras: Path | None,
+    eval_every: int,
+    choice: OrderChoice,
+    files: tuple[Path, ...],
+    wanted: tuple[float, ...],
+    lengths: tuple[ByteCount, ...] | None,
+    compensate: bool,
+    quality: float,
+    target_psnr: float | None,
+    out: Path | None,
+    images: Path | None,
+    lpips_weights: Path | None,
+    no_jitter: bool,
+    top_k: int,
+    background: Colour,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Judge SCENE as it arrives, orders side by side.
+
+    Beginnings of every order against the full render: at shares of the splats, nothing quantised,
+    and at lengths of a file that really ends there. Mean PSNR of held-out views, the worst of them,
+    and the mean of roaming views, which stand back and turn away; each also as one figure, its mean
+    over the logarithm of splats or bytes.
+    """
+    by = ([SPLATS] if wanted else []) + ([BYTES] if files or lengths != () else [])
+    if not by:
+        raise click.UsageError("--shares none and --sizes none: nothing to judge")
+    if out is not None:
+        # Before minutes of work, not after.
+        with storage_errors(out):
+            out.mkdir(parents=True, exist_ok=True)
+        for name in ("eval.csv", "eval.json", *picture_names(by)):
+            refuse_existing(out / name, force=force)
+    points: list[Point] = []
+    strips: dict[str, list[Strip]] = {name: [] for name in by}
+    with Stages(shown=not (quiet or as_json)) as stages:
+        subject = _gather(
+            scene,
+            cameras,
+            eval_every,
+            choice,
+            images,
+            lpips_weights,
+            no_jitter,
+            top_k,
+            background,
+            threads=threads,
+            stages=stages,
+        )
+        unordered = Unordered(
+            subject.splats,
+            subject.scores,
+            subject.scored_on,
+            threads,
+            stages,
+            jitter=not no_jitter,
+        )
+        if SPLATS in by:
+            for name in choice.names:
+                with stages.stage("order"):
+                    rows = order_rows(name, unordered, subject.config)
+                points += by_splats(
+                    subject.panel, name, subject.splats, rows, wanted, progress=stages
+                )
+                strips[SPLATS].append(_strip_of_rows(name, subject.splats, rows))
+        if BYTES in by:
+            with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
+                made = [(name_of(path), path) for path in files] or [
+                    (name, Path(folder) / f"{number}.cogs")
+                    for number, name in enumerate(choice.names)
+                ]
+                for name, path in made:
+                    if not files:
+                        _encode(subject, name, path, quality, target_psnr, threads, stages)
+                    size = path.stat().st_size if not files else _size_of(path)
+                    chosen = None if lengths is None else [one.of(size) for one in lengths]
+                    found = by_bytes(
+                        subject.panel,
+                        name,
+                        path,
+                        chosen,
+                        compensate=compensate,
+                        threads=threads,
+                        progress=stages,
+                    )
+                    points += found
+                    strips[BYTES].append(
+                        Strip.of_file(name, path, found, compensate=compensate, threads=threads)
+                    )
+        pages = written_pages(subject, points, by)
+        if out is not None:
+            _write(out, pages, subject, strips, force=force, stages=stages)
+    if as_json:
+        say_json({**report(subject, points, by), "seconds": stages.rounded()})
+        return
+    tell(subject, points, by)
+    if not quiet:
+        say("")
+        written = f"{', '.join([*pages, *(STRIPS[name] for name in by)])} in {out}"
+        facts(("written", written if out is not None else ""), ("time", stages.line()))
+
+
+def _size_of(path: Path) -> int:
+    with storage_errors(path):
+        return path.stat().st_size
+
+
+def _gather(
+    path: Path,
+    cameras: Path | None,
+    eval_every: int,
+    choice: OrderChoice,
+    images: Path | None,
+    lpips_weights: Path | None,
+    no_jitter: bool,
+    top_k: int,
+    background: Colour,
+    *,
+    threads: int,
+    stages: Stages,
+) -> Subject:
+    from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+    from cogsplat.codec.scoring.contribution import score
+
+    with stages.stage("read"):
+        views = scoring_cameras(cameras, eval_every)
+        splats = usable_rows(read_any(path, threads=threads).splats, path)
+        if not len(splats):
+            raise DataError("no-splats", f"{path}: 0 splats, expected some to judge")
+        lpips = None if lpips_weights is None else read_lpips(lpips_weights)
+    splats = choice.labelled(splats, cameras, threads=threads, progress=stages)
+    numbered = given_cameras(cameras) if cameras else []
+    if views is None:
+        numbered = virtual_views(splats, threads=threads, progress=stages)
+        views = hold_out(numbered, eval_every)[0] or numbered
+    config = choice.config(numbered)
+    judging, what = judging_cameras(path, splats, cameras, eval_every)
+    photos = None
+    if images is not None:
+        photos = read_photos(images, splats, judging, background, threads=threads)
+    with stages.stage("references"):
+        panel = Panel(
+            splats,
+            judging,
+            first_view=config.first_view,
+            photos=None if photos is None else photos.pictures,
+            lpips=lpips,
+            background=background,
+            threads=threads,
+        )
+    preset = PRESETS[DEFAULT_PRESET]
+    scored_on = preset.views(views)
+    settings = preset.score_config("transform", top_k=top_k, jitter=not no_jitter, threads=threads)
+    scores = score(splats, scored_on, settings, progress=stages)
+    return Subject(path, splats, scores, scored_on, what, config, panel, photos)
+
+
+def _encode(
+    subject: Subject,
+    name: str,
+    path: Path,
+    quality: float,
+    target_psnr: float | None,
+    threads: int,
+    stages: Stages,
+) -> None:
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.rate_control import Target
+
+    cogsplat.encode(
+        subject.splats.without_extras() if not subject.config.by_object else subject.splats,
+        path,
+        cameras=subject.scored_on,
+        scores=subject.scores,
+        config=EncodeConfig(
+            order=name, ordering=subject.config, quality_db=quality, threads=threads
+        ),
+        target=None if target_psnr is None else Target(psnr_db=target_psnr),
+        progress=stages,
+    )
+
+
+def _strip_of_rows(name: str, splats: Splats, rows: NDArray[np.int64]) -> Strip:
+    return Strip.of_order(name, splats, rows, STRIP_SHARES)
+
+
+def _write(
+    out: Path,
+    pages: Mapping[str, str],
+    subject: Subject,
+    strips: Mapping[str, list[Strip]],
+    *,
+    force: bool,
+    stages: Stages,
+) -> None:
+    from cogsplat.tools.pictures.png import write_png
+
+    for name, text in pages.items():
+        with atomic_write(out / name, force=force) as file:
+            file.write(text.encode())
+    with stages.stage("strips"):
+        for kind, rows in strips.items():
+            write_png(out / STRIPS[kind], draw_strips(subject.panel, rows), force=force)

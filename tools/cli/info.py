@@ -1,0 +1,289 @@
+"""``cogsplat info``: what a file holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+import cogsplat
+from cogsplat.codec.segments.attributes import AttributeType, types_of
+from cogsplat.codec.splats import SceneInfo, Splats, sh_coefficients
+from cogsplat.formats.cogs.reader import CogsFile
+from cogsplat.formats.scenes.registry import format_of, is_cogs
+from cogsplat.tools.evaluation.byte_inventory import (
+    ChunkSizes,
+    StoredSize,
+    chunk_sizes,
+    format_version,
+    stored_sizes,
+)
+from cogsplat.tools.terminal.options import PATH, json_option, quiet_option
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.progress import Stages
+
+from .inputs import read_any
+
+# A longer table is cut in the middle: most chunks of a large scene look alike.
+_MOST_ROWS: Final = 40
+_FIRST_ROWS, _LAST_ROWS = 24, 8
+
+_ATTRIBUTES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat info scene.cogs\n"
+    "  cogsplat info scene.cogs --json | jq .attributes"
+)
+@click.argument("path", type=PATH, metavar="IN")
+@click.option("--verify", is_flag=True, help="Check every hash and decode every chunk of it.")
+@click.option("--all", "all_chunks", is_flag=True, help="List every chunk, however many.")
+@quiet_option
+@json_option
+def info(path: Path, verify: bool, all_chunks: bool, quiet: bool, as_json: bool) -> None:
+    """Show what a file holds.
+
+    Of a COGS file the root, codebooks, chunks and bytes per attribute; of a scene in another format
+    splats, SH degree and ranges.
+    """
+    if not is_cogs(path):
+        if verify:
+            raise click.UsageError(f"{path}: is no COGS file, expected one with --verify")
+        scene = read_any(path)
+        report = _scene_report(path, scene.splats, scene.file_bytes)
+        if as_json:
+            say_json(report)
+        else:
+            _tell_scene(path, scene.splats, scene.file_bytes)
+        return
+    with (
+        cogsplat.open(path) as file,
+        Stages(shown=verify and not (quiet or as_json)) as stages,
+    ):
+        if verify:
+            file.verify(stages)
+        sizes = stored_sizes(file)
+        cameras = len(file.cameras())
+    if as_json:
+        say_json({**_cogs_report(path, file, sizes, cameras), "verified": verify})
+        return
+    _tell_root(path, file, cameras)
+    if verify:
+        facts(("verified", f"{counted(len(file.segments), 'segment')}, all chunks decoded"))
+    _tell_chunks(chunk_sizes(file), all_chunks=all_chunks)
+    tell_attributes(sizes, file)
+
+
+def _decoded_bytes(file: CogsFile) -> int:
+    return 4 * (14 + 3 * (sh_coefficients(file.root.sh_degree) - 1)) * file.root.splats
+
+
+def _cogs_report(
+    path: Path, file: CogsFile, sizes: list[StoredSize], cameras: int
+) -> dict[str, object]:
+    root = file.root
+    view = root.first_view
+    return {
+        "path": name_of(path),
+        "format": "cogs",
+        "version": format_version(path),
+        "writer": root.writer,
+        "bytes": file.file_length,
+        "splats": root.splats,
+        "sh_degree": root.sh_degree,
+        "decoded_bytes": _decoded_bytes(file),
+        "box": root.box.tolist(),
+        "origin": list(root.info.origin),
+        "axes": root.info.axes,
+        "colour_space": root.info.colour_space,
+        "kernel_px": root.info.kernel_px,
+        "antialiased": root.info.antialiased,
+        "first_view": None
+        if view is None
+        else {
+            "width": view.width,
+            "height": view.height,
+            "fx": view.fx,
+            "fy": view.fy,
+            "cx": view.cx,
+            "cy": view.cy,
+            "rotation": view.rotation.tolist(),
+            "translation": view.translation.tolist(),
+        },
+        "codebooks": [{"attribute": book.attribute, "rows": book.rows} for book in root.codebooks],
+        "extras": [
+            {"name": kind.name, "type": kind.dtype, "components": kind.components}
+            for kind in root.attributes
+        ],
+        "cameras": cameras,
+        "index_pages": len(root.pages),
+        "segments": len(file.segments),
+        "chunks": [chunk.report() for chunk in chunk_sizes(file)],
+        "attributes": [size.report() for size in sizes],
+    }
+
+
+def _tell_root(path: Path, file: CogsFile, cameras: int) -> None:
+    root, view = file.root, file.root.first_view
+    say(f"{path}: COGS {format_version(path)}, {size_text(file.file_length)}, by {root.writer}")
+    each = file.file_length / max(root.splats, 1)
+    books = [f"{book.attribute} {book.rows:,}" for book in root.codebooks]
+    low, high = root.box[:3], root.box[3:]
+    axes = ", ".join(
+        f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True)
+    )
+    smoothing = "antialiased" if root.info.antialiased else "not antialiased"
+    facts(
+        ("splats", f"{root.splats:,} at SH degree {root.sh_degree}, {each:.2f} B each"),
+        ("decoded", size_text(_decoded_bytes(file))),
+        ("box", axes),
+        ("origin", _origin(root.info)),
+        ("frame", f"axes {root.info.axes}, colour {root.info.colour_space}"),
+        ("kernel", f"{root.info.kernel_px:g} px², {smoothing}"),
+        (
+            "first view",
+            f"{view.width}x{view.height} px at {_numbers(view.position)}" if view else "none",
+        ),
+        ("cameras", f"{cameras:,} stored" if cameras else ""),
+        ("codebooks", f"{', '.join(books)} rows" if books else "none"),
+        ("attributes", _kinds(root.attributes)),
+        ("index", f"{counted(len(root.pages), 'page')} beside the root" if root.pages else ""),
+    )
+
+
+def _kinds(types: Sequence[AttributeType]) -> str:
+    """Return extra attributes with their types, such as ``label u2, normal f4x3``."""
+    return ", ".join(
+        f"{kind.name} {kind.dtype}" + (f"x{kind.components}" if kind.components else "")
+        for kind in types
+    )
+
+
+def _tell_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
+    if not chunks:
+        return
+    rows = [
+        (
+            str(chunk.number),
+            f"{chunk.splats:,}",
+            f"{chunk.head_bytes:,}",
+            f"{chunk.refinement_bytes:,}" if chunk.refinement_bytes else "-",
+            f"{chunk.tail_bytes:,}" if chunk.tail_bytes else "-",
+            f"{chunk.head_offset:,}",
+            f"{chunk.contribution_share:.2%}" if chunk.contribution_share is not None else "-",
+            f"{chunk.share_so_far:.2%}" if chunk.share_so_far is not None else "-",
+            f"{chunk.object_label}",
+        )
+        for chunk in chunks
+    ]
+    hidden = len(rows) - _FIRST_ROWS - _LAST_ROWS
+    if len(rows) > _MOST_ROWS and not all_chunks:
+        gap = ("", f"{hidden:,} more", "--all", "lists", "them", "", "", "", "")
+        rows = [*rows[:_FIRST_ROWS], gap, *rows[-_LAST_ROWS:]]
+    heads = (
+        "chunk",
+        "splats",
+        "head B",
+        "finer B",
+        "tail B",
+        "head at",
+        "contribution",
+        "so far",
+        "object",
+    )
+    # Most scenes have no objects.
+    columns = len(heads) if any(chunk.object_label for chunk in chunks) else len(heads) - 1
+    say("")
+    table(heads[:columns], [row[:columns] for row in rows], left=0)
+
+
+def tell_attributes(sizes: list[StoredSize], file: CogsFile) -> None:
+    """Print what every kind of stream takes."""
+    rows = [
+        (
+            size.segment,
+            size.label,
+            f"{size.stored_bytes:,}",
+            f"{size.stored_bytes / file.file_length:.1%}",
+            f"{8 * size.stored_bytes / max(file.root.splats, 1):.2f}",
+        )
+        for size in sizes
+    ]
+    total = sum(size.stored_bytes for size in sizes)
+    each = f"{8 * total / max(file.root.splats, 1):.2f}"
+    rows.append(("", "total", f"{total:,}", f"{total / file.file_length:.1%}", each))
+    say("")
+    table(("segment", "stream", "bytes", "share", "bits/splat"), rows, left=2)
+
+
+def _ranges(splats: Splats) -> dict[str, tuple[float, float, int]]:
+    """Return the least and the largest finite value of each array, and how many are not finite."""
+    ranges: dict[str, tuple[float, float, int]] = {}
+    for name in _ATTRIBUTES:
+        values: NDArray[np.float32] = getattr(splats, name)
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            odd = values.size - finite.size
+            ranges[name] = (float(finite.min()), float(finite.max()), odd)
+    return ranges
+
+
+def _scene_report(path: Path, splats: Splats, file_bytes: int) -> dict[str, object]:
+    return {
+        "path": name_of(path),
+        "format": format_of(path).name,
+        "bytes": file_bytes,
+        "splats": len(splats),
+        "sh_degree": splats.sh_degree,
+        "invalid_splats": int(splats.invalid_rows().sum()),
+        "origin": list(splats.info.origin),
+        "axes": splats.info.axes,
+        "colour_space": splats.info.colour_space,
+        "kernel_px": splats.info.kernel_px,
+        "antialiased": splats.info.antialiased,
+        "extras": [
+            {"name": kind.name, "type": kind.dtype, "components": kind.components}
+            for kind in types_of(splats.extras)
+        ],
+        "ranges": {
+            name: {"min": low, "max": high, "not_finite": odd}
+            for name, (low, high, odd) in _ranges(splats).items()
+        },
+    }
+
+
+def _tell_scene(path: Path, splats: Splats, file_bytes: int) -> None:
+    name = format_of(path).name
+    say(f"{path}: {name}, {counted(len(splats), 'splat')} at SH degree {splats.sh_degree}")
+    invalid = int(splats.invalid_rows().sum())
+    facts(
+        ("bytes", f"{size_text(file_bytes)}, {file_bytes / max(len(splats), 1):.2f} B each"),
+        ("invalid", f"{counted(invalid, 'splat')}; encode --drop-invalid leaves them out")
+        if invalid
+        else ("invalid", "none"),
+        ("origin", _origin(splats.info)),
+        ("attributes", _kinds(types_of(splats.extras))),
+    )
+    rows = [
+        (name, f"{low:.4g}", f"{high:.4g}", f"{odd:,}" if odd else "-")
+        for name, (low, high, odd) in _ranges(splats).items()
+    ]
+    if rows:
+        say("")
+        table(("attribute", "least", "largest", "not finite"), rows)
+
+
+def _origin(info: SceneInfo) -> str:
+    """Return an origin in full, nothing where it is at zero: on maps, every digit counts."""
+    if not any(info.origin):
+        return ""
+    return "(" + ", ".join(f"{value:.12g}" for value in info.origin) + ")"
+
+
+def _numbers(values: tuple[float, ...] | NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"

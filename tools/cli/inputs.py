@@ -1,0 +1,336 @@
+"""What commands are given: a scene or a part of one, and the views to see it from."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import click
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import CogsplatWarning, DataError, LimitError
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.view_sets import hold_out
+from cogsplat.formats.cogs.reader import CogsFile
+from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes
+from cogsplat.formats.storage.source import FileSource, PrefixSource, Source
+from cogsplat.tools.terminal.values import ByteCount, ChunkRange
+
+EVAL_CAMERAS: Final = "eval_cameras.json"
+"""Cameras beside a scene that has none of its own: they judge, nothing is scored on them."""
+
+EVAL_EVERY: Final = 8
+"""What ``--eval-every`` is in commands that judge, unless said."""
+
+_FEWEST_JUDGES: Final = 4
+# Objects that a message lists.
+_MOST_NAMED: Final = 12
+
+# Three float32 images of this many pixels take 4.5 GiB.
+_MAX_VIEW_PIXELS: Final = 1 << 27
+
+
+@dataclass(frozen=True)
+class Part:
+    """What is wanted of a scene; of the first three fields one at most.
+
+    Parameters
+    ----------
+    chunks : ChunkRange or None
+    least_splats : int or None
+        Whole chunks from the first until there are so many splats.
+    size : ByteCount or None
+        What is complete in the first bytes of the file.
+    sh_degree : int or None
+    objects : tuple of int or None
+        Chunks of these objects alone; `least_splats` counts theirs.
+    refine : bool
+        Whether refinements are read.
+    compensate : bool
+        Whether the first chunks make up for what is missing.
+    """
+
+    chunks: ChunkRange | None = None
+    least_splats: int | None = None
+    size: ByteCount | None = None
+    sh_degree: int | None = None
+    objects: tuple[int, ...] | None = None
+    refine: bool = True
+    compensate: bool = False
+
+    def __post_init__(self) -> None:
+        given = {"--chunks": self.chunks, "--splats": self.least_splats, "--bytes": self.size}
+        named = [option for option, value in given.items() if value is not None]
+        if len(named) > 1:
+            raise click.UsageError(f"{' and '.join(named)}: expected one of them")
+        if self.compensate and self.objects is not None:
+            raise click.UsageError("--compensate and --object: expected one of them")
+        if self.compensate and self.chunks is not None and self.chunks.first:
+            raise click.UsageError("--compensate with --chunks, expected chunks from 0 on")
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether it may lack splats."""
+        cuts = (self.chunks, self.least_splats, self.size, self.objects)
+        return any(x is not None for x in cuts)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A scene that was read, and what its file says beside it.
+
+    Parameters
+    ----------
+    splats : Splats
+    file_bytes : int
+        Of the whole file.
+    bytes_read : int
+        Of the file's first bytes, those that were looked at.
+    chunks : sequence of int
+        Chunks decoded; none for foreign scenes.
+    file_chunks, file_splats : int
+        What the file holds.
+    without_tails : tuple of int
+        Chunks whose shN is zero because their tails lie beyond the bytes looked at.
+    first_view : Camera or None
+    lost_extras : tuple of str
+        Extra attributes that the file lists and the part does not have for every chunk.
+    unrefined : tuple of int
+        Chunks whose values are coarse because their refinements lie beyond the bytes looked at.
+    """
+
+    splats: Splats
+    file_bytes: int
+    bytes_read: int
+    chunks: Sequence[int]
+    file_chunks: int
+    file_splats: int
+    without_tails: tuple[int, ...]
+    first_view: Camera | None
+    lost_extras: tuple[str, ...] = ()
+    unrefined: tuple[int, ...] = ()
+
+
+def read_any(
+    path: Path, part: Part | None = None, *, threads: int = 0, progress: Progress = silent
+) -> Scene:
+    """Read a scene of any format, COGS included.
+
+    Raises
+    ------
+    click.UsageError
+        A part of a foreign scene, which has no chunks.
+    CogsplatError
+        The file cannot be read.
+    """
+    part = part or Part()
+    if is_cogs(path):
+        return decode_part(path, part, threads=threads, progress=progress)
+    if part.is_cut or part.compensate:
+        raise click.UsageError(
+            f"{path}: is no COGS file, expected one with --chunks, --splats, --bytes, --object "
+            "or --compensate"
+        )
+    splats = read_scene(path)
+    size = scene_bytes(path)
+    rows = len(splats)
+    if part.sh_degree is not None:
+        splats = splats.with_sh_degree(part.sh_degree)
+    return Scene(splats, size, size, range(0), 0, rows, (), None)
+
+
+def decode_part(path: Path, part: Part, *, threads: int = 0, progress: Progress = silent) -> Scene:
+    """Decode a COGS file or a part of it.
+
+    Raises
+    ------
+    click.UsageError
+        A range of chunks, or an object, that the file does not have.
+    CogsplatError
+        The file cannot be read or breaks SPEC.
+    """
+    whole = FileSource(path)
+    source: Source = whole
+    if part.size is not None:
+        source = PrefixSource(whole, part.size.of(whole.size))
+    with cogsplat.open(source, partial=part.size is not None) as file:
+        chunks: Sequence[int] = range(file.complete_chunks())
+        if part.chunks is not None:
+            chunks = _chosen(part.chunks, file.num_chunks)
+        if part.objects is not None:
+            own = set(_of_objects(file, part.objects))
+            chunks = [chunk for chunk in chunks if chunk in own]
+        if part.least_splats is not None:
+            chunks = file.first_chunks(chunks, part.least_splats)
+        splats = file.decode(
+            chunks,
+            sh_degree=part.sh_degree,
+            refine=part.refine,
+            compensate=part.compensate,
+            threads=threads,
+            progress=progress,
+        )
+        missing = [chunk for chunk in chunks if not file.has_tail(chunk, splats.sh_degree)]
+        return Scene(
+            splats=splats,
+            file_bytes=file.file_length,
+            bytes_read=source.size,
+            chunks=chunks,
+            file_chunks=file.num_chunks,
+            file_splats=file.root.splats,
+            without_tails=tuple(missing) if splats.sh_degree else (),
+            first_view=file.root.first_view,
+            lost_extras=tuple(
+                kind.name for kind in file.root.attributes if kind.name not in splats.extras
+            ),
+            unrefined=tuple(chunk for chunk in chunks if not file.has_refinement(chunk)),
+        )
+
+
+def _chosen(wanted: ChunkRange, chunks: int) -> range:
+    first = 0 if wanted.first is None else wanted.first
+    last = chunks if wanted.last is None else wanted.last
+    if not first <= last <= chunks:
+        raise click.UsageError(f"--chunks {first}:{last}, expected a range within 0:{chunks}")
+    return range(first, last)
+
+
+def _of_objects(file: CogsFile, wanted: Sequence[int]) -> list[int]:
+    found = file.chunks_of_objects(wanted)
+    there = sorted(set(file.chunks.object.tolist()))
+    missing = [label for label in wanted if label not in there]
+    if missing:
+        named = f"{', '.join(map(str, there[:_MOST_NAMED]))}{' …' * (len(there) > _MOST_NAMED)}"
+        raise click.UsageError(f"--object {missing[0]}, expected some of {named}")
+    return found
+
+
+def usable_rows(splats: Splats, where: Path) -> Splats:
+    """Return the rows that can be drawn, with a warning where that leaves some out.
+
+    Raises
+    ------
+    DataError
+        ``no-valid-rows``: it leaves none.
+    """
+    bad = splats.invalid_rows()
+    count = int(bad.sum())
+    if not count:
+        return splats
+    if count == len(splats):
+        raise DataError(
+            "no-valid-rows", f"{where}: none of {count} splats can be drawn, expected some"
+        )
+    warnings.warn(
+        f"{where}: {count:,} of {len(splats):,} splats hold NaN, infinite values or a zero "
+        "quaternion and are left out",
+        CogsplatWarning,
+        stacklevel=2,
+    )
+    return splats.take(~bad)
+
+
+def given_cameras(path: Path) -> list[Camera]:
+    """Read cameras, none larger than can be drawn.
+
+    Raises
+    ------
+    LimitError
+        ``view-size``.
+    CogsplatError
+        They cannot be read.
+    """
+    cameras = cogsplat.read_cameras(path)
+    for camera in cameras:
+        if camera.width * camera.height > _MAX_VIEW_PIXELS:
+            raise LimitError(
+                "view-size",
+                f"{path}: camera {camera.name!r} has {camera.width}x{camera.height} pixels, "
+                f"expected at most {_MAX_VIEW_PIXELS} in all",
+            )
+    return cameras
+
+
+def scoring_cameras(path: Path | None, every: int) -> list[Camera] | None:
+    """Return the cameras to score on, without those held out; None where none are given."""
+    if path is None:
+        return None
+    train, held = hold_out(given_cameras(path), every)
+    if not train:
+        raise click.UsageError(
+            f"--eval-every {every} holds out all {len(held)} cameras of {path}, "
+            "expected some to score on"
+        )
+    return train
+
+
+def measured_in(cameras: Sequence[Camera], every: int) -> list[Camera]:
+    """Return the cameras that an encode is measured in: those that tell most of its judges.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        All that were given, in file order.
+    every : int
+        Cameras held out; they are not measured in, those next to them in the file are. Where none
+        are held out, every eighth is measured in, as `compare` judges where it is not told.
+
+    Returns
+    -------
+    list of Camera
+        All that may be measured in where that would leave too few to go by.
+    """
+    if every:
+        allowed, _ = hold_out(cameras, every)
+        last = len(cameras) - 1
+        beside = {row + side for row in range(0, len(cameras), every) for side in (-1, 1)}
+        found = [cameras[row] for row in sorted(beside) if 0 <= row <= last and row % every]
+    else:
+        allowed = list(cameras)
+        _, found = hold_out(cameras, EVAL_EVERY)
+    return found if len(found) >= _FEWEST_JUDGES else allowed
+
+
+def virtual_views(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> list[Camera]:
+    """Plan the views of a scene that came without cameras.
+
+    Raises
+    ------
+    DataError
+        ``empty-scene``.
+    """
+    from cogsplat.codec.views.planner import ViewPlanConfig, plan_views
+
+    return plan_views(splats, ViewPlanConfig(threads=threads), progress=progress)
+
+
+def judging_cameras(
+    reference: Path, splats: Splats, path: Path | None, every: int
+) -> tuple[Sequence[Camera], str]:
+    """Return the cameras to judge by, and what they are.
+
+    Parameters
+    ----------
+    reference : Path
+        The scene's file; ``eval_cameras.json`` beside it is used, all of it, where no cameras are
+        given.
+    splats : Splats
+        The scene, for virtual views where there are no cameras at all.
+    path : Path or None
+        Cameras given.
+    every : int
+        Of cameras given and of virtual views, those with ``index % every == 0``; 0 for all.
+    """
+    beside = reference.parent / EVAL_CAMERAS
+    if path is not None:
+        cameras, what = given_cameras(path), f"cameras of {path}"
+    elif beside.is_file():
+        return given_cameras(beside), f"cameras of {beside}"
+    else:
+        cameras, what = virtual_views(splats), "virtual views"
+    return (hold_out(cameras, every)[1] if every else cameras), what

@@ -1,0 +1,270 @@
+"""The command line: one group, and the one place where its commands fail."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from types import FrameType
+from typing import Final
+
+import click
+
+import cogsplat
+from cogsplat.codec.errors import (
+    Cancelled,
+    CogsplatError,
+    CogsplatWarning,
+    LimitError,
+    StorageError,
+    UnsupportedError,
+)
+from cogsplat.formats.cogs import layout
+from cogsplat.formats.storage.atomic import storage_error
+from cogsplat.tools.terminal.output import WARNINGS, say_json
+
+from .bench import bench
+from .compare import compare, render
+from .convert import convert
+from .decode import decode
+from .encode import encode
+from .evaluate import evaluate
+from .info import info
+from .order import order
+from .score import score
+from .stats import stats
+from .synth import demo, synth
+from .views import views
+
+_USAGE: Final = 2
+
+# Packages of the extra `encode`, by the names they are imported under.
+_ENCODE_EXTRA: Final = frozenset({"numba", "scipy", "sklearn", "threadpoolctl", "plyfile", "PIL"})
+
+# What ends the work as Ctrl-C does, so that nothing half-written stays behind.
+_STOP_SIGNALS: Final = ("SIGTERM", "SIGHUP")
+
+_JSON: Final = "cogsplat.json"
+
+
+class _OutputError(StorageError):
+    """What was printed did not arrive."""
+
+
+class CommandLine(click.Group):
+    """A group of commands that turns every failure into a message and an exit code.
+
+    Usage is 2, the rest as `CogsplatError.exit_code` says; a fault of the program itself keeps its
+    traceback and exits with 1.
+    """
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the commands in the order of their use."""
+        return list(self.commands)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the group's own options; without any argument, show the help."""
+        if not args and not ctx.resilient_parsing:
+            click.echo(ctx.get_help(), err=True)
+            ctx.exit(_USAGE)
+        return super().parse_args(ctx, args)
+
+    def make_context(
+        self,
+        info_name: str | None,
+        args: list[str],
+        parent: click.Context | None = None,
+        **extra: object,
+    ) -> click.Context:
+        """Parse the group's own options, failures told."""
+        as_json = "--json" in args
+        with _failures_told(as_json):
+            ctx = super().make_context(info_name, args, parent, **extra)
+        ctx.meta[_JSON] = as_json
+        return ctx
+
+    def invoke(self, ctx: click.Context) -> object:
+        """Run a command, failures told."""
+        as_json = bool(ctx.meta[_JSON])
+        with _failures_told(as_json), _stoppable(), _warnings_told(ctx, as_json):
+            return super().invoke(ctx)
+
+
+@contextmanager
+def _failures_told(as_json: bool) -> Iterator[None]:
+    """Tell what the block raises and leave with its exit code."""
+    try:
+        with _as_cogsplat_errors():
+            try:
+                yield
+            except click.exceptions.Exit:
+                _flush()
+                raise
+            _flush()
+    except click.ClickException as error:
+        hint = ""
+        if isinstance(error, click.UsageError) and error.ctx:
+            hint = f"try '{error.ctx.command_path} --help'"
+        _tell("usage", error.format_message(), _USAGE, as_json, hint)
+        raise click.exceptions.Exit(_USAGE) from None
+    except CogsplatError as error:
+        arrives = not isinstance(error, _OutputError)
+        _tell(error.code, error.message, error.exit_code, as_json and arrives)
+        raise click.exceptions.Exit(error.exit_code) from None
+
+
+@contextmanager
+def _as_cogsplat_errors() -> Iterator[None]:
+    """Turn what else may go wrong outside the program into a `CogsplatError`."""
+    try:
+        yield
+    except (KeyboardInterrupt, click.Abort) as error:
+        raise Cancelled("interrupted") from error
+    except MemoryError as error:
+        raise LimitError("memory", f"out of memory: {error or 'no more to be had'}") from error
+    except ModuleNotFoundError as error:
+        module = (error.name or "").partition(".")[0]
+        if module not in _ENCODE_EXTRA:
+            raise
+        raise UnsupportedError(
+            "needs-extra",
+            f"this takes {module}, which is not installed; it needs the extra: "
+            "pip install 'cogsplat[encode]'",
+        ) from error
+    except OSError as error:
+        # Files report theirs as `StorageError`; what is left is what was printed.
+        _drop_output()
+        if isinstance(error, BrokenPipeError):
+            raise _OutputError("broken-pipe", "closed by its reader") from error
+        told = storage_error(error, "standard output")
+        raise _OutputError(told.code, told.message) from error
+
+
+def _flush() -> None:
+    # Here rather than when the interpreter ends, where a failure could no longer be told.
+    if sys.stdout is not None:
+        sys.stdout.flush()
+
+
+def _drop_output() -> None:
+    """Send what standard output still holds nowhere, or the interpreter fails on it again."""
+    # In-memory outputs have no descriptor and hold nothing back.
+    with suppress(OSError, ValueError, AttributeError):
+        descriptor = sys.stdout.fileno()
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, descriptor)
+        os.close(nowhere)
+
+
+def _tell(code: str, message: str, exit_code: int, as_json: bool, hint: str = "") -> None:
+    # Whoever closed the pipe, as `head` does, has all it wanted.
+    if code == "broken-pipe":
+        return
+    # Where even this does not arrive, the exit code still tells.
+    with suppress(OSError):
+        if as_json:
+            say_json({"error": {"code": code, "message": message, "exit_code": exit_code}})
+            _flush()
+            return
+        click.echo(f"error: {message} [{code}]", err=True)
+        if hint:
+            click.echo(hint, err=True)
+        return
+    _drop_output()
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """Let signals that end a process interrupt the block, so that it cleans up."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    with ExitStack() as stack:
+        for name in _STOP_SIGNALS:
+            number = getattr(signal, name, None)
+            # One that is ignored, as under nohup, stays ignored.
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, _interrupt)
+                stack.callback(signal.signal, number, signal.SIG_DFL)
+        yield
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def _warnings_told(ctx: click.Context, as_json: bool) -> Iterator[None]:
+    """Print each `CogsplatWarning` of the block once, or keep it for the JSON object."""
+    told: list[str] = []
+    ctx.meta[WARNINGS] = told
+    with warnings.catch_warnings():
+        show_other = warnings.showwarning
+
+        def show(
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: object = None,
+            line: str | None = None,
+        ) -> None:
+            if not issubclass(category, CogsplatWarning):
+                show_other(message, category, filename, lineno, None, line)
+            elif str(message) not in told:
+                told.append(str(message))
+                if not as_json:
+                    click.echo(f"warning: {message}", err=True)
+
+        warnings.showwarning = show
+        warnings.simplefilter("always", CogsplatWarning)
+        yield
+
+
+@click.group(
+    cls=CommandLine,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="\b\nExample:\n"
+    "  cogsplat demo\n\n"
+    "Exit status: 0 done, 2 misuse, 3 invalid data, 4 input or output failed, 5 a limit was "
+    "reached, 130 interrupted. A command that fails leaves no half-written file.",
+)
+@click.version_option(
+    cogsplat.__version__,
+    message=f"cogsplat %(version)s, COGS {layout.MAJOR}.{layout.MINOR}",
+)
+def cli() -> None:
+    """Turn 3D Gaussian splatting scenes into progressive COGS files and back."""
+
+
+_COMMANDS: Final[Sequence[click.Command]] = (
+    encode,
+    decode,
+    convert,
+    info,
+    stats,
+    score,
+    order,
+    views,
+    render,
+    compare,
+    evaluate,
+    bench,
+    synth,
+    demo,
+)
+for _command in _COMMANDS:
+    cli.add_command(_command)
+
+
+def main() -> None:
+    """Run the command line."""
+    cli(prog_name="cogsplat")
+
+
+if __name__ == "__main__":
+    main()

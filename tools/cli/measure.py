@@ -1,0 +1,187 @@
+"""How ``cogsplat encode`` judges what it wrote: by which views, and how it tells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import click
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.splats import Splats
+from cogsplat.tools.evaluation import prefix_quality, report_page
+from cogsplat.tools.evaluation.photos import Photos, read_photos
+from cogsplat.tools.evaluation.prefix_quality import PrefixQuality
+from cogsplat.tools.terminal.output import facts, say, size_text, table
+from cogsplat.tools.terminal.values import ByteCount, Colour
+
+from .inputs import judging_cameras
+from .scene_edits import SceneEdits
+
+_SETTINGS: Final = (
+    "profile",
+    "quality",
+    "target_psnr",
+    "target_size",
+    "preset",
+    "order",
+    "chunk_splats",
+    "no_morton",
+    "no_refine",
+    "no_compensation",
+    "prune",
+    "no_prune",
+    "no_jitter",
+    "top_k",
+    "eval_every",
+    "background",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Judges:
+    """What a new file is judged by.
+
+    Parameters
+    ----------
+    source : Splats
+        What is encoded.
+    cameras : sequence of Camera
+    what : str
+        What they are, in words.
+    background : tuple of float
+        RGB behind the splats.
+    photos : Photos or None
+    """
+
+    source: Splats
+    cameras: Sequence[Camera]
+    what: str
+    background: Colour
+    photos: Photos | None
+
+    @classmethod
+    def gather(
+        cls,
+        scene: Path,
+        source: Splats,
+        cameras: Path | None,
+        eval_every: int,
+        edits: SceneEdits,
+        images: Path | None,
+        background: Colour,
+        *,
+        threads: int = 0,
+    ) -> Judges:
+        """Find the views, before minutes of work: those held out, else all there are.
+
+        Raises
+        ------
+        CogsplatError
+            Cameras or photos cannot be read.
+        """
+        views, what = judging_cameras(scene, source, cameras, eval_every)
+        if cameras is not None:
+            what += " never given to the encoder" if eval_every else ", all given to the encoder"
+        if what != "virtual views":
+            views = [edits.camera(view) for view in views]
+        photos = None
+        if images is not None:
+            photos = read_photos(images, source, views, background, threads=threads)
+        return cls(source, views, what, background, photos)
+
+    def measure(
+        self, path: Path, *, threads: int = 0, progress: Progress = silent
+    ) -> list[PrefixQuality]:
+        """Measure a file at several lengths (`prefix_quality.measure`)."""
+        return prefix_quality.measure(
+            path,
+            self.source,
+            self.cameras,
+            background=self.background,
+            photos=self.photos,
+            threads=threads,
+            progress=progress,
+        )
+
+    def subject(
+        self,
+        scene: Path,
+        scene_bytes: int,
+        path: Path,
+        found: Sequence[PrefixQuality],
+        settings: Sequence[tuple[str, str]],
+    ) -> report_page.Subject:
+        """Return what a report on a file needs."""
+        return report_page.Subject(
+            scene=scene,
+            source_bytes=scene_bytes,
+            source=self.source,
+            path=path,
+            cameras=self.cameras,
+            judged_by=self.what,
+            background=self.background,
+            photos=self.photos,
+            qualities=found,
+            settings=settings,
+        )
+
+    def tell(self, found: Sequence[PrefixQuality]) -> None:
+        """Print the figures of a file."""
+        columns = ["bytes", "", "splats", "PSNR dB", "SSIM", "worst", "roam"]
+        rows = [
+            [
+                f"{q.share:.0%}",
+                size_text(q.size_bytes),
+                f"{q.splats:,}",
+                f"{q.held_out_db:.2f}",
+                f"{q.held_out_ssim:.4f}",
+                f"{q.worst_db:.2f}",
+                f"{q.roam_db:.2f}",
+                *([] if q.photos_db is None else [f"{q.photos_db:.2f}"]),
+            ]
+            for q in found
+        ]
+        say("")
+        say(f" by {self.what}")
+        table([*columns, *(["photos"] if self.photos else [])], rows, left=0)
+        reached = found[-1].photos_db
+        if self.photos and reached is not None:
+            source_db = self.photos.source_db
+            say("")
+            facts(("photos", f"source {source_db:.2f} dB, {source_db - reached:.2f} lost"))
+
+
+def settings_of(context: click.Context, views: int, seconds: float) -> list[tuple[str, str]]:
+    """Return the options that shaped a file, and what they led to.
+
+    Parameters
+    ----------
+    context : click.Context
+        Of ``encode``.
+    views : int
+        Scored.
+    seconds : float
+        That encoding took.
+    """
+    settings = []
+    for option in context.command.params:
+        name = option.name or ""
+        value = context.params.get(name)
+        if name in _SETTINGS and value is not None and value is not False:
+            default = context.get_parameter_source(name) is click.core.ParameterSource.DEFAULT
+            settings.append((option.opts[0], f"{_plain(value)}{' (default)' if default else ''}"))
+    return [*settings, ("views scored", str(views)), ("seconds", f"{seconds:.1f}")]
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, ByteCount):
+        return (
+            f"{float(value.amount):.4g} of SCENE" if value.is_share else f"{int(value.amount):,} B"
+        )
+    if isinstance(value, tuple):
+        return ", ".join(f"{part:g}" for part in value)
+    return "yes" if value is True else str(value)

@@ -1,0 +1,153 @@
+"""``cogsplat order``: which splats come first, as a permutation."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import CogsplatWarning
+from cogsplat.codec.order import objects
+from cogsplat.codec.order.chunks import DEFAULT_LARGEST
+from cogsplat.codec.order.orders import Unordered, order_rows
+from cogsplat.formats.storage.atomic import atomic_write, refuse_existing
+from cogsplat.tools.terminal.options import (
+    PATH,
+    cameras_option,
+    eval_every_option,
+    force_option,
+    jitter_option,
+    json_option,
+    quiet_option,
+    threads_option,
+    top_k_option,
+)
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, table
+from cogsplat.tools.terminal.progress import Stages
+
+from .inputs import given_cameras, read_any, scoring_cameras, virtual_views
+from .order_options import OrderChoice, order_options
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat order scene.ply rows.npy --cameras cameras.json\n"
+    "  cogsplat order scene.ply rows.npy --cameras cameras.json --first-view 3"
+)
+@click.argument("path", type=PATH, metavar="SCENE")
+@click.argument("out", type=PATH, metavar="OUT.npy")
+@cameras_option("Without it, views are made up around the scene.")
+@order_options
+@jitter_option
+@top_k_option
+@eval_every_option(0, "Keep from scoring the")
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def order(
+    path: Path,
+    out: Path,
+    cameras: Path | None,
+    choice: OrderChoice,
+    no_jitter: bool,
+    top_k: int,
+    eval_every: int,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Say which splats of SCENE come first.
+
+    OUT.npy holds an int64 for each splat: the rows of the file, first to last. Nothing is pruned.
+    """
+    from cogsplat.codec.scoring.contribution import ScoreConfig, score
+
+    refuse_existing(out, force=force)
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("read"):
+            given = read_any(path, threads=threads).splats
+            views = scoring_cameras(cameras, eval_every)
+            numbered = given_cameras(cameras) if cameras else []
+        splats = choice.labelled(given, cameras, threads=threads, progress=stages)
+        if views is None:
+            views = numbered = virtual_views(splats, threads=threads, progress=stages)
+        config = choice.config(numbered)
+        settings = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads)
+        scores = score(splats, views, settings, progress=stages)
+        with stages.stage("order"):
+            scene = Unordered(splats, scores, views, threads, stages, jitter=not no_jitter)
+            rows = order_rows(choice.name, scene, config)
+            labels: NDArray[np.uint32] | None = None
+            if choice.by_object:
+                labels = objects.labels_of(splats)
+                rows = objects.arrange(
+                    rows, labels, scores.contribution, DEFAULT_LARGEST, config.object_budgets
+                ).rows
+        write_rows(out, rows, force=force)
+        stages("write", 1, 1)
+    invalid = int(splats.invalid_rows().sum())
+    if invalid:
+        warnings.warn(
+            f"{path}: {invalid:,} of {len(splats):,} splats cannot be drawn",
+            CogsplatWarning,
+            stacklevel=1,
+        )
+    held = [] if labels is None else _objects(labels, scores.contribution)
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                "splats": len(splats),
+                "order": choice.name,
+                "scored_views": stages.totals["score"],
+                "objects": [
+                    {"object": label, "splats": count, "share_of_contribution": round(share, 6)}
+                    for label, count, share in held
+                ],
+                "seconds": stages.rounded(),
+            }
+        )
+    elif not quiet:
+        say(f"{out}: {choice.name} order of {counted(len(splats), 'splat')}, int64")
+        seen = "" if no_jitter else ", jittered included"
+        facts(("views", f"{stages.totals['score']}{seen}"), ("time", stages.line()))
+        if held:
+            say("")
+            cells = [(f"{label}", f"{count:,}", f"{share:.1%}") for label, count, share in held]
+            table(("object", "splats", "of contribution"), cells, left=0)
+
+
+def write_rows(path: Path, rows: NDArray[np.int64], *, force: bool = False) -> None:
+    """Write a permutation as a .npy file.
+
+    Raises
+    ------
+    StorageError
+        As `atomic_write`.
+    """
+    # In memory first: numpy's own writing to files loses the reason of a failure.
+    page = io.BytesIO()
+    np.save(page, rows)
+    with atomic_write(path, force=force) as file:
+        file.write(page.getbuffer())
+
+
+def _objects(
+    labels: NDArray[np.uint32], contribution: NDArray[np.float64]
+) -> list[tuple[int, int, float]]:
+    """Return label, splats and share of all contribution of every object, as they rank."""
+    found, total = objects.ranked(labels, contribution)
+    whole = float(total.sum()) or 1.0
+    counts = dict(
+        zip(*(part.tolist() for part in np.unique(labels, return_counts=True)), strict=True)
+    )
+    return [
+        (label, counts[label], share / whole)
+        for label, share in zip(found.tolist(), total.tolist(), strict=True)
+    ]

@@ -1,0 +1,351 @@
+"""Options that say which splats come first, and what they mean for a scene."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import click
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.order import objects
+from cogsplat.codec.order.octree import MAX_DEPTH
+from cogsplat.codec.order.orders import (
+    FIRST_VIEW,
+    FRUSTUM,
+    ORDERS,
+    POSE_RULES,
+    OrderConfig,
+    split_name,
+)
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.splats import Splats
+from cogsplat.tools.terminal.options import PATH
+
+from .inputs import given_cameras
+
+_DEFAULTS: Final = OrderConfig()
+
+Budgets = tuple[tuple[int | None, float], ...]
+
+
+@dataclass(frozen=True)
+class OrderChoice:
+    """What was asked for.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Orders, each alone or with a rule for a pose; all commands but one take one.
+    first_view : int or None
+        Index of a camera.
+    first_view_share, first_view_mix, frustum_share : float
+    octree_depth, seed : int
+    by_object : bool
+    budgets : Budgets
+    masks : Path or None
+        Folder of masks that labels are made from.
+    """
+
+    names: tuple[str, ...]
+    first_view: int | None
+    first_view_share: float
+    first_view_mix: float
+    frustum_share: float
+    octree_depth: int
+    seed: int
+    by_object: bool
+    budgets: Budgets
+    masks: Path | None
+
+    @property
+    def name(self) -> str:
+        """The first order."""
+        return self.names[0]
+
+    @property
+    def base(self) -> str:
+        """The order without its rule for a pose."""
+        return split_name(self.name)[0]
+
+    def over(self, base: str) -> OrderChoice:
+        """Return the same rule for a pose over another order."""
+        rule = split_name(self.name)[1]
+        return replace(self, names=(f"{base}+{rule}" if rule else base,))
+
+    def config(self, cameras: Sequence[Camera]) -> OrderConfig:
+        """Return the parameters for a scene.
+
+        Parameters
+        ----------
+        cameras : sequence of Camera
+            What the index of the first view counts.
+
+        Raises
+        ------
+        click.UsageError
+            There is no such camera.
+        """
+        view = None
+        if self.first_view is not None:
+            if self.first_view >= len(cameras):
+                raise click.UsageError(
+                    f"--first-view {self.first_view}, expected 0 to {len(cameras) - 1}"
+                )
+            view = cameras[self.first_view]
+        return OrderConfig(
+            octree_depth=self.octree_depth,
+            first_view=view,
+            first_view_share=self.first_view_share,
+            first_view_mix=self.first_view_mix,
+            frustum_share=self.frustum_share,
+            seed=self.seed,
+            by_object=self.by_object,
+            object_budgets=self.budgets,
+        )
+
+    def labelled(
+        self, splats: Splats, cameras: Path | None, *, threads: int = 0, progress: Progress = silent
+    ) -> Splats:
+        """Return the scene with the labels that its masks give it, where there are masks.
+
+        Parameters
+        ----------
+        splats : Splats
+            As its cameras see it: masks go by the file's own frame.
+        cameras : Path or None
+        threads : int
+        progress : Progress
+
+        Raises
+        ------
+        click.UsageError
+            Masks and no cameras.
+        CogsplatError
+            The masks cannot be read or fit no camera.
+        """
+        if self.masks is None:
+            return splats
+        if cameras is None:
+            raise click.UsageError("--masks without --cameras, expected those the masks belong to")
+        from cogsplat.codec.order.objects_from_masks import assign
+        from cogsplat.tools.pictures.masks import read_masks
+
+        views, pictures = read_masks(self.masks, given_cameras(cameras))
+        labels = assign(splats, views, pictures, threads=threads, progress=progress)
+        return objects.with_labels(splats, labels)
+
+
+def order_name(text: str) -> str:
+    """Read an order's name, alone or with a rule for a pose.
+
+    Raises
+    ------
+    click.BadParameter
+        It is none.
+    """
+    try:
+        split_name(text)
+    except ValueError:
+        raise click.BadParameter(
+            f"{text!r}, expected one of {', '.join(ORDERS)}; alone, or followed by "
+            f"{' or '.join('+' + rule for rule in POSE_RULES)}"
+        ) from None
+    return text
+
+
+def budgets(text: str) -> Budgets:
+    """Read shares of objects such as ``20%`` or ``1:50%,2:10%``.
+
+    Raises
+    ------
+    click.BadParameter
+        They are none.
+    """
+    found: dict[int | None, float] = {}
+    for part in text.split(","):
+        label, colon, share = part.strip().rpartition(":")
+        digits = share.removesuffix("%")
+        number = digits.replace(".", "", 1)
+        known = share.endswith("%") and number.isascii() and number.isdigit()
+        named = label.isascii() and label.isdigit() and len(label) <= 10 if colon else True
+        key = int(label) if colon and named else None
+        if not known or not named or float(digits) > 100 or key in found:
+            raise click.BadParameter(
+                f"{text!r}, expected a share of every object such as 20%, or of some: 1:50%,2:10%"
+            )
+        found[key] = float(digits) / 100
+    return tuple(found.items())
+
+
+def order_names(text: str) -> tuple[str, ...]:
+    """Read names of orders, separated by commas; ``all`` for all that need no pose.
+
+    Raises
+    ------
+    click.BadParameter
+        One is none.
+    """
+    if text.strip().lower() == "all":
+        return ORDERS
+    return tuple(dict.fromkeys(order_name(part.strip()) for part in text.split(",")))
+
+
+def order_options(command: Callable[..., object]) -> Callable[..., object]:
+    """Add ``--order`` and what goes with it, given on as ``choice``."""
+    option = click.option(
+        "--order",
+        type=order_name,
+        default="gain",
+        show_default=True,
+        metavar="NAME",
+        help=f"Which splats come first: {', '.join(ORDERS)}.",
+    )
+    return _with_parameters(command, option)
+
+
+def orders_option(command: Callable[..., object]) -> Callable[..., object]:
+    """Add ``--orders`` and what goes with them, given on as ``choice``."""
+    option = click.option(
+        "--orders",
+        "order",
+        type=order_names,
+        default="all",
+        show_default=True,
+        metavar="NAMES",
+        help=f"Separated by commas, of {', '.join(ORDERS)}; each may be followed by "
+        f"{' or '.join('+' + rule for rule in POSE_RULES)}.",
+    )
+    return _with_parameters(command, option)
+
+
+def _named(
+    order: str | tuple[str, ...], first_view: int | None, frustum_share: float | None
+) -> tuple[str, ...]:
+    """Return the names of the orders, with the rule that the options ask of a single one."""
+    names = (order,) if isinstance(order, str) else order
+    rules = [split_name(name)[1] for name in names]
+    if first_view is None:
+        if any(rules):
+            wrong = next(name for name, rule in zip(names, rules, strict=True) if rule)
+            raise click.UsageError(f"order {wrong} without --first-view, expected both")
+        if frustum_share is not None:
+            raise click.UsageError("--frustum-share without --first-view, expected both")
+    elif isinstance(order, str) and not rules[0]:
+        return (f"{order}+{FIRST_VIEW if frustum_share is None else FRUSTUM}",)
+    if frustum_share is not None and FRUSTUM not in rules:
+        raise click.UsageError(
+            f"--frustum-share with {', '.join(names)}, expected an order followed by +{FRUSTUM}"
+        )
+    return names
+
+
+def _with_parameters(
+    command: Callable[..., object], naming: Callable[[Callable[..., object]], Callable[..., object]]
+) -> Callable[..., object]:
+    """Add an option that names orders and those that say more of them."""
+
+    @functools.wraps(command)
+    def chosen(
+        *,
+        order: str | tuple[str, ...],
+        first_view: int | None,
+        first_view_share: float,
+        first_view_mix: float,
+        frustum_share: float | None,
+        octree_depth: int,
+        seed: int,
+        objects: bool,
+        object_budgets: Budgets | None,
+        masks: Path | None,
+        **others: object,
+    ) -> object:
+        choice = OrderChoice(
+            names=_named(order, first_view, frustum_share),
+            first_view=first_view,
+            first_view_share=first_view_share,
+            first_view_mix=first_view_mix,
+            frustum_share=_DEFAULTS.frustum_share if frustum_share is None else frustum_share,
+            octree_depth=octree_depth,
+            seed=seed,
+            by_object=objects or masks is not None or object_budgets is not None,
+            budgets=object_budgets or (),
+            masks=masks,
+        )
+        return command(choice=choice, **others)
+
+    options: list[Callable[[Callable[..., object]], Callable[..., object]]] = [
+        naming,
+        click.option(
+            "--first-view",
+            type=click.IntRange(min=0),
+            metavar="INDEX",
+            help="Serve this camera first, from 0: by what each splat adds to its picture. "
+            "Without --cameras, of the views made up.",
+        ),
+        click.option(
+            "--first-view-share",
+            type=click.FloatRange(0, 1),
+            default=_DEFAULTS.first_view_share,
+            show_default=True,
+            metavar="SHARE",
+            help="Share of the splats that the first view brings forward.",
+        ),
+        click.option(
+            "--first-view-mix",
+            type=click.FloatRange(0, 1),
+            default=_DEFAULTS.first_view_mix,
+            show_default=True,
+            metavar="SHARE",
+            help="How much of any beginning is for the first view, while that lasts; at 1 other "
+            "views wait.",
+        ),
+        click.option(
+            "--frustum-share",
+            type=click.FloatRange(0, 1),
+            metavar="SHARE",
+            help="Serve the first view by its frustum instead: of every prefix, keep so much "
+            "inside, while that lasts.",
+        ),
+        click.option(
+            "--octree-depth",
+            type=click.IntRange(0, MAX_DEPTH),
+            default=_DEFAULTS.octree_depth,
+            show_default=True,
+            metavar="N",
+            help="Of the octree orders.",
+        ),
+        click.option(
+            "--seed",
+            type=click.IntRange(min=0),
+            default=_DEFAULTS.seed,
+            show_default=True,
+            metavar="N",
+            help="Of the random order.",
+        ),
+        click.option(
+            "--objects",
+            is_flag=True,
+            help=f"Chunks of one object each, by the attribute {objects.ATTRIBUTE!r}.",
+        ),
+        click.option(
+            "--object-budgets",
+            type=budgets,
+            metavar="P%|N:P%,…",
+            help="Send this share of every object, or of object N, before the rest; the objects "
+            "that matter most go first.",
+        ),
+        click.option(
+            "--masks",
+            type=PATH,
+            metavar="DIR",
+            help="Label splats by pictures of the objects, named as the cameras: 0 is no object.",
+        ),
+    ]
+    decorated: Callable[..., object] = chosen
+    for option in reversed(options):
+        decorated = option(decorated)
+    return decorated

@@ -1,0 +1,204 @@
+"""What is done to a scene on its way: rows left out, SH cut, cropped, moved; and the options."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.geometry.transforms import transform, transform_camera
+from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
+from cogsplat.tools.terminal.values import Box, Vector, box, vector
+
+from .inputs import usable_rows
+
+F64 = NDArray[np.float64]
+
+_STILL: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class SceneEdits:
+    """Edits of a scene, in the order in which they are made.
+
+    Parameters
+    ----------
+    drop_invalid : bool
+        Leave out rows that cannot be drawn.
+    sh_degree : int or None
+        Cut to this SH degree.
+    crop : Box or None
+        Keep splats whose centres lie in it, its faces included; world coordinates of the file.
+    scale : float
+        Positive.
+    rotate : Vector
+        Degrees about the fixed x, then y, then z axis of the scene, counterclockwise as seen from
+        the axis' tip in a right-handed frame.
+    translate : Vector
+        Scene units after scaling and rotating.
+    """
+
+    drop_invalid: bool = False
+    sh_degree: int | None = None
+    crop: Box | None = None
+    scale: float = 1.0
+    rotate: Vector = _STILL
+    translate: Vector = _STILL
+
+    @property
+    def moves(self) -> bool:
+        """Whether splats change place."""
+        return (self.scale, self.rotate, self.translate) != (1.0, _STILL, _STILL)
+
+    @property
+    def rotation(self) -> F64:
+        """The rotation as a matrix, (3, 3) float64."""
+        return _rotation(self.rotate)
+
+    def apply(self, splats: Splats, where: Path) -> Splats:
+        """Return the edited scene; `where` names it in messages.
+
+        Raises
+        ------
+        DataError
+            ``no-valid-rows`` or ``empty-crop``: nothing is left; ``moved-too-far``: a centre is
+            beyond float32 after it moved.
+        """
+        if self.drop_invalid:
+            splats = usable_rows(splats, where)
+        if self.sh_degree is not None:
+            splats = splats.with_sh_degree(self.sh_degree)
+        if self.crop is not None:
+            splats = _cropped(splats, self.crop, where)
+        if self.moves:
+            splats = self._moved(splats, where)
+        return splats
+
+    def _moved(self, splats: Splats, where: Path) -> Splats:
+        turn = None if self.rotate == _STILL else self.rotation
+        moved = transform(splats, self.scale, turn, self.translate)
+        lost = np.isfinite(splats.means).all(axis=1) & ~np.isfinite(moved.means).all(axis=1)
+        if lost.any():
+            raise DataError(
+                "moved-too-far",
+                f"{where}: {int(lost.sum()):,} centres exceed float32 after --scale, --rotate and "
+                "--translate, expected smaller numbers",
+            )
+        return moved
+
+    def camera(self, camera: Camera) -> Camera:
+        """Return the camera that sees the edited scene as `camera` saw the given one."""
+        if not self.moves:
+            return camera
+        turn = None if self.rotate == _STILL else self.rotation
+        return transform_camera(camera, self.scale, turn, self.translate)
+
+
+def edit_options(command: Callable[..., object]) -> Callable[..., object]:
+    """Add ``--drop-invalid --sh --crop --scale --rotate --translate``, given on as ``edits``."""
+
+    @functools.wraps(command)
+    def edited(
+        *,
+        drop_invalid: bool,
+        sh_degree: int | None,
+        crop: Box | None,
+        scale: float,
+        rotate: Vector,
+        translate: Vector,
+        **others: object,
+    ) -> object:
+        edits = SceneEdits(drop_invalid, sh_degree, crop, scale, rotate, translate)
+        return command(edits=edits, **others)
+
+    options = [
+        click.option(
+            "--drop-invalid", is_flag=True, help="Leave out splats with NaN or infinite values."
+        ),
+        click.option(
+            "--sh",
+            "sh_degree",
+            type=click.IntRange(0, MAX_SH_DEGREE),
+            metavar="0..3",
+            help="Cut to this SH degree.",
+        ),
+        click.option(
+            "--crop",
+            type=box,
+            metavar="XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
+            help="Keep the splats centred in this box, before anything moves.",
+        ),
+        click.option(
+            "--scale",
+            type=_scale,
+            default="1",
+            metavar="S",
+            help="Scale the scene, about the origin.",
+        ),
+        click.option(
+            "--rotate",
+            type=vector,
+            default="0,0,0",
+            metavar="AX,AY,AZ",
+            help="Then rotate it: degrees about the x, then the y, then the z axis.",
+        ),
+        click.option(
+            "--translate",
+            type=vector,
+            default="0,0,0",
+            metavar="X,Y,Z",
+            help="Then move it.",
+        ),
+    ]
+    decorated: Callable[..., object] = edited
+    for option in reversed(options):
+        decorated = option(decorated)
+    return decorated
+
+
+def _scale(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not (math.isfinite(value) and value > 0):
+        raise click.BadParameter(f"{text!r}, expected a positive number")
+    return value
+
+
+def _cropped(splats: Splats, limits: Box, where: Path) -> Splats:
+    world = splats.means.astype(np.float64) + np.array(splats.info.origin)
+    # Rows with NaN lie nowhere.
+    inside = ((world >= limits[:3]) & (world <= limits[3:])).all(axis=1)
+    kept = int(inside.sum())
+    if not kept and len(splats):
+        raise DataError(
+            "empty-crop", f"{where}: none of {len(splats):,} splats is in --crop, expected some"
+        )
+    return splats if kept == len(splats) else splats.take(inside)
+
+
+def _rotation(degrees: Vector) -> F64:
+    turn = np.eye(3)
+    for axis, angle in enumerate(degrees):
+        # Whole turns and right angles come out exact, so that they round no value.
+        cos, sin = (_exact(f(math.radians(math.fmod(angle, 360.0)))) for f in (math.cos, math.sin))
+        one = np.eye(3)
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        one[a, a], one[a, b], one[b, a], one[b, b] = cos, -sin, sin, cos
+        turn = one @ turn
+    return turn
+
+
+def _exact(value: float) -> float:
+    # cos(π/2) is 6e-17 in float64.
+    whole = round(value)
+    return float(whole) if abs(value - whole) < 1e-15 else value

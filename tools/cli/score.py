@@ -1,0 +1,118 @@
+"""``cogsplat score``: what each splat adds to the picture."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import CogsplatWarning
+from cogsplat.formats.storage.atomic import atomic_write, refuse_existing
+from cogsplat.tools.terminal.options import (
+    PATH,
+    cameras_option,
+    eval_every_option,
+    force_option,
+    jitter_option,
+    json_option,
+    quiet_option,
+    threads_option,
+    top_k_option,
+)
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json
+from cogsplat.tools.terminal.progress import Stages
+
+from .inputs import read_any, scoring_cameras, virtual_views
+
+
+@click.command(
+    epilog="\b\nExample:\n  cogsplat score scene.ply contribution.npy --cameras cameras.json"
+)
+@click.argument("path", type=PATH, metavar="SCENE")
+@click.argument("out", type=PATH, metavar="OUT.npy")
+@cameras_option("Without it, views are made up around the scene.")
+@jitter_option
+@top_k_option
+@eval_every_option(0, "Keep from scoring the")
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def score(
+    path: Path,
+    out: Path,
+    cameras: Path | None,
+    no_jitter: bool,
+    top_k: int,
+    eval_every: int,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Measure what each splat of SCENE adds to the picture.
+
+    OUT.npy holds a float64 for each splat, in the order of the file: the sum of its weights over
+    a view's pixels, averaged over the cameras, plus the same over their jittered copies.
+    """
+    from cogsplat.codec.scoring.contribution import ScoreConfig
+    from cogsplat.codec.scoring.contribution import score as score_splats
+
+    refuse_existing(out, force=force)
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("read"):
+            views = scoring_cameras(cameras, eval_every)
+            splats = read_any(path, threads=threads).splats
+        views = views or virtual_views(splats, threads=threads, progress=stages)
+        config = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads)
+        scores = score_splats(splats, views, config, progress=stages)
+        _write_npy(out, scores.contribution, force=force)
+        stages("write", 1, 1)
+    invalid = int(splats.invalid_rows().sum())
+    if invalid:
+        warnings.warn(
+            f"{path}: {invalid:,} of {len(splats):,} splats cannot be drawn and score 0",
+            CogsplatWarning,
+            stacklevel=1,
+        )
+    unseen = int((scores.seen == 0).sum())
+    shares = {goal: _share_holding(scores.contribution, goal) for goal in (0.5, 0.9, 0.99)}
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                "splats": len(splats),
+                "unseen": unseen,
+                "scored_views": stages.totals["score"],
+                "contribution": float(scores.contribution.sum()),
+                "share_of_splats_holding": {f"{goal:g}": s for goal, s in shares.items()},
+                "seconds": stages.rounded(),
+            }
+        )
+    elif not quiet:
+        say(f"{out}: contributions of {counted(len(splats), 'splat')}, float64, in file order")
+        held = [f"{goal:.0%} lie in {share:.1%}" for goal, share in shares.items()]
+        facts(
+            ("views", f"{stages.totals['score']}" + ("" if no_jitter else ", jittered included")),
+            ("unseen", counted(unseen, "splat")),
+            ("of all", f"{', '.join(held)} of the splats"),
+            ("time", stages.line()),
+        )
+
+
+def _share_holding(contribution: NDArray[np.float64], goal: float) -> float:
+    """Return the least share of the splats that holds a share of the whole contribution."""
+    so_far = np.cumsum(np.sort(contribution)[::-1])
+    return round((int(np.searchsorted(so_far, goal * so_far[-1])) + 1) / len(so_far), 5)
+
+
+def _write_npy(path: Path, values: NDArray[np.float64], *, force: bool) -> None:
+    # In memory first: numpy's own writing to files loses the reason of a failure.
+    page = io.BytesIO()
+    np.save(page, values)
+    with atomic_write(path, force=force) as file:
+        file.write(page.getbuffer())

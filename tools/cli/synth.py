@@ -1,0 +1,252 @@
+"""``cogsplat synth`` and ``demo``: a scene to play with, and the whole way in one go."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.order.objects import with_labels
+from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
+from cogsplat.formats.cameras.inria import write_cameras_json
+from cogsplat.formats.storage.atomic import refuse_existing, storage_errors
+from cogsplat.tools.terminal.options import (
+    PATH,
+    force_option,
+    json_option,
+    quiet_option,
+    threads_option,
+)
+from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.progress import Stages
+
+_SPLATS = 120_000
+_MOST_SPLATS = 20_000_000
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat synth scene.ply\n"
+    "  cogsplat encode scene.ply scene.cogs --cameras scene.cameras.json"
+)
+@click.argument("out", type=PATH, metavar="OUT.ply")
+@click.option(
+    "--splats",
+    type=click.IntRange(1, _MOST_SPLATS),
+    default=_SPLATS,
+    show_default=True,
+    metavar="N",
+    help="Size of the scene; from about 10,000 it is whole.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=7,
+    show_default=True,
+    metavar="N",
+    help="Of what is random about it; the same scene for the same seed.",
+)
+@click.option(
+    "--sh",
+    "sh_degree",
+    type=click.IntRange(0, MAX_SH_DEGREE),
+    default=MAX_SH_DEGREE,
+    show_default=True,
+    metavar="0..3",
+    help="SH degree.",
+)
+@click.option(
+    "--cameras",
+    type=PATH,
+    metavar="PATH",
+    help="Where its cameras go.  [default: OUT.cameras.json]",
+)
+@click.option(
+    "--objects",
+    is_flag=True,
+    help="Label three objects, 1 to 3, in the attribute 'object'; the rest is 0.",
+)
+@click.option(
+    "--masks",
+    type=PATH,
+    metavar="DIR",
+    help="Draw which of the three each pixel of each camera shows, as PNGs into this folder.",
+)
+@force_option
+@quiet_option
+@json_option
+def synth(
+    out: Path,
+    splats: int,
+    seed: int,
+    sh_degree: int,
+    cameras: Path | None,
+    objects: bool,
+    masks: Path | None,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Make a scene to play with, and its cameras.
+
+    Objects on a terrace, with gloss and clutter, seen from 48 cameras of its own. The same options
+    give the same bytes.
+    """
+    from cogsplat.tools.synthetic import scene as scenes
+
+    cameras = cameras or out.with_suffix(".cameras.json")
+    for path in (out, cameras):
+        refuse_existing(path, force=force)
+    views = scenes.synth_cameras()
+    if masks is not None:
+        with storage_errors(masks):
+            masks.mkdir(parents=True, exist_ok=True)
+        for camera in views:
+            refuse_existing(_mask_path(masks, camera), force=force)
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("synth"):
+            scene = scenes.synth(splats, seed=seed, sh_degree=sh_degree)
+            labels = scenes.synth_objects(splats, seed)
+        written = with_labels(scene, labels) if objects else scene
+        with stages.stage("write"):
+            cogsplat.write(out, written, force=force)
+            write_cameras_json(cameras, views, force=force)
+        if masks is not None:
+            with stages.stage("masks"):
+                _write_masks(masks, scene, labels, views, force=force)
+    with storage_errors(out):
+        size = out.stat().st_size
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                "bytes": size,
+                "splats": len(scene),
+                "sh_degree": scene.sh_degree,
+                "seed": seed,
+                "cameras": name_of(cameras),
+                "views": len(views),
+                "objects": list(scenes.OBJECTS) if objects else [],
+                "masks": None if masks is None else name_of(masks),
+                "seconds": stages.rounded(),
+            }
+        )
+    elif not quiet:
+        say(f"{out}: {len(scene):,} splats at SH degree {scene.sh_degree}, {size_text(size)}")
+        named = [f"{number} {name}" for number, name in enumerate(scenes.OBJECTS, start=1)]
+        facts(
+            ("cameras", f"{cameras}, {len(views)} views"),
+            ("objects", ", ".join(named) if objects else ""),
+            ("masks", str(masks) if masks else ""),
+            ("time", stages.line()),
+        )
+
+
+def _write_masks(
+    folder: Path,
+    scene: Splats,
+    labels: NDArray[np.uint8],
+    views: Sequence[Camera],
+    *,
+    force: bool,
+) -> None:
+    from PIL import Image
+
+    from cogsplat.tools.pictures.png import write_png
+    from cogsplat.tools.synthetic.masks import synth_masks
+
+    for camera, mask in zip(views, synth_masks(scene, labels, views), strict=True):
+        write_png(_mask_path(folder, camera), Image.fromarray(mask), force=force)
+
+
+def _mask_path(folder: Path, camera: Camera) -> Path:
+    return folder / f"{camera.name}.png"
+
+
+@click.command(epilog="\b\nExample:\n  cogsplat demo --out demo --force")
+@click.option(
+    "--out", type=PATH, default="demo", show_default=True, metavar="DIR", help="Where files go."
+)
+@click.option(
+    "--splats",
+    type=click.IntRange(1000, _MOST_SPLATS),
+    default=_SPLATS,
+    show_default=True,
+    metavar="N",
+    help="Size of the scene.",
+)
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json: bool) -> None:
+    """Go the whole way with a scene made for it.
+
+    Make it, encode it, decode 2, 5, 10, 25 and 100 % of the bytes, compare each with the original,
+    and draw a film-strip of them.
+    """
+    from . import demonstration
+
+    with Stages(shown=not (quiet or as_json)) as stages:
+        made = demonstration.run(out, splats=splats, threads=threads, force=force, progress=stages)
+    files = made.files
+    if as_json:
+        say_json(
+            {
+                "splats": made.splats,
+                "scene": name_of(files.scene),
+                "scene_bytes": made.scene_bytes,
+                "cameras": name_of(files.cameras),
+                "cogs": name_of(files.cogs),
+                "cogs_bytes": made.cogs_bytes,
+                "decoded": name_of(files.decoded),
+                "filmstrip": name_of(files.strip),
+                "prefixes": [
+                    {
+                        "share": prefix.share,
+                        "bytes": prefix.size_bytes,
+                        "splats": prefix.splats,
+                        "held_out_db": prefix.held_out_db,
+                        "worst_db": prefix.worst_db,
+                        "roam_db": prefix.roam_db,
+                    }
+                    for prefix in made.prefixes
+                ],
+                "seconds": stages.rounded(),
+            }
+        )
+        return
+    if quiet:
+        return
+    smaller = made.scene_bytes / made.cogs_bytes
+    say(
+        f"{made.splats:,} splats, {size_text(made.scene_bytes)} as PLY, "
+        f"{size_text(made.cogs_bytes)} as COGS: {smaller:.1f} times smaller"
+    )
+    say("")
+    rows = [
+        (
+            f"{prefix.share:.0%}",
+            size_text(prefix.size_bytes),
+            f"{prefix.splats:,}",
+            f"{prefix.held_out_db:.1f}",
+            f"{prefix.worst_db:.1f}",
+            f"{prefix.roam_db:.1f}",
+        )
+        for prefix in made.prefixes
+    ]
+    table(("bytes", "", "splats", "held-out dB", "worst dB", "roam dB"), rows, left=0)
+    say("")
+    facts(
+        ("scene", name_of(files.scene)),
+        ("cameras", name_of(files.cameras)),
+        ("encoded", name_of(files.cogs)),
+        ("decoded", name_of(files.decoded)),
+        ("film-strip", name_of(files.strip)),
+        ("time", stages.line()),
+    )

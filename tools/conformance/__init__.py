@@ -1,0 +1,1 @@
+"""The conformance vectors and the second decoder."""

@@ -1,0 +1,142 @@
+"""Conformance vectors of compensation (SPEC 5.9, 8.5)."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import replace
+
+from cogsplat.formats.cogs.canonical_msgpack import Value, pack
+from cogsplat.formats.cogs.layout import SegmentKind
+from cogsplat.formats.cogs.writer import Segment
+
+from . import handmade_streams as scenes
+from .file_builder import ChunkRow, Draft, Group, build, pack_streams, root_keys
+from .invalid import Invalid
+from .valid import Valid
+
+_CHUNKS = 5
+_ROWS = 3
+
+
+def _layer(
+    scales: Sequence[int],
+    opacities: Sequence[int],
+    strengths: Sequence[int],
+    book: Sequence[int] = (),
+    codes: bytes = b"",
+) -> dict[str, Value]:
+    return {
+        "scales": struct.pack(f"{len(scales)}b", *scales),
+        "opacities": struct.pack(f"{len(opacities)}b", *opacities),
+        "strengths": bytes(strengths),
+        "book": struct.pack(f"{len(book)}b", *book),
+        "codes": codes,
+    }
+
+
+def _packed(codes: Sequence[int], bits: int) -> bytes:
+    number = sum(code << bits * place for place, code in enumerate(codes))
+    return number.to_bytes((len(codes) * bits + 7) // 8, "little")
+
+
+def _draft(layers: Sequence[tuple[int, bytes]]) -> Draft:
+    """Return a file of five chunks with segments of compensation, each before a chunk's head."""
+    segments = []
+    owner = 0
+    for chunk in range(_CHUNKS):
+        for before, data in layers:
+            if before == chunk:
+                segments.append(Segment(SegmentKind.COMPENSATION, owner, data))
+                owner += 1
+        head = pack_streams(scenes.still_head(_ROWS))
+        segments.append(Segment(SegmentKind.HEAD, chunk, head))
+    rows = [ChunkRow(_ROWS)] * _CHUNKS
+    return Draft(root_keys(_CHUNKS * _ROWS, 0), [Group(segments, rows)])
+
+
+_FIRST = _layer([51], [33], [64, 64], [-7, 120, 127, -128, 1, 2], _packed([2, 0, 1], 2))
+_SECOND = _layer(
+    [40, -128, 127], [-5, 17, 127], [37, 11, 64, 64, 255, 255], [127, -128],
+)  # fmt: skip
+_THIRD = _layer(
+    [3, 2, 1, 0], [1, 1, 2, 3], [9, 8, 7, 6, 5, 4, 64, 64],
+    [k for row in range(5) for k in (row - 3, 3 - 2 * row)], _packed([4, 0, 3], 3),
+)  # fmt: skip
+
+
+def valid() -> list[Valid]:
+    """Return the valid vectors of SPEC 5.9 and 8.5."""
+    several = [(0, pack(_FIRST)), (1, pack(_SECOND)), (3, pack(_THIRD))]
+    plain = _layer([64, 32], [32, -16], [0, 0, 255, 255])
+    ordinary, late = _draft(several), _draft([(0, pack(plain | {"later": 1}))])
+    group = ordinary.groups[0]
+    paged = replace(
+        ordinary,
+        groups=[
+            Group(group.segments[:3], group.chunks[:1]),
+            Group(group.segments[3:5], group.chunks[1:3]),
+            Group(group.segments[5:], group.chunks[3:]),
+        ],
+    )
+    clauses = ("5.9", "8.5")
+    return [
+        Valid("compensation", build(ordinary), clauses, "three layers, two of them with codes"),
+        Valid(
+            "compensation-plain",
+            build(late),
+            ("4.3", *clauses),
+            "one layer of two chunks without codes, with a key of a later version",
+        ),
+        Valid("compensation-pages", build(paged), ("5.6", *clauses), "layers listed in pages"),
+    ]
+
+
+def compensation() -> list[Invalid]:
+    """Return the must-reject vectors of SPEC 5.9."""
+
+    def order(name: str, owners: Sequence[int], note: str) -> Invalid:
+        draft = _draft([(0, pack(_FIRST)), (1, pack(_SECOND))])
+        segments = list(draft.groups[0].segments)
+        places = [k for k, s in enumerate(segments) if s.kind == SegmentKind.COMPENSATION]
+        for place, owner in zip(places, owners, strict=True):
+            segments[place] = replace(segments[place], owner=owner)
+        data = build(replace(draft, groups=[Group(segments, draft.groups[0].chunks)]))
+        return Invalid(name, data, "compensation-segments", "5.9", note, "verify")
+
+    def body(name: str, data: bytes, code: str, note: str, clause: str = "5.9") -> Invalid:
+        return Invalid(name, build(_draft([(0, data)])), code, clause, note, "verify")
+
+    def changed(vector: str, code: str, note: str, **changes: Value) -> Invalid:
+        return body(vector, pack(_FIRST | changes), code, note)
+
+    bookless = {key: value for key, value in _FIRST.items() if key != "book"}
+    short = _draft([(0, pack(_FIRST)), (1, pack(_FIRST))])
+    six = _layer([0] * 6, [0] * 6, [0] * 12)
+    return [
+        order("compensation-twice", [0, 0], "two segments of layer 0"),
+        order("compensation-backward", [1, 0], "layer 1 before layer 0"),
+        order("compensation-gap", [0, 2], "layer 2 without layer 1"),
+        Invalid("compensation-no-growth", build(short), "root-value", "5.9",
+                "two layers of one chunk", "verify"),
+        body("compensation-cut", pack(_FIRST)[:-1], "msgpack-truncated", "the last byte missing",
+             "4.1"),
+        body("compensation-none", pack(_layer([], [], [])), "root-value", "a layer of no chunk"),
+        body("compensation-beyond", pack(six), "root-value", "a layer of six chunks of five"),
+        body("compensation-no-book", pack(bookless), "root-missing", "no book"),
+        body("compensation-must-understand", pack(_FIRST | {"colour!": 1}),
+             "root-must-understand", "a key with !", "4.3"),
+        changed("compensation-text", "root-type", "scales in a text", scales="3"),
+        changed("compensation-opacities", "root-columns", "two opacities of one chunk",
+                opacities=bytes(2)),
+        changed("compensation-strengths", "root-columns", "one strength of a chunk",
+                strengths=bytes(1)),
+        changed("compensation-book-odd", "root-columns", "a book of 5 bytes", book=bytes(5)),
+        changed("compensation-book-257", "root-value", "257 rows", book=bytes(2 * 257)),
+        changed("compensation-codes-short", "root-columns", "no codes", codes=b""),
+        changed("compensation-codes-long", "root-columns", "a byte more", codes=bytes(2)),
+        changed("compensation-code-3", "root-value", "code 3 of a book of three",
+                codes=_packed([0, 3, 0], 2)),
+        changed("compensation-spare", "root-value", "a bit behind the last code",
+                codes=_packed([0, 0, 0, 1], 2)),
+    ]  # fmt: skip

@@ -1,0 +1,270 @@
+"""Conformance vectors of what is not drawn: extra attributes and cameras (SPEC 5.7, 5.8)."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+from cogsplat.formats.cogs.canonical_msgpack import Value, pack
+from cogsplat.formats.cogs.layout import SegmentKind
+from cogsplat.formats.cogs.writer import Segment
+
+from .file_builder import ChunkRow, Draft, Group, build, packed_plane, plane
+from .invalid import Invalid, chunks, edited, set_key, still, with_segments
+from .valid import Valid
+
+_TYPES: Final = {
+    "u1": "B",
+    "i1": "b",
+    "u2": "H",
+    "i2": "h",
+    "u4": "I",
+    "i4": "i",
+    "f4": "f",
+    "f8": "d",
+}
+
+
+def _entry(name: str, kind: str, components: int = 0) -> dict[str, Value]:
+    entry: dict[str, Value] = {"name": name, "type": kind}
+    return entry | ({"components": components} if components else {})
+
+
+def _columns(kind: str, values: Sequence[Sequence[float]]) -> list[bytes]:
+    """Return the planes of one attribute: of each component each byte, the lowest first."""
+    rows = [b"".join(struct.pack(f"<{_TYPES[kind]}", value) for value in row) for row in values]
+    return [bytes(row[byte] for row in rows) for byte in range(len(rows[0]))]
+
+
+def _payload(planes: Sequence[tuple[int, bytes]]) -> bytes:
+    words = struct.pack(f"<{len(planes)}I", *(word for word, _ in planes))
+    return words + b"".join(stored for _, stored in planes)
+
+
+def _stored(columns: Sequence[bytes]) -> bytes:
+    return _payload([plane(column) for column in columns])
+
+
+def _labels(rows: int) -> list[bytes]:
+    return _columns("u1", [[row % 3] for row in range(rows)])
+
+
+def _labelled(draft: Draft, attributes: Sequence[Value], payloads: Sequence[bytes]) -> Draft:
+    """Return a file with attributes in its root and a segment of them for each chunk."""
+    added = [Segment(SegmentKind.ATTRIBUTES, i, data) for i, data in enumerate(payloads)]
+    whole = with_segments(draft, [*draft.groups[0].segments, *added])
+    return replace(whole, root=whole.root | {"attributes": list(attributes)})
+
+
+def _all_types() -> Valid:
+    ends: dict[str, list[float]] = {}
+    for size in (1, 2, 4):
+        ends[f"u{size}"] = [(1 << 8 * size) - 1, 0]
+        ends[f"i{size}"] = [-(1 << 8 * size - 1), (1 << 8 * size - 1) - 1]
+    for size in (4, 8):
+        ends[f"f{size}"] = [float("nan"), -0.0, float("-inf"), 1e-40]
+    attributes: list[Value] = []
+    parts: list[list[bytes]] = [[], []]
+    for kind, values in ends.items():
+        attributes.append(_entry(f"of {kind}", kind))
+        for chunk, part in enumerate(parts):
+            part += _columns(kind, [[values[(row + chunk) % len(values)]] for row in range(2)])
+    attributes.append(_entry("Größe", "f4", 3))
+    attributes.append(_entry("one", "i2", 1))
+    for chunk, part in enumerate(parts):
+        part += _columns("f4", [[row + 0.5, -row, chunk] for row in range(2)])
+        part += _columns("i2", [[-row - 300 * chunk] for row in range(2)])
+    draft = _labelled(chunks(), attributes, [_stored(part) for part in parts])
+    note = "extra attributes of all types, of one value and of several"
+    return Valid("attributes", build(draft), ("5.7",), note)
+
+
+def _coded() -> Valid:
+    rows = 3
+    frame_of = [[row // 2 * 1000] for row in range(rows)]
+    labels = _labels(rows)[0]
+    packed = bytes([3]) + packed_plane(labels, 3)
+    planes = [(len(packed) | 1 << 30, packed), *map(plane, _columns("u4", frame_of))]
+    attributes = [_entry("label", "u1"), _entry("frame", "u4")]
+    note = "attributes whose planes are packed"
+    return Valid(
+        "attributes-packed",
+        build(_labelled(still(), attributes, [_payload(planes)])),
+        ("5.7", "6.9"),
+        note,
+    )
+
+
+def _some_chunks() -> Valid:
+    whole = chunks()
+    segments = [
+        *whole.groups[0].segments,
+        Segment(SegmentKind.ATTRIBUTES, 1, _stored(_labels(2))),
+    ]
+    draft = replace(
+        with_segments(whole, segments), root=whole.root | {"attributes": [_entry("label", "u1")]}
+    )
+    return Valid("attributes-part", build(draft), ("5.7",), "one chunk of two has its attributes")
+
+
+def _pages() -> Valid:
+    whole = chunks()
+    segments = whole.groups[0].segments
+    added = [Segment(SegmentKind.ATTRIBUTES, i, _stored(_labels(2))) for i in range(2)]
+    draft = Draft(
+        whole.root | {"attributes": [_entry("label", "u1")]},
+        [
+            Group([*segments[:2], added[0]], [ChunkRow(2)]),
+            Group([*segments[2:], _camera_segment(1)], [ChunkRow(2)]),
+            Group([added[1]], []),
+        ],
+    )
+    note = "attributes and cameras listed in pages, attributes of one chunk in a later one"
+    return Valid("attributes-pages", build(draft), ("5.6", "5.7", "5.8"), note)
+
+
+def _cameras(count: int) -> dict[str, Value]:
+    turned = [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    upright = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+
+    def column(kind: str, values: Sequence[float]) -> bytes:
+        return struct.pack(f"<{len(values)}{kind}", *values)
+
+    return {
+        "name": [f"Bild {i}.jpg" if i else "" for i in range(count)],
+        "width": column("H", [640, 1, 65535][:count]),
+        "height": column("H", [480, 65535, 1][:count]),
+        "fx": column("d", [500.5, 1e-3, 1e300][:count]),
+        "fy": column("d", [501.25, 2.0, 3.0][:count]),
+        "cx": column("d", [320.0, -7.5, 0.0][:count]),
+        "cy": column("d", [240.0, 1e9, -0.0][:count]),
+        "rotation": column("d", [*turned, *upright, *turned][: 9 * count]),
+        "translation": column("d", [0.1, -0.2, 3e5, 0.0, 1e-9, 7.0, 1.0, 2.0, 3.0][: 3 * count]),
+    }
+
+
+def _camera_segment(count: int, **changes: Value) -> Segment:
+    return Segment(SegmentKind.CAMERAS, 0, pack(_cameras(count) | changes))
+
+
+def _with_cameras(*segments: Segment) -> bytes:
+    draft = still()
+    return build(with_segments(draft, [*draft.groups[0].segments, *segments]))
+
+
+def valid() -> list[Valid]:
+    """Return the valid vectors of SPEC 5.7 and 5.8."""
+    return [
+        _all_types(),
+        _coded(),
+        _some_chunks(),
+        _pages(),
+        Valid("cameras", _with_cameras(_camera_segment(3)), ("5.8",), "three cameras"),
+        Valid(
+            "cameras-more",
+            _with_cameras(_camera_segment(1, exposure=b"any")),
+            ("4.3", "5.8"),
+            "a camera with a key of a later version",
+        ),
+    ]
+
+
+def attributes() -> list[Invalid]:
+    """Return the must-reject vectors of SPEC 5.7."""
+    labels = _stored(_labels(2))
+    good = _labelled(chunks(), [_entry("label", "u1")], [labels, labels])
+    *drawn, first, second = good.groups[0].segments
+
+    def root(name: str, value: Value, code: str, note: str, clause: str = "5.7") -> Invalid:
+        return Invalid(name, edited(still(), set_key("attributes", value)), code, clause, note)
+
+    def order(name: str, segments: Sequence[Segment], note: str) -> Invalid:
+        data = build(with_segments(good, segments))
+        return Invalid(name, data, "attribute-segments", "5.7", note)
+
+    def body(name: str, data: bytes, code: str, note: str, clause: str = "5.7") -> Invalid:
+        draft = _labelled(still(), [_entry("label", "u1")], [data])
+        return Invalid(name, build(draft), code, clause, note, "decode")
+
+    label = _entry("label", "u1")
+    unlisted = with_segments(chunks(), [*drawn, first])
+    three = _labels(3)
+    many: list[Value] = [_entry(f"{i}", "u1") for i in range(257)]
+    huge = plane(bytes(100))
+    return [
+        root("attributes-text", "label", "root-type", "no array", "4.2"),
+        root("attributes-257", many, "root-value", "257 attributes", "4.2"),
+        root("attribute-twice", [label, _entry("label", "f4")], "root-value", "a name twice",
+             "4.2"),
+        root("attribute-text", ["label"], "root-type", "an attribute that is no map"),
+        root("attribute-no-name", [{"type": "u1"}], "root-missing", "no name"),
+        root("attribute-no-type", [{"name": "label"}], "root-missing", "no type"),
+        root("attribute-name-empty", [_entry("", "u1")], "root-value", "a name of no bytes"),
+        root("attribute-name-256", [_entry("é" * 128, "u1")], "root-value", "256 bytes"),
+        root("attribute-f2", [_entry("label", "f2")], "attribute-type-unknown", "a type f2"),
+        root("attribute-components-0", [label | {"components": 0}], "root-value",
+             "no components"),
+        root("attribute-components-17", [_entry("label", "u1", 17)], "root-value",
+             "17 components"),
+        root("must-understand-attribute", [label | {"unit!": "m"}], "root-must-understand",
+             "a key with ! in an attribute", "4.3"),
+        order("attributes-twice", [*drawn, first, replace(second, owner=0)],
+              "two segments of chunk 0"),
+        order("attributes-beyond", [*drawn, first, replace(second, owner=2)],
+              "attributes of chunk 2 of two"),
+        order("attributes-first", [first, *drawn, second], "attributes before the head"),
+        Invalid("attributes-unlisted", build(unlisted), "attribute-segments", "5.7",
+                "attributes that the root does not list"),
+        body("attributes-words", b"\1\0\0", "attribute-record", "less than a word"),
+        body("attributes-cut", _stored(three)[:-1], "attribute-record", "a byte missing"),
+        body("attributes-trailing", _stored(three) + b"\0", "attribute-record", "a byte more"),
+        body("attributes-4g", _payload([(0xBFFFFFFF, b"")]), "attribute-record",
+             "a plane of 2^30 - 1 bytes stated"),
+        body("attributes-plane-short", _stored(_labels(2)), "plane-length",
+             "two rows of a chunk of three", "6.3"),
+        body("attributes-frame-size", _payload([huge]), "zstd-size",
+             "a frame of 100 bytes for three rows", "6.3"),
+        body("attributes-radix", _payload([(2 | 1 << 30, b"\x11\0")]), "plane-radix",
+             "a radix of 17", "6.9"),
+    ]  # fmt: skip
+
+
+def cameras() -> list[Invalid]:
+    """Return the must-reject vectors of SPEC 5.8."""
+
+    def order(name: str, segments: Sequence[Segment], note: str) -> Invalid:
+        return Invalid(name, _with_cameras(*segments), "camera-segments", "5.8", note)
+
+    def body(name: str, data: bytes, code: str, note: str, clause: str = "5.8") -> Invalid:
+        segment = Segment(SegmentKind.CAMERAS, 0, data)
+        return Invalid(name, _with_cameras(segment), code, clause, note, "verify")
+
+    def changed(vector: str, code: str, note: str, **changes: Value) -> Invalid:
+        return body(vector, pack(_cameras(2) | changes), code, note)
+
+    one = _camera_segment(1)
+    good = _cameras(2)
+    nameless = {key: value for key, value in good.items() if key != "name"}
+    mirrored = struct.pack("<18d", *([-1.0, 0, 0, 0, 1, 0, 0, 0, 1] * 2))
+    return [
+        order("cameras-twice", [one, one], "two segments of cameras"),
+        order("cameras-owner", [replace(one, owner=1)], "cameras of owner 1"),
+        body("cameras-cut", pack(good)[:-1], "msgpack-truncated", "the last byte missing", "4.1"),
+        body("cameras-none", pack(_cameras(0)), "root-value", "no camera"),
+        body("cameras-no-names", pack(nameless), "root-missing", "no names"),
+        body("cameras-must-understand", pack(good | {"lens!": 1}), "root-must-understand",
+             "a key with !", "4.3"),
+        changed("cameras-names-text", "root-type", "names in one text", name="ab"),
+        changed("cameras-names-three", "root-columns", "three names", name=["a", "b", "c"]),
+        changed("cameras-names-numbers", "root-columns", "a number as a name", name=["a", 1]),
+        changed("cameras-name-256", "root-value", "a name of 256 bytes", name=["a", "x" * 256]),
+        changed("cameras-column", "root-columns", "three heights", height=bytes(6)),
+        changed("cameras-column-odd", "root-columns", "widths of 3 bytes", width=bytes(3)),
+        changed("cameras-width-0", "root-value", "a width of 0", width=bytes(4)),
+        changed("cameras-focal", "root-value", "focal lengths of 0", fx=bytes(16)),
+        changed("cameras-nan", "root-value", "NaN", cx=struct.pack("<2d", 1.0, float("nan"))),
+        changed("cameras-mirrored", "root-value", "mirrored", rotation=mirrored),
+        changed("cameras-sheared", "root-value", "rotations of zeros", rotation=bytes(144)),
+    ]  # fmt: skip

@@ -1,0 +1,336 @@
+"""Files for the conformance vectors, put together from parts of which each can be wrong.
+
+`formats.cogs.writer` writes valid files only; here every table, length and byte may be changed, and
+the CRCs are made to fit again, so that a reader meets the one rule that is broken.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import zstandard
+
+from cogsplat.codec.streams.records import COMPONENTS, Stream
+from cogsplat.formats.cogs.canonical_msgpack import Value, pack, unpack
+from cogsplat.formats.cogs.layout import MAGIC, MAJOR, MINOR, SegmentKind
+from cogsplat.formats.cogs.writer import Segment
+
+Index = dict[str, Value]
+Edit = Callable[[int, Index], None]
+
+PREAMBLE_BYTES: Final = 64
+
+
+@dataclass(frozen=True)
+class ChunkRow:
+    """One row of a chunk table (SPEC 5.4)."""
+
+    splats: int
+    box: tuple[float, ...] = (-8.0, -8.0, -8.0, 8.0, 8.0, 8.0)
+    contribution: float = 1.0
+    layer: int = 0
+    cell: int = 0
+    object: int = 0
+    quality: float = 0.0
+
+
+@dataclass(frozen=True)
+class Group:
+    """What one index lists: the root, or a page.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        In file order.
+    chunks : sequence of ChunkRow
+    """
+
+    segments: Sequence[Segment]
+    chunks: Sequence[ChunkRow]
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A file to be.
+
+    Parameters
+    ----------
+    root : dict
+        The root's keys, tables and pages left out.
+    groups : sequence of Group
+        The root's, then one for each page.
+    minor : int
+        Minor version.
+    """
+
+    root: Index
+    groups: Sequence[Group]
+    minor: int = MINOR
+
+
+def root_keys(splats: int, sh_degree: int, **changes: Value) -> Index:
+    """Return the keys every root has, tables left out, some of them changed or added."""
+    root: Index = {
+        "writer": "vectors",
+        "splats": splats,
+        "sh_degree": sh_degree,
+        "origin": [0.0, 0.0, 0.0],
+        "axes": "RDF",
+        "colour_space": "srgb",
+        "kernel_px": 0.3,
+        "antialiased": False,
+        "box": [-8.0, -8.0, -8.0, 8.0, 8.0, 8.0],
+        "codebooks": [],
+    }
+    return root | changes
+
+
+def _u32(values: Sequence[int]) -> bytes:
+    return struct.pack(f"<{len(values)}I", *values)
+
+
+def _tables(group: Group) -> Index:
+    parts, rows = group.segments, group.chunks
+    boxes = [x for row in rows for x in row.box]
+    chunks: Index = {
+        "splats": _u32([row.splats for row in rows]),
+        "box": struct.pack(f"<{len(boxes)}f", *boxes),
+        "contribution": struct.pack(f"<{len(rows)}d", *(row.contribution for row in rows)),
+    }
+    for name in ("layer", "cell", "object"):
+        column = [getattr(row, name) for row in rows]
+        if any(column):
+            chunks[name] = _u32(column)
+    if any(row.quality for row in rows):
+        chunks["quality"] = struct.pack(f"<{len(rows)}f", *(row.quality for row in rows))
+    return {
+        "segments": {
+            "kind": bytes(part.kind for part in parts),
+            "owner": _u32([part.owner for part in parts]),
+            "length": _u32([len(part.payload) for part in parts]),
+            "crc": _u32([zlib.crc32(part.payload) for part in parts]),
+            "hash": b"".join(hashlib.sha256(part.payload).digest()[:16] for part in parts),
+            "needs": _u32([sum(1 << need for need in part.needs) for part in parts]),
+        },
+        "chunks": chunks,
+    }
+
+
+def table(index: Index, name: str) -> dict[str, Value]:
+    """Return a map inside an index, to be changed."""
+    found = index[name]
+    if not isinstance(found, dict):
+        raise TypeError(f"{name} is {type(found).__name__}, expected a map")
+    return found
+
+
+def column(index: Index, name: str, key: str) -> bytes:
+    """Return a column of a table."""
+    found = table(index, name)[key]
+    if not isinstance(found, bytes):
+        raise TypeError(f"{key} is {type(found).__name__}, expected bin")
+    return found
+
+
+def poke(data: bytes, offset: int, layout: str, value: float) -> bytes:
+    """Return bytes with one little-endian number written over them."""
+    changed = bytearray(data)
+    struct.pack_into(f"<{layout}", changed, offset, value)
+    return bytes(changed)
+
+
+def build(draft: Draft, edit: Edit | None = None, *, behind_page: bytes = b"") -> bytes:
+    """Return the bytes of a file.
+
+    Parameters
+    ----------
+    draft : Draft
+    edit : callable, optional
+        ``edit(number, index)`` changes an index before it is packed: 0 is the root, 1 and up pages.
+        The root is packed last, and lists pages as they then are.
+    behind_page : bytes
+        Added to every page.
+    """
+    bodies: list[bytes] = []
+    entries: list[Value] = []
+    for number, group in enumerate(draft.groups[1:], start=1):
+        page = _tables(group)
+        if edit:
+            edit(number, page)
+        data = pack(page) + behind_page
+        span = b"".join(part.payload for part in group.segments)
+        bodies += [data, span]
+        entries.append(
+            {
+                "length": len(data),
+                "crc": zlib.crc32(data),
+                "segments": len(group.segments),
+                "chunks": len(group.chunks),
+                "span": len(span),
+            }
+        )
+    first = draft.groups[0]
+    root = draft.root | _tables(first)
+    if entries:
+        root["pages"] = entries
+    if edit:
+        edit(0, root)
+    behind = b"".join([*(part.payload for part in first.segments), *bodies])
+    return with_root(pack(root), behind, minor=draft.minor)
+
+
+def with_root(root: bytes, behind: bytes, *, minor: int = MINOR) -> bytes:
+    """Return a file of these root bytes and what stands behind them."""
+    file_length = PREAMBLE_BYTES + len(root) + len(behind)
+    fields = (MAGIC, MAJOR, minor, len(root), file_length, zlib.crc32(root), 0)
+    return seal(struct.pack("<8sHHIQII28x", *fields)) + root + behind
+
+
+def seal(head: bytes) -> bytes:
+    """Return the 64 bytes of a preamble from its first 60, CRC made to fit."""
+    return head[:60] + struct.pack("<I", zlib.crc32(head[:60]))
+
+
+def preamble_field(data: bytes, offset: int, layout: str, value: int) -> bytes:
+    """Return a file with one field of its preamble changed and the preamble's CRC made to fit."""
+    return seal(poke(data[:PREAMBLE_BYTES], offset, layout, value)) + data[PREAMBLE_BYTES:]
+
+
+def root_bytes(data: bytes) -> tuple[bytes, bytes]:
+    """Return a file's root and what stands behind it."""
+    (length,) = struct.unpack_from("<I", data, 12)
+    end = PREAMBLE_BYTES + length
+    return data[PREAMBLE_BYTES:end], data[end:]
+
+
+def refitted(data: bytes, payloads: Mapping[int, bytes]) -> bytes:
+    """Return a file without pages, some of its segments replaced and its root made to fit.
+
+    Parameters
+    ----------
+    data : bytes
+    payloads : mapping of int to bytes
+        Row of the segment table to what stands there now.
+    """
+    root, behind = root_bytes(data)
+    index = unpack(root, "root")
+    segments = table(index, "segments")
+    lengths = struct.unpack(
+        f"<{len(column(index, 'segments', 'kind'))}I", column(index, "segments", "length")
+    )
+    parts, start = [], 0
+    for row, length in enumerate(lengths):
+        parts.append(payloads.get(row, behind[start : start + length]))
+        start += length
+    segments["length"] = _u32([len(part) for part in parts])
+    segments["crc"] = _u32([zlib.crc32(part) for part in parts])
+    segments["hash"] = b"".join(hashlib.sha256(part).digest()[:16] for part in parts)
+    return with_root(pack(index), b"".join(parts))
+
+
+@dataclass
+class Record:
+    """A stream record whose every field may be wrong (SPEC 6.2).
+
+    Parameters
+    ----------
+    fields : list of int
+        Attribute, kind, components, flags, rows.
+    params : bytes
+    planes : list of (int, bytes)
+        Word and stored bytes of each plane.
+    """
+
+    fields: list[int]
+    params: bytes
+    planes: list[tuple[int, bytes]] = field(default_factory=list)
+
+
+def plane(raw: bytes) -> tuple[int, bytes]:
+    """Return the word and the stored bytes of a plane: a zstd frame where that is smaller."""
+    frame: bytes = zstandard.ZstdCompressor(level=19).compress(raw)
+    return (len(frame) | 1 << 31, frame) if len(frame) < len(raw) else (len(raw), raw)
+
+
+def record(stream: Stream, **changes: int) -> Record:
+    """Return the record of a stream, with fields named `components`, `flags` or `rows` changed."""
+    fields = {
+        "attribute": int(stream.attribute),
+        "kind": int(stream.kind),
+        "components": COMPONENTS[stream.attribute],
+        "flags": stream.flags,
+        "rows": stream.rows,
+    }
+    planes = [plane(raw.tobytes()) for raw in stream.planes]
+    return Record(list((fields | changes).values()), stream.params, planes)
+
+
+PAYLOAD_HEAD: Final = 2
+"""Bytes before the first record: the number of streams (SPEC 6.1)."""
+
+
+def packed_plane(raw: bytes, radix: int) -> bytes:
+    """Return the bytes that hold several symbols of a plane each, without the radix (SPEC 6.9)."""
+    count = next(d for d in range(8, 1, -1) if radix**d <= 256)
+    groups = [raw[start : start + count] for start in range(0, len(raw), count)]
+    return bytes(sum(s * radix**i for i, s in enumerate(group)) for group in groups)
+
+
+def payload(records: Sequence[Record], *, count: int | None = None) -> bytes:
+    """Return a segment's payload; `count` overrides the number of streams it states."""
+    heads = [struct.pack("<H", len(records) if count is None else count)]
+    bodies = []
+    for entry in records:
+        words = [word for word, _ in entry.planes]
+        heads.append(struct.pack("<BBBBIHH", *entry.fields, len(words), len(entry.params)))
+        heads.append(entry.params + _u32(words))
+        bodies += [stored for _, stored in entry.planes]
+    return b"".join(heads + bodies)
+
+
+def pack_streams(streams: Sequence[Stream]) -> bytes:
+    """Return the payload of streams whose planes are stored or zstd frames, nothing else."""
+    return payload([record(stream) for stream in streams])
+
+
+def one_chunk(
+    head: bytes,
+    splats: int,
+    *,
+    tail: bytes | None = None,
+    sh_degree: int = 0,
+    books: Mapping[str, tuple[int, Sequence[bytes]]] | None = None,
+    needs: tuple[int, ...] = (),
+    reach: float = 8.0,
+) -> Draft:
+    """Return a file of one chunk.
+
+    Parameters
+    ----------
+    head, tail : bytes
+    splats, sh_degree : int
+    books : mapping of str to (int, sequence of bytes), optional
+        Attribute of each codebook to its rows and its segments' payloads.
+    needs : tuple of int
+        Codebooks that head and tail need.
+    reach : float
+        How far the boxes go from the origin.
+    """
+    books = books or {}
+    segments: list[Segment] = []
+    entries: list[Value] = []
+    for number, (attribute, (rows, payloads)) in enumerate(books.items()):
+        entries.append({"attribute": attribute, "rows": rows})
+        first = SegmentKind.SHAPE_CODEBOOK if attribute == "shape" else SegmentKind.COLOUR_BAND1
+        segments += [Segment(first + i, number, data) for i, data in enumerate(payloads)]
+    segments.append(Segment(SegmentKind.HEAD, 0, head, needs))
+    if tail is not None:
+        segments.append(Segment(SegmentKind.TAIL, 0, tail, needs))
+    box = (-reach, -reach, -reach, reach, reach, reach)
+    root = root_keys(splats, sh_degree, codebooks=entries, box=list(box))
+    return Draft(root, [Group(segments, [ChunkRow(splats, box)])])

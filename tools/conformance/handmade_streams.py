@@ -1,0 +1,213 @@
+"""Hand-made streams for the conformance vectors: codes from integer arithmetic, no quantiser.
+
+Nothing here depends on the version of a numerical library, so that the files stay the same.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.geometry import morton
+from cogsplat.codec.streams import grid as grids
+from cogsplat.codec.streams import sorted_means
+from cogsplat.codec.streams.grid import Grid
+from cogsplat.codec.streams.records import (
+    COMPONENTS,
+    INFINITIES,
+    KEPT,
+    PER_ROW,
+    Attribute,
+    Kind,
+    Stream,
+)
+
+U32 = NDArray[np.uint32]
+
+GridRow = tuple[float, float, int]
+"""Minimum, maximum and levels of one component."""
+
+
+def numbers(count: int, below: int, seed: int) -> list[int]:
+    """Return pseudo-random integers from 0 up to `below`, the same everywhere."""
+    state, out = seed * 2654435761 + 1, []
+    for _ in range(count):
+        state = (state * 6364136223846793005 + 1442695040888963407) % (1 << 64)
+        out.append((state >> 33) % below)
+    return out
+
+
+def grid(rows: Sequence[GridRow]) -> Grid:
+    """Return a grid of components with their own ranges."""
+    low, high, levels = zip(*rows, strict=True)
+    return Grid(np.array(low, np.float32), np.array(high, np.float32), np.array(levels, np.uint32))
+
+
+def coded(
+    attribute: Attribute,
+    rows: Sequence[GridRow],
+    codes: Sequence[Sequence[int]],
+    *,
+    flags: int = 0,
+    levels: Sequence[int] | None = None,
+) -> Stream:
+    """Return a scalar stream of given codes.
+
+    Parameters
+    ----------
+    attribute : Attribute
+    rows : sequence of (float, float, int)
+        One per component.
+    codes : sequence of sequence of int
+        One column per component.
+    flags : int
+    levels : sequence of int, optional
+        What the planes are cut for, where that is not what the grid says.
+    """
+    extra = 2 if flags & INFINITIES else 0
+    cut = levels or [count + extra for _, _, count in rows]
+    planes = [
+        plane
+        for column, count in zip(codes, cut, strict=True)
+        for plane in grids.split_planes(np.array(column, np.uint32), count)
+    ]
+    return Stream(attribute, Kind.SCALAR, len(codes[0]), grid(rows).pack(), planes, flags)
+
+
+def spread(
+    attribute: Attribute,
+    rows: int,
+    seed: int,
+    *,
+    span: float = 1.0,
+    levels: int = 100,
+    kept: bool = False,
+) -> Stream:
+    """Return a scalar stream of pseudo-random codes, every component on a range of its own."""
+    components = COMPONENTS[attribute]
+    ranges = [(-span - 0.1 * i, span + 0.3 * i, levels + i) for i in range(components)]
+    codes = [numbers(rows, count, seed + 97 * i) for i, (_, _, count) in enumerate(ranges)]
+    return coded(attribute, ranges, codes, flags=KEPT if kept else 0)
+
+
+def constant(attribute: Attribute, rows: int, *values: float) -> Stream:
+    """Return a scalar stream of one value per component, which takes no plane."""
+    columns = [[0] * rows] * len(values)
+    return coded(attribute, [(value, value, 1) for value in values], columns)
+
+
+def quats(
+    rows: int,
+    seed: int,
+    *,
+    largest: int | Sequence[int] = 0,
+    ranges: Sequence[GridRow] = ((-0.5, 0.5, 64), (-0.4, 0.6, 300), (-0.3, 0.5, 33)),
+    kept: bool = False,
+) -> Stream:
+    """Return a quat stream of pseudo-random codes.
+
+    Parameters
+    ----------
+    rows, seed : int
+    largest : int or sequence of int
+        The component left out, for all rows or for each.
+    ranges : sequence of (float, float, int)
+        Of the three components stored.
+    kept : bool
+    """
+    each = not isinstance(largest, int)
+    codes = [numbers(rows, count, seed + 31 * i) for i, (_, _, count) in enumerate(ranges)]
+    body = coded(Attribute.QUATS, ranges, codes)
+    params = struct.pack("<B3x", PER_ROW if each else largest) + body.params
+    first = [np.array(largest, np.uint8)] if each else []
+    flags = KEPT if kept else 0
+    return Stream(Attribute.QUATS, Kind.QUAT, rows, params, [*first, *body.planes], flags)
+
+
+def morton_means(axis_codes: Sequence[Sequence[int]], rows: Sequence[GridRow]) -> Stream:
+    """Return a morton stream of axis codes, sorted here."""
+    codes = np.array(axis_codes, np.uint32)
+    order = np.argsort(morton.interleave(codes), kind="stable")
+    classes, bits = sorted_means.pack_deltas(morton.interleave(codes[order]))
+    return Stream(Attribute.MEANS, Kind.MORTON, len(codes), grid(rows).pack(), [classes, bits])
+
+
+def indices(attribute: Attribute, codes: Sequence[int], book: int, size: int, kept: int) -> Stream:
+    """Return a vq stream."""
+    planes = grids.split_planes(np.array(codes, np.uint32), size + kept)
+    return Stream(attribute, Kind.VQ, len(codes), struct.pack("<II", book, kept), planes)
+
+
+def floats(attribute: Attribute, values: Sequence[Sequence[float]]) -> Stream:
+    """Return a float stream of rows of values."""
+    rows = [struct.pack(f"<{len(row)}f", *row) for row in values]
+    octets = np.frombuffer(b"".join(rows), np.uint8).reshape(len(values), -1)
+    planes = [np.ascontiguousarray(octets[:, i]) for i in range(octets.shape[1])]
+    return Stream(attribute, Kind.FLOAT, len(values), b"", planes)
+
+
+def head(rows: int, seed: int, *changed: Stream) -> list[Stream]:
+    """Return the streams of a plain chunk head, those of the same attribute replaced."""
+    plain = [
+        spread(Attribute.SCALES, rows, seed + 3, span=4.0, levels=90),
+        quats(rows, seed + 4),
+        spread(Attribute.MEANS, rows, seed, span=3.0, levels=1000),
+        spread(Attribute.OPACITIES, rows, seed + 1, span=5.0, levels=30),
+        spread(Attribute.SH0, rows, seed + 2, span=1.5, levels=200),
+    ]
+    return _replaced(plain, changed)
+
+
+def _replaced(plain: Sequence[Stream], changed: Sequence[Stream]) -> list[Stream]:
+    found = {stream.attribute: stream for stream in changed}
+    return [found.get(stream.attribute, stream) for stream in plain]
+
+
+def place(body: Sequence[Stream], attribute: Attribute) -> int:
+    """Return where in a payload the stream of an attribute is."""
+    return [stream.attribute for stream in body].index(attribute)
+
+
+def still_head(rows: int, *changed: Stream) -> list[Stream]:
+    """Return the streams of a chunk head whose splats are all alike, some of them replaced."""
+
+    def flat(attribute: Attribute) -> Stream:
+        return constant(attribute, rows, *[0.5] * COMPONENTS[attribute])
+
+    others = [flat(a) for a in (Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0)]
+    turned = quats(rows, 1, ranges=[(0.0, 0.0, 1)] * 3)
+    return _replaced([flat(Attribute.SCALES), turned, *others], changed)
+
+
+def vq_head(
+    rows: int, seed: int, shape: Stream, *kept: Stream, still: bool = False
+) -> list[Stream]:
+    """Return the streams of a head whose shapes come from a codebook, `still` in all else."""
+    return [
+        *kept,
+        shape,
+        spread(Attribute.SCALE_FACTOR, rows, seed + 5, span=2.0, levels=50),
+        *(still_head(rows) if still else head(rows, seed))[2:],
+    ]
+
+
+def shape_book(rows: int, seed: int) -> list[Stream]:
+    """Return the streams of a shape codebook."""
+    return [
+        spread(Attribute.SCALES, rows, seed, span=1.0, levels=60),
+        quats(rows, seed + 1, largest=[i % 4 for i in range(rows)]),
+    ]
+
+
+def band(number: int, rows: int, seed: int, *, kept: bool = False) -> Stream:
+    """Return the stream of one SH band, 1 to 3."""
+    attribute = (Attribute.SH1, Attribute.SH2, Attribute.SH3)[number - 1]
+    return spread(attribute, rows, seed + number, span=0.5, levels=17, kept=kept)
+
+
+def bands(degree: int, rows: int, seed: int, *, kept: bool = False) -> list[Stream]:
+    """Return the streams of the SH bands up to a degree."""
+    return [band(number, rows, seed, kept=kept) for number in range(1, degree + 1)]

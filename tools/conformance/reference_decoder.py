@@ -1,0 +1,339 @@
+"""A second decoder, written from SPEC alone: what the conformance vectors' arrays come from.
+
+It shares no code with the codec or the container. Slow, and for valid files only.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Final
+
+import msgpack
+
+from . import reference_compensation as compensation
+from . import reference_streams as streams
+from .reference_streams import (
+    BANDS,
+    BASIS,
+    KEPT,
+    MEANS,
+    OPACITIES,
+    QUATS,
+    SCALE_FACTOR,
+    SCALES,
+    SH0,
+    SHAPE,
+    SHN,
+    Payload,
+    Row,
+)
+
+# SPEC 5.2, by number.
+_HEAD, _TAIL, _SHAPE_BOOK, _REFINEMENT = 1, 2, 3, 7
+_CAMERAS, _ATTRIBUTES, _COMPENSATION = 128, 129, 130
+_BAND_VALUES: Final = (9, 15, 21)
+
+Camera = dict[str, str | int | float | list[float]]
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A row of the segment table with its place in the file."""
+
+    kind: int
+    owner: int
+    start: int
+    end: int
+    needs: int
+
+
+@dataclass(frozen=True)
+class Prefix:
+    """What the first `size` bytes of a file give, until the next entry's.
+
+    Parameters
+    ----------
+    size : int
+        Bytes.
+    chunks : int
+        Chunks from the first whose heads can be decoded.
+    tails : tuple of int
+        Those of them whose tails can be decoded too, all bands.
+    refined : tuple of int
+        Those of them that have a refinement and it is there.
+    """
+
+    size: int
+    chunks: int
+    tails: tuple[int, ...]
+    refined: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A decoded file: one list of values per splat and attribute.
+
+    Parameters
+    ----------
+    sh_degree : int
+    chunk_splats : list of int
+    rows : dict of str to list of list of float
+        By the names of `Splats`; ``shN`` in the order coefficient, channel.
+    prefixes : list of Prefix
+        From the end of the root on.
+    attributes : list of (name, type, components)
+        Extra attributes, components 0 where none are stated.
+    attribute_values : dict of int to list of bytes
+        For each chunk that has them the little-endian values of each attribute, row by row.
+    cameras : list of dict
+        With the keys of `first_view` and ``name``.
+    compensated : dict of int to list of float
+        By the number of first chunks, their log scales and then their logits, compensated.
+    """
+
+    sh_degree: int
+    chunk_splats: list[int]
+    rows: dict[str, list[Row]]
+    prefixes: list[Prefix]
+    attributes: list[tuple[str, str, int]]
+    attribute_values: dict[int, list[bytes]]
+    cameras: list[Camera]
+    compensated: dict[int, Row]
+
+
+class _File:
+    """Root, segments and payloads of a valid file."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        root_length, self.length = struct.unpack_from("<IQ", data, 12)
+        self.root_end = 64 + root_length
+        self.root = msgpack.unpackb(data[64 : self.root_end])
+        self.segments: list[Segment] = []
+        self.chunk_splats: list[int] = []
+        # Where the index that lists each segment ends.
+        self.known_at: list[int] = []
+        position = self._add(self.root, self.root_end)
+        for page in self.root.get("pages", []):
+            end = position + page["length"]
+            position = self._add(msgpack.unpackb(data[position:end]), end)
+
+    def _add(self, index: dict[str, dict[str, bytes]], start: int) -> int:
+        table = index["segments"]
+        columns = [
+            table["kind"],
+            *(
+                struct.unpack(f"<{len(table[name]) // 4}I", table[name])
+                for name in ("owner", "length", "needs")
+            ),
+        ]
+        position = start
+        for kind, owner, length, needs in zip(*columns, strict=True):
+            self.segments.append(Segment(kind, owner, position, position + length, needs))
+            self.known_at.append(start)
+            position += length
+        splats = index["chunks"]["splats"]
+        self.chunk_splats += struct.unpack(f"<{len(splats) // 4}I", splats)
+        return position
+
+    def payload(self, segment: Segment) -> Payload:
+        return streams.parse(self.data[segment.start : segment.end])
+
+    def of(self, kind: int, owner: int) -> list[Segment]:
+        return [s for s in self.segments if (s.kind, s.owner) == (kind, owner)]
+
+    def book_segments(self, book: int) -> list[Segment]:
+        if self.root["codebooks"][book]["attribute"] == "shape":
+            return self.of(_SHAPE_BOOK, book)
+        return [s for k in range(self.root["sh_degree"]) for s in self.of(4 + k, book)]
+
+
+def _bands(payload: Payload, degree: int, rows: int, flag: int = 0) -> list[Row]:
+    """Return the SH rows above DC, zeros where a band has no stream (SPEC 7.3)."""
+    out: list[Row] = [[] for _ in range(rows)]
+    for attribute, values in list(zip(BANDS, _BAND_VALUES, strict=True))[:degree]:
+        record = payload.get((attribute, flag))
+        band = streams.numbers(record) if record else [[0.0] * values] * rows
+        for row, part in zip(out, band, strict=True):
+            row += part
+    return out
+
+
+def _shapes(payload: Payload, flag: int) -> list[Row]:
+    scales = streams.numbers(payload[SCALES, flag])
+    quats = streams.quats(payload[QUATS, flag], scales)
+    return [row + quat for row, quat in zip(scales, quats, strict=True)]
+
+
+def _codebook(file: _File, book: int) -> list[Row]:
+    """Return a codebook's rows: scales then quats, or SH coefficients (SPEC 7.1)."""
+    entry = file.root["codebooks"][book]
+    if entry["attribute"] == "shape":
+        return _shapes(file.payload(file.book_segments(book)[0]), 0)
+    merged: Payload = {}
+    for segment in file.book_segments(book):
+        merged |= file.payload(segment)
+    return _bands(merged, file.root["sh_degree"], entry["rows"])
+
+
+def _head(payload: Payload, books: dict[int, list[Row]], finer: Payload) -> dict[str, list[Row]]:
+    """Return the rows of a chunk head, its streams read in the order of SPEC 7.2.
+
+    `finer` are the streams of its refinement (SPEC 7.4), none where there is none.
+    """
+
+    def finer_of(attribute: int) -> streams.Finer | None:
+        found = finer.get((attribute, 0))
+        return None if found is None else streams.Finer(found, scales)
+
+    shape = payload.get((SHAPE, 0))
+    if shape is None:
+        coarse = streams.numbers(payload[SCALES, 0])
+        scales = streams.numbers(payload[SCALES, 0], None, finer.get((SCALES, 0)))
+        quats = streams.quats(payload[QUATS, 0], coarse, finer_of(QUATS))
+    else:
+        number, kept = struct.unpack("<II", shape.params)
+        book = books[number] + (_shapes(payload, KEPT) if kept else [])
+        shapes = [book[i] for i in streams.indices(shape, len(books[number]))]
+        factors = streams.numbers(payload[SCALE_FACTOR, 0])
+        scales = [
+            [streams.f32(value + factor) for value in row[:3]]
+            for row, (factor,) in zip(shapes, factors, strict=True)
+        ]
+        coarse, quats = scales, [row[3:] for row in shapes]
+    return {
+        "scales": scales,
+        "quats": quats,
+        "means": streams.numbers(payload[MEANS, 0], coarse, None, finer_of(MEANS)),
+        "opacities": streams.numbers(payload[OPACITIES, 0], None, finer.get((OPACITIES, 0))),
+        "sh0": streams.numbers(payload[SH0, 0], None, finer.get((SH0, 0))),
+    }
+
+
+def _tail(payload: Payload, books: dict[int, list[Row]], degree: int, rows: int) -> list[Row]:
+    """Return the rows of a chunk tail, its streams read in the order of SPEC 7.3."""
+    colour = payload.get((SHN, 0))
+    if colour is None:
+        return _bands(payload, degree, rows)
+    if colour.kind == BASIS:
+        return streams.shn_basis(colour, books[struct.unpack_from("<I", colour.params)[0]])
+    number, kept = struct.unpack("<II", colour.params)
+    book = books[number] + _bands(payload, degree, kept, KEPT)
+    return [book[i] for i in streams.indices(colour, len(books[number]))]
+
+
+def _attribute_types(file: _File) -> list[tuple[str, str, int]]:
+    entries = file.root.get("attributes", [])
+    return [(entry["name"], entry["type"], entry.get("components", 0)) for entry in entries]
+
+
+def _attributes(file: _File) -> dict[int, list[bytes]]:
+    """Return the bytes of each chunk's extra attributes, row by row (SPEC 5.7)."""
+    sizes = [max(1, count) * int(kind[1]) for _, kind, count in _attribute_types(file)]
+    out: dict[int, list[bytes]] = {}
+    for segment in file.segments:
+        if segment.kind != _ATTRIBUTES:
+            continue
+        data = file.data[segment.start : segment.end]
+        words = struct.unpack_from(f"<{sum(sizes)}I", data)
+        rows, position = file.chunk_splats[segment.owner], 4 * sum(sizes)
+        planes = []
+        for word in words:
+            end = position + (word & 0x3FFFFFFF)
+            planes.append(streams.plane(word, data[position:end], rows))
+            position = end
+        parts = []
+        for size in sizes:
+            own, planes = planes[:size], planes[size:]
+            parts.append(bytes(plane[row] for row in range(rows) for plane in own))
+        out[segment.owner] = parts
+    return dict(sorted(out.items()))
+
+
+def _cameras(file: _File) -> list[Camera]:
+    """Return the cameras of a file (SPEC 5.8)."""
+    found = file.of(_CAMERAS, 0)
+    if not found:
+        return []
+    table = msgpack.unpackb(file.data[found[0].start : found[0].end])
+    out: list[Camera] = []
+    for row, name in enumerate(table["name"]):
+        camera: Camera = {"name": name}
+        for key in ("width", "height"):
+            camera[key] = struct.unpack_from("<H", table[key], 2 * row)[0]
+        for key in ("fx", "fy", "cx", "cy"):
+            camera[key] = struct.unpack_from("<d", table[key], 8 * row)[0]
+        camera["rotation"] = list(struct.unpack_from("<9d", table["rotation"], 72 * row))
+        camera["translation"] = list(struct.unpack_from("<3d", table["translation"], 24 * row))
+        out.append(camera)
+    return out
+
+
+def _compensated(file: _File, rows: dict[str, list[Row]]) -> dict[int, Row]:
+    """Return what first chunks look most like the whole with (SPEC 8.5)."""
+    segments = [s for s in file.segments if s.kind == _COMPENSATION]
+    payloads = [file.data[s.start : s.end] for s in sorted(segments, key=lambda s: s.owner)]
+    out: dict[int, Row] = {}
+    for chunks in range(1, len(file.chunk_splats) + 1) if payloads else ():
+        shifts = compensation.shifts(payloads, file.chunk_splats, chunks)
+        scales: Row = []
+        opacities: Row = []
+        for place, (scale, opacity) in enumerate(shifts):
+            scales += compensation.added(rows["scales"][place], scale)
+            opacities += compensation.added(rows["opacities"][place], opacity)
+        out[chunks] = scales + opacities
+    return out
+
+
+def _prefixes(file: _File) -> list[Prefix]:
+    """Return what each length of the file gives (SPEC 8.2)."""
+
+    def there(segment: Segment, size: int) -> bool:
+        needed = [b for b in range(len(file.root["codebooks"])) if segment.needs >> b & 1]
+        parts = [segment, *(s for b in needed for s in file.book_segments(b))]
+        return all(s.end <= size and file.known_at[file.segments.index(s)] <= size for s in parts)
+
+    out: list[Prefix] = []
+    for size in sorted({file.root_end, *(s.end for s in file.segments), file.length}):
+        chunks = 0
+        for chunk in range(len(file.chunk_splats)):
+            if not there(file.of(_HEAD, chunk)[0], size):
+                break
+            chunks += 1
+        tails, refined = (
+            tuple(c for c in range(chunks) for s in file.of(kind, c) if there(s, size))
+            for kind in (_TAIL, _REFINEMENT)
+        )
+        given = Prefix(out[-1].size if out else 0, chunks, tails, refined)
+        if not out or out[-1] != given:
+            out.append(Prefix(size, chunks, tails, refined))
+    return out
+
+
+def decode(data: bytes, *, refine: bool = True) -> Scene:
+    """Decode a valid file whole, or without its refinements."""
+    file = _File(data)
+    degree = file.root["sh_degree"]
+    books = {book: _codebook(file, book) for book in range(len(file.root["codebooks"]))}
+    names = ("means", "scales", "quats", "opacities", "sh0", "shN")
+    rows: dict[str, list[Row]] = {name: [] for name in names}
+    for chunk, splats in enumerate(file.chunk_splats):
+        refinements = file.of(_REFINEMENT, chunk) if refine else []
+        finer = file.payload(refinements[0]) if refinements else {}
+        head = _head(file.payload(file.of(_HEAD, chunk)[0]), books, finer)
+        tails = file.of(_TAIL, chunk)
+        blank = [[0.0] * (3 * ((degree + 1) ** 2 - 1))] * splats
+        head["shN"] = _tail(file.payload(tails[0]), books, degree, splats) if tails else blank
+        for name in names:
+            rows[name] += head[name]
+    return Scene(
+        sh_degree=degree,
+        chunk_splats=file.chunk_splats,
+        rows=rows,
+        prefixes=_prefixes(file),
+        attributes=_attribute_types(file),
+        attribute_values=_attributes(file),
+        cameras=_cameras(file),
+        compensated=_compensated(file, rows),
+    )

@@ -1,0 +1,494 @@
+"""The valid conformance vectors: files that every reader must decode, to the bit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from cogsplat.codec.streams.records import INFINITIES, KEPT, Attribute
+from cogsplat.formats.cogs.canonical_msgpack import Value
+from cogsplat.formats.cogs.layout import SegmentKind
+from cogsplat.formats.cogs.writer import Segment
+
+from . import handmade_streams as scenes
+from .file_builder import (
+    ChunkRow,
+    Draft,
+    Group,
+    Index,
+    build,
+    one_chunk,
+    pack_streams,
+    payload,
+    record,
+    root_keys,
+    table,
+)
+
+
+@dataclass(frozen=True)
+class Valid:
+    """A file to decode.
+
+    Parameters
+    ----------
+    name : str
+    data : bytes
+    covers : tuple of str
+        SPEC clauses.
+    note : str
+        What it is there for.
+    """
+
+    name: str
+    data: bytes
+    covers: tuple[str, ...]
+    note: str
+
+
+SMALLEST: Final = "one-splat"
+"""The file that SPEC's annotated dump shows."""
+
+
+def _chunk(rows: int, seed: int, number: int, degree: int = 0) -> list[Segment]:
+    """Return head and tail of a plain chunk."""
+    out = [Segment(SegmentKind.HEAD, number, pack_streams(scenes.head(rows, seed)))]
+    if degree:
+        tail = pack_streams(scenes.bands(degree, rows, seed + 50))
+        out.append(Segment(SegmentKind.TAIL, number, tail))
+    return out
+
+
+def _plain(sizes: Sequence[int], degree: int, seed: int = 1) -> list[list[Segment]]:
+    return [_chunk(rows, seed + 1000 * i, i, degree) for i, rows in enumerate(sizes)]
+
+
+def _empty() -> Valid:
+    draft = Draft(root_keys(0, 3), [Group([], [])])
+    return Valid("empty", build(draft), ("3.1", "4.2", "5.4"), "no splats, no chunks, no segments")
+
+
+def _one_splat() -> Valid:
+    head = [
+        scenes.constant(Attribute.MEANS, 1, 1.0, -2.0, 0.5),
+        scenes.constant(Attribute.OPACITIES, 1, 2.0),
+        scenes.constant(Attribute.SH0, 1, 0.25, 0.5, -0.25),
+        scenes.constant(Attribute.SCALES, 1, -3.0, -2.5, -4.0),
+        scenes.quats(1, 1, ranges=[(0.5, 0.5, 1), (0.0, 0.0, 1), (-0.5, -0.5, 1)]),
+    ]
+    data = build(one_chunk(pack_streams(head), 1))
+    return Valid(SMALLEST, data, ("3.1", "6.2", "6.4", "6.6"), "one splat, every grid of one level")
+
+
+def _sh(degree: int) -> Valid:
+    head = pack_streams(scenes.head(24, degree))
+    tail = pack_streams(scenes.bands(degree, 24, 20 + degree)) if degree else None
+    data = build(one_chunk(head, 24, tail=tail, sh_degree=degree))
+    return Valid(
+        f"sh{degree}", data, ("6.4", "7.2", "7.3"), f"scalar streams at SH degree {degree}"
+    )
+
+
+def _plane_counts() -> Valid:
+    levels = [1, 2, 256, 257, 65536, 65537, 1 << 24]
+    attribute = Attribute.SH1
+    ranges = [(-1.1, 1.3, levels[i % len(levels)]) for i in range(9)]
+    codes = [[0, n - 1, *scenes.numbers(6, n, i)] for i, (_, _, n) in enumerate(ranges)]
+    tail = pack_streams([scenes.coded(attribute, ranges, codes)])
+    data = build(one_chunk(pack_streams(scenes.head(8, 3)), 8, tail=tail, sh_degree=1))
+    return Valid(
+        "plane-counts", data, ("6.4",), "codes of 0, 1, 2 and 3 byte planes, first and last"
+    )
+
+
+def _grid_ends() -> Valid:
+    largest = 2.0**100
+    ranges = [(-largest, largest, 1 << 24), (0.1, 0.1, 5), (1e-45, 3e-45, 3)]
+    codes = [[0, 1, (1 << 24) - 1, 1 << 23], [0, 4, 2, 1], [0, 1, 2, 1]]
+    means = scenes.coded(Attribute.MEANS, ranges, codes)
+    note = "grids of the largest range, of no range with five levels, and of denormals"
+    data = build(one_chunk(pack_streams(scenes.head(4, 3, means)), 4, reach=largest))
+    return Valid("grid-ends", data, ("6.4",), note)
+
+
+def _negative_zero() -> Valid:
+    means = scenes.coded(
+        Attribute.MEANS, [(-0.0, -0.0, 1), (-0.0, 1.0, 2), (-1.0, 1.0, 3)], [[0, 0]] * 2 + [[1, 2]]
+    )
+    head = scenes.head(2, 5, means, scenes.quats(2, 1, ranges=[(-0.0, -0.0, 1)] * 3))
+    data = build(one_chunk(pack_streams(head), 2))
+    return Valid("negative-zero", data, ("6.4", "6.6"), "a minimum of -0 decodes as +0 everywhere")
+
+
+def _morton() -> Valid:
+    codes = [[scenes.numbers(1, 500, 3 * i + axis)[0] for axis in range(3)] for i in range(60)]
+    codes[7] = codes[8] = codes[9]
+    means = scenes.morton_means(codes, [(-3.0, 3.1, 500), (-2.0, 2.2, 500), (0.3, 0.9, 500)])
+    data = build(one_chunk(pack_streams(scenes.head(60, 6, means)), 60))
+    return Valid("morton", data, ("6.5",), "means by Morton differences, three of them equal")
+
+
+def _morton_wide() -> Valid:
+    top = (1 << 21) - 1
+    codes = [[0, 0, 0], [1, 0, 0], [0, 0, 1], [top, top, top], [0, 0, 1 << 20], [7, 1 << 19, 0]]
+    means = scenes.morton_means(codes, [(-1.0, 1.0, 1 << 21)] * 3)
+    data = build(one_chunk(pack_streams(scenes.head(6, 6, means)), 6))
+    return Valid("morton-wide", data, ("6.5",), "21 bits an axis: differences of up to 63 bits")
+
+
+def _morton_flat() -> Valid:
+    means = scenes.morton_means([[0, 0, 0]] * 3, [(-0.0, -0.0, 1), (2.5, 2.5, 1), (0.1, 0.1, 1)])
+    data = build(one_chunk(pack_streams(scenes.head(3, 6, means)), 3))
+    return Valid("morton-flat", data, ("6.5",), "equal means: a bits plane of no bytes")
+
+
+def _quats() -> Valid:
+    left_out: list[int | list[int]] = [0, 1, 2, 3, [row % 4 for row in range(12)]]
+    segments = []
+    for chunk, largest in enumerate(left_out):
+        head = scenes.head(12, chunk, scenes.quats(12, chunk, largest=largest))
+        segments.append(Segment(SegmentKind.HEAD, chunk, pack_streams(head)))
+    data = build(Draft(root_keys(60, 0), [Group(segments, [ChunkRow(12)] * 5)]))
+    return Valid("quats", data, ("6.6",), "each component left out in turn, and row by row")
+
+
+def _quats_over_one() -> Valid:
+    ranges = [(-1.0, 1.0, 256)] * 3
+    head = scenes.head(
+        64, 8, scenes.quats(64, 3, ranges=ranges, largest=[i % 4 for i in range(64)])
+    )
+    data = build(one_chunk(pack_streams(head), 64))
+    return Valid("quats-over-one", data, ("6.6",), "squares that sum to more than one")
+
+
+def _infinities() -> Valid:
+    chunks = []
+    for number, levels in enumerate([1, 7, 254, 255, 256]):
+        codes = [levels, levels + 1, 0, levels - 1, *scenes.numbers(4, levels + 2, number)]
+        ranges = [(-4.5, 4.5 if levels > 1 else -4.5, levels)]
+        stream = scenes.coded(Attribute.OPACITIES, ranges, [codes], flags=INFINITIES)
+        data = pack_streams(scenes.head(8, number, stream))
+        chunks.append(Segment(SegmentKind.HEAD, number, data))
+    data = build(Draft(root_keys(40, 0), [Group(chunks, [ChunkRow(8)] * 5)]))
+    return Valid(
+        "infinities", data, ("6.4",), "opacities of both infinities, codes of 1 and 2 bytes"
+    )
+
+
+def _floats() -> Valid:
+    means = [[0.1, -0.0, 1e-45], [2.0**100, -(2.0**100), 3.14159], [1.0, 2.0, 3.0]]
+    head = [
+        scenes.floats(Attribute.MEANS, means),
+        scenes.floats(Attribute.OPACITIES, [[math.inf], [-math.inf], [-0.0]]),
+        scenes.floats(Attribute.SH0, means),
+        scenes.floats(Attribute.SCALES, [[-3.5, -90.0, 12.0]] * 3),
+        scenes.quats(3, 4),
+    ]
+    tail = [scenes.floats(Attribute.SH1, [[row + 0.1 * i for i in range(9)] for row in range(3)])]
+    data = build(
+        one_chunk(pack_streams(head), 3, tail=pack_streams(tail), sh_degree=1, reach=2.0**100)
+    )
+    return Valid("floats", data, ("6.8",), "float streams, with -0, denormals, both infinities")
+
+
+def _vq() -> Valid:
+    rows = 300
+    shape = scenes.indices(Attribute.SHAPE, scenes.numbers(20, rows, 5), 0, rows, 0)
+    colour = scenes.indices(Attribute.SHN, scenes.numbers(20, 20, 6), 1, 20, 0)
+    books = {
+        "shape": (rows, [pack_streams(scenes.shape_book(rows, 1))]),
+        "colour": (20, [pack_streams([scenes.band(i, 20, 2)]) for i in (1, 2, 3)]),
+    }
+    head = pack_streams(scenes.vq_head(20, 4, shape))
+    draft = one_chunk(head, 20, tail=pack_streams([colour]), sh_degree=3, books=books, needs=(0, 1))
+    note = "shape and colour codebooks; a head that states a codebook it does not use"
+    return Valid("vq", build(draft), ("5.5", "6.7", "7.1"), note)
+
+
+def _vq_kept() -> Valid:
+    # 250 rows and 10 kept ones: indices need a second plane only because of the kept.
+    index = [scenes.numbers(1, 260, i)[0] for i in range(30)]
+    index[:10] = range(250, 260)
+    shape = scenes.indices(Attribute.SHAPE, index, 0, 250, 10)
+    own = [
+        scenes.spread(Attribute.SCALES, 10, 70, levels=40, kept=True),
+        scenes.quats(10, 71, largest=2, kept=True),
+    ]
+    colour = scenes.indices(Attribute.SHN, [4, 5, 6, *scenes.numbers(27, 7, 3)], 1, 4, 3)
+    own_bands = [scenes.band(2, 3, 80, kept=True)]
+    books = {
+        "shape": (250, [pack_streams(scenes.shape_book(250, 1))]),
+        "colour": (4, [pack_streams([scenes.band(i, 4, 2)]) for i in (1, 2)]),
+    }
+    head = pack_streams(scenes.vq_head(30, 4, shape, *own))
+    tail = pack_streams([colour, *own_bands])
+    draft = one_chunk(head, 30, tail=tail, sh_degree=2, books=books, needs=(0, 1))
+    note = "rows of the chunk's own behind the codebook's, one of their bands absent"
+    return Valid("vq-kept", build(draft), ("6.7", "7.2", "7.3"), note)
+
+
+def _vq_all_kept() -> Valid:
+    shape = scenes.indices(Attribute.SHAPE, [1, 2, 3], 0, 1, 3)
+    scales = [[-1.0, -2.0, -3.0], [0.1, 0.2, 0.3], [0.0, -0.0, 1.0]]
+    own = [
+        replace(scenes.floats(Attribute.SCALES, scales), flags=KEPT),
+        scenes.quats(3, 71, kept=True),
+    ]
+    books = {"shape": (1, [pack_streams(scenes.shape_book(1, 1))])}
+    head = pack_streams(scenes.vq_head(3, 4, shape, *own))
+    note = "a codebook of one row that no splat uses; kept rows stored as floats"
+    return Valid(
+        "vq-all-kept", build(one_chunk(head, 3, books=books, needs=(0,))), ("6.7", "6.8"), note
+    )
+
+
+def _two_books() -> Valid:
+    books: list[Value] = [{"attribute": "shape", "rows": n} for n in (5, 9)]
+    segments = [
+        Segment(SegmentKind.SHAPE_CODEBOOK, i, pack_streams(scenes.shape_book(n, i)))
+        for i, n in enumerate((5, 9))
+    ]
+    for chunk, (book, size) in enumerate([(1, 9), (0, 5)]):
+        shape = scenes.indices(Attribute.SHAPE, scenes.numbers(6, size, chunk), book, size, 0)
+        data = pack_streams(scenes.vq_head(6, chunk, shape))
+        segments.append(Segment(SegmentKind.HEAD, chunk, data, (book,)))
+    root = root_keys(12, 0, codebooks=books)
+    data = build(Draft(root, [Group(segments, [ChunkRow(6)] * 2)]))
+    return Valid("two-books", data, ("5.3", "5.5"), "two codebooks, each needed by one chunk")
+
+
+def _late_book() -> Valid:
+    shape = scenes.indices(Attribute.SHAPE, [0, 1, 2, 1], 0, 3, 0)
+    colour = scenes.indices(Attribute.SHN, [1, 0, 1, 1], 1, 2, 0)
+    segments = [
+        *_chunk(5, 1, 0),
+        Segment(SegmentKind.HEAD, 1, pack_streams(scenes.vq_head(4, 2, shape)), (0,)),
+        Segment(SegmentKind.TAIL, 1, pack_streams([colour]), (1,)),
+        Segment(SegmentKind.COLOUR_BAND2, 1, pack_streams([scenes.band(2, 2, 8)])),
+        Segment(SegmentKind.SHAPE_CODEBOOK, 0, pack_streams(scenes.shape_book(3, 1))),
+        *_chunk(6, 5, 2),
+        Segment(SegmentKind.COLOUR_BAND1, 1, pack_streams([scenes.band(1, 2, 8)])),
+    ]
+    books: list[Value] = [
+        {"attribute": "shape", "rows": 3},
+        {"attribute": "colour", "rows": 2},
+    ]
+    root = root_keys(15, 2, codebooks=books)
+    data = build(Draft(root, [Group(segments, [ChunkRow(5), ChunkRow(4), ChunkRow(6)])]))
+    note = "codebooks behind the chunks that need them: a prefix must wait for them"
+    return Valid("late-book", data, ("5.1", "8.2"), note)
+
+
+def _chunks() -> Valid:
+    parts = _plain([3, 7, 12, 20], 2)
+    head, tail = 0, 1
+    order = [(0, head), (1, head), (1, tail), (2, head), (0, tail), (3, head), (3, tail), (2, tail)]
+    segments = [parts[chunk][part] for chunk, part in order]
+    rows = [ChunkRow(n, contribution=9.0 - i) for i, n in enumerate([3, 7, 12, 20])]
+    data = build(Draft(root_keys(42, 2), [Group(segments, rows)]))
+    return Valid("chunks", data, ("5.1", "5.4", "8.2"), "four chunks, tails late and out of order")
+
+
+def _pages() -> Valid:
+    parts = _plain([5, 6, 7, 8, 9], 1)
+    groups = [
+        Group(parts[0], [ChunkRow(5)]),
+        Group([parts[1][0], parts[2][0], parts[1][1]], [ChunkRow(6), ChunkRow(7)]),
+        Group([*parts[3], parts[2][1]], [ChunkRow(8)]),
+        Group(parts[4], [ChunkRow(9, layer=1, cell=4, object=2)]),
+    ]
+    data = build(Draft(root_keys(35, 1), groups))
+    return Valid(
+        "pages", data, ("5.6", "8.2"), "three index pages, tails in later pages than heads"
+    )
+
+
+def _pages_only() -> Valid:
+    parts = _plain([4, 4], 0)
+    groups = [Group([], []), *(Group(part, [ChunkRow(4)]) for part in parts)]
+    data = build(Draft(root_keys(8, 0), groups))
+    return Valid("pages-only", data, ("5.6",), "a root that lists no segment, only pages")
+
+
+def _tails_missing() -> Valid:
+    parts = _plain([6, 7, 8], 3)
+    segments = [parts[0][0], *parts[1], parts[2][0]]
+    rows = [ChunkRow(6), ChunkRow(7), ChunkRow(8)]
+    data = build(Draft(root_keys(21, 3), [Group(segments, rows)]))
+    return Valid(
+        "tails-missing", data, ("5.4", "7.3"), "two of three chunks have no tail: shN is 0"
+    )
+
+
+def _bands_absent() -> Valid:
+    tail = pack_streams([scenes.band(1, 9, 1), scenes.band(3, 9, 1)])
+    head = pack_streams(scenes.head(9, 1))
+    data = build(one_chunk(head, 9, tail=tail, sh_degree=3))
+    return Valid("band-absent", data, ("7.3",), "a tail without its second band: zeros there")
+
+
+def _book_band_absent() -> Valid:
+    colour = scenes.indices(Attribute.SHN, [0, 1, 2, 1, 0], 0, 3, 0)
+    empty = pack_streams([])
+    books = {"colour": (3, [empty, pack_streams([scenes.band(2, 3, 8)])])}
+    head = pack_streams(scenes.head(5, 1))
+    draft = one_chunk(head, 5, tail=pack_streams([colour]), sh_degree=2, books=books, needs=(0,))
+    note = "a colour codebook's band of no streams: zeros"
+    return Valid("book-band-absent", build(draft), ("7.1",), note)
+
+
+def _root_values() -> Valid:
+    view: Index = {
+        "width": 1920,
+        "height": 1080,
+        "fx": 1100.5,
+        "fy": 1099.25,
+        "cx": 960.0,
+        "cy": 540.0,
+        "rotation": [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+        "translation": [0.5, -1.5, 4.0],
+    }
+    root = root_keys(
+        6,
+        0,
+        writer="a writer with é and 🙂 in its name",
+        origin=[4.5e6, -1.25e5, 0.1],
+        axes="LUB",
+        colour_space="linear",
+        kernel_px=0.1,
+        antialiased=True,
+        first_view=view,
+    )
+    rows = [ChunkRow(6, (-4.5, -8.0, -4.0, 4.0, 4.0, 8.5), 12.5, 1, 2, 3, 41.25)]
+    data = build(Draft(root, [Group(_chunk(6, 1, 0), rows)]))
+    note = "origin, axes, colour space, kernel, first view, layer, cell, object, quality"
+    return Valid("root-values", data, ("4.2", "4.4", "5.4"), note)
+
+
+def _unknown_segments() -> Valid:
+    parts = _plain([6, 7], 1)
+    segments = [
+        Segment(201, 7, b"to be skipped"),
+        *parts[0],
+        Segment(255, 0xFFFFFFFF, bytes(9)),
+        *parts[1],
+        Segment(200, 0, b"\x00"),
+        Segment(200, 0, b"\x00"),
+    ]
+    data = build(Draft(root_keys(13, 1), [Group(segments, [ChunkRow(6), ChunkRow(7)])]))
+    return Valid("unknown-segments", data, ("5.2",), "segments of kinds 200 to 255, to be skipped")
+
+
+def _unknown_keys() -> Valid:
+    deep: Value = "bottom"
+    for _ in range(6):
+        deep = [deep]
+    extra: Index = {
+        "__proto__": {"polluted": True},
+        "constructor": None,
+        "": -(1 << 53) + 1,
+        "largest": (1 << 53) - 1,
+        "integers": [0, 127, 128, 255, 256, 65535, 65536, -1, -32, -33, -128, -129, -32769],
+        "floats": [math.inf, -math.inf, 0.5, -0.0],
+        "nested": deep,
+        "bin": bytes(300),
+        "text": "x" * 40,
+        "many": list(range(20)),
+        "not!last": 1,
+    }
+
+    def edit(number: int, index: Index) -> None:
+        table(index, "segments")["colour"] = "any"
+        table(index, "chunks")["score"] = bytes(3)
+        if number:
+            index["next"] = None
+            return
+        index.update(extra)
+        pages = index["pages"]
+        if isinstance(pages, list) and isinstance(pages[0], dict):
+            pages[0]["why"] = {"a": []}
+
+    books: list[Value] = [{"attribute": "shape", "rows": 2, "seed": 7}]
+    book = Segment(SegmentKind.SHAPE_CODEBOOK, 0, pack_streams(scenes.shape_book(2, 1)))
+    parts = _plain([6, 7], 0)
+    groups = [Group([book, *parts[0]], [ChunkRow(6)]), Group(parts[1], [ChunkRow(7)])]
+    data = build(Draft(root_keys(13, 0, codebooks=books), groups, minor=7), edit)
+    note = "a later minor version: unknown keys in every map, among them __proto__"
+    return Valid("unknown-keys", data, ("3.2", "4.1", "4.3"), note)
+
+
+def _compressed() -> Valid:
+    rows = 80
+    codes = [
+        [0] * rows,
+        [row // 10 % 2 for row in range(rows)],
+        [row * 7 % 251 for row in range(rows)],
+    ]
+    means = scenes.coded(Attribute.MEANS, [(-1.0, 1.0, 256)] * 3, codes)
+    mixed = scenes.quats(rows, 1, ranges=[(0.0, 0.0, 1)] * 3, largest=[0, 1] * (rows // 2))
+    head = pack_streams(scenes.still_head(rows, means, mixed))
+    note = "zstd frames: one byte over and over, runs, a period"
+    return Valid("compressed", build(one_chunk(head, rows)), ("6.3",), note)
+
+
+def _stored() -> Valid:
+    draft = one_chunk(pack_streams(scenes.head(1, 1)), 1)
+    data = build(draft, lambda _, index: index.update(writer=""))
+    return Valid("stored", data, ("6.3",), "planes of one byte, none of them compressed")
+
+
+def _frame_of_blocks() -> Valid:
+    """Write a zstd frame by hand, with a window descriptor as a streaming encoder has it."""
+    rows = 64
+    plane = np.array([row // 8 for row in range(rows)], np.uint8)
+    opacities = scenes.coded(Attribute.OPACITIES, [(-2.0, 2.0, 8)], [plane.tolist()])
+    # RFC 8878: content size of 4 bytes, window of 1 KiB, eight RLE blocks.
+    blocks = [
+        ((row == 7) | 1 << 1 | (8 << 3)).to_bytes(3, "little") + bytes([row]) for row in range(8)
+    ]
+    frame = bytes.fromhex("28b52ffd8000") + rows.to_bytes(4, "little") + b"".join(blocks)
+    head = scenes.still_head(rows, opacities)
+    records = [record(entry) for entry in head]
+    records[scenes.place(head, Attribute.OPACITIES)].planes = [(len(frame) | 1 << 31, frame)]
+    note = "a hand-made zstd frame: window descriptor, four-byte content size, RLE blocks"
+    return Valid("frame-blocks", build(one_chunk(payload(records), rows)), ("6.3",), note)
+
+
+def valid() -> list[Valid]:
+    """Return all valid vectors, in the order of the manifest."""
+    return [
+        _empty(),
+        _one_splat(),
+        *(_sh(degree) for degree in range(4)),
+        _plane_counts(),
+        _grid_ends(),
+        _negative_zero(),
+        _morton(),
+        _morton_wide(),
+        _morton_flat(),
+        _quats(),
+        _quats_over_one(),
+        _infinities(),
+        _floats(),
+        _stored(),
+        _compressed(),
+        _frame_of_blocks(),
+        _vq(),
+        _vq_kept(),
+        _vq_all_kept(),
+        _two_books(),
+        _late_book(),
+        _chunks(),
+        _tails_missing(),
+        _bands_absent(),
+        _book_band_absent(),
+        _pages(),
+        _pages_only(),
+        _root_values(),
+        _unknown_segments(),
+        _unknown_keys(),
+    ]

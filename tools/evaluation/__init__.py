@@ -1,0 +1,1 @@
+"""How good a file is: pictures, prefixes, bytes."""

@@ -1,0 +1,233 @@
+"""LPIPS, how different two pictures look to a network (Zhang et al. 2018), with weights of yours.
+
+A forward pass in numpy: no framework is needed to read the weights or to use them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import DataError
+
+from .torch_state_dict import read_state_dict
+
+F32 = NDArray[np.float32]
+
+# The paper's code (BSD licence): inputs from -1 to 1, moved and scaled per channel as ImageNet is.
+_SHIFT: Final = np.array([-0.030, -0.088, -0.188], np.float32)
+_SCALE: Final = np.array([0.458, 0.448, 0.450], np.float32)
+_TINY: Final = np.float32(1e-10)
+
+
+@dataclass(frozen=True)
+class _Net:
+    """A network up to its last feature layer.
+
+    Parameters
+    ----------
+    name : str
+    blocks : tuple of int
+        Convolutions before each of the five layers that are compared; pooling lies between blocks.
+    kernels : tuple of int
+        Side of each convolution's kernel, px.
+    stride, pool : int
+        Of the first convolution; side of the pooling window, which moves by 2.
+    pooled : tuple of bool
+        Whether a block begins with pooling.
+    smallest_side : int
+        Of a picture that leaves something at the last layer, px.
+    """
+
+    name: str
+    blocks: tuple[int, ...]
+    kernels: tuple[int, ...]
+    stride: int
+    pool: int
+    pooled: tuple[bool, ...]
+    smallest_side: int
+
+
+# Krizhevsky 2014 ("one weird trick"), Simonyan and Zisserman 2015 (configuration D).
+_ALEX: Final = _Net(
+    "alex", (1, 1, 1, 1, 1), (11, 5, 3, 3, 3), 4, 3, (False, True, True, False, False), 35
+)
+_VGG: Final = _Net("vgg", (2, 2, 3, 3, 3), (3,) * 13, 1, 2, (False, True, True, True, True), 16)
+
+_CONVOLUTION: Final = re.compile(r"(?:net\.slice\d+|features)\.(\d+)\.(weight|bias)")
+_LINEAR: Final = re.compile(r"(?:lin|lins\.)(\d)\.model\.1\.weight")
+
+
+@dataclass(frozen=True, eq=False)
+class Lpips:
+    """A network and what it learnt about likeness.
+
+    Parameters
+    ----------
+    name : str
+        ``alex`` or ``vgg``.
+    smallest_side : int
+        Of pictures, px.
+    """
+
+    name: str
+    smallest_side: int
+    _net: _Net
+    _kernels: tuple[F32, ...]
+    _biases: tuple[F32, ...]
+    _linear: tuple[F32, ...]
+
+    def features(self, picture: NDArray[np.floating]) -> list[F32]:
+        """Return the layers that are compared, each normalised over its channels.
+
+        Parameters
+        ----------
+        picture : (H, W, 3) float
+            Clipped to [0, 1] here; at least `smallest_side` a side.
+
+        Returns
+        -------
+        list of (C, h, w) float32
+            Five.
+        """
+        if min(picture.shape[:2]) < self.smallest_side:
+            raise ValueError(
+                f"picture of shape {picture.shape}, expected at least {self.smallest_side} px "
+                "a side"
+            )
+        values = np.clip(np.asarray(picture, np.float32), 0.0, 1.0) * np.float32(2) - np.float32(1)
+        layer: F32 = np.ascontiguousarray(((values - _SHIFT) / _SCALE).transpose(2, 0, 1))
+        found: list[F32] = []
+        number = 0
+        for block, pooled in zip(self._net.blocks, self._net.pooled, strict=True):
+            if pooled:
+                layer = _pool(layer, self._net.pool)
+            for _ in range(block):
+                stride = self._net.stride if number == 0 else 1
+                # Kernels of 3 and 5 keep the size; AlexNet's first one has 2 px around.
+                around = 2 if number == 0 and stride > 1 else self._kernels[number].shape[2] // 2
+                layer = _convolve(
+                    layer, self._kernels[number], self._biases[number], stride, around
+                )
+                np.maximum(layer, np.float32(0), out=layer)
+                number += 1
+            length = np.sqrt(np.square(layer).sum(axis=0, keepdims=True, dtype=np.float32))
+            found.append(layer / (length + _TINY))
+        return found
+
+    def distance(self, first: list[F32], second: list[F32]) -> float:
+        """Return the LPIPS distance of two pictures from their `features`; 0 for identical."""
+        total = 0.0
+        for a, b, weights in zip(first, second, self._linear, strict=True):
+            squares = np.square(a - b)
+            total += float(np.tensordot(weights, squares, axes=1).mean(dtype=np.float64))
+        return total
+
+
+def read_lpips(path: Path) -> Lpips:
+    """Read the weights of LPIPS: the state dict of the paper's code, network included.
+
+    Parameters
+    ----------
+    path : Path
+        What ``torch.save(lpips.LPIPS(net="alex").state_dict(), path)`` writes, ``vgg`` likewise, or
+        the same arrays as ``.npz``.
+
+    Raises
+    ------
+    StorageError
+        It cannot be read.
+    DataError
+        ``lpips-weights``: it is no such file, or arrays are missing or of another shape.
+    """
+    arrays = read_state_dict(path)
+    layers: dict[int, dict[str, F32]] = {}
+    linear: dict[int, F32] = {}
+    for name, array in arrays.items():
+        if match := _CONVOLUTION.fullmatch(name):
+            layers.setdefault(int(match[1]), {})[match[2]] = array
+        elif match := _LINEAR.fullmatch(name):
+            linear[int(match[1])] = array
+    pairs = [layers[number] for number in sorted(layers)]
+    first = pairs[0].get("weight") if pairs else None
+    net = _ALEX if first is not None and first.shape[-1] == _ALEX.kernels[0] else _VGG
+    _require(path, net, pairs, linear, arrays)
+    return Lpips(
+        name=net.name,
+        smallest_side=net.smallest_side,
+        _net=net,
+        _kernels=tuple(pair["weight"] for pair in pairs),
+        _biases=tuple(pair["bias"] for pair in pairs),
+        _linear=tuple(linear[layer].reshape(-1) for layer in range(len(net.blocks))),
+    )
+
+
+def _require(
+    path: Path,
+    net: _Net,
+    pairs: list[dict[str, F32]],
+    linear: Mapping[int, F32],
+    arrays: Mapping[str, F32],
+) -> None:
+    channels, ends = 3, np.cumsum(net.blocks).tolist()
+    problem = ""
+    if len(pairs) != len(net.kernels) or any(len(pair) != 2 for pair in pairs):
+        problem = f"{len(pairs)} convolutions"
+    elif sorted(linear) != list(range(len(net.blocks))):
+        problem = f"linear layers {sorted(linear)}"
+    else:
+        for number, (pair, side) in enumerate(zip(pairs, net.kernels, strict=True)):
+            out = len(pair["bias"]) if pair["bias"].ndim == 1 else 0
+            if out == 0 or pair["weight"].shape != (out, channels, side, side):
+                problem = f"convolution {number} of shape {pair['weight'].shape}"
+                break
+            channels = out
+            if number + 1 in ends:
+                layer = ends.index(number + 1)
+                if linear[layer].shape != (1, out, 1, 1):
+                    problem = f"linear layer {layer} of shape {linear[layer].shape}"
+                    break
+    if problem:
+        raise DataError(
+            "lpips-weights",
+            f"{path}: {problem} among {len(arrays)} arrays, expected the whole state dict of "
+            "LPIPS with AlexNet or VGG-16",
+        )
+
+
+def _convolve(layer: F32, kernel: F32, bias: F32, stride: int, around: int) -> F32:
+    """Return the valid correlation of a padded layer, (O, h, w): a product per kernel pixel."""
+    side = kernel.shape[2]
+    padded = np.pad(layer, ((0, 0), (around, around), (around, around)))
+    height = (padded.shape[1] - side) // stride + 1
+    width = (padded.shape[2] - side) // stride + 1
+    out = np.empty((len(kernel), height * width), np.float32)
+    out[:] = bias[:, None]
+    for y in range(side):
+        for x in range(side):
+            patch = padded[
+                :,
+                y : y + stride * (height - 1) + 1 : stride,
+                x : x + stride * (width - 1) + 1 : stride,
+            ]
+            out += kernel[:, :, y, x] @ patch.reshape(len(layer), -1)
+    return out.reshape(len(kernel), height, width)
+
+
+def _pool(layer: F32, side: int) -> F32:
+    """Return the maximum over windows that move by 2 px and lie inside the layer."""
+    height = (layer.shape[1] - side) // 2 + 1
+    width = (layer.shape[2] - side) // 2 + 1
+    out = np.full((len(layer), height, width), -np.inf, np.float32)
+    for y in range(side):
+        for x in range(side):
+            np.maximum(
+                out, layer[:, y : y + 2 * height - 1 : 2, x : x + 2 * width - 1 : 2], out=out
+            )
+    return out

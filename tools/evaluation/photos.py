@@ -1,0 +1,123 @@
+"""Photos of a scene: how well its renders show what was really there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.metrics import psnr
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.formats.storage.atomic import open_for_read, storage_errors
+
+
+@dataclass(frozen=True, eq=False)
+class Photos:
+    """Pictures of some views, and how well the source shows them.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+    pictures : sequence of (H, W, 3) uint8
+        One per camera, in its size.
+    source_db : float
+        Mean PSNR of the source's renders against them.
+    """
+
+    cameras: Sequence[Camera]
+    pictures: Sequence[NDArray[np.uint8]]
+    source_db: float
+
+    def psnr_db(
+        self, splats: Splats, background: tuple[float, float, float], *, threads: int = 0
+    ) -> float:
+        """Return the mean PSNR of a scene's renders against the photos, dB.
+
+        Parameters
+        ----------
+        splats : Splats
+        background : tuple of float
+            RGB behind the splats.
+        threads : int
+            0 for all cores; the figure does not depend on it.
+        """
+        return _mean_psnr_db(splats, self.cameras, self.pictures, background, threads)
+
+
+def read_photos(
+    folder: Path,
+    splats: Splats,
+    cameras: Sequence[Camera],
+    background: tuple[float, float, float],
+    *,
+    threads: int = 0,
+) -> Photos:
+    """Read the photos of some views, by the cameras' names.
+
+    Parameters
+    ----------
+    folder : Path
+    splats : Splats
+        The source.
+    cameras : sequence of Camera
+        At least one.
+    background : tuple of float
+    threads : int
+
+    Raises
+    ------
+    StorageError
+        A photo is missing or cannot be read.
+    DataError
+        ``photo``: it is no picture, or of another size than its camera.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    pictures: list[NDArray[np.uint8]] = []
+    for camera in cameras:
+        path = folder / camera.name
+        with storage_errors(path), open_for_read(path) as file:
+            try:
+                with Image.open(file) as image:
+                    size = image.size
+                    if size == (camera.width, camera.height):
+                        pictures.append(np.asarray(image.convert("RGB")))
+                        continue
+            except (UnidentifiedImageError, Image.DecompressionBombError) as error:
+                raise DataError("photo", f"{path}: {error}, expected a picture") from error
+        raise DataError(
+            "photo",
+            f"{path}: {size[0]}x{size[1]} px, expected its camera's {camera.width}x{camera.height}",
+        )
+    source_db = _mean_psnr_db(splats, cameras, pictures, background, threads)
+    return Photos(cameras, pictures, source_db)
+
+
+def _mean_psnr_db(
+    splats: Splats,
+    cameras: Sequence[Camera],
+    pictures: Sequence[NDArray[np.uint8]],
+    background: tuple[float, float, float],
+    threads: int,
+) -> float:
+    from cogsplat.codec.render.rasteriser import RenderConfig, render
+
+    config = RenderConfig(
+        kernel_px=splats.info.kernel_px,
+        antialiased=splats.info.antialiased,
+        background=background,
+        threads=1,
+    )
+
+    def measure(index: int) -> float:
+        drawn = render(splats, cameras[index], config)
+        return psnr(pictures[index].astype(np.float32) / 255, drawn)
+
+    found = list(ordered_map(measure, range(len(cameras)), thread_count(threads)))
+    return sum(found) / len(found)

@@ -1,0 +1,139 @@
+"""How good a COGS file is as its bytes arrive, at several lengths and in several kinds of view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import TruncatedError
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.splats import Splats, empty
+from cogsplat.formats.storage.source import FileSource, PrefixSource
+
+from . import view_quality
+from .photos import Photos
+
+SHARES: Final = (0.05, 0.1, 0.25, 0.5, 1.0)
+"""Shares of a file that are measured."""
+
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class PrefixQuality:
+    """What the first bytes of a file show, against the source's own pictures.
+
+    Parameters
+    ----------
+    share : float
+        Of the file.
+    size_bytes, splats : int
+    held_out_db, worst_db, roam_db : float
+        PSNR; the mean over the cameras judged by, the lowest of them, and the mean off their path.
+    held_out_ssim, worst_ssim, roam_ssim : float
+        Likewise.
+    worst_view : str
+    photos_db : float or None
+        Mean PSNR against photos, where there are any.
+    """
+
+    share: float
+    size_bytes: int
+    splats: int
+    held_out_db: float
+    worst_db: float
+    roam_db: float
+    held_out_ssim: float
+    worst_ssim: float
+    roam_ssim: float
+    worst_view: str
+    photos_db: float | None
+
+    def report(self) -> dict[str, object]:
+        """Return the fields as JSON output has them."""
+        return asdict(self)
+
+
+def decode_share(path: Path, share: float, *, threads: int = 0) -> Splats:
+    """Decode what is complete in the first bytes of a file, made up for what is not there.
+
+    Parameters
+    ----------
+    path : Path
+    share : float
+        Of the file, above 0 to 1.
+    threads : int
+
+    Returns
+    -------
+    Splats
+        Without rows where the bytes end inside the root.
+    """
+    whole = FileSource(path)
+    source = PrefixSource(whole, int(share * whole.size))
+    try:
+        with cogsplat.open(source, partial=True) as file:
+            return file.decode(compensate=True, threads=threads)
+    except TruncatedError:
+        return empty(0)
+
+
+def measure(
+    path: Path,
+    source: Splats,
+    cameras: Sequence[Camera],
+    *,
+    background: Colour = (0.0, 0.0, 0.0),
+    photos: Photos | None = None,
+    threads: int = 0,
+    progress: Progress = silent,
+) -> list[PrefixQuality]:
+    """Measure a file at `SHARES` of its length.
+
+    Parameters
+    ----------
+    path : Path
+    source : Splats
+        What it was encoded from.
+    cameras : sequence of Camera
+        To judge by; at least one.
+    background : tuple of float
+        RGB behind the splats.
+    photos : Photos, optional
+    threads : int
+        0 for all cores; the figures do not depend on it.
+    progress : Progress
+        Called with ``measure``, lengths done and lengths.
+
+    Raises
+    ------
+    DataError
+        As `view_quality.compare`.
+    """
+    file_bytes = path.stat().st_size
+    found: list[PrefixQuality] = []
+    progress("measure", 0, len(SHARES))
+    for share in SHARES:
+        part = decode_share(path, share, threads=threads)
+        seen = view_quality.compare(source, part, cameras, background=background, threads=threads)
+        found.append(
+            PrefixQuality(
+                share=share,
+                size_bytes=int(share * file_bytes),
+                splats=len(part),
+                held_out_db=view_quality.mean_psnr_db(seen.held_out),
+                worst_db=seen.worst.psnr_db,
+                roam_db=view_quality.mean_psnr_db(seen.roaming),
+                held_out_ssim=view_quality.mean_ssim(seen.held_out),
+                worst_ssim=seen.worst.ssim,
+                roam_ssim=view_quality.mean_ssim(seen.roaming),
+                worst_view=seen.worst.view,
+                photos_db=photos.psnr_db(part, background, threads=threads) if photos else None,
+            )
+        )
+        progress("measure", len(found), len(SHARES))
+    return found

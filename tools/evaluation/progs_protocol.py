@@ -1,0 +1,230 @@
+"""PRoGS' protocol: how good a scene is as it arrives, by shares of splats and by bytes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import cogsplat
+from cogsplat.codec.errors import TruncatedError
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.splats import Splats, empty
+from cogsplat.formats.storage.source import FileSource, PrefixSource
+
+from .panel import Figures, Panel
+
+SHARES: Final = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+"""Of the splats (PRoGS, section 4)."""
+
+FIRST_BYTES: Final = 32 << 10
+"""The shortest beginning of a file that is measured; the others are twice the one before."""
+
+SPLATS: Final = "splats"
+BYTES: Final = "bytes"
+
+
+@dataclass(frozen=True)
+class Point:
+    """What a beginning of a scene shows.
+
+    Parameters
+    ----------
+    name : str
+        The order, or the file.
+    by : str
+        `SPLATS` or `BYTES`: what is counted.
+    share : float
+        Of the splats or of the file's bytes.
+    size_bytes : int or None
+        Of the beginning of the file.
+    splats : int
+    figures : Figures
+    """
+
+    name: str
+    by: str
+    share: float
+    size_bytes: int | None
+    splats: int
+    figures: Figures
+
+    @property
+    def x(self) -> float:
+        """Place on an axis: percent of the splats, or bytes."""
+        return 100 * self.share if self.size_bytes is None else float(self.size_bytes)
+
+    def report(self) -> dict[str, object]:
+        """Return the fields as JSON output has them."""
+        return {
+            "name": self.name,
+            "by": self.by,
+            "share": round(self.share, 6),
+            "bytes": self.size_bytes,
+            "splats": self.splats,
+            **self.figures.report(),
+        }
+
+
+def counts(splats: int, shares: Sequence[float]) -> list[int]:
+    """Return how many splats each share is, at least 1."""
+    return [max(1, round(share * splats)) for share in shares]
+
+
+def by_splats(
+    panel: Panel,
+    name: str,
+    splats: Splats,
+    rows: NDArray[np.int64],
+    shares: Sequence[float] = SHARES,
+    *,
+    progress: Progress = silent,
+) -> list[Point]:
+    """Measure an order at shares of the splats, nothing quantised.
+
+    Parameters
+    ----------
+    panel : Panel
+    name : str
+    splats : Splats
+    rows : (N,) int64
+        The order.
+    shares : sequence of float
+        Above 0 to 1.
+    progress : Progress
+        Called with the stage ``judge``.
+    """
+    # What is drawn last is stored first: each version is a view of one array, not a copy.
+    ordered = splats.without_extras().take(rows)
+    sizes = counts(len(rows), shares)
+    found = panel.measure([ordered.take(slice(0, size)) for size in sizes], progress=progress)
+    return [
+        Point(name, SPLATS, share, None, size, figures)
+        for share, size, figures in zip(shares, sizes, found, strict=True)
+    ]
+
+
+def sizes_of(file_bytes: int) -> list[int]:
+    """Return 32 KiB, doubled while it is below a file's size, and that size."""
+    doublings = max(math.ceil(math.log2(max(file_bytes, 1) / FIRST_BYTES)), 0)
+    return [*(FIRST_BYTES << k for k in range(doublings)), file_bytes]
+
+
+def decode_beginning(
+    path: Path, size_bytes: int, *, compensate: bool = False, threads: int = 0
+) -> Splats:
+    """Decode what is complete in the first bytes of a file, as if its transfer had stopped there.
+
+    Parameters
+    ----------
+    path : Path
+    size_bytes : int
+    compensate : bool
+        Whether the splats make up for what is missing.
+    threads : int
+
+    Returns
+    -------
+    Splats
+        Without rows where the bytes end inside the index.
+    """
+    source = PrefixSource(FileSource(path), size_bytes)
+    try:
+        with cogsplat.open(source, partial=True) as file:
+            return file.decode(compensate=compensate, threads=threads)
+    except TruncatedError:
+        return empty(0)
+
+
+def by_bytes(
+    panel: Panel,
+    name: str,
+    path: Path,
+    sizes: Sequence[int] | None = None,
+    *,
+    compensate: bool = False,
+    threads: int = 0,
+    progress: Progress = silent,
+) -> list[Point]:
+    """Measure a file at lengths of its beginning, really cut there.
+
+    Parameters
+    ----------
+    panel : Panel
+    name : str
+    path : Path
+    sizes : sequence of int, optional
+        Bytes; `sizes_of` the file where none are given. What is longer than the file is left out,
+        and the whole file measured.
+    compensate : bool
+        Whether beginnings make up for what they lack.
+    threads : int
+    progress : Progress
+        Called with the stage ``judge``.
+    """
+    whole = path.stat().st_size
+    wanted = sizes_of(whole) if sizes is None else sorted({min(size, whole) for size in sizes})
+    versions = [
+        decode_beginning(path, size, compensate=compensate, threads=threads).without_extras()
+        for size in wanted
+    ]
+    found = panel.measure(versions, progress=progress)
+    return [
+        Point(name, BYTES, size / whole, size, len(version), figures)
+        for size, version, figures in zip(wanted, versions, found, strict=True)
+    ]
+
+
+def mean_over_log(points: Sequence[tuple[float, float]], until: float) -> float:
+    """Return the mean of a curve over a logarithmic axis: the area under it by its width.
+
+    Parameters
+    ----------
+    points : sequence of (x, y)
+        By rising x, above 0; lines between them, level behind the last.
+    until : float
+        Where the axis ends; the same for all curves that are compared.
+
+    Returns
+    -------
+    float
+        In the unit of y; that of the only point where there is one.
+    """
+    xs = np.log2([x for x, _ in points])
+    ys = np.array([y for _, y in points])
+    if until > points[-1][0]:
+        xs, ys = np.append(xs, math.log2(until)), np.append(ys, ys[-1])
+    width = float(xs[-1] - xs[0])
+    if width <= 0.0:
+        return float(ys[-1])
+    return float(np.trapezoid(ys, xs)) / width
+
+
+FIGURES: Final = ("held_out_db", "worst_db", "roam_db")
+"""What areas and plots are made of."""
+
+
+def areas(points: Sequence[Point]) -> dict[str, dict[str, float]]:
+    """Return the mean over the logarithm of splats or bytes, by name and figure, dB.
+
+    Parameters
+    ----------
+    points : sequence of Point
+        Counted the same way; by name in rising order. All of the splats do not count where there is
+        something before: they are the reference itself, whose 100 dB stand for no distance.
+    """
+    points = [p for p in points if p.by == BYTES or p.share < 1] or points
+    until = max(point.x for point in points)
+    found: dict[str, dict[str, float]] = {}
+    for name in dict.fromkeys(point.name for point in points):
+        own = [point for point in points if point.name == name]
+        found[name] = {
+            figure: mean_over_log([(p.x, getattr(p.figures, figure)) for p in own], until)
+            for figure in FIGURES
+        }
+    return found

@@ -1,0 +1,348 @@
+"""A report on one encode: figures, plots and pictures in one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.splats import Splats
+from cogsplat.formats.storage.atomic import atomic_write
+from cogsplat.tools.pictures.png import to_image
+from cogsplat.tools.pictures.svg_charts import Series, line_chart
+from cogsplat.tools.terminal.output import size_text
+
+from . import view_quality
+from .byte_inventory import ChunkSizes, StoredSize, chunk_sizes, stored_sizes
+from .photos import Photos
+from .prefix_quality import SHARES, Colour, PrefixQuality, decode_share
+
+AMPLIFIED: Final = 8
+"""What differences are multiplied by, so that they can be seen at all."""
+
+# Longest side of a picture in the report, px.
+_THUMBNAIL_PX: Final = 480
+# Views shown in full: the worst, the middle one and the best.
+_SHOWN: Final = 3
+
+_STYLE: Final = """
+:root{color-scheme:light dark;--ink:#1d2125;--soft:#5d666f;--line:#dfe3e7;--paper:#fff;
+--card:#f5f7f8;--bar:#0072b2}
+@media(prefers-color-scheme:dark){:root{--ink:#e8eaec;--soft:#9aa3ab;--line:#33393f;
+--paper:#16191c;--card:#1f2428;--bar:#4aa3d8}}
+*{box-sizing:border-box}
+body{margin:0;background:var(--paper);color:var(--ink);font:15px/1.5 system-ui,sans-serif}
+main{max-width:1080px;margin:0 auto;padding:32px 24px 64px}
+h1{font-size:26px;line-height:1.2;margin:0 0 4px;overflow-wrap:anywhere}
+h2{font-size:18px;margin:44px 0 12px}
+p{margin:0 0 12px;color:var(--soft);max-width:75ch}
+.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(150px,1fr));gap:12px;
+margin:24px 0 0}
+.tile{background:var(--card);border-radius:8px;padding:12px 14px}
+.tile b{display:block;font-size:22px;font-weight:600;line-height:1.25;
+font-variant-numeric:tabular-nums}
+.tile span{color:var(--soft);font-size:13px}
+.plot{background:#fff;border:1px solid var(--line);border-radius:8px;padding:8px;overflow-x:auto}
+.plot svg{display:block;max-width:100%;height:auto;margin:0 auto}
+.wide{overflow-x:auto}
+table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}
+th,td{text-align:right;padding:5px 10px;border-bottom:1px solid var(--line);white-space:nowrap}
+th{font-weight:500;font-size:13px;color:var(--soft)}
+th.l,td.l{text-align:left}
+td.meter{width:34%;min-width:120px}
+.meter i{display:block;height:12px;min-width:1px;border-radius:2px;background:var(--bar)}
+.row{display:grid;gap:10px;margin:0 0 18px;align-items:start}
+figure{margin:0}
+figure img{display:block;width:100%;height:auto;border-radius:4px;background:#000}
+figcaption{font-size:13px;color:var(--soft);padding:4px 2px}
+footer{margin-top:48px;color:var(--soft);font-size:13px}
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What a report is about.
+
+    Parameters
+    ----------
+    scene : Path
+        The source, by name.
+    source_bytes : int
+        Of its file.
+    source : Splats
+    path : Path
+        The COGS file.
+    cameras : sequence of Camera
+        Judged by; at least one.
+    judged_by : str
+        What they are, in words.
+    background : tuple of float
+        RGB behind the splats.
+    photos : Photos or None
+    qualities : sequence of PrefixQuality
+        As the file's bytes arrive, the whole file last.
+    settings : sequence of (str, str)
+        How it was encoded.
+    threads : int
+        0 for all cores.
+    """
+
+    scene: Path
+    source_bytes: int
+    source: Splats
+    path: Path
+    cameras: Sequence[Camera]
+    judged_by: str
+    background: Colour
+    photos: Photos | None
+    qualities: Sequence[PrefixQuality]
+    settings: Sequence[tuple[str, str]]
+    threads: int = 0
+
+
+def write_report(
+    path: Path, subject: Subject, *, force: bool = False, progress: Progress = silent
+) -> int:
+    """Write a report and return its bytes.
+
+    Parameters
+    ----------
+    path : Path
+    subject : Subject
+    force : bool
+        Replace an existing file.
+    progress : Progress
+        Called with ``report``.
+
+    Raises
+    ------
+    StorageError
+        As `atomic_write`, ``exists`` among them.
+    CogsplatError
+        The COGS file cannot be read.
+    """
+    progress("report", 0, 1)
+    page = render_page(subject).encode()
+    with atomic_write(path, force=force) as file:
+        file.write(page)
+    progress("report", 1, 1)
+    return len(page)
+
+
+def render_page(subject: Subject) -> str:
+    """Return the report as an HTML document."""
+    with cogsplat.open(subject.path) as file:
+        chunks, kept, predicted = chunk_sizes(file), file.root.splats, file.chunks.quality
+        ends = [chunk.head_offset + chunk.head_bytes for chunk in chunks]
+        sizes = stored_sizes(file)
+    curve = [(end, float(db)) for end, db in zip(ends, predicted, strict=True) if db]
+    name = escape(subject.scene.name)
+    sections = [
+        _tiles(subject, kept, float(predicted[-1]) if len(predicted) else 0.0),
+        "<h2>Quality as bytes arrive</h2>"
+        f"<p>PSNR against the source's own pictures in {escape(subject.judged_by)}; roaming views "
+        "stand back from those cameras and turn away. The predicted curve is what the encoder "
+        "wrote into the file, measured in views that it was given: of every chunk with its tail, "
+        "shown here where its head is complete.</p>",
+        f'<div class="plot">{_curves(subject, curve)}</div>',
+        _quality_table(subject.qualities),
+        "<h2>Pictures</h2>"
+        f"<p>Source, decoded file, and their difference {AMPLIFIED} times enlarged.</p>",
+        *_pictures(subject),
+        "<h2>Where the bytes are</h2>",
+        _attributes(sizes, kept),
+        "<h2>Chunks</h2>",
+        _chunks(chunks, ends, predicted),
+        "<h2>Settings</h2>",
+        _table(["", ""], [[escape(a), escape(b)] for a, b in subject.settings], left=2),
+        f"<footer>cogsplat {escape(cogsplat.__version__)}</footer>",
+    ]
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<title>{name}: encode report</title><style>{_STYLE}</style></head>\n<body><main>"
+        f"<h1>{name}</h1><p>as {escape(subject.path.name)}</p>\n"
+        + "\n".join(sections)
+        + "\n</main></body></html>\n"
+    )
+
+
+def _tiles(subject: Subject, kept: int, predicted_db: float) -> str:
+    size = subject.path.stat().st_size
+    whole = subject.qualities[-1]
+    tiles = [
+        (size_text(size), f"{size / max(kept, 1):.2f} bytes a splat"),
+        (f"{subject.source_bytes / size:.1f}×", f"smaller than {size_text(subject.source_bytes)}"),
+        (f"{kept:,}", f"of {len(subject.source):,} splats"),
+        (f"{whole.held_out_db:.2f} dB", f"judged views, SSIM {whole.held_out_ssim:.4f}"),
+        (f"{whole.worst_db:.2f} dB", f"worst view, {whole.worst_view}"),
+        (f"{whole.roam_db:.2f} dB", "roaming views"),
+    ]
+    if predicted_db:
+        tiles.append((f"{predicted_db:.2f} dB", "predicted by the encoder"))
+    if subject.photos and whole.photos_db is not None:
+        lost = subject.photos.source_db - whole.photos_db
+        tiles.append((f"{whole.photos_db:.2f} dB", f"against photos, {lost:.2f} dB lost"))
+    cells = (
+        f'<div class="tile"><b>{escape(big)}</b><span>{escape(small)}</span></div>'
+        for big, small in tiles
+    )
+    return f'<div class="tiles">{"".join(cells)}</div>'
+
+
+def _curves(subject: Subject, predicted: Sequence[tuple[int, float]]) -> str:
+    def points(of: Callable[[PrefixQuality], float | None]) -> tuple[tuple[float, float], ...]:
+        pairs = ((q.size_bytes, of(q)) for q in subject.qualities if q.splats)
+        return tuple((float(max(size, 1)), db) for size, db in pairs if db is not None)
+
+    series = [
+        Series("judged views", points(lambda q: q.held_out_db)),
+        Series("roaming", points(lambda q: q.roam_db), look=2),
+        Series("worst view", points(lambda q: q.worst_db), look=1),
+    ]
+    if predicted:
+        series.append(Series("predicted", tuple((float(x), y) for x, y in predicted), look=6))
+    if subject.photos:
+        series.append(Series("photos", points(lambda q: q.photos_db), look=3))
+    return line_chart(
+        "PSNR after the first bytes", "bytes received", "PSNR, dB", series,
+        x_text=lambda x: size_text(int(x)).replace(".0 ", " ").replace(".00 ", " "),
+    )  # fmt: skip
+
+
+def _quality_table(qualities: Sequence[PrefixQuality]) -> str:
+    rows = []
+    for q in qualities:
+        row = [
+            f"{q.share:.0%}", size_text(q.size_bytes), f"{q.splats:,}",
+            f"{q.held_out_db:.2f}", f"{q.held_out_ssim:.4f}", f"{q.worst_db:.2f}",
+            f"{q.roam_db:.2f}", f"{q.roam_ssim:.4f}",
+        ]  # fmt: skip
+        rows.append(row + ([f"{q.photos_db:.2f}"] if q.photos_db is not None else []))
+    heads = ["share", "bytes", "splats", "PSNR dB", "SSIM", "worst dB", "roam dB", "roam SSIM"]
+    heads += ["photos dB"] if len(rows[0]) > len(heads) else []
+    return _table(heads, rows, left=0)
+
+
+def _pictures(subject: Subject) -> list[str]:
+    from cogsplat.codec.render.rasteriser import RenderConfig, render
+
+    whole = cogsplat.decode(subject.path, threads=subject.threads)
+    info = subject.source.info
+    config = RenderConfig(
+        info.kernel_px, info.antialiased, subject.background, threads=subject.threads
+    )
+    found = view_quality.view_qualities(
+        subject.source, whole, subject.cameras,
+        background=subject.background, threads=subject.threads,
+    )  # fmt: skip
+    ranked = np.argsort([quality.psnr_db for quality in found], kind="stable")
+    places = np.unique(np.linspace(0, len(ranked) - 1, min(_SHOWN, len(ranked))).round())
+    parts = []
+    for place in places.astype(int):
+        view = int(ranked[place])
+        camera, quality = subject.cameras[view], found[view]
+        source, ours = render(subject.source, camera, config), render(whole, camera, config)
+        what = {0: "worst view", len(ranked) - 1: "best view"}.get(int(place), "middle view")
+        figures = [
+            _figure(source, f"{what}, {camera.name}: source"),
+            _figure(ours, f"decoded, PSNR {quality.psnr_db:.2f} dB, SSIM {quality.ssim:.4f}"),
+            _figure(np.abs(np.clip(source, 0, 1) - np.clip(ours, 0, 1)) * AMPLIFIED,
+                    f"difference ×{AMPLIFIED}"),
+        ]  # fmt: skip
+        parts.append(_row(figures))
+    camera = subject.cameras[int(ranked[len(ranked) // 2])]
+    strip = []
+    for quality_, share in zip(subject.qualities, SHARES, strict=True):
+        part = decode_share(subject.path, share, threads=subject.threads)
+        text = f"{share:.0%}, {size_text(quality_.size_bytes)}: {len(part):,} splats"
+        strip.append(_figure(render(part, camera, config), text))
+    parts.append(f"<p>{escape(camera.name)} as the bytes arrive.</p>")
+    parts.append(_row(strip))
+    return parts
+
+
+def _row(figures: Sequence[str]) -> str:
+    columns = f"grid-template-columns:repeat({len(figures)},minmax(0,1fr))"
+    return f'<div class="row" style="{columns}">{"".join(figures)}</div>'
+
+
+def _figure(pixels: NDArray[np.floating], caption: str) -> str:
+    image = to_image(pixels)
+    image.thumbnail((_THUMBNAIL_PX, _THUMBNAIL_PX))
+    page = io.BytesIO()
+    image.save(page, format="PNG", optimize=True)
+    data = base64.b64encode(page.getvalue()).decode()
+    text = escape(caption)
+    return (
+        f'<figure><img alt="{text}" src="data:image/png;base64,{data}">'
+        f"<figcaption>{text}</figcaption></figure>"
+    )
+
+
+def _attributes(sizes: Sequence[StoredSize], splats: int) -> str:
+    total = sum(size.stored_bytes for size in sizes)
+    largest = max(size.stored_bytes for size in sizes)
+    rows = [
+        [
+            escape(size.segment),
+            escape(size.label),
+            f"{size.stored_bytes:,}",
+            f"{size.stored_bytes / total:.1%}",
+            f"{8 * size.stored_bytes / max(splats, 1):.2f}",
+            f'<i style="width:{100 * size.stored_bytes / largest:.1f}%"></i>',
+        ]
+        for size in sorted(sizes, key=lambda size: -size.stored_bytes)
+    ]
+    heads = ["segment", "stream", "bytes", "share", "bits a splat", ""]
+    return _table(heads, rows, left=2, meter=True)
+
+
+def _chunks(
+    chunks: Sequence[ChunkSizes], ends: Sequence[int], predicted: NDArray[np.float32]
+) -> str:
+    rows = [
+        [
+            str(chunk.number),
+            f"{chunk.splats:,}",
+            f"{chunk.head_bytes:,}",
+            f"{chunk.tail_bytes:,}",
+            f"{(chunk.head_bytes + chunk.tail_bytes) / chunk.splats:.2f}",
+            size_text(end),
+            f"{chunk.share_so_far:.1%}" if chunk.share_so_far is not None else "-",
+            f"{db:.2f}" if db else "-",
+        ]
+        for chunk, end, db in zip(chunks, ends, predicted, strict=True)
+    ]
+    heads = [
+        "chunk", "splats", "head B", "tail B", "B a splat", "head ends at", "contribution so far",
+        "predicted dB",
+    ]  # fmt: skip
+    return _table(heads, rows, left=0)
+
+
+def _table(
+    heads: Sequence[str], rows: Sequence[Sequence[str]], *, left: int, meter: bool = False
+) -> str:
+    """Return a table of cells that are HTML already."""
+
+    def tag(kind: str, column: int, text: str) -> str:
+        looks = "l" if column < left else ""
+        looks = "meter" if meter and kind == "td" and column == len(heads) - 1 else looks
+        return f"<{kind}{f' class={looks}' if looks else ''}>{text}</{kind}>"
+
+    head = "".join(tag("th", c, text) for c, text in enumerate(heads)) if any(heads) else ""
+    body = "".join(
+        f"<tr>{''.join(tag('td', c, text) for c, text in enumerate(row))}</tr>" for row in rows
+    )
+    return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'

@@ -1,0 +1,241 @@
+"""A procedural scene with its cameras and labels, made to be judged by eye.
+
+Objects on a stone terrace in a meadow, hills and sky around. What makes trained scenes hard is in
+it: splats of very different sizes and opacities, gloss that moves with the view, noise in the
+higher SH bands, splats that no view sees, floaters, quaternions of any length, shuffled rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
+
+from . import landscape as land
+from . import objects
+from .lighting import TO_SCENE, bake
+from .materials import Surfels, collected, shares
+from .shapes import dot, unit
+
+F64 = NDArray[np.float64]
+Maker = Callable[[int, np.random.Generator], Surfels]
+
+LABELS = ("ground", "teapot", "knot", "marbles", "tree", "house", "surroundings")
+"""What each label of `synth_labels` means, by its number."""
+
+OBJECTS = ("teapot", "knot", "marbles")
+"""Those that `synth_objects` tells apart."""
+
+
+def _hidden(name: str) -> Maker:
+    return lambda n, rng: objects.hidden(name, n, rng)
+
+
+# Label, share of the splats, maker. Shares follow what the views show, as densification does.
+_PARTS: tuple[tuple[int, float, Maker], ...] = (
+    (0, 0.185, land.terrace),
+    (0, 0.150, land.meadow),
+    (0, 0.030, land.soil),
+    (1, 0.125, objects.teapot),
+    (1, 0.006, _hidden("teapot")),
+    (2, 0.080, objects.knot),
+    (2, 0.004, _hidden("knot")),
+    (3, 0.080, objects.marbles),
+    (3, 0.004, _hidden("marbles")),
+    (4, 0.140, objects.tree),
+    (4, 0.003, _hidden("tree")),
+    (5, 0.120, objects.house),
+    (5, 0.006, _hidden("house")),
+    (6, 0.050, land.hills),
+    (6, 0.035, land.sky),
+    (6, 0.012, land.floaters),
+)
+
+
+def _layout(splats: int, seed: int) -> tuple[np.random.Generator, list[int], NDArray[np.intp]]:
+    """Return the generator, the splats of each part, and the order of the rows."""
+    if splats < 1:
+        raise ValueError(f"{splats} splats, expected at least 1")
+    rng = np.random.default_rng(seed)
+    counts = shares(splats, [share for _, share, _ in _PARTS])
+    return rng, counts, rng.permutation(splats)
+
+
+def synth(splats: int = 120_000, seed: int = 7, sh_degree: int = 3) -> Splats:
+    """Make the scene.
+
+    Parameters
+    ----------
+    splats : int
+        Number of splats, at least 1; from about 10,000 the scene is whole, detail follows.
+    seed : int
+        Start of the one random generator; the same seed gives the same bytes on one platform.
+    sh_degree : int
+        0 to 3; a lower degree is the same scene cut.
+
+    Returns
+    -------
+    Splats
+        In rows of no particular order, axes "RDF", scene units of about a metre.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of range.
+    """
+    if not 0 <= sh_degree <= MAX_SH_DEGREE:
+        raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
+    rng, counts, order = _layout(splats, seed)
+    parts = [make(count, rng) for (_, _, make), count in zip(_PARTS, counts, strict=True) if count]
+    surfels = collected(parts).take(order)
+    quats, scales = _orientation(surfels, rng)
+    sh = bake(surfels, objects.occluders(), rng)
+    unit_opacities = surfels.opacities_unit
+    return Splats(
+        means=(surfels.patch.points * TO_SCENE).astype(np.float32),
+        scales=scales,
+        quats=quats,
+        opacities=np.log(unit_opacities / (1.0 - unit_opacities)).astype(np.float32),
+        sh0=np.ascontiguousarray(sh[:, 0]),
+        shN=np.ascontiguousarray(sh[:, 1:]),
+    ).with_sh_degree(sh_degree)
+
+
+def synth_labels(splats: int = 120_000, seed: int = 7) -> NDArray[np.uint16]:
+    """Return which object each splat of `synth` belongs to.
+
+    Parameters
+    ----------
+    splats, seed : int
+        As given to `synth`.
+
+    Returns
+    -------
+    (splats,) uint16
+        Index into `LABELS`: 0 the ground, then five objects whose boxes do not meet, the last the
+        hills, the sky and the floaters.
+    """
+    _, counts, order = _layout(splats, seed)
+    labels = np.repeat([label for label, _, _ in _PARTS], counts).astype(np.uint16)
+    return labels[order]
+
+
+def synth_objects(splats: int = 120_000, seed: int = 7) -> NDArray[np.uint8]:
+    """Return labels of three objects of `synth`, for the attribute ``object``.
+
+    Parameters
+    ----------
+    splats, seed : int
+        As given to `synth`.
+
+    Returns
+    -------
+    (splats,) uint8
+        1 + index into `OBJECTS`, 0 for all else.
+    """
+    numbers = np.array([OBJECTS.index(name) + 1 if name in OBJECTS else 0 for name in LABELS])
+    return numbers.astype(np.uint8)[synth_labels(splats, seed)]
+
+
+def synth_cameras(views: int = 48, width: int = 480, height: int = 360) -> list[Camera]:
+    """Return cameras around the scene: two orbits, then closer looks at each object.
+
+    Parameters
+    ----------
+    views : int
+        Number of cameras; every eighth, as evaluation holds out, is in all three groups at 48.
+    width, height : int
+        Image size, px.
+
+    Returns
+    -------
+    list of Camera
+        Horizontal field of view 54°, named ``view_00``, ``view_01`` …
+    """
+    low, high, close = shares(views, (20, 16, 12))
+    poses: list[tuple[F64, F64]] = []
+    for count, distance, eye, aim in ((low, 5.9, 1.25, 0.62), (high, 6.4, 3.3, 0.35)):
+        for i in range(count):
+            angle = 2.0 * np.pi * (i + 0.25) / count
+            poses.append((_polar(distance, angle, eye), np.array([0.0, aim, 0.0])))
+    for i in range(close):
+        _, (x, _, z) = objects.stand(LABELS[1 + i % 5])
+        target = np.array([x, 0.6, z])
+        # The teapot is seen through the gaps of the ring, the others from outside it.
+        if i % 5 == 0:
+            angle, distance = np.radians(85.0 + 90.0 * (i // 5)), 1.8
+        else:
+            angle, distance = float(np.arctan2(z, x)) + 0.9 * (i // 5 - 0.6), 2.3
+        poses.append((target + _polar(distance, angle, 0.4 + 0.3 * (i % 3)), target))
+    focal = 0.5 * width / np.tan(np.radians(27.0))
+    cameras = []
+    for i, (eye_point, target) in enumerate(poses):
+        rotation = _looking(unit((target - eye_point) * TO_SCENE))
+        cameras.append(
+            Camera(
+                width=width,
+                height=height,
+                fx=focal,
+                fy=focal,
+                cx=0.5 * width,
+                cy=0.5 * height,
+                rotation=rotation,
+                translation=-dot(rotation, eye_point * TO_SCENE),
+                name=f"view_{i:02d}",
+            )
+        )
+    return cameras
+
+
+def _polar(distance: float, angle: float, height: float) -> F64:
+    return np.array([distance * np.cos(angle), height, distance * np.sin(angle)])
+
+
+def _looking(forward: F64) -> F64:
+    """Return world to camera rotation for a level camera; scene axes, +y down."""
+    right = unit(np.cross(np.array([0.0, 1.0, 0.0]), forward))
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def _orientation(
+    surfels: Surfels, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return quaternions (n, 4) of norms 0.5 to 2 and log scales (n, 3) in scene axes."""
+    n = len(surfels.spread)
+    normals, tangents = surfels.patch.normals, surfels.patch.tangents
+    axes = np.stack([tangents, np.cross(normals, tangents), normals], axis=1) * TO_SCENE
+    # Training keeps no axis for the thin direction: it may be any of the three.
+    first = rng.integers(0, 3, n)[:, None]
+    chosen = (first + np.arange(3)) % 3
+    axes = np.take_along_axis(axes, chosen[:, :, None], axis=1)
+    scales = np.log(np.take_along_axis(surfels.sizes, chosen, axis=1))
+    norm = np.clip(np.exp(0.25 * rng.standard_normal(n)), 0.5, 2.0)
+    norm *= rng.choice([-1.0, 1.0], n)
+    quats = _quaternions(axes) * norm[:, None]
+    return quats.astype(np.float32), scales.astype(np.float32)
+
+
+def _quaternions(axes: F64) -> F64:
+    """Return wxyz quaternions of the rotations whose columns are (n, 3, 3) rows of axes."""
+    m = axes.transpose(0, 2, 1)
+    xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
+    # Four ways to the same quaternion; the one with the largest part loses least (Shepperd 1978).
+    a, b, c = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
+    d, e, f = m[:, 1, 0] + m[:, 0, 1], m[:, 0, 2] + m[:, 2, 0], m[:, 2, 1] + m[:, 1, 2]
+    ways = np.stack(
+        [
+            np.stack([1.0 + xx + yy + zz, a, b, c], axis=1),
+            np.stack([a, 1.0 + xx - yy - zz, d, e], axis=1),
+            np.stack([b, d, 1.0 - xx + yy - zz, f], axis=1),
+            np.stack([c, e, f, 1.0 - xx - yy + zz], axis=1),
+        ],
+        axis=1,
+    )
+    best = np.argmax(np.stack([ways[:, i, i] for i in range(4)], axis=1), axis=1)
+    picked = np.take_along_axis(ways, best[:, None, None], axis=1)[:, 0]
+    result: F64 = picked / np.sqrt((picked * picked).sum(axis=1, keepdims=True))
+    return result

@@ -1,0 +1,157 @@
+"""Options that several commands have, each written once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, TypeVar
+
+import click
+
+from cogsplat.codec.splats import MAX_SH_DEGREE
+
+from .values import byte_count, chunk_range, colour, object_labels
+
+Command = TypeVar("Command", bound=Callable[..., object])
+
+# Whether a path exists is asked when it is opened, so that its absence is an error of input (exit
+# code 4) and not of usage.
+PATH: Final = click.Path(path_type=Path)
+
+# Beyond any machine's cores; systems refuse to start tens of thousands.
+_MOST_THREADS: Final = 1024
+
+
+def json_option(command: Command) -> Command:
+    """Add ``--json``."""
+    return click.option(
+        "--json", "as_json", is_flag=True, help="Print one JSON object, errors included."
+    )(command)
+
+
+def force_option(command: Command) -> Command:
+    """Add ``--force``."""
+    return click.option("--force", is_flag=True, help="Replace what exists.")(command)
+
+
+def quiet_option(command: Command) -> Command:
+    """Add ``--quiet``."""
+    return click.option(
+        "--quiet", "-q", is_flag=True, help="Neither progress nor summary; errors and warnings."
+    )(command)
+
+
+def threads_option(command: Command) -> Command:
+    """Add ``--threads``."""
+    return click.option(
+        "--threads",
+        type=click.IntRange(0, _MOST_THREADS),
+        default=0,
+        metavar="N",
+        help="Threads; 0 (default) takes all cores. The result does not depend on it.",
+    )(command)
+
+
+def cameras_option(without: str) -> Callable[[Command], Command]:
+    """Add ``--cameras``; `without` says what is done where it is not given."""
+    return click.option(
+        "--cameras",
+        type=PATH,
+        metavar="PATH",
+        help="A cameras.json or transforms.json, a COLMAP folder, or a .cogs that cameras were "
+        f"stored in. {without}",
+    )
+
+
+def eval_every_option(default: int, verb: str) -> Callable[[Command], Command]:
+    """Add ``--eval-every``; `verb` says what happens to the cameras it names."""
+    return click.option(
+        "--eval-every",
+        type=click.IntRange(min=0),
+        default=default,
+        metavar="N",
+        show_default=True,
+        help=f"{verb} cameras with index % N == 0.",
+    )
+
+
+def background_option(command: Command) -> Command:
+    """Add ``--background``."""
+    return click.option(
+        "--background",
+        type=colour,
+        default="black",
+        show_default=True,
+        metavar="R,G,B",
+        help="Colour behind the splats, each 0 to 1; black and white are known.",
+    )(command)
+
+
+def jitter_option(command: Command) -> Command:
+    """Add ``--no-jitter``."""
+    return click.option(
+        "--no-jitter",
+        is_flag=True,
+        help="Score the cameras as they are, without copies that step back and turn.",
+    )(command)
+
+
+def top_k_option(command: Command) -> Command:
+    """Add ``--top-k``."""
+    return click.option(
+        "--top-k",
+        type=click.IntRange(min=0),
+        default=20,
+        show_default=True,
+        metavar="K",
+        help="Weights that count in a pixel, the largest ones; 0 for all.",
+    )(command)
+
+
+def compensate_option(command: Command) -> Command:
+    """Add ``--compensate``."""
+    return click.option(
+        "--compensate",
+        is_flag=True,
+        help="Make up for chunks that are not there: larger, more opaque splats, as the file says.",
+    )(command)
+
+
+def part_options(command: Command) -> Command:
+    """Add ``--chunks --splats --bytes --object --sh``: what is decoded of a COGS file."""
+    options = [
+        click.option(
+            "--chunks", type=chunk_range, metavar="A:B", help="Chunks A to B-1 of a COGS file."
+        ),
+        click.option(
+            "--splats",
+            "least_splats",
+            type=click.IntRange(min=0),
+            metavar="N",
+            help="Whole chunks until there are at least N splats.",
+        ),
+        click.option(
+            "--bytes",
+            "size",
+            type=byte_count,
+            metavar="N|P%",
+            help="What is complete in the first bytes: 65536, 64KiB, 1.5MB or 20%.",
+        ),
+        click.option(
+            "--object",
+            "objects",
+            type=object_labels,
+            metavar="N,…",
+            help="Chunks of these objects alone; 0 is what belongs to none.",
+        ),
+        click.option(
+            "--sh",
+            "sh_degree",
+            type=click.IntRange(0, MAX_SH_DEGREE),
+            metavar="0..3",
+            help="Highest SH degree.",
+        ),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
