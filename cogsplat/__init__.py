@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from .codec.encode.encoder import Prepared
     from .codec.encode.rate_control import Target
     from .codec.scoring.contribution import ScoreConfig, Scores
-    from .codec.scoring.reference_views import Teacher
+    from .codec.scoring.reference_views import ReferenceViews
 
 __all__ = [
     "Camera",
@@ -238,7 +238,8 @@ def encode(
         The scene or the cameras cannot be used, the target is out of reach, or the file cannot be
         written.
     ValueError
-        An unknown preset; a target for the profile `near`, or a PSNR with no views to see it in.
+        An unknown preset; a target for the profile `near-lossless`, or a PSNR with no views to
+        measure it in.
     """
     from .codec.encode import config as encode_config
     from .codec.encode import encoder
@@ -246,9 +247,9 @@ def encode(
     from .codec.encode.prefix_quality import predicted
     from .codec.encode.presets import PRESETS
     from .codec.order.orders import split_name
-    from .codec.order.prefix_inflation import carriers
+    from .codec.order.prefix_inflation import effective_splats
     from .codec.scoring.contribution import score
-    from .codec.scoring.reference_views import teach
+    from .codec.scoring.reference_views import render_references
     from .formats.cogs import scene as cogs
     from .formats.storage.atomic import refuse_existing
 
@@ -269,17 +270,18 @@ def encode(
     settings = score_config or chosen.score_config(config.profile, threads=config.threads)
     if scores is None and len(splats):
         if cameras is None:
-            views, witnesses = _planned(splats, config, chosen.planned_views, progress)
-            measured_on = measured_on or witnesses
+            views, test_views = _planned(splats, config, chosen.planned_views, progress)
+            measured_on = measured_on or test_views
         else:
             views = chosen.views(views)
         # An empty list is refused, not taken for none given.
         if cameras is not None or views:
             scores = score(splats, views, settings, progress=progress)
-    fitted = config.compensate and config.profile != "near" and scores is not None and bool(views)
-    teacher: Teacher | None = None
+    fits = config.compensate and config.profile != "near-lossless"
+    fitted = fits and scores is not None and bool(views)
+    references: ReferenceViews | None = None
     if len(splats) and views and (fitted or split_name(config.order)[0] == "gain"):
-        teacher = teach(
+        references = render_references(
             splats, views, jittered=settings.jitter, threads=config.threads, progress=progress
         )
     prepared = encoder.prepare(
@@ -288,7 +290,7 @@ def encode(
         config,
         views=views,
         jitter=settings.jitter,
-        teacher=teacher,
+        references=references,
         progress=progress,
     )
     writer = f"cogsplat {__version__}"
@@ -300,7 +302,7 @@ def encode(
     def room_of(trial: EncodedScene) -> int:
         if fitted and scores is not None:
             counts = [chunk.splats for chunk in trial.chunks]
-            room = blank(counts, carriers(scores.contribution), fit)
+            room = blank(counts, effective_splats(scores.contribution), fit)
             trial = replace(trial, compensation=room)
         if measured_on or views:
             foreseen = [replace(chunk, quality_db=1.0) for chunk in trial.chunks]
@@ -308,8 +310,8 @@ def encode(
         return size_of(trial)
 
     def finished(encoded: EncodedScene) -> EncodedScene:
-        if fitted and scores is not None and teacher is not None:
-            encoded = compensated(encoded, teacher, scores.contribution, fit, progress=progress)
+        if fitted and scores is not None and references is not None:
+            encoded = compensated(encoded, references, scores.contribution, fit, progress=progress)
         if (measured_on or views) and len(encoded.chunks):
             encoded = predicted(
                 encoded,
@@ -355,9 +357,9 @@ def _planned(
     try:
         wanted = ViewPlanConfig(views=count, threads=config.threads)
         found = plan(splats, wanted, progress=progress)
-        return found.views, found.witnesses
+        return found.views, found.test_views
     except DataError as error:
-        if error.code != "empty-scene" or config.profile != "near":
+        if error.code != "empty-scene" or config.profile != "near-lossless":
             raise
         return [], []
 
@@ -370,22 +372,22 @@ def _at_target(
     size_of: Callable[[EncodedScene], int],
     progress: Progress,
 ) -> EncodedScene:
-    from .codec.encode.prefix_quality import Witness, decoded
+    from .codec.encode.prefix_quality import PrefixEvaluator, decoded
     from .codec.encode.rate_control import TARGET_VIEWS, to_psnr, to_size
     from .codec.views.view_sets import evenly
 
-    if prepared.config.profile == "near":
-        raise ValueError("a target for the profile 'near', expected a profile for viewing")
+    if prepared.config.profile == "near-lossless":
+        raise ValueError("a target for the profile 'near-lossless', expected a profile for viewing")
     if target.size_bytes is not None:
         return to_size(prepared, target.size_bytes, size_of, progress=progress).encoded
     if not views:
         raise ValueError("a PSNR as target and no cameras, expected views to see it in")
     threads = prepared.config.threads
-    witness = Witness(splats, evenly(views, TARGET_VIEWS), threads)
+    evaluator = PrefixEvaluator(splats, evenly(views, TARGET_VIEWS), threads)
     return to_psnr(
         prepared,
         target.psnr_db or 0.0,
-        lambda trial: witness.psnr_db(decoded(trial, threads=threads)),
+        lambda trial: evaluator.psnr_db(decoded(trial, threads=threads)),
         progress=progress,
     ).encoded
 

@@ -110,7 +110,7 @@ def test_cameras_and_scenes_may_be_files(tmp_path):
     cogsplat.write(tmp_path / "scene.ply", splats)
     write_cameras_json(tmp_path / "cameras.json", cameras)
     a, b = tmp_path / "a.cogs", tmp_path / "b.cogs"
-    config = replace(KEEP, profile="near")
+    config = replace(KEEP, profile="near-lossless")
     cogsplat.encode(str(tmp_path / "scene.ply"), str(a), cameras=str(tmp_path / "cameras.json"),
                     config=config)  # fmt: skip
     read = cogsplat.read_cameras(tmp_path / "cameras.json")
@@ -151,7 +151,7 @@ def test_cancelling_anywhere_leaves_no_file_and_keeps_the_old_one(tmp_path, forc
         splats, target, cameras=cameras, config=KEEP, progress=lambda *call: calls.append(call)
     )
     target.write_bytes(b"old") if force else target.unlink()
-    stages = {"score", "gain", "chunks", "teacher", "compensate", "predict"}
+    stages = {"score", "gain", "chunks", "reference views", "compensate", "predict"}
     assert {call[0] for call in calls} == stages
 
     def stop(stage, done, total):
@@ -402,7 +402,7 @@ def test_importing_it_needs_no_compiler():
 def test_an_archive_may_show_nothing(tmp_path):
     dark = replace(scene(40), opacities=np.full(40, -20, np.float32))
     path = tmp_path / "dark.cogs"
-    cogsplat.encode(dark, path, config=EncodeConfig(profile="near"))
+    cogsplat.encode(dark, path, config=EncodeConfig(profile="near-lossless"))
     found = cogsplat.decode(path)
     assert len(found) == 40
     np.testing.assert_allclose(found.opacities, -20, atol=0.005)

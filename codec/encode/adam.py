@@ -21,14 +21,14 @@ class Adam:
         self._square = np.zeros(shape)
         self._count = np.zeros(shape[:-1])
 
-    def step(self, part: slice | int, slope: F64) -> F64:
+    def step(self, part: slice | int, lagrangian: F64) -> F64:
         """Return what to subtract from a part of the array."""
         self._count[part] += 1
         mean, square = self._mean[part], self._square[part]
         mean *= _MEMORY
-        mean += (1 - _MEMORY) * slope
+        mean += (1 - _MEMORY) * lagrangian
         square *= _SQUARE_MEMORY
-        square += (1 - _SQUARE_MEMORY) * slope * slope
+        square += (1 - _SQUARE_MEMORY) * lagrangian * lagrangian
         count = np.asarray(self._count[part])[..., None]
         size = np.sqrt(square / (1 - _SQUARE_MEMORY**count)) + 1e-12
         moved: F64 = self._rates * (mean / (1 - _MEMORY**count)) / size

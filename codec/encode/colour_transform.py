@@ -76,7 +76,7 @@ class ColourBasis:
         return np.linalg.solve(rows @ weighted, projected.T).T.astype(np.float64)
 
     def encode(
-        self, coefficients: F32, energy: F64, slope: float, codebook: int
+        self, coefficients: F32, energy: F64, lagrangian: float, codebook: int
     ) -> tuple[Stream, F64]:
         """Return the shN stream of a chunk and what it loses.
 
@@ -84,7 +84,7 @@ class ColourBasis:
         ----------
         coefficients : (n, K-1, 3) float32
         energy : (n,) float64
-        slope : float
+        lagrangian : float
         codebook : int
             Number of the basis in the file.
 
@@ -96,7 +96,7 @@ class ColourBasis:
         """
         coordinates = self.coordinates(coefficients)
         largest = float(np.abs(coordinates).max(initial=0))
-        step = max(allocation.shn_step(slope, energy), largest / _MOST_STEPS, _FINEST_STEP)
+        step = max(allocation.shn_step(lagrangian, energy), largest / _MOST_STEPS, _FINEST_STEP)
         codes = _round(coordinates / step)
         stream = colour_streams.shn_on_basis(codes, codebook, step, _SHRINK)
         values = np.sign(codes) * np.maximum(np.abs(codes) - _SHRINK, 0) * step
@@ -114,7 +114,7 @@ def fit(
     coefficients: F32,
     energy: F64,
     basis_spread: F64,
-    slope: float,
+    lagrangian: float,
     chunks: Sequence[slice],
     *,
     principal: bool = True,
@@ -128,7 +128,7 @@ def fit(
         Positive.
     basis_spread : (15, 15) float64
         `Scores.basis_spread`: what sh0 can make up for is not in it.
-    slope : float
+    lagrangian : float
     chunks : sequence of slice
         Their steps decide which rows are ever used.
     principal : bool
@@ -147,7 +147,7 @@ def fit(
     # Each chunk in units of its own step: what counts is how many levels a direction takes.
     for run in chunks:
         visible = flat[run] @ root.T
-        moments += (visible.T @ visible) / allocation.shn_step(slope, energy[run]) ** 2
+        moments += (visible.T @ visible) / allocation.shn_step(lagrangian, energy[run]) ** 2
     if principal:
         _, axes = np.linalg.eigh(moments)
         rows = (axes[:, ::-1].T @ inverse).astype(np.float32)
@@ -160,7 +160,7 @@ def fit(
     basis = ColourBasis(np.ascontiguousarray(rows), metric)
     used = np.zeros(len(rows), np.bool_)
     for run in chunks:
-        step = allocation.shn_step(slope, energy[run])
+        step = allocation.shn_step(lagrangian, energy[run])
         used |= (np.abs(basis.coordinates(coefficients[run])) >= _DEAD_ZONE * step).any(axis=0)
     last = int(np.flatnonzero(used)[-1]) + 1 if used.any() else 1
     return replace(basis, rows=basis.rows[:last])

@@ -15,7 +15,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.gradients import gradient
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.render.shading import row_colours
-from cogsplat.codec.scoring.reference_views import Teacher
+from cogsplat.codec.scoring.reference_views import ReferenceViews
 from cogsplat.codec.segments.compensation import (
     OPACITY_STEP,
     SCALE_STEP,
@@ -35,7 +35,7 @@ I64 = NDArray[np.int64]
 
 # A layer's prefix is so much longer than the one before's; between them shifts are interpolated.
 _GROWTH: Final = 1.4
-# Prefixes longer than this, in `prefix_inflation.carriers`, want next to nothing.
+# Prefixes longer than this, in `prefix_inflation.effective_splats`, want next to nothing.
 _LAYERED: Final = 1.0
 # The first prefix at least so long wants nothing at all.
 _WHOLE: Final = 1.27
@@ -89,13 +89,13 @@ class FitConfig:
         thread_count(self.threads)
 
 
-def plan_layers(chunk_splats: Sequence[int], carriers: int) -> list[int]:
+def plan_layers(chunk_splats: Sequence[int], effective_splats: int) -> list[int]:
     """Return the chunks of each layer's prefix, ascending; the whole scene is none of them."""
     layers: list[int] = []
     splats, last = 0, 0
     for chunk, count in enumerate(chunk_splats[:-1], start=1):
         splats += count
-        if splats > _LAYERED * carriers:
+        if splats > _LAYERED * effective_splats:
             break
         if splats >= _GROWTH * last:
             layers.append(chunk)
@@ -158,7 +158,7 @@ class _Fit:
     chunk_splats : sequence of int
     layers : list of int
         Chunks of each layer.
-    carriers : int
+    effective_splats : int
     config : FitConfig
     """
 
@@ -167,7 +167,7 @@ class _Fit:
         splats: Splats,
         chunk_splats: Sequence[int],
         layers: list[int],
-        carriers: int,
+        effective_splats: int,
         config: FitConfig,
     ) -> None:
         self.splats = splats
@@ -180,13 +180,13 @@ class _Fit:
         self.chunk = np.repeat(np.arange(chunks), chunk_splats[:chunks])
         self.own = np.zeros((len(splats), 2))
         # Splats with codes: those of the layers that end early enough.
-        coded = [size for size in self.sizes if size <= _CODED * carriers]
+        coded = [size for size in self.sizes if size <= _CODED * effective_splats]
         self.coded = coded[-1] if coded and config.code_bits else 0
         owner = np.searchsorted(self.sizes, ends[:chunks], side="left")
         self.tables = np.zeros((len(layers), chunks, 2))
         self.strengths = np.zeros((len(layers), chunks, 2))
         for number, (count, size) in enumerate(zip(layers, self.sizes, strict=True)):
-            wants = prefix_inflation.typical(size / carriers)
+            wants = prefix_inflation.typical(size / effective_splats)
             self.tables[number, :count] = wants.scales, wants.opacities
             self.strengths[number, :count] = _FADE ** (number - owner[:count])[:, None]
         self.owner = owner
@@ -228,10 +228,10 @@ class _Fit:
             self.books.append(_rounded_book(_book(values, rows)))
             first = size
 
-    def shade(self, views: Sequence[int], teacher: Teacher) -> list[NDArray[np.float32]]:
+    def shade(self, views: Sequence[int], references: ReferenceViews) -> list[NDArray[np.float32]]:
         """Return the colours of all splats in some views: no shift changes them."""
         rows = np.arange(len(self.splats), dtype=np.int32)
-        cameras = [teacher.cameras[view] for view in views]
+        cameras = [references.cameras[view] for view in views]
         threads = thread_count(self.config.threads)
         return list(ordered_map(partial(row_colours, self.splats, rows), cameras, threads))
 
@@ -239,7 +239,7 @@ class _Fit:
         self,
         number: int,
         pace: float,
-        teacher: Teacher,
+        references: ReferenceViews,
         views: Sequence[int],
         colours: Sequence[NDArray[np.float32]],
     ) -> None:
@@ -255,30 +255,30 @@ class _Fit:
             scales=prefix.scales + shift[:, :1],
             opacities=prefix.opacities + shift[:, 1],
         )
-        slope = np.zeros((size, 2))
+        lagrangian = np.zeros((size, 2))
         found = ordered_map(
             lambda seen: gradient(
                 drawn,
                 seen[1],
-                teacher.cameras[seen[0]],
-                teacher.pictures[seen[0]],
-                kernel_px=teacher.kernels[seen[0]],
-                near=teacher.near,
+                references.cameras[seen[0]],
+                references.pictures[seen[0]],
+                kernel_px=references.kernels[seen[0]],
+                near_plane=references.near_plane,
             ),
             zip(views, colours, strict=True),
             thread_count(self.config.threads),
         )
         for view, result in zip(views, found, strict=True):
             # PSNR is a logarithm: a view with little error counts as one with much.
-            floor = _ERROR_FLOOR * teacher.pictures[view].size
-            weight = float(teacher.weights[view]) / (result.error + floor)
-            slope[result.rows, 0] += weight * result.scales
-            slope[result.rows, 1] += weight * result.opacities
+            floor = _ERROR_FLOOR * references.pictures[view].size
+            weight = float(references.weights[view]) / (result.error + floor)
+            lagrangian[result.rows, 0] += weight * result.scales
+            lagrangian[result.rows, 1] += weight * result.opacities
         if self.coded:
             own = slice(0, min(size, self.coded))
-            self.own[own] -= pace * self._own_steps.step(own, (slope * strength[chunk])[own])
-        by_table = _by_chunk(chunk, slope, len(table))
-        by_strength = _by_chunk(chunk, slope * said, len(table))
+            self.own[own] -= pace * self._own_steps.step(own, (lagrangian * strength[chunk])[own])
+        by_table = _by_chunk(chunk, lagrangian, len(table))
+        by_strength = _by_chunk(chunk, lagrangian * said, len(table))
         table[:count] -= pace * self._table_steps.step(number, by_table)[:count]
         # What the newest chunks' codes say is said in full: it sets what a code means.
         older = self.owner[:count] < number
@@ -318,8 +318,8 @@ def _nothing(chunks: int) -> Layer:
 def fit(
     splats: Splats,
     chunk_splats: Sequence[int],
-    teacher: Teacher,
-    carriers: int,
+    references: ReferenceViews,
+    effective_splats: int,
     config: FitConfig | None = None,
     *,
     progress: Progress = silent,
@@ -332,10 +332,10 @@ def fit(
         As they are decoded, in stored order.
     chunk_splats : sequence of int
         Splats of each chunk.
-    teacher : Teacher
+    references : ReferenceViews
         Pictures of the source.
-    carriers : int
-        Of the source (`prefix_inflation.carriers`): how long a prefix is, in these.
+    effective_splats : int
+        Of the source (`prefix_inflation.effective_splats`): how long a prefix is, in these.
     config : FitConfig, optional
     progress : Progress
         Called with ``("compensate", steps done, steps)``.
@@ -353,12 +353,12 @@ def fit(
     use, steps pass to what the codes stand for as if these were not rounded.
     """
     config = config or FitConfig()
-    layers = plan_layers(chunk_splats, carriers)
+    layers = plan_layers(chunk_splats, effective_splats)
     counts = np.array(chunk_splats, np.int64)
     if not layers:
         return Compensation((), counts)
     size = int(counts[: layers[-1]].sum())
-    state = _Fit(splats.take(slice(0, size)), chunk_splats, layers, carriers, config)
+    state = _Fit(splats.take(slice(0, size)), chunk_splats, layers, effective_splats, config)
     total = config.iterations * len(layers)
     close = int(_QUANTISED_FROM * config.iterations)
     progress("compensate", 0, total)
@@ -366,22 +366,22 @@ def fit(
         if turn == close:
             state.close_books()
         pace = min(1.0, 2.0 * (1.0 - turn / config.iterations))
-        views = teacher.sample(config.views, turn)
-        colours = state.shade(views, teacher)
+        views = references.sample(config.views, turn)
+        colours = state.shade(views, references)
         for number in range(len(layers)):
-            state.improve(number, pace, teacher, views, colours)
+            state.improve(number, pace, references, views, colours)
             progress("compensate", turn * len(layers) + number + 1, total)
     if not state.books:
         state.close_books()
     found = state.result()
-    if _whole(chunk_splats, carriers, layers):
-        found.append(_nothing(_whole(chunk_splats, carriers, layers)))
+    if _whole(chunk_splats, effective_splats, layers):
+        found.append(_nothing(_whole(chunk_splats, effective_splats, layers)))
     return Compensation(tuple(found), counts)
 
 
 def compensated(
     encoded: EncodedScene,
-    teacher: Teacher,
+    references: ReferenceViews,
     contribution: NDArray[np.float64],
     config: FitConfig | None = None,
     *,
@@ -392,7 +392,7 @@ def compensated(
     Parameters
     ----------
     encoded : EncodedScene
-    teacher : Teacher
+    references : ReferenceViews
         Pictures of what was encoded.
     contribution : (N,) float64
         Of the source's splats.
@@ -402,17 +402,17 @@ def compensated(
     """
     config = config or FitConfig()
     counts = [chunk.splats for chunk in encoded.chunks]
-    carriers = prefix_inflation.carriers(contribution)
-    if not plan_layers(counts, carriers):
+    effective_splats = prefix_inflation.effective_splats(contribution)
+    if not plan_layers(counts, effective_splats):
         return encoded
     splats = decoded(encoded, threads=config.threads)
-    found = fit(splats, counts, teacher, carriers, config, progress=progress)
-    lacking = errors(found, splats, teacher, threads=config.threads)
-    return replace(encoded, compensation=found, lacking=lacking)
+    found = fit(splats, counts, references, effective_splats, config, progress=progress)
+    prefix_mse = errors(found, splats, references, threads=config.threads)
+    return replace(encoded, compensation=found, prefix_mse=prefix_mse)
 
 
 def errors(
-    compensation: Compensation, splats: Splats, teacher: Teacher, *, threads: int = 0
+    compensation: Compensation, splats: Splats, references: ReferenceViews, *, threads: int = 0
 ) -> F64:
     """Measure how far compensated prefixes are from the whole.
 
@@ -421,7 +421,7 @@ def errors(
     compensation : Compensation
     splats : Splats
         All of the scene's, as they are decoded.
-    teacher : Teacher
+    references : ReferenceViews
     threads : int
         0 for every core this process may use.
 
@@ -430,19 +430,19 @@ def errors(
     (c + 1,) float64
         Mean squared error of pictures without chunks, of the first, and so on to all.
     """
-    views = teacher.sample(_MEASURED_VIEWS, 0)
-    weights = teacher.weights[views] / teacher.weights[views].sum()
+    views = references.sample(_MEASURED_VIEWS, 0)
+    weights = references.weights[views] / references.weights[views].sum()
     ends = np.concatenate([[0], np.cumsum(compensation.chunk_splats)])
     found = np.zeros(len(ends))
     for chunks, end in enumerate(ends.tolist()):
         prefix = compensation.apply(splats.take(slice(0, end)), chunks)
 
         def far(view: int, prefix: Splats = prefix) -> float:
-            picture = teacher.pictures[view]
-            kernel_px, near = teacher.kernels[view], teacher.near
+            picture = references.pictures[view]
+            kernel_px, near_plane = references.kernels[view], references.near_plane
             info = prefix.info
-            config = RenderConfig(kernel_px, info.antialiased, near=near, threads=1)
-            drawn = np.clip(render(prefix, teacher.cameras[view], config), 0.0, 1.0)
+            config = RenderConfig(kernel_px, info.antialiased, near_plane=near_plane, threads=1)
+            drawn = np.clip(render(prefix, references.cameras[view], config), 0.0, 1.0)
             return float(np.mean(np.square(drawn - picture, dtype=np.float64)))
 
         each = list(ordered_map(far, views, thread_count(threads)))
@@ -451,32 +451,32 @@ def errors(
 
 
 def blank(
-    chunk_splats: Sequence[int], carriers: int, config: FitConfig | None = None
+    chunk_splats: Sequence[int], effective_splats: int, config: FitConfig | None = None
 ) -> Compensation:
     """Return a compensation that adds nothing and takes the same room as a fitted one.
 
     Parameters
     ----------
-    chunk_splats, carriers, config
+    chunk_splats, effective_splats, config
         As `fit` takes them.
     """
     config = config or FitConfig()
-    layers = plan_layers(chunk_splats, carriers)
+    layers = plan_layers(chunk_splats, effective_splats)
     ends = np.cumsum(chunk_splats)
     found = []
     first = 0
     for chunks in layers:
         size = int(ends[chunks - 1])
         layer = _nothing(chunks)
-        if config.code_bits and size <= _CODED * carriers:
+        if config.code_bits and size <= _CODED * effective_splats:
             rows = _book_rows(config.code_bits, size - first)
             layer = replace(
                 layer, book=np.zeros((rows, 2), np.int8), codes=np.zeros(size - first, np.uint8)
             )
         found.append(layer)
         first = size
-    if layers and _whole(chunk_splats, carriers, layers):
-        found.append(_nothing(_whole(chunk_splats, carriers, layers)))
+    if layers and _whole(chunk_splats, effective_splats, layers):
+        found.append(_nothing(_whole(chunk_splats, effective_splats, layers)))
     return Compensation(tuple(found), np.array(chunk_splats, np.int64))
 
 
@@ -484,7 +484,7 @@ def _book_rows(bits: int, splats: int) -> int:
     return min(1 << bits, max(splats, 1))
 
 
-def _whole(chunk_splats: Sequence[int], carriers: int, layers: Sequence[int]) -> int:
+def _whole(chunk_splats: Sequence[int], effective_splats: int, layers: Sequence[int]) -> int:
     """Return the chunks of the first prefix that wants nothing; 0 where that is no layer."""
-    chunks = int(np.searchsorted(np.cumsum(chunk_splats), _WHOLE * carriers)) + 1
+    chunks = int(np.searchsorted(np.cumsum(chunk_splats), _WHOLE * effective_splats)) + 1
     return chunks if layers[-1] < chunks < len(chunk_splats) else 0

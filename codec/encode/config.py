@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from cogsplat.codec.clustering.kmeans import TrainingConfig
-from cogsplat.codec.encode.profiles.near_lossless import NearBounds
+from cogsplat.codec.encode.profiles.near_lossless import NearLosslessBounds
 from cogsplat.codec.order import chunks as chunking
 from cogsplat.codec.order.orders import OrderConfig, require_order
 from cogsplat.codec.rate.pruning import PruneConfig
@@ -15,7 +15,7 @@ from cogsplat.codec.threads import thread_count
 
 from .ablation import Ablation
 
-PROFILES: Final = ("transform", "vq", "near")
+PROFILES: Final = ("transform", "vq", "near-lossless")
 MIN_QUALITY_DB: Final = 10.0
 MAX_QUALITY_DB: Final = 90.0
 
@@ -42,9 +42,9 @@ class EncodeConfig:
         Whether the heads of the `transform` profile are coarse and refinements bring the rest
         later.
     prune : PruneConfig or None
-        What may be dropped; None keeps every splat, as `near` always does.
+        What may be dropped; None keeps every splat, as `near-lossless` always does.
     near : NearBounds
-        Error bounds of the `near` profile.
+        Error bounds of the `near-lossless` profile.
     compensate : bool
         Whether the order is made for prefixes that are drawn with compensation. Fitting that
         takes what is encoded, and views: `compensation_fit.compensated`.
@@ -63,7 +63,7 @@ class EncodeConfig:
     morton: bool = True
     refine: bool = True
     prune: PruneConfig | None = field(default_factory=PruneConfig)
-    near: NearBounds = field(default_factory=NearBounds)
+    near_lossless: NearLosslessBounds = field(default_factory=NearLosslessBounds)
     compensate: bool = True
     training: TrainingConfig = field(default_factory=TrainingConfig)
     threads: int = 0
@@ -82,7 +82,7 @@ class EncodeConfig:
 
     def dropping(self) -> PruneConfig | None:
         """Return what may be dropped; an archive keeps all: what is not there has no bound."""
-        return None if self.profile == "near" else self.prune
+        return None if self.profile == "near-lossless" else self.prune
 
 
 def require_quality(quality_db: float) -> None:

@@ -88,7 +88,7 @@ class EncodedScene:
     codebooks, chunks : sequence
     compensation : Compensation or None
         What its prefixes want.
-    lacking : (c + 1,) float64 or None
+    prefix_mse : (c + 1,) float64 or None
         Mean squared error of pictures of nothing, of the first chunk, and so on to the whole, for
         what the splats behind are missing; None where that was not measured.
     """
@@ -100,4 +100,4 @@ class EncodedScene:
     codebooks: Sequence[EncodedCodebook]
     chunks: Sequence[EncodedChunk]
     compensation: Compensation | None = None
-    lacking: NDArray[np.float64] | None = None
+    prefix_mse: NDArray[np.float64] | None = None

@@ -19,7 +19,7 @@ from cogsplat.codec.rate import allocation, segment_order
 from cogsplat.codec.rate import costs as rate_costs
 from cogsplat.codec.rate.pruning import kept_rows
 from cogsplat.codec.scoring.contribution import Scores, unscored
-from cogsplat.codec.scoring.reference_views import Teacher
+from cogsplat.codec.scoring.reference_views import ReferenceViews
 from cogsplat.codec.segments.attributes import pack_attributes
 from cogsplat.codec.segments.codebooks import Codebook, decode_shape_codebook
 from cogsplat.codec.segments.heads import decode_head
@@ -64,8 +64,8 @@ class Prepared:
 
     def pruned(self, quality_db: float) -> Prepared:
         """Return the scene without the splats that are not worth their bytes at a quality."""
-        slope = allocation.slope(self.scores, quality_db)
-        kept = kept_rows(self.source, self.scores, self.config.dropping(), slope)
+        lagrangian = allocation.lagrangian(self.scores, quality_db)
+        kept = kept_rows(self.source, self.scores, self.config.dropping(), lagrangian)
         return _laid_out(self.source, self.rows[kept[self.rows]], self.scores, self.config)
 
     def encode(self, quality_db: float, *, progress: Progress = silent) -> EncodedScene:
@@ -149,7 +149,7 @@ def prepare(
     *,
     views: Sequence[Camera] = (),
     jitter: bool = True,
-    teacher: Teacher | None = None,
+    references: ReferenceViews | None = None,
     progress: Progress = silent,
 ) -> Prepared:
     """Order a scene and cut it.
@@ -162,7 +162,7 @@ def prepare(
         Those the scores are of, for orders that render.
     jitter : bool
         Whether these look from jittered copies as well.
-    teacher : Teacher, optional
+    references : ReferenceViews, optional
         What they would draw, where it has been drawn.
     progress : Progress
 
@@ -177,9 +177,9 @@ def prepare(
     scores = unscored(len(splats)) if scores is None else scores
     _require_scores(scores, len(splats))
     kept = kept_rows(splats, scores, config.dropping(), 0.0)
-    scene = Unordered(splats, scores, views, config.threads, progress, jitter, teacher)
-    thickened = config.ordering.thickened and config.compensate
-    rows = order_rows(config.order, scene, replace(config.ordering, thickened=thickened))
+    scene = Unordered(splats, scores, views, config.threads, progress, jitter, references)
+    inflated = config.ordering.inflated and config.compensate
+    rows = order_rows(config.order, scene, replace(config.ordering, inflated=inflated))
     return _laid_out(splats, rows[kept[rows]], scores, config)
 
 
@@ -199,7 +199,7 @@ def _laid_out(
         if config.order == "gain":
             # Again: what was pruned moved the others into other chunks. Not where a pose is served
             # first: its splats would lose their places.
-            rows = chunking.settled(rows, scores.contribution, config.chunk_splats)
+            rows = chunking.sort_runs(rows, scores.contribution, config.chunk_splats)
         slices = chunking.plan_chunks(len(rows), config.chunk_splats)
         arranged = objects.Arrangement(rows, slices, np.zeros(len(slices), np.uint32))
     return Prepared(
@@ -273,10 +273,10 @@ def _profile(
     """Return the codebooks of a profile and what encodes one run of the ordered scene."""
     ordered, scores, rows = prepared.ordered.without_extras(), prepared.scores, prepared.rows
     config = prepared.config
-    if config.profile == "near" or len(rows) == 0:
-        bound = near_lossless.mean_bound(ordered, config.near)
+    if config.profile == "near-lossless" or len(rows) == 0:
+        bound = near_lossless.mean_bound(ordered, config.near_lossless)
         return [], lambda run: near_lossless.encode_chunk(
-            ordered.take(run), bound, config.near, config.morton
+            ordered.take(run), bound, config.near_lossless, config.morton
         )
     ordered = vq.clip_strays(ordered)
     if config.profile == "transform":
@@ -286,12 +286,12 @@ def _profile(
         costs = rate_costs.costs(ordered, known)
         if not config.ablation.chunk_steps:
             costs = costs.levelled()
-        slope = allocation.slope(scores, quality_db)
+        lagrangian = allocation.lagrangian(scores, quality_db)
         shared = transform.plan(
             ordered,
             costs,
             scores.basis_spread,
-            slope,
+            lagrangian,
             prepared.slices,
             config.ablation,
             known.contribution if config.refine else None,
@@ -304,7 +304,7 @@ def _profile(
     plan = vq.plan(
         ordered,
         rate_costs.floor_energy(scores)[rows],
-        allocation.slope(scores, quality_db),
+        allocation.lagrangian(scores, quality_db),
         training=config.training,
         threads=config.threads,
         progress=progress,

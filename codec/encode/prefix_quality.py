@@ -34,7 +34,7 @@ PREFIX_VIEWS: Final = 8
 _PREFIXES: Final = 12
 
 
-class Witness:
+class PrefixEvaluator:
     """The source as some views show it, to hold encoded scenes against.
 
     Parameters
@@ -123,10 +123,10 @@ def predicted(
     threads : int
         0 for all cores.
     progress : Progress
-        As `Witness.prefixes_db`.
+        As `PrefixEvaluator.prefixes_db`.
     """
-    witness = Witness(source, evenly(views, most_views), threads)
-    qualities = witness.prefixes_db(encoded, progress=progress)
+    evaluator = PrefixEvaluator(source, evenly(views, most_views), threads)
+    qualities = evaluator.prefixes_db(encoded, progress=progress)
     chunks = [
         replace(chunk, quality_db=quality)
         for chunk, quality in zip(encoded.chunks, qualities, strict=True)

@@ -43,12 +43,12 @@ def in_frustum(splats: Splats, camera: Camera, margin: float) -> NDArray[np.bool
     return inside
 
 
-def in_picture(means: F64, camera: Camera, near: float) -> NDArray[np.bool_]:
+def in_picture(means: F64, camera: Camera, near_plane: float) -> NDArray[np.bool_]:
     """Mark the (N, 3) means that lie in the picture of a camera, hidden or not: (N,) bool."""
     local = means @ camera.rotation.T + camera.translation
     z = local[:, 2]
     x, y = camera.fx * local[:, 0] + camera.cx * z, camera.fy * local[:, 1] + camera.cy * z
-    inside: NDArray[np.bool_] = z > near
+    inside: NDArray[np.bool_] = z > near_plane
     inside &= (x > 0.0) & (x < camera.width * z)
     inside &= (y > 0.0) & (y < camera.height * z)
     return inside

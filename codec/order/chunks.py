@@ -62,13 +62,13 @@ def plan_chunks(splats: int, largest: int = DEFAULT_LARGEST) -> list[slice]:
     return chunks
 
 
-# Chunks behind the first that are settled together. Of a captured room's bytes an order by gain
-# takes 16 % more than one by contribution, and 4, settled by threes; by fours, 20 % of the splats
+# Chunks behind the first that are sorted together. Of a captured room's bytes an order by gain
+# takes 16 % more than one by contribution, and 4, sorted by threes; by fours, 20 % of the splats
 # show 0.6 dB less.
-_SETTLED: Final = 3
+_SORT_RUN_CHUNKS: Final = 3
 
 
-def settled(
+def sort_runs(
     rows: NDArray[np.int64], priority: NDArray[np.float64], largest: int = DEFAULT_LARGEST
 ) -> NDArray[np.int64]:
     """Return an order in which splats of equal weight share chunks, and soon the same prefixes.
@@ -92,8 +92,8 @@ def settled(
     """
     chunks = plan_chunks(len(rows), largest)
     parts = [rows[run] for run in chunks[:1]]
-    for first in range(1, len(chunks), _SETTLED):
-        last = min(first + _SETTLED, len(chunks)) - 1
+    for first in range(1, len(chunks), _SORT_RUN_CHUNKS):
+        last = min(first + _SORT_RUN_CHUNKS, len(chunks)) - 1
         run = rows[chunks[first].start : chunks[last].stop]
         parts.append(run[np.argsort(-priority[run], kind="stable")])
     return np.concatenate(parts) if parts else rows

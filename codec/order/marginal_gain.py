@@ -13,7 +13,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.marginal_gains import Pool, pool_of, probe
 from cogsplat.codec.scoring.contribution import Scores
-from cogsplat.codec.scoring.reference_views import Teacher, teach
+from cogsplat.codec.scoring.reference_views import ReferenceViews, render_references
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
@@ -49,7 +49,7 @@ class GainConfig:
 
     Parameters
     ----------
-    thickened : bool
+    inflated : bool
         Whether prefixes are made for being drawn with compensation (`prefix_inflation.typical`),
         which shows far more in few splats, or as they are.
     jitter : bool
@@ -58,7 +58,7 @@ class GainConfig:
         0 for every core this process may use. The order does not depend on it.
     """
 
-    thickened: bool = True
+    inflated: bool = True
     jitter: bool = True
     threads: int = 0
 
@@ -76,7 +76,7 @@ def _places(priority: NDArray[np.float64]) -> NDArray[np.int64]:
 def gains(
     pool: Pool,
     present: NDArray[np.bool_],
-    teacher: Teacher,
+    references: ReferenceViews,
     views: Sequence[int],
     threads: int,
 ) -> NDArray[np.float64]:
@@ -87,40 +87,40 @@ def gains(
     pool : Pool
         n splats.
     present : (n,) bool
-    teacher : Teacher
+    references : ReferenceViews
     views : sequence of int
-        Of the teacher's.
+        Of the reference views.
     threads : int
         At least 1. The gains do not depend on it.
 
     Returns
     -------
     (n,) float64
-        Weighted as the teacher says; per pixel, summed over channels.
+        Weighted as the reference views are; per pixel, summed over channels.
     """
     total = np.zeros(len(pool.rows), np.float64)
     found = ordered_map(
         lambda view: probe(
             pool,
             present,
-            teacher.cameras[view],
-            teacher.pictures[view],
-            kernel_px=teacher.kernels[view],
-            near=teacher.near,
+            references.cameras[view],
+            references.pictures[view],
+            kernel_px=references.kernels[view],
+            near_plane=references.near_plane,
         ),
         views,
         threads,
     )
     for view, (rows, gain, _) in zip(views, found, strict=True):
-        camera = teacher.cameras[view]
-        total[rows] += teacher.weights[view] / (camera.width * camera.height) * gain
+        camera = references.cameras[view]
+        total[rows] += references.weights[view] / (camera.width * camera.height) * gain
     return total
 
 
 def gain_rows(
     splats: Splats,
     scores: Scores,
-    teacher: Teacher,
+    references: ReferenceViews,
     config: GainConfig | None = None,
     *,
     progress: Progress = silent,
@@ -132,7 +132,7 @@ def gain_rows(
     splats : Splats
     scores : Scores
         Of these splats.
-    teacher : Teacher
+    references : ReferenceViews
         What prefixes are compared with.
     config : GainConfig, optional
     progress : Progress
@@ -159,7 +159,7 @@ def gain_rows(
     chosen = np.zeros(count, np.bool_)
     stages: list[NDArray[np.int64]] = []
     placed = 0
-    carriers = prefix_inflation.carriers(scores.contribution)
+    effective_splats = prefix_inflation.effective_splats(scores.contribution)
     until = int(_UNTIL * count)
     first = min(max(1, round(_FIRST * count)), _MOST_FIRST)
     rng = np.random.default_rng(0)
@@ -174,9 +174,13 @@ def gain_rows(
         # In file order, in which memory is read fastest.
         rows = np.flatnonzero(chosen | candidates)
         present = chosen[rows]
-        by = prefix_inflation.typical((placed + wanted) / carriers) if config.thickened else None
-        views = teacher.sample(_VIEWS, len(stages))
-        gain = gains(pool_of(splats, rows, by), present, teacher, views, threads)
+        by = (
+            prefix_inflation.typical((placed + wanted) / effective_splats)
+            if config.inflated
+            else None
+        )
+        views = references.sample(_VIEWS, len(stages))
+        gain = gains(pool_of(splats, rows, by), present, references, views, threads)
         gain[present] = -np.inf
         # Ties, such as splats that these views do not show, are in order of contribution.
         picked = rows[np.lexsort((by_contribution[rows], -gain))[:wanted]]
@@ -195,7 +199,7 @@ def gain_order(
     cameras: Sequence[Camera],
     config: GainConfig | None = None,
     *,
-    teacher: Teacher | None = None,
+    references: ReferenceViews | None = None,
     progress: Progress = silent,
 ) -> NDArray[np.int64]:
     """Order a scene by marginal gain, drawing it from some cameras first unless that was done.
@@ -203,10 +207,10 @@ def gain_order(
     Parameters
     ----------
     splats, scores, config, progress
-        As `gain_rows`; progress also of `reference_views.teach`.
+        As `gain_rows`; progress also of `reference_views.render_references`.
     cameras : sequence of Camera
         In the frame of the means. Without any, or without splats, the order is by contribution.
-    teacher : Teacher, optional
+    references : ReferenceViews, optional
         The scene in views of these cameras, where it has been drawn; then `GainConfig.jitter` does
         not count.
 
@@ -217,8 +221,8 @@ def gain_order(
     config = config or GainConfig()
     if not cameras or not len(splats):
         return np.argsort(-scores.contribution, kind="stable").astype(np.int64)
-    if teacher is None:
-        teacher = teach(
+    if references is None:
+        references = render_references(
             splats, cameras, jittered=config.jitter, threads=config.threads, progress=progress
         )
-    return gain_rows(splats, scores, teacher, config, progress=progress)
+    return gain_rows(splats, scores, references, config, progress=progress)

@@ -19,7 +19,7 @@ from . import first_view as order_views
 
 if TYPE_CHECKING:
     from cogsplat.codec.scoring.contribution import Scores
-    from cogsplat.codec.scoring.reference_views import Teacher
+    from cogsplat.codec.scoring.reference_views import ReferenceViews
 
 FIRST_VIEW: Final = "first-view"
 FRUSTUM: Final = "frustum"
@@ -57,7 +57,7 @@ class OrderConfig:
         What the frustum is wider than the image at each side, as a share of its size.
     seed : int
         Of ``random``.
-    thickened : bool
+    inflated : bool
         Whether ``gain`` makes prefixes for being drawn with compensation, or as they are.
     by_object : bool
         Whether chunks hold one object each (`objects`); needs the attribute ``object``.
@@ -73,7 +73,7 @@ class OrderConfig:
     frustum_share: float = _FRUSTUM_SHARE
     frustum_margin: float = _FRUSTUM_MARGIN
     seed: int = 0
-    thickened: bool = True
+    inflated: bool = True
     by_object: bool = False
     object_budgets: tuple[tuple[int | None, float], ...] = ()
 
@@ -110,7 +110,7 @@ class Unordered:
     progress : Progress
     jitter : bool
         Whether orders that render look from jittered copies of the views as well.
-    teacher : Teacher or None
+    references : ReferenceViews or None
         The scene in these views, and their copies where `jitter` says so; None where it has not
         been drawn.
     """
@@ -121,7 +121,7 @@ class Unordered:
     threads: int = 0
     progress: Progress = field(default=silent)
     jitter: bool = True
-    teacher: Teacher | None = None
+    references: ReferenceViews | None = None
 
 
 Order = Callable[[Unordered, OrderConfig], NDArray[np.int64]]
@@ -149,11 +149,11 @@ def _by_gain(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
         scene.splats,
         scene.scores,
         scene.views,
-        GainConfig(thickened=config.thickened, jitter=scene.jitter, threads=scene.threads),
-        teacher=scene.teacher,
+        GainConfig(inflated=config.inflated, jitter=scene.jitter, threads=scene.threads),
+        references=scene.references,
         progress=scene.progress,
     )
-    return chunks.settled(rows, scene.scores.contribution)
+    return chunks.sort_runs(rows, scene.scores.contribution)
 
 
 def _baseline(priority: Callable[[Splats], NDArray[np.float64]]) -> Order:
@@ -277,4 +277,4 @@ def _seen_from(scene: Unordered, camera: Camera) -> Unordered:
     # for it, and in a short prefix the others are not there.
     config = ScoreConfig(top_k=0, jitter=False, threads=scene.threads)
     scores = score(scene.splats, [camera], config)
-    return replace(scene, scores=scores, views=[camera], teacher=None)
+    return replace(scene, scores=scores, views=[camera], references=None)

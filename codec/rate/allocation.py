@@ -1,4 +1,4 @@
-"""How coarse every chunk may be: steps of equal slope from the energies of its splats."""
+"""How coarse every chunk may be: steps of equal λ from the energies of its splats."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ F64 = NDArray[np.float64]
 _SHARES: Final = 22
 
 
-def slope(scores: Scores, quality_db: float) -> float:
+def lagrangian(scores: Scores, quality_db: float) -> float:
     """Return the squared colour step times energy that a nominal quality allows.
 
     Parameters
@@ -39,24 +39,24 @@ def slope(scores: Scores, quality_db: float) -> float:
     return float(12 * 10 ** (-quality_db / 10) / (_SHARES * seen))
 
 
-def step(slope_value: float, cost: float, energy: F64) -> float:
+def step(lagrangian: float, cost: float, energy: F64) -> float:
     """Return the step of a chunk: λ over the cost and the mean energy of its splats."""
-    return float(np.sqrt(slope_value / (cost * energy.mean())))
+    return float(np.sqrt(lagrangian / (cost * energy.mean())))
 
 
-def mean_step(slope_value: float, energy: F64, scales: NDArray[np.float32]) -> float:
+def mean_step(lagrangian: float, energy: F64, scales: NDArray[np.float32]) -> float:
     """Return the step of a chunk's means, scene units: relative to its splats' sizes.
 
     Parameters
     ----------
-    slope_value : float
+    lagrangian : float
     energy : (n,) float64
     scales : (n, 3) float32
         Log.
     """
     # exp(-2·mean log): a small splat moved by the same step changes more of its pixels.
     inverse_size = np.exp(-2 * np.clip(scales.astype(np.float64).mean(axis=1), -40, 40))
-    return float(np.sqrt(slope_value / (MEAN_COST * (energy * inverse_size).mean())))
+    return float(np.sqrt(lagrangian / (MEAN_COST * (energy * inverse_size).mean())))
 
 
 _SHN_WEIGHT: Final = 0.7
@@ -66,17 +66,17 @@ _SHN_WEIGHT: Final = 0.7
 _COARSEST_STEP: Final = 2.0**30
 
 
-def equal_step(slope_value: float, cost: F64) -> float:
+def equal_step(lagrangian: float, cost: F64) -> float:
     """Return the step of a chunk whose mean cost is what counts."""
-    return min(float(np.sqrt(slope_value / cost.mean())), _COARSEST_STEP)
+    return min(float(np.sqrt(lagrangian / cost.mean())), _COARSEST_STEP)
 
 
-def own_steps(slope_value: float, cost: F64) -> F64:
+def own_steps(lagrangian: float, cost: F64) -> F64:
     """Return the step of every splat."""
-    steps: F64 = np.sqrt(slope_value / cost)
+    steps: F64 = np.sqrt(lagrangian / cost)
     return steps
 
 
-def shn_step(slope_value: float, energy: F64) -> float:
+def shn_step(lagrangian: float, energy: F64) -> float:
     """Return the step of a chunk's coordinates on the basis of shN."""
-    return equal_step(slope_value, _SHN_WEIGHT * energy)
+    return equal_step(lagrangian, _SHN_WEIGHT * energy)

@@ -153,7 +153,7 @@ def costs(splats: Splats, scores: Scores) -> Costs:
     )
 
 
-def limited(found: Costs, scales: NDArray[np.float32], slope_value: float) -> Costs:
+def limited(found: Costs, scales: NDArray[np.float32], lagrangian: float) -> Costs:
     """Return costs that give no step beyond the coarsest worth writing.
 
     Parameters
@@ -161,21 +161,21 @@ def limited(found: Costs, scales: NDArray[np.float32], slope_value: float) -> Co
     found : Costs
     scales : (n, 3) float32
         Log.
-    slope_value : float
+    lagrangian : float
     """
     size = np.exp(np.clip(scales.astype(np.float64).mean(axis=1), -40, 40))
-    long, middle, thin = (slope_value / limit**2 for limit in _SCALE_LIMITS)
+    long, middle, thin = (lagrangian / limit**2 for limit in _SCALE_LIMITS)
     return replace(
         found,
-        energy=limited_energy(found.energy, slope_value),
-        mean=np.maximum(found.mean, slope_value / np.square(_MEAN_LIMIT * size)),
-        opacity=np.maximum(found.opacity, slope_value / _OPACITY_LIMIT**2),
+        energy=limited_energy(found.energy, lagrangian),
+        mean=np.maximum(found.mean, lagrangian / np.square(_MEAN_LIMIT * size)),
+        opacity=np.maximum(found.opacity, lagrangian / _OPACITY_LIMIT**2),
         scale_long=np.maximum(found.scale_long, long),
         scale_middle=np.maximum(found.scale_middle, middle),
         scale_thin=np.maximum(found.scale_thin, thin),
     )
 
 
-def limited_energy(energy: F64, slope_value: float) -> F64:
+def limited_energy(energy: F64, lagrangian: float) -> F64:
     """Return energies that give no step of colour beyond the coarsest worth writing."""
-    return np.maximum(energy, slope_value / _COLOUR_LIMIT**2)
+    return np.maximum(energy, lagrangian / _COLOUR_LIMIT**2)

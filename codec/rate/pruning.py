@@ -12,7 +12,7 @@ from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.splats import Splats
 
 WORTH: Final = 6.0
-"""Energy over slope below which a splat is not worth its bytes.
+"""Energy over λ below which a splat is not worth its bytes.
 
 The loss is about the energy times the squared difference to what is behind it, 0.1 to 0.2; a bit
 elsewhere gains 2·ln 2·λ/12 (uniform quantisation), and a faint splat takes 30 to 50. Of 2, 5, 10,
@@ -37,7 +37,7 @@ class PruneConfig:
         And only when its footprint lay in at least so many of those views. What no view covers is
         unknown, not worthless: it stays.
     worth : float
-        And only when its energy is below so many times the slope: then the picture loses less
+        And only when its energy is below so many times λ: then the picture loses less
         than the same bytes spent on finer steps elsewhere would gain.
     """
 
@@ -55,7 +55,7 @@ class PruneConfig:
 
 
 def kept_rows(
-    splats: Splats, scores: Scores, config: PruneConfig | None, slope: float = np.inf
+    splats: Splats, scores: Scores, config: PruneConfig | None, lagrangian: float = np.inf
 ) -> NDArray[np.bool_]:
     """Mark the splats that stay.
 
@@ -65,8 +65,8 @@ def kept_rows(
     scores : Scores
     config : PruneConfig or None
         None keeps all.
-    slope : float
-        λ that the rest is stored with (`allocation.slope`). Infinite drops whatever peak and
+    lagrangian : float
+        λ that the rest is stored with (`allocation.lagrangian`). Infinite drops whatever peak and
         views allow, 0 nothing but what can never be seen.
 
     Returns
@@ -76,7 +76,7 @@ def kept_rows(
     if config is None:
         return np.ones(len(splats), np.bool_)
     idle = (scores.peak < config.peak) & (scores.covered >= config.views)
-    idle &= scores.energy < config.worth * slope
+    idle &= scores.energy < config.worth * lagrangian
     invisible = splats.opacities < _INVISIBLE_LOGIT
     kept: NDArray[np.bool_] = ~(idle | invisible)
     return kept

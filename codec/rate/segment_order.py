@@ -108,7 +108,7 @@ def tail_gain(coefficients: F32, energy: F64, basis_spread: F64) -> float:
     return total
 
 
-def missing_shares(contribution: F64) -> F64:
+def unsent_shares(contribution: F64) -> F64:
     """Return the share of the contribution that is missing before each chunk and after the last.
 
     Parameters
@@ -123,12 +123,12 @@ def missing_shares(contribution: F64) -> F64:
     return shares
 
 
-def measured_shares(lacking: F64) -> F64:
+def measured_shares(prefix_mse: F64) -> F64:
     """Return the shares that would be missing, had pictures the errors that were measured.
 
     Parameters
     ----------
-    lacking : (c + 1,) float64
+    prefix_mse : (c + 1,) float64
         Squared error of the pictures before each chunk and after the last.
 
     Returns
@@ -136,7 +136,7 @@ def measured_shares(lacking: F64) -> F64:
     (c + 1,) float64
         From 1 at most, never rising.
     """
-    excess = np.maximum(lacking - lacking[-1], 0.0)
+    excess = np.maximum(prefix_mse - prefix_mse[-1], 0.0)
     shares: F64 = np.sqrt(np.minimum.accumulate(excess) / MISSING_ALL)
     return np.minimum(shares, 1.0)
 
@@ -163,7 +163,7 @@ def order(chunks: Sequence[ChunkParts], missing: F64, books: int) -> list[Place]
     ----------
     chunks : sequence of ChunkParts
     missing : (c + 1,) float64
-        `missing_shares`.
+        `unsent_shares`.
     books : int
         Bytes of what tails share; 0 where there is none.
     """

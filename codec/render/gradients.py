@@ -204,7 +204,7 @@ def gradient(
     target: NDArray[np.float32],
     *,
     kernel_px: float,
-    near: float = NEAR,
+    near_plane: float = NEAR,
 ) -> Gradient:
     """Differentiate the error of a picture by what compensation may change.
 
@@ -221,7 +221,7 @@ def gradient(
         What the picture should be, over black.
     kernel_px : float
         Variance added to projected covariances, px².
-    near : float
+    near_plane : float
         Means at or before this camera-space depth are not drawn, scene units.
 
     Returns
@@ -229,7 +229,9 @@ def gradient(
     Gradient
     """
     antialiased = splats.info.antialiased
-    footprints = project(splats, camera, kernel_px=kernel_px, antialiased=antialiased, near=near)
+    footprints = project(
+        splats, camera, kernel_px=kernel_px, antialiased=antialiased, near_plane=near_plane
+    )
     shown = colours[footprints.index]
     everything = np.ones(len(footprints), np.bool_)
     sums = np.zeros((len(footprints), _SUMS), np.float64)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
-from cogsplat.codec.order.prefix_inflation import Thickening, thicken
+from cogsplat.codec.order.prefix_inflation import Inflation, inflate
 from cogsplat.codec.splats import Splats
 
 from .jit import kernel
@@ -183,10 +183,10 @@ class Pool:
     shapes: Splats
 
 
-def pool_of(scene: Splats, rows: NDArray[np.integer], by: Thickening | None = None) -> Pool:
-    """Return some rows of a scene, ascending, thickened where asked for."""
+def pool_of(scene: Splats, rows: NDArray[np.integer], by: Inflation | None = None) -> Pool:
+    """Return some rows of a scene, ascending, inflated where asked for."""
     shapes = scene.without_extras().with_sh_degree(0).take(rows)
-    return Pool(scene, rows.astype(np.int32), shapes if by is None else thicken(shapes, by))
+    return Pool(scene, rows.astype(np.int32), shapes if by is None else inflate(shapes, by))
 
 
 def probe(
@@ -196,7 +196,7 @@ def probe(
     target: NDArray[np.float32],
     *,
     kernel_px: float,
-    near: float = NEAR,
+    near_plane: float = NEAR,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], float]:
     """Measure what adding each absent splat, or taking out each present one, does for a picture.
 
@@ -212,7 +212,7 @@ def probe(
         What the picture should be, over black.
     kernel_px : float
         Variance added to projected covariances, px².
-    near : float
+    near_plane : float
         Means at or before this camera-space depth are not drawn, scene units.
 
     Returns
@@ -228,7 +228,7 @@ def probe(
     """
     antialiased = pool.scene.info.antialiased
     footprints = project(
-        pool.shapes, camera, kernel_px=kernel_px, antialiased=antialiased, near=near
+        pool.shapes, camera, kernel_px=kernel_px, antialiased=antialiased, near_plane=near_plane
     )
     colours = footprint_colours(pool.scene, pool.rows, camera, footprints)
     here = present[footprints.index]

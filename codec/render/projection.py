@@ -74,7 +74,7 @@ def _project(
     height: int,
     kernel_px: float,
     antialiased: bool,
-    near: float,
+    near_plane: float,
     index: NDArray[np.int32],
     depths: NDArray[np.float64],
     ellipse: NDArray[np.float32],
@@ -94,7 +94,7 @@ def _project(
     for i in range(len(means)):
         mx, my, mz = float(means[i, 0]), float(means[i, 1]), float(means[i, 2])
         z = r[2, 0] * mx + r[2, 1] * my + r[2, 2] * mz + translation[2]
-        if not z > near:
+        if not z > near_plane:
             continue
         x = (r[0, 0] * mx + r[0, 1] * my + r[0, 2] * mz + translation[0]) / z
         y = (r[1, 0] * mx + r[1, 1] * my + r[1, 2] * mz + translation[1]) / z
@@ -185,7 +185,7 @@ def _project(
 
 
 def project(
-    splats: Splats, camera: Camera, *, kernel_px: float, antialiased: bool, near: float = NEAR
+    splats: Splats, camera: Camera, *, kernel_px: float, antialiased: bool, near_plane: float = NEAR
 ) -> Footprints:
     """Project a scene into a camera.
 
@@ -199,7 +199,7 @@ def project(
         Variance added to the diagonal of the projected covariance, px².
     antialiased : bool
         Rescale opacities by the area the kernel adds (Mip-Splatting, section 4.2).
-    near : float
+    near_plane : float
         Means at or before this camera-space depth are left out, scene units.
 
     Returns
@@ -223,7 +223,7 @@ def project(
         camera.height,
         float(kernel_px),
         bool(antialiased),
-        float(near),
+        float(near_plane),
         index,
         depths,
         ellipse,

@@ -64,7 +64,7 @@ class RenderConfig:
         Rescale opacities by the area the kernel adds (Mip-Splatting, section 4.2).
     background : tuple of float
         RGB behind the splats, in the scene's colour space.
-    near : float
+    near_plane : float
         Means at or before this camera-space depth are not drawn, scene units.
     sh_degree : int or None
         Highest SH degree used; None for the scene's own.
@@ -75,15 +75,15 @@ class RenderConfig:
     kernel_px: float = 0.3
     antialiased: bool = False
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    near: float = NEAR
+    near_plane: float = NEAR
     sh_degree: int | None = None
     threads: int = 0
 
     def __post_init__(self) -> None:
         if not self.kernel_px >= 0.0:
             raise ValueError(f"kernel_px {self.kernel_px}, expected 0 or more")
-        if not self.near > 0.0:
-            raise ValueError(f"near {self.near}, expected more than 0")
+        if not self.near_plane > 0.0:
+            raise ValueError(f"near_plane {self.near_plane}, expected more than 0")
         if self.sh_degree is not None and not 0 <= self.sh_degree <= MAX_SH_DEGREE:
             raise ValueError(f"SH degree {self.sh_degree}, expected 0 to {MAX_SH_DEGREE}")
         thread_count(self.threads)
@@ -299,7 +299,7 @@ def _draw(
         camera,
         kernel_px=config.kernel_px,
         antialiased=config.antialiased,
-        near=config.near,
+        near_plane=config.near_plane,
     )
     higher = splats.shN.shape[1]
     if config.sh_degree is not None:

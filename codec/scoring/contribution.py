@@ -66,7 +66,7 @@ class ScoreConfig:
     jitter : bool
         Also score copies of the cameras that step back and turn (`view_sets.jitter`), so that what
         the capture path hides is not worth nothing.
-    near : float
+    near_plane : float
         Means at or before this camera-space depth are not drawn, scene units.
     threads : int
         0 for every core this process may use. The scores do not depend on it.
@@ -77,15 +77,15 @@ class ScoreConfig:
 
     top_k: int = TOP_K
     jitter: bool = True
-    near: float = NEAR
+    near_plane: float = NEAR
     threads: int = 0
     sensitivity_every: int = 0
 
     def __post_init__(self) -> None:
         if self.top_k < 0:
             raise ValueError(f"top_k {self.top_k}, expected 0 (all) or more")
-        if not self.near > 0.0:
-            raise ValueError(f"near {self.near}, expected more than 0")
+        if not self.near_plane > 0.0:
+            raise ValueError(f"near_plane {self.near_plane}, expected more than 0")
         thread_count(self.threads)
         if self.sensitivity_every < 0:
             raise ValueError(
@@ -433,7 +433,7 @@ def _score_view(
         camera,
         kernel_px=splats.info.kernel_px,
         antialiased=splats.info.antialiased,
-        near=config.near,
+        near_plane=config.near_plane,
     )
     top_k = config.top_k if config.top_k < _MOST_WEIGHTS else 0
     sums = np.zeros((len(footprints), 3), np.float64)

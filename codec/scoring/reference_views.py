@@ -25,7 +25,7 @@ _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Teacher:
+class ReferenceViews:
     """Views of a scene and what it looks like from them.
 
     Parameters
@@ -40,7 +40,7 @@ class Teacher:
         What a view counts; the given views and their jittered copies sum to 1 each.
     given : int
         Views before the first jittered copy.
-    near : float
+    near_plane : float
         Means at or before this camera-space depth are not drawn, scene units.
     """
 
@@ -49,7 +49,7 @@ class Teacher:
     pictures: Sequence[NDArray[np.float32]]
     weights: NDArray[np.float64]
     given: int
-    near: float
+    near_plane: float
 
     def sample(self, count: int, turn: int) -> list[int]:
         """Return about `count` views, given and jittered in proportion, others at every turn.
@@ -95,15 +95,15 @@ def _thinned(views: Sequence[Camera], most: int) -> list[Camera]:
     return [views[k * len(views) // most] for k in range(most)]
 
 
-def teach(
+def render_references(
     splats: Splats,
     cameras: Sequence[Camera],
     *,
     jittered: bool = True,
-    near: float = NEAR,
+    near_plane: float = NEAR,
     threads: int = 0,
     progress: Progress = silent,
-) -> Teacher:
+) -> ReferenceViews:
     """Draw the full scene.
 
     Parameters
@@ -114,16 +114,16 @@ def teach(
         even choice is drawn.
     jittered : bool
         Whether the copies that step back and turn (`view_sets.jitter`) are drawn as well.
-    near : float
+    near_plane : float
         Scene units.
     threads : int
         0 for every core this process may use. The pictures do not depend on it.
     progress : Progress
-        Called with ``("teacher", views done, views)``.
+        Called with ``("reference views", views done, views)``.
 
     Returns
     -------
-    Teacher
+    ReferenceViews
 
     Raises
     ------
@@ -145,19 +145,22 @@ def teach(
     pictures: list[NDArray[np.float32]] = []
     # Views of one factor are drawn together; factors come in runs.
     start = 0
-    progress("teacher", 0, len(views))
+    progress("reference views", 0, len(views))
     while start < len(views):
         stop = start
         while stop < len(views) and kernels[stop] == kernels[start] and stop < start + 16:
             stop += 1
         config = RenderConfig(
-            kernel_px=kernels[start], antialiased=info.antialiased, near=near, threads=threads
+            kernel_px=kernels[start],
+            antialiased=info.antialiased,
+            near_plane=near_plane,
+            threads=threads,
         )
         drawn = render_views(splats, views[start:stop], config)
         pictures += [np.clip(picture, np.float32(0.0), np.float32(1.0)) for picture in drawn]
         start = stop
-        progress("teacher", len(pictures), len(views))
+        progress("reference views", len(pictures), len(views))
     weights = np.concatenate(
         [np.full(len(members), 1.0 / len(members)) for members in (chosen, copies) if members]
     )
-    return Teacher(views, kernels, pictures, weights, len(chosen), near)
+    return ReferenceViews(views, kernels, pictures, weights, len(chosen), near_plane)

@@ -96,7 +96,7 @@ def _peaks(ellipse: F32, rows: NDArray[np.int32], width: int, height: int, peaks
             break
 
 
-def look(splats: Splats, camera: Camera, near: float = NEAR) -> tuple[NDArray[np.int32], F32]:
+def look(splats: Splats, camera: Camera, near_plane: float = NEAR) -> tuple[NDArray[np.int32], F32]:
     """Return the splats that reach the picture of a camera, and how clearly each is seen there.
 
     Parameters
@@ -105,7 +105,7 @@ def look(splats: Splats, camera: Camera, near: float = NEAR) -> tuple[NDArray[np
         Rows that cannot be drawn are left out.
     camera : Camera
         In the frame of the means; its picture should be small.
-    near : float
+    near_plane : float
         Means at or before this camera-space depth are left out, scene units.
 
     Returns
@@ -120,7 +120,7 @@ def look(splats: Splats, camera: Camera, near: float = NEAR) -> tuple[NDArray[np
         camera,
         kernel_px=splats.info.kernel_px,
         antialiased=splats.info.antialiased,
-        near=near,
+        near_plane=near_plane,
     )
     peaks = np.zeros(len(footprints), np.float32)
     _peaks(footprints.ellipse, footprints.rows, camera.width, camera.height, peaks)

@@ -69,7 +69,7 @@ def subject_of(means: F64, counts: F64) -> Subject:
     return Subject(centre, _quantile(far, counts, _SUBJECT_SHARE), _quantile(far, counts, 0.99))
 
 
-def turntable(subject: Subject, count: int, down: F64, near: float) -> list[Pose]:
+def turntable(subject: Subject, count: int, down: F64, near_plane: float) -> list[Pose]:
     """Return poses all around a subject, from where it fills the picture, that `orbit` has not.
 
     Parameters
@@ -77,10 +77,10 @@ def turntable(subject: Subject, count: int, down: F64, near: float) -> list[Pose
     subject, count, down, near
         As `orbit` takes them.
     """
-    return _around(subject, range(-count, 0), down, near, (_FILLING, _FILLING), cut=1)
+    return _around(subject, range(-count, 0), down, near_plane, (_FILLING, _FILLING), cut=1)
 
 
-def orbit(subject: Subject, count: int, down: F64, near: float) -> list[Pose]:
+def orbit(subject: Subject, count: int, down: F64, near_plane: float) -> list[Pose]:
     """Return poses all around a subject, about level and rather from above, that look at it.
 
     Parameters
@@ -90,7 +90,7 @@ def orbit(subject: Subject, count: int, down: F64, near: float) -> list[Pose]:
     count : int
     down : (3,) float64
         Unit vector, or zeros where no direction is known to be down.
-    near : float
+    near_plane : float
         Depth up to which nothing is drawn, scene units.
 
     Returns
@@ -98,14 +98,14 @@ def orbit(subject: Subject, count: int, down: F64, near: float) -> list[Pose]:
     list of Pose
         Those of any first part spread as evenly as all of them.
     """
-    return _around(subject, range(count), down, near, (_CLOSEST, _FURTHEST), cut=2)
+    return _around(subject, range(count), down, near_plane, (_CLOSEST, _FURTHEST), cut=2)
 
 
 def _around(
     subject: Subject,
     rows: range,
     down: F64,
-    near: float,
+    near_plane: float,
     radii: tuple[float, float],
     *,
     cut: int,
@@ -121,7 +121,7 @@ def _around(
         ring, angle = math.sqrt(1.0 - rise * rise), 2.0 * math.pi * float(turn)
         back = rise * up + ring * (math.cos(angle) * side + math.sin(angle) * other)
         distance = subject.radius * radii[0] * (radii[1] / radii[0]) ** float(step)
-        clear = near + (subject.reach if row % cut else _CUT_SHARE * subject.radius)
+        clear = near_plane + (subject.reach if row % cut else _CUT_SHARE * subject.radius)
         zoom = max(1.0, clear / distance)
         poses.append(Pose(subject.centre + zoom * distance * back, -back, zoom))
     return poses

@@ -28,13 +28,13 @@ from cogsplat.codec.threads import ordered_map, thread_count
 from .occlusion import Matter, look
 from .orbit import Subject, orbit, subject_of, turntable
 from .pose import Lens, Pose, down_of
-from .subsample import Sketch, sketch
+from .subsample import Subsample, subsample
 
 F64 = NDArray[np.float64]
 
 # What planning looks at, whatever the size of the scene; and what is enough to tell inside from
 # outside.
-_SKETCH_SPLATS: Final = 40_000
+_SUBSAMPLE_SPLATS: Final = 40_000
 _COARSE_SPLATS: Final = 4_096
 # Pixels of the small pictures.
 _LOOK_PIXELS: Final = 96 * 72
@@ -95,8 +95,8 @@ _ORBIT_TRIES: Final = 24
 _ORBIT_SHARE: Final = 7 / 8
 # Views to measure in, and how much larger than those that are scored: errors that a small picture
 # averages away are seen in a visitor's.
-_WITNESSES: Final = 16
-_WITNESS_SCALE: Final = 1.2
+_TEST_VIEWS: Final = 16
+_TEST_VIEW_SCALE: Final = 1.2
 
 # Less than this share of the splats may lie outside all pictures; up to one view in eight is added
 # for them, from chosen places.
@@ -126,7 +126,7 @@ class ViewPlanConfig:
         Size of each, px.
     fov_deg : float
         Horizontal field of view, degrees.
-    near : float
+    near_plane : float
         Camera-space depth up to which scoring draws nothing, scene units.
     threads : int
         0 for every core this process may use. The plan does not depend on it.
@@ -136,7 +136,7 @@ class ViewPlanConfig:
     width: int = 400
     height: int = 300
     fov_deg: float = 60.0
-    near: float = NEAR
+    near_plane: float = NEAR
     threads: int = 0
 
     def __post_init__(self) -> None:
@@ -146,8 +146,8 @@ class ViewPlanConfig:
             raise ValueError(f"views of {self.width}x{self.height} px, expected 1 to 65535")
         if not 1.0 <= self.fov_deg <= 150.0:
             raise ValueError(f"a field of view of {self.fov_deg} degrees, expected 1 to 150")
-        if not self.near > 0.0:
-            raise ValueError(f"near {self.near}, expected more than 0")
+        if not self.near_plane > 0.0:
+            raise ValueError(f"near_plane {self.near_plane}, expected more than 0")
         thread_count(self.threads)
 
     def lens(self, scale: float = 1.0) -> Lens:
@@ -168,18 +168,18 @@ class ViewPlan:
     ----------
     views : list of Camera
         Named ``virtual-000`` and on, those that show most first.
-    witnesses : list of Camera
+    test_views : list of Camera
         Views of a visitor's that are not among them, to see in how a scene came out: a turntable
         around a subject that stands free; none of any other scene.
     """
 
     views: list[Camera]
-    witnesses: list[Camera]
+    test_views: list[Camera]
 
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """What a pose shows: rows of the sketch, how clearly each, and what that is worth."""
+    """What a pose shows: rows of the subsample, how clearly each, and what that is worth."""
 
     pose: Pose
     index: NDArray[np.int32]
@@ -230,28 +230,28 @@ def plan(
         raise DataError(
             "empty-scene", f"none of {len(splats)} splats can be drawn, expected at least 1"
         )
-    planner = _Planner(sketch(bare.take(usable), _SKETCH_SPLATS), config, progress)
+    planner = _Planner(subsample(bare.take(usable), _SUBSAMPLE_SPLATS), config, progress)
     found = planner.plan()
     lens, down = config.lens(), planner.down
     views = [pose.camera(lens, down, f"virtual-{row:03d}") for row, pose in enumerate(found)]
     turned: list[Pose] = []
     if planner.subject is not None:
-        turned = turntable(planner.subject, _WITNESSES, down, config.near)
-    large = config.lens(_WITNESS_SCALE)
-    seen = [pose.camera(large, down, f"witness-{row:02d}") for row, pose in enumerate(turned)]
+        turned = turntable(planner.subject, _TEST_VIEWS, down, config.near_plane)
+    large = config.lens(_TEST_VIEW_SCALE)
+    seen = [pose.camera(large, down, f"test-{row:02d}") for row, pose in enumerate(turned)]
     return ViewPlan(views, seen)
 
 
 class _Planner:
     """One run of `plan`."""
 
-    def __init__(self, scene: Sketch, config: ViewPlanConfig, progress: Progress) -> None:
+    def __init__(self, scene: Subsample, config: ViewPlanConfig, progress: Progress) -> None:
         self._scene = scene
         self._config = config
         self._progress = progress
         self._means = scene.splats.means.astype(np.float64)
         self._matter = Matter(scene.splats, config.threads)
-        self._coarse = Matter(sketch(scene.splats, _COARSE_SPLATS).splats, config.threads)
+        self._coarse = Matter(subsample(scene.splats, _COARSE_SPLATS).splats, config.threads)
         self.down = down_of(scene.splats.info.axes)
         # Size over distance at which the scene was meant to be seen.
         self._detail = self._typical_detail()
@@ -296,13 +296,13 @@ class _Planner:
         from_outside = self._side_share[False] > self._side_share[True]
         if not (from_outside and 0.0 < subject.radius < _COMPACT * self._near_radius):
             return []
-        near, count = self._config.near, round(_ORBIT_SHARE * self._config.views)
-        tries = np.array([p.position for p in orbit(subject, _ORBIT_TRIES, self.down, near)])
+        near_plane, count = self._config.near_plane, round(_ORBIT_SHARE * self._config.views)
+        tries = np.array([p.position for p in orbit(subject, _ORBIT_TRIES, self.down, near_plane)])
         matter = self._coarse.enclosed(tries, np.full(len(tries), np.inf))
         if np.median(matter) > _FREE_MATTER:
             return []
         self.subject = subject
-        return orbit(subject, count, self.down, near)
+        return orbit(subject, count, self.down, near_plane)
 
     def _typical_detail(self) -> float:
         """Return size over distance where subjects fill the picture, as most of the scene has it.
@@ -341,7 +341,7 @@ class _Planner:
         if not roomy.any():
             # Matter everywhere, such as fog: no place is better than another.
             roomy[:] = True
-        zoom = np.maximum(1.0, _NEARS * self._config.near / distances)
+        zoom = np.maximum(1.0, _NEARS * self._config.near_plane / distances)
         places = targets + (zoom * distances)[:, None] * back
         return [Pose(places[row], -back[row], float(zoom[row])) for row in np.flatnonzero(roomy)]
 
@@ -358,7 +358,7 @@ class _Planner:
 
     def _look(self, pose: Pose) -> _Look:
         camera = pose.camera(self._small, self.down)
-        index, peaks = look(self._scene.splats, camera, self._config.near)
+        index, peaks = look(self._scene.splats, camera, self._config.near_plane)
         clear = peaks > _FAINT
         index, peaks = index[clear], peaks[clear]
         distances = np.linalg.norm(self._means[index] - pose.position, axis=1) / pose.zoom
@@ -430,9 +430,9 @@ class _Planner:
         """Return poses from where others stand, turned to splats that lie outside all pictures."""
         counts = self._scene.counts
         uncovered = np.ones(len(counts), np.bool_)
-        lens, near = self._config.lens(), self._config.near
+        lens, near_plane = self._config.lens(), self._config.near_plane
         for pose in poses:
-            uncovered &= ~in_picture(self._means, pose.camera(lens, self.down), near)
+            uncovered &= ~in_picture(self._means, pose.camera(lens, self.down), near_plane)
         cosine = math.cos(math.atan(lens.slope * min(1.0, lens.height / lens.width)))
         extra: list[Pose] = []
         while len(extra) < int(_EXTRA_SHARE * self._config.views):
@@ -452,7 +452,7 @@ class _Planner:
             if best_pose is None:
                 break
             extra.append(best_pose)
-            uncovered &= ~in_picture(self._means, best_pose.camera(lens, self.down), near)
+            uncovered &= ~in_picture(self._means, best_pose.camera(lens, self.down), near_plane)
         return extra
 
 

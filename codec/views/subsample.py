@@ -16,7 +16,7 @@ F64 = NDArray[np.float64]
 MAX_LOG_SCALE: Final = 40.0
 """Log scales are taken as within ± this, so that squares of distances stay finite."""
 
-# Share of a sketch that its largest splats may take: few, and they close the big surfaces.
+# Share of a subsample that its largest splats may take: few, and they close the big surfaces.
 _LARGEST_SHARE: Final = 0.125
 # Neighbours along the order, itself included, over which a splat's size is averaged: single
 # splats are needles and specks, what tells how near the capture was is the company they keep.
@@ -24,7 +24,7 @@ _NEIGHBOURS: Final = 33
 
 
 @dataclass(frozen=True, eq=False)
-class Sketch:
+class Subsample:
     """A thinned scene.
 
     Parameters
@@ -46,7 +46,7 @@ class Sketch:
         return len(self.splats)
 
 
-def sketch(splats: Splats, most: int) -> Sketch:
+def subsample(splats: Splats, most: int) -> Subsample:
     """Thin a scene to at most `most` splats.
 
     Parameters
@@ -59,7 +59,7 @@ def sketch(splats: Splats, most: int) -> Sketch:
 
     Returns
     -------
-    Sketch
+    Subsample
         The same for the same scene.
     """
     bare = splats.without_extras().with_sh_degree(0)
@@ -68,7 +68,7 @@ def sketch(splats: Splats, most: int) -> Sketch:
     local = _moving_mean(log_sizes)
     n = len(bare)
     if n <= most:
-        return Sketch(bare, np.ones(n), np.exp(local))
+        return Subsample(bare, np.ones(n), np.exp(local))
     num_largest = int(most * _LARGEST_SHARE)
     by_size = np.argsort(-log_sizes, kind="stable")
     rest = np.sort(by_size[num_largest:])
@@ -80,7 +80,7 @@ def sketch(splats: Splats, most: int) -> Sketch:
     thin, counts = bare.take(rows), counts[rows]
     widening = 0.5 * np.log(counts).astype(np.float32)
     thin = replace(thin, scales=thin.scales + widening[:, None])
-    return Sketch(thin, counts, np.exp(local[rows]))
+    return Subsample(thin, counts, np.exp(local[rows]))
 
 
 def _log_sizes(scales: NDArray[np.float32]) -> F64:

@@ -148,9 +148,9 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
 
 
 def _missing(scene: EncodedScene) -> NDArray[np.float64]:
-    if scene.lacking is not None:
-        return segment_order.measured_shares(scene.lacking)
-    return segment_order.missing_shares(np.array([chunk.contribution for chunk in scene.chunks]))
+    if scene.prefix_mse is not None:
+        return segment_order.measured_shares(scene.prefix_mse)
+    return segment_order.unsent_shares(np.array([chunk.contribution for chunk in scene.chunks]))
 
 
 def _layers(scene: EncodedScene) -> dict[int, list[Segment]]:

@@ -91,7 +91,7 @@ def covariance(splats, camera, row):
     return linear @ sigma @ linear.T, centre, depth
 
 
-def view(splats, camera, *, kernel_px=0.3, antialiased=False, background=(0, 0, 0), near=0.2):
+def view(splats, camera, *, kernel_px=0.3, antialiased=False, background=(0, 0, 0), near_plane=0.2):
     n = len(splats)
     columns, lines = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     pixels = np.stack([columns.ravel(), lines.ravel()], axis=1)
@@ -108,7 +108,7 @@ def view(splats, camera, *, kernel_px=0.3, antialiased=False, background=(0, 0, 
     weights = np.zeros((len(pixels), n))
     for row in depth_order:
         bare, centre, depth = projected[row]
-        if depth <= near:
+        if depth <= near_plane:
             continue
         wide = bare + kernel_px * np.eye(2)
         with np.errstate(over="ignore"):

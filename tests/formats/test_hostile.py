@@ -135,7 +135,7 @@ def test_damaged_payloads_are_refused_or_decode_as_specified(kernels, data, draw
         assert_as_reference(changed, found)
 
 
-@pytest.mark.parametrize("profile", ["transform", "vq", "near"])
+@pytest.mark.parametrize("profile", ["transform", "vq", "near-lossless"])
 def test_damaged_scenes_take_little_memory(kernels, profile):
     data = file_of(profile, 300, 3, 60)
     index = read_index(BytesSource(data), partial=False)

@@ -17,7 +17,7 @@ from cogsplat.codec.views.view_sets import roam
 if TYPE_CHECKING:
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.encoder import Prepared
-    from cogsplat.codec.encode.prefix_quality import Witness
+    from cogsplat.codec.encode.prefix_quality import PrefixEvaluator
 
     from .rate_distortion import Subject
 
@@ -140,14 +140,14 @@ def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> 
     """
     from cogsplat.codec.encode import encoder
     from cogsplat.codec.encode.config import EncodeConfig
-    from cogsplat.codec.encode.prefix_quality import Witness
+    from cogsplat.codec.encode.prefix_quality import PrefixEvaluator
 
     whole = EncodeConfig(profile="transform", quality_db=quality_db, threads=subject.threads)
     named = changes(subject.splats.sh_degree)
     progress("ablation", 0, len(named) + 1)
-    held_out = Witness(subject.splats, subject.cameras, subject.threads)
+    held_out = PrefixEvaluator(subject.splats, subject.cameras, subject.threads)
     roaming = roam(subject.splats, subject.cameras)
-    judges = held_out, Witness(subject.splats, roaming, subject.threads)
+    judges = held_out, PrefixEvaluator(subject.splats, roaming, subject.threads)
     start = time.perf_counter()
     prepared = encoder.prepare(subject.splats, subject.scores, whole, views=subject.scored_on)
     ordered_s = time.perf_counter() - start
@@ -183,7 +183,10 @@ def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> 
 
 
 def _measurer(
-    subject: Subject, prepared: Prepared, judges: tuple[Witness, Witness], prepare_s: float
+    subject: Subject,
+    prepared: Prepared,
+    judges: tuple[PrefixEvaluator, PrefixEvaluator],
+    prepare_s: float,
 ) -> Callable[[float], _Point]:
     from cogsplat.codec.encode.prefix_quality import decoded
     from cogsplat.formats.cogs import scene

@@ -30,7 +30,7 @@ BASELINE: Final = "c3dgs-style npz"
 FOREIGN: Final = (*(format_.name for format_ in FORMATS if format_.write), BASELINE)
 """What can be compared with."""
 
-# Nominal qualities where none are asked for, dB. `vq` and `near` are for comparison.
+# Nominal qualities where none are asked for, dB. `vq` and `near-lossless` are for comparison.
 QUALITIES: Final = {
     "transform": (30.0, 34.0, 38.0, 42.0, 46.0, 50.0),
     "vq": (26.0, 34.0, 42.0),

@@ -39,7 +39,7 @@ from cogsplat.tools.terminal.values import Colour
 
 from .inputs import judging_cameras, read_any, scoring_cameras, usable_rows, virtual_views
 
-_PROFILES: Final = ("transform", "vq", "near")
+_PROFILES: Final = ("transform", "vq", "near-lossless")
 
 # What an ablation is measured at, nominal: 40 dB on a captured room, where scenes are published.
 _ABLATION_DB: Final = 41.0

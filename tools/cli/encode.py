@@ -55,11 +55,11 @@ if TYPE_CHECKING:
 @cameras_option("Without it, views are made up around the scene.")
 @click.option(
     "--profile",
-    type=click.Choice(["transform", "vq", "near"]),
+    type=click.Choice(["transform", "vq", "near-lossless"]),
     default="transform",
     show_default=True,
-    help="transform, vq: for viewing, by a shared transform or by codebooks. near: every attribute "
-    "within a bound, for archives.",
+    help="transform, vq: for viewing, by a shared transform or by codebooks. near-lossless: every "
+    "attribute within a bound, for archives.",
 )
 @click.option(
     "--quality",
@@ -308,8 +308,10 @@ def _require_one_aim(
         named.append("--quality")
     if len(named) > 1:
         raise click.UsageError(f"{' and '.join(named)}: expected one of them")
-    if profile == "near" and named and named != ["--quality"]:
-        raise click.UsageError(f"{named[0]} with --profile near, expected a profile for viewing")
+    if profile == "near-lossless" and named and named != ["--quality"]:
+        raise click.UsageError(
+            f"{named[0]} with --profile near-lossless, expected a profile for viewing"
+        )
 
 
 def _target(

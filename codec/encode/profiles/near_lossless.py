@@ -1,4 +1,4 @@
-"""The `near` profile: every attribute within a stated bound of the source, for archives."""
+"""The `near-lossless` profile: every attribute within a stated bound of the source."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MIN_QUAT_BOUND: Final = 1e-6
 
 
 @dataclass(frozen=True)
-class NearBounds:
+class NearLosslessBounds:
     """Largest differences between source and decoded scene, by attribute.
 
     Parameters
@@ -60,14 +60,16 @@ class NearBounds:
             raise ValueError(f"bound quats {self.quats}, expected at least {_MIN_QUAT_BOUND}")
 
 
-def mean_bound(splats: Splats, bounds: NearBounds) -> float:
+def mean_bound(splats: Splats, bounds: NearLosslessBounds) -> float:
     """Return the bound of means in scene units."""
     if len(splats) == 0:
         return bounds.means
     return float(bounds.means * np.exp(np.median(splats.scales.astype(np.float64))))
 
 
-def encode_chunk(splats: Splats, means_bound: float, bounds: NearBounds, sort: bool) -> Payloads:
+def encode_chunk(
+    splats: Splats, means_bound: float, bounds: NearLosslessBounds, sort: bool
+) -> Payloads:
     """Return the head and the tail of a chunk whose every value stays within bounds.
 
     Parameters

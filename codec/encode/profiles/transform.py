@@ -85,7 +85,7 @@ KEPT_WHOLE: Final = Coarseness((1, 1, 1), 0, 0, (1,), (1, 1, 1))
 # Bits of a coarse splat, about.
 _HEAD_BITS: Final = 24.0
 
-# Halvings that wait, less than what an even slope asks for: sensitivities hold for small errors,
+# Halvings that wait, less than what an equal λ asks for: sensitivities hold for small errors,
 # and a prefix gains less from coarse splats than their costs say (measured on two trained scenes).
 _LATER: Final = {"scales": 0.25, "opacities": -0.25, "means": -0.75, "turns": -1.5, "sh0": -0.75}
 _MOST_LATER: Final = 5.0
@@ -95,14 +95,14 @@ _LEAST: Final = 2.0**-20
 
 
 def coarseness(
-    contribution: F64, slope: float, chunks: Sequence[slice], missing_all: float
+    contribution: F64, lagrangian: float, chunks: Sequence[slice], missing_all: float
 ) -> dict[int, Coarseness]:
     """Return how coarse each head is to be: another bit of it gains what the next head's would.
 
     Parameters
     ----------
     contribution : (N,) float64
-    slope : float
+    lagrangian : float
         Of the refined values.
     chunks : sequence of slice
     missing_all : float
@@ -110,11 +110,11 @@ def coarseness(
     """
     sums = np.array([contribution[run].sum() for run in chunks])
     counts = np.array([run.stop - run.start for run in chunks])
-    missing = segment_order.missing_shares(sums)
+    missing = segment_order.unsent_shares(sums)
     per_bit = segment_order.head_gains(missing, missing_all) / (_HEAD_BITS * counts)
     per_bit /= segment_order.refined_gain(missing[1:])
     # A bit more of a value whose error costs λ/12 gains 2·ln 2 times that.
-    wanted = 0.5 * np.log2(np.maximum(12 / (2 * np.log(2)) * per_bit / slope, _LEAST))
+    wanted = 0.5 * np.log2(np.maximum(12 / (2 * np.log(2)) * per_bit / lagrangian, _LEAST))
     return {run.start: _coarse(float(h)) for run, h in zip(chunks, wanted, strict=True)}
 
 
@@ -136,7 +136,7 @@ class TransformPlan:
 
     Parameters
     ----------
-    slope : float
+    lagrangian : float
         λ: what ``cost · step²`` is everywhere.
     costs : Costs
         Of every splat.
@@ -152,7 +152,7 @@ class TransformPlan:
         Of the heads of chunks, by their first rows; those that are not there are fine.
     """
 
-    slope: float
+    lagrangian: float
     costs: Costs
     turns: F64
     scales: F32
@@ -166,7 +166,7 @@ def plan(
     splats: Splats,
     costs: Costs,
     basis_spread: F64,
-    slope: float,
+    lagrangian: float,
     chunks: Sequence[slice],
     ablation: Ablation,
     contribution: F64 | None = None,
@@ -182,7 +182,7 @@ def plan(
         Of these rows.
     basis_spread : (15, 15) float64
         `Scores.basis_spread`.
-    slope : float
+    lagrangian : float
     chunks : sequence of slice
     ablation : Ablation
     contribution : (N,) float64, optional
@@ -192,21 +192,21 @@ def plan(
     """
     coarse = {}
     if contribution is not None:
-        coarse = coarseness(contribution, slope, chunks, missing_all)
-    costs = rate_costs.limited(costs, splats.scales, slope)
+        coarse = coarseness(contribution, lagrangian, chunks, missing_all)
+    costs = rate_costs.limited(costs, splats.scales, lagrangian)
     turns, scales = turn.canonical(rotations.unit(splats.quats), splats.scales)
     basis: ColourBasis | None = None
     payloads: tuple[bytes, ...] = ()
     if splats.sh_degree:
         spread = basis_spread if ablation.view_metric else np.zeros_like(basis_spread)
         basis = colour_transform.fit(
-            splats.shN, costs.energy, spread, slope, chunks, principal=ablation.colour_basis
+            splats.shN, costs.energy, spread, lagrangian, chunks, principal=ablation.colour_basis
         )
         payloads = tuple(records.pack([b], digits=ablation.digits) for b in basis.streams())
         views = {band: memoryview(data) for band, data in enumerate(payloads, start=1)}
         stored = decode_colour_codebook(views, len(basis.rows), splats.sh_degree, "basis")
         basis = basis.stored_as(stored.shN)
-    return TransformPlan(slope, costs, turns, scales, basis, payloads, ablation, coarse)
+    return TransformPlan(lagrangian, costs, turns, scales, basis, payloads, ablation, coarse)
 
 
 def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -> Payloads:
@@ -222,9 +222,9 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     sort : bool
         Whether to sort by Morton code.
     """
-    slope, used = plan_.slope, plan_.ablation
+    lagrangian, used = plan_.lagrangian, plan_.ablation
     rows = np.arange(run.start, run.stop, dtype=np.int64)
-    ladder, scale_grid = _ladder(plan_.scales[rows], plan_.costs.take(rows), slope, used.areas)
+    ladder, scale_grid = _ladder(plan_.scales[rows], plan_.costs.take(rows), lagrangian, used.areas)
     # Values that the refinement is to bring; where there is none, nothing is cut off.
     coarse = plan_.coarse.get(run.start, KEPT_WHOLE)
     sizes = refinement_split.cut(
@@ -235,12 +235,12 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     if used.fine_means:
         inside, means, moved = _affordable(
             lambda halvings: _means(
-                splats.means[rows], (head_scales, scales), means_costs, (slope, halvings), sort
+                splats.means[rows], (head_scales, scales), means_costs, (lagrangian, halvings), sort
             ),
             coarse.means,
         )
     else:
-        step = allocation.equal_step(slope, means_costs)
+        step = allocation.equal_step(lagrangian, means_costs)
         inside, means = chunk_means(splats.means[rows], step, sort)
         moved = _WHOLE
     rows, head_scales, scales = rows[inside], head_scales[inside], scales[inside]
@@ -256,18 +256,18 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     sh0 = splats.sh0[rows].astype(np.float64)
     tail: bytes | None = None
     if plan_.basis is not None:
-        stream, missed = plan_.basis.encode(splats.shN[rows], costs.energy, slope, BASIS)
+        stream, missed = plan_.basis.encode(splats.shN[rows], costs.energy, lagrangian, BASIS)
         if used.sh0_makes_up:
             # What shN lost, as its views see it on average.
             sh0 += np.einsum("nk,nkc->nc", costs.basis_mean, missed) / rate_costs.SH0_BASIS
         tail = records.pack([stream], digits=used.digits)
     kept_areas = plan_.scales[rows] if used.areas else scales
     opacities = _opacities(splats.opacities[rows], kept_areas, scales)
-    opacity_grid = grids.fit(opacities, allocation.equal_step(slope, costs.opacity))
+    opacity_grid = grids.fit(opacities, allocation.equal_step(lagrangian, costs.opacity))
     clear = refinement_split.cut(
         Attribute.OPACITIES, opacities, opacity_grid, costs.opacity, coarse.opacities
     )
-    colour, coloured = _sh0(sh0, costs.energy, slope, coarse.sh0)
+    colour, coloured = _sh0(sh0, costs.energy, lagrangian, coarse.sh0)
     head = [
         shape_streams.ladder(sizes.coarse, sizes.grid),
         turns,
@@ -313,14 +313,14 @@ def _scale_gain(parts: Cut, ladder: F32, costs: Costs) -> float:
     return float((_squares(parts, ladder) * np.stack(columns, axis=1)).sum())
 
 
-def _ladder(scales: F32, costs: Costs, slope: float, areas: bool) -> tuple[F32, Grid]:
+def _ladder(scales: F32, costs: Costs, lagrangian: float, areas: bool) -> tuple[F32, Grid]:
     """Return the ladder to store and its grid: what one value loses, the next makes up for.
 
     A splat's weight in a picture goes with its area, about the product of its two longer axes. The
     errors of single splats average out; a change of all their areas does not.
     """
     columns = (costs.scale_long, costs.scale_middle, costs.scale_thin)
-    steps = np.array([allocation.equal_step(slope, column) for column in columns])
+    steps = np.array([allocation.equal_step(lagrangian, column) for column in columns])
     ladder = shape_streams.steps_of(scales)
     grid = grids.fit(ladder, steps)
     if not areas:
@@ -349,14 +349,14 @@ def _turns(
     """Return the rotations of a head, and what refines them by so many halvings."""
     # Of shapes all alike, every one gets the same resolution.
     head, fine = scales if plan_.ablation.fine_turns else map(np.zeros_like, scales)
-    slope = plan_.slope * 4.0**halvings
-    tilt = adaptive_step.fit(head, costs.tilt, slope, _TURN_STEP)
-    spin = adaptive_step.fit(head, costs.spin, slope, _TURN_STEP)
+    lagrangian = plan_.lagrangian * 4.0**halvings
+    tilt = adaptive_step.fit(head, costs.tilt, lagrangian, _TURN_STEP)
+    spin = adaptive_step.fit(head, costs.spin, lagrangian, _TURN_STEP)
     if not halvings:
         return shape_streams.turns(turns, head, tilt, spin)[0], _WHOLE
     constants = [
-        adaptive_step.shifted(tilt, halvings, fine, costs.tilt, plan_.slope, _TURN_STEP),
-        adaptive_step.shifted(spin, halvings, fine, costs.spin, plan_.slope, _TURN_STEP),
+        adaptive_step.shifted(tilt, halvings, fine, costs.tilt, plan_.lagrangian, _TURN_STEP),
+        adaptive_step.shifted(spin, halvings, fine, costs.spin, plan_.lagrangian, _TURN_STEP),
     ]
     stream, below, coarse = shape_streams.refined_turns(turns, head, tilt, spin, fine, constants)
     missed = np.square(turns - coarse)
@@ -394,11 +394,11 @@ def _means(
 ) -> tuple[I64, Stream, _Later]:
     """Return the order inside a chunk and its means, fine where the grid can hold them.
 
-    `scales` are the head's and the refined ones; `wish` the slope and the halvings that can wait.
+    `scales` are the head's and the refined ones; `wish` λ and the halvings that can wait.
     """
-    slope, later = wish
+    lagrangian, later = wish
     head, fine = scales
-    coarse_slope = slope * 4.0**later
+    coarse_slope = lagrangian * 4.0**later
     wanted = np.log2(allocation.own_steps(coarse_slope, costs))
     # A power of two below which only the coarsest splats' steps lie: halvings start at 0 there.
     base = float(2.0 ** np.floor(np.quantile(wanted, 1 - _COARSEST)))
@@ -408,13 +408,13 @@ def _means(
     extra = np.zeros_like(halvings)
     constant = 0.0
     if later:
-        constant = adaptive_step.shifted(coarse, later, fine, costs, slope, base)
+        constant = adaptive_step.shifted(coarse, later, fine, costs, lagrangian, base)
         extra = refinement.gained(refinement.with_constant(coarse, constant), fine, halvings)
     total = halvings + extra
     grid = _grid(means, base)
     top = grid.levels.astype(np.float64) * 2.0 ** int(total.max())
     if not sort or int(grid.levels.max()) > morton.MAX_LEVELS or top.max() >= 2.0**31:
-        return *chunk_means(means, allocation.equal_step(slope, costs), sort), _WHOLE
+        return *chunk_means(means, allocation.equal_step(lagrangian, costs), sort), _WHOLE
     codes = fine_means.fine_codes(means, grid, total)
     kept, _ = refinement.coarse_of(codes, extra[:, None])
     order = fine_means.morton_order(kept, halvings)
@@ -441,7 +441,9 @@ def _grid(means: F32, step: float) -> Grid:
     return Grid(minimum, maximum.astype(np.float32), levels.astype(np.uint32))
 
 
-def _sh0(values: F64, energy: F64, slope: float, most: tuple[int, ...]) -> tuple[Stream, _Later]:
+def _sh0(
+    values: F64, energy: F64, lagrangian: float, most: tuple[int, ...]
+) -> tuple[Stream, _Later]:
     """Return sh0 on the axes along which its chunk varies most, a Karhunen-Loève transform."""
     weights = energy / energy.sum()
     centred = values - weights @ values
@@ -452,7 +454,7 @@ def _sh0(values: F64, energy: F64, slope: float, most: tuple[int, ...]) -> tuple
     axes = (vectors * np.where(largest < 0, -1, 1))[:, ::-1].T.astype(np.float32)
     axes = np.clip(axes, -1, 1)
     on_axes = np.linalg.solve(axes.T.astype(np.float64), values.T).T.astype(np.float32)
-    step = allocation.equal_step(slope, energy * rate_costs.SH0_COST * rate_costs.SH0_WEIGHT)
+    step = allocation.equal_step(lagrangian, energy * rate_costs.SH0_COST * rate_costs.SH0_WEIGHT)
     parts = refinement_split.cut(Attribute.SH0, on_axes, grids.fit(on_axes, step), energy, most)
     stream, _ = colour_streams.sh0_on_axes(parts.coarse, axes, parts.grid)
     missed = _squares(parts, on_axes) @ np.square(axes.astype(np.float64)).sum(axis=1)

@@ -53,7 +53,7 @@ class VqPlan:
     colour_rows : int
     """
 
-    slope: float
+    lagrangian: float
     energy: F64
     quats: F32
     scales: F32
@@ -105,7 +105,7 @@ def clip_strays(splats: Splats) -> Splats:
 def plan(
     splats: Splats,
     energy: F64,
-    slope: float,
+    lagrangian: float,
     *,
     training: TrainingConfig,
     threads: int,
@@ -119,8 +119,8 @@ def plan(
         Valid rows, at least one; from `clip_strays`.
     energy : (N,) float64
         Positive.
-    slope : float
-        λ of `allocation.slope`.
+    lagrangian : float
+        λ of `allocation.lagrangian`.
     training : TrainingConfig
     threads : int
     progress : Progress
@@ -133,10 +133,10 @@ def plan(
         vectors, energy, codebook_rows(len(splats), _SPLATS_PER_SHAPE_ROW), training
     )
     indices, _ = kmeans.nearest(vectors, rows, threads)
-    payload, rows = _store_shapes(rows, indices, energy, slope)
+    payload, rows = _store_shapes(rows, indices, energy, lagrangian)
     indices, errors = kmeans.nearest(vectors, rows, threads)
-    # Equal slope: an error is worth the bits that would remove it at dD/dR = 2·ln2·λ/12.
-    per_bit = 2 * np.log(2) * slope / 12
+    # Equal λ: an error is worth the bits that would remove it at dD/dR = 2·ln2·λ/12.
+    per_bit = 2 * np.log(2) * lagrangian / 12
     kept = energy * errors * _SHAPE_COST > _KEPT_SHAPE_BITS * per_bit
     progress("codebooks", 1, 2)
     colour_payloads: tuple[bytes, ...] = ()
@@ -148,15 +148,15 @@ def plan(
             coefficients, energy, codebook_rows(len(splats), _SPLATS_PER_COLOUR_ROW), training
         )
         colour_indices, _ = kmeans.nearest(coefficients, values, threads)
-        colour_payloads, values = _store_colours(values, colour_indices, energy, slope)
+        colour_payloads, values = _store_colours(values, colour_indices, energy, lagrangian)
         colour_indices, colour_errors = kmeans.nearest(coefficients, values, threads)
         colour_rows = len(values)
         bits = _KEPT_COLOUR_BITS_PER_VALUE * coefficients.shape[1]
         colour_kept = energy * colour_errors * _SH_COST > bits * per_bit
     progress("codebooks", 2, 2)
     return VqPlan(
-        slope=slope,
-        energy=costs.limited_energy(energy, slope),
+        lagrangian=lagrangian,
+        energy=costs.limited_energy(energy, lagrangian),
         quats=quats,
         scales=scales,
         factors=factors,
@@ -174,30 +174,32 @@ def plan(
 def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton: bool) -> Payloads:
     """Return the head and the tail of the chunk that holds `rows` of a planned scene."""
     energy = plan_.energy[rows]
-    slope = plan_.slope
-    step = allocation.mean_step(slope, energy, plan_.scales[rows])
+    lagrangian = plan_.lagrangian
+    step = allocation.mean_step(lagrangian, energy, plan_.scales[rows])
     inside, means = chunk_means(splats.means[rows], step, morton)
     rows, energy = rows[inside], energy[inside]
     factors = plan_.factors[rows][:, None]
-    factor_step = allocation.step(slope, costs.SCALE_FACTOR_COST, energy)
-    sh0_step = allocation.step(slope, costs.SH0_COST, energy)
+    factor_step = allocation.step(lagrangian, costs.SCALE_FACTOR_COST, energy)
+    sh0_step = allocation.step(lagrangian, costs.SH0_COST, energy)
     head: list[Stream] = []
     kept = plan_.shape_kept[rows]
     if kept.any():
         own = energy[kept]
         scales = plan_.scales[rows[kept]] - factors[kept]
-        scale_step = allocation.step(slope, costs.SCALE_COST, own)
+        scale_step = allocation.step(lagrangian, costs.SCALE_COST, own)
         head.append(
             records.scalar(Attribute.SCALES, scales, grids.fit(scales, scale_step), kept=True)
         )
-        turn = allocation.step(slope, costs.ROTATION_COST, own)
+        turn = allocation.step(lagrangian, costs.ROTATION_COST, own)
         head.append(records.quats(plan_.quats[rows[kept]], turn, kept=True))
     indices = plan_.shape_indices[rows]
     head += [
         _indices(Attribute.SHAPE, SHAPE_CODEBOOK, plan_.shape_rows, indices, kept),
         records.scalar(Attribute.SCALE_FACTOR, factors, grids.fit(factors, factor_step)),
         means,
-        chunk_opacities(splats.opacities[rows], allocation.step(slope, costs.OPACITY_COST, energy)),
+        chunk_opacities(
+            splats.opacities[rows], allocation.step(lagrangian, costs.OPACITY_COST, energy)
+        ),
         records.scalar(Attribute.SH0, splats.sh0[rows], grids.fit(splats.sh0[rows], sh0_step)),
     ]
     if not plan_.colour_rows:
@@ -205,7 +207,7 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
     kept = plan_.colour_kept[rows]
     tail: list[Stream] = []
     if kept.any():
-        sh_step = allocation.step(slope, _SH_COST, energy[kept])
+        sh_step = allocation.step(lagrangian, _SH_COST, energy[kept])
         tail += _bands(splats.shN[rows[kept]], sh_step, kept=True)
     indices = plan_.colour_indices[rows]
     tail.append(_indices(Attribute.SHN, COLOUR_CODEBOOK, plan_.colour_rows, indices, kept))
@@ -235,22 +237,22 @@ def _bands(coefficients: F32, step: float, *, kept: bool = False) -> list[Stream
     return out
 
 
-def _row_step(slope: float, cost: float, indices: U32, energy: F64, rows: int) -> float:
+def _row_step(lagrangian: float, cost: float, indices: U32, energy: F64, rows: int) -> float:
     """Return the step of codebook rows: a row's error is that of all splats that use it."""
     weight = np.bincount(indices, weights=energy, minlength=rows)
-    return allocation.step(slope, cost, np.maximum(weight, energy.min()))
+    return allocation.step(lagrangian, cost, np.maximum(weight, energy.min()))
 
 
-def _store_shapes(rows: F32, indices: U32, energy: F64, slope: float) -> tuple[bytes, F32]:
+def _store_shapes(rows: F32, indices: U32, energy: F64, lagrangian: float) -> tuple[bytes, F32]:
     """Return a shape codebook's payload and the vectors that its decoded rows stand for."""
     quats, scales = covariance.decompose(rows)
     # Similar rows together: their planes compress.
     order = np.lexsort((quats[:, 2], quats[:, 1], np.rint(scales.min(axis=1))))
     quats, scales = quats[order], scales[order]
     place = np.argsort(order).astype(np.uint32)
-    scale_step = _row_step(slope, costs.SCALE_COST, place[indices], energy, len(rows))
+    scale_step = _row_step(lagrangian, costs.SCALE_COST, place[indices], energy, len(rows))
     grid = grids.fit(scales, scale_step)
-    turn = _row_step(slope, costs.ROTATION_COST, place[indices], energy, len(rows))
+    turn = _row_step(lagrangian, costs.ROTATION_COST, place[indices], energy, len(rows))
     body = [records.scalar(Attribute.SCALES, scales, grid), records.quats(quats, turn)]
     payload = records.pack(body)
     stored = records.unpack(memoryview(payload), "shape codebook", len(rows))
@@ -260,14 +262,14 @@ def _store_shapes(rows: F32, indices: U32, energy: F64, slope: float) -> tuple[b
 
 
 def _store_colours(
-    rows: F32, indices: U32, energy: F64, slope: float
+    rows: F32, indices: U32, energy: F64, lagrangian: float
 ) -> tuple[tuple[bytes, ...], F32]:
     """Return a colour codebook's payloads by band and its decoded rows."""
     used = np.bincount(indices, weights=energy, minlength=len(rows))
     order = np.argsort(-used, kind="stable")
     rows = np.ascontiguousarray(rows[order])
     place = np.argsort(order).astype(np.uint32)
-    step = _row_step(slope, _SH_COST, place[indices], energy, len(rows))
+    step = _row_step(lagrangian, _SH_COST, place[indices], energy, len(rows))
     bands = _bands(rows.reshape(len(rows), -1, 3), step)
     payloads = tuple(records.pack([band]) for band in bands)
     decoded: list[F32] = []

@@ -34,10 +34,10 @@ def energy_of(rows=300, seed=3):
     return np.random.default_rng(seed).lognormal(-9, 1, rows)
 
 
-def fitted(degree=3, slope=1e-9, spread=None, **options):
+def fitted(degree=3, lagrangian=1e-9, spread=None, **options):
     values = coefficients_of(degree)
     given = spread_of() if spread is None else spread
-    return values, colour_transform.fit(values, energy_of(), given, slope, CHUNKS, **options)
+    return values, colour_transform.fit(values, energy_of(), given, lagrangian, CHUNKS, **options)
 
 
 def stored(basis, degree):
@@ -87,7 +87,7 @@ def test_the_metric_is_what_views_see_and_a_little_of_everywhere():
 
 @pytest.mark.parametrize("principal", [True, False])
 def test_a_full_basis_gives_every_coefficient_back(principal):
-    values, basis = fitted(2, slope=1e-14, principal=principal)
+    values, basis = fitted(2, lagrangian=1e-14, principal=principal)
     assert len(basis.rows) == 24
     back = basis.coordinates(values) @ basis.rows.astype(float)
     np.testing.assert_allclose(back.reshape(values.shape), values, atol=1e-5)
@@ -101,7 +101,7 @@ def test_coordinates_leave_what_no_row_could_mend():
 
 
 def test_without_principal_axes_each_row_is_a_coefficient():
-    _, basis = fitted(3, slope=1e-13, principal=False)
+    _, basis = fitted(3, lagrangian=1e-13, principal=False)
     assert ((basis.rows != 0).sum(axis=1) == 1).all()
     assert ((basis.rows != 0).sum(axis=0) == 1).all()
     rows = basis.rows.astype(float)
@@ -122,23 +122,23 @@ def test_a_basis_is_stored_to_one_part_in_256(degree):
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
-@pytest.mark.parametrize("slope", [1e-5, 1e-8, 1e-12])
-def test_what_is_missed_is_source_less_decoded(degree, slope):
-    values, basis = fitted(degree, slope)
+@pytest.mark.parametrize("lagrangian", [1e-5, 1e-8, 1e-12])
+def test_what_is_missed_is_source_less_decoded(degree, lagrangian):
+    values, basis = fitted(degree, lagrangian)
     codebook = stored(basis, degree)
     basis = basis.stored_as(codebook.shN)
     for run in CHUNKS:
-        stream, missed = basis.encode(values[run], energy_of()[run], slope, 0)
+        stream, missed = basis.encode(values[run], energy_of()[run], lagrangian, 0)
         out = decoded(stream, codebook)
         np.testing.assert_allclose(values[run] - missed, out, atol=3e-6)
 
 
 def test_a_lower_slope_misses_less_and_costs_more():
     misses, sizes = [], []
-    for slope in (1e-4, 1e-6, 1e-8, 1e-10):
-        values, basis = fitted(3, slope)
+    for lagrangian in (1e-4, 1e-6, 1e-8, 1e-10):
+        values, basis = fitted(3, lagrangian)
         basis = basis.stored_as(stored(basis, 3).shN)
-        stream, missed = basis.encode(values[CHUNKS[1]], energy_of()[CHUNKS[1]], slope, 0)
+        stream, missed = basis.encode(values[CHUNKS[1]], energy_of()[CHUNKS[1]], lagrangian, 0)
         misses.append(cost(missed, basis.metric))
         sizes.append(len(records.pack([stream])))
     assert misses == sorted(misses, reverse=True)

@@ -9,7 +9,7 @@ from cogsplat.codec.order import prefix_inflation
 from cogsplat.codec.order.marginal_gain import GainConfig, gain_order
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
-from cogsplat.codec.scoring.reference_views import teach
+from cogsplat.codec.scoring.reference_views import render_references
 
 _COUNTS = (40, 50, 60, 90, 130, 130)
 
@@ -20,8 +20,13 @@ def scene():
     cameras = [oracle.camera(angle=angle) for angle in (0, 20, 40)]
     scores = score(splats, cameras, ScoreConfig(jitter=False))
     rows = gain_order(splats, scores, cameras, GainConfig(jitter=False))
-    teacher = teach(splats, cameras, jittered=False)
-    return splats.take(rows), cameras, teacher, prefix_inflation.carriers(scores.contribution)
+    references = render_references(splats, cameras, jittered=False)
+    return (
+        splats.take(rows),
+        cameras,
+        references,
+        prefix_inflation.effective_splats(scores.contribution),
+    )
 
 
 def _same(one, other):
@@ -31,9 +36,9 @@ def _same(one, other):
 
 
 def test_prefixes_show_more_and_codes_pay(scene):
-    splats, cameras, teacher, carriers = scene
-    plain = fit(splats, _COUNTS, teacher, carriers, FitConfig(code_bits=0))
-    coded = fit(splats, _COUNTS, teacher, carriers, FitConfig(code_bits=4))
+    splats, cameras, references, effective_splats = scene
+    plain = fit(splats, _COUNTS, references, effective_splats, FitConfig(code_bits=0))
+    coded = fit(splats, _COUNTS, references, effective_splats, FitConfig(code_bits=4))
     assert [layer.chunks for layer in coded.layers] == [layer.chunks for layer in plain.layers]
 
     def quality(drawn):
@@ -47,19 +52,19 @@ def test_prefixes_show_more_and_codes_pay(scene):
 
 
 def test_the_fit_does_not_depend_on_threads(scene):
-    splats, _, teacher, carriers = scene
+    splats, _, references, effective_splats = scene
     found = [
-        fit(splats, _COUNTS, teacher, carriers, FitConfig(iterations=4, threads=threads))
+        fit(splats, _COUNTS, references, effective_splats, FitConfig(iterations=4, threads=threads))
         for threads in (1, 3)
     ]
     _same(*found)
 
 
 def test_a_blank_takes_the_same_room(scene):
-    splats, _, teacher, carriers = scene
+    splats, _, references, effective_splats = scene
     config = FitConfig(iterations=3)
-    found = fit(splats, _COUNTS, teacher, carriers, config)
-    empty = blank(_COUNTS, carriers, config)
+    found = fit(splats, _COUNTS, references, effective_splats, config)
+    empty = blank(_COUNTS, effective_splats, config)
     for a, b in zip(found.layers, empty.layers, strict=True):
         for name in ("scales", "opacities", "strengths", "book", "codes"):
             assert getattr(a, name).shape == getattr(b, name).shape
@@ -68,8 +73,8 @@ def test_a_blank_takes_the_same_room(scene):
 
 
 def test_codes_name_rows_of_the_book(scene):
-    splats, _, teacher, carriers = scene
-    found = fit(splats, _COUNTS, teacher, carriers, FitConfig(code_bits=2, iterations=5))
+    splats, _, references, effective_splats = scene
+    found = fit(splats, _COUNTS, references, effective_splats, FitConfig(code_bits=2, iterations=5))
     before = 0
     for layer in found.layers:
         if len(layer.book):
@@ -86,13 +91,13 @@ def test_layers_grow_and_leave_out_the_whole():
 
 
 def test_one_chunk_wants_nothing(scene):
-    splats, _, teacher, carriers = scene
-    found = fit(splats, (500,), teacher, carriers)
+    splats, _, references, effective_splats = scene
+    found = fit(splats, (500,), references, effective_splats)
     assert found.layers == ()
 
 
 def test_progress_can_cancel(scene):
-    splats, _, teacher, carriers = scene
+    splats, _, references, effective_splats = scene
 
     def stop(stage, done, total):
         assert stage == "compensate"
@@ -100,7 +105,7 @@ def test_progress_can_cancel(scene):
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        fit(splats, _COUNTS, teacher, carriers, progress=stop)
+        fit(splats, _COUNTS, references, effective_splats, progress=stop)
 
 
 @pytest.mark.parametrize("wrong", [{"code_bits": 9}, {"iterations": 0}, {"views": 0}])
@@ -110,14 +115,14 @@ def test_config_is_checked(wrong):
 
 
 def test_errors_of_prefixes_are_those_of_their_pictures(scene):
-    splats, _, teacher, carriers = scene
-    found = fit(splats, _COUNTS, teacher, carriers, FitConfig(iterations=3))
-    lacking = errors(found, splats, teacher, threads=2)
-    assert len(lacking) == len(_COUNTS) + 1
-    assert lacking[0] == pytest.approx(np.mean([np.mean(p**2) for p in teacher.pictures]))
-    assert lacking[-1] < 1e-12
+    splats, _, references, effective_splats = scene
+    found = fit(splats, _COUNTS, references, effective_splats, FitConfig(iterations=3))
+    prefix_mse = errors(found, splats, references, threads=2)
+    assert len(prefix_mse) == len(_COUNTS) + 1
+    assert prefix_mse[0] == pytest.approx(np.mean([np.mean(p**2) for p in references.pictures]))
+    assert prefix_mse[-1] < 1e-12
     drawn = found.apply(splats.take(slice(0, 90)), 2)
-    pictures = [render(drawn, camera) for camera in teacher.cameras]
-    pairs = zip(pictures, teacher.pictures, strict=True)
+    pictures = [render(drawn, camera) for camera in references.cameras]
+    pairs = zip(pictures, references.pictures, strict=True)
     expected = np.mean([np.mean((np.clip(a, 0, 1) - b) ** 2) for a, b in pairs])
-    assert lacking[2] == pytest.approx(expected, rel=1e-4)
+    assert prefix_mse[2] == pytest.approx(expected, rel=1e-4)

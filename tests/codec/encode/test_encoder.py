@@ -7,11 +7,11 @@ import pytest
 
 from cogsplat.codec.encode.config import PROFILES, EncodeConfig
 from cogsplat.codec.encode.encoder import encode, prepare
-from cogsplat.codec.encode.profiles.near_lossless import NearBounds
+from cogsplat.codec.encode.profiles.near_lossless import NearLosslessBounds
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.geometry import bounds as extent
 from cogsplat.codec.order import chunks
-from cogsplat.codec.rate.allocation import slope
+from cogsplat.codec.rate.allocation import lagrangian
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.scoring.contribution import score, unscored
 from cogsplat.codec.splats import concatenate, empty
@@ -106,14 +106,14 @@ def test_equal_splats_come_back(profile):
 def test_opacities_may_all_be_infinite(profile, logit):
     splats = replace(tagged(50), opacities=np.full(50, logit, np.float32))
     out = check(encode(splats, None, config(profile=profile)), 50, 3)
-    if profile == "near":
+    if profile == "near-lossless":
         assert (out.opacities == logit).all()
     else:
         assert (np.sign(out.opacities) == np.sign(logit)).all()
         assert (np.abs(out.opacities) >= 10).all()
     pruned = encode(splats, None, config(profile=profile, prune=PruneConfig()))
     # An archive keeps even what nothing can show.
-    assert pruned.pruned == (50 if logit < 0 and profile != "near" else 0)
+    assert pruned.pruned == (50 if logit < 0 and profile != "near-lossless" else 0)
     check(pruned, 50 - pruned.pruned, 3)
     if pruned.pruned:
         assert (len(pruned.chunks), len(pruned.codebooks)) == (0, 0)
@@ -193,19 +193,19 @@ def test_the_source_order_is_kept():
 
 def test_the_near_profile_drops_nothing():
     prune = PruneConfig(peak=0.5, views=3)
-    encoded = encode(tagged(800), scored(800), EncodeConfig(profile="near", prune=prune))
+    encoded = encode(tagged(800), scored(800), EncodeConfig(profile="near-lossless", prune=prune))
     assert encoded.pruned == 0
     assert sorted(tags(check(encoded, 800, 3))) == list(range(800))
 
 
-@pytest.mark.parametrize("profile", [name for name in PROFILES if name != "near"])
+@pytest.mark.parametrize("profile", [name for name in PROFILES if name != "near-lossless"])
 def test_pruned_rows_are_gone_and_counted(profile):
     splats, scores = tagged(800), scored(800)
     prune = PruneConfig(peak=0.5, views=3)
     prepared = prepare(splats, scores, EncodeConfig(profile=profile, prune=prune))
     assert prepared.encode(60.0).pruned < prepared.encode(30.0).pruned
     encoded = prepared.encode(31.0)
-    worth = scores.energy >= prune.worth * slope(scores, 31.0)
+    worth = scores.energy >= prune.worth * lagrangian(scores, 31.0)
     gone = (scores.peak < 0.5) & (scores.covered >= 3) & ~worth
     gone |= splats.opacities < -np.log(254)
     assert encoded.pruned == gone.sum() > 5
@@ -215,8 +215,8 @@ def test_pruned_rows_are_gone_and_counted(profile):
 
 def test_the_near_profile_meets_its_bounds_in_every_chunk():
     splats = tagged(1200)
-    bounds = NearBounds(means=0.5, scales=0.01, opacities=0.1, sh0=0.01, shN=0.02)
-    settings = config(profile="near", near=bounds, chunk_splats=300)
+    bounds = NearLosslessBounds(means=0.5, scales=0.01, opacities=0.1, sh0=0.01, shN=0.02)
+    settings = config(profile="near-lossless", near_lossless=bounds, chunk_splats=300)
     out = check(encode(splats, scored(1200), settings), 1200, 3)
     source = splats.take(np.array(tags(out)))
     size = np.exp(np.median(splats.scales.astype(np.float64)))

@@ -6,7 +6,7 @@ import pytest
 
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.encoder import encode
-from cogsplat.codec.encode.prefix_quality import Witness, decoded, predicted
+from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, decoded, predicted
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.metrics import psnr
@@ -28,7 +28,7 @@ def encoded_in(chunks, profile="transform", n=600):
     return encode(scene(n), None, config)
 
 
-@pytest.mark.parametrize("profile", ["transform", "vq", "near"])
+@pytest.mark.parametrize("profile", ["transform", "vq", "near-lossless"])
 def test_decoding_gives_the_rows_and_the_info_of_the_scene(profile):
     n = 90
     back = decoded(encoded_in(3, profile, n))
@@ -40,7 +40,7 @@ def test_decoding_gives_the_rows_and_the_info_of_the_scene(profile):
 def test_an_empty_scene_has_nothing_to_predict():
     none = encode(scene().take(slice(0, 0)), None)
     assert len(decoded(none)) == 0
-    assert Witness(scene(), views(1)).prefixes_db(none) == []
+    assert PrefixEvaluator(scene(), views(1)).prefixes_db(none) == []
 
 
 def test_quality_is_the_mean_over_the_views():
@@ -50,25 +50,25 @@ def test_quality_is_the_mean_over_the_views():
 
     config = RenderConfig(**settings)
     each = [psnr(render(source, v, config), render(other, v, config)) for v in views(3)]
-    witness = Witness(source, views(3))
-    assert witness.psnr_db(other) == pytest.approx(np.mean(each))
-    assert witness.psnr_db(source) == 100.0
-    assert Witness(source, views(3), threads=1).psnr_db(other) == witness.psnr_db(other)
+    evaluator = PrefixEvaluator(source, views(3))
+    assert evaluator.psnr_db(other) == pytest.approx(np.mean(each))
+    assert evaluator.psnr_db(source) == 100.0
+    assert PrefixEvaluator(source, views(3), threads=1).psnr_db(other) == evaluator.psnr_db(other)
 
 
 def test_no_views_are_refused():
     with pytest.raises(DataError) as caught:
-        Witness(scene(), [])
+        PrefixEvaluator(scene(), [])
     assert caught.value.code == "no-cameras"
 
 
 def test_every_chunk_says_what_the_scene_up_to_it_shows():
     encoded = encoded_in(5)
     found = predicted(encoded, scene(), views(3))
-    witness, whole = Witness(scene(), views(3)), decoded(encoded)
+    evaluator, whole = PrefixEvaluator(scene(), views(3)), decoded(encoded)
     ends = np.cumsum([chunk.splats for chunk in encoded.chunks])
     for chunk, end in zip(found.chunks, ends, strict=True):
-        expected = witness.psnr_db(whole.take(slice(0, int(end))))
+        expected = evaluator.psnr_db(whole.take(slice(0, int(end))))
         assert chunk.quality_db == pytest.approx(expected)
     assert all(chunk.quality_db == 0 for chunk in encoded.chunks)
 
@@ -76,11 +76,11 @@ def test_every_chunk_says_what_the_scene_up_to_it_shows():
 def test_of_many_chunks_some_are_measured():
     encoded = encoded_in(40, n=400)
     calls = []
-    witness = Witness(scene(400), views(1))
-    found = witness.prefixes_db(encoded, progress=lambda *call: calls.append(call))
+    evaluator = PrefixEvaluator(scene(400), views(1))
+    found = evaluator.prefixes_db(encoded, progress=lambda *call: calls.append(call))
     assert len(found) == len(encoded.chunks) == 40
     assert calls[-1] == ("predict", 12, 12)
-    assert found[-1] == witness.psnr_db(decoded(encoded))
+    assert found[-1] == evaluator.psnr_db(decoded(encoded))
     assert np.isfinite(found).all()
 
 

@@ -7,7 +7,7 @@ import pytest
 from cogsplat.codec.encode import config
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.encoder import prepare
-from cogsplat.codec.encode.prefix_quality import Witness, decoded
+from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, decoded
 from cogsplat.codec.encode.rate_control import MAX_TRIALS, Target, to_psnr, to_size
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
@@ -101,9 +101,9 @@ def test_more_room_than_a_scene_needs_gives_the_finest():
 
 
 def test_real_scenes_hit_their_targets(prepared, scene, views):
-    witness = Witness(scene, views)
-    hit = to_psnr(prepared, 34.0, lambda trial: witness.psnr_db(decoded(trial)))
-    assert witness.psnr_db(decoded(hit.encoded)) == hit.value
+    evaluator = PrefixEvaluator(scene, views)
+    hit = to_psnr(prepared, 34.0, lambda trial: evaluator.psnr_db(decoded(trial)))
+    assert evaluator.psnr_db(decoded(hit.encoded)) == hit.value
     # In small views of few splats one splat's step is a jump of the curve.
     assert abs(hit.value - 34.0) <= 1.0
     size = payload_bytes(hit.encoded)

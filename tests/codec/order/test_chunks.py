@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cogsplat.codec.order.chunks import DEFAULT_LARGEST, FIRST_SPLATS, plan_chunks, settled
+from cogsplat.codec.order.chunks import DEFAULT_LARGEST, FIRST_SPLATS, plan_chunks, sort_runs
 from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
 
 
@@ -72,7 +72,7 @@ def test_limits_out_of_range_are_refused(largest):
 def test_runs_of_three_chunks_are_sorted_behind_the_first():
     rng = np.random.default_rng(1)
     rows, priority = rng.permutation(40_000), rng.random(40_000)
-    found = settled(rows, priority)
+    found = sort_runs(rows, priority)
     ends = [run.stop for run in plan_chunks(40_000)]
     assert found[: ends[0]].tolist() == rows[: ends[0]].tolist()
     bounds = [ends[0], ends[3], ends[6], 40_000]
@@ -80,11 +80,11 @@ def test_runs_of_three_chunks_are_sorted_behind_the_first():
     for start, stop in pairwise(bounds):
         assert sorted(found[start:stop]) == sorted(rows[start:stop])
         assert (np.diff(priority[found[start:stop]]) <= 0).all()
-    assert settled(found, priority).tolist() == found.tolist()
+    assert sort_runs(found, priority).tolist() == found.tolist()
 
 
 def test_few_rows_stay_and_ties_too():
     none = np.zeros(0, np.int64)
-    assert settled(none, np.zeros(5)).tolist() == []
+    assert sort_runs(none, np.zeros(5)).tolist() == []
     rows = np.arange(5000)[::-1]
-    assert settled(rows, np.zeros(5000)).tolist() == rows.tolist()
+    assert sort_runs(rows, np.zeros(5000)).tolist() == rows.tolist()

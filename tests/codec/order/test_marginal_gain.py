@@ -12,7 +12,7 @@ from cogsplat.codec.order.orders import Unordered, order_rows
 from cogsplat.codec.render.marginal_gains import pool_of, probe
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring.contribution import ScoreConfig, score, unscored
-from cogsplat.codec.scoring.reference_views import MOST_VIEWS, PICTURE_PIXELS, teach
+from cogsplat.codec.scoring.reference_views import MOST_VIEWS, PICTURE_PIXELS, render_references
 from cogsplat.codec.splats import concatenate
 
 
@@ -33,19 +33,19 @@ def test_order_is_a_permutation_whatever_the_threads(scene):
     np.testing.assert_array_equal(orders[0], orders[2])
 
 
-@pytest.mark.parametrize("thickened", [False, True])
-def test_short_prefixes_show_more_than_those_by_contribution(scene, thickened):
+@pytest.mark.parametrize("inflated", [False, True])
+def test_short_prefixes_show_more_than_those_by_contribution(scene, inflated):
     splats, cameras, scores = scene
-    config = GainConfig(thickened=thickened, jitter=False)
+    config = GainConfig(inflated=inflated, jitter=False)
     by_gain = gain_order(splats, scores, cameras, config)
     by_contribution = np.argsort(-scores.contribution, kind="stable")
 
     def quality(rows, share):
         prefix = splats.take(rows[: int(share * len(splats))])
-        if thickened:
-            carriers = prefix_inflation.carriers(scores.contribution)
-            prefix = prefix_inflation.thicken(
-                prefix, prefix_inflation.typical(len(prefix) / carriers)
+        if inflated:
+            effective_splats = prefix_inflation.effective_splats(scores.contribution)
+            prefix = prefix_inflation.inflate(
+                prefix, prefix_inflation.typical(len(prefix) / effective_splats)
             )
         return np.mean([psnr(render(splats, view), render(prefix, view)) for view in cameras])
 
@@ -58,7 +58,7 @@ def test_a_copy_in_the_same_place_waits(scene):
     # Twice the same scene: by contribution every splat stands beside its copy.
     pairs = concatenate([splats, splats])
     scores = score(pairs, cameras, ScoreConfig(jitter=False))
-    rows = gain_order(pairs, scores, cameras, GainConfig(thickened=False, jitter=False))
+    rows = gain_order(pairs, scores, cameras, GainConfig(inflated=False, jitter=False))
     first = rows[:120] % len(splats)
     # In pairs there would be 60; by the seed of the random parts there are 80 to 92.
     assert len(np.unique(first)) > 75
@@ -90,21 +90,21 @@ def test_order_by_name(scene):
 
 def test_gains_weigh_the_views(scene):
     splats, cameras, _ = scene
-    teacher = teach(splats, cameras, jittered=False)
+    references = render_references(splats, cameras, jittered=False)
     present = np.arange(len(splats)) % 2 == 0
     pool = pool_of(splats, np.arange(len(splats)))
-    total = gains(pool, present, teacher, [0, 2], threads=1)
+    total = gains(pool, present, references, [0, 2], threads=1)
     expected = np.zeros(len(splats))
     for view in (0, 2):
-        camera = teacher.cameras[view]
-        rows, found, _ = probe(pool, present, camera, teacher.pictures[view], kernel_px=0.3)
+        camera = references.cameras[view]
+        rows, found, _ = probe(pool, present, camera, references.pictures[view], kernel_px=0.3)
         expected[rows] += found / 3 / (camera.width * camera.height)
     np.testing.assert_allclose(total, expected, rtol=1e-12)
 
 
 def test_progress_can_cancel(scene):
     splats, cameras, scores = scene
-    teacher = teach(splats, cameras)
+    references = render_references(splats, cameras)
     calls = []
 
     def stop(stage, done, total):
@@ -113,19 +113,19 @@ def test_progress_can_cancel(scene):
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        gain_rows(splats, scores, teacher, progress=stop)
+        gain_rows(splats, scores, references, progress=stop)
     assert calls[0] == ("gain", 0, 480)
 
 
-def test_teacher_shows_the_scene_small(scene):
+def test_reference_views_show_the_scene_small(scene):
     splats, cameras, _ = scene
     large = [replace(c, width=4 * 310, height=4 * 200, fx=900.0, fy=900.0) for c in cameras]
-    teacher = teach(splats, large)
-    assert len(teacher.cameras) == len(teacher.pictures) == len(teacher.weights) == 9
-    assert teacher.given == 3
-    np.testing.assert_allclose(teacher.weights, [1 / 3] * 3 + [1 / 6] * 6)
+    references = render_references(splats, large)
+    assert len(references.cameras) == len(references.pictures) == len(references.weights) == 9
+    assert references.given == 3
+    np.testing.assert_allclose(references.weights, [1 / 3] * 3 + [1 / 6] * 6)
     for camera, picture, kernel_px in zip(
-        teacher.cameras, teacher.pictures, teacher.kernels, strict=True
+        references.cameras, references.pictures, references.kernels, strict=True
     ):
         assert picture.shape == (camera.height, camera.width, 3)
         assert PICTURE_PIXELS / 2 < camera.width * camera.height <= PICTURE_PIXELS
@@ -134,68 +134,70 @@ def test_teacher_shows_the_scene_small(scene):
         assert picture.max() <= 1
 
 
-def test_teacher_bounds_its_views(scene):
+def test_reference_views_bound_their_views(scene):
     splats, cameras, _ = scene
-    teacher = teach(splats.take(np.arange(3)), cameras * 100)
-    assert len(teacher.cameras) == MOST_VIEWS
-    assert teacher.given == MOST_VIEWS // 3
+    references = render_references(splats.take(np.arange(3)), cameras * 100)
+    assert len(references.cameras) == MOST_VIEWS
+    assert references.given == MOST_VIEWS // 3
 
 
 def test_samples_reach_every_view_equally(scene):
     splats, cameras, _ = scene
-    teacher = teach(splats.take(np.arange(3)), cameras * 5)
-    seen = np.zeros(len(teacher.cameras), int)
+    references = render_references(splats.take(np.arange(3)), cameras * 5)
+    seen = np.zeros(len(references.cameras), int)
     for turn in range(90):
-        views = teacher.sample(9, turn)
+        views = references.sample(9, turn)
         assert len(set(views)) == len(views) == 9
-        assert sum(view < teacher.given for view in views) == 3
+        assert sum(view < references.given for view in views) == 3
         seen[views] += 1
     assert seen.min() >= 14
     assert seen.max() <= 22
-    assert teacher.sample(100, 3) == list(range(45))
+    assert references.sample(100, 3) == list(range(45))
 
 
-def test_no_cameras_teach_nothing(scene):
+def test_no_cameras_are_refused_as_references(scene):
     with pytest.raises(ValueError, match="0 cameras"):
-        teach(scene[0], [])
+        render_references(scene[0], [])
 
 
-def test_typical_thickening_falls_to_nothing():
-    assert prefix_inflation.typical(2.0) == prefix_inflation.Thickening(0.0, 0.0)
+def test_typical_inflation_falls_to_nothing():
+    assert prefix_inflation.typical(2.0) == prefix_inflation.Inflation(0.0, 0.0)
     few, some = prefix_inflation.typical(0.0), prefix_inflation.typical(0.1)
     assert few == prefix_inflation.typical(0.001)
     assert few.scales > some.scales > 0
     assert few.opacities > some.opacities > 0
 
 
-def test_carriers_bring_most_of_the_contribution():
-    assert prefix_inflation.carriers(np.array([1.0, 90.0, 6.0, 3.0])) == 2
-    assert prefix_inflation.carriers(np.ones(100)) == 95
-    assert prefix_inflation.carriers(np.zeros(7)) == 7
-    assert prefix_inflation.carriers(np.zeros(0)) == 1
+def test_effective_splats_bring_most_of_the_contribution():
+    assert prefix_inflation.effective_splats(np.array([1.0, 90.0, 6.0, 3.0])) == 2
+    assert prefix_inflation.effective_splats(np.ones(100)) == 95
+    assert prefix_inflation.effective_splats(np.zeros(7)) == 7
+    assert prefix_inflation.effective_splats(np.zeros(0)) == 1
 
 
-def test_thickened_splats_are_larger_and_more_opaque():
+def test_inflated_splats_are_larger_and_more_opaque():
     splats = oracle.scene(1, n=4)
-    thick = prefix_inflation.thicken(splats, prefix_inflation.Thickening(0.25, 1.5))
+    thick = prefix_inflation.inflate(splats, prefix_inflation.Inflation(0.25, 1.5))
     np.testing.assert_allclose(thick.scales - splats.scales, 0.25, rtol=1e-5)
     np.testing.assert_allclose(thick.opacities - splats.opacities, 1.5, rtol=1e-5)
     assert thick.scales.dtype == thick.opacities.dtype == np.float32
 
 
-def test_a_teacher_at_hand_is_not_drawn_again(scene, monkeypatch):
+def test_reference_views_at_hand_are_not_drawn_again(scene, monkeypatch):
     splats, cameras, scores = scene
     expected = gain_order(splats, scores, cameras)
-    teacher = teach(splats, cameras)
+    references = render_references(splats, cameras)
 
     def refuse(*args, **kwargs):
         raise AssertionError
 
-    monkeypatch.setattr("cogsplat.codec.order.marginal_gain.teach", refuse)
-    given = Unordered(splats, scores, cameras, teacher=teacher)
-    np.testing.assert_array_equal(gain_order(splats, scores, cameras, teacher=teacher), expected)
+    monkeypatch.setattr("cogsplat.codec.order.marginal_gain.render_references", refuse)
+    given = Unordered(splats, scores, cameras, references=references)
     np.testing.assert_array_equal(
-        order_rows("gain", given), chunks.settled(expected, scores.contribution)
+        gain_order(splats, scores, cameras, references=references), expected
+    )
+    np.testing.assert_array_equal(
+        order_rows("gain", given), chunks.sort_runs(expected, scores.contribution)
     )
 
 
@@ -204,13 +206,13 @@ def test_without_jitter_only_the_given_views_are_looked_at(scene):
     without = gain_order(splats, scores, cameras, GainConfig(jitter=False))
     assert (without != gain_order(splats, scores, cameras)).any()
     found = order_rows("gain", Unordered(splats, scores, cameras, jitter=False))
-    np.testing.assert_array_equal(found, chunks.settled(without, scores.contribution))
+    np.testing.assert_array_equal(found, chunks.sort_runs(without, scores.contribution))
 
 
 def test_pools_copy_no_colours(scene):
     splats, _, _ = scene
     rows = np.arange(0, len(splats), 2)
-    pool = pool_of(splats, rows, prefix_inflation.Thickening(0.25, 1.5))
+    pool = pool_of(splats, rows, prefix_inflation.Inflation(0.25, 1.5))
     assert pool.scene is splats
     assert pool.shapes.sh_degree == 0
     np.testing.assert_array_equal(pool.shapes.means, splats.means[rows])

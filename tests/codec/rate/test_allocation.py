@@ -16,16 +16,18 @@ def with_energy(values):
     return replace(unscored(len(energy)), energy=energy)
 
 
-def test_ten_decibels_are_a_tenth_of_the_slope():
+def test_ten_decibels_are_a_tenth_of_lambda():
     scores = with_energy([0.0, 1.0, 2.0])
-    assert allocation.slope(scores, 30) == pytest.approx(10 * allocation.slope(scores, 40))
+    assert allocation.lagrangian(scores, 30) == pytest.approx(
+        10 * allocation.lagrangian(scores, 40)
+    )
 
 
 def test_a_scene_quantised_at_the_slope_has_the_nominal_error():
     # N splats that each take up one share: their uniform errors, Δ²/12 times energy, add up to it.
     energy = np.random.default_rng(1).lognormal(-12, 2, 5000)
-    slope = allocation.slope(with_energy(energy), 36)
-    steps = np.sqrt(slope / energy)
+    lagrangian = allocation.lagrangian(with_energy(energy), 36)
+    steps = np.sqrt(lagrangian / energy)
     shares = 22
     error = shares * (energy * steps**2 / 12).sum()
     assert -10 * math.log10(error) == pytest.approx(36)
@@ -34,9 +36,9 @@ def test_a_scene_quantised_at_the_slope_has_the_nominal_error():
 def test_unseen_splats_do_not_count():
     seen = with_energy([1.0, 2.0])
     more = with_energy([1.0, 2.0, 0.0, 0.0])
-    assert allocation.slope(seen, 36) == allocation.slope(more, 36)
-    assert allocation.slope(unscored(4), 36) == allocation.slope(with_energy([1.0]), 36)
-    assert math.isfinite(allocation.slope(unscored(0), 36))
+    assert allocation.lagrangian(seen, 36) == allocation.lagrangian(more, 36)
+    assert allocation.lagrangian(unscored(4), 36) == allocation.lagrangian(with_energy([1.0]), 36)
+    assert math.isfinite(allocation.lagrangian(unscored(0), 36))
 
 
 def test_no_energy_is_zero():
@@ -182,23 +184,23 @@ def test_steps_follow_the_mean_cost_or_each_ones():
 
 @pytest.mark.parametrize("cost", [1e-300, 1e-60, 1e60, 1e300])
 def test_steps_of_extreme_costs_are_what_the_format_holds(cost):
-    for slope in (1e-20, 1e-3, 10.0):
-        step = allocation.equal_step(slope, np.full(4, cost))
+    for lagrangian in (1e-20, 1e-3, 10.0):
+        step = allocation.equal_step(lagrangian, np.full(4, cost))
         assert 0 < step <= 2.0**32
-        assert 0 < allocation.shn_step(slope, np.full(4, cost)) <= 2.0**32
+        assert 0 < allocation.shn_step(lagrangian, np.full(4, cost)) <= 2.0**32
 
 
 def test_limits_leave_no_step_that_loses_a_splat():
     splats, scores = a_scene()
-    for slope in (1e-9, 1.0):
+    for lagrangian in (1e-9, 1.0):
         costs = rate_costs.costs(splats, replace(scores, energy=np.full(80, 1e-12)))
-        limited = rate_costs.limited(costs, splats.scales, slope)
+        limited = rate_costs.limited(costs, splats.scales, lagrangian)
         for name in VALUES:
             assert (getattr(limited, name) >= getattr(costs, name)).all()
-        assert allocation.own_steps(slope, limited.opacity).max() <= 2
-        assert allocation.own_steps(slope, limited.scale_long).max() <= 1
+        assert allocation.own_steps(lagrangian, limited.opacity).max() <= 2
+        assert allocation.own_steps(lagrangian, limited.scale_long).max() <= 1
         size = np.exp(splats.scales.astype(float).mean(axis=1))
-        assert (allocation.own_steps(slope, limited.mean) <= 2 * size).all()
+        assert (allocation.own_steps(lagrangian, limited.mean) <= 2 * size).all()
     strong = rate_costs.costs(splats, replace(scores, energy=np.full(80, 1e3)))
     same = rate_costs.limited(strong, splats.scales, 1e-9)
     for name in VALUES:

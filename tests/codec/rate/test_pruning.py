@@ -37,10 +37,10 @@ def test_a_visible_splat_goes_only_below_the_peak_and_where_views_cover_it(rows,
 def test_only_what_is_not_worth_its_bytes_goes():
     splats, scores = seen([0.01] * 4, [9, 9, 9, 3])
     scores = replace(scores, energy=np.array([1.0, 5.9, 6.0, 1.0]))
-    kept = kept_rows(splats, scores, PruneConfig(worth=6.0), slope=1.0)
+    kept = kept_rows(splats, scores, PruneConfig(worth=6.0), lagrangian=1.0)
     assert kept.tolist() == [False, False, True, True]
-    assert kept_rows(splats, scores, PruneConfig(worth=6.0), slope=0.1).tolist() == [True] * 4
-    assert kept_rows(splats, scores, PruneConfig(), slope=0.0).all()
+    assert kept_rows(splats, scores, PruneConfig(worth=6.0), lagrangian=0.1).tolist() == [True] * 4
+    assert kept_rows(splats, scores, PruneConfig(), lagrangian=0.0).all()
 
 
 def test_what_no_view_covers_stays():

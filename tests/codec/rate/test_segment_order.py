@@ -8,7 +8,7 @@ from cogsplat.codec.rate.segment_order import ChunkParts, Part
 
 
 def shares(*contribution):
-    return segment_order.missing_shares(np.array(contribution, float))
+    return segment_order.unsent_shares(np.array(contribution, float))
 
 
 def names(places):

@@ -59,7 +59,9 @@ def test_near_plane_is_open():
     splats.scales[:] = -3.0
     splats.means[:, 2] = np.array([-0.5, 0.0, 0.5], np.float32)
     camera = replace(oracle.camera(), rotation=np.eye(3), translation=np.array([0.0, 0.0, 1.0]))
-    assert project(splats, camera, kernel_px=0.3, antialiased=False, near=1.0).index.tolist() == [2]
+    assert project(
+        splats, camera, kernel_px=0.3, antialiased=False, near_plane=1.0
+    ).index.tolist() == [2]
 
 
 def test_rows_that_cannot_be_drawn_are_left_out():

@@ -170,7 +170,7 @@ def test_no_views_give_no_pictures():
     [
         {"kernel_px": -0.1},
         {"kernel_px": math.nan},
-        {"near": 0.0},
+        {"near_plane": 0.0},
         {"sh_degree": 4},
         {"threads": -1},
     ],

@@ -191,7 +191,7 @@ def test_progress_is_reported_and_may_cancel():
             score(splats, CAMERAS, ScoreConfig(threads=threads), progress=stop)
 
 
-@pytest.mark.parametrize("options", [{"top_k": -1}, {"near": 0.0}, {"threads": -2}])
+@pytest.mark.parametrize("options", [{"top_k": -1}, {"near_plane": 0.0}, {"threads": -2}])
 def test_senseless_config_is_refused(options):
     with pytest.raises(ValueError, match="expected"):
         ScoreConfig(**options)

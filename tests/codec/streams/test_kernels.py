@@ -71,7 +71,7 @@ def test_invalid_vectors_are_refused_in_the_same_words(both):
         assert fast == plain
 
 
-@pytest.mark.parametrize("profile", ["transform", "vq", "near"])
+@pytest.mark.parametrize("profile", ["transform", "vq", "near-lossless"])
 @pytest.mark.parametrize("degree", [0, 3])
 def test_encoded_scenes_decode_to_the_same_bits(profile, degree, both):
     scene = synth(3000, sh_degree=degree)

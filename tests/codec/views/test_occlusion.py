@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.geometry.morton import spatial_order
 from cogsplat.codec.splats import Splats, empty
 from cogsplat.codec.views.occlusion import Matter, even_directions, look
-from cogsplat.codec.views.subsample import sketch
+from cogsplat.codec.views.subsample import subsample
 
 
 def walls(points: NDArray[np.float64], size: float) -> Splats:
@@ -93,9 +93,9 @@ def test_threads_change_nothing() -> None:
     np.testing.assert_array_equal(one.enclosed(origins, lengths), two.enclosed(origins, lengths))
 
 
-def test_sketches_of_small_scenes_are_all_of_it() -> None:
+def test_subsamples_of_small_scenes_are_all_of_it() -> None:
     splats = oracle.scene(2)
-    whole = sketch(splats, 100)
+    whole = subsample(splats, 100)
     order = spatial_order(splats.means)
     np.testing.assert_array_equal(whole.splats.means, splats.means[order])
     np.testing.assert_array_equal(whole.splats.scales, splats.scales[order])
@@ -103,11 +103,11 @@ def test_sketches_of_small_scenes_are_all_of_it() -> None:
     assert whole.splats.sh_degree == 0
 
 
-def test_sketches_keep_the_largest_the_count_and_the_area() -> None:
+def test_subsamples_keep_the_largest_the_count_and_the_area() -> None:
     rng = np.random.default_rng(6)
     splats = walls(rng.normal(size=(5000, 3)), 0.05)
     splats.scales[:7] = 1.0
-    thin = sketch(splats, 400)
+    thin = subsample(splats, 400)
     assert len(thin) == 400
     assert thin.counts.sum() == pytest.approx(5000.0)
     large = thin.splats.scales[:, 0] == 1.0
@@ -122,6 +122,6 @@ def test_spatial_order_keeps_neighbours_together_beside_outliers() -> None:
     means = rng.uniform(-1.0, 1.0, (2000, 3)).astype(np.float32)
     means[:5] *= 1e7
     ordered = means[spatial_order(means)]
-    near = np.abs(ordered).max(axis=1) <= 1.0
-    steps = np.linalg.norm(np.diff(ordered[near], axis=0), axis=1)
+    near_plane = np.abs(ordered).max(axis=1) <= 1.0
+    steps = np.linalg.norm(np.diff(ordered[near_plane], axis=0), axis=1)
     assert np.median(steps) < 0.25, "shuffled, it would be about 1.3"

@@ -101,13 +101,13 @@ def test_an_object_is_seen_from_all_around_and_close(size: float) -> None:
     assert covered(splats, cameras).all()
 
 
-def test_only_a_subject_that_stands_free_has_witnesses() -> None:
+def test_only_a_subject_that_stands_free_has_test_views() -> None:
     ball = plan(sphere(1.0), SMALL)
-    assert len(ball.witnesses) == 16
+    assert len(ball.test_views) == 16
     same(ball.views, plan_views(sphere(1.0), SMALL))
-    assert (gaze(ball.witnesses, (0.0, 0.0, 0.0)) > 0.99).all()
+    assert (gaze(ball.test_views, (0.0, 0.0, 0.0)) > 0.99).all()
     room = concatenate([box((2.5, 1.3, 2.0), 3000), sphere(0.2, 1200)])
-    assert plan(room, SMALL).witnesses == []
+    assert plan(room, SMALL).test_views == []
 
 
 def test_rooms_are_seen_from_inside() -> None:
@@ -139,9 +139,11 @@ def test_open_ground_is_seen_from_above() -> None:
 def test_things_far_apart_are_each_looked_at() -> None:
     first, second = sphere(1.0, 800, (-10.0, 0.0, 0.0)), sphere(1.0, 800, (10.0, 0.0, 0.0))
     cameras = plan_views(concatenate([first, second]), SMALL)
-    near = [np.linalg.norm(places(cameras) - [x, 0.0, 0.0], axis=1) < 8.0 for x in (-10.0, 10.0)]
-    assert near[0].sum() >= 6
-    assert near[1].sum() >= 6
+    near_plane = [
+        np.linalg.norm(places(cameras) - [x, 0.0, 0.0], axis=1) < 8.0 for x in (-10.0, 10.0)
+    ]
+    assert near_plane[0].sum() >= 6
+    assert near_plane[1].sum() >= 6
 
 
 def test_cameras_keep_upright() -> None:

@@ -10,7 +10,7 @@ from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.reader import Limits, open_cogs
 from cogsplat.formats.storage.source import BytesSource, FileSource, PrefixSource
 
-PROFILES = ("transform", "vq", "near")
+PROFILES = ("transform", "vq", "near-lossless")
 
 
 @pytest.fixture(params=PROFILES)

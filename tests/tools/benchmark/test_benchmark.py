@@ -124,13 +124,13 @@ def test_files_are_not_replaced_unasked(run: Run, small: SmallScene, measured: P
 
 
 def test_the_terminal_gets_a_table_that_fits(run: Run, small: SmallScene) -> None:
-    arguments = ["--profiles", "near", "--formats", "splat,compressed-ply"]
+    arguments = ["--profiles", "near-lossless", "--formats", "splat,compressed-ply"]
     told = run("bench", small.ply, "--cameras", small.cameras, *arguments)
     assert told.code == 0
     lines = told.out.splitlines()
     assert max(len(line) for line in lines if not line.startswith(str(small.ply.parent))) <= 100
     starts = [line.split("  ")[0].strip() for line in lines]
-    assert {"near", "splat", "compressed ply"} <= set(starts)
+    assert {"near-lossless", "splat", "compressed ply"} <= set(starts)
 
 
 def test_ablation_tells_every_technique(run: Run, tmp_path: Path) -> None:
@@ -165,7 +165,7 @@ def test_misuse_is_told(run: Run, small: SmallScene, arguments: list[str]) -> No
 
 
 def test_names_are_read_by_their_beginnings() -> None:
-    assert profile_names("vq, near") == ("vq", "near")
+    assert profile_names("vq, near") == ("vq", "near-lossless")
     assert format_names("c3dgs,ply,PLY,compressed") == (
         rate_distortion.BASELINE,
         "ply",

@@ -92,7 +92,7 @@ def test_encode_edits_as_convert_does(run: Run, small: SmallScene, tmp_path: Pat
     edits = ["--rotate", "90,0,0", "--scale", "0.5", "--crop", "-1,-9,-9,1,9,9", "--sh", "2"]
     cogs, ply = tmp_path / "out.cogs", tmp_path / "out.ply"
     told = run(
-        "encode", small.ply, cogs, *edits, "--cameras", small.cameras, "--profile", "near",
+        "encode", small.ply, cogs, *edits, "--cameras", small.cameras, "--profile", "near-lossless",
         "--order", "source", "--no-morton", "--no-prune", "--quiet",
     )  # fmt: skip
     assert told.code == 0, told.err

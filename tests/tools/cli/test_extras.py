@@ -26,7 +26,7 @@ def labelled(small: SmallScene, tmp_path_factory: pytest.TempPathFactory) -> tup
     return path, splats
 
 
-@pytest.mark.parametrize("profile", ["transform", "vq", "near"])
+@pytest.mark.parametrize("profile", ["transform", "vq", "near-lossless"])
 def test_attributes_go_through_a_cogs_file(
     run: Run, small: SmallScene, labelled: tuple[Path, Splats], tmp_path: Path, profile: str
 ) -> None:

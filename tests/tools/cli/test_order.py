@@ -97,7 +97,7 @@ def test_encode_takes_orders_and_the_first_view(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     out = tmp_path / "out.cogs"
-    arguments = ["--cameras", small.cameras, "--profile", "near", "--no-morton", "--json"]
+    arguments = ["--cameras", small.cameras, "--profile", "near-lossless", "--no-morton", "--json"]
     told = run("encode", small.ply, out, *arguments, "--order", "antimatter", "--first-view", 2)
     assert told.code == 0, told.err
     assert told.json["order"] == "antimatter+first-view"
@@ -170,7 +170,15 @@ def test_masks_label_what_they_show(run: Run, small: SmallScene, tmp_path: Path)
     for camera, mask in list(zip(cameras, drawn, strict=True))[1:]:
         Image.fromarray(mask).save(masks / f"{camera.name}.png")
     out = tmp_path / "out.cogs"
-    arguments = ["--cameras", small.cameras, "--masks", masks, "--no-prune", "--profile", "near"]
+    arguments = [
+        "--cameras",
+        small.cameras,
+        "--masks",
+        masks,
+        "--no-prune",
+        "--profile",
+        "near-lossless",
+    ]
     told = run("encode", small.ply, out, *arguments)
     assert told.code == 0, told.err
     with cogsplat.open(out) as file:

@@ -107,7 +107,7 @@ def test_encode_in_file_order_without_cameras_keeps_rows(
 ) -> None:
     out = tmp_path / "out.cogs"
     told = run(
-        "encode", small.ply, out, "--profile", "near", "--order", "source", "--no-morton",
+        "encode", small.ply, out, "--profile", "near-lossless", "--order", "source", "--no-morton",
         "--no-prune", "--top-k", 0, "--no-jitter", "--quiet",
     )  # fmt: skip
     assert (told.code, told.out, told.err) == (0, "", "")
@@ -322,7 +322,15 @@ def test_info_shows_root_chunks_and_attributes(run: Run, small: SmallScene) -> N
 
 def test_info_cuts_long_tables_unless_asked(run: Run, tmp_path: Path, small: SmallScene) -> None:
     out = tmp_path / "many.cogs"
-    arguments = ["--cameras", small.cameras, "--chunk-splats", 20, "--profile", "near", "-q"]
+    arguments = [
+        "--cameras",
+        small.cameras,
+        "--chunk-splats",
+        20,
+        "--profile",
+        "near-lossless",
+        "-q",
+    ]
     assert run("encode", small.ply, out, *arguments).code == 0
     short, whole = run("info", out).out, run("info", out, "--all").out
     assert "--all" in short

@@ -173,7 +173,7 @@ def test_chunks_say_what_they_show(small: SmallScene) -> None:
     [
         ["--target-psnr", 30, "--target-size", "1MB"],
         ["--target-psnr", 30, "--quality", 30],
-        ["--target-size", "1MB", "--profile", "near"],
+        ["--target-size", "1MB", "--profile", "near-lossless"],
         ["--target-psnr", 3],
         ["--target-size", "0.1B"],
         ["--preset", "slow"],

@@ -8,7 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cogsplat.codec.encode.profiles.near_lossless import NearBounds, encode_chunk, mean_bound
+from cogsplat.codec.encode.profiles.near_lossless import (
+    NearLosslessBounds,
+    encode_chunk,
+    mean_bound,
+)
 from cogsplat.codec.splats import empty
 from cogsplat.codec.streams import records
 from cogsplat.codec.streams.records import Attribute, Kind
@@ -28,7 +32,7 @@ def quat_error(source, decoded):
 
 def check(splats, bounds=None, step=None):
     """Encode one chunk in the given order and compare every attribute with its bound."""
-    bounds = bounds or NearBounds()
+    bounds = bounds or NearLosslessBounds()
     step = mean_bound(splats, bounds) if step is None else step
     payloads = encode_chunk(splats, step, bounds, False)
     assert (payloads.head_needs, payloads.tail_needs) == ((), ())
@@ -92,7 +96,7 @@ def test_every_value_stays_within_any_bound(data, n, limits):
     infinite = data.draw(st.lists(st.sampled_from([0, 0, 1, -1]), min_size=n, max_size=n))
     splats.opacities[np.array(infinite) == 1] = np.inf
     splats.opacities[np.array(infinite) == -1] = -np.inf
-    check(splats, NearBounds(*limits), step=limits[0])
+    check(splats, NearLosslessBounds(*limits), step=limits[0])
 
 
 @pytest.mark.parametrize("quats", [1.0, 0.3, 0.1, 0.01, 1e-4, 1e-5, 1e-6])
@@ -104,7 +108,7 @@ def test_rotations_stay_within_coarse_and_fine_bounds(quats):
     splats.quats[:1000] = rng.choice([-1, 1], (1000, 4)) * rng.uniform(0.9, 1, (1000, 4))
     splats.quats[1000:1100, 0] = 0
     splats.quats[1100:1200, 0] = 1e-9
-    check(splats, NearBounds(quats=quats))
+    check(splats, NearLosslessBounds(quats=quats))
 
 
 def test_huge_coordinates_of_tiny_splats_are_kept_as_they_are():
@@ -137,7 +141,7 @@ def test_what_is_constant_costs_no_plane(sort):
     splats = empty(3, 500)
     splats.means[:] = [1.5, 1e7, -3]
     splats.sh0[:] = 0.3
-    payloads = encode_chunk(splats, 1e-3, NearBounds(), sort)
+    payloads = encode_chunk(splats, 1e-3, NearLosslessBounds(), sort)
     out = decoding.chunk(payloads, 500, 3)
     assert out.means.tobytes() == splats.means.tobytes()
     assert out.sh0.tobytes() == splats.sh0.tobytes()
@@ -167,7 +171,7 @@ def test_sorting_moves_rows_whole():
     splats = oracle.scene(5, n=200)
     # A tag per row, steps far above the bound.
     splats.sh0[:, 0] = np.arange(200) / 10
-    bounds = NearBounds()
+    bounds = NearLosslessBounds()
     plain, ordered = (
         decoding.chunk(encode_chunk(splats, 0.01, bounds, sort), 200, 3) for sort in (False, True)
     )
@@ -181,17 +185,17 @@ def test_sorting_moves_rows_whole():
 def test_the_bound_of_means_is_relative_to_the_median_size():
     splats = empty(0, 3)
     splats.scales[:] = np.log([[1, 1, 1], [0.5, 0.5, 0.5], [8, 8, 0.5]])
-    assert mean_bound(splats, NearBounds(means=0.02)) == pytest.approx(0.02)
-    assert mean_bound(empty(0), NearBounds(means=0.02)) == 0.02
+    assert mean_bound(splats, NearLosslessBounds(means=0.02)) == pytest.approx(0.02)
+    assert mean_bound(empty(0), NearLosslessBounds(means=0.02)) == 0.02
 
 
 @pytest.mark.parametrize("name", ["means", "scales", "quats", "opacities", "sh0", "shN"])
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan")])
 def test_bounds_that_nothing_meets_are_refused(name, limit):
     with pytest.raises(ValueError, match=f"bound {name}"):
-        NearBounds(**{name: limit})
+        NearLosslessBounds(**{name: limit})
 
 
 def test_rotations_finer_than_float32_are_refused():
     with pytest.raises(ValueError, match="expected at least 1e-06"):
-        NearBounds(quats=9e-7)
+        NearLosslessBounds(quats=9e-7)

@@ -23,10 +23,10 @@ from cogsplat.codec.segments.codebooks import decode_colour_codebook, decode_sha
 N = 600
 
 
-def planned(splats, energy=None, slope=1e-7, progress=silent):
+def planned(splats, energy=None, lagrangian=1e-7, progress=silent):
     energy = np.full(len(splats), 1e-3) if energy is None else energy
     config = TrainingConfig()
-    return vq.plan(splats, energy, slope, training=config, threads=1, progress=progress)
+    return vq.plan(splats, energy, lagrangian, training=config, threads=1, progress=progress)
 
 
 def books(plan, degree):
@@ -149,7 +149,7 @@ def test_what_the_codebook_fits_badly_is_kept_in_the_chunk():
     splats = oracle.scene(8, n=N)
     energy = np.full(N, 1e-6)
     energy[::5] = 1e2
-    plan = planned(splats, energy, slope=1e-6)
+    plan = planned(splats, energy, lagrangian=1e-6)
     assert plan.shape_kept[::5].mean() > 0.9
     assert plan.shape_kept[1::5].mean() < 0.1
     assert plan.colour_kept[::5].mean() > 0.9
@@ -165,10 +165,10 @@ def test_what_the_codebook_fits_badly_is_kept_in_the_chunk():
     assert payloads.tail_needs == (1,)
 
 
-@pytest.mark.parametrize(("slope", "kept"), [(1e-14, True), (1e3, False)])
-def test_all_or_none_may_be_kept(slope, kept):
+@pytest.mark.parametrize(("lagrangian", "kept"), [(1e-14, True), (1e3, False)])
+def test_all_or_none_may_be_kept(lagrangian, kept):
     splats = oracle.scene(9, n=N)
-    plan = planned(splats, slope=slope)
+    plan = planned(splats, lagrangian=lagrangian)
     assert (plan.colour_kept == kept).all()
     if kept:
         assert plan.shape_kept.mean() > 0.95
@@ -184,8 +184,8 @@ def test_all_or_none_may_be_kept(slope, kept):
 def test_finer_slopes_cost_bytes_and_save_error():
     splats = oracle.scene(10, n=N)
     sizes, errors = [], []
-    for slope in (1e-4, 1e-6, 1e-8, 1e-10):
-        payloads, out = decoded(splats, planned(splats, slope=slope))
+    for lagrangian in (1e-4, 1e-6, 1e-8, 1e-10):
+        payloads, out = decoded(splats, planned(splats, lagrangian=lagrangian))
         sizes.append(len(payloads.head) + len(payloads.tail))
         errors.append(float(np.square(out.shN - splats.shN).mean()))
     assert sizes == sorted(sizes)
