@@ -3,8 +3,14 @@
 from collections.abc import Iterator
 
 import pytest
+from hypothesis import settings
 
 from cogsplat.codec.streams import compiled
+
+# The same examples on every run and every machine, none refused for being slow on a busy one, and
+# no folder of failures left in the checkout.
+settings.register_profile("cogsplat", derandomize=True, deadline=None, database=None)
+settings.load_profile("cogsplat")
 
 
 @pytest.fixture(scope="module", params=["numpy", "compiled"])

@@ -19,13 +19,15 @@ _MISUSE = 4
 def steps(pytest_arguments: list[str]) -> list[tuple[str, list[str]]]:
     """Return name and command line of every check, pytest last: its summary closes the output."""
     module = [sys.executable, "-m"]
+    # A process for each core, and the slowest tests named; arguments that follow may say otherwise.
+    pytest = ["pytest", "-n", "logical", "--dist", "worksteal", "--durations", "15"]
     lint_imports = "from importlinter.cli import lint_imports_command; lint_imports_command()"
     return [
         ("ruff check", [*module, "ruff", "check", "."]),
         ("ruff format", [*module, "ruff", "format", "--check", "."]),
         ("mypy --strict", [*module, "mypy"]),
         ("lint-imports", [sys.executable, "-c", lint_imports]),
-        ("pytest", [*module, "pytest", *pytest_arguments]),
+        ("pytest", [*module, *pytest, *pytest_arguments]),
     ]
 
 
