@@ -1,0 +1,185 @@
+"""Every block of code in the documents runs, and every example in a docstring gives what it shows.
+
+Commands run as they are written, on a scene that is small enough for a test: cameras are smaller,
+and numbers of splats and bytes that belong to the large scene are replaced.
+"""
+
+import doctest
+import importlib
+import json
+import re
+import shlex
+import sys
+import tomllib
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from click.testing import CliRunner
+
+import cogsplat
+from cogsplat.codec.rate.pruning import PruneConfig
+from cogsplat.formats.cameras.inria import write_cameras_json
+from cogsplat.tools import check, make_vectors
+from cogsplat.tools.cli import demonstration
+from cogsplat.tools.cli.main import cli
+from cogsplat.tools.synthetic import scene as synthetic
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("tests/**/*.md")])
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+TRANSCRIPT = ("", "text")  # Pictures and dumps: nothing that could run.
+
+# What is added to a command so that the scene it makes is small.
+SMALL = {"synth": ("--splats", "3000"), "demo": ("--splats", "2000")}
+# What belongs to the large scene in a command, and what stands for it with the small one.
+REPLACED = {"500KiB": "60KiB", "20000": "1500"}
+
+
+@pytest.fixture
+def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Stand in an empty folder where commands make small pictures and leave the checkout alone."""
+    monkeypatch.chdir(tmp_path)
+    cameras = synthetic.synth_cameras(48, 64, 48)
+    for module in (synthetic, demonstration):
+        monkeypatch.setattr(module, "synth_cameras", lambda: cameras)
+    # All checks would run this test again.
+    monkeypatch.setattr(check, "run", lambda checks, root: [])
+    vectors, spec = tmp_path / "vectors", tmp_path / "SPEC.md"
+    spec.write_bytes(make_vectors.SPEC.read_bytes())
+    monkeypatch.setattr(make_vectors, "VECTORS", vectors)
+    monkeypatch.setattr(make_vectors, "SPEC", spec)
+    return tmp_path
+
+
+def blocks(path: Path) -> list[tuple[str, str]]:
+    return BLOCK.findall(path.read_text(encoding="utf-8"))
+
+
+def commands(block: str) -> list[list[str]]:
+    """Return the words of every command of a shell block."""
+    found = []
+    for line in block.replace("\\\n", " ").splitlines():
+        command: list[str] = []
+        for word in [*shlex.split(line, comments=True), "&&"]:
+            if word != "&&":
+                command.append(word)
+            elif command:
+                found.append(command)
+                command = []
+    return found
+
+
+def run_program(arguments: list[str]) -> None:
+    small = [*(REPLACED.get(word, word) for word in arguments), *SMALL.get(arguments[0], ())]
+    done = CliRunner().invoke(cli, small)
+    if done.exception and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    assert done.exit_code == 0, f"cogsplat {shlex.join(small)}: {done.output}"
+
+
+def run_module(name: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    module = importlib.import_module(name)
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "argv", [name, *arguments])
+        assert module.main() == 0, name
+
+
+def run_command(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run one command of a shell block; one that is not known here fails."""
+    match words:
+        case ["python3", "-m", "venv", ".venv"] | [".", ".venv/bin/activate"]:
+            return  # The environment that runs the tests stands for it.
+        case [".venv/bin/pip", "install", "-q", "-e", target]:
+            project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+                "project"
+            ]
+            extra = re.fullmatch(r"\.\[(\w+)\]", target)
+            assert extra, target
+            assert extra[1] in project["optional-dependencies"]
+        case ["mkdir", "-p", folder]:
+            Path(folder).mkdir(parents=True, exist_ok=True)
+        case ["cogsplat" | ".venv/bin/cogsplat", *arguments]:
+            run_program(arguments)
+        case ["python" | ".venv/bin/python", "-m", module, *arguments]:
+            run_module(module, arguments, monkeypatch)
+        case _:
+            pytest.fail(f"no way to run {shlex.join(words)}")
+
+
+def test_the_documents_have_blocks() -> None:
+    names = {path.name for path in DOCUMENTS if blocks(path)}
+    assert names >= {"README.md", "CONTRIBUTING.md", "SPEC.md"}
+    assert commands("a 'b c' # d\n\nx && y \\\n z\n") == [["a", "b c"], ["x"], ["y", "z"]]
+
+
+@pytest.mark.parametrize(
+    "words", [["rm", "-r", "."], ["cogsplat", "synth"], ["python", "-m", "no"]]
+)
+def test_blocks_that_cannot_run_fail(
+    words: list[str], workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises((pytest.fail.Exception, AssertionError, ModuleNotFoundError)):
+        run_command(words, monkeypatch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_blocks_run_one_after_the_other(
+    path: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for language, block in blocks(path):
+        if language == "sh":
+            for words in commands(block):
+                run_command(words, monkeypatch)
+        elif language == "python":
+            exec(compile(block, path.name, "exec"), {"__name__": "block"})
+        elif language == "json":
+            json.loads(block)
+        else:
+            assert language in TRANSCRIPT, f"no way to run {language}"
+
+
+def examples() -> list[tuple[ModuleType, doctest.DocTest]]:
+    """Return the docstrings of the package that hold examples."""
+    finder = doctest.DocTestFinder(exclude_empty=True)
+    found = []
+    for package in ("codec", "formats", "tools", "cogsplat"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            if ">>>" not in path.read_text(encoding="utf-8"):
+                continue
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            inside = parts if package == "cogsplat" else ("cogsplat", *parts)
+            module = importlib.import_module(".".join(inside).removesuffix(".__init__"))
+            found += [(module, test) for test in finder.find(module) if test.examples]
+    return found
+
+
+@pytest.fixture(scope="module")
+def small_scene(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """Return the files that examples in docstrings find in their folder."""
+    from cogsplat.codec.encode.config import EncodeConfig
+
+    folder = tmp_path_factory.mktemp("examples")
+    splats, cameras = synthetic.synth(1000), synthetic.synth_cameras(9, 64, 48)
+    cogsplat.write(folder / "scene.ply", splats)
+    write_cameras_json(folder / "cameras.json", cameras)
+    config = EncodeConfig(chunk_splats=300, prune=PruneConfig(peak=0.001))
+    cogsplat.encode(splats, folder / "scene.cogs", cameras=cameras, config=config)
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("example", examples(), ids=lambda example: example[1].name)
+def test_examples_in_docstrings_give_what_they_show(
+    example: tuple[ModuleType, doctest.DocTest],
+    small_scene: dict[str, bytes],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, content in small_scene.items():
+        (tmp_path / name).write_bytes(content)
+    said: list[str] = []
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+    runner.run(example[1], out=said.append)
+    assert runner.summarize(verbose=False).failed == 0, "".join(said)
