@@ -23,6 +23,14 @@ def scene():
     return splats, cameras, score(splats, cameras, ScoreConfig(jitter=False))
 
 
+@pytest.fixture(scope="module")
+def several_chunks():
+    """Return a scene of so many chunks that runs of them are sorted."""
+    splats = oracle.scene(5, n=1600)
+    cameras = [oracle.camera(angle=angle) for angle in (0, 30)]
+    return splats, cameras, score(splats, cameras, ScoreConfig(jitter=False))
+
+
 def test_order_is_a_permutation_whatever_the_threads(scene):
     splats, cameras, scores = scene
     orders = [
@@ -80,12 +88,13 @@ def test_a_scene_without_splats_has_an_empty_order(scene):
     assert len(rows) == 0
 
 
-def test_order_by_name(scene):
-    splats, cameras, scores = scene
-    unordered = Unordered(splats, scores, cameras)
-    np.testing.assert_array_equal(
-        order_rows("gain", unordered), gain_order(splats, scores, cameras)
-    )
+def test_the_order_by_name_sorts_runs_of_chunks(several_chunks):
+    splats, cameras, scores = several_chunks
+    plain = gain_order(splats, scores, cameras)
+    expected = chunks.sort_runs(plain, scores.contribution)
+    assert (expected != plain).any()
+    found = order_rows("gain", Unordered(splats, scores, cameras))
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_gains_weigh_the_views(scene):
@@ -183,8 +192,8 @@ def test_inflated_splats_are_larger_and_more_opaque():
     assert thick.scales.dtype == thick.opacities.dtype == np.float32
 
 
-def test_reference_views_at_hand_are_not_drawn_again(scene, monkeypatch):
-    splats, cameras, scores = scene
+def test_reference_views_at_hand_are_not_drawn_again(several_chunks, monkeypatch):
+    splats, cameras, scores = several_chunks
     expected = gain_order(splats, scores, cameras)
     references = render_references(splats, cameras)
 
@@ -201,8 +210,8 @@ def test_reference_views_at_hand_are_not_drawn_again(scene, monkeypatch):
     )
 
 
-def test_without_jitter_only_the_given_views_are_looked_at(scene):
-    splats, cameras, scores = scene
+def test_without_jitter_only_the_given_views_are_looked_at(several_chunks):
+    splats, cameras, scores = several_chunks
     without = gain_order(splats, scores, cameras, GainConfig(jitter=False))
     assert (without != gain_order(splats, scores, cameras)).any()
     found = order_rows("gain", Unordered(splats, scores, cameras, jitter=False))
