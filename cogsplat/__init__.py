@@ -26,7 +26,8 @@ from .codec.errors import (
 )
 from .codec.progress import Progress, silent
 from .codec.splats import SceneInfo, Splats
-from .formats.cogs.reader import CogsFile, Limits, open_cogs
+from .formats.cogs.reader import CogsFile, open_cogs
+from .formats.storage.limits import Limits
 from .formats.storage.source import FileSource, PrefixSource, Source
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import TracebackType
 from typing import Final
 
@@ -21,6 +21,7 @@ from cogsplat.codec.segments.compensation import Compensation, Layer
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, empty, sh_coefficients
 from cogsplat.codec.streams import compiled
 from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import Source
 
 from . import cameras as cogs_cameras
@@ -32,22 +33,6 @@ from .root import Root
 
 # Means, scales, quats, opacities and sh0 of one splat, float32.
 _HEAD_ROW_BYTES: Final = 4 * (3 + 3 + 4 + 1 + 3)
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What a reader allocates at most for a file it does not trust (SPEC 9.2).
-
-    Parameters
-    ----------
-    decoded_bytes : int
-        Bytes of the decoded arrays, extra attributes among them, and codebooks together.
-    expansion : int
-        Those bytes per byte of the source, where they are more than 64 MiB.
-    """
-
-    decoded_bytes: int = 1 << 35
-    expansion: int = 4096
 
 
 _SMALL_RESULT: Final = 64 * 1024 * 1024

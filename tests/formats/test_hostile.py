@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.formats.cogs.canonical_msgpack import pack, unpack
 from cogsplat.formats.cogs.index import read_index
-from cogsplat.formats.cogs.reader import Limits, open_cogs
+from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools.conformance import reference_decoder
 from cogsplat.tools.conformance.file_builder import refitted, root_bytes, with_root

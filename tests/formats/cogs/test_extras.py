@@ -16,8 +16,9 @@ from cogsplat.codec.splats import EXTRA_DTYPES
 from cogsplat.formats.cogs import scene as cogs
 from cogsplat.formats.cogs.cameras import pack_cameras, unpack_cameras
 from cogsplat.formats.cogs.layout import MAX_CAMERAS, SegmentKind
-from cogsplat.formats.cogs.reader import Limits, open_cogs
+from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.writer import lay_out
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource
 
 N = 700

@@ -7,7 +7,8 @@ from cogs_samples import assert_same, file_of
 
 from cogsplat.codec.errors import Cancelled, FormatError, LimitError, TruncatedError
 from cogsplat.formats.cogs.index import read_index
-from cogsplat.formats.cogs.reader import Limits, open_cogs
+from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource, FileSource, PrefixSource
 
 PROFILES = ("transform", "vq", "near-lossless")
