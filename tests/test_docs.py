@@ -70,6 +70,26 @@ def commands(block: str) -> list[list[str]]:
     return found
 
 
+# Files and folders of the tree, in backticks; a document says which are to be made.
+NAMED = re.compile(r"`((?:codec|formats|tools|tests|cogsplat)/[\w./-]+)`(, to be made)?")
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_files_that_documents_name_are_there(path: Path) -> None:
+    named = NAMED.findall(path.read_text(encoding="utf-8"))
+    wrong = [name for name, to_be_made in named if (ROOT / name).exists() == bool(to_be_made)]
+    assert wrong == []
+
+
+LINK = re.compile(r"\]\((?!https?:)([^)#]+)")
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_links_between_documents_lead_somewhere(path: Path) -> None:
+    for target in LINK.findall(path.read_text(encoding="utf-8")):
+        assert (path.parent / target).exists(), target
+
+
 def run_program(arguments: list[str]) -> None:
     small = [*(REPLACED.get(word, word) for word in arguments), *SMALL.get(arguments[0], ())]
     done = CliRunner().invoke(cli, small)
