@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -26,8 +25,7 @@ from cogsplat.formats.storage.source import Source
 
 from . import cameras as cogs_cameras
 from . import compensation as cogs_compensation
-from . import root as cogs_root
-from .index import Index, codebook_kinds, read_index
+from .index import I64, Index, codebook_kinds, read_index
 from .layout import SegmentKind
 from .root import Root
 
@@ -40,6 +38,23 @@ _SMALL_RESULT: Final = 64 * 1024 * 1024
 # Below this, and without compiled kernels, threads wait for the interpreter's lock longer than
 # they save (measured: a scene of 80,000 splats takes a third longer on two threads).
 _WORTH_THREADS: Final = 500_000
+
+
+@dataclass(frozen=True)
+class ChunkRows:
+    """Rows of the segment table that belong to one chunk.
+
+    Parameters
+    ----------
+    head : int
+    refinement, tail, attributes : int or None
+        None where the chunk has none.
+    """
+
+    head: int
+    refinement: int | None
+    tail: int | None
+    attributes: int | None
 
 
 class CogsFile:
@@ -301,41 +316,55 @@ class CogsFile:
             yield self.decode([chunk], sh_degree=sh_degree, refine=refine, threads=1)
 
     def verify(self, progress: Progress = silent) -> None:
-        """Check every segment's CRC and hash, and decode every chunk and look for it in its box.
+        """Check all of the file, as a verifier does, and stop at the first broken rule.
 
         Raises
         ------
         FormatError
             ``segment-crc``, ``segment-hash``, ``chunk-box``, or what decoding finds.
         """
-        for row in range(len(self.segments)):
-            digest = hashlib.sha256(self.read_segment(row)).digest()[: cogs_root.HASH_BYTES]
-            if digest != self.segments.hash[row].tobytes():
-                raise FormatError(
-                    "segment-hash",
-                    f"{self.name}: segment {row}: its SHA-256 does not match the table's",
-                    clause="5.3",
-                    offset=int(self.offsets[row]),
-                )
-            progress("verify", row + 1, len(self.segments))
-        # Codebooks that no chunk needs are part of the file too.
-        for book in range(len(self.root.codebooks)):
-            self._load_codebook(book, self.root.sh_degree)
-        self.cameras()
-        self.compensation()
-        for chunk in range(self.num_chunks):
-            means = self.decode([chunk]).means
-            if self._index.refinements[chunk] >= 0:
-                coarse = self.decode([chunk], sh_degree=0, refine=False, extras=False).means
-                means = np.concatenate([means, coarse])
-            box = self.chunks.box[chunk]
-            if not ((means >= box[:3]) & (means <= box[3:])).all():
-                raise FormatError(
-                    "chunk-box",
-                    f"{self.name}: chunk {chunk}: means from {means.min(axis=0).tolist()} to "
-                    f"{means.max(axis=0).tolist()}, expected within {box.tolist()}",
-                    clause="5.4",
-                )
+        # Imported late: checks are made of what this class reads.
+        from .verification import checks
+
+        steps = list(checks(self))
+        for done, check in enumerate(steps, start=1):
+            check.run()
+            progress("verify", done, len(steps))
+
+    def load_codebook(self, book: int) -> Codebook:
+        """Return the rows of a codebook, all of its bands.
+
+        Raises
+        ------
+        FormatError, UnsupportedError, LimitError
+            Its segments break SPEC 7.1 or the limits.
+        """
+        return self._load_codebook(book, self.root.sh_degree)
+
+    def require_size(self) -> None:
+        """Refuse a file of which all splats at full degree take more than the limits allow.
+
+        Raises
+        ------
+        LimitError
+            ``decoded-size``.
+        """
+        extra_bytes = sum(kind.row_bytes for kind in self.root.attributes)
+        self._check_size(self.root.splats, self.root.sh_degree, extra_bytes)
+
+    def rows_of(self, chunk: int) -> ChunkRows:
+        """Return where a chunk's segments stand in the segment table."""
+        index = self._index
+
+        def row(table: I64) -> int | None:
+            return int(table[chunk]) if table[chunk] >= 0 else None
+
+        return ChunkRows(
+            int(index.heads[chunk]),
+            row(index.refinements),
+            row(index.tails),
+            row(index.attributes),
+        )
 
     def segment_rows(self, kind: SegmentKind, owner: int) -> list[int]:
         """Return the rows of the segments of a kind that belong to a chunk or codebook."""

@@ -29,6 +29,7 @@ from cogsplat.tools.terminal.output import WARNINGS, say_json
 
 from .bench import bench
 from .compare import compare, render
+from .conformance import conformance
 from .convert import convert
 from .decode import decode
 from .encode import encode
@@ -38,6 +39,7 @@ from .order import order
 from .score import score
 from .stats import stats
 from .synth import demo, synth
+from .validate import validate
 from .views import views
 
 _USAGE: Final = 2
@@ -246,6 +248,7 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     decode,
     convert,
     info,
+    validate,
     stats,
     score,
     order,
@@ -256,6 +259,7 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     bench,
     synth,
     demo,
+    conformance,
 )
 for _command in _COMMANDS:
     cli.add_command(_command)

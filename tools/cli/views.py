@@ -63,7 +63,7 @@ def views(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Plan the views that SCENE is scored on where no cameras are given.
+    """Plan views to score SCENE from where no cameras are given.
 
     OUT.json is a cameras.json as INRIA's training writes it: edit it, and give it to other commands
     with --cameras. OUT.png is a contact sheet, to see whether the views make sense. The same scene

@@ -22,9 +22,18 @@ from cogsplat.tools.synthetic.scene import synth_cameras
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and descriptors of POSIX")
 
 
-@pytest.mark.parametrize("name", list(cli.commands))
+def commands() -> list[str]:
+    """Every command by its words, those inside groups included."""
+    found = []
+    for name, command in cli.commands.items():
+        inner = command.commands if isinstance(command, click.Group) else {}
+        found += [f"{name} {sub}" for sub in inner] or [name]
+    return found
+
+
+@pytest.mark.parametrize("name", commands())
 def test_every_command_has_help_with_an_example_and_json(run: Run, name: str) -> None:
-    shown = run(name, "--help")
+    shown = run(*name.split(), "--help")
     assert shown.code == 0
     assert f"\n    cogsplat {name}" in shown.out
     assert "--json" in shown.out

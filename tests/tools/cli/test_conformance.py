@@ -1,0 +1,126 @@
+"""conformance run: our own decoders pass, broken ones fail the clause that they break."""
+
+import json
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+from running import ROOT, Run
+
+from cogsplat.tools.conformance.decoder import KINDS
+
+# A decoder that answers as ours does but for one fault, given as Python that changes `answer`.
+BROKEN = """
+import json, sys, time
+sys.path.insert(0, {root!r})
+from cogsplat.tools.conformance import decoder
+for line in sys.stdin:
+    request = json.loads(line)
+    answer = decoder.answer("numpy", request)
+    {fault}
+    print(json.dumps(answer), flush=True)
+"""
+
+
+def command(tmp_path: Path, fault: str) -> str:
+    script = tmp_path / "decoder.py"
+    script.write_text(BROKEN.format(root=str(ROOT), fault=fault))
+    return shlex.join([sys.executable, str(script)])
+
+
+@pytest.fixture
+def few_vectors(tmp_path: Path) -> Path:
+    """A folder with some of the vectors: those of refinements, and those of CRC and hash."""
+    vectors = ROOT / "tests" / "vectors"
+    manifest = json.loads((vectors / "manifest.json").read_text())
+    manifest["valid"] = [e for e in manifest["valid"] if e["name"] in ("refinements", "sh1")]
+    codes = ("segment-crc", "segment-hash")
+    manifest["invalid"] = [e for e in manifest["invalid"] if e["code"] in codes]
+    assert len(manifest["valid"]) == 2
+    assert {e["code"] for e in manifest["invalid"]} == set(codes)
+    folder = tmp_path / "vectors"
+    for kind, suffixes in (("valid", ("cogs", "f32")), ("invalid", ("cogs",))):
+        (folder / kind).mkdir(parents=True)
+        for entry in manifest[kind]:
+            for suffix in suffixes:
+                name = f"{entry['name']}.{suffix}"
+                (folder / kind / name).write_bytes((vectors / kind / name).read_bytes())
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_our_decoders_pass_all_vectors(run: Run, kind: str) -> None:
+    decoder = shlex.join([sys.executable, "-m", "cogsplat.tools.conformance.decoder", kind])
+    told = run("conformance", "run", "--decoder", decoder, "--json")
+    assert told.code == 0, told.out
+    assert told.json["failed"] == 0
+    passed = told.json["passed"]
+    assert isinstance(passed, int)
+    assert passed > (500 if kind != "reference" else 100)
+
+
+@pytest.mark.parametrize(
+    ("fault", "clause"),
+    [
+        # One bit of one value.
+        (
+            "if request.get('refine') and answer.get('splats'):\n"
+            "        data = bytearray(open(request['out'], 'rb').read()); data[0] ^= 1\n"
+            "        open(request['out'], 'wb').write(data)",
+            "6.4",
+        ),
+        # The right verdict with the wrong code.
+        ("answer.update(code='zstd-frame') if not answer.get('ok', True) else None", "5.3"),
+        # What is broken is taken.
+        ("answer = answer if answer.get('ok', True) else {'ok': True}", "5.3"),
+        # Refinements are never applied.
+        (
+            "request.update(refine=False); "
+            "answer = decoder.answer('numpy', request) if 'path' in request else answer",
+            "7.4",
+        ),
+        # A cut file is refused.
+        ("answer = {'ok': False, 'code': 'file-truncated'} if request.get('partial') else answer",
+         "8.2"),
+        # Nothing is written.
+        ("open(request['out'], 'wb').close() if answer.get('splats') else None", "6.4"),
+        # The decoder dies.
+        ("sys.exit(3) if answer.get('splats') else None", "6.4"),
+    ],
+)  # fmt: skip
+def test_a_broken_decoder_fails_the_clause_that_it_breaks(
+    run: Run, tmp_path: Path, few_vectors: Path, fault: str, clause: str
+) -> None:
+    decoder = command(tmp_path, fault)
+    told = run("conformance", "run", "--decoder", decoder, "--vectors", few_vectors, "--json")
+    assert told.code == 3, told.err
+    clauses = told.json["clauses"]
+    assert isinstance(clauses, dict)
+    broken = {name for name, sums in clauses.items() if sums["passed"] < sums["checks"]}
+    assert clause in broken
+    human = run("conformance", "run", "--decoder", decoder, "--vectors", few_vectors)
+    assert human.code == 3
+    assert f"SPEC {clause}" in human.out or f", {clause}" in human.out
+
+
+def test_a_decoder_that_hangs_fails(run: Run, tmp_path: Path, few_vectors: Path) -> None:
+    decoder = command(tmp_path, "time.sleep(60) if request.get('partial') else None")
+    told = run(
+        "conformance", "run", "--decoder", decoder, "--vectors", few_vectors, "--timeout", "2",
+        "--json",
+    )  # fmt: skip
+    assert told.code == 3
+    assert "no answer within 2 s" in told.out
+
+
+def test_what_is_no_decoder_is_said(run: Run, tmp_path: Path, few_vectors: Path) -> None:
+    for decoder in ("/nothing/here", shlex.join([sys.executable, "-c", "print('hello')"])):
+        told = run("conformance", "run", "--decoder", decoder, "--vectors", few_vectors)
+        assert told.code == 4
+        assert "decoder" in told.err
+    told = run("conformance", "run", "--decoder", "true", "--vectors", tmp_path / "none")
+    assert told.code == 4
+    assert "manifest.json" in told.err

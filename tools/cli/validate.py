@@ -1,0 +1,61 @@
+"""``cogsplat validate``: every rule that a COGS file breaks."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from cogsplat.formats.cogs.verification import Finding, findings
+from cogsplat.formats.storage.source import FileSource
+from cogsplat.tools.terminal.options import PATH, json_option, quiet_option
+from cogsplat.tools.terminal.output import counted, name_of, say, say_json
+from cogsplat.tools.terminal.progress import Stages
+
+_INVALID = 3
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat validate scene.cogs\n"
+    "  cogsplat validate scene.cogs --json | jq '.findings[].code'"
+)
+@click.argument("path", type=PATH, metavar="IN.cogs")
+@quiet_option
+@json_option
+def validate(path: Path, quiet: bool, as_json: bool) -> None:
+    """Check a COGS file against every rule of SPEC.md.
+
+    All segments are read, hashed and decoded, and all broken rules are listed, each with its reason
+    code, the clause of SPEC.md and the byte offset. Exit status 3 where there are any.
+    """
+    source = FileSource(path)
+    try:
+        with Stages(shown=not (quiet or as_json)) as stages:
+            found = findings(source, progress=stages)
+    finally:
+        source.close()
+    if as_json:
+        say_json(
+            {
+                "path": name_of(path),
+                "valid": not found,
+                "findings": [asdict(finding) for finding in found],
+            }
+        )
+    else:
+        for finding in found:
+            say(_line(finding))
+        if not found and not quiet:
+            say(f"{name_of(path)}: conforms to SPEC.md")
+        elif found:
+            say(f"{name_of(path)}: {counted(len(found), 'finding')}")
+    if found:
+        raise click.exceptions.Exit(_INVALID)
+
+
+def _line(finding: Finding) -> str:
+    where = "" if finding.offset is None else f" at byte {finding.offset:,}"
+    clause = f"SPEC {finding.clause}" if finding.clause else "SPEC"
+    return f"{finding.code:<24} {clause:<10}{where}\n    {finding.message}"

@@ -1,0 +1,288 @@
+"""Conformance of any decoder: all vectors through the protocol, failures by clause."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import StorageError
+from cogsplat.codec.progress import Progress, silent
+
+from .protocol import DecoderProcess, Hello
+from .tolerance import beyond_tolerance
+
+Entry = Mapping[str, object]
+Arrays = dict[str, NDArray[np.float32]]
+
+# Codes of 8.2 that only a verifier looks for, and limits that another decoder may set higher.
+_LIMIT: Final = "decoded-size"
+_VERIFY: Final = "verify"
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One vector that a decoder did not pass.
+
+    Parameters
+    ----------
+    vector : str
+        ``valid/sh3`` or ``invalid/zstd-cut``, and for a part of it what part.
+    clauses : tuple of str
+        Clauses of SPEC that the vector is about.
+    expected, found : str
+    """
+
+    vector: str
+    clauses: tuple[str, ...]
+    expected: str
+    found: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a decoder did.
+
+    Parameters
+    ----------
+    decoder : Hello
+    passed : int
+        Checks that passed.
+    failures : list of Failure
+    by_clause : dict of str to (int, int)
+        Checks passed and checks made, for each clause.
+    """
+
+    decoder: Hello
+    passed: int
+    failures: list[Failure]
+    by_clause: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+
+def run(
+    command: Sequence[str],
+    vectors: Path,
+    *,
+    timeout_s: float = 30.0,
+    progress: Progress = silent,
+) -> Report:
+    """Drive a decoder over all vectors.
+
+    Parameters
+    ----------
+    command : sequence of str
+        Program and arguments; see `protocol` for what it reads and writes.
+    vectors : Path
+        Folder with ``manifest.json``, ``valid`` and ``invalid``.
+    timeout_s : float
+        Longest time for one answer, seconds.
+    progress : Progress
+        Called with ``("vectors", files done, files)``.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    StorageError
+        ``not-found`` where there are no vectors, ``decoder`` where the decoder cannot be started.
+    """
+    try:
+        manifest = json.loads((vectors / "manifest.json").read_text(encoding="utf-8"))
+    except OSError as error:
+        raise StorageError(
+            "not-found", f"{vectors / 'manifest.json'}: {error.strerror}, expected the vectors"
+        ) from error
+    with DecoderProcess(command, timeout_s) as decoder, tempfile.TemporaryDirectory() as folder:
+        hello = decoder.hello()
+        judge = _Judge(decoder, hello, vectors, Path(folder), list(manifest["arrays"]))
+        invalid = manifest["invalid"] if hello.refuses else []
+        total = len(manifest["valid"]) + len(invalid)
+        for done, entry in enumerate(manifest["valid"], start=1):
+            judge.valid(entry)
+            progress("vectors", done, total)
+        for done, entry in enumerate(invalid, start=1 + len(manifest["valid"])):
+            judge.invalid(entry)
+            progress("vectors", done, total)
+    return judge.report()
+
+
+class _Judge:
+    """Compares the answers of one decoder with the manifest."""
+
+    def __init__(
+        self, decoder: DecoderProcess, hello: Hello, vectors: Path, folder: Path, arrays: list[str]
+    ) -> None:
+        self._decoder = decoder
+        self._hello = hello
+        self._vectors = vectors
+        self._out = folder / "arrays.f32"
+        self._cut = folder / "prefix.cogs"
+        self._arrays = arrays
+        self._failures: list[Failure] = []
+        self._clauses: dict[str, list[int]] = {}
+        self._passed = 0
+
+    def report(self) -> Report:
+        by_clause = {
+            clause: (passed, made)
+            for clause, (passed, made) in sorted(
+                self._clauses.items(), key=lambda item: [int(n) for n in item[0].split(".")]
+            )
+        }
+        return Report(self._hello, self._passed, self._failures, by_clause)
+
+    def _note(self, vector: str, clauses: tuple[str, ...], expected: str, found: str) -> None:
+        right = not found
+        self._passed += right
+        for clause in clauses:
+            sums = self._clauses.setdefault(clause, [0, 0])
+            sums[0] += right
+            sums[1] += 1
+        if not right:
+            self._failures.append(Failure(vector, clauses, expected, found))
+
+    def valid(self, entry: Entry) -> None:
+        """Try a file to decode: whole, without its refinements, and cut where its prefixes end."""
+        name, clauses = str(entry["name"]), tuple(map(str, _list(entry["clauses"])))
+        path = self._vectors / "valid" / f"{name}.cogs"
+        whole = self._split(path.with_suffix(".f32"), entry)
+        given, wrong = self._decoded(path, verify=self._hello.level == "verifier")
+        wrong = wrong or self._difference(given, whole)
+        self._note(f"valid/{name}", clauses, f"{entry['splats']} splats", wrong)
+        coarse, wrong = self._decoded(path, refine=False)
+        coarse_hash = str(entry.get("coarse_sha256", entry["arrays_sha256"]))
+        exact = self._hello.level != "viewer"
+        if not wrong and exact and hashlib.sha256(coarse).hexdigest() != coarse_hash:
+            wrong = "rows without refinements have another SHA-256"
+        self._note(f"valid/{name} without refinements", clauses, coarse_hash, wrong)
+        if wrong or not exact or not self._hello.partial:
+            # What is expected of prefixes is made of the rows without refinements.
+            return
+        heads = self._shaped(coarse, whole)
+        counts = _dict({"chunks": entry["chunk_splats"]})["chunks"]
+        data = path.read_bytes()
+        for size, chunks, tails, refined in _prefixes(entry):
+            expected = _prefix_rows(whole, heads, counts[:chunks], tails, refined)
+            self._cut.write_bytes(data[:size])
+            given, wrong = self._decoded(self._cut, partial=True)
+            wrong = wrong or self._difference(given, expected)
+            self._note(
+                f"valid/{name}, first {size} bytes",
+                (*clauses, "8.2"),
+                f"{sum(counts[:chunks])} splats",
+                wrong,
+            )
+
+    def _decoded(
+        self, path: Path, *, partial: bool = False, refine: bool = True, verify: bool = False
+    ) -> tuple[bytes, str]:
+        """Return the bytes of the arrays that the decoder gives, or what it did instead."""
+        self._out.unlink(missing_ok=True)
+        answer, reason = self._decoder.decode(
+            path, self._out, partial=partial, refine=refine, verify=verify
+        )
+        if answer is None:
+            return b"", reason
+        if answer.get("ok") is not True:
+            return b"", f"refused with {answer.get('code')!r}"
+        if not self._out.is_file():
+            return b"", f"no file {self._out.name} was written"
+        return self._out.read_bytes(), ""
+
+    def _split(self, path: Path, entry: Entry) -> Arrays:
+        shapes = _dict(entry["shapes"])
+        blank = {name: np.empty(shapes[name], np.float32) for name in self._arrays}
+        return self._shaped(path.read_bytes(), blank)
+
+    def _shaped(self, data: bytes, like: Arrays) -> Arrays:
+        values, start = np.frombuffer(data, "<f4"), 0
+        out: Arrays = {}
+        for name in self._arrays:
+            stop = start + like[name].size
+            out[name] = values[start:stop].reshape(like[name].shape)
+            start = stop
+        return out
+
+    def _difference(self, given: bytes, expected: Arrays) -> str:
+        """Return what is wrong with decoded arrays, nothing where all is right."""
+        size = 4 * sum(values.size for values in expected.values())
+        if len(given) != size:
+            return f"{len(given)} bytes of arrays, expected {size}"
+        for name, part in self._shaped(given, expected).items():
+            values = expected[name]
+            if self._hello.level == "viewer":
+                wrong = beyond_tolerance(name, part, values, expected)
+            else:
+                wrong = part.view(np.uint32) != values.view(np.uint32)
+            if wrong.any():
+                first = tuple(int(n) for n in np.argwhere(wrong)[0])
+                return (
+                    f"{name}{list(first)} is {float(part[first])!r}, expected "
+                    f"{float(values[first])!r}; {int(wrong.sum())} of {wrong.size} values differ"
+                )
+        return ""
+
+    def invalid(self, entry: Entry) -> None:
+        """Try a file to refuse: with its code, or by a viewer with any."""
+        verifies = self._hello.level == "verifier"
+        if entry["stage"] == _VERIFY and not verifies:
+            return
+        name, code = str(entry["name"]), str(entry["code"])
+        path = self._vectors / "invalid" / f"{name}.cogs"
+        self._out.unlink(missing_ok=True)
+        answer, reason = self._decoder.decode(path, self._out, verify=verifies)
+        if answer is None:
+            found = reason
+        elif answer.get("ok") is not False:
+            found = "" if code == _LIMIT else "decoded"
+        elif self._hello.level == "viewer" or answer.get("code") == code:
+            found = ""
+        else:
+            found = f"refused with {answer.get('code')!r}"
+        self._note(f"invalid/{name}", (str(entry["clause"]),), f"refused with {code!r}", found)
+
+
+def _prefixes(entry: Entry) -> list[tuple[int, int, list[int], list[int]]]:
+    found = entry["prefixes"]
+    assert isinstance(found, list)
+    return [(size, chunks, tails, refined) for size, chunks, tails, refined in found]
+
+
+def _prefix_rows(
+    whole: Arrays, heads: Arrays, counts: list[int], tails: list[int], refined: list[int]
+) -> Arrays:
+    """Return the rows of a prefix: refined chunks from `whole`, the others from `heads`.
+
+    Chunks that are not in `tails` have no SH coefficients above DC.
+    """
+    rows = sum(counts)
+    out = {name: values[:rows].copy() for name, values in heads.items()}
+    start = 0
+    for chunk, count in enumerate(counts):
+        run = slice(start, start + count)
+        start += count
+        for name, values in whole.items():
+            if name == "shN":
+                out[name][run] = values[run] if chunk in tails else 0
+            elif chunk in refined:
+                out[name][run] = values[run]
+    return out
+
+
+def _list(value: object) -> list[object]:
+    assert isinstance(value, list)
+    return value
+
+
+def _dict(value: object) -> dict[str, list[int]]:
+    assert isinstance(value, dict)
+    return value
