@@ -252,13 +252,13 @@ def encode(
     from .codec.scoring.contribution import score
     from .codec.scoring.reference_views import render_references
     from .formats.cogs import scene as cogs
-    from .formats.storage.atomic import refuse_existing
+    from .formats.storage.atomic import check_output
 
     if preset not in PRESETS:
         raise ValueError(f"preset {preset!r}, expected one of {tuple(PRESETS)}")
 
     # Before minutes of work, not after.
-    refuse_existing(path, force=force)
+    check_output(path, force=force)
     splats = scene if isinstance(scene, Splats) else read(scene)
     splats.require_valid()
     chosen = PRESETS[preset]

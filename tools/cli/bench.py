@@ -16,7 +16,7 @@ import click
 
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.threads import thread_count
-from cogsplat.formats.storage.atomic import atomic_write, refuse_existing, storage_errors
+from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
 from cogsplat.tools.benchmark import ablation as bench_ablation
 from cogsplat.tools.benchmark import rate_distortion as benches
 from cogsplat.tools.benchmark.ablation import AblationTable
@@ -191,7 +191,7 @@ def bench(
         with storage_errors(out):
             out.mkdir(parents=True, exist_ok=True)
         for name in _ABLATION_FILES if ablation else _FILES:
-            refuse_existing(out / name, force=force)
+            check_output(out / name, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         subject, what = _subject(
             scene, cameras, eval_every, images, background, threads=threads, stages=stages

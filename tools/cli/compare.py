@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.formats.storage.atomic import refuse_existing
+from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.options import (
     PATH,
     background_option,
@@ -81,7 +81,7 @@ def render(
     from cogsplat.codec.render.rasteriser import render as draw
     from cogsplat.tools.pictures.png import to_image, write_png
 
-    refuse_existing(out, force=force)
+    check_output(out, force=force)
     part = Part(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):

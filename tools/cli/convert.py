@@ -11,7 +11,7 @@ import click
 import cogsplat
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.scenes.registry import format_to_write
-from cogsplat.formats.storage.atomic import refuse_existing, storage_errors
+from cogsplat.formats.storage.atomic import check_output, storage_errors
 from cogsplat.tools.terminal.options import (
     PATH,
     cameras_option,
@@ -61,7 +61,7 @@ def convert(
     name = "cogs" if to_cogs else format_to_write(out).name
     if cameras is not None and not to_cogs:
         raise click.UsageError(f"--cameras with {out}, expected an output that ends in {_COGS}")
-    refuse_existing(out, force=force)
+    check_output(out, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             views = scoring_cameras(cameras, 0)

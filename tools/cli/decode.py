@@ -10,7 +10,7 @@ import click
 
 import cogsplat
 from cogsplat.codec.errors import CogsplatWarning
-from cogsplat.formats.storage.atomic import refuse_existing, storage_errors
+from cogsplat.formats.storage.atomic import check_output, storage_errors
 from cogsplat.tools.terminal.options import (
     PATH,
     compensate_option,
@@ -63,7 +63,7 @@ def decode(
     decoded. With --compensate the splats of a beginning are not as stored, but as they look most
     like the whole.
     """
-    refuse_existing(out, force=force)
+    check_output(out, force=force)
     refine = not no_refine
     part = Part(chunks, least_splats, size, sh_degree, objects, refine, compensate)
     with Stages(shown=not (quiet or as_json)) as stages:

@@ -17,7 +17,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats, empty
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.inria import write_cameras_json
-from cogsplat.formats.storage.atomic import refuse_existing, storage_errors
+from cogsplat.formats.storage.atomic import check_output, storage_errors
 from cogsplat.formats.storage.source import FileSource, PrefixSource
 from cogsplat.tools.synthetic.scene import synth, synth_cameras
 
@@ -147,7 +147,7 @@ def run(
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     for path in files.all():
-        refuse_existing(path, force=force)
+        check_output(path, force=force)
 
     progress("synth", 0, 1)
     scene, cameras = synth(splats), synth_cameras()

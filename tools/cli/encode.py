@@ -11,7 +11,7 @@ import click
 import cogsplat
 from cogsplat.codec.order.chunks import DEFAULT_LARGEST
 from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
-from cogsplat.formats.storage.atomic import refuse_existing
+from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.evaluation.byte_inventory import stored_sizes
 from cogsplat.tools.evaluation.prefix_quality import PrefixQuality
 from cogsplat.tools.evaluation.report_page import write_report
@@ -211,9 +211,9 @@ def encode(
         prune=None if no_prune else bound,
         threads=threads,
     )
-    refuse_existing(out, force=force)
+    check_output(out, force=force)
     if report is not None:
-        refuse_existing(report, force=force)
+        check_output(report, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)

@@ -15,7 +15,7 @@ from cogsplat.codec.errors import DataError
 from cogsplat.codec.order.orders import Unordered, order_rows
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
-from cogsplat.formats.storage.atomic import atomic_write, refuse_existing, storage_errors
+from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
 from cogsplat.tools.evaluation.lpips import read_lpips
 from cogsplat.tools.evaluation.panel import Panel
 from cogsplat.tools.evaluation.photos import read_photos
@@ -211,7 +211,7 @@ def evaluate(
         with storage_errors(out):
             out.mkdir(parents=True, exist_ok=True)
         for name in ("eval.csv", "eval.json", *picture_names(by)):
-            refuse_existing(out / name, force=force)
+            check_output(out / name, force=force)
     points: list[Point] = []
     strips: dict[str, list[Strip]] = {name: [] for name in by}
     with Stages(shown=not (quiet or as_json)) as stages:

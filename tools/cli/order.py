@@ -14,7 +14,7 @@ from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.order import objects
 from cogsplat.codec.order.chunks import DEFAULT_LARGEST
 from cogsplat.codec.order.orders import Unordered, order_rows
-from cogsplat.formats.storage.atomic import atomic_write, refuse_existing
+from cogsplat.formats.storage.atomic import atomic_write, check_output
 from cogsplat.tools.terminal.options import (
     PATH,
     cameras_option,
@@ -68,7 +68,7 @@ def order(
     """
     from cogsplat.codec.scoring.contribution import ScoreConfig, score
 
-    refuse_existing(out, force=force)
+    check_output(out, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             given = read_any(path, threads=threads).splats

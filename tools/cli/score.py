@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import CogsplatWarning
-from cogsplat.formats.storage.atomic import atomic_write, refuse_existing
+from cogsplat.formats.storage.atomic import atomic_write, check_output
 from cogsplat.tools.terminal.options import (
     PATH,
     cameras_option,
@@ -62,7 +62,7 @@ def score(
     from cogsplat.codec.scoring.contribution import ScoreConfig
     from cogsplat.codec.scoring.contribution import score as score_splats
 
-    refuse_existing(out, force=force)
+    check_output(out, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)

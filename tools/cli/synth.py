@@ -14,7 +14,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.order.objects import with_labels
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
 from cogsplat.formats.cameras.inria import write_cameras_json
-from cogsplat.formats.storage.atomic import refuse_existing, storage_errors
+from cogsplat.formats.storage.atomic import check_output, storage_errors
 from cogsplat.tools.terminal.options import (
     PATH,
     force_option,
@@ -101,13 +101,13 @@ def synth(
 
     cameras = cameras or out.with_suffix(".cameras.json")
     for path in (out, cameras):
-        refuse_existing(path, force=force)
+        check_output(path, force=force)
     views = scenes.synth_cameras()
     if masks is not None:
         with storage_errors(masks):
             masks.mkdir(parents=True, exist_ok=True)
         for camera in views:
-            refuse_existing(_mask_path(masks, camera), force=force)
+            check_output(_mask_path(masks, camera), force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("synth"):
             scene = scenes.synth(splats, seed=seed, sh_degree=sh_degree)

@@ -13,7 +13,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cameras.inria import write_cameras_json
-from cogsplat.formats.storage.atomic import refuse_existing, storage_errors
+from cogsplat.formats.storage.atomic import check_output, storage_errors
 from cogsplat.tools.pictures.contact_sheet import THUMBNAIL, contact_sheet
 from cogsplat.tools.pictures.png import write_png
 from cogsplat.tools.terminal.options import (
@@ -74,7 +74,7 @@ def views(
     kind = out.suffix.lower()
     if kind not in (".json", ".png"):
         raise click.UsageError(f"{out}, expected an output that ends in .json or .png")
-    refuse_existing(out, force=force)
+    check_output(out, force=force)
     config = ViewPlanConfig(threads=threads)
     if count is not None:
         config = replace(config, views=count)

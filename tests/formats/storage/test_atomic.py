@@ -8,14 +8,17 @@ import subprocess
 import sys
 import zlib
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
 
 from cogsplat.codec.errors import StorageError
 from cogsplat.formats.storage import atomic
 from cogsplat.formats.storage.atomic import (
+    OutputIsInputError,
     TargetExistsError,
     atomic_write,
+    check_output,
     open_for_read,
     storage_errors,
 )
@@ -142,7 +145,7 @@ def test_messages_name_the_output_and_not_its_temporary(
 
     monkeypatch.setattr(Path, "replace", busy)
     with pytest.raises(StorageError) as caught:
-        write(target, b"x")
+        write(target, b"x", force=True)
     assert caught.value.message.startswith(f"{target}: busy")
 
 
@@ -191,6 +194,10 @@ def test_permission_bits_and_links_survive_a_replacement(tmp_path: Path) -> None
     assert stat.S_IMODE(real.stat().st_mode) == 0o640
 
 
+def machine() -> str:
+    return f"{zlib.crc32(socket.gethostname().encode()):08x}"
+
+
 def dead_pid() -> int:
     process = subprocess.Popen([sys.executable, "-c", ""])
     process.wait()
@@ -199,11 +206,9 @@ def dead_pid() -> int:
 
 @posix_only
 def test_removes_what_dead_processes_of_this_machine_left(tmp_path: Path) -> None:
-    here = f"{zlib.crc32(socket.gethostname().encode()):08x}"
-    elsewhere = f"{int(here, 16) ^ 1:08x}"
-    stale = tmp_path / f".a.bin.{dead_pid()}-{here}00000000.tmp"
+    elsewhere = f"{int(machine(), 16) ^ 1:08x}"
+    stale = tmp_path / f".a.bin.{dead_pid()}-{machine()}00000000.tmp"
     kept = [
-        tmp_path / f".a.bin.{os.getpid()}-{here}00000000.tmp",
         tmp_path / f".a.bin.{dead_pid()}-{elsewhere}00000000.tmp",
         tmp_path / ".a.bin.tmp",
         tmp_path / "a.bin.1.tmp",
@@ -212,6 +217,161 @@ def test_removes_what_dead_processes_of_this_machine_left(tmp_path: Path) -> Non
         path.touch()
     write(tmp_path / "a.bin", b"x")
     assert sorted(tmp_path.iterdir()) == sorted([*kept, tmp_path / "a.bin"])
+
+
+@posix_only
+def test_a_live_temporary_stays_though_its_number_says_nothing_here(tmp_path: Path) -> None:
+    """In another container of the machine, the same volume shows other processes' files."""
+    writer = atomic_write(tmp_path / "live.bin")
+    file = writer.__enter__()
+    file.write(b"work of minutes")
+    (own,) = tmp_path.iterdir()
+    foreign = tmp_path / f".live.bin.{dead_pid()}-{machine()}00000000.tmp"
+    own.rename(foreign)
+    script = (
+        "import sys\n"
+        "from cogsplat.formats.storage.atomic import atomic_write\n"
+        "with atomic_write(sys.argv[1]) as file:\n"
+        "    file.write(b'x')\n"
+    )
+    subprocess.run([sys.executable, "-c", script, str(tmp_path / "other.bin")], check=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [foreign.name, "other.bin"]
+    foreign.rename(own)
+    writer.__exit__(None, None, None)
+    assert (tmp_path / "live.bin").read_bytes() == b"work of minutes"
+
+
+@posix_only
+def test_a_temporary_cleared_before_it_was_locked_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    locked = []
+
+    def lock(file: BinaryIO) -> bool:
+        locked.append(file.name)
+        if len(locked) == 1:
+            Path(file.name).unlink()
+        return True
+
+    monkeypatch.setattr(atomic, "_lock", lock)
+    write(tmp_path / "a.bin", b"x")
+    assert len(locked) == 2
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"x"]
+
+
+def race(target: Path, writers: int) -> list[str]:
+    """Let processes write one path at once, and return what each says."""
+    script = (
+        "import sys, time\n"
+        "from cogsplat.codec.errors import StorageError\n"
+        "from cogsplat.formats.storage.atomic import atomic_write\n"
+        "print('ready', flush=True); sys.stdin.readline()\n"
+        "try:\n"
+        "    with atomic_write(sys.argv[1]) as file:\n"
+        "        file.write(sys.argv[2].encode())\n"
+        "    print('won')\n"
+        "except StorageError as error:\n"
+        "    print(error.code)\n"
+    )
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", script, str(target), str(k)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for k in range(writers)
+    ]
+    for process in processes:
+        assert process.stdout is not None
+        process.stdout.readline()
+    for process in processes:
+        assert process.stdin is not None
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    return [process.communicate()[0].strip() for process in processes]
+
+
+def test_of_several_writers_exactly_one_succeeds(tmp_path: Path) -> None:
+    target = tmp_path / "a.bin"
+    found = race(target, 4)
+    assert sorted(found) == ["exists", "exists", "exists", "won"]
+    assert target.read_text() == str(found.index("won"))
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def arrive_late(target: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let another file take the name after the last look at it and before it is given."""
+    real = os.fsync
+
+    def sync(descriptor: int) -> None:
+        real(descriptor)
+        target.write_bytes(b"first")
+
+    monkeypatch.setattr(atomic.os, "fsync", sync)
+
+
+def without_links(source: Path, target: Path) -> None:
+    raise OSError(errno.EPERM, os.strerror(errno.EPERM))
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_name_taken_at_the_last_moment_is_not_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
+) -> None:
+    if not links:
+        monkeypatch.setattr(atomic.os, "link", without_links)
+    arrive_late(tmp_path / "a.bin", monkeypatch)
+    with pytest.raises(TargetExistsError):
+        write(tmp_path / "a.bin", b"second")
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"first"]
+
+
+def test_file_systems_without_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(atomic.os, "link", without_links)
+    write(tmp_path / "a.bin", b"x")
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"x"]
+
+
+@pytest.mark.parametrize("name", ["a" * 251 + ".bin", "ä" * 125 + ".bin"])
+def test_names_as_long_as_the_file_system_takes(tmp_path: Path, name: str) -> None:
+    write(tmp_path / name, b"x")
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_an_output_is_found_out_before_the_work(tmp_path: Path) -> None:
+    target = tmp_path / "a.bin"
+    check_output(target, force=False)
+    assert list(tmp_path.iterdir()) == []
+    target.write_bytes(b"old")
+    check_output(target, force=True)
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
+    with pytest.raises(TargetExistsError):
+        check_output(target, force=False)
+    with pytest.raises(StorageError) as caught:
+        check_output(tmp_path / "none" / "a.bin", force=False)
+    assert caught.value.code == "not-found"
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="no /proc")
+def test_a_folder_that_takes_no_files(tmp_path: Path) -> None:
+    with pytest.raises(StorageError) as caught:
+        check_output("/proc/a.bin", force=False)
+    assert caught.value.exit_code == 4
+
+
+@posix_only
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize("name", ["scene.bin", "folder/../scene.bin", "soft.bin", "hard.bin"])
+def test_an_output_that_is_an_input(tmp_path: Path, name: str, force: bool) -> None:
+    (tmp_path / "folder").mkdir()
+    source = tmp_path / "scene.bin"
+    source.write_bytes(b"x")
+    (tmp_path / "soft.bin").symlink_to(source)
+    os.link(source, tmp_path / "hard.bin")
+    with pytest.raises(OutputIsInputError) as caught:
+        check_output(tmp_path / name, force=force, inputs=[tmp_path / "none", source])
+    assert (caught.value.code, caught.value.exit_code) == ("output-is-input", 2)
 
 
 @posix_only
