@@ -25,7 +25,9 @@ from .layout import SegmentKind
 from .root import HASH_BYTES
 
 if TYPE_CHECKING:
-    from .reader import CogsFile, Limits
+    from cogsplat.formats.storage.limits import Limits
+
+    from .reader import CogsFile
 
 # A message that names its clause, where the error has no field for it.
 _CLAUSE: Final = re.compile(r"\(SPEC (\d+(?:\.\d+)?)\)")
