@@ -20,8 +20,14 @@ import msgpack
 import zstandard
 
 from cogsplat.formats.cogs.layout import MAJOR, MINOR
+from cogsplat.tools.conformance import (
+    boxes,
+    extras,
+    msgpack_faults,
+    reference_decoder,
+    zstd_headers,
+)
 from cogsplat.tools.conformance import compensation as compensations
-from cogsplat.tools.conformance import extras, reference_decoder
 from cogsplat.tools.conformance import invalid_payload as payloads
 from cogsplat.tools.conformance import invalid_root as roots
 from cogsplat.tools.conformance import invalid_tables as tables
@@ -43,6 +49,7 @@ ATTRIBUTES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     roots.preambles,
     roots.packings,
+    msgpack_faults.faults,
     roots.roots,
     tables.segment_tables,
     tables.chunk_tables,
@@ -50,6 +57,7 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     tables.index_pages,
     payloads.records,
     payloads.planes,
+    zstd_headers.headers,
     payloads.grids,
     payloads.mortons,
     payloads.codebooks,
@@ -62,6 +70,8 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     extras.attributes,
     extras.cameras,
     compensations.compensation,
+    boxes.boxes,
+    boxes.sizes,
 )
 
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
@@ -75,6 +85,8 @@ def valid() -> list[Valid]:
         *refinements.valid(),
         *extras.valid(),
         *compensations.valid(),
+        *msgpack_faults.valid(),
+        *zstd_headers.valid(),
     ]
 
 

@@ -185,10 +185,19 @@ def unpack_codes(packed: bytes, bits: int, count: int) -> NDArray[np.uint8]:
     if bits == 0:
         # One byte for all: so many may be a number that a file states and no bytes stand for.
         return np.broadcast_to(np.uint8(0), (count,))
-    flat = np.unpackbits(np.frombuffer(packed, np.uint8), bitorder="little")[: count * bits]
-    each = np.zeros((count, 8), np.uint8)
-    each[:, :bits] = flat.reshape(count, bits)
-    return np.packbits(each, axis=1, bitorder="little")[:, 0]
+    codes = np.empty(count, np.uint8)
+    octets = np.frombuffer(packed, np.uint8)
+    # Unpacked bits take 8 to 64 times the room of what they come from: a piece at a time. A piece
+    # of 2^16 codes ends at a whole byte, whatever the bits of a code.
+    piece = 1 << 16
+    for start in range(0, count, piece):
+        stop = min(start + piece, count)
+        part = octets[start * bits // 8 : packed_bytes(stop, bits)]
+        flat = np.unpackbits(part, bitorder="little")[: (stop - start) * bits]
+        each = np.zeros((stop - start, 8), np.uint8)
+        each[:, :bits] = flat.reshape(stop - start, bits)
+        codes[start:stop] = np.packbits(each, axis=1, bitorder="little")[:, 0]
+    return codes
 
 
 def packed_bytes(count: int, bits: int) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Sequence
 from functools import cache
 from typing import Final
@@ -13,7 +12,8 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError
 
-from .limits import MAX_PLANE_BYTES, MAX_WINDOW_BYTES
+from . import zstd_frames
+from .limits import MAX_PLANE_BYTES
 
 U8 = NDArray[np.uint8]
 
@@ -28,12 +28,8 @@ LENGTH_MASK: Final = 0x3FFF_FFFF
 DIGITS: Final = {radix: int(np.log(256.0 + 1e-9) / np.log(radix)) for radix in range(2, 17)}
 """Symbols of each radix that fit a byte (SPEC 6.9)."""
 
-_FRAME_MAGIC: Final = bytes.fromhex("28b52ffd")  # RFC 8878, 3.1.1
-
 # Level 19 is where the ratio stops growing on planes this small.
 _LEVEL: Final = 19
-
-_local = threading.local()
 
 
 def pack_plane(plane: U8, *, digits: bool = True) -> tuple[int, bytes]:
@@ -237,59 +233,4 @@ def _raw(stored: memoryview, word: int, length: int, where: str) -> bytes | memo
                 clause="6.3",
             )
         return stored
-    # Skippable and legacy frames have other magic numbers, and zstd would accept the first.
-    if stored[:4] != _FRAME_MAGIC:
-        raise FormatError(
-            "zstd-frame",
-            f"{where}: starts with {bytes(stored[:4]).hex()}, expected {_FRAME_MAGIC.hex()}",
-            clause="6.3",
-        )
-    try:
-        parameters = zstandard.get_frame_parameters(stored)
-    except zstandard.ZstdError as error:
-        raise FormatError("zstd-frame", f"{where}: {error}", clause="6.3") from error
-    # Before anything is allocated: the frame's own claim must be the length the record implies.
-    if parameters.content_size != length:
-        raise FormatError(
-            "zstd-size",
-            f"{where}: the frame states {parameters.content_size} bytes, expected {length}",
-            clause="6.3",
-        )
-    if parameters.window_size > MAX_WINDOW_BYTES:
-        raise FormatError(
-            "zstd-window",
-            f"{where}: window of {parameters.window_size} bytes, "
-            f"expected at most {MAX_WINDOW_BYTES}",
-            clause="6.3",
-        )
-    if parameters.dict_id:
-        raise FormatError(
-            "zstd-dictionary",
-            f"{where}: dictionary {parameters.dict_id}, expected none",
-            clause="6.3",
-        )
-    # Decoders for browsers do not verify it: a wrong one would be an error in some readers only.
-    if parameters.has_checksum:
-        raise FormatError(
-            "zstd-checksum",
-            f"{where}: the frame has a checksum, expected none beside the segment's CRC",
-            clause="6.3",
-        )
-    try:
-        raw: bytes = _decompressor().decompress(stored, allow_extra_data=False)
-    except zstandard.ZstdError as error:
-        raise FormatError("zstd-frame", f"{where}: {error}", clause="6.3") from error
-    if len(raw) != length:
-        raise FormatError(
-            "zstd-size", f"{where}: {len(raw)} bytes, expected {length}", clause="6.3"
-        )
-    return raw
-
-
-def _decompressor() -> zstandard.ZstdDecompressor:
-    """Return this thread's decompressor: making one takes longer than a small frame."""
-    try:
-        found: zstandard.ZstdDecompressor = _local.decompressor
-    except AttributeError:
-        found = _local.decompressor = zstandard.ZstdDecompressor()
-    return found
+    return zstd_frames.decompress(stored, length, where)

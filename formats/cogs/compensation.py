@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cogsplat.codec.errors import LimitError
 from cogsplat.codec.segments.compensation import (
     MAX_CODE_BITS,
     Layer,
@@ -34,7 +35,12 @@ def pack_layer(layer: Layer) -> bytes:
 
 
 def unpack_layer(
-    payload: bytes, where: str, before: int, chunk_splats: Sequence[int], all_chunks: int
+    payload: bytes,
+    where: str,
+    before: int,
+    chunk_splats: Sequence[int],
+    all_chunks: int,
+    allowed_bytes: int,
 ) -> Layer | None:
     """Return the layer of a segment, None where it is about chunks whose page is not there.
 
@@ -50,6 +56,8 @@ def unpack_layer(
         Splats of the chunks that are known.
     all_chunks : int
         Chunks of the whole file.
+    allowed_bytes : int
+        What the layer's codes may take in memory, one byte each.
 
     Raises
     ------
@@ -57,6 +65,8 @@ def unpack_layer(
         ``msgpack-``…, or ``root-missing``, ``root-type``, ``root-columns``, ``root-value``.
     UnsupportedError
         ``root-must-understand``.
+    LimitError
+        ``decoded-size``: more than `allowed_bytes`.
     """
     table = CheckedMap(canonical_msgpack.unpack(payload, where), where, _CLAUSE)
     scales = table.column("scales", "i1", None).astype(np.int8)
@@ -81,6 +91,11 @@ def unpack_layer(
             "root-columns",
         )
     table.finish()
+    if bits and count > allowed_bytes:
+        raise LimitError(
+            "decoded-size",
+            f"{where}: {count} codes, expected at most {allowed_bytes} bytes of them (SPEC 9.2)",
+        )
     codes = unpack_codes(packed, bits, count)
     spare = 8 * len(packed) - count * bits
     if spare and packed[-1] >> (8 - spare):

@@ -45,6 +45,9 @@ class Index:
         Row of each chunk's extra attributes; -1 where it has none, or its page is not there.
     cameras : int
         Row of the cameras; -1 where there are none, or their page is not there.
+    layers : sequence of int
+        Rows of the layers of compensation, in the order of the layers; those of pages that are not
+        there are left out.
     codebooks : sequence of mapping of SegmentKind to int
         For each codebook, the rows of its segments by kind; a page that is not there may lack some.
     all_chunks : int
@@ -61,6 +64,7 @@ class Index:
     refinements: I64
     attributes: I64
     cameras: int
+    layers: Sequence[int]
     codebooks: Sequence[Mapping[SegmentKind, int]]
     all_chunks: int
 
@@ -169,6 +173,7 @@ def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> 
         codebooks=_codebook_segments(source, root, table, whole=whole),
         attributes=_attribute_rows(source, root, table, heads),
         cameras=_camera_segment(source, table),
+        layers=_layer_rows(source, table),
         all_chunks=len(root.chunks) + sum(page.chunks for page in root.pages),
     )
 
@@ -290,6 +295,19 @@ def _camera_segment(source: Source, table: SegmentTable) -> int:
             clause="5.8",
         )
     return int(rows[0]) if len(rows) else -1
+
+
+def _layer_rows(source: Source, table: SegmentTable) -> list[int]:
+    """Return the rows of the layers of compensation (SPEC 5.9)."""
+    rows = np.flatnonzero(table.kind == SegmentKind.COMPENSATION)
+    owners = table.owner[rows]
+    if not np.array_equal(owners, np.arange(len(rows))):
+        raise FormatError(
+            "compensation-segments",
+            f"{source.name}: layers {owners.tolist()[:8]}, expected each once, in order",
+            clause="5.9",
+        )
+    return [int(row) for row in rows]
 
 
 def _check_counts(

@@ -13,7 +13,7 @@ from cogsplat.formats.storage.magic import COGS_MAGIC, describe
 
 MAGIC: Final = COGS_MAGIC
 MAJOR: Final = 0
-MINOR: Final = 1
+MINOR: Final = 2
 
 _PREAMBLE: Final = struct.Struct("<8sHHIQII28xI")
 PREAMBLE_BYTES: Final = _PREAMBLE.size
@@ -33,6 +33,8 @@ MAX_SEGMENTS: Final = 1 << 20
 MAX_CODEBOOKS: Final = 32
 MAX_SPLATS: Final = (1 << 31) - 1
 MAX_CAMERAS: Final = 1 << 16
+MAX_CAMERA_VALUES: Final = 1 << 17
+"""Values of a segment of cameras: a name for each, and room for what later versions add."""
 
 
 class SegmentKind(IntEnum):
@@ -116,7 +118,7 @@ def unpack_preamble(data: bytes, where: str) -> Preamble:
     TruncatedError
         ``preamble-truncated``.
     UnsupportedError
-        ``version-major``.
+        ``version-major``, ``version-minor``.
     """
     if data[: len(MAGIC)] != MAGIC[: len(data)]:
         raise FormatError(
@@ -142,7 +144,13 @@ def unpack_preamble(data: bytes, where: str) -> Preamble:
     if major != MAJOR:
         raise UnsupportedError(
             "version-major",
-            f"{where}: version {major}.{minor}, expected {MAJOR}.x (SPEC 3.2)",
+            f"{where}: version {major}.{minor}, expected {MAJOR}.{MINOR} (SPEC 3.2)",
+        )
+    # Before 1.0 every minor version may change what bytes mean.
+    if minor != MINOR:
+        raise UnsupportedError(
+            "version-minor",
+            f"{where}: version {major}.{minor}, expected {MAJOR}.{MINOR} (SPEC 3.2)",
         )
     if reserved or any(data[32:60]):
         raise FormatError(

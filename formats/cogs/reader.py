@@ -32,8 +32,12 @@ from .root import Root
 # Means, scales, quats, opacities and sh0 of one splat, float32.
 _HEAD_ROW_BYTES: Final = 4 * (3 + 3 + 4 + 1 + 3)
 
+# Working memory of one chunk while it is decoded, for each of its rows (measured: 30 to 130 bytes,
+# planes, codes and copies of one attribute at a time).
+_SCRATCH_ROW_BYTES: Final = 128
 
-_SMALL_RESULT: Final = 64 * 1024 * 1024
+# Of one splat while compensation is applied: shifts of two layers and the codes' entries.
+_COMPENSATION_ROW_BYTES: Final = 96
 
 # Below this, and without compiled kernels, threads wait for the interpreter's lock longer than
 # they save (measured: a scene of 80,000 splats takes a third longer on two threads).
@@ -78,7 +82,7 @@ class CogsFile:
     def __init__(self, source: Source, index: Index, limits: Limits) -> None:
         self._source = source
         self._index = index
-        self._limits = limits
+        self._allowed = limits.allowed(source.size)
         self.root = index.root
         self.file_length = index.file_length
         self.missing_bytes = max(0, index.file_length - source.size)
@@ -153,45 +157,44 @@ class CogsFile:
             ``file-truncated``: a partial source does not hold them.
         FormatError, UnsupportedError
             They break SPEC 5.8.
+        LimitError
+            ``decoded-size``: they take more memory than `Limits` allow.
         """
         row = self.camera_row
         if row is None:
             return []
         if not self._present(row):
             raise self._not_there("the segment of cameras")
-        return cogs_cameras.unpack_cameras(bytes(self.read_segment(row)), f"{self.name}: cameras")
+        payload = bytes(self.read_segment(row))
+        return cogs_cameras.unpack_cameras(payload, f"{self.name}: cameras", self._allowed)
 
     def compensation(self) -> Compensation:
-        """Return what prefixes of the scene want: the layers that are there.
+        """Return the compensation of the scene's prefixes: the layers that are there.
 
         Raises
         ------
         FormatError, UnsupportedError
             They break SPEC 5.9.
+        LimitError
+            ``decoded-size``: their codes take more memory than `Limits` allow.
         """
-        rows = np.flatnonzero(self.segments.kind == SegmentKind.COMPENSATION).tolist()
-        owners = self.segments.owner[rows].tolist()
-        if owners != list(range(len(rows))):
-            raise FormatError(
-                "compensation-segments",
-                f"{self.name}: layers {owners[:8]}, expected each once, in order",
-                clause="5.9",
-            )
         counts = self.chunks.splats.astype(np.int64)
         splats = counts.tolist()
         layers: list[Layer] = []
-        for number, row in enumerate(rows):
+        allowed = self._allowed
+        for number, row in enumerate(self._index.layers):
             if not self._present(row):
                 break
             before = layers[-1].chunks if layers else 0
             where = f"{self.name}: compensation, layer {number}"
             payload = bytes(self.read_segment(row))
             layer = cogs_compensation.unpack_layer(
-                payload, where, before, splats, self._index.all_chunks
+                payload, where, before, splats, self._index.all_chunks, allowed
             )
             if layer is None:
                 break
             layers.append(layer)
+            allowed -= len(payload) + len(layer.codes)
         # Chunks of pages that are not there count as one.
         rest = self.root.splats - int(counts.sum())
         whole = np.concatenate([counts, [rest]]) if rest else counts
@@ -257,8 +260,8 @@ class CogsFile:
         extras : bool
             Whether to read extra attributes of the splats.
         compensate : bool
-            Whether to return the chunks, which must be the first ones, as they look most like the
-            whole (SPEC 8.5) and not as they are stored.
+            Whether to make up for the chunks that are missing (SPEC 8.5); those asked for must be
+            the first ones of the file, in order.
         threads : int
             0 uses as many as pay. The result does not depend on it.
         progress : Progress
@@ -289,11 +292,16 @@ class CogsFile:
             )
         degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)
         counts = [int(self.chunks.splats[chunk]) for chunk in wanted]
+        kinds = self.root.attributes if extras and all(map(self.has_extras, wanted)) else ()
+        row_bytes = _row_bytes(degree) + sum(kind.row_bytes for kind in kinds)
+        row_bytes += _COMPENSATION_ROW_BYTES if compensate else 0
+        size = _size(counts, row_bytes)
+        # Before codebooks are read, so that a file that is too large is refused at once.
+        self._check_size(size, f"{sum(counts)} splats")
         # Codebooks first, on this thread, so that the workers only read them.
         for chunk in wanted:
             self._load_codebooks(chunk, degree)
-        kinds = self.root.attributes if extras and all(map(self.has_extras, wanted)) else ()
-        self._check_size(sum(counts), degree, sum(kind.row_bytes for kind in kinds))
+        self._check_size(size, f"{sum(counts)} splats")
         compiled.prepare(sum(counts))
         out = _allocate(sum(counts), degree, self.root, kinds)
         stops = np.cumsum(counts).tolist()
@@ -349,8 +357,10 @@ class CogsFile:
         LimitError
             ``decoded-size``.
         """
-        extra_bytes = sum(kind.row_bytes for kind in self.root.attributes)
-        self._check_size(self.root.splats, self.root.sh_degree, extra_bytes)
+        row_bytes = _row_bytes(self.root.sh_degree)
+        row_bytes += sum(kind.row_bytes for kind in self.root.attributes)
+        counts = self.chunks.splats.tolist()
+        self._check_size(_size(counts, row_bytes), f"{sum(counts)} splats")
 
     def rows_of(self, chunk: int) -> ChunkRows:
         """Return where a chunk's segments stand in the segment table."""
@@ -406,18 +416,14 @@ class CogsFile:
         rows = [found[kind] for kind in kinds if kind in found]
         return rows if len(rows) == len(kinds) and all(map(self._present, rows)) else None
 
-    def _check_size(self, splats: int, degree: int, extra_bytes: int = 0) -> None:
-        size = splats * (_HEAD_ROW_BYTES + 12 * (sh_coefficients(degree) - 1) + extra_bytes)
+    def _check_size(self, size: int, what: str) -> None:
+        """Refuse to allocate `size` bytes beside the codebooks that are there already."""
         size += sum(book.nbytes for book in self._codebooks.values())
-        limits = self._limits
-        allowed = min(
-            limits.decoded_bytes, max(_SMALL_RESULT, limits.expansion * self._source.size)
-        )
-        if size > allowed:
+        if size > self._allowed:
             raise LimitError(
                 "decoded-size",
-                f"{self.name}: {splats} splats and codebooks take {size} bytes, "
-                f"expected at most {allowed} from {self._source.size} bytes (SPEC 9.2)",
+                f"{self.name}: {what} and codebooks take {size} bytes, expected at most "
+                f"{self._allowed} from {self._source.size} bytes (SPEC 9.2)",
             )
 
     def _load_codebooks(self, chunk: int, degree: int) -> None:
@@ -440,8 +446,8 @@ class CogsFile:
         rows = self._codebook_rows(book, degree)
         if rows is None:
             raise self._not_there(f"a segment of codebook {book}")
-        # Nothing is allocated for rows that no segment brings.
-        self._check_size(entry.rows, degree)
+        row = 28 if entry.attribute == "shape" else 12 * (sh_coefficients(degree) - 1)
+        self._check_size(entry.rows * (row + _SCRATCH_ROW_BYTES), where)
         if entry.attribute == "shape":
             return codebooks.decode_shape_codebook(self.read_segment(rows[0]), entry.rows, where)
         payloads = {band: self.read_segment(row) for band, row in enumerate(rows, start=1)}
@@ -494,7 +500,7 @@ def open_cogs(source: Source, *, partial: bool = False, limits: Limits | None = 
     TruncatedError
         The file is short (strict), or its root is not complete (partial).
     UnsupportedError
-        A newer major version, or something that must be understood and is not.
+        Another version, or something that must be understood and is not.
     """
     return CogsFile(source, read_index(source, partial=partial), limits or Limits())
 
@@ -502,6 +508,16 @@ def open_cogs(source: Source, *, partial: bool = False, limits: Limits | None = 
 def _workers(splats: int) -> int:
     """Return how many threads pay: 1, or 0 for all cores."""
     return 0 if compiled.ready() and splats >= _WORTH_THREADS else 1
+
+
+def _row_bytes(degree: int) -> int:
+    """Return the bytes of one decoded splat, extra attributes left out."""
+    return _HEAD_ROW_BYTES + 12 * (sh_coefficients(degree) - 1)
+
+
+def _size(counts: Sequence[int], row_bytes: int) -> int:
+    """Return the bytes that chunks of so many splats take, and decoding the largest of them."""
+    return sum(counts) * row_bytes + max(counts, default=0) * _SCRATCH_ROW_BYTES
 
 
 def _allocate(rows: int, degree: int, root: Root, kinds: Sequence[AttributeType]) -> Splats:

@@ -10,6 +10,9 @@ from cogsplat.codec.splats import sh_coefficients
 # Means, scales, quaternions, opacity and sh0 of one splat, float32.
 _ROW_BYTES = 4 * (3 + 3 + 4 + 1 + 3)
 
+# What any COGS file may decode to, whatever its size (SPEC 9.2).
+_COGS_SMALL_BYTES = 64 << 20
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -19,9 +22,10 @@ class Limits:
     ----------
     decoded_bytes : int
         Bytes of the decoded arrays, extra attributes among them, and of what is unpacked on the
-        way to them.
+        way to them; of a COGS file also its codebooks, its codes of compensation and its cameras.
     expansion : int
-        Those bytes per byte of a COGS file, where they are more than 64 MiB.
+        Those bytes per byte of a COGS file, above 64 MiB. A splat of SH degree 3 takes 236 bytes:
+        the default admits every scene of a byte a splat or more.
     foreign_expansion : int
         Those bytes per byte of a scene in another format, where they are more than `small_bytes`.
         Trained scenes reach about 20 (SOG and SPZ at SH degree 3).
@@ -36,6 +40,8 @@ class Limits:
     Examples
     --------
     >>> limits = Limits(splats=1000)
+    >>> limits.allowed(1_000_000)
+    323108864
     >>> limits.require_scene(1001, sh_degree=0, source_bytes=1 << 20, where="a.spz")
     Traceback (most recent call last):
     ...
@@ -43,7 +49,7 @@ class Limits:
     """
 
     decoded_bytes: int = 1 << 35
-    expansion: int = 4096
+    expansion: int = 256
     foreign_expansion: int = 64
     small_bytes: int = 48 << 20
     splats: int = 1 << 29
@@ -53,6 +59,10 @@ class Limits:
         for name, value in vars(self).items():
             if value < 0:
                 raise ValueError(f"limit {name} of {value}, expected 0 or more")
+
+    def allowed(self, source_bytes: int) -> int:
+        """Return the bytes that may be decoded from a COGS file of so many (SPEC 9.2)."""
+        return min(self.decoded_bytes, _COGS_SMALL_BYTES + self.expansion * source_bytes)
 
     def require_scene(
         self,

@@ -6,6 +6,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import replace
 
+from cogsplat.codec.streams.records import Attribute
 from cogsplat.formats.cogs.canonical_msgpack import Value, pack
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
@@ -89,7 +90,52 @@ def valid() -> list[Valid]:
             "one layer of two chunks without codes, with a key of a later version",
         ),
         Valid("compensation-pages", build(paged), ("5.6", *clauses), "layers listed in pages"),
+        _blend(),
+        _zeros(),
     ]
+
+
+def _blend() -> Valid:
+    """Return chunks of many sizes between two layers, and behind the last: parts that round."""
+    sizes = [5, 1, 2, 3, 1, 4, 2]
+    entries = [k for row in range(16) for k in (7 * row - 50, 113 - 15 * row)]
+    first = _layer([85], [-77], [63, 61], entries, _packed([3, 15, 8, 11, 6], 4))
+    second = _layer(
+        [-53, 91, -128, 127, 33], [119, -37, 71, -5, 18], [55, 249, 3, 127, 77, 201, 64, 31, 9, 5],
+        entries, _packed([1, 14, 5, 2, 9, 12, 7], 4),
+    )  # fmt: skip
+    segments = []
+    for chunk, rows in enumerate(sizes):
+        if chunk in (0, 1):
+            data = pack((first, second)[chunk])
+            segments.append(Segment(SegmentKind.COMPENSATION, chunk, data))
+        # Near 0, so that no addition swallows the last bit of a shift.
+        near = [
+            scenes.constant(Attribute.SCALES, rows, 0.0, 2.0**-9, -0.25),
+            scenes.constant(Attribute.OPACITIES, rows, 0.0),
+        ]
+        head = pack_streams(scenes.still_head(rows, *near))
+        segments.append(Segment(SegmentKind.HEAD, chunk, head))
+    rows_of = [ChunkRow(rows) for rows in sizes]
+    data = build(Draft(root_keys(sum(sizes), 0), [Group(segments, rows_of)]))
+    note = "prefixes between two layers and behind the last, where every operation rounds"
+    return Valid("compensation-blend", data, ("5.9", "8.5"), note)
+
+
+def _zeros() -> Valid:
+    """Return scales and opacities of -0 under a layer of zero shifts, and the whole scene."""
+    minus = [
+        scenes.floats(Attribute.SCALES, [[-0.0, -1.0, -0.0]] * _ROWS),
+        scenes.floats(Attribute.OPACITIES, [[-0.0]] * _ROWS),
+    ]
+    layer = Segment(SegmentKind.COMPENSATION, 0, pack(_layer([0], [0], [0, 0])))
+    heads = [
+        Segment(SegmentKind.HEAD, chunk, pack_streams(scenes.still_head(_ROWS, *minus)))
+        for chunk in range(3)
+    ]
+    draft = Draft(root_keys(3 * _ROWS, 0), [Group([layer, *heads], [ChunkRow(_ROWS)] * 3)])
+    note = "a shift of 0 makes -0 into +0; where nothing is added, -0 stays"
+    return Valid("compensation-zeros", build(draft), ("5.9", "8.5"), note)
 
 
 def compensation() -> list[Invalid]:
@@ -102,7 +148,7 @@ def compensation() -> list[Invalid]:
         for place, owner in zip(places, owners, strict=True):
             segments[place] = replace(segments[place], owner=owner)
         data = build(replace(draft, groups=[Group(segments, draft.groups[0].chunks)]))
-        return Invalid(name, data, "compensation-segments", "5.9", note, "verify")
+        return Invalid(name, data, "compensation-segments", "5.9", note)
 
     def body(name: str, data: bytes, code: str, note: str, clause: str = "5.9") -> Invalid:
         return Invalid(name, build(_draft([(0, data)])), code, clause, note, "verify")

@@ -43,15 +43,17 @@ def _payload(planes: Sequence[tuple[int, bytes]]) -> bytes:
     return words + b"".join(stored for _, stored in planes)
 
 
-def _stored(columns: Sequence[bytes]) -> bytes:
+def stored(columns: Sequence[bytes]) -> bytes:
+    """Return the payload of planes: each as it is, or a zstd frame where that is smaller."""
     return _payload([plane(column) for column in columns])
 
 
-def _labels(rows: int) -> list[bytes]:
+def labels(rows: int) -> list[bytes]:
+    """Return the one plane of an attribute of type u1 that counts 0, 1, 2, 0, 1 and so on."""
     return _columns("u1", [[row % 3] for row in range(rows)])
 
 
-def _labelled(draft: Draft, attributes: Sequence[Value], payloads: Sequence[bytes]) -> Draft:
+def labelled(draft: Draft, attributes: Sequence[Value], payloads: Sequence[bytes]) -> Draft:
     """Return a file with attributes in its root and a segment of them for each chunk."""
     added = [Segment(SegmentKind.ATTRIBUTES, i, data) for i, data in enumerate(payloads)]
     whole = with_segments(draft, [*draft.groups[0].segments, *added])
@@ -76,7 +78,7 @@ def _all_types() -> Valid:
     for chunk, part in enumerate(parts):
         part += _columns("f4", [[row + 0.5, -row, chunk] for row in range(2)])
         part += _columns("i2", [[-row - 300 * chunk] for row in range(2)])
-    draft = _labelled(chunks(), attributes, [_stored(part) for part in parts])
+    draft = labelled(chunks(), attributes, [stored(part) for part in parts])
     note = "extra attributes of all types, of one value and of several"
     return Valid("attributes", build(draft), ("5.7",), note)
 
@@ -84,14 +86,13 @@ def _all_types() -> Valid:
 def _coded() -> Valid:
     rows = 3
     frame_of = [[row // 2 * 1000] for row in range(rows)]
-    labels = _labels(rows)[0]
-    packed = bytes([3]) + packed_plane(labels, 3)
+    packed = bytes([3]) + packed_plane(labels(rows)[0], 3)
     planes = [(len(packed) | 1 << 30, packed), *map(plane, _columns("u4", frame_of))]
     attributes = [_entry("label", "u1"), _entry("frame", "u4")]
     note = "attributes whose planes are packed"
     return Valid(
         "attributes-packed",
-        build(_labelled(still(), attributes, [_payload(planes)])),
+        build(labelled(still(), attributes, [_payload(planes)])),
         ("5.7", "6.9"),
         note,
     )
@@ -101,7 +102,7 @@ def _some_chunks() -> Valid:
     whole = chunks()
     segments = [
         *whole.groups[0].segments,
-        Segment(SegmentKind.ATTRIBUTES, 1, _stored(_labels(2))),
+        Segment(SegmentKind.ATTRIBUTES, 1, stored(labels(2))),
     ]
     draft = replace(
         with_segments(whole, segments), root=whole.root | {"attributes": [_entry("label", "u1")]}
@@ -112,7 +113,7 @@ def _some_chunks() -> Valid:
 def _pages() -> Valid:
     whole = chunks()
     segments = whole.groups[0].segments
-    added = [Segment(SegmentKind.ATTRIBUTES, i, _stored(_labels(2))) for i in range(2)]
+    added = [Segment(SegmentKind.ATTRIBUTES, i, stored(labels(2))) for i in range(2)]
     draft = Draft(
         whole.root | {"attributes": [_entry("label", "u1")]},
         [
@@ -125,7 +126,8 @@ def _pages() -> Valid:
     return Valid("attributes-pages", build(draft), ("5.6", "5.7", "5.8"), note)
 
 
-def _cameras(count: int) -> dict[str, Value]:
+def camera_columns(count: int) -> dict[str, Value]:
+    """Return the map of up to three cameras (SPEC 5.8)."""
     turned = [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
     upright = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 
@@ -146,7 +148,7 @@ def _cameras(count: int) -> dict[str, Value]:
 
 
 def _camera_segment(count: int, **changes: Value) -> Segment:
-    return Segment(SegmentKind.CAMERAS, 0, pack(_cameras(count) | changes))
+    return Segment(SegmentKind.CAMERAS, 0, pack(camera_columns(count) | changes))
 
 
 def _with_cameras(*segments: Segment) -> bytes:
@@ -173,8 +175,8 @@ def valid() -> list[Valid]:
 
 def attributes() -> list[Invalid]:
     """Return the must-reject vectors of SPEC 5.7."""
-    labels = _stored(_labels(2))
-    good = _labelled(chunks(), [_entry("label", "u1")], [labels, labels])
+    two = stored(labels(2))
+    good = labelled(chunks(), [_entry("label", "u1")], [two, two])
     *drawn, first, second = good.groups[0].segments
 
     def root(name: str, value: Value, code: str, note: str, clause: str = "5.7") -> Invalid:
@@ -185,12 +187,12 @@ def attributes() -> list[Invalid]:
         return Invalid(name, data, "attribute-segments", "5.7", note)
 
     def body(name: str, data: bytes, code: str, note: str, clause: str = "5.7") -> Invalid:
-        draft = _labelled(still(), [_entry("label", "u1")], [data])
+        draft = labelled(still(), [_entry("label", "u1")], [data])
         return Invalid(name, build(draft), code, clause, note, "decode")
 
     label = _entry("label", "u1")
     unlisted = with_segments(chunks(), [*drawn, first])
-    three = _labels(3)
+    three = labels(3)
     many: list[Value] = [_entry(f"{i}", "u1") for i in range(257)]
     huge = plane(bytes(100))
     return [
@@ -218,11 +220,11 @@ def attributes() -> list[Invalid]:
         Invalid("attributes-unlisted", build(unlisted), "attribute-segments", "5.7",
                 "attributes that the root does not list"),
         body("attributes-words", b"\1\0\0", "attribute-record", "less than a word"),
-        body("attributes-cut", _stored(three)[:-1], "attribute-record", "a byte missing"),
-        body("attributes-trailing", _stored(three) + b"\0", "attribute-record", "a byte more"),
+        body("attributes-cut", stored(three)[:-1], "attribute-record", "a byte missing"),
+        body("attributes-trailing", stored(three) + b"\0", "attribute-record", "a byte more"),
         body("attributes-4g", _payload([(0xBFFFFFFF, b"")]), "attribute-record",
              "a plane of 2^30 - 1 bytes stated"),
-        body("attributes-plane-short", _stored(_labels(2)), "plane-length",
+        body("attributes-plane-short", stored(labels(2)), "plane-length",
              "two rows of a chunk of three", "6.3"),
         body("attributes-frame-size", _payload([huge]), "zstd-size",
              "a frame of 100 bytes for three rows", "6.3"),
@@ -242,17 +244,17 @@ def cameras() -> list[Invalid]:
         return Invalid(name, _with_cameras(segment), code, clause, note, "verify")
 
     def changed(vector: str, code: str, note: str, **changes: Value) -> Invalid:
-        return body(vector, pack(_cameras(2) | changes), code, note)
+        return body(vector, pack(camera_columns(2) | changes), code, note)
 
     one = _camera_segment(1)
-    good = _cameras(2)
+    good = camera_columns(2)
     nameless = {key: value for key, value in good.items() if key != "name"}
     mirrored = struct.pack("<18d", *([-1.0, 0, 0, 0, 1, 0, 0, 0, 1] * 2))
     return [
         order("cameras-twice", [one, one], "two segments of cameras"),
         order("cameras-owner", [replace(one, owner=1)], "cameras of owner 1"),
         body("cameras-cut", pack(good)[:-1], "msgpack-truncated", "the last byte missing", "4.1"),
-        body("cameras-none", pack(_cameras(0)), "root-value", "no camera"),
+        body("cameras-none", pack(camera_columns(0)), "root-value", "no camera"),
         body("cameras-no-names", pack(nameless), "root-missing", "no names"),
         body("cameras-must-understand", pack(good | {"lens!": 1}), "root-must-understand",
              "a key with !", "4.3"),

@@ -64,13 +64,10 @@ class Draft:
         The root's keys, tables and pages left out.
     groups : sequence of Group
         The root's, then one for each page.
-    minor : int
-        Minor version.
     """
 
     root: Index
     groups: Sequence[Group]
-    minor: int = MINOR
 
 
 def root_keys(splats: int, sh_degree: int, **changes: Value) -> Index:
@@ -181,13 +178,13 @@ def build(draft: Draft, edit: Edit | None = None, *, behind_page: bytes = b"") -
     if edit:
         edit(0, root)
     behind = b"".join([*(part.payload for part in first.segments), *bodies])
-    return with_root(pack(root), behind, minor=draft.minor)
+    return with_root(pack(root), behind)
 
 
-def with_root(root: bytes, behind: bytes, *, minor: int = MINOR) -> bytes:
+def with_root(root: bytes, behind: bytes) -> bytes:
     """Return a file of these root bytes and what stands behind them."""
     file_length = PREAMBLE_BYTES + len(root) + len(behind)
-    fields = (MAGIC, MAJOR, minor, len(root), file_length, zlib.crc32(root), 0)
+    fields = (MAGIC, MAJOR, MINOR, len(root), file_length, zlib.crc32(root), 0)
     return seal(struct.pack("<8sHHIQII28x", *fields)) + root + behind
 
 

@@ -20,7 +20,8 @@ def preambles() -> list[Invalid]:
 
     def field(name: str, offset: int, layout: str, value: int, code: str, note: str) -> Invalid:
         data = preamble_field(good, offset, layout, value)
-        clause = {"version-major": "3.2", "preamble-reserved": "3.1"}.get(code, "3.3")
+        clauses = {"version-major": "3.2", "version-minor": "3.2", "preamble-reserved": "3.1"}
+        clause = clauses.get(code, "3.3")
         return Invalid(name, data, code, clause, note)
 
     def magic(name: str, data: bytes, note: str) -> Invalid:
@@ -42,8 +43,12 @@ def preambles() -> list[Invalid]:
         ),
         field("reserved-28", 28, "I", 1, "preamble-reserved", "a reserved byte set"),
         field("reserved-59", 59, "B", 128, "preamble-reserved", "the last reserved byte set"),
-        field("version-1", 8, "H", 1, "version-major", "version 1.1"),
-        field("version-65535", 8, "H", 65535, "version-major", "version 65535.1"),
+        field("version-1", 8, "H", 1, "version-major", "version 1.2"),
+        field("version-65535", 8, "H", 65535, "version-major", "version 65535.2"),
+        field("version-0-0", 10, "H", 0, "version-minor", "version 0.0"),
+        field("version-0-1", 10, "H", 1, "version-minor", "version 0.1"),
+        field("version-0-3", 10, "H", 3, "version-minor", "version 0.3"),
+        field("version-0-65535", 10, "H", 65535, "version-minor", "version 0.65535"),
         field("root-none", 12, "I", 0, "root-length", "a root of no bytes"),
         field("root-long", 12, "I", 16321, "root-length", "a root that ends at byte 16385"),
         field("root-huge", 12, "I", 0xFFFFFFFF, "root-length", "a root of 4 GiB"),

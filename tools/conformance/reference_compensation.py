@@ -36,8 +36,10 @@ class _Layer:
         return scale, opacity
 
 
-def shifts(payloads: Sequence[bytes], chunk_splats: Sequence[int], chunks: int) -> list[Pair]:
-    """Return what is added to the scales and the opacity of each splat of the first chunks.
+def shifts(
+    payloads: Sequence[bytes], chunk_splats: Sequence[int], chunks: int
+) -> list[Pair] | None:
+    """Return what is added to the scales and the opacity of each splat, None for nothing.
 
     Parameters
     ----------
@@ -55,7 +57,7 @@ def shifts(payloads: Sequence[bytes], chunk_splats: Sequence[int], chunks: int) 
         entries += layers[-1].entries
     where = [chunk for chunk in range(chunks) for _ in range(chunk_splats[chunk])]
     if not layers or chunks == len(chunk_splats):
-        return [(0.0, 0.0)] * len(where)
+        return None
 
     def at(number: int, place: int) -> Pair:
         if number == len(layers):

@@ -271,7 +271,7 @@ def _cameras(file: _File) -> list[Camera]:
 
 
 def _compensated(file: _File, rows: dict[str, list[Row]]) -> dict[int, Row]:
-    """Return what first chunks look most like the whole with (SPEC 8.5)."""
+    """Return the compensated scales and opacities of each prefix of chunks (SPEC 8.5)."""
     segments = [s for s in file.segments if s.kind == _COMPENSATION]
     payloads = [file.data[s.start : s.end] for s in sorted(segments, key=lambda s: s.owner)]
     out: dict[int, Row] = {}
@@ -279,6 +279,12 @@ def _compensated(file: _File, rows: dict[str, list[Row]]) -> dict[int, Row]:
         shifts = compensation.shifts(payloads, file.chunk_splats, chunks)
         scales: Row = []
         opacities: Row = []
+        if shifts is None:
+            # Rows to which nothing is added keep their bits, -0 among them (SPEC 8.5).
+            count = sum(file.chunk_splats[:chunks])
+            stored = [*rows["scales"][:count], *rows["opacities"][:count]]
+            out[chunks] = [value for row in stored for value in row]
+            continue
         for place, (scale, opacity) in enumerate(shifts):
             scales += compensation.added(rows["scales"][place], scale)
             opacities += compensation.added(rows["opacities"][place], opacity)

@@ -7,8 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cogsplat.codec.errors import FormatError
-from cogsplat.formats.cogs.canonical_msgpack import MAX_DEPTH, MAX_INTEGER, pack, unpack
+from cogsplat.codec.errors import FormatError, LimitError
+from cogsplat.formats.cogs.canonical_msgpack import (
+    MAX_DEPTH,
+    MAX_INTEGER,
+    VALUE_BYTES,
+    pack,
+    unpack,
+)
 
 LENGTHS = [0, 1, 15, 16, 31, 32, 255, 256, 65535, 65536]
 
@@ -61,9 +67,36 @@ def test_what_was_packed_comes_back(value):
 @pytest.mark.parametrize("length", LENGTHS)
 def test_lengths_at_which_headers_change(length):
     for content in ("x" * length, b"x" * length, [None] * length):
-        assert unpack(pack({"": content}), "here") == {"": content}
+        value = {"": content}
+        assert unpack(pack(value), "here", most_values=1 << 18) == value
     wide = {str(i): None for i in range(length)}
-    assert unpack(pack(wide), "here") == wide
+    assert unpack(pack(wide), "here", most_values=1 << 18) == wide
+
+
+def test_values_are_counted_with_their_keys():
+    # The map, two keys, an array and its three elements, an empty map.
+    value = {"a": [1, [], {}], "b": {"c": None}}
+    data = pack(value)
+    assert unpack(data, "here", most_values=10) == value
+    with pytest.raises(FormatError) as caught:
+        unpack(data, "here", most_values=9)
+    assert caught.value.code == "msgpack-count"
+    assert unpack(data, "here", allowed_bytes=10 * VALUE_BYTES) == value
+    with pytest.raises(LimitError) as refused:
+        unpack(data, "here", allowed_bytes=10 * VALUE_BYTES - 1)
+    assert refused.value.code == "decoded-size"
+
+
+def test_values_take_no_more_memory_than_is_counted():
+    count = 60_000
+    data = pack({"names": [f"{i:06}.jpg" for i in range(count)], "numbers": [1.5] * count})
+    tracemalloc.start()
+    found = unpack(data, "here", most_values=1 << 18)
+    used, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(found["names"]) == count
+    # The characters of a str are counted by the bytes they take in the file.
+    assert used < (2 * count + 5) * VALUE_BYTES + len(data)
 
 
 def test_order_of_keys_is_kept():
@@ -128,7 +161,10 @@ def test_nests_of_large_claims_allocate_nothing():
     # Each header claims as many elements as there are bytes left.
     data = b"\x81\xa1x" + b"\xdc\xff\xff" * 7 + bytes(1 << 16)
     tracemalloc.start()
-    assert code(data) == "msgpack-truncated"
+    with pytest.raises(FormatError) as caught:
+        unpack(data, "here", most_values=1 << 20)
+    assert caught.value.code == "msgpack-truncated"
+    assert code(data) == "msgpack-count"
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 20 * len(data)

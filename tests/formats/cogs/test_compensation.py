@@ -1,12 +1,14 @@
 """Layers of compensation as payloads: as they were, refused, or about chunks not known yet."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cogsplat.codec.errors import CogsplatError, FormatError
-from cogsplat.codec.segments.compensation import Layer
+from cogsplat.codec.errors import CogsplatError, FormatError, LimitError
+from cogsplat.codec.segments.compensation import Layer, pack_codes, unpack_codes
 from cogsplat.formats.cogs.compensation import pack_layer, unpack_layer
 
 COUNTS = [3, 2, 4]
@@ -26,7 +28,7 @@ def layer(chunks, rows, codes):
 @pytest.mark.parametrize("rows", [0, 1, 2, 5, 256])
 def test_layers_come_back_as_they_were(rows):
     expected = layer(3, rows, 6 if rows else 0)
-    found = unpack_layer(pack_layer(expected), "here", 1, COUNTS, 3)
+    found = unpack_layer(pack_layer(expected), "here", 1, COUNTS, 3, 1 << 20)
     assert found is not None
     for name in ("scales", "opacities", "strengths", "book", "codes"):
         assert getattr(found, name).dtype == getattr(expected, name).dtype
@@ -35,9 +37,30 @@ def test_layers_come_back_as_they_were(rows):
 
 def test_a_layer_of_chunks_not_known_waits():
     payload = pack_layer(layer(3, 2, 9))
-    assert unpack_layer(payload, "here", 0, COUNTS[:2], 3) is None
+    assert unpack_layer(payload, "here", 0, COUNTS[:2], 3, 1 << 20) is None
     with pytest.raises(FormatError, match="expected 1 to 2"):
-        unpack_layer(payload, "here", 0, COUNTS[:2], 2)
+        unpack_layer(payload, "here", 0, COUNTS[:2], 2, 1 << 20)
+
+
+def test_codes_count_for_the_limit():
+    payload = pack_layer(layer(3, 3, 9))
+    assert unpack_layer(payload, "here", 0, COUNTS, 3, 9) is not None
+    with pytest.raises(LimitError) as caught:
+        unpack_layer(payload, "here", 0, COUNTS, 3, 8)
+    assert caught.value.code == "decoded-size"
+
+
+@pytest.mark.parametrize("bits", range(1, 9))
+def test_many_codes_come_back_with_little_memory(bits):
+    codes = np.random.default_rng(bits).integers(0, 1 << bits, (1 << 17) + 3).astype(np.uint8)
+    packed = pack_codes(codes, bits)
+    tracemalloc.start()
+    found = unpack_codes(packed, bits, len(codes))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    np.testing.assert_array_equal(found, codes)
+    # The codes themselves, and the bits of 2^16 of them.
+    assert peak < len(codes) + 40 * (1 << 16)
 
 
 @settings(derandomize=True, max_examples=200, deadline=None)
@@ -47,7 +70,7 @@ def test_damaged_layers_are_read_or_refused(data):
     for _ in range(data.draw(st.integers(1, 3))):
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     try:
-        found, code = unpack_layer(bytes(payload), "here", 0, COUNTS, 3), ""
+        found, code = unpack_layer(bytes(payload), "here", 0, COUNTS, 3, 1 << 20), ""
     except CogsplatError as error:
         found, code = None, error.code
     if found is None:

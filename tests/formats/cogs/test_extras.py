@@ -112,13 +112,15 @@ def test_extras_count_for_the_limit():
     splats = replace(scene(N), extras={"wide": np.zeros((N, 16), np.float64)})
     data = file_of(splats)
     with opened(data) as file:
-        drawn = file.decode(extras=False).nbytes
-    limits = Limits(decoded_bytes=drawn + 20 * 1024)
+        # Beside its arrays the largest chunk takes its working memory.
+        drawn = file.decode(extras=False).nbytes + 128 * int(file.chunks.splats.max())
+        drawn += sum(book.nbytes for book in file._codebooks.values())
+    limits = Limits(decoded_bytes=drawn + N * 128 - 1)
     with opened(data, limits=limits) as file:
         file.decode(extras=False)
         with pytest.raises(LimitError):
             file.decode()
-    with opened(data, limits=Limits(decoded_bytes=drawn + N * 128 + 20 * 1024)) as file:
+    with opened(data, limits=Limits(decoded_bytes=drawn + N * 128)) as file:
         assert file.decode().extras
 
 
@@ -192,6 +194,16 @@ def test_cameras_that_no_file_can_hold_are_refused(cameras, code):
     assert caught.value.code == code
 
 
+def test_cameras_count_for_the_limit():
+    data = file_of(scene(20), cameras=cameras_of(3))
+    with opened(data, limits=Limits(decoded_bytes=3 * 1024)) as file:
+        assert len(file.cameras()) == 3
+    with opened(data, limits=Limits(decoded_bytes=3 * 1024 - 1)) as file:
+        with pytest.raises(LimitError) as caught:
+            file.cameras()
+        assert caught.value.code == "decoded-size"
+
+
 @settings(max_examples=200, deadline=None)
 @given(st.data())
 def test_damaged_cameras_are_read_or_refused(data):
@@ -200,7 +212,7 @@ def test_damaged_cameras_are_read_or_refused(data):
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     stop = data.draw(st.integers(0, len(payload)))
     try:
-        count, code = len(unpack_cameras(bytes(payload[:stop]), "here")), ""
+        count, code = len(unpack_cameras(bytes(payload[:stop]), "here", 1 << 20)), ""
     except CogsplatError as error:
         count, code = 0, error.code
     assert count == 2 or code.startswith(("msgpack-", "root-"))

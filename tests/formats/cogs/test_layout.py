@@ -1,24 +1,33 @@
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cogsplat.codec.errors import CogsplatError, FormatError, TruncatedError
+from cogsplat.codec.errors import CogsplatError, FormatError, TruncatedError, UnsupportedError
 from cogsplat.formats.cogs import layout
 
-PREAMBLE = layout.Preamble(0, 1, 500, 10_000, 0xDEADBEEF)
+PREAMBLE = layout.Preamble(0, layout.MINOR, 500, 10_000, 0xDEADBEEF)
 
 
 @given(
-    st.integers(0, 65535),
     st.integers(1, layout.MAX_ROOT_END - layout.PREAMBLE_BYTES),
     st.integers(0, layout.MAX_FILE_BYTES - layout.MAX_ROOT_END),
     st.integers(0, (1 << 32) - 1),
 )
-def test_preambles_come_back(minor, root, behind, crc):
-    preamble = layout.Preamble(0, minor, root, layout.PREAMBLE_BYTES + root + behind, crc)
+def test_preambles_come_back(root, behind, crc):
+    preamble = layout.Preamble(0, layout.MINOR, root, layout.PREAMBLE_BYTES + root + behind, crc)
     data = layout.pack_preamble(preamble)
     assert len(data) == 64
     assert layout.unpack_preamble(data, "here") == preamble
+
+
+@pytest.mark.parametrize("minor", [0, 1, 3, 65535])
+def test_other_minor_versions_are_refused(minor):
+    data = layout.pack_preamble(replace(PREAMBLE, minor=minor))
+    with pytest.raises(UnsupportedError) as caught:
+        layout.unpack_preamble(data, "here")
+    assert caught.value.code == "version-minor"
 
 
 @given(st.integers(0, 511))

@@ -1,0 +1,140 @@
+"""One zstd frame of a plane: its header checked here, its blocks decoded by libzstd (SPEC 6.3)."""
+
+from __future__ import annotations
+
+import threading
+from typing import Final
+
+import zstandard
+
+from cogsplat.codec.errors import FormatError
+
+from .limits import MAX_WINDOW_BYTES
+
+_MAGIC: Final = bytes.fromhex("28b52ffd")  # RFC 8878, 3.1.1
+
+# RFC 8878, 3.1.1.1.1: fields of the frame header's descriptor.
+_DICTIONARY_BITS: Final = 0x03
+_CHECKSUM_BIT: Final = 0x04
+_RESERVED_BIT: Final = 0x08
+_SINGLE_SEGMENT_BIT: Final = 0x20
+_DICTIONARY_BYTES: Final = (0, 1, 2, 4)
+_SIZE_BYTES: Final = (0, 2, 4, 8)
+
+_local = threading.local()
+
+
+def decompress(stored: memoryview, length: int, where: str) -> bytes:
+    """Return the bytes of one zstd frame that must hold exactly `length` bytes.
+
+    Parameters
+    ----------
+    stored : memoryview
+        The frame, and nothing behind it.
+    length : int
+        Decoded length in bytes, already checked against the limits.
+    where : str
+        Names the frame in messages.
+
+    Raises
+    ------
+    FormatError
+        ``zstd-frame``, ``zstd-size``, ``zstd-window``, ``zstd-dictionary``, ``zstd-checksum``: the
+        first that applies, in this order; the header's codes come before anything is decoded.
+    """
+    _check_header(stored, length, where)
+    try:
+        raw = _whole(stored, length)
+    except zstandard.ZstdError as error:
+        raise FormatError("zstd-frame", f"{where}: {error}", clause="6.3") from error
+    if len(raw) != length:
+        raise FormatError(
+            "zstd-frame", f"{where}: a frame of {len(raw)} bytes, expected {length}", clause="6.3"
+        )
+    return raw
+
+
+def _check_header(stored: memoryview, length: int, where: str) -> None:
+    """Refuse what SPEC 6.3 forbids in a frame header.
+
+    libzstd's own reading of the header is not used: it takes skippable frames, accepts dictionary
+    fields that hold 0 and refuses the largest windows as damage.
+    """
+    if stored[:4] != _MAGIC:
+        raise FormatError(
+            "zstd-frame",
+            f"{where}: starts with {bytes(stored[:4]).hex()}, expected {_MAGIC.hex()}",
+            clause="6.3",
+        )
+    descriptor = stored[4] if len(stored) > 4 else 0
+    single_segment = bool(descriptor & _SINGLE_SEGMENT_BIT)
+    size_bytes = _SIZE_BYTES[descriptor >> 6] or int(single_segment)
+    window_at = 5
+    size_at = window_at + (not single_segment) + _DICTIONARY_BYTES[descriptor & _DICTIONARY_BITS]
+    if len(stored) < size_at + size_bytes or len(stored) < window_at:
+        raise FormatError(
+            "zstd-frame",
+            f"{where}: {len(stored)} bytes, expected a frame header of {size_at + size_bytes}",
+            clause="6.3",
+        )
+    if descriptor & _RESERVED_BIT:
+        raise FormatError(
+            "zstd-frame",
+            f"{where}: the reserved bit of the frame header is set, expected 0",
+            clause="6.3",
+        )
+    # A size in two bytes is stored less 256 (RFC 8878, 3.1.1.1.4).
+    stated = int.from_bytes(stored[size_at : size_at + size_bytes], "little")
+    stated += 256 if size_bytes == 2 else 0
+    if not size_bytes or stated != length:
+        found = stated if size_bytes else "no content size"
+        raise FormatError(
+            "zstd-size", f"{where}: the frame states {found}, expected {length}", clause="6.3"
+        )
+    window = length if single_segment else _window_bytes(stored[window_at])
+    if window > MAX_WINDOW_BYTES:
+        raise FormatError(
+            "zstd-window",
+            f"{where}: window of {window} bytes, expected at most {MAX_WINDOW_BYTES}",
+            clause="6.3",
+        )
+    if descriptor & _DICTIONARY_BITS:
+        raise FormatError(
+            "zstd-dictionary",
+            f"{where}: the frame header has a dictionary field, expected none",
+            clause="6.3",
+        )
+    # Decoders for browsers do not verify it: a wrong one would be an error in some readers only.
+    if descriptor & _CHECKSUM_BIT:
+        raise FormatError(
+            "zstd-checksum",
+            f"{where}: the frame has a checksum, expected none beside the segment's CRC",
+            clause="6.3",
+        )
+
+
+def _window_bytes(descriptor: int) -> int:
+    """Return the window that a window descriptor states (RFC 8878, 3.1.1.1.2)."""
+    base: int = 1 << 10 + (descriptor >> 3)
+    return base + base // 8 * (descriptor & 7)
+
+
+def _whole(stored: memoryview, length: int) -> bytes:
+    if length:
+        raw: bytes = _decompressor().decompress(stored, allow_extra_data=False)
+        return raw
+    # `decompress` looks at no block of a frame that states 0 bytes, nor at what follows it.
+    piecewise = _decompressor().decompressobj()
+    raw = piecewise.decompress(stored)
+    if not piecewise.eof or piecewise.unused_data:
+        raise zstandard.ZstdError("not one whole frame")
+    return raw
+
+
+def _decompressor() -> zstandard.ZstdDecompressor:
+    """Return this thread's decompressor: making one takes longer than a small frame."""
+    try:
+        found: zstandard.ZstdDecompressor = _local.decompressor
+    except AttributeError:
+        found = _local.decompressor = zstandard.ZstdDecompressor()
+    return found

@@ -1,0 +1,62 @@
+"""Must-reject vectors of boxes around refined means, and of attributes too large to decode."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+from cogsplat.formats.cogs.canonical_msgpack import Value, pack, unpack
+
+from . import handmade_streams as scenes
+from . import reference_decoder
+from .extras import labelled, stored
+from .file_builder import build, one_chunk, pack_streams, root_bytes, table, with_root
+from .invalid import Invalid
+from .refinement import valid as refinements
+
+
+def _bounds(rows: Sequence[Sequence[float]]) -> tuple[float, ...]:
+    columns = list(zip(*rows, strict=True))
+    return (*(min(column) for column in columns), *(max(column) for column in columns))
+
+
+def _boxed(data: bytes, box: Sequence[float]) -> bytes:
+    """Return a file of one chunk with another box around it."""
+    root, behind = root_bytes(data)
+    index = unpack(root, "root")
+    table(index, "chunks")["box"] = struct.pack("<6f", *box)
+    return with_root(pack(index), behind)
+
+
+def boxes() -> list[Invalid]:
+    """Return the vectors of boxes that hold the refined means alone, or the coarse alone."""
+
+    def bad(name: str, note: str, *, refine: bool) -> Invalid:
+        """Return a file whose box holds the means as decoded, refined or not, and not the others.
+
+        It is made of the first vector of one chunk whose other means go beyond.
+        """
+        for vector in refinements():
+            decoded = reference_decoder.decode(vector.data, refine=refine)
+            held = _bounds(decoded.rows["means"])
+            others = _bounds(reference_decoder.decode(vector.data, refine=not refine).rows["means"])
+            beyond = any(a < b for a, b in zip(others[:3], held[:3], strict=True))
+            beyond |= any(a > b for a, b in zip(others[3:], held[3:], strict=True))
+            if beyond and len(decoded.chunk_splats) == 1:
+                return Invalid(name, _boxed(vector.data, held), "chunk-box", "5.4", note, "verify")
+        raise ValueError(f"no valid vector of refined means from which to make {name}")
+
+    return [bad("chunk-box-refined", "a box of the coarse means alone", refine=False)]
+
+
+def sizes() -> list[Invalid]:
+    """Return the vector of a file that only its attributes make too large (SPEC 9.2)."""
+    rows, attributes, components = 1 << 18, 2, 16
+    entries: list[Value] = [
+        {"name": f"wide {i}", "type": "f8", "components": components} for i in range(attributes)
+    ]
+    head = pack_streams(scenes.still_head(rows))
+    columns = [bytes(rows)] * (8 * components * attributes)
+    data = build(labelled(one_chunk(head, rows), entries, [stored(columns)]))
+    note = "attributes of 256 bytes a splat, in a file of a few kilobytes"
+    return [Invalid("decoded-size-attributes", data, "decoded-size", "9.2", note, "decode")]

@@ -1,0 +1,91 @@
+"""Conformance vectors of msgpack: texts as they are, numbers of values, two faults at one place."""
+
+from __future__ import annotations
+
+from cogsplat.formats.cogs.canonical_msgpack import MAX_DEPTH, MAX_VALUES, Value, pack, unpack
+from cogsplat.formats.cogs.layout import SegmentKind
+from cogsplat.formats.cogs.writer import Segment
+
+from .extras import camera_columns, labelled, labels, stored
+from .file_builder import build, root_bytes, with_root
+from .invalid import Invalid, bare, edited, pages, set_key, still, with_segments
+from .valid import Valid
+
+_BYTE_ORDER_MARK = "\ufeff"
+
+
+def valid() -> list[Valid]:
+    """Return the valid vectors of texts and of the most values that a map may hold."""
+    attributes: list[Value] = [
+        {"name": "label", "type": "u1"},
+        {"name": _BYTE_ORDER_MARK + "label", "type": "u1"},
+    ]
+    marked = labelled(still(), attributes, [stored(labels(3) + labels(3))])
+    keys = set_key(_BYTE_ORDER_MARK + "writer", None)
+    values = _values(build(bare()))
+    full = edited(bare(), set_key("spare", [None] * (MAX_VALUES - values - 2)))
+    return [
+        Valid(
+            "byte-order-mark",
+            edited(marked, keys),
+            ("4.1", "5.7"),
+            "a key and a name that begin with U+FEFF, beside the same without it",
+        ),
+        Valid("values-4096", full, ("4.1", "9.1"), "a root of as many values as there may be"),
+    ]
+
+
+def _values(data: bytes) -> int:
+    """Return the values of a root as SPEC 4.1 counts them."""
+
+    def count(value: object) -> int:
+        if isinstance(value, dict):
+            return 1 + sum(1 + count(inner) for inner in value.values())
+        return 1 + (sum(map(count, value)) if isinstance(value, list) else 0)
+
+    return count(unpack(root_bytes(data)[0], "root"))
+
+
+def faults() -> list[Invalid]:
+    """Return the must-reject vectors: too many values, and two faults of which one comes first."""
+    root, behind = root_bytes(build(bare()))
+
+    def added(name: str, raw: bytes, code: str, note: str) -> Invalid:
+        data = with_root(bytes([root[0] + 1]) + root[1:] + raw, behind)
+        return Invalid(name, data, f"msgpack-{code}", "4.1", note)
+
+    def inside(depth: int, raw: bytes) -> bytes:
+        """Return an entry whose value is `raw` within so many arrays of one element."""
+        return b"\xa1x" + b"\x91" * depth + raw
+
+    values = _values(build(bare()))
+    full: list[Value] = [None] * MAX_VALUES
+    more: list[Value] = [None] * (MAX_VALUES - values - 1)
+    nils: list[Value] = [None] * (1 << 17)
+    cameras = pack(camera_columns(1) | {"spare": nils})
+    segments = [*still().groups[0].segments, Segment(SegmentKind.CAMERAS, 0, cameras)]
+    return [
+        Invalid("values-4097", edited(bare(), set_key("spare", more)), "msgpack-count", "4.1",
+                "a root of a value more than there may be"),
+        Invalid("page-values", edited(pages(), set_key("spare", full), 1), "msgpack-count", "4.1",
+                "a page of too many values"),
+        Invalid("cameras-values", build(with_segments(still(), segments)), "msgpack-count", "4.1",
+                "cameras of more than 2^17 values", "verify"),
+        added("msgpack-key-ext", b"\xd4\x05\x00\x01", "type", "an extension as a key"),
+        added("msgpack-key-float32", b"\xca" + bytes(4) + b"\x01", "canonical",
+              "a float32 as a key"),
+        added("msgpack-key-array-cut", b"\x92\x01", "truncated",
+              "an array as a key, and it is cut"),
+        added("msgpack-str8-cut", b"\xa1x\xd9\x05", "canonical",
+              "a str of 5 with a length byte, and no byte of it"),
+        added("msgpack-uint16-cut", b"\xa1x\xcd\x00", "truncated",
+              "half an integer that would be too long"),
+        added("msgpack-array16-cut", b"\xa1x\xdc\x00\x0f", "canonical",
+              "an array of 15 in three bytes, and no element"),
+        added("msgpack-deep-cut", inside(MAX_DEPTH - 1, b"\xdc\xff\xff"), "depth",
+              "an array too deep that states more elements than there are bytes"),
+        added("msgpack-count-cut", b"\xa1x\xdc\xff\xff", "truncated",
+              "an array of more elements than bytes, and than there may be"),
+        added("msgpack-str-cut-utf8", b"\xa1x\xa2\xff", "truncated",
+              "a str that is cut and not UTF-8"),
+    ]  # fmt: skip

@@ -1,0 +1,85 @@
+"""Conformance vectors of zstd frame headers: every field that SPEC 6.3 speaks of, by hand."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from cogsplat.codec.streams.records import Attribute
+
+from . import handmade_streams as scenes
+from .file_builder import build, one_chunk, payload, record
+from .invalid import Invalid
+from .valid import Valid
+
+_ROWS: Final = 300
+
+# RFC 8878, 3.1.1: magic; bits of the descriptor; the content size in two bytes, less 256; one RLE
+# block, the last, of zeros.
+_MAGIC: Final = bytes.fromhex("28b52ffd")
+_SIZE_IN_2: Final = 0x40
+_SINGLE_SEGMENT: Final = 0x20
+_UNUSED_BIT: Final = 0x10
+_RESERVED_BIT: Final = 0x08
+_SMALLEST_WINDOW: Final = b"\x00"
+_LARGEST_WINDOW: Final = b"\xff"
+_SIZE: Final = (_ROWS - 256).to_bytes(2, "little")
+_BLOCK: Final = (1 | 1 << 1 | _ROWS << 3).to_bytes(3, "little") + b"\0"
+
+
+def _file(frame: bytes) -> bytes:
+    """Return a file of 300 splats whose opacities are one zstd frame."""
+    opacities = scenes.coded(Attribute.OPACITIES, [(-2.0, 2.0, 8)], [[0] * _ROWS])
+    head = scenes.still_head(_ROWS, opacities)
+    records = [record(stream) for stream in head]
+    place = scenes.place(head, Attribute.OPACITIES)
+    records[place].planes = [(len(frame) | 1 << 31, frame)]
+    return build(one_chunk(payload(records), _ROWS))
+
+
+def valid() -> list[Valid]:
+    """Return the valid vectors: headers that encoders seldom write."""
+
+    def good(name: str, frame: bytes, note: str) -> Valid:
+        return Valid(name, _file(frame), ("6.3",), note)
+
+    unused = bytes([_SIZE_IN_2 | _SINGLE_SEGMENT | _UNUSED_BIT])
+    # 2^23 bytes: exponent 13.
+    window = bytes([13 << 3])
+    return [
+        good("frame-unused-bit", _MAGIC + unused + _SIZE + _BLOCK,
+             "the unused bit of a frame header set: decoders ignore it"),
+        good("frame-window-8m", _MAGIC + bytes([_SIZE_IN_2]) + window + _SIZE + _BLOCK,
+             "the largest window that is allowed"),
+    ]  # fmt: skip
+
+
+def headers() -> list[Invalid]:
+    """Return the must-reject vectors of frame headers."""
+
+    def bad(name: str, frame: bytes, code: str, note: str) -> Invalid:
+        return Invalid(name, _file(frame), f"zstd-{code}", "6.3", note, "decode")
+
+    def frame(descriptor: int, fields: bytes) -> bytes:
+        return _MAGIC + bytes([_SIZE_IN_2 | descriptor]) + fields + _BLOCK
+
+    one_window = bytes([13 << 3 | 1])
+    whole = frame(0, _SMALLEST_WINDOW + _SIZE)
+    return [
+        bad("zstd-magic-only", whole[:4], "frame", "the magic number alone"),
+        bad("zstd-header-cut", whole[:7], "frame", "ends inside the content size"),
+        bad("zstd-reserved-bit", frame(_RESERVED_BIT, _SMALLEST_WINDOW + _SIZE), "frame",
+            "the reserved bit of the descriptor set"),
+        bad("zstd-window-8m", frame(0, one_window + _SIZE), "window", "a window of 9 MiB"),
+        bad("zstd-window-2-41", frame(0, _LARGEST_WINDOW + _SIZE), "window",
+            "the largest window that a header can state, 3.75 TiB"),
+        bad("zstd-dictionary-0", frame(1, _SMALLEST_WINDOW + b"\0" + _SIZE), "dictionary",
+            "a dictionary field of one byte that holds 0"),
+        bad("zstd-dictionary-0-4", frame(3, _SMALLEST_WINDOW + bytes(4) + _SIZE), "dictionary",
+            "a dictionary field of four bytes that holds 0"),
+        bad("zstd-size-first", frame(1, _LARGEST_WINDOW + b"\x07" + b"\0\0"), "size",
+            "another content size, too large a window and a dictionary: the size comes first"),
+        bad("zstd-window-first", frame(1 | 4, _LARGEST_WINDOW + b"\x07" + _SIZE), "window",
+            "too large a window, a dictionary and a checksum: the window comes first"),
+        bad("zstd-dictionary-first", frame(1 | 4, _SMALLEST_WINDOW + b"\x07" + _SIZE),
+            "dictionary", "a dictionary and a checksum: the dictionary comes first"),
+    ]  # fmt: skip
