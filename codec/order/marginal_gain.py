@@ -10,8 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.render.marginal_gains import Pool, pool_of, probe
+from cogsplat.codec.render.marginal_gains import marginal_gains
+from cogsplat.codec.render.projection import project
+from cogsplat.codec.render.shading import footprint_colours
 from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.scoring.reference_views import ReferenceViews, render_references
 from cogsplat.codec.splats import Splats
@@ -66,6 +69,80 @@ class GainConfig:
         thread_count(self.threads)
 
 
+@dataclass(frozen=True, eq=False)
+class Pool:
+    """Some splats of a scene as they are drawn while gains are measured, colours not copied.
+
+    Parameters
+    ----------
+    scene : Splats
+        Anti-aliased where its `info` says so.
+    rows : (n,) int32
+        Ascending.
+    shapes : Splats
+        Those rows, inflated where asked for, without higher SH coefficients and extra attributes.
+    """
+
+    scene: Splats
+    rows: NDArray[np.int32]
+    shapes: Splats
+
+
+def pool_of(
+    scene: Splats, rows: NDArray[np.integer], by: prefix_inflation.Inflation | None = None
+) -> Pool:
+    """Return some rows of a scene, ascending, inflated where `by` is given."""
+    shapes = scene.without_extras().with_sh_degree(0).take(rows)
+    inflated = shapes if by is None else prefix_inflation.inflate(shapes, by)
+    return Pool(scene, rows.astype(np.int32), inflated)
+
+
+def view_gains(
+    pool: Pool,
+    present: NDArray[np.bool_],
+    camera: Camera,
+    target: NDArray[np.float32],
+    *,
+    kernel_px: float,
+    near_plane: float = NEAR,
+) -> tuple[NDArray[np.int32], NDArray[np.float64], float]:
+    """Measure the marginal gain of every splat of a pool in one view.
+
+    Parameters
+    ----------
+    pool : Pool
+        n splats.
+    present : (n,) bool
+        Those in the picture.
+    camera : Camera
+        In the frame of the means.
+    target : (H, W, 3) float32
+        What the picture should be, over black, in the scene's colour space.
+    kernel_px : float
+        Variance added to projected covariances, px².
+    near_plane : float
+        Means at or before this camera-space depth are not drawn, scene units.
+
+    Returns
+    -------
+    rows : (M,) int32
+        Places in the pool of splats whose footprint reaches the image.
+    gains : (M,) float64
+    error : float
+        As `marginal_gains` returns them.
+    """
+    footprints = project(
+        pool.shapes,
+        camera,
+        kernel_px=kernel_px,
+        antialiased=pool.scene.info.antialiased,
+        near_plane=near_plane,
+    )
+    colours = footprint_colours(pool.scene, pool.rows, camera, footprints)
+    found, error = marginal_gains(footprints, colours, present[footprints.index], target)
+    return footprints.index, found, error
+
+
 def _places(priority: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the place of every row in descending order, ties in file order."""
     places = np.empty(len(priority), np.int64)
@@ -100,7 +177,7 @@ def gains(
     """
     total = np.zeros(len(pool.rows), np.float64)
     found = ordered_map(
-        lambda view: probe(
+        lambda view: view_gains(
             pool,
             present,
             references.cameras[view],
@@ -146,7 +223,7 @@ def gain_rows(
     Notes
     -----
     In stages of growing size. One walk over the pixels of a few views tells for every candidate
-    what adding it alone would do for the picture (`marginal_gains.probe`); the best of a random
+    what adding it alone would do for the picture (`view_gains`); the best of a random
     part of them join. Contribution (PRoGS, section 3.1) measures what a splat adds to the *full*
     picture, where others stand before it and share its work; a prefix is another picture.
     """

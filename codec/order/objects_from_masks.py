@@ -10,97 +10,16 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError, LimitError
-from cogsplat.codec.geometry.frustum import ALPHA_MIN
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.render.jit import kernel
-from cogsplat.codec.render.projection import FLAT, NARROW, OPACITY, SHEAR, Footprints, X, Y, project
-from cogsplat.codec.render.rasteriser import ALPHA_MAX, TRANSMITTANCE_MIN, falloff
-from cogsplat.codec.render.tiles import TILE, tile_lists
+from cogsplat.codec.render.label_votes import label_votes
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
-
-_ALPHA_MIN = np.float32(ALPHA_MIN)
-_ZERO = np.float32(0.0)
-_ONE = np.float32(1.0)
-_HALF = np.float32(0.5)
 
 # Votes are a float64 per splat and label.
 _MOST_VOTES: Final = 1 << 30
 
 # Splats that no mask sees go with most of so many neighbours that some mask does.
 _NEIGHBOURS: Final = 5
-
-
-@kernel
-def _vote(
-    lists_first: int,
-    lists_last: int,
-    starts: NDArray[np.int64],
-    members: NDArray[np.int32],
-    ellipse: NDArray[np.float32],
-    rows: NDArray[np.int32],
-    labels: NDArray[np.int32],
-    votes: NDArray[np.float64],
-) -> None:
-    """Add the weight of every splat in every pixel to its vote for the pixel's label.
-
-    The same walk as `contribution._weigh`.
-    """
-    height, width = labels.shape
-    tiles_x = (width + TILE - 1) // TILE
-    live = np.empty((TILE, TILE), np.float32)
-    for tile in range(lists_first, lists_last):
-        top = tile // tiles_x * TILE
-        left = tile % tiles_x * TILE
-        num_rows = min(TILE, height - top)
-        num_columns = min(TILE, width - left)
-        live[:] = _ONE
-        unfinished = num_rows * num_columns
-        for pair in range(starts[tile - lists_first], starts[tile - lists_first + 1]):
-            i = members[pair]
-            centre_x = ellipse[i, X] - np.float32(left) - _HALF
-            centre_y = ellipse[i, Y] - np.float32(top) - _HALF
-            for y in range(max(rows[i, 0] - top, 0), min(rows[i, 1] - top, num_rows)):
-                dy = np.float32(y) - centre_y
-                row_x = centre_x + ellipse[i, SHEAR] * dy
-                row_exponent = -ellipse[i, FLAT] * dy * dy
-                for x in range(num_columns):
-                    before = live[y, x]
-                    if before <= _ZERO:
-                        continue
-                    u = ellipse[i, NARROW] * (np.float32(x) - row_x)
-                    alpha = min(ALPHA_MAX, ellipse[i, OPACITY] * falloff(row_exponent - u * u))
-                    if not alpha >= _ALPHA_MIN:
-                        continue
-                    after = before * (_ONE - alpha)
-                    if not after >= TRANSMITTANCE_MIN:
-                        live[y, x] = _ZERO
-                        unfinished -= 1
-                        continue
-                    live[y, x] = after
-                    votes[i, labels[top + y, left + x]] += before * alpha
-            if unfinished == 0:
-                break
-
-
-def _view_votes(
-    splats: Splats, camera: Camera, labels: NDArray[np.int32], count: int
-) -> tuple[Footprints, NDArray[np.float64]]:
-    info = splats.info
-    footprints = project(splats, camera, kernel_px=info.kernel_px, antialiased=info.antialiased)
-    votes = np.zeros((len(footprints), count), np.float64)
-    for lists in tile_lists(footprints, camera.width, camera.height):
-        _vote(
-            lists.first,
-            lists.last,
-            lists.starts,
-            lists.members,
-            footprints.ellipse,
-            footprints.rows,
-            labels,
-            votes,
-        )
-    return footprints, votes
 
 
 def assign(
@@ -155,7 +74,7 @@ def assign(
     votes = np.zeros((len(splats), len(known)), np.float64)
     progress("masks", 0, len(cameras))
     results = ordered_map(
-        lambda view: _view_votes(
+        lambda view: label_votes(
             splats,
             cameras[view],
             np.searchsorted(known, masks[view]).astype(np.int32),
@@ -164,8 +83,8 @@ def assign(
         range(len(cameras)),
         thread_count(threads),
     )
-    for done, (footprints, found) in enumerate(results, start=1):
-        votes[footprints.index] += found
+    for done, (rows, found) in enumerate(results, start=1):
+        votes[rows] += found
         progress("masks", done, len(cameras))
     seen = votes.max(axis=1, initial=0.0) > 0
     if not seen.any():

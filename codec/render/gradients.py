@@ -8,23 +8,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
+from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.splats import Splats
 
+from .blending import (
+    ALPHA_MAX,
+    BLUE,
+    GREEN,
+    LANES,
+    OFF_BLUE,
+    OFF_GREEN,
+    OFF_RED,
+    PIXELS,
+    PLANES_COMPARED,
+    RED,
+    blend_pixel,
+    blend_tile,
+    compare_tile,
+    footprint_in_tile,
+    rows_in_tile,
+    tile_area,
+)
 from .jit import kernel
-from .projection import FLAT, NARROW, OPACITY, SHEAR, Footprints, X, Y, project
-from .rasteriser import ALPHA_MAX, TRANSMITTANCE_MIN, blend_tile, falloff
-from .tiles import TILE, tile_lists
+from .projection import FLAT, NARROW, SHEAR, Footprints, project
+from .tiles import TILE, gather, tile_lists
 
-_ALPHA_MIN = np.float32(ALPHA_MIN)
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
-_HALF = np.float32(0.5)
-_PIXELS = TILE * TILE
-# Unsigned, so that no index is checked for counting from the end: such checks stop vectorisation.
-_TILE = np.uintp(TILE)
-_RED, _GREEN, _BLUE, _OFF_RED, _OFF_GREEN, _OFF_BLUE = (np.uintp(k * _PIXELS) for k in range(1, 7))
 
 # Sums of a footprint: by ln alpha, by ln scale.
 _SUMS = 2
@@ -50,15 +61,11 @@ def _differentiate(
     Two walks over each tile, as in `gain_probe`: the second knows at each splat the colour behind.
     """
     height, width = target.shape[0], target.shape[1]
-    tiles_x = (width + TILE - 1) // TILE
-    state = np.empty(7 * _PIXELS, np.float32)
+    state = np.empty(PLANES_COMPARED * PIXELS, np.float32)
     lanes = np.empty(_SUMS * TILE, np.float32)
     error = 0.0
     for tile in range(lists_first, lists_last):
-        top = tile // tiles_x * TILE
-        left = tile % tiles_x * TILE
-        num_rows = min(TILE, height - top)
-        num_columns = min(TILE, width - left)
+        top, left, num_rows, num_columns = tile_area(tile, width, height)
         begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
         stop = blend_tile(
             state,
@@ -74,56 +81,40 @@ def _differentiate(
             num_rows,
             num_columns,
         )
-        for y in range(num_rows):
-            for x in range(num_columns):
-                pixel = y * TILE + x
-                state[pixel] = _ONE
-                for channel in range(3):
-                    off = (
-                        state[pixel + (1 + channel) * _PIXELS] - target[top + y, left + x, channel]
-                    )
-                    state[pixel + (4 + channel) * _PIXELS] = off
-                    error += off * off
+        error = compare_tile(state, target, top, left, num_rows, num_columns, error)
         for pair in range(stop, end):
             for k in range(_SUMS):
                 sums[pair, k] = _ZERO
         for pair in range(begin, stop):
             i = members[pair]
-            narrow = ellipse[i, NARROW]
-            shear = ellipse[i, SHEAR]
-            flat = ellipse[i, FLAT]
-            opacity = ellipse[i, OPACITY]
-            centre_x = ellipse[i, X] - np.float32(left) - _HALF
-            centre_y = ellipse[i, Y] - np.float32(top) - _HALF
+            narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(
+                ellipse[i], top, left
+            )
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
             lanes[:] = _ZERO
-            for y in range(max(rows[i, 0] - top, 0), min(rows[i, 1] - top, num_rows)):
+            first_row, last_row = rows_in_tile(rows[i], top, num_rows)
+            for y in range(first_row, last_row):
                 dy = np.float32(y) - centre_y
                 row_x = centre_x + shear * dy
                 row_exponent = -flat * dy * dy
                 base = np.uintp(y * TILE)
-                for lane in range(_TILE):
+                for lane in range(LANES):
                     at = base + lane
                     u = narrow * (np.float32(lane) - row_x)
-                    raw = opacity * falloff(row_exponent - u * u)
-                    alpha = min(ALPHA_MAX, raw)
-                    live = state[at]
-                    after = live * (_ONE - alpha)
-                    touched = alpha >= _ALPHA_MIN
-                    goes_on = after >= TRANSMITTANCE_MIN
-                    drawn = touched & goes_on
-                    weight = live * alpha if drawn else _ZERO
+                    raw, alpha, weight, drawn, after, _ = blend_pixel(
+                        state[at], opacity, row_exponent - u * u
+                    )
                     odds = alpha / (_ONE - alpha)
-                    state[at] = (after if goes_on else _ZERO) if touched else live
-                    behind_red = state[at + _RED] - weight * red
-                    behind_green = state[at + _GREEN] - weight * green
-                    behind_blue = state[at + _BLUE] - weight * blue
-                    state[at + _RED] = behind_red
-                    state[at + _GREEN] = behind_green
-                    state[at + _BLUE] = behind_blue
-                    off_red = _TWO * state[at + _OFF_RED]
-                    off_green = _TWO * state[at + _OFF_GREEN]
-                    off_blue = _TWO * state[at + _OFF_BLUE]
+                    state[at] = after
+                    behind_red = state[at + RED] - weight * red
+                    behind_green = state[at + GREEN] - weight * green
+                    behind_blue = state[at + BLUE] - weight * blue
+                    state[at + RED] = behind_red
+                    state[at + GREEN] = behind_green
+                    state[at + BLUE] = behind_blue
+                    off_red = -_TWO * state[at + OFF_RED]
+                    off_green = -_TWO * state[at + OFF_GREEN]
+                    off_blue = -_TWO * state[at + OFF_BLUE]
                     slope = (
                         off_red * (weight * red - behind_red * odds)
                         + off_green * (weight * green - behind_green * odds)
@@ -144,21 +135,10 @@ def _differentiate(
             for k in range(_SUMS):
                 row = np.uintp(k * TILE)
                 total = _ZERO
-                for lane in range(_TILE):
+                for lane in range(LANES):
                     total += lanes[row + lane]
                 sums[pair, k] = total
     return error
-
-
-@kernel
-def _gather(
-    members: NDArray[np.int32], pair_sums: NDArray[np.float32], sums: NDArray[np.float64]
-) -> None:
-    """Add up the tiles of each footprint, in the order of the lists."""
-    for pair in range(len(members)):
-        i = members[pair]
-        for k in range(_SUMS):
-            sums[i, k] += pair_sums[pair, k]
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +231,7 @@ def gradient(
             np.float32(kernel_px),
             pair_sums,
         )
-        _gather(lists.members, pair_sums, sums)
+        gather(lists.members, pair_sums, sums, 0)
     logits = splats.opacities[footprints.index].astype(np.float64)
     by_scale = sums[:, 1]
     if antialiased:

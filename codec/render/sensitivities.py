@@ -4,30 +4,36 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.geometry import sh
-from cogsplat.codec.geometry.frustum import ALPHA_MIN
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.threads import ordered_map
 
+from .blending import (
+    ALPHA_MAX,
+    BLUE,
+    GREEN,
+    LANES,
+    PIXELS,
+    PLANES,
+    RED,
+    blend_pixel,
+    blend_tile,
+    footprint_in_tile,
+    open_pixels,
+    rows_in_tile,
+    tile_area,
+)
 from .jit import kernel
-from .projection import FLAT, GUARD, NARROW, OPACITY, SHEAR, Footprints, X, Y
-from .rasteriser import ALPHA_MAX, TRANSMITTANCE_MIN, _shade, blend_tile, falloff
-from .tiles import TILE, TileLists
+from .projection import FLAT, GUARD, NARROW, SHEAR, Footprints
+from .tiles import TILE, TileLists, gather
 
-_ALPHA_MIN = np.float32(ALPHA_MIN)
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
-_HALF = np.float32(0.5)
-_PIXELS = TILE * TILE
-# Unsigned, so that no index is checked for counting from the end: such checks stop vectorisation.
-_TILE = np.uintp(TILE)
-_RED, _GREEN, _BLUE = (np.uintp(k * _PIXELS) for k in range(1, 4))
-_RANGES_PER_THREAD = 4
 
 # A tile and its neighbours list at most this many pairs at once, 36 bytes of moments each.
 PAIRS_AT_ONCE = 1 << 22
@@ -94,8 +100,6 @@ def from_columns(columns: NDArray[np.float64]) -> Sensitivities:
 
 @kernel
 def _moments(
-    first: int,
-    last: int,
     lists_first: int,
     starts: NDArray[np.int64],
     members: NDArray[np.int32],
@@ -106,6 +110,8 @@ def _moments(
     width: int,
     height: int,
     sums: NDArray[np.float32],
+    first: int,
+    last: int,
 ) -> None:
     """Sum the moments of every pair of a tile and a splat, for the tiles ``first`` to ``last``.
 
@@ -115,15 +121,10 @@ def _moments(
     C), so that the tile is walked twice as in `rasteriser.blend_tile`: to blend its colours, and to
     take them off again from the front.
     """
-    tiles_x = (width + TILE - 1) // TILE
-    # live, red, green, blue of 256 pixels each, the colours first blended, then what lies behind.
-    state = np.empty(4 * _PIXELS, np.float32)
+    state = np.empty(PLANES * PIXELS, np.float32)
     lanes = np.empty(MOMENTS * TILE, np.float32)
     for tile in range(first, last):
-        top = tile // tiles_x * TILE
-        left = tile % tiles_x * TILE
-        num_rows = min(TILE, height - top)
-        num_columns = min(TILE, width - left)
+        top, left, num_rows, num_columns = tile_area(tile, width, height)
         begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
         stop = blend_tile(
             state,
@@ -142,49 +143,40 @@ def _moments(
         for rest in range(stop, end):
             sums[rest, :] = _ZERO
         end = stop
-        for y in range(num_rows):
-            for x in range(num_columns):
-                state[y * TILE + x] = _ONE
+        open_pixels(state, num_rows, num_columns)
         for pair in range(begin, end):
             i = members[pair]
-            narrow = ellipse[i, NARROW]
-            shear = ellipse[i, SHEAR]
-            flat = ellipse[i, FLAT]
-            opacity = ellipse[i, OPACITY]
-            centre_x = ellipse[i, X] - np.float32(left) - _HALF
-            centre_y = ellipse[i, Y] - np.float32(top) - _HALF
+            narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(
+                ellipse[i], top, left
+            )
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
             root_flat = math.sqrt(flat)
             lanes[:] = _ZERO
-            for y in range(max(rows[i, 0] - top, 0), min(rows[i, 1] - top, num_rows)):
+            first_row, last_row = rows_in_tile(rows[i], top, num_rows)
+            for y in range(first_row, last_row):
                 dy = np.float32(y) - centre_y
                 row_x = centre_x + shear * dy
                 row_exponent = -flat * dy * dy
                 v = root_flat * dy
                 vv = v * v
                 base = np.uintp(y * TILE)
-                for lane in range(_TILE):
+                for lane in range(LANES):
                     at = base + lane
                     u = narrow * (np.float32(lane) - row_x)
-                    raw = opacity * falloff(row_exponent - u * u)
-                    alpha = min(ALPHA_MAX, raw)
-                    before = state[at]
-                    after = before * (_ONE - alpha)
-                    touched = alpha >= _ALPHA_MIN
-                    goes_on = after >= TRANSMITTANCE_MIN
-                    drawn = touched & goes_on
-                    weight = before * alpha if drawn else _ZERO
-                    state[at] = (after if goes_on else _ZERO) if touched else before
+                    raw, alpha, weight, drawn, after, _ = blend_pixel(
+                        state[at], opacity, row_exponent - u * u
+                    )
+                    state[at] = after
                     odds = alpha / (_ONE - alpha)
                     weighted_red = weight * red
                     weighted_green = weight * green
                     weighted_blue = weight * blue
-                    behind_red = state[at + _RED] - weighted_red
-                    behind_green = state[at + _GREEN] - weighted_green
-                    behind_blue = state[at + _BLUE] - weighted_blue
-                    state[at + _RED] = behind_red
-                    state[at + _GREEN] = behind_green
-                    state[at + _BLUE] = behind_blue
+                    behind_red = state[at + RED] - weighted_red
+                    behind_green = state[at + GREEN] - weighted_green
+                    behind_blue = state[at + BLUE] - weighted_blue
+                    state[at + RED] = behind_red
+                    state[at + GREEN] = behind_green
+                    state[at + BLUE] = behind_blue
                     slope_red = weighted_red - behind_red * odds
                     slope_green = weighted_green - behind_green * odds
                     slope_blue = weighted_blue - behind_blue * odds
@@ -209,20 +201,9 @@ def _moments(
             for moment in range(MOMENTS):
                 row = np.uintp(moment * TILE)
                 total = _ZERO
-                for lane in range(_TILE):
+                for lane in range(LANES):
                     total += lanes[row + lane]
                 sums[pair, moment] = total
-
-
-@kernel
-def _gather(
-    members: NDArray[np.int32], pair_sums: NDArray[np.float32], sums: NDArray[np.float64]
-) -> None:
-    """Add up the tiles of each footprint, in the order of the lists."""
-    for pair in range(len(members)):
-        i = members[pair]
-        for moment in range(MOMENTS):
-            sums[i, moment] += pair_sums[pair, moment]
 
 
 def add_moments(
@@ -253,26 +234,21 @@ def add_moments(
     pair_sums = np.empty((len(lists.members), MOMENTS), np.float32)
     everything = np.ones(len(footprints), np.bool_)
 
-    def sum_up(tiles: tuple[int, int]) -> None:
-        _moments(
-            tiles[0],
-            tiles[1],
-            lists.first,
-            lists.starts,
-            lists.members,
-            footprints.ellipse,
-            footprints.rows,
-            colours,
-            everything,
-            camera.width,
-            camera.height,
-            pair_sums,
-        )
-
-    parts = 1 if threads == 1 else threads * _RANGES_PER_THREAD
-    for _ in ordered_map(sum_up, lists.split(parts), threads):
-        pass
-    _gather(lists.members, pair_sums, moments)
+    sum_up = partial(
+        _moments,
+        lists.first,
+        lists.starts,
+        lists.members,
+        footprints.ellipse,
+        footprints.rows,
+        colours,
+        everything,
+        camera.width,
+        camera.height,
+        pair_sums,
+    )
+    lists.for_ranges(sum_up, threads)
+    gather(lists.members, pair_sums, moments, 0)
 
 
 @kernel
@@ -409,21 +385,6 @@ def _map(
                     4.0 * axes[j, 1] * axes[k, 1],
                 )
                 columns[row, column] = strength * strength / 3.0 * quartic
-
-
-def view_colours(splats: Splats, camera: Camera, footprints: Footprints) -> NDArray[np.float32]:
-    """Return the (M, 3) float32 colours that footprints show to their camera, clamped at 0."""
-    colours = np.empty((len(footprints), 3), np.float32)
-    _shade(
-        footprints.index,
-        splats.means,
-        splats.sh0,
-        splats.shN,
-        camera.position,
-        splats.shN.shape[1],
-        colours,
-    )
-    return colours
 
 
 def view_sensitivities(

@@ -6,11 +6,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.splats import Splats
+from cogsplat.codec.geometry import sh
+from cogsplat.codec.splats import Splats, sh_coefficients
 
 from .jit import kernel
 from .projection import Footprints
-from .rasteriser import _shade
+
+_ZERO = np.float32(0.0)
+
+sh_terms = kernel(sh.terms)
+"""`sh.terms`, compiled for kernels."""
+
+
+@kernel
+def _shade(
+    index: NDArray[np.int32],
+    means: NDArray[np.float32],
+    sh0: NDArray[np.float32],
+    shN: NDArray[np.float32],
+    position: NDArray[np.float64],
+    higher: int,
+    colours: NDArray[np.float32],
+) -> None:
+    """Fill the colours of indexed splats seen from `position`, with `higher` bases above DC."""
+    for row in range(len(index)):
+        i = index[row]
+        red = np.float32(sh.C0) * sh0[i, 0]
+        green = np.float32(sh.C0) * sh0[i, 1]
+        blue = np.float32(sh.C0) * sh0[i, 2]
+        if higher > 0:
+            x = means[i, 0] - position[0]
+            y = means[i, 1] - position[1]
+            z = means[i, 2] - position[2]
+            inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
+            values = sh_terms(x * inverse, y * inverse, z * inverse)
+            for k in range(higher):
+                value = np.float32(values[k])
+                red += value * shN[i, k, 0]
+                green += value * shN[i, k, 1]
+                blue += value * shN[i, k, 2]
+        offset = np.float32(sh.COLOUR_OFFSET)
+        colours[row, 0] = max(red + offset, _ZERO)
+        colours[row, 1] = max(green + offset, _ZERO)
+        colours[row, 2] = max(blue + offset, _ZERO)
 
 
 @kernel
@@ -44,15 +82,20 @@ def _spread(
             colours[place, channel] = shaded[rank, channel]
 
 
-def row_colours(splats: Splats, rows: NDArray[np.int32], camera: Camera) -> NDArray[np.float32]:
+def row_colours(
+    splats: Splats, rows: NDArray[np.int32], camera: Camera, sh_degree: int | None = None
+) -> NDArray[np.float32]:
     """Return the colours that some splats show to a camera, clamped at 0.
 
     Parameters
     ----------
     splats : Splats
     rows : (n,) int32
+        In any order.
     camera : Camera
         In the frame of the means.
+    sh_degree : int or None
+        Highest SH degree used; None for the scene's own.
 
     Returns
     -------
@@ -60,6 +103,8 @@ def row_colours(splats: Splats, rows: NDArray[np.int32], camera: Camera) -> NDAr
     """
     colours = np.empty((len(rows), 3), np.float32)
     higher = splats.shN.shape[1]
+    if sh_degree is not None:
+        higher = min(higher, sh_coefficients(sh_degree) - 1)
     _shade(rows, splats.means, splats.sh0, splats.shN, camera.position, higher, colours)
     return colours
 

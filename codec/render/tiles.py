@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from cogsplat.codec.threads import ordered_map
 
 from .jit import kernel
 from .projection import HALF_HEIGHT, HALF_WIDTH, SHEAR, Footprints, X, Y, slack
@@ -17,6 +19,8 @@ TILE = 16
 # Pairs of a tile and a splat listed at once: bounds memory (4 bytes here, 12 more while scoring)
 # where huge splats cover every tile.
 _PAIRS_AT_ONCE = 1 << 24
+# Tiles differ in cost: with so many ranges per thread, no thread waits long for the last range.
+_RANGES_PER_THREAD = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +48,20 @@ class TileLists:
         cuts = self.first + np.searchsorted(self.starts, wanted)
         edges = np.unique(np.concatenate(([self.first], cuts, [self.last])))
         return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+
+    def for_ranges(self, work: Callable[[int, int], object], threads: int) -> None:
+        """Call ``work(first, last)`` for ranges of tiles, on several threads, and wait for all.
+
+        Parameters
+        ----------
+        work : callable
+            Takes the first tile and the one after the last; writes to arrays of its own.
+        threads : int
+            At least 1.
+        """
+        parts = 1 if threads == 1 else threads * _RANGES_PER_THREAD
+        for _ in ordered_map(lambda tiles: work(*tiles), self.split(parts), threads):
+            pass
 
 
 @kernel
@@ -170,3 +188,32 @@ def tile_lists(
         )
         yield TileLists(first, last, starts, members)
         first = last
+
+
+@kernel
+def gather(
+    members: NDArray[np.int32],
+    pair_sums: NDArray[np.float32],
+    sums: NDArray[np.float64],
+    peaks: int,
+) -> None:
+    """Add what each tile measured of a footprint, in the order of the lists.
+
+    Parameters
+    ----------
+    members : (P,) int32
+        From `TileLists`.
+    pair_sums : (P, K) float32
+        By pair of a tile and a footprint.
+    sums : (M, K) float64
+        By footprint; changed in place.
+    peaks : int
+        How many of the columns, the last ones, take the largest value instead of the sum.
+    """
+    columns = pair_sums.shape[1]
+    for pair in range(len(members)):
+        i = members[pair]
+        for column in range(columns - peaks):
+            sums[i, column] += pair_sums[pair, column]
+        for column in range(columns - peaks, columns):
+            sums[i, column] = max(sums[i, column], pair_sums[pair, column])

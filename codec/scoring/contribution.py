@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.geometry import sh
-from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
+from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.render.jit import kernel
-from cogsplat.codec.render.projection import FLAT, NARROW, OPACITY, SHEAR, Footprints, X, Y, project
-from cogsplat.codec.render.rasteriser import ALPHA_MAX, TRANSMITTANCE_MIN, falloff
+from cogsplat.codec.render.blend_weights import SQUARE, add_weights
+from cogsplat.codec.render.projection import project
 from cogsplat.codec.render.sensitivities import (
     COLUMNS,
     MOMENTS,
@@ -23,36 +21,20 @@ from cogsplat.codec.render.sensitivities import (
     Sensitivities,
     add_moments,
     from_columns,
-    view_colours,
     view_sensitivities,
 )
-from cogsplat.codec.render.tiles import TILE, TileLists, tile_lists
+from cogsplat.codec.render.shading import row_colours
+from cogsplat.codec.render.tiles import tile_lists
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.views.view_sets import jitter
 
-_ALPHA_MIN = np.float32(ALPHA_MIN)
-_ZERO = np.float32(0.0)
-_ONE = np.float32(1.0)
-_HALF = np.float32(0.5)
-_PIXELS = TILE * TILE
-# Unsigned, so that no index is checked for counting from the end: such checks stop vectorisation.
-_TILE = np.uintp(TILE)
+from .view_sums import ViewSums
+
 _BASES = sh_coefficients(MAX_SH_DEGREE)
-_RANGES_PER_THREAD = 4
-
-# The spread of view directions is a mean over the scene: one splat in so many is enough.
-_GRAM_STRIDE = 8
-
-# Columns of a pair's or a footprint's sums.
-_WEIGHT, _SQUARE, _PEAK = range(3)
-# Rows of a tile's lanes.
-_SQUARES, _PEAKS, _ROW = np.uintp(TILE), np.uintp(2 * TILE), np.uintp(3 * TILE)
 
 # PRoGS, section 3.1 (Zoomers et al. 2024): a pixel's K largest weights count.
 TOP_K = 20
-# No pixel blends more: ln(1e-4) / ln(1 - 1/255) = 2344 splats of the least alpha.
-_MOST_WEIGHTS = 2346
 
 
 @dataclass(frozen=True)
@@ -173,256 +155,21 @@ def unscored(splats: int) -> Scores:
 
 @dataclass(frozen=True, eq=False)
 class _ViewScores:
-    """One view's sums: rows of the scene (M,), and (M, 3) float64 Σw, Σw², largest w.
+    """Sums over the pixels of one view.
 
-    Where they are asked for, (M, 13) float64 sums over pixels for `Sensitivities`.
+    Parameters
+    ----------
+    index : (M,) int32
+        Rows of the scene.
+    sums : (M, 3) float64
+        Of the weights, from `add_weights`.
+    columns : (M, 13) float64 or None
+        For `Sensitivities`, where they are asked for.
     """
 
     index: NDArray[np.int32]
     sums: NDArray[np.float64]
     columns: NDArray[np.float64] | None
-
-
-@kernel
-def _weigh(
-    first: int,
-    last: int,
-    lists_first: int,
-    starts: NDArray[np.int64],
-    members: NDArray[np.int32],
-    ellipse: NDArray[np.float32],
-    rows: NDArray[np.int32],
-    width: int,
-    height: int,
-    top_k: int,
-    sums: NDArray[np.float32],
-) -> None:
-    """Sum the weights of every pair of a tile and a splat, for the tiles ``first`` to ``last``.
-
-    The same walk as `rasteriser._blend`, a row of 16 pixels at a time, with sums per splat in place
-    of colours per pixel.
-    """
-    tiles_x = (width + TILE - 1) // TILE
-    live = np.empty(_PIXELS, np.float32)
-    # Σw, Σw², largest w by column of the tile, and the weights of one row.
-    lanes = np.empty(4 * TILE, np.float32)
-    # The largest weights of each pixel so far, with their pairs; once there are K, the smallest is
-    # the one to beat.
-    best = np.empty((_PIXELS, top_k), np.float32)
-    owners = np.empty((_PIXELS, top_k), np.int64)
-    filled = np.zeros(_PIXELS, np.int32)
-    smallest = np.zeros(_PIXELS, np.int32)
-    bar = np.zeros(_PIXELS, np.float32)
-    for tile in range(first, last):
-        top = tile // tiles_x * TILE
-        left = tile % tiles_x * TILE
-        num_rows = min(TILE, height - top)
-        num_columns = min(TILE, width - left)
-        live[:] = _ZERO
-        filled[:] = 0
-        bar[:] = _ZERO
-        for y in range(num_rows):
-            for x in range(num_columns):
-                live[y * TILE + x] = _ONE
-        unfinished = num_rows * num_columns
-        begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
-        for pair in range(begin, end):
-            i = members[pair]
-            narrow = ellipse[i, NARROW]
-            shear = ellipse[i, SHEAR]
-            flat = ellipse[i, FLAT]
-            opacity = ellipse[i, OPACITY]
-            centre_x = ellipse[i, X] - np.float32(left) - _HALF
-            centre_y = ellipse[i, Y] - np.float32(top) - _HALF
-            lanes[:] = _ZERO
-            finished = 0
-            for y in range(max(rows[i, 0] - top, 0), min(rows[i, 1] - top, num_rows)):
-                dy = np.float32(y) - centre_y
-                row_x = centre_x + shear * dy
-                row_exponent = -flat * dy * dy
-                base = np.uintp(y * TILE)
-                above_bar = 0
-                for lane in range(_TILE):
-                    at = base + lane
-                    u = narrow * (np.float32(lane) - row_x)
-                    alpha = min(ALPHA_MAX, opacity * falloff(row_exponent - u * u))
-                    before = live[at]
-                    after = before * (_ONE - alpha)
-                    touched = alpha >= _ALPHA_MIN
-                    goes_on = after >= TRANSMITTANCE_MIN
-                    weight = before * alpha if touched & goes_on else _ZERO
-                    finished += int(touched & (before > _ZERO) & ~goes_on)
-                    live[at] = (after if goes_on else _ZERO) if touched else before
-                    lanes[lane] += weight
-                    lanes[lane + _SQUARES] += weight * weight
-                    lanes[lane + _PEAKS] = max(lanes[lane + _PEAKS], weight)
-                    lanes[lane + _ROW] = weight
-                    above_bar += int(weight > bar[at])
-                if top_k > 0 and above_bar > 0:
-                    for lane in range(_TILE):
-                        at = base + lane
-                        weight = lanes[lane + _ROW]
-                        if weight > bar[at]:
-                            count = filled[at]
-                            if count < top_k:
-                                best[at, count] = weight
-                                owners[at, count] = pair
-                                filled[at] = count + 1
-                                if count + 1 < top_k:
-                                    continue
-                            else:
-                                best[at, smallest[at]] = weight
-                                owners[at, smallest[at]] = pair
-                            # Of equal weights the furthest yields, as in a stable sort.
-                            low = 0
-                            for k in range(1, top_k):
-                                if best[at, k] < best[at, low] or (
-                                    best[at, k] == best[at, low] and owners[at, k] > owners[at, low]
-                                ):
-                                    low = k
-                            smallest[at] = low
-                            bar[at] = best[at, low]
-            weights = _ZERO
-            squares = _ZERO
-            peak = _ZERO
-            for lane in range(_TILE):
-                weights += lanes[lane]
-                squares += lanes[lane + _SQUARES]
-                peak = max(peak, lanes[lane + _PEAKS])
-            sums[pair, _WEIGHT] = weights if top_k == 0 else _ZERO
-            sums[pair, _SQUARE] = squares
-            sums[pair, _PEAK] = peak
-            unfinished -= finished
-            if unfinished == 0:
-                for rest in range(pair + 1, end):
-                    sums[rest, :] = _ZERO
-                break
-        if top_k > 0:
-            for pixel in range(num_rows * TILE):
-                for k in range(filled[pixel]):
-                    sums[owners[pixel, k], _WEIGHT] += best[pixel, k]
-
-
-@kernel
-def _gather(
-    members: NDArray[np.int32], pair_sums: NDArray[np.float32], sums: NDArray[np.float64]
-) -> None:
-    """Add up the tiles of each footprint, in the order of the lists."""
-    for pair in range(len(members)):
-        i = members[pair]
-        sums[i, _WEIGHT] += pair_sums[pair, _WEIGHT]
-        sums[i, _SQUARE] += pair_sums[pair, _SQUARE]
-        sums[i, _PEAK] = max(sums[i, _PEAK], pair_sums[pair, _PEAK])
-
-
-_terms = kernel(sh.terms)
-
-
-@kernel
-def _accumulate(
-    index: NDArray[np.int32],
-    sums: NDArray[np.float64],
-    means: NDArray[np.float32],
-    position: NDArray[np.float64],
-    view_share: float,
-    pixel_share: float,
-    contribution: NDArray[np.float64],
-    bases: NDArray[np.float64],
-    energy: NDArray[np.float64],
-    peak: NDArray[np.float32],
-    seen: NDArray[np.int32],
-) -> None:
-    """Add one view to the scene's sums."""
-    for row in range(len(index)):
-        if not sums[row, _PEAK] > 0.0:
-            continue
-        i = index[row]
-        weight = sums[row, _WEIGHT]
-        contribution[i] += view_share * weight
-        energy[i] += pixel_share * sums[row, _SQUARE]
-        peak[i] = max(peak[i], np.float32(sums[row, _PEAK]))
-        seen[i] += 1
-        x = means[i, 0] - position[0]
-        y = means[i, 1] - position[1]
-        z = means[i, 2] - position[2]
-        inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
-        values = _terms(x * inverse, y * inverse, z * inverse)
-        share = pixel_share * weight
-        bases[i, 0] += share * sh.C0
-        for k in range(_BASES - 1):
-            bases[i, k + 1] += share * abs(values[k])
-
-
-@kernel
-def _look(
-    index: NDArray[np.int32],
-    sums: NDArray[np.float64],
-    means: NDArray[np.float32],
-    position: NDArray[np.float64],
-    pixel_share: float,
-    basis_mean: NDArray[np.float64],
-    gram: NDArray[np.float64],
-) -> None:
-    """Add the directions in which one view sees the splats."""
-    for row in range(len(index)):
-        share = pixel_share * sums[row, _SQUARE]
-        if not share > 0.0:
-            continue
-        i = index[row]
-        x = means[i, 0] - position[0]
-        y = means[i, 1] - position[1]
-        z = means[i, 2] - position[2]
-        inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
-        values = _terms(x * inverse, y * inverse, z * inverse)
-        for j in range(_BASES - 1):
-            basis_mean[i, j] += share * values[j]
-        if i % _GRAM_STRIDE == 0:
-            for j in range(_BASES - 1):
-                for k in range(j + 1):
-                    gram[j, k] += share * values[j] * values[k]
-
-
-def _spread(
-    gram: NDArray[np.float64], basis_sum: NDArray[np.float64], energy: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the energy-weighted mean over splats of the covariance of bases over their views."""
-    sampled = slice(None, None, _GRAM_STRIDE)
-    weight = energy[sampled]
-    sums = basis_sum[sampled][weight > 0]
-    weight = weight[weight > 0]
-    if len(weight) == 0:
-        return np.zeros_like(gram)
-    full = gram + np.tril(gram, -1).T
-    # Sums in a fixed order: a matrix product's order depends on the number of threads.
-    outer = np.einsum("nj,nk,n->jk", sums, sums, 1.0 / weight)
-    spread: NDArray[np.float64] = (full - outer) / weight.sum()
-    return spread
-
-
-def _weigh_tiles(
-    lists: TileLists, footprints: Footprints, camera: Camera, top_k: int, threads: int
-) -> NDArray[np.float32]:
-    sums = np.empty((len(lists.members), 3), np.float32)
-
-    def weigh(tiles: tuple[int, int]) -> None:
-        _weigh(
-            tiles[0],
-            tiles[1],
-            lists.first,
-            lists.starts,
-            lists.members,
-            footprints.ellipse,
-            footprints.rows,
-            camera.width,
-            camera.height,
-            top_k,
-            sums,
-        )
-
-    parts = 1 if threads == 1 else threads * _RANGES_PER_THREAD
-    for _ in ordered_map(weigh, lists.split(parts), threads):
-        pass
-    return sums
 
 
 def _score_view(
@@ -435,18 +182,17 @@ def _score_view(
         antialiased=splats.info.antialiased,
         near_plane=config.near_plane,
     )
-    top_k = config.top_k if config.top_k < _MOST_WEIGHTS else 0
     sums = np.zeros((len(footprints), 3), np.float64)
     if not sensitive:
         for lists in tile_lists(footprints, camera.width, camera.height):
-            _gather(lists.members, _weigh_tiles(lists, footprints, camera, top_k, threads), sums)
+            add_weights(lists, footprints, camera, config.top_k, threads, sums)
         return _ViewScores(footprints.index, sums, None)
-    colours = view_colours(splats, camera, footprints)
+    colours = row_colours(splats, footprints.index, camera)
     moments = np.zeros((len(footprints), MOMENTS), np.float64)
     for lists in tile_lists(footprints, camera.width, camera.height, PAIRS_AT_ONCE):
-        _gather(lists.members, _weigh_tiles(lists, footprints, camera, top_k, threads), sums)
+        add_weights(lists, footprints, camera, config.top_k, threads, sums)
         add_moments(lists, footprints, colours, camera, threads, moments)
-    columns = view_sensitivities(splats, camera, footprints, colours, moments, sums[:, _SQUARE])
+    columns = view_sensitivities(splats, camera, footprints, colours, moments, sums[:, SQUARE])
     return _ViewScores(footprints.index, sums, columns)
 
 
@@ -512,15 +258,8 @@ def score(
         )
         sensitive += [1.0 / (pixels * len(sets)) if included else 0.0 for included in chosen]
 
+    totals = ViewSums(splats)
     n = len(splats)
-    contribution = np.zeros(n, np.float64)
-    energy = np.zeros(n, np.float64)
-    bases = np.zeros((n, _BASES), np.float64)
-    peak = np.zeros(n, np.float32)
-    seen = np.zeros(n, np.int32)
-    covered = np.zeros(n, np.int32)
-    basis_sum = np.zeros((n, _BASES - 1), np.float64)
-    gram = np.zeros((_BASES - 1, _BASES - 1), np.float64)
     columns = np.zeros((n if config.sensitivity_every else 0, COLUMNS), np.float64)
     threads = thread_count(config.threads)
     by_view = len(views) >= threads
@@ -534,41 +273,25 @@ def score(
     progress("score", 0, len(views))
     for done, result in enumerate(results):
         view_share, pixel_share = shares[done]
-        _accumulate(
-            result.index,
-            result.sums,
-            splats.means,
-            views[done].position,
-            view_share,
-            pixel_share,
-            contribution,
-            bases,
-            energy,
-            peak,
-            seen,
-        )
-        covered[result.index] += 1
-        if splats.sh_degree:
-            position = views[done].position
-            _look(result.index, result.sums, splats.means, position, pixel_share, basis_sum, gram)
+        totals.add(result.index, result.sums, views[done].position, view_share, pixel_share)
         if result.columns is not None:
             columns[result.index] += sensitive[done] * result.columns
         progress("score", done + 1, len(views))
-    if not seen.any():
+    if not totals.seen.any():
         raise DataError(
             "cameras-see-nothing",
             f"none of {n} splats reaches a pixel of the {len(cameras)} cameras, expected cameras "
             "in the frame of the scene",
         )
     return Scores(
-        contribution=contribution,
-        colour_sensitivity=bases.max(axis=1),
-        energy=energy,
-        peak=peak,
-        seen=seen,
-        covered=covered,
-        basis_mean=(basis_sum / np.where(energy > 0, energy, 1.0)[:, None]).astype(np.float32),
-        basis_spread=_spread(gram, basis_sum, energy),
+        contribution=totals.contribution,
+        colour_sensitivity=totals.bases.max(axis=1),
+        energy=totals.energy,
+        peak=totals.peak,
+        seen=totals.seen,
+        covered=totals.covered,
+        basis_mean=totals.basis_mean(),
+        basis_spread=totals.basis_spread(),
         num_pixels=sum(camera.width * camera.height for camera in views),
         sensitivities=from_columns(columns) if config.sensitivity_every else None,
     )

@@ -9,36 +9,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.cameras import Camera
 from cogsplat.codec.geometry.bounds import CUT_SIGMA
-from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
+from cogsplat.codec.geometry.frustum import ALPHA_MIN
 from cogsplat.codec.geometry.rotations import matrices, unit
+from cogsplat.codec.render.blending import ALPHA_MAX
 from cogsplat.codec.render.jit import kernel
-from cogsplat.codec.render.projection import (
-    FLAT,
-    HALF_HEIGHT,
-    HALF_WIDTH,
-    NARROW,
-    OPACITY,
-    SHEAR,
-    X,
-    Y,
-    project,
-)
-from cogsplat.codec.render.rasteriser import ALPHA_MAX, TRANSMITTANCE_MIN, falloff
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
 from .subsample import MAX_LOG_SCALE
 
-F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-_ALPHA_MIN = np.float32(ALPHA_MIN)
 _ALPHA_MAX: Final = float(ALPHA_MAX)
-_ZERO = np.float32(0.0)
-_ONE = np.float32(1.0)
-_HALF = np.float32(0.5)
 
 # A way is blocked where half of the light is gone.
 _BLOCKED: Final = math.log(2.0)
@@ -55,76 +38,6 @@ def even_directions(count: int) -> F64:
     y = 1.0 - (2.0 * k + 1.0) / count
     ring = np.sqrt(1.0 - y * y)
     return np.stack([ring * np.cos(_GOLDEN_ANGLE * k), y, ring * np.sin(_GOLDEN_ANGLE * k)], axis=1)
-
-
-@kernel
-def _peaks(ellipse: F32, rows: NDArray[np.int32], width: int, height: int, peaks: F32) -> None:
-    """Blend footprints one after the other and keep the largest weight of each.
-
-    As `rasteriser._blend`, splat by splat over the whole picture: pictures here are small.
-    """
-    live = np.ones((height, width), np.float32)
-    unfinished = width * height
-    for i in range(len(ellipse)):
-        centre_x, centre_y = ellipse[i, X] - _HALF, ellipse[i, Y] - _HALF
-        peak = _ZERO
-        for y in range(rows[i, 0], rows[i, 1]):
-            dy = np.float32(y) - centre_y
-            share = dy / ellipse[i, HALF_HEIGHT]
-            if not share * share < _ONE:
-                continue
-            row_x = centre_x + ellipse[i, SHEAR] * dy
-            reach = ellipse[i, HALF_WIDTH] * math.sqrt(_ONE - share * share)
-            # Clamped as floats: a huge splat would overflow the integers.
-            first = math.ceil(max(row_x - reach, _ZERO))
-            last = math.floor(min(row_x + reach, np.float32(width - 1)))
-            row_exponent = -ellipse[i, FLAT] * dy * dy
-            for x in range(first, last + 1):
-                before = live[y, x]
-                if before < TRANSMITTANCE_MIN:
-                    continue
-                u = ellipse[i, NARROW] * (np.float32(x) - row_x)
-                alpha = min(ALPHA_MAX, ellipse[i, OPACITY] * falloff(row_exponent - u * u))
-                if alpha < _ALPHA_MIN:
-                    continue
-                after = before * (_ONE - alpha)
-                live[y, x] = after
-                peak = max(peak, before * alpha)
-                unfinished -= int(after < TRANSMITTANCE_MIN)
-        peaks[i] = peak
-        if unfinished == 0:
-            break
-
-
-def look(splats: Splats, camera: Camera, near_plane: float = NEAR) -> tuple[NDArray[np.int32], F32]:
-    """Return the splats that reach the picture of a camera, and how clearly each is seen there.
-
-    Parameters
-    ----------
-    splats : Splats
-        Rows that cannot be drawn are left out.
-    camera : Camera
-        In the frame of the means; its picture should be small.
-    near_plane : float
-        Means at or before this camera-space depth are left out, scene units.
-
-    Returns
-    -------
-    index : (V,) int32
-        Rows, nearest first.
-    peaks : (V,) float32
-        Largest T·alpha in a pixel; 0 for those that something hides.
-    """
-    footprints = project(
-        splats,
-        camera,
-        kernel_px=splats.info.kernel_px,
-        antialiased=splats.info.antialiased,
-        near_plane=near_plane,
-    )
-    peaks = np.zeros(len(footprints), np.float32)
-    _peaks(footprints.ellipse, footprints.rows, camera.width, camera.height, peaks)
-    return footprints.index, peaks
 
 
 @kernel

@@ -22,10 +22,11 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR, in_picture
 from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.render.peak_weights import peak_weights
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
-from .occlusion import Matter, look
+from .occlusion import Matter
 from .orbit import Subject, orbit, subject_of, turntable
 from .pose import Lens, Pose, down_of
 from .subsample import Subsample, subsample
@@ -358,7 +359,7 @@ class _Planner:
 
     def _look(self, pose: Pose) -> _Look:
         camera = pose.camera(self._small, self.down)
-        index, peaks = look(self._scene.splats, camera, self._config.near_plane)
+        index, peaks = peak_weights(self._scene.splats, camera, self._config.near_plane)
         clear = peaks > _FAINT
         index, peaks = index[clear], peaks[clear]
         distances = np.linalg.norm(self._means[index] - pose.position, axis=1) / pose.zoom

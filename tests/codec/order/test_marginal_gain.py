@@ -7,9 +7,15 @@ import pytest
 from cogsplat.codec.errors import Cancelled
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.order import chunks, prefix_inflation
-from cogsplat.codec.order.marginal_gain import GainConfig, gain_order, gain_rows, gains
+from cogsplat.codec.order.marginal_gain import (
+    GainConfig,
+    gain_order,
+    gain_rows,
+    gains,
+    pool_of,
+    view_gains,
+)
 from cogsplat.codec.order.orders import Unordered, order_rows
-from cogsplat.codec.render.marginal_gains import pool_of, probe
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring.contribution import ScoreConfig, score, unscored
 from cogsplat.codec.scoring.reference_views import MOST_VIEWS, PICTURE_PIXELS, render_references
@@ -106,7 +112,7 @@ def test_gains_weigh_the_views(scene):
     expected = np.zeros(len(splats))
     for view in (0, 2):
         camera = references.cameras[view]
-        rows, found, _ = probe(pool, present, camera, references.pictures[view], kernel_px=0.3)
+        rows, found, _ = view_gains(pool, present, camera, references.pictures[view], kernel_px=0.3)
         expected[rows] += found / 3 / (camera.width * camera.height)
     np.testing.assert_allclose(total, expected, rtol=1e-12)
 

@@ -2,13 +2,18 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.render.marginal_gains import pool_of, probe
+from cogsplat.codec.render.marginal_gains import marginal_gains
+from cogsplat.codec.render.projection import project
 from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.render.shading import row_colours
 from cogsplat.codec.splats import concatenate
 
 
-def _all(splats):
-    return pool_of(splats, np.arange(len(splats)))
+def _measure(splats, present, camera, target):
+    footprints = project(splats, camera, kernel_px=0.3, antialiased=False)
+    colours = row_colours(splats, footprints.index, camera)
+    gains, error = marginal_gains(footprints, colours, present[footprints.index], target)
+    return footprints.index, gains, error
 
 
 def _error(splats, camera, target):
@@ -24,7 +29,7 @@ def test_gains_equal_pictures_with_and_without_each_splat(seed):
     present = rng.random(len(splats)) < 0.5
     target = render(splats, camera) * np.float32(0.9) + np.float32(0.05)
 
-    rows, gains, error = probe(_all(splats), present, camera, target, kernel_px=0.3)
+    rows, gains, error = _measure(splats, present, camera, target)
 
     before = _error(splats.take(np.flatnonzero(present)), camera, target)
     np.testing.assert_allclose(error, before, rtol=1e-4)
@@ -46,7 +51,7 @@ def test_nothing_is_gained_where_the_pixel_has_ended():
     scene = concatenate([splats, wall])
     present = np.arange(len(scene)) >= len(splats)
     target = np.full((camera.height, camera.width, 3), 0.5, np.float32)
-    rows, gains, _ = probe(_all(scene), present, camera, target, kernel_px=0.3)
+    rows, gains, _ = _measure(scene, present, camera, target)
     behind = rows < len(splats)
     assert behind.any()
     # One capped splat of the wall leaves 1 %; the second ends the pixel.
@@ -57,6 +62,6 @@ def test_no_splat_in_view_is_the_error_of_black():
     splats, camera = oracle.scene(1, n=10), oracle.camera()
     splats.means[:] = np.nan
     target = np.full((camera.height, camera.width, 3), 0.5, np.float32)
-    rows, gains, error = probe(_all(splats), np.ones(10, bool), camera, target, kernel_px=0.3)
+    rows, gains, error = _measure(splats, np.ones(10, bool), camera, target)
     assert len(rows) == len(gains) == 0
     assert error == pytest.approx(0.25 * target.size)

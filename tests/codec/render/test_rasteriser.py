@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as arrays
 
 from cogsplat.codec.errors import Cancelled
 from cogsplat.codec.geometry import sh
-from cogsplat.codec.render.rasteriser import RenderConfig, falloff, render, render_views
+from cogsplat.codec.render.rasteriser import RenderConfig, render, render_views
 from cogsplat.codec.splats import SceneInfo, Splats, empty
 
 # Share of pixels that may land on the other side of the 1/255 or 1e-4 cut in float32.
@@ -178,13 +178,6 @@ def test_no_views_give_no_pictures():
 def test_senseless_config_is_refused(options):
     with pytest.raises(ValueError, match="expected"):
         RenderConfig(**options)
-
-
-def test_falloff_is_exp_to_two_millionths():
-    exponents = np.linspace(-6.0, 0.0, 2001, dtype=np.float32)
-    actual = np.array([falloff(value) for value in exponents])
-    np.testing.assert_allclose(actual, np.exp(exponents.astype(np.float64)), rtol=2e-6)
-    assert falloff(np.float32(-np.inf)) < np.float32(1 / 255)
 
 
 def test_colours_in_pictures_are_those_of_sh():

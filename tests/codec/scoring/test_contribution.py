@@ -1,4 +1,3 @@
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +6,6 @@ import pytest
 
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring import contribution as scoring
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import SceneInfo, empty
 from cogsplat.codec.views.view_sets import jitter
@@ -142,11 +140,6 @@ def test_huge_top_k_counts_everything():
     everything = score(splats, CAMERAS, ScoreConfig(top_k=0, jitter=False))
     huge = score(splats, CAMERAS, ScoreConfig(top_k=10**12, jitter=False))
     np.testing.assert_array_equal(huge.contribution, everything.contribution)
-
-
-def test_no_pixel_blends_more_than_the_bound():
-    alpha = 1 / 255
-    assert math.ceil(math.log(1e-4) / math.log(1 - alpha)) < scoring._MOST_WEIGHTS
 
 
 def test_unseen_and_invalid_splats_score_nothing():

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.geometry.morton import spatial_order
 from cogsplat.codec.splats import Splats, empty
-from cogsplat.codec.views.occlusion import Matter, even_directions, look
+from cogsplat.codec.views.occlusion import Matter, even_directions
 from cogsplat.codec.views.subsample import subsample
 
 
@@ -20,17 +20,6 @@ def walls(points: NDArray[np.float64], size: float) -> Splats:
     splats.scales[:] = math.log(size)
     splats.opacities[:] = 8.0
     return splats
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_looks_find_the_largest_weight_of_every_splat(seed: int) -> None:
-    splats, camera = oracle.scene(seed, opacity=3.0), oracle.camera()
-    index, peaks = look(splats, camera)
-    found = np.zeros(len(splats))
-    found[index] = peaks
-    np.testing.assert_allclose(found, oracle.view(splats, camera).weights.max(axis=0), atol=2e-4)
-    depths = (splats.means[index] @ camera.rotation.T + camera.translation)[:, 2]
-    assert (np.diff(depths) >= -1e-5).all(), "nearest first"
 
 
 def test_directions_are_unit_vectors_spread_evenly() -> None:

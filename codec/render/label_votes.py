@@ -1,0 +1,112 @@
+"""Label votes: how much each splat weighs in the pixels of every label of a mask."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.splats import Splats
+
+from .blending import (
+    LANES,
+    PIXELS,
+    blend_pixel,
+    footprint_in_tile,
+    open_pixels,
+    rows_in_tile,
+    tile_area,
+)
+from .jit import kernel
+from .projection import project
+from .tiles import TILE, tile_lists
+
+_ZERO = np.float32(0.0)
+
+
+@kernel
+def _vote(
+    lists_first: int,
+    lists_last: int,
+    starts: NDArray[np.int64],
+    members: NDArray[np.int32],
+    ellipse: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    labels: NDArray[np.int32],
+    votes: NDArray[np.float64],
+) -> None:
+    """Add the weight of every splat in every pixel to its vote for the pixel's label."""
+    height, width = labels.shape
+    live = np.empty(PIXELS, np.float32)
+    weights = np.empty(TILE, np.float32)
+    for tile in range(lists_first, lists_last):
+        top, left, num_rows, num_columns = tile_area(tile, width, height)
+        open_pixels(live, num_rows, num_columns)
+        unfinished = num_rows * num_columns
+        for pair in range(starts[tile - lists_first], starts[tile - lists_first + 1]):
+            i = members[pair]
+            narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(
+                ellipse[i], top, left
+            )
+            first_row, last_row = rows_in_tile(rows[i], top, num_rows)
+            for y in range(first_row, last_row):
+                dy = np.float32(y) - centre_y
+                row_x = centre_x + shear * dy
+                row_exponent = -flat * dy * dy
+                base = np.uintp(y * TILE)
+                finished = 0
+                for lane in range(LANES):
+                    at = base + lane
+                    u = narrow * (np.float32(lane) - row_x)
+                    _, _, weight, _, after, ended = blend_pixel(
+                        live[at], opacity, row_exponent - u * u
+                    )
+                    finished += int(ended)
+                    live[at] = after
+                    weights[lane] = weight
+                unfinished -= finished
+                for x in range(num_columns):
+                    if weights[x] > _ZERO:
+                        votes[i, labels[top + y, left + x]] += weights[x]
+            if unfinished == 0:
+                break
+
+
+def label_votes(
+    splats: Splats, camera: Camera, labels: NDArray[np.int32], count: int
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Sum the weights of each splat by the label of the pixels in which it is seen.
+
+    Parameters
+    ----------
+    splats : Splats
+        Drawn with the kernel and anti-aliasing of ``splats.info``.
+    camera : Camera
+        In the frame of the means.
+    labels : (H, W) int32
+        The mask of the camera's image: numbers from 0 to ``count - 1``.
+    count : int
+        How many labels there are.
+
+    Returns
+    -------
+    index : (M,) int32
+        Rows of the scene whose footprint reaches the image, nearest first.
+    votes : (M, count) float64
+        Sum of T·alpha over the pixels of each label, px.
+    """
+    info = splats.info
+    footprints = project(splats, camera, kernel_px=info.kernel_px, antialiased=info.antialiased)
+    votes = np.zeros((len(footprints), count), np.float64)
+    for lists in tile_lists(footprints, camera.width, camera.height):
+        _vote(
+            lists.first,
+            lists.last,
+            lists.starts,
+            lists.members,
+            footprints.ellipse,
+            footprints.rows,
+            labels,
+            votes,
+        )
+    return footprints.index, votes

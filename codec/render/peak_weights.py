@@ -1,0 +1,98 @@
+"""Peak weights: how clearly each splat is seen in the small picture of one camera."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
+from cogsplat.codec.splats import Splats
+
+from .blending import ALPHA_MAX, TRANSMITTANCE_MIN, falloff, footprint_in_tile
+from .jit import kernel
+from .projection import HALF_HEIGHT, HALF_WIDTH, project
+
+F32 = NDArray[np.float32]
+
+_ALPHA_MIN = np.float32(ALPHA_MIN)
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+
+
+@kernel
+def _peaks(ellipse: F32, rows: NDArray[np.int32], width: int, height: int, peaks: F32) -> None:
+    """Blend footprints nearest first over the whole picture and keep the largest weight of each.
+
+    A loop of its own instead of `blending.blend_pixel` in tiles: in a picture of a few thousand
+    pixels most splats reach only some pixels, and tile lists would cost more than they save.
+    Unlike the rasteriser it draws the splat that ends a pixel: a surface that closes the view is
+    seen.
+    """
+    live = np.ones((height, width), np.float32)
+    unfinished = width * height
+    for i in range(len(ellipse)):
+        narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(ellipse[i], 0, 0)
+        peak = _ZERO
+        for y in range(rows[i, 0], rows[i, 1]):
+            dy = np.float32(y) - centre_y
+            share = dy / ellipse[i, HALF_HEIGHT]
+            if not share * share < _ONE:
+                continue
+            row_x = centre_x + shear * dy
+            reach = ellipse[i, HALF_WIDTH] * math.sqrt(_ONE - share * share)
+            # Clamped as floats: a huge splat would overflow the integers.
+            first = math.ceil(max(row_x - reach, _ZERO))
+            last = math.floor(min(row_x + reach, np.float32(width - 1)))
+            row_exponent = -flat * dy * dy
+            for x in range(first, last + 1):
+                before = live[y, x]
+                if before < TRANSMITTANCE_MIN:
+                    continue
+                u = narrow * (np.float32(x) - row_x)
+                alpha = min(ALPHA_MAX, opacity * falloff(row_exponent - u * u))
+                if alpha < _ALPHA_MIN:
+                    continue
+                after = before * (_ONE - alpha)
+                live[y, x] = after
+                peak = max(peak, before * alpha)
+                unfinished -= int(after < TRANSMITTANCE_MIN)
+        peaks[i] = peak
+        if unfinished == 0:
+            break
+
+
+def peak_weights(
+    splats: Splats, camera: Camera, near_plane: float = NEAR
+) -> tuple[NDArray[np.int32], F32]:
+    """Return the splats that reach the picture of a camera, and the largest weight of each.
+
+    Parameters
+    ----------
+    splats : Splats
+        Drawn with the kernel and anti-aliasing of ``splats.info``. Rows that cannot be drawn are
+        left out.
+    camera : Camera
+        In the frame of the means; its picture should be small.
+    near_plane : float
+        Means at or before this camera-space depth are left out, scene units.
+
+    Returns
+    -------
+    index : (M,) int32
+        Rows of the scene, nearest first.
+    peaks : (M,) float32
+        Largest T·alpha in a pixel; 0 for splats that others hide.
+    """
+    footprints = project(
+        splats,
+        camera,
+        kernel_px=splats.info.kernel_px,
+        antialiased=splats.info.antialiased,
+        near_plane=near_plane,
+    )
+    peaks = np.zeros(len(footprints), np.float32)
+    _peaks(footprints.ellipse, footprints.rows, camera.width, camera.height, peaks)
+    return footprints.index, peaks

@@ -1,0 +1,187 @@
+"""Sums over views: what each splat of a scene weighs in all of them, and from which directions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.geometry import sh
+from cogsplat.codec.render.blend_weights import PEAK, SQUARE, WEIGHT
+from cogsplat.codec.render.jit import kernel
+from cogsplat.codec.render.shading import sh_terms
+from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
+
+F64 = NDArray[np.float64]
+
+_BASES = sh_coefficients(MAX_SH_DEGREE)
+
+# The spread of view directions is a mean over the scene: one splat in so many is enough.
+_GRAM_STRIDE = 8
+
+
+@kernel
+def _add_weights(
+    index: NDArray[np.int32],
+    sums: NDArray[np.float64],
+    means: NDArray[np.float32],
+    position: NDArray[np.float64],
+    view_share: float,
+    pixel_share: float,
+    contribution: NDArray[np.float64],
+    bases: NDArray[np.float64],
+    energy: NDArray[np.float64],
+    peak: NDArray[np.float32],
+    seen: NDArray[np.int32],
+) -> None:
+    """Add one view to the scene's sums."""
+    for row in range(len(index)):
+        if not sums[row, PEAK] > 0.0:
+            continue
+        i = index[row]
+        weight = sums[row, WEIGHT]
+        contribution[i] += view_share * weight
+        energy[i] += pixel_share * sums[row, SQUARE]
+        peak[i] = max(peak[i], np.float32(sums[row, PEAK]))
+        seen[i] += 1
+        x = means[i, 0] - position[0]
+        y = means[i, 1] - position[1]
+        z = means[i, 2] - position[2]
+        inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
+        values = sh_terms(x * inverse, y * inverse, z * inverse)
+        share = pixel_share * weight
+        bases[i, 0] += share * sh.C0
+        for k in range(_BASES - 1):
+            bases[i, k + 1] += share * abs(values[k])
+
+
+@kernel
+def _add_directions(
+    index: NDArray[np.int32],
+    sums: NDArray[np.float64],
+    means: NDArray[np.float32],
+    position: NDArray[np.float64],
+    pixel_share: float,
+    basis_mean: NDArray[np.float64],
+    gram: NDArray[np.float64],
+) -> None:
+    """Add the directions in which one view sees the splats."""
+    for row in range(len(index)):
+        share = pixel_share * sums[row, SQUARE]
+        if not share > 0.0:
+            continue
+        i = index[row]
+        x = means[i, 0] - position[0]
+        y = means[i, 1] - position[1]
+        z = means[i, 2] - position[2]
+        inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
+        values = sh_terms(x * inverse, y * inverse, z * inverse)
+        for j in range(_BASES - 1):
+            basis_mean[i, j] += share * values[j]
+        if i % _GRAM_STRIDE == 0:
+            for j in range(_BASES - 1):
+                for k in range(j + 1):
+                    gram[j, k] += share * values[j] * values[k]
+
+
+class ViewSums:
+    """Running sums over the views of a scene of N splats.
+
+    Parameters
+    ----------
+    splats : Splats
+
+    Attributes
+    ----------
+    contribution : (N,) float64
+        Σw, weighted by the views' shares, px.
+    energy : (N,) float64
+        Σw², weighted by the pixels' shares.
+    bases : (N, 16) float64
+        Σw·|Y| of every SH basis in the direction of each view, weighted by the pixels' shares.
+    peak : (N,) float32
+        Largest w in any pixel.
+    seen, covered : (N,) int32
+        Views in which a pixel shows the splat, and which its footprint reaches.
+    """
+
+    def __init__(self, splats: Splats) -> None:
+        n = len(splats)
+        self._means = splats.means
+        self._directions = bool(splats.sh_degree)
+        self.contribution = np.zeros(n, np.float64)
+        self.energy = np.zeros(n, np.float64)
+        self.bases = np.zeros((n, _BASES), np.float64)
+        self.peak = np.zeros(n, np.float32)
+        self.seen = np.zeros(n, np.int32)
+        self.covered = np.zeros(n, np.int32)
+        self._basis_sum = np.zeros((n, _BASES - 1), np.float64)
+        self._gram = np.zeros((_BASES - 1, _BASES - 1), np.float64)
+
+    def add(
+        self,
+        index: NDArray[np.int32],
+        sums: F64,
+        position: F64,
+        view_share: float,
+        pixel_share: float,
+    ) -> None:
+        """Add one view.
+
+        Parameters
+        ----------
+        index : (M,) int32
+            Splats whose footprint reaches the image.
+        sums : (M, 3) float64
+            From `blend_weights.add_weights`, over all tiles.
+        position : (3,) float64
+            Of the camera, in the frame of the means.
+        view_share, pixel_share : float
+            What the view counts in `contribution`, and one of its pixels in the other sums.
+        """
+        _add_weights(
+            index,
+            sums,
+            self._means,
+            position,
+            view_share,
+            pixel_share,
+            self.contribution,
+            self.bases,
+            self.energy,
+            self.peak,
+            self.seen,
+        )
+        self.covered[index] += 1
+        if self._directions:
+            _add_directions(
+                index, sums, self._means, position, pixel_share, self._basis_sum, self._gram
+            )
+
+    def basis_mean(self) -> NDArray[np.float32]:
+        """Return the mean, by energy, of the SH bases above DC over a splat's views.
+
+        Returns
+        -------
+        (N, 15) float32
+            Zeros where no view sees a splat, and everywhere in scenes of SH degree 0.
+        """
+        weight = np.where(self.energy > 0, self.energy, 1.0)
+        mean: NDArray[np.float32] = (self._basis_sum / weight[:, None]).astype(np.float32)
+        return mean
+
+    def basis_spread(self) -> F64:
+        """Return the covariance of the SH bases above DC over a splat's views: (15, 15) float64.
+
+        Its mean, by energy, over every eighth splat of the scene.
+        """
+        sampled = slice(None, None, _GRAM_STRIDE)
+        weight = self.energy[sampled]
+        sums = self._basis_sum[sampled][weight > 0]
+        weight = weight[weight > 0]
+        if len(weight) == 0:
+            return np.zeros_like(self._gram)
+        full = self._gram + np.tril(self._gram, -1).T
+        # Sums in a fixed order: a matrix product's order depends on the number of threads.
+        outer = np.einsum("nj,nk,n->jk", sums, sums, 1.0 / weight)
+        spread: F64 = (full - outer) / weight.sum()
+        return spread
