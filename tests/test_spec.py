@@ -11,7 +11,15 @@ import pytest
 
 from cogsplat.codec.geometry import morton
 from cogsplat.codec.splats import MAX_EXTRA_COMPONENTS, MAX_EXTRAS, MAX_SH_DEGREE
-from cogsplat.codec.streams import adaptive_step, byte_planes, colour_streams, grid, limits, records
+from cogsplat.codec.streams import (
+    adaptive_step,
+    byte_planes,
+    grid,
+    limits,
+    records,
+    shn_transform,
+)
+from cogsplat.codec.streams.kinds import KINDS
 from cogsplat.formats.cogs import canonical_msgpack, layout, root
 from cogsplat.tools import make_vectors
 from cogsplat.tools.conformance import valid
@@ -157,14 +165,14 @@ def test_preamble_is_as_the_code_packs_it():
 
 def test_record_is_as_the_code_packs_it():
     text, offsets = layout_of(tables(section("6.2 "))[0])
-    assert struct.calcsize(text) == records.RECORD_BYTES == 12
+    assert struct.calcsize(text) == records.RECORD.size == 12
     assert offsets == [0, 1, 2, 3, 4, 8, 10, 12]
-    assert struct.Struct(text).format == records._RECORD.format
+    assert struct.Struct(text).format == records.RECORD.format
 
 
 @pytest.mark.parametrize(
     ("clause", "expected"),
-    [("6.4 ", grid._ENTRY.format), ("6.14 ", colour_streams._SHN.format)],
+    [("6.4 ", grid._ENTRY.format), ("6.14 ", shn_transform.PARAMS.format)],
 )
 def test_parameters_are_as_the_code_packs_them(clause, expected):
     text, _ = layout_of(tables(section(clause))[0])
@@ -179,10 +187,12 @@ def test_numbers_of_attributes_kinds_and_flags():
         attribute = records.Attribute(int(row[0]))
         assert row[1].split(",")[0].replace(" ", "_").lower() == names[attribute]
         assert int(row[2].split(",")[0]) == records.COMPONENTS[attribute]
-        assert set(row[3].split(", ")) <= {k.name.lower() for k in records.Kind}
+        codecs = KINDS[attribute]
+        stored = {*codecs, *(c.refined_by for c in codecs.values() if c.refined_by is not None)}
+        assert set(row[3].split(", ")) == {k.name.lower() for k in stored}
     assert {int(n): name for n, name, _ in kinds} == {int(k): k.name.lower() for k in records.Kind}
     assert {int(n): name for n, name, _ in flags} == {
-        records.KEPT: "kept",
+        records.ESCAPE: "escape",
         records.INFINITIES: "infinities",
     }
 
@@ -242,8 +252,8 @@ def test_limits_are_the_constants():
         "zstd window, bytes": limits.MAX_WINDOW_BYTES,
         "levels of a grid": grid.MAX_LEVELS,
         "levels of a Morton grid": morton.MAX_LEVELS,
-        "coordinates of a basis stream": colour_streams.MAX_BASIS_ROWS,
-        "halvings": adaptive_step.MAX_HALVINGS,
+        "coordinates of a basis stream": shn_transform.MAX_BASIS_ROWS,
+        "extra bits of a row": adaptive_step.MAX_EXTRA_BITS,
         "SH degree": MAX_SH_DEGREE,
     }
 

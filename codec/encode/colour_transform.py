@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.rate import allocation
-from cogsplat.codec.streams import colour_streams
 from cogsplat.codec.streams import grid as grids
-from cogsplat.codec.streams.records import SH_BANDS, Stream, scalar
+from cogsplat.codec.streams import scalar, shn_transform
+from cogsplat.codec.streams.records import SH_BANDS, Stream
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -61,7 +61,7 @@ class ColourBasis:
                 values = np.ascontiguousarray(self.rows[:, first:last])
                 span = np.ptp(values.astype(np.float64), axis=0)
                 step = np.maximum(span, 1e-6) / (_ROW_LEVELS - 1)
-                out.append(scalar(attribute, values, grids.fit(values, step)))
+                out.append(scalar.write(attribute, values, grids.fit(values, step)))
         return out
 
     def stored_as(self, decoded: F32) -> ColourBasis:
@@ -98,7 +98,7 @@ class ColourBasis:
         largest = float(np.abs(coordinates).max(initial=0))
         step = max(allocation.shn_step(lagrangian, energy), largest / _MOST_STEPS, _FINEST_STEP)
         codes = _round(coordinates / step)
-        stream = colour_streams.shn_on_basis(codes, codebook, step, _SHRINK)
+        stream = shn_transform.write(codes, codebook, step, _SHRINK)
         values = np.sign(codes) * np.maximum(np.abs(codes) - _SHRINK, 0) * step
         decoded = (values @ self.rows.astype(np.float64)).reshape(coefficients.shape)
         return stream, coefficients - decoded

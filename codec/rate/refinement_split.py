@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.streams import refinement
+from cogsplat.codec.streams import refinement_digits
 from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.records import Attribute, Stream
 
@@ -77,7 +77,7 @@ def cut(attribute: Attribute, values: F32, grid: Grid, weights: F64, most: tuple
     weights : (n,) float64
         What errors of the coarse values count.
     most : tuple of int
-        Largest radix of each component, at most `refinement.MAX_RADIX`.
+        Largest radix of each component, at most `refinement_digits.MAX_RADIX`.
     """
     codes = grid.quantise(values)
     radices, shifts = [], []
@@ -91,7 +91,7 @@ def cut(attribute: Attribute, values: F32, grid: Grid, weights: F64, most: tuple
     grid = _shifted(grid, shifts)
     codes = grid.quantise(values)
     fine = grid.dequantise(codes)
-    digits = refinement.digits(attribute, codes, grid, radices)
+    digits = refinement_digits.write(attribute, codes, grid, radices)
     coarse_codes = codes // np.array(radices, np.uint32)
     coarse_grid = _coarse_grid(grid, radices, coarse_codes, fine, weights)
     return Cut(coarse_grid.dequantise(coarse_codes), coarse_grid, fine, digits)

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.errors import FormatError
 from cogsplat.codec.splats import sh_coefficients
-from cogsplat.codec.streams.records import Attribute
+from cogsplat.codec.streams import kinds
+from cogsplat.codec.streams.records import Attribute, StoredStream
 
 from .bands import read_band
 from .stream_set import StreamSet
@@ -40,6 +42,10 @@ class ShapeCodebook:
         """Bytes of both arrays."""
         return self.scales.nbytes + self.quats.nbytes
 
+    def rows(self) -> F32:
+        """Return the (C, 7) float32 rows that vq streams refer to: scales, then quats."""
+        return np.concatenate([self.scales, self.quats], axis=1)
+
 
 @dataclass(frozen=True, eq=False)
 class ColourCodebook:
@@ -69,8 +75,8 @@ def decode_shape_codebook(payload: memoryview, rows: int, where: str) -> ShapeCo
     """Return the rows of a shape codebook segment (SPEC 7.1)."""
     found = StreamSet(payload, where, rows, "7.1")
     book = ShapeCodebook(np.empty((rows, 3), np.float32), np.empty((rows, 4), np.float32))
-    found.take(Attribute.SCALES).read_numbers(book.scales)
-    found.take(Attribute.QUATS).read_quats(book.quats)
+    kinds.read(found.take(Attribute.SCALES), book.scales)
+    kinds.read(found.take(Attribute.QUATS), book.quats)
     found.finish()
     return book
 
@@ -96,3 +102,13 @@ def decode_colour_codebook(
         read_band(found, band, coefficients)
         found.finish()
     return ColourCodebook(coefficients)
+
+
+def no_codebook(stream: StoredStream, number: int, attribute: str) -> FormatError:
+    """Return the error for a codebook that a stream names and its segment cannot use."""
+    return FormatError(
+        "codebook-missing",
+        f"{stream.where}: codebook {number}, "
+        f"expected a {attribute} codebook that the segment needs",
+        clause="6.7",
+    )

@@ -3,37 +3,58 @@
 from __future__ import annotations
 
 from cogsplat.codec.errors import FormatError
-from cogsplat.codec.splats import Splats
-from cogsplat.codec.streams import records
-from cogsplat.codec.streams.records import KEPT, Attribute, Kind, StoredStream
-from cogsplat.codec.streams.refinement import Finer
+from cogsplat.codec.streams import kinds, records
+from cogsplat.codec.streams.records import ESCAPE, Attribute, StoredStream
 
 
 class StreamSet:
-    """The streams of one payload, each to be taken exactly once."""
+    """The streams of a head, a tail or a codebook, each to be taken exactly once.
 
-    def __init__(self, payload: memoryview, where: str, rows: int, clause: str) -> None:
+    Parameters
+    ----------
+    payload : memoryview
+        The segment's bytes, its CRC already checked.
+    where : str
+        Names the segment in messages.
+    rows : int
+        Of the chunk or the codebook.
+    clause : str
+        Clause of SPEC 7 that says which streams the payload has.
+    heads_only : bool
+        Whether kinds that stand in heads only are allowed.
+    """
+
+    def __init__(
+        self, payload: memoryview, where: str, rows: int, clause: str, *, heads_only: bool = False
+    ) -> None:
         stored = records.unpack(payload, where, rows)
-        self._stored = {(s.attribute, s.flags & KEPT): s for s in stored}
+        self._stored = {(s.attribute, s.flags & ESCAPE): s for s in stored}
         self._where = where
         self._rows = rows
         self._clause = clause
+        self._heads_only = heads_only
 
-    def has(self, attribute: Attribute, *, kept: bool = False) -> bool:
+    def has(self, attribute: Attribute, *, escape: bool = False) -> bool:
         """Tell whether a stream of this attribute has not been taken yet."""
-        return (attribute, KEPT if kept else 0) in self._stored
+        return (attribute, ESCAPE if escape else 0) in self._stored
 
     def take(self, attribute: Attribute) -> StoredStream:
-        """Return the stream of an attribute, which must be there, one value a row."""
+        """Return the stream of an attribute, one row for each row of the payload.
+
+        Raises
+        ------
+        FormatError
+            ``stream-missing``, ``stream-rows``, ``stream-kind``.
+        """
         return self._take(attribute, 0, self._rows)
 
-    def take_kept(self, attribute: Attribute, rows: int) -> StoredStream:
-        """Return the escape vectors of an attribute, which must be `rows`."""
-        return self._take(attribute, KEPT, rows)
+    def take_escape(self, attribute: Attribute, rows: int) -> StoredStream:
+        """Return the escape rows of an attribute, which must be `rows`."""
+        return self._take(attribute, ESCAPE, rows)
 
     def _take(self, attribute: Attribute, flag: int, rows: int) -> StoredStream:
         stream = self._stored.pop((attribute, flag), None)
-        name = attribute.name.lower() + (" kept" if flag else "")
+        name = attribute.name.lower() + (" escape" if flag else "")
         if stream is None:
             raise FormatError(
                 "stream-missing",
@@ -46,14 +67,23 @@ class StreamSet:
                 f"{stream.where}: {stream.rows} rows, expected {rows}",
                 clause="6.2",
             )
-        if stream.kind == Kind.VQ and attribute not in (Attribute.SHAPE, Attribute.SHN):
+        if kinds.codec_of(stream).heads_only and (flag or not self._heads_only):
             raise FormatError(
-                "stream-kind", f"{stream.where}: kind VQ, expected numbers", clause="6.2"
+                "stream-kind",
+                f"{stream.where}: kind {stream.kind.name.lower()}, "
+                "which is for splats of a head without shape indices only",
+                clause="6.2",
             )
         return stream
 
     def finish(self) -> None:
-        """Refuse streams that nothing took."""
+        """Refuse streams that nothing took.
+
+        Raises
+        ------
+        FormatError
+            ``stream-unexpected``.
+        """
         if self._stored:
             names = sorted(s.label for s in self._stored.values())
             raise FormatError(
@@ -64,23 +94,63 @@ class StreamSet:
 
 
 class RefinementSet:
-    """The streams of a refinement, each to be taken at most once; none where there is none."""
+    """The streams of a refinement, each to be taken at most once (SPEC 7.4).
+
+    Parameters
+    ----------
+    payload : memoryview or None
+        None where the chunk has no refinement, or its head is to be decoded alone.
+    where, rows
+        As `StreamSet` takes them.
+    """
 
     def __init__(self, payload: memoryview | None, where: str, rows: int) -> None:
-        self._streams = None if payload is None else StreamSet(payload, where, rows, "7.4")
+        stored = [] if payload is None else records.unpack(payload, where, rows)
+        self._stored = {(s.attribute, s.flags & ESCAPE): s for s in stored}
+        self._where = where
+        self._rows = rows
 
-    def take(self, attribute: Attribute) -> StoredStream | None:
-        """Return the stream that refines an attribute, None where nothing does."""
-        if self._streams is None or not self._streams.has(attribute):
+    def take(self, head: StoredStream) -> StoredStream | None:
+        """Return the stream that refines a stream of the head, None where none does.
+
+        Raises
+        ------
+        FormatError
+            ``stream-rows``; ``stream-kind``: another kind than refines the head's stream.
+        """
+        wanted = kinds.codec_of(head).refined_by
+        stream = self._stored.get((head.attribute, 0))
+        if stream is None:
             return None
-        return self._streams.take(attribute)
-
-    def finer(self, attribute: Attribute, out: Splats) -> Finer | None:
-        """Return what adds bits to an attribute whose step follows from refined scales."""
-        stream = self.take(attribute)
-        return None if stream is None else Finer(stream, out.scales)
+        del self._stored[head.attribute, 0]
+        if stream.rows != self._rows:
+            raise FormatError(
+                "stream-rows",
+                f"{stream.where}: {stream.rows} rows, expected {self._rows}",
+                clause="6.2",
+            )
+        if stream.kind != wanted:
+            expected = "no refinement" if wanted is None else f"kind {wanted.name.lower()}"
+            raise FormatError(
+                "stream-kind",
+                f"{stream.where}: kind {stream.kind.name.lower()}, expected {expected} "
+                f"of a stream of kind {head.kind.name.lower()}",
+                clause="7.4",
+            )
+        return stream
 
     def finish(self) -> None:
-        """Refuse streams that nothing took."""
-        if self._streams is not None:
-            self._streams.finish()
+        """Refuse streams that nothing took.
+
+        Raises
+        ------
+        FormatError
+            ``stream-unexpected``.
+        """
+        if self._stored:
+            names = sorted(s.label for s in self._stored.values())
+            raise FormatError(
+                "stream-unexpected",
+                f"{self._where}: {names} have no place here",
+                clause="7.4",
+            )

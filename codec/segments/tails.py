@@ -8,15 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.splats import MAX_SH_DEGREE
-from cogsplat.codec.streams import colour_streams
-from cogsplat.codec.streams.records import Attribute, Kind, StoredStream
+from cogsplat.codec.streams import kinds
+from cogsplat.codec.streams.inputs import Inputs
+from cogsplat.codec.streams.records import Attribute
 
 from .bands import read_band
-from .codebooks import (
-    Codebook,
-    ColourCodebook,
-)
-from .rows import gather, no_codebook
+from .codebooks import Codebook, ColourCodebook, no_codebook
 from .stream_set import StreamSet
 
 F32 = NDArray[np.float32]
@@ -37,7 +34,8 @@ def decode_tail(
     payload, codebooks, where
         As in `decode_head`.
     out : (n, K-1, 3) float32
-        The chunk's rows; K may be lower than the file's, and the bands above are skipped.
+        The chunk's rows, C-contiguous; K may be lower than the file's, and the bands above are
+        skipped.
     sh_degree : int
         Of the file; bands above it have no place in a tail.
 
@@ -46,33 +44,32 @@ def decode_tail(
     FormatError, UnsupportedError, LimitError
         The payload breaks SPEC 6 or 7.3.
     """
-    rows = len(out)
-    found = StreamSet(payload, where, rows, "7.3")
-    bands = range(1, sh_degree + 1)
+    found = StreamSet(payload, where, len(out), "7.3")
     if found.has(Attribute.SHN):
-        colour = found.take(Attribute.SHN)
-        if colour.kind == Kind.BASIS:
-            number = colour_streams.basis_codebook(colour)
-            basis = _colours(codebooks, colour, number, out.shape[1])
-            colour_streams.read_shn(colour, basis.shN[:, : out.shape[1]], out)
-            found.finish()
-            return
-        kept = np.zeros((colour.kept, *out.shape[1:]), np.float32)
-        if colour.kept:
-            for band in bands:
-                read_band(found, band, kept, kept=True)
-        book = _colours(codebooks, colour, colour.codebook, out.shape[1])
-        gather(book.shN[:, : out.shape[1]], kept, colour.read_indices(len(book)), out)
+        _read_from_codebook(found, codebooks, out, sh_degree)
     else:
-        for band in bands:
+        for band in range(1, sh_degree + 1):
             read_band(found, band, out)
     found.finish()
 
 
-def _colours(
-    codebooks: Mapping[int, Codebook], stream: StoredStream, number: int, coefficients: int
-) -> ColourCodebook:
-    book = codebooks.get(number)
+def _read_from_codebook(
+    found: StreamSet, codebooks: Mapping[int, Codebook], out: F32, sh_degree: int
+) -> None:
+    stream = found.take(Attribute.SHN)
+    use = kinds.codebook_use(stream)
+    escape = np.zeros((use.escape_rows, *out.shape[1:]), np.float32)
+    if use.escape_rows:
+        for band in range(1, sh_degree + 1):
+            read_band(found, band, escape, escape=True)
+    book = codebooks.get(use.number)
+    coefficients = out.shape[1]
     if not isinstance(book, ColourCodebook) or book.shN.shape[1] < coefficients:
-        raise no_codebook(stream, number, "colour")
-    return book
+        raise no_codebook(stream, use.number, "colour")
+    # Not -1 for the columns: there may be no rows.
+    columns = 3 * coefficients
+    inputs = Inputs(
+        codebook=book.shN[:, :coefficients].reshape(len(book), columns),
+        escape=escape.reshape(len(escape), columns),
+    )
+    kinds.read(stream, out.reshape(len(out), columns), inputs)

@@ -1,8 +1,7 @@
-"""Byte planes: stored, digits packed together, or a zstd frame of either (SPEC 6.3)."""
+"""Byte planes: bytes, several symbols to the byte, or a zstd frame of either (SPEC 6.3, 6.9)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from typing import Final
 
@@ -92,8 +91,8 @@ def _digit_table(radix: int) -> U8:
 
 
 @cache
-def _digit_tables() -> U8:
-    """Return the (17, 256, 8) digits of every byte value by radix, zeros where there are none."""
+def digit_tables() -> U8:
+    """Return the (17, 256, 8) symbols of every byte value by radix, zeros where there are none."""
     tables = np.zeros((max(DIGITS) + 1, 256, max(DIGITS.values())), np.uint8)
     for radix, count in DIGITS.items():
         tables[radix, : radix**count, :count] = _digit_table(radix)
@@ -124,8 +123,8 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
         ``plane-length``, ``plane-radix``, ``plane-digits``, ``zstd-frame``, ``zstd-size``,
         ``zstd-window``, ``zstd-dictionary``, ``zstd-checksum``.
     """
-    radix, size = _before_digits(stored, word, length, where)
-    packed = np.frombuffer(_raw(stored[1:] if radix else stored, word, size, where), np.uint8)
+    radix, size = packing_of(stored, word, length, where)
+    packed = np.frombuffer(expand(stored[1:] if radix else stored, word, size, where), np.uint8)
     if not radix:
         return packed
     table = _digit_table(radix)
@@ -145,69 +144,26 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
     return digits
 
 
-def unpack_planes(
-    stored: Sequence[memoryview],
-    words: Sequence[int],
-    lengths: Sequence[int],
-    where: str,
-    first: int = 0,
-) -> U8:
-    """Return the bytes of several planes end to end, and two zeros, by a compiled kernel.
+def packing_of(stored: memoryview, word: int, length: int, where: str) -> tuple[int, int]:
+    """Return how a plane is packed, before any of it is decompressed.
 
     Parameters
     ----------
-    stored, words, lengths, where
-        As `unpack_plane` has them, of each plane; `where` names their stream.
-    first : int
-        Number of the first plane in its stream.
+    stored, word, length, where
+        As `unpack_plane` takes them.
 
     Returns
     -------
-    uint8, read-only
+    radix : int
+        0 where every byte is one symbol.
+    size : int
+        Bytes before symbols are taken apart.
+
+    Raises
+    ------
+    FormatError
+        ``plane-length``, ``plane-radix``.
     """
-    labels = [f"{where}, plane {first + index}" for index in range(len(stored))]
-    return unpack_labelled(stored, words, lengths, labels)
-
-
-def unpack_labelled(
-    stored: Sequence[memoryview], words: Sequence[int], lengths: Sequence[int], labels: list[str]
-) -> U8:
-    """Return what `unpack_planes` does, for planes of more than one stream.
-
-    Parameters
-    ----------
-    stored, words, lengths
-        As `unpack_plane` has them, of each plane.
-    labels : list of str
-        Names each in messages.
-    """
-    from cogsplat.codec.streams import kernels
-
-    parts: list[bytes | memoryview] = []
-    radices: list[int] = []
-    sizes: list[int] = []
-    for body, word, length, label in zip(stored, words, lengths, labels, strict=True):
-        radix, size = _before_digits(body, word, length, label)
-        parts.append(_raw(body[1:] if radix else body, word, size, label))
-        radices.append(radix)
-        sizes.append(size)
-    parts.append(b"\0\0")
-    packed = np.frombuffer(b"".join(parts), np.uint8)
-    if not any(radices):
-        return packed
-    out = np.empty(sum(lengths) + 2, np.uint8)
-    spans = np.array([radices, sizes, lengths], np.int64)
-    wrong = kernels.digits(packed, spans, _digit_tables(), out)
-    if wrong >= 0:
-        # Says what is wrong with it.
-        unpack_plane(stored[wrong], words[wrong], lengths[wrong], labels[wrong])
-    # As what zstd gives: kernels are compiled for one kind of array.
-    out.flags.writeable = False
-    return out
-
-
-def _before_digits(stored: memoryview, word: int, length: int, where: str) -> tuple[int, int]:
-    """Return the radix of a plane, 0 where its bytes are its symbols, and its packed length."""
     if length > MAX_PLANE_BYTES:
         raise FormatError(
             "plane-length",
@@ -224,7 +180,14 @@ def _before_digits(stored: memoryview, word: int, length: int, where: str) -> tu
     return radix, -(-length // DIGITS[radix])
 
 
-def _raw(stored: memoryview, word: int, length: int, where: str) -> bytes | memoryview:
+def expand(stored: memoryview, word: int, length: int, where: str) -> bytes | memoryview:
+    """Return the `length` bytes that stored bytes are, or that their zstd frame holds.
+
+    Raises
+    ------
+    FormatError
+        As `unpack_plane`, but for what concerns packed symbols.
+    """
     if not word & ZSTD_FLAG:
         if len(stored) != length:
             raise FormatError(

@@ -1,20 +1,39 @@
-"""Whether decoding goes through compiled kernels: numba is optional, and slow to load."""
+"""The switch between decoding in numpy and with compiled kernels.
+
+Both give the same bits. numba is optional and slow to load, so that kernels are used where it is
+loaded already, or where there is enough to decode.
+"""
 
 from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Callable, Mapping
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .inputs import Inputs
+from .records import Attribute, Kind, StoredStream
+
+CompiledReader = Callable[[StoredStream, NDArray[np.float32], Inputs], bool]
+"""Writes the values of a stream as the reader in numpy does; False where something is wrong."""
 
 WORTH_LOADING: Final = 3_000_000
 """Splats from which loading numba and the kernels (0.4 s) pays within one decode (measured)."""
 
-_in_use = False
+_readers: Mapping[tuple[Attribute, Kind], CompiledReader] = {}
 
 
 def ready() -> bool:
-    """Tell whether the kernels of `decode_kernels` are to be used; they give numpy's bits."""
-    return _in_use
+    """Tell whether compiled kernels are in use."""
+    return bool(_readers)
+
+
+def reader(attribute: Attribute, kind: Kind) -> CompiledReader | None:
+    """Return the compiled reader of a stream kind; None where numpy is to read it."""
+    return _readers.get((attribute, kind))
 
 
 def prepare(splats: int) -> None:
@@ -25,23 +44,31 @@ def prepare(splats: int) -> None:
     splats : int
         That are to be decoded.
     """
-    if _in_use or (sys.modules.get("numba") is None and splats < WORTH_LOADING):
+    if ready() or (sys.modules.get("numba") is None and splats < WORTH_LOADING):
         return
     # The kernels read packed fields as machine words.
     if sys.byteorder == "little":
-        use(_load())
+        use(True)
 
 
-def use(wanted: bool) -> None:
-    """Use the kernels from here on, or numpy alone."""
-    global _in_use
-    _in_use = wanted
+def use(wanted: bool) -> bool:
+    """Use compiled kernels from here on, or numpy alone.
+
+    Returns
+    -------
+    bool
+        Whether kernels are now in use: not without numba.
+    """
+    global _readers
+    _readers = _load() if wanted else {}
+    return ready()
 
 
-def _load() -> bool:
+def _load() -> Mapping[tuple[Attribute, Kind], CompiledReader]:
     try:
-        importlib.import_module(".kernels", __package__)
+        kernels = importlib.import_module(".kernels", __package__)
     except ImportError:
         # No numba, or one that does not fit this numpy: numpy decodes as well.
-        return False
-    return True
+        return {}
+    found: Mapping[tuple[Attribute, Kind], CompiledReader] = kernels.READERS
+    return found

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import FormatError
 
 F32 = NDArray[np.float32]
-U8 = NDArray[np.uint8]
 U32 = NDArray[np.uint32]
 
 MAX_LEVELS: Final = 1 << 24
@@ -139,26 +138,3 @@ def unpack(data: memoryview, components: int, where: str, limit: int = MAX_LEVEL
     return Grid(
         np.array(lows, np.float32), np.array(highs, np.float32), np.array(levels, np.uint32)
     )
-
-
-def code_bytes(levels: int) -> int:
-    """Return how many planes codes below `levels` take: 0, 1, 2 or 3."""
-    return (max(levels, 1) - 1).bit_length() + 7 >> 3
-
-
-def split_planes(codes: U32, levels: int) -> list[U8]:
-    """Return the byte planes of (n,) codes below `levels`, the lowest byte first."""
-    return [
-        ((codes >> np.uint32(8 * byte)) & np.uint32(0xFF)).astype(np.uint8)
-        for byte in range(code_bytes(levels))
-    ]
-
-
-def join_planes(planes: list[U8], rows: int) -> U32:
-    """Return the (rows,) uint32 codes of byte planes, lowest byte first; zeros where none."""
-    if not planes:
-        return np.zeros(rows, np.uint32)
-    codes = planes[0].astype(np.uint32)
-    for byte, plane in enumerate(planes[1:], start=1):
-        codes |= plane.astype(np.uint32) << np.uint32(8 * byte)
-    return codes

@@ -1,26 +1,37 @@
-"""Morton order of quantised means, and the deltas that store it (SPEC 6.5)."""
+"""Sorted means: Morton-sorted cells, and each splat's own number of bits below (SPEC 6.5, 6.15)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError
-from cogsplat.codec.geometry.morton import (
-    MAX_AXIS_BITS,
-)
+from cogsplat.codec.geometry import morton
+from cogsplat.codec.geometry.morton import MAX_AXIS_BITS
 
+from . import adaptive_step as step_models
+from . import bit_fields, refinement_bits
+from . import grid as grids
+from .adaptive_step import MAX_EXTRA_BITS, MODEL_BYTES, StepModel
 from .bit_fields import windows
+from .grid import ENTRY_BYTES, Grid
+from .inputs import Inputs
+from .records import Attribute, Kind, StoredStream, Stream
+from .refinement_bits import Finer
 
 F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 U32 = NDArray[np.uint32]
 U64 = NDArray[np.uint64]
 
 _MAX_CLASS: Final = 3 * MAX_AXIS_BITS
+_THREE: Final = np.uint8(3)
+
+# Powers of two: the product with the step is exact.
+POWERS: Final = np.ldexp(np.float32(1), -np.arange(MAX_EXTRA_BITS + 1)).astype(np.float32)
 
 
 def pack_deltas(morton: U64) -> tuple[U8, U8]:
@@ -112,74 +123,156 @@ def unpack_deltas(classes: U8, bits: U8, where: str) -> U64:
     return codes
 
 
-@dataclass(frozen=True, eq=False)
-class Cells:
-    """What Morton codes and the bits below them are worth.
+def codes_of(means: F32, grid: Grid, extra_bits: U8) -> U32:
+    """Return the (n, 3) codes of means on each row's own halving of a grid."""
+    minimum = grid.minimum.astype(np.float64)
+    step = np.ldexp(grid.step.astype(np.float64), -extra_bits.astype(np.int32)[:, None])
+    codes = np.rint((means.astype(np.float64) - minimum) / np.where(step > 0, step, 1))
+    top = np.ldexp(grid.levels.astype(np.float64), extra_bits.astype(np.int32)[:, None]) - 1
+    out: U32 = np.clip(codes, 0, top).astype(np.uint32)
+    return out
+
+
+def values(codes: U32, grid: Grid, extra_bits: U8) -> F32:
+    """Return the (n, 3) means of codes on each row's own halving of a grid."""
+    out: F32 = codes.astype(np.float32) * (POWERS[extra_bits][:, None] * grid.step) + grid.minimum
+    return out
+
+
+def morton_order(codes: U32, extra_bits: U8) -> I64:
+    """Return the rows sorted by the Morton code of their coarse cells, ties as they were."""
+    keys = morton.interleave(codes >> extra_bits[:, None])
+    return np.argsort(keys, kind="stable").astype(np.int64)
+
+
+def refine(codes: U32, extra: U8, constant: float) -> tuple[U32, Stream]:
+    """Return the codes that a head stores and what refines them.
 
     Parameters
     ----------
-    levels : (3,) uint32
-        Axis codes of a Morton code are below these.
-    factors : (h, 3) float32
-        Distance between values after 0, 1, … h - 1 halvings.
-    minimum : (3,) float32
-        Of code 0.
+    codes : (n, 3) uint32
+        At all extra_bits.
+    extra : (n,) uint8
+        Those of them that are the refinement's.
+    constant : float
+        First coefficient of the finer model.
     """
+    fields = np.zeros(len(codes), np.uint64)
+    coarse = np.empty_like(codes)
+    for axis in range(3):
+        coarse[:, axis], field = refinement_bits.coarse_of(codes[:, axis], extra)
+        fields |= field << (extra.astype(np.uint64) * np.uint64(axis))
+    plane = bit_fields.pack(fields, extra * _THREE)
+    return coarse, refinement_bits.bits_stream(Attribute.MEANS, [constant], [plane], len(codes))
 
-    levels: U32
-    factors: F32
-    minimum: F32
+
+def write(codes: U32, grid: Grid, extra_bits: U8, model: StepModel) -> Stream:
+    """Return a fine stream of means in `morton_order`."""
+    classes, deltas = pack_deltas(morton.interleave(codes >> extra_bits[:, None]))
+    rest = bit_fields.pack(_fields(codes, extra_bits), extra_bits * _THREE)
+    params = grid.pack() + model.pack()
+    return Stream(Attribute.MEANS, Kind.FINE, len(codes), params, [classes, deltas, rest])
 
 
-def read_compiled(
-    classes: U8,
-    deltas: U8,
-    halvings: U8,
-    fields: U8,
-    used: tuple[int, int],
-    cells: Cells,
-    out: F32,
-    finer: tuple[U8, U8] | None = None,
-) -> bool:
-    """Write (n, 3) means as `unpack_deltas` and all that follows would, or find something wrong.
+def _fields(codes: U32, extra_bits: U8) -> U64:
+    wide = extra_bits.astype(np.uint64)
+    low = codes.astype(np.uint64) & ((np.uint64(1) << wide) - np.uint64(1))[:, None]
+    fields: U64 = low[:, 0] | (low[:, 1] << wide) | (low[:, 2] << (wide + wide))
+    return fields
 
-    Parameters
-    ----------
-    classes, deltas : uint8
-        Planes, the second `bits_length` bytes.
-    halvings : (n,) uint8
-    fields : uint8
-        Plane of three times as many bits a row (SPEC 6.15).
-    used : tuple of int
-        Bits that are used of the deltas and of the fields.
-    cells : Cells
-    out : (n, 3) float32
-    finer : tuple of uint8 arrays, optional
-        Halvings that a refinement adds to each row, and the plane of three times as many bits,
-        its padding checked (SPEC 6.17).
 
-    Returns
-    -------
-    bool
-        False where codes or padding break SPEC 6.5, 6.15 or 6.17; `out` is then of no use.
-    """
-    from cogsplat.codec.streams import kernels
+def write_cells(axis_codes: U32, grid: Grid) -> Stream:
+    """Return a morton stream of (n, 3) axis codes whose Morton codes ascend."""
+    classes, bits = pack_deltas(morton.interleave(axis_codes))
+    return Stream(Attribute.MEANS, Kind.MORTON, len(axis_codes), grid.pack(), [classes, bits])
 
-    for plane, total in zip((deltas, fields), used, strict=True):
-        if total & 7 and int(plane[-1]) >> (total & 7):
-            return False
-    none = halvings[:0]
-    extra, below = (none, none) if finer is None else finer
-    return kernels.fine_means(
-        classes,
-        kernels.words(deltas),
-        halvings,
-        kernels.words(fields),
-        kernels.AXES_OF_BITS,
-        cells.levels.astype(np.int64),
-        cells.factors,
-        cells.minimum,
-        extra,
-        kernels.words(below),
-        out,
+
+def parse_cells(stream: StoredStream) -> Grid:
+    """Return the grid of a morton stream, whose number of planes is checked."""
+    params = stream.require_params(3 * ENTRY_BYTES)
+    grid = grids.unpack(params, 3, stream.where, morton.MAX_LEVELS)
+    stream.require_planes(2)
+    return grid
+
+
+def parse(stream: StoredStream) -> tuple[Grid, StepModel]:
+    """Return the coarse grid and the step model of a fine stream, its number of planes checked."""
+    params = stream.require_params(3 * ENTRY_BYTES + MODEL_BYTES)
+    grid = grids.unpack(params[: 3 * ENTRY_BYTES], 3, stream.where, morton.MAX_LEVELS)
+    model = step_models.unpack(params[3 * ENTRY_BYTES :], stream.where)
+    if len(stream.words) != 3:
+        raise FormatError(
+            "stream-planes", f"{stream.where}: {len(stream.words)} planes, expected 3",
+            clause="6.15",
+        )  # fmt: skip
+    return grid, model
+
+
+def finer_of(inputs: Inputs) -> Finer | None:
+    """Return what refines a stream with an adaptive step, None where nothing does."""
+    if inputs.refinement is None or inputs.refined_scales is None:
+        return None
+    return Finer(inputs.refinement, inputs.refined_scales)
+
+
+def scales_of(inputs: Inputs) -> F32:
+    """Return the scales that the step of a stream follows from."""
+    if inputs.scales is None:
+        raise ValueError("no scales for a stream with an adaptive step")
+    return inputs.scales
+
+
+def _cells(stream: StoredStream, grid: Grid, clause: str) -> U32:
+    classes = stream.plane(0, stream.rows)
+    deltas = stream.plane(1, bits_length(classes, stream.where))
+    coarse = morton.deinterleave(unpack_deltas(classes, deltas, stream.where))
+    top = coarse.max(axis=0, initial=0)
+    if bool((top >= grid.levels).any()):
+        raise FormatError(
+            "code-range",
+            f"{stream.where}: codes up to {top.tolist()}, expected below {grid.levels.tolist()}",
+            clause=clause,
+        )
+    return coarse
+
+
+def read_cells(stream: StoredStream, out: F32, inputs: Inputs) -> None:
+    """Write the values of a morton stream into (rows, 3) float32 `out`."""
+    grid = parse_cells(stream)
+    out[:] = grid.dequantise(_cells(stream, grid, "6.5"))
+
+
+def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
+    """Write the values of a fine stream of means into (rows, 3) float32 `out`."""
+    grid, model = parse(stream)
+    finer = finer_of(inputs)
+    extra_bits = model.extra_bits(scales_of(inputs))
+    coarse = _cells(stream, grid, "6.15")
+    widths = extra_bits * _THREE
+    fields = bit_fields.unpack(
+        stream.plane(2, bit_fields.packed_bytes(widths)), widths, stream.where
     )
+    extra = np.zeros_like(extra_bits)
+    below = np.zeros(stream.rows, np.uint64)
+    if finer is not None:
+        (extra,) = finer.extra([model], [extra_bits])
+        finer.stream.require_planes(1)
+        below = finer.fields(0, extra * _THREE)
+    wide, more = extra_bits.astype(np.uint64), extra.astype(np.uint64)
+    half = refinement_bits.half_of(extra)
+    scale = POWERS[extra_bits + extra]
+    step = grid.step
+    for axis in range(3):
+        codes = (coarse[:, axis].astype(np.uint64) << wide) | _field(fields, wide, axis)
+        refined = ((codes << more) | _field(below, more, axis)).astype(np.int64) - half
+        if finer is not None and int(refined.min(initial=0)) < 0:
+            raise finer.refuse()
+        np.multiply(refined.astype(np.float32), scale * step[axis], out=out[:, axis])
+    out += grid.minimum
+
+
+def _field(fields: U64, wide: U64, axis: int) -> U64:
+    """Return one axis' bits of fields of three times so many."""
+    mask = (np.uint64(1) << wide) - np.uint64(1)
+    out: U64 = (fields >> (wide * np.uint64(axis))) & mask
+    return out

@@ -4,7 +4,7 @@ import numpy as np
 
 from cogsplat.codec.segments.heads import decode_head
 from cogsplat.codec.splats import Splats, empty
-from cogsplat.codec.streams import records
+from cogsplat.codec.streams import records, scalar
 from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.records import COMPONENTS, Attribute, Kind, Stream
 
@@ -22,7 +22,7 @@ def constant(attribute, rows) -> Stream:
     if attribute == Attribute.QUATS:
         return Stream(attribute, Kind.QUAT, rows, bytes(4) + flat(3).pack(), [])
     values = np.zeros((rows, COMPONENTS[attribute]), np.float32)
-    return records.scalar(attribute, values, flat(COMPONENTS[attribute]))
+    return scalar.write(attribute, values, flat(COMPONENTS[attribute]))
 
 
 def decode(*given: Stream) -> Splats:

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.geometry import morton
-from cogsplat.codec.streams import grid as grids
-from cogsplat.codec.streams import sorted_means
+from cogsplat.codec.streams import grid_planes, sorted_means
 from cogsplat.codec.streams.grid import Grid
+from cogsplat.codec.streams.quaternion import PER_ROW
 from cogsplat.codec.streams.records import (
     COMPONENTS,
+    ESCAPE,
     INFINITIES,
-    KEPT,
-    PER_ROW,
     Attribute,
     Kind,
     Stream,
@@ -72,7 +71,7 @@ def coded(
     planes = [
         plane
         for column, count in zip(codes, cut, strict=True)
-        for plane in grids.split_planes(np.array(column, np.uint32), count)
+        for plane in grid_planes.split_planes(np.array(column, np.uint32), count)
     ]
     return Stream(attribute, Kind.SCALAR, len(codes[0]), grid(rows).pack(), planes, flags)
 
@@ -84,13 +83,13 @@ def spread(
     *,
     span: float = 1.0,
     levels: int = 100,
-    kept: bool = False,
+    escape: bool = False,
 ) -> Stream:
     """Return a scalar stream of pseudo-random codes, every component on a range of its own."""
     components = COMPONENTS[attribute]
     ranges = [(-span - 0.1 * i, span + 0.3 * i, levels + i) for i in range(components)]
     codes = [numbers(rows, count, seed + 97 * i) for i, (_, _, count) in enumerate(ranges)]
-    return coded(attribute, ranges, codes, flags=KEPT if kept else 0)
+    return coded(attribute, ranges, codes, flags=ESCAPE if escape else 0)
 
 
 def constant(attribute: Attribute, rows: int, *values: float) -> Stream:
@@ -105,7 +104,7 @@ def quats(
     *,
     largest: int | Sequence[int] = 0,
     ranges: Sequence[GridRow] = ((-0.5, 0.5, 64), (-0.4, 0.6, 300), (-0.3, 0.5, 33)),
-    kept: bool = False,
+    escape: bool = False,
 ) -> Stream:
     """Return a quat stream of pseudo-random codes.
 
@@ -116,14 +115,14 @@ def quats(
         The component left out, for all rows or for each.
     ranges : sequence of (float, float, int)
         Of the three components stored.
-    kept : bool
+    escape : bool
     """
     each = not isinstance(largest, int)
     codes = [numbers(rows, count, seed + 31 * i) for i, (_, _, count) in enumerate(ranges)]
     body = coded(Attribute.QUATS, ranges, codes)
     params = struct.pack("<B3x", PER_ROW if each else largest) + body.params
     first = [np.array(largest, np.uint8)] if each else []
-    flags = KEPT if kept else 0
+    flags = ESCAPE if escape else 0
     return Stream(Attribute.QUATS, Kind.QUAT, rows, params, [*first, *body.planes], flags)
 
 
@@ -135,10 +134,12 @@ def morton_means(axis_codes: Sequence[Sequence[int]], rows: Sequence[GridRow]) -
     return Stream(Attribute.MEANS, Kind.MORTON, len(codes), grid(rows).pack(), [classes, bits])
 
 
-def indices(attribute: Attribute, codes: Sequence[int], book: int, size: int, kept: int) -> Stream:
+def indices(
+    attribute: Attribute, codes: Sequence[int], book: int, size: int, escape: int
+) -> Stream:
     """Return a vq stream."""
-    planes = grids.split_planes(np.array(codes, np.uint32), size + kept)
-    return Stream(attribute, Kind.VQ, len(codes), struct.pack("<II", book, kept), planes)
+    planes = grid_planes.split_planes(np.array(codes, np.uint32), size + escape)
+    return Stream(attribute, Kind.VQ, len(codes), struct.pack("<II", book, escape), planes)
 
 
 def floats(attribute: Attribute, values: Sequence[Sequence[float]]) -> Stream:
@@ -183,11 +184,11 @@ def still_head(rows: int, *changed: Stream) -> list[Stream]:
 
 
 def vq_head(
-    rows: int, seed: int, shape: Stream, *kept: Stream, still: bool = False
+    rows: int, seed: int, shape: Stream, *escape: Stream, still: bool = False
 ) -> list[Stream]:
     """Return the streams of a head whose shapes come from a codebook, `still` in all else."""
     return [
-        *kept,
+        *escape,
         shape,
         spread(Attribute.SCALE_FACTOR, rows, seed + 5, span=2.0, levels=50),
         *(still_head(rows) if still else head(rows, seed))[2:],
@@ -202,12 +203,12 @@ def shape_book(rows: int, seed: int) -> list[Stream]:
     ]
 
 
-def band(number: int, rows: int, seed: int, *, kept: bool = False) -> Stream:
+def band(number: int, rows: int, seed: int, *, escape: bool = False) -> Stream:
     """Return the stream of one SH band, 1 to 3."""
     attribute = (Attribute.SH1, Attribute.SH2, Attribute.SH3)[number - 1]
-    return spread(attribute, rows, seed + number, span=0.5, levels=17, kept=kept)
+    return spread(attribute, rows, seed + number, span=0.5, levels=17, escape=escape)
 
 
-def bands(degree: int, rows: int, seed: int, *, kept: bool = False) -> list[Stream]:
+def bands(degree: int, rows: int, seed: int, *, escape: bool = False) -> list[Stream]:
     """Return the streams of the SH bands up to a degree."""
-    return [band(number, rows, seed, kept=kept) for number in range(1, degree + 1)]
+    return [band(number, rows, seed, escape=escape) for number in range(1, degree + 1)]

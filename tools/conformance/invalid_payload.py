@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import zstandard
 
-from cogsplat.codec.streams.records import INFINITIES, KEPT, Attribute, Kind, Stream
+from cogsplat.codec.streams.records import ESCAPE, INFINITIES, Attribute, Kind, Stream
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
@@ -277,8 +277,8 @@ def codebooks() -> list[Invalid]:
     colour = scenes.indices(Attribute.SHN, [1, 0, 3], 1, 4, 0)
     head = scenes.vq_head(3, 1, shape, still=True)
     own = [
-        scenes.spread(Attribute.SCALES, 1, 3, kept=True),
-        scenes.quats(1, 4, kept=True),
+        scenes.spread(Attribute.SCALES, 1, 3, escape=True),
+        scenes.quats(1, 4, escape=True),
     ]
     with_own = scenes.indices(Attribute.SHAPE, [0, 5, 2], 0, 5, 1)
 
@@ -321,7 +321,7 @@ def codebooks() -> list[Invalid]:
             shape=many_kept, kept=own),
         bad("kept-none", "stream-missing", "7.2", "a kept row stated, none there", shape=with_own),
         bad("kept-two", "stream-rows", "6.2", "one kept row stated, two there", shape=with_own,
-            kept=[scenes.spread(Attribute.SCALES, 2, 3, kept=True), own[1]]),
+            kept=[scenes.spread(Attribute.SCALES, 2, 3, escape=True), own[1]]),
         bad("kept-unstated", "stream-unexpected", "7.2", "kept rows not stated", kept=own),
         bad("vq-params", "stream-params", "6.2", "7 bytes of parameters, not 8", shape=short),
         bad("shape-scalar", "stream-kind", "6.2", "shapes as a scalar stream", shape=scalar_shape),
@@ -358,15 +358,15 @@ def heads_and_tails() -> list[Invalid]:
         _refused("no-streams", _raw(pack_streams([])), "stream-missing", "7.2", "an empty head"),
         _refused("head-band", _raw(pack_streams([*head, scenes.band(1, 3, 1)])),
                  "stream-unexpected", "7.2", "an SH band in a head"),
-        _refused("head-kept", _raw(pack_streams([replace(s, flags=s.flags | KEPT) if i == 0 else s
+        _refused("head-kept", _raw(pack_streams([replace(s, flags=s.flags | ESCAPE) if i == 0 else s
                                                  for i, s in enumerate(head)])),
                  "stream-missing", "7.2", "means that say they are kept rows"),
         _refused("tail-band-above", _tail([*three, scenes.band(3, 3, 5)]), "stream-unexpected",
                  "7.3", "a third band at SH degree 2"),
         _refused("tail-sh0", _tail([*three, head[-1]]), "stream-unexpected", "7.3",
                  "sh0 in a tail"),
-        _refused("tail-kept", _tail([scenes.band(1, 3, 5, kept=True)]), "stream-unexpected", "7.3",
-                 "kept rows without indices"),
+        _refused("tail-kept", _tail([scenes.band(1, 3, 5, escape=True)]),
+                 "stream-unexpected", "7.3", "kept rows without indices"),
         kind("quats-scalar", still, "quats as a scalar stream"),
         kind("opacities-vq", codes, "opacities as indices"),
         kind("sh0-morton", morton, "sh0 as a morton stream"),

@@ -167,5 +167,7 @@ def bases() -> list[Invalid]:
         file("shn-params", replace(good, params=good.params[:15]), "stream-params", "15 bytes"),
         file("shn-planes", replace(good, planes=good.planes[:-1]), "stream-planes", "one missing"),
         file("shn-basis-high", good, "basis-value", "a basis that reaches 2^33", book=high),
-        file("shn-kind", replace(good, kind=Kind.TURN), "stream-kind", "shN as turns", "6.2"),
+        file(
+            "shn-kind", replace(good, kind=Kind.SWING_TWIST), "stream-kind", "shN as turns", "6.2"
+        ),
     ]

@@ -10,9 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.streams import fine_means as means_streams
-from cogsplat.codec.streams import refinement, shape_streams
-from cogsplat.codec.streams.adaptive_step import Resolution
+from cogsplat.codec.streams import refinement_bits, sorted_means, swing_twist
+from cogsplat.codec.streams.adaptive_step import StepModel
 from cogsplat.codec.streams.grid import ENTRY_BYTES
 from cogsplat.codec.streams.records import INFINITIES, Attribute, Kind, Stream
 from cogsplat.formats.cogs.layout import SegmentKind
@@ -28,7 +27,7 @@ from .valid import Valid
 _ROWS: Final = 24
 _CELLS: Final = 9
 
-_COARSE: Final = Resolution((-2.75, 1.0, 0.75, -0.25, 1.0, 0.5))
+_COARSE: Final = StepModel((-2.75, 1.0, 0.75, -0.25, 1.0, 0.5))
 """Halvings from 0 to 10 over the scales of `coarse.ladder`."""
 
 _GAIN: Final = 3.5
@@ -58,7 +57,7 @@ def refined_turns(head: Stream, below: Stream | None, seed: int) -> tuple[Stream
     values = np.array([scenes.numbers(3, 2001, seed + row) for row in range(head.rows)]) / 1000 - 1
     values[:2] = [[-1, 1, -1], [1, -1, 1]]
     constants = [_COARSE.coefficients[0] + _GAIN, _COARSE.coefficients[0] + 1.25]
-    stream, bits, _ = shape_streams.refined_turns(
+    stream, bits, _ = swing_twist.refined_turns(
         values, _scales(head), _COARSE, _COARSE, _scales(head, below), constants
     )
     return stream, bits
@@ -66,17 +65,17 @@ def refined_turns(head: Stream, below: Stream | None, seed: int) -> tuple[Stream
 
 def refined_means(head: Stream, below: Stream | None, seed: int) -> tuple[Stream, Stream]:
     """Return fine means of a head and their bits, by its scales and what refines those."""
-    halvings = _COARSE.halvings(_scales(head))
+    halvings = _COARSE.extra_bits(_scales(head))
     constant = _COARSE.coefficients[0] + _GAIN
-    finer = refinement.with_constant(_COARSE, constant)
-    extra = refinement.gained(finer, _scales(head, below), halvings)
+    finer = refinement_bits.with_constant(_COARSE, constant)
+    extra = refinement_bits.gained(finer, _scales(head, below), halvings)
     # Cells in the order of their Morton codes; none but the first at an edge, where bits could
     # lead out of the grid.
     count = head.rows
     picked = [[0, 0, 0], *(scenes.numbers(3, _CELLS - 2, seed + row) for row in range(1, count))]
     cells = np.array(picked, np.uint32)
     cells[1:] += 1
-    cells = cells[means_streams.morton_order(cells, np.zeros_like(halvings))]
+    cells = cells[sorted_means.morton_order(cells, np.zeros_like(halvings))]
     wide, gain = halvings.astype(np.int64)[:, None], extra.astype(np.int64)[:, None]
     low = np.array([scenes.numbers(3, 1 << 15, seed + 50 + row) for row in range(count)])
     low[0] = 0
@@ -84,9 +83,9 @@ def refined_means(head: Stream, below: Stream | None, seed: int) -> tuple[Stream
     digit = np.array([scenes.numbers(3, 1 << 15, seed + 99 + row) for row in range(count)])
     digit[0] = 1 << 14
     fine = (stored << gain) + (digit >> 15 - gain) - ((1 << gain) >> 1)
-    kept, bits = means_streams.refine(fine.astype(np.uint32), extra, constant)
+    kept, bits = sorted_means.refine(fine.astype(np.uint32), extra, constant)
     grid = scenes.grid([(-1.0, 1.0, _CELLS), (-0.5, 0.5, _CELLS), (0.0, 3.0, _CELLS)])
-    return means_streams.fine_means(kept, grid, halvings, _COARSE), bits
+    return sorted_means.write(kept, grid, halvings, _COARSE), bits
 
 
 def _chunk(head: bytes, rows: int, refined: bytes) -> Draft:
@@ -181,9 +180,9 @@ def refinements() -> list[Invalid]:
     """Return the vectors of SPEC 6.16, 6.17 and 7.4."""
     head, below = _body(1)
     sizes, turn_bits, mean_bits, clear, _ = below
-    halvings = _COARSE.halvings(_scales(head[0]))
-    gained = refinement.gained(
-        refinement.with_constant(_COARSE, _COARSE.coefficients[0] + _GAIN),
+    halvings = _COARSE.extra_bits(_scales(head[0]))
+    gained = refinement_bits.gained(
+        refinement_bits.with_constant(_COARSE, _COARSE.coefficients[0] + _GAIN),
         _scales(head[0], sizes),
         halvings,
     )
@@ -231,7 +230,7 @@ def refinements() -> list[Invalid]:
         bad("digits-infinities", [digits(Attribute.OPACITIES, infinite, (5,), 1)], "stream-kind",
             "6.16", "digits for a stream with infinities", [*head[:3], infinite, head[4]]),
         bad("digits-scalar", [replace(head[3], attribute=Attribute.OPACITIES)], "stream-kind",
-            "6.2", "a scalar stream in a refinement"),
+            "7.4", "a scalar stream in a refinement"),
         bad("digits-in-head", [], "stream-kind", "6.2", "digits in a head", [*head[:3], clear,
             head[4]]),
         bad("digits-rows", [replace(clear, rows=_ROWS - 1, planes=[clear.planes[0][1:]])],
@@ -252,9 +251,9 @@ def refinements() -> list[Invalid]:
             "a fine code below 0"),
         bad("bits-turn-below", [sizes, plane(turn_bits, -1, bytes(len(fields)))], "code-range",
             "6.17", "a turn's fine code below 0"),
-        bad("bits-kind", [replace(mean_bits, attribute=Attribute.SH0)], "stream-kind", "6.2",
+        bad("bits-kind", [replace(mean_bits, attribute=Attribute.SH0)], "stream-kind", "7.4",
             "bits for sh0"),
-        bad("bits-of-scalar", [mean_bits], "stream-unexpected", "7.4",
+        bad("bits-of-scalar", [mean_bits], "stream-kind", "7.4",
             "bits for scalar means", scenes.head(_ROWS, 3)),
         bad("refinement-factor", [factor], "stream-unexpected", "7.4",
             "a scale factor in a refinement"),

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from cogsplat.codec.streams.records import INFINITIES, KEPT, Attribute
+from cogsplat.codec.streams.records import ESCAPE, INFINITIES, Attribute
 from cogsplat.formats.cogs.canonical_msgpack import Value
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
@@ -215,11 +215,11 @@ def _vq_kept() -> Valid:
     index[:10] = range(250, 260)
     shape = scenes.indices(Attribute.SHAPE, index, 0, 250, 10)
     own = [
-        scenes.spread(Attribute.SCALES, 10, 70, levels=40, kept=True),
-        scenes.quats(10, 71, largest=2, kept=True),
+        scenes.spread(Attribute.SCALES, 10, 70, levels=40, escape=True),
+        scenes.quats(10, 71, largest=2, escape=True),
     ]
     colour = scenes.indices(Attribute.SHN, [4, 5, 6, *scenes.numbers(27, 7, 3)], 1, 4, 3)
-    own_bands = [scenes.band(2, 3, 80, kept=True)]
+    own_bands = [scenes.band(2, 3, 80, escape=True)]
     books = {
         "shape": (250, [pack_streams(scenes.shape_book(250, 1))]),
         "colour": (4, [pack_streams([scenes.band(i, 4, 2)]) for i in (1, 2)]),
@@ -235,8 +235,8 @@ def _vq_all_kept() -> Valid:
     shape = scenes.indices(Attribute.SHAPE, [1, 2, 3], 0, 1, 3)
     scales = [[-1.0, -2.0, -3.0], [0.1, 0.2, 0.3], [0.0, -0.0, 1.0]]
     own = [
-        replace(scenes.floats(Attribute.SCALES, scales), flags=KEPT),
-        scenes.quats(3, 71, kept=True),
+        replace(scenes.floats(Attribute.SCALES, scales), flags=ESCAPE),
+        scenes.quats(3, 71, escape=True),
     ]
     books = {"shape": (1, [pack_streams(scenes.shape_book(1, 1))])}
     head = pack_streams(scenes.vq_head(3, 4, shape, *own))

@@ -12,8 +12,8 @@ import zstandard
 from numpy.typing import NDArray
 
 from cogsplat.codec.geometry import morton
-from cogsplat.codec.streams import bit_fields, colour_streams, sorted_means, turn
-from cogsplat.codec.streams.adaptive_step import Resolution
+from cogsplat.codec.streams import bit_fields, shn_transform, sorted_means, swing_twist
+from cogsplat.codec.streams.adaptive_step import StepModel
 from cogsplat.codec.streams.records import COMPONENTS, SH_BANDS, Attribute, Kind, Stream
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
@@ -34,7 +34,7 @@ from .file_builder import (
 from .reference_streams import SCALES, numbers, parse
 from .valid import Valid
 
-_RESOLUTION: Final = Resolution((3.25, 1.5, 0.75, -0.25, 2.0, 0.5))
+_RESOLUTION: Final = StepModel((3.25, 1.5, 0.75, -0.25, 2.0, 0.5))
 """Halvings from 0 to 15 over the scales of `ladder`."""
 
 
@@ -42,17 +42,17 @@ def ladder(rows: int, seed: int) -> Stream:
     """Return a ladder stream of scales."""
     ranges = [(-5.0, 6.0, 40), (0.0, 4.1, 30), (-0.5, 3.3, 300)]
     codes = [scenes.numbers(rows, count, seed + i) for i, (_, _, count) in enumerate(ranges)]
-    return replace(scenes.coded(Attribute.SCALES, ranges, codes), kind=Kind.LADDER)
+    return replace(scenes.coded(Attribute.SCALES, ranges, codes), kind=Kind.DIFFERENCES)
 
 
-def halvings(scales: Stream, resolution: Resolution = _RESOLUTION) -> NDArray[np.uint8]:
+def halvings(scales: Stream, resolution: StepModel = _RESOLUTION) -> NDArray[np.uint8]:
     """Return the halvings of each row of a scales stream."""
     stored = parse(pack_streams([scales]))[SCALES, 0]
     rows = np.array(numbers(stored), np.float32)
-    return resolution.halvings(rows)
+    return resolution.extra_bits(rows)
 
 
-def turns(scales: Stream, seed: int, spin: Resolution = _RESOLUTION) -> Stream:
+def turns(scales: Stream, seed: int, spin: StepModel = _RESOLUTION) -> Stream:
     """Return a turn stream of pseudo-random codes, with the first and the last among them."""
     planes = []
     for column, resolution in enumerate((_RESOLUTION, _RESOLUTION, spin)):
@@ -62,10 +62,10 @@ def turns(scales: Stream, seed: int, spin: Resolution = _RESOLUTION) -> Stream:
             for row, h in enumerate(halved)
         ]
         codes[:2] = [0, (1 << int(halved[1])) if halved[1] else 0]
-        symbols, rest = turn.split(np.array(codes, np.uint32), halved)
+        symbols, rest = swing_twist.split(np.array(codes, np.uint32), halved)
         planes += [*symbols, rest]
     params = _RESOLUTION.pack() + spin.pack()
-    return Stream(Attribute.QUATS, Kind.TURN, scales.rows, params, planes)
+    return Stream(Attribute.QUATS, Kind.SWING_TWIST, scales.rows, params, planes)
 
 
 def fine_means(scales: Stream, seed: int, levels: int = 9) -> Stream:
@@ -91,7 +91,7 @@ def sh0_basis(rows: int, seed: int) -> Stream:
 
 def shn_basis(codes: Sequence[Sequence[int]], book: int, step: float, shrink: float) -> Stream:
     """Return a basis stream of shN of signed coordinates, row by row."""
-    return colour_streams.shn_on_basis(np.array(codes, np.int64), book, step, shrink)
+    return shn_transform.write(np.array(codes, np.int64), book, step, shrink)
 
 
 def _one_stream(name: str, streams: Sequence[Stream], clauses: tuple[str, ...], note: str) -> Valid:
@@ -214,8 +214,8 @@ def valid() -> list[Valid]:
     """Return the vectors, in the order of the manifest."""
     scales = ladder(24, 1)
     plain = scenes.spread(Attribute.SCALES, 24, 8, span=6.0)
-    never = Resolution((-9.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    always = Resolution((1e6, 0.0, 0.0, 0.0, 0.0, 0.0))
+    never = StepModel((-9.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    always = StepModel((1e6, 0.0, 0.0, 0.0, 0.0, 0.0))
     return [
         *_packed(),
         _packed_ends(),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.geometry import morton
 from cogsplat.codec.streams import grid as grids
-from cogsplat.codec.streams import records
+from cogsplat.codec.streams import scalar, sorted_means
 from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.records import Attribute, Stream
 
@@ -41,10 +41,10 @@ def chunk_means(means: F32, step: float, sort: bool) -> tuple[NDArray[np.int64],
     codes = grid.quantise(means)
     if not sort:
         rows = np.arange(len(means), dtype=np.int64)
-        return rows, records.scalar(Attribute.MEANS, means, grid)
+        return rows, scalar.write(Attribute.MEANS, means, grid)
     keys = morton.interleave(codes)
     rows = np.argsort(keys, kind="stable").astype(np.int64)
-    return rows, records.morton_means(codes[rows], grid)
+    return rows, sorted_means.write_cells(codes[rows], grid)
 
 
 def _cap(grid: Grid) -> Grid:
@@ -55,4 +55,4 @@ def _cap(grid: Grid) -> Grid:
 def chunk_opacities(opacities: F32, step: float) -> Stream:
     """Return the opacities of a chunk, clipped to ±`MAX_LOGIT`."""
     values = np.clip(opacities, -MAX_LOGIT, MAX_LOGIT)[:, None]
-    return records.scalar(Attribute.OPACITIES, values, grids.fit(values, step))
+    return scalar.write(Attribute.OPACITIES, values, grids.fit(values, step))

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from cogsplat.codec.geometry import morton, rotations
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.streams import float32, quaternion, records, scalar
 from cogsplat.codec.streams import grid as grids
-from cogsplat.codec.streams import records
 from cogsplat.codec.streams.records import SH_BANDS, Attribute, Stream
 
 from .chunk_streams import chunk_means
@@ -86,7 +86,7 @@ def encode_chunk(
     splats = splats.take(rows)
     head = [
         _bounded(Attribute.SCALES, splats.scales, bounds.scales),
-        records.quats(rotations.unit(splats.quats), _quat_step(bounds.quats)),
+        quaternion.write(rotations.unit(splats.quats), _quat_step(bounds.quats)),
         means,
         _opacities(splats.opacities[:, None], bounds.opacities),
         _bounded(Attribute.SH0, splats.sh0, bounds.sh0),
@@ -113,14 +113,14 @@ def _means(means: F32, bound: float, sort: bool) -> tuple[NDArray[np.int64], Str
         return chunk_means(means, step, sort)
     # Coordinates too large for the bound on any grid: as they are.
     rows = np.arange(len(means), dtype=np.int64)
-    return rows, records.floats(Attribute.MEANS, means)
+    return rows, float32.write(Attribute.MEANS, means)
 
 
 def _bounded(attribute: Attribute, values: F32, bound: float) -> Stream:
     grid = grids.fit(values, 2 * bound * _SLACK)
     if _error(values, grid) <= bound:
-        return records.scalar(attribute, values, grid)
-    return records.floats(attribute, values)
+        return scalar.write(attribute, values, grid)
+    return float32.write(attribute, values)
 
 
 def _opacities(values: F32, bound: float) -> Stream:
@@ -131,8 +131,8 @@ def _opacities(values: F32, bound: float) -> Stream:
         # Two codes more, and all of them must fit three bytes.
         fits = int(grid.levels[0]) <= grids.MAX_LEVELS - 2
         if fits and _error(inner, grid) <= bound:
-            return records.scalar_with_infinities(Attribute.OPACITIES, values, grid)
-        return records.floats(Attribute.OPACITIES, values)
+            return scalar.write_with_infinities(Attribute.OPACITIES, values, grid)
+        return float32.write(Attribute.OPACITIES, values)
     return _bounded(Attribute.OPACITIES, values, bound)
 
 

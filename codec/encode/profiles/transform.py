@@ -22,12 +22,14 @@ from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams import (
     adaptive_step,
-    colour_streams,
-    fine_means,
     records,
-    refinement,
-    shape_streams,
-    turn,
+    refinement_bits,
+    refinement_digits,
+    scalar,
+    scale_differences,
+    sh0_transform,
+    sorted_means,
+    swing_twist,
 )
 from cogsplat.codec.streams import grid as grids
 from cogsplat.codec.streams.grid import Grid
@@ -120,7 +122,9 @@ def coarseness(
 
 def _coarse(halvings: float) -> Coarseness:
     later = {name: min(max(halvings + own, 0.0), _MOST_LATER) for name, own in _LATER.items()}
-    radices = {name: min(round(2**wait), refinement.MAX_RADIX) for name, wait in later.items()}
+    radices = {
+        name: min(round(2**wait), refinement_digits.MAX_RADIX) for name, wait in later.items()
+    }
     return Coarseness(
         scales=(radices["scales"],) * 3,
         means=round(later["means"]),
@@ -194,7 +198,7 @@ def plan(
     if contribution is not None:
         coarse = coarseness(contribution, lagrangian, chunks, missing_all)
     costs = rate_costs.limited(costs, splats.scales, lagrangian)
-    turns, scales = turn.canonical(rotations.unit(splats.quats), splats.scales)
+    turns, scales = swing_twist.canonical(rotations.unit(splats.quats), splats.scales)
     basis: ColourBasis | None = None
     payloads: tuple[bytes, ...] = ()
     if splats.sh_degree:
@@ -230,7 +234,10 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     sizes = refinement_split.cut(
         Attribute.SCALES, ladder, scale_grid, plan_.costs.scale_long[rows], coarse.scales
     )
-    head_scales, scales = shape_streams.climb(sizes.coarse), shape_streams.climb(sizes.fine)
+    head_scales, scales = (
+        scale_differences.accumulate(sizes.coarse),
+        scale_differences.accumulate(sizes.fine),
+    )
     means_costs = plan_.costs.take(rows).mean
     if used.fine_means:
         inside, means, moved = _affordable(
@@ -269,10 +276,10 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     )
     colour, coloured = _sh0(sh0, costs.energy, lagrangian, coarse.sh0)
     head = [
-        shape_streams.ladder(sizes.coarse, sizes.grid),
+        scale_differences.write(sizes.coarse, sizes.grid),
         turns,
         means,
-        records.scalar(Attribute.OPACITIES, clear.coarse, clear.grid),
+        scalar.write(Attribute.OPACITIES, clear.coarse, clear.grid),
         colour,
     ]
     sized = _Later(sizes.digits, _scale_gain(sizes, ladder[inside], costs))
@@ -321,7 +328,7 @@ def _ladder(scales: F32, costs: Costs, lagrangian: float, areas: bool) -> tuple[
     """
     columns = (costs.scale_long, costs.scale_middle, costs.scale_thin)
     steps = np.array([allocation.equal_step(lagrangian, column) for column in columns])
-    ladder = shape_streams.steps_of(scales)
+    ladder = scale_differences.differences_of(scales)
     grid = grids.fit(ladder, steps)
     if not areas:
         return ladder, grid
@@ -353,12 +360,16 @@ def _turns(
     tilt = adaptive_step.fit(head, costs.tilt, lagrangian, _TURN_STEP)
     spin = adaptive_step.fit(head, costs.spin, lagrangian, _TURN_STEP)
     if not halvings:
-        return shape_streams.turns(turns, head, tilt, spin)[0], _WHOLE
+        return swing_twist.turns(turns, head, tilt, spin)[0], _WHOLE
     constants = [
-        adaptive_step.shifted(tilt, halvings, fine, costs.tilt, plan_.lagrangian, _TURN_STEP),
-        adaptive_step.shifted(spin, halvings, fine, costs.spin, plan_.lagrangian, _TURN_STEP),
+        adaptive_step.with_more_bits(
+            tilt, halvings, fine, costs.tilt, plan_.lagrangian, _TURN_STEP
+        ),
+        adaptive_step.with_more_bits(
+            spin, halvings, fine, costs.spin, plan_.lagrangian, _TURN_STEP
+        ),
     ]
-    stream, below, coarse = shape_streams.refined_turns(turns, head, tilt, spin, fine, constants)
+    stream, below, coarse = swing_twist.refined_turns(turns, head, tilt, spin, fine, constants)
     missed = np.square(turns - coarse)
     gain = float(costs.tilt @ (missed[:, 0] + missed[:, 1]) + costs.spin @ missed[:, 2])
     return stream, _Later(below, gain)
@@ -404,25 +415,27 @@ def _means(
     base = float(2.0 ** np.floor(np.quantile(wanted, 1 - _COARSEST)))
     base = min(base, _widest(means))
     coarse = adaptive_step.fit(head, costs, coarse_slope, base)
-    halvings = coarse.halvings(head)
+    halvings = coarse.extra_bits(head)
     extra = np.zeros_like(halvings)
     constant = 0.0
     if later:
-        constant = adaptive_step.shifted(coarse, later, fine, costs, lagrangian, base)
-        extra = refinement.gained(refinement.with_constant(coarse, constant), fine, halvings)
+        constant = adaptive_step.with_more_bits(coarse, later, fine, costs, lagrangian, base)
+        extra = refinement_bits.gained(
+            refinement_bits.with_constant(coarse, constant), fine, halvings
+        )
     total = halvings + extra
     grid = _grid(means, base)
     top = grid.levels.astype(np.float64) * 2.0 ** int(total.max())
     if not sort or int(grid.levels.max()) > morton.MAX_LEVELS or top.max() >= 2.0**31:
         return *chunk_means(means, allocation.equal_step(lagrangian, costs), sort), _WHOLE
-    codes = fine_means.fine_codes(means, grid, total)
-    kept, _ = refinement.coarse_of(codes, extra[:, None])
-    order = fine_means.morton_order(kept, halvings)
-    stored, below = fine_means.refine(codes[order], extra[order], constant)
-    stream = fine_means.fine_means(stored, grid, halvings[order], coarse)
+    codes = sorted_means.codes_of(means, grid, total)
+    kept, _ = refinement_bits.coarse_of(codes, extra[:, None])
+    order = sorted_means.morton_order(kept, halvings)
+    stored, below = sorted_means.refine(codes[order], extra[order], constant)
+    stream = sorted_means.write(stored, grid, halvings[order], coarse)
     if not later:
         return order, stream, _WHOLE
-    missed = np.square(means[order] - fine_means.values(stored, grid, halvings[order]))
+    missed = np.square(means[order] - sorted_means.values(stored, grid, halvings[order]))
     return order, stream, _Later(below, float(costs[order] @ missed.sum(axis=1)))
 
 
@@ -456,6 +469,6 @@ def _sh0(
     on_axes = np.linalg.solve(axes.T.astype(np.float64), values.T).T.astype(np.float32)
     step = allocation.equal_step(lagrangian, energy * rate_costs.SH0_COST * rate_costs.SH0_WEIGHT)
     parts = refinement_split.cut(Attribute.SH0, on_axes, grids.fit(on_axes, step), energy, most)
-    stream, _ = colour_streams.sh0_on_axes(parts.coarse, axes, parts.grid)
+    stream = sh0_transform.write(parts.coarse, axes, parts.grid)
     missed = _squares(parts, on_axes) @ np.square(axes.astype(np.float64)).sum(axis=1)
     return stream, _Later(parts.digits, float(rate_costs.SH0_COST * (energy @ missed)))

@@ -1,4 +1,4 @@
-"""The `vq` profile: shape and colour codebooks, kept vectors in the chunk (Niedermayr et al.)."""
+"""The `vq` profile: shape and colour codebooks, escape rows in the chunk (Niedermayr et al.)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from cogsplat.codec.progress import Progress
 from cogsplat.codec.rate import allocation, costs
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.streams import codebook_index, kinds, quaternion, records, scalar
 from cogsplat.codec.streams import grid as grids
-from cogsplat.codec.streams import records
 from cogsplat.codec.streams.records import SH_BANDS, Attribute, Stream
 
 from .chunk_streams import chunk_means, chunk_opacities
@@ -25,9 +25,9 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U32 = NDArray[np.uint32]
 
-# Bits that a kept vector costs beyond an index, for the choice between the two.
-_KEPT_SHAPE_BITS: Final = 26.0
-_KEPT_COLOUR_BITS_PER_VALUE: Final = 1.6
+# Bits that an escape row costs beyond an index, for the choice between the two.
+_ESCAPE_SHAPE_BITS: Final = 26.0
+_ESCAPE_COLOUR_BITS_PER_VALUE: Final = 1.6
 
 # Squared error of the picture per energy and squared distance of shape vectors, as the costs of
 # `allocation`: measured with codebooks of 1024 and 4096 rows on trained scenes.
@@ -61,11 +61,11 @@ class VqPlan:
     shape_payload: bytes
     shape_rows: int
     shape_indices: U32
-    shape_kept: NDArray[np.bool_]
+    shape_escape: NDArray[np.bool_]
     colour_payloads: tuple[bytes, ...]
     colour_rows: int
     colour_indices: U32
-    colour_kept: NDArray[np.bool_]
+    colour_escape: NDArray[np.bool_]
 
 
 MAX_COEFFICIENT: Final = 1e4
@@ -137,11 +137,11 @@ def plan(
     indices, errors = kmeans.nearest(vectors, rows, threads)
     # Equal λ: an error is worth the bits that would remove it at dD/dR = 2·ln2·λ/12.
     per_bit = 2 * np.log(2) * lagrangian / 12
-    kept = energy * errors * _SHAPE_COST > _KEPT_SHAPE_BITS * per_bit
+    escape = energy * errors * _SHAPE_COST > _ESCAPE_SHAPE_BITS * per_bit
     progress("codebooks", 1, 2)
     colour_payloads: tuple[bytes, ...] = ()
     colour_rows, colour_indices = 0, np.zeros(len(splats), np.uint32)
-    colour_kept = np.zeros(len(splats), np.bool_)
+    colour_escape = np.zeros(len(splats), np.bool_)
     if splats.sh_degree:
         coefficients = splats.shN.reshape(len(splats), -1)
         values = kmeans.train(
@@ -151,8 +151,8 @@ def plan(
         colour_payloads, values = _store_colours(values, colour_indices, energy, lagrangian)
         colour_indices, colour_errors = kmeans.nearest(coefficients, values, threads)
         colour_rows = len(values)
-        bits = _KEPT_COLOUR_BITS_PER_VALUE * coefficients.shape[1]
-        colour_kept = energy * colour_errors * _SH_COST > bits * per_bit
+        bits = _ESCAPE_COLOUR_BITS_PER_VALUE * coefficients.shape[1]
+        colour_escape = energy * colour_errors * _SH_COST > bits * per_bit
     progress("codebooks", 2, 2)
     return VqPlan(
         lagrangian=lagrangian,
@@ -163,11 +163,11 @@ def plan(
         shape_payload=payload,
         shape_rows=len(rows),
         shape_indices=indices,
-        shape_kept=kept,
+        shape_escape=escape,
         colour_payloads=colour_payloads,
         colour_rows=colour_rows,
         colour_indices=colour_indices,
-        colour_kept=colour_kept,
+        colour_escape=colour_escape,
     )
 
 
@@ -182,49 +182,49 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
     factor_step = allocation.step(lagrangian, costs.SCALE_FACTOR_COST, energy)
     sh0_step = allocation.step(lagrangian, costs.SH0_COST, energy)
     head: list[Stream] = []
-    kept = plan_.shape_kept[rows]
-    if kept.any():
-        own = energy[kept]
-        scales = plan_.scales[rows[kept]] - factors[kept]
+    escape = plan_.shape_escape[rows]
+    if escape.any():
+        own = energy[escape]
+        scales = plan_.scales[rows[escape]] - factors[escape]
         scale_step = allocation.step(lagrangian, costs.SCALE_COST, own)
         head.append(
-            records.scalar(Attribute.SCALES, scales, grids.fit(scales, scale_step), kept=True)
+            scalar.write(Attribute.SCALES, scales, grids.fit(scales, scale_step), escape=True)
         )
         turn = allocation.step(lagrangian, costs.ROTATION_COST, own)
-        head.append(records.quats(plan_.quats[rows[kept]], turn, kept=True))
+        head.append(quaternion.write(plan_.quats[rows[escape]], turn, escape=True))
     indices = plan_.shape_indices[rows]
     head += [
-        _indices(Attribute.SHAPE, SHAPE_CODEBOOK, plan_.shape_rows, indices, kept),
-        records.scalar(Attribute.SCALE_FACTOR, factors, grids.fit(factors, factor_step)),
+        _indices(Attribute.SHAPE, SHAPE_CODEBOOK, plan_.shape_rows, indices, escape),
+        scalar.write(Attribute.SCALE_FACTOR, factors, grids.fit(factors, factor_step)),
         means,
         chunk_opacities(
             splats.opacities[rows], allocation.step(lagrangian, costs.OPACITY_COST, energy)
         ),
-        records.scalar(Attribute.SH0, splats.sh0[rows], grids.fit(splats.sh0[rows], sh0_step)),
+        scalar.write(Attribute.SH0, splats.sh0[rows], grids.fit(splats.sh0[rows], sh0_step)),
     ]
     if not plan_.colour_rows:
         return Payloads(records.pack(head), None, (SHAPE_CODEBOOK,), (), inside)
-    kept = plan_.colour_kept[rows]
+    escape = plan_.colour_escape[rows]
     tail: list[Stream] = []
-    if kept.any():
-        sh_step = allocation.step(lagrangian, _SH_COST, energy[kept])
-        tail += _bands(splats.shN[rows[kept]], sh_step, kept=True)
+    if escape.any():
+        sh_step = allocation.step(lagrangian, _SH_COST, energy[escape])
+        tail += _bands(splats.shN[rows[escape]], sh_step, escape=True)
     indices = plan_.colour_indices[rows]
-    tail.append(_indices(Attribute.SHN, COLOUR_CODEBOOK, plan_.colour_rows, indices, kept))
+    tail.append(_indices(Attribute.SHN, COLOUR_CODEBOOK, plan_.colour_rows, indices, escape))
     needs = (COLOUR_CODEBOOK,)
     return Payloads(records.pack(head), records.pack(tail), (SHAPE_CODEBOOK,), needs, inside)
 
 
 def _indices(
-    attribute: Attribute, book: int, size: int, indices: U32, kept: NDArray[np.bool_]
+    attribute: Attribute, book: int, size: int, indices: U32, escape: NDArray[np.bool_]
 ) -> Stream:
-    count = int(kept.sum())
+    count = int(escape.sum())
     indices = indices.copy()
-    indices[kept] = size + np.arange(count, dtype=np.uint32)
-    return records.vq(attribute, indices, book, size, count)
+    indices[escape] = size + np.arange(count, dtype=np.uint32)
+    return codebook_index.write(attribute, indices, book, size, count)
 
 
-def _bands(coefficients: F32, step: float, *, kept: bool = False) -> list[Stream]:
+def _bands(coefficients: F32, step: float, *, escape: bool = False) -> list[Stream]:
     """Return one scalar stream per SH band of (n, K-1, 3) coefficients."""
     out: list[Stream] = []
     for band, attribute in enumerate(SH_BANDS, start=1):
@@ -233,7 +233,7 @@ def _bands(coefficients: F32, step: float, *, kept: bool = False) -> list[Stream
             values = np.ascontiguousarray(
                 coefficients[:, first:last].reshape(len(coefficients), -1)
             )
-            out.append(records.scalar(attribute, values, grids.fit(values, step), kept=kept))
+            out.append(scalar.write(attribute, values, grids.fit(values, step), escape=escape))
     return out
 
 
@@ -253,11 +253,11 @@ def _store_shapes(rows: F32, indices: U32, energy: F64, lagrangian: float) -> tu
     scale_step = _row_step(lagrangian, costs.SCALE_COST, place[indices], energy, len(rows))
     grid = grids.fit(scales, scale_step)
     turn = _row_step(lagrangian, costs.ROTATION_COST, place[indices], energy, len(rows))
-    body = [records.scalar(Attribute.SCALES, scales, grid), records.quats(quats, turn)]
+    body = [scalar.write(Attribute.SCALES, scales, grid), quaternion.write(quats, turn)]
     payload = records.pack(body)
     stored = records.unpack(memoryview(payload), "shape codebook", len(rows))
-    stored[0].read_numbers(scales)
-    stored[1].read_quats(quats)
+    kinds.read(stored[0], scales)
+    kinds.read(stored[1], quats)
     return payload, covariance.vectors(quats, scales)
 
 
@@ -275,6 +275,6 @@ def _store_colours(
     decoded: list[F32] = []
     for payload, band in zip(payloads, bands, strict=True):
         values = np.empty((len(rows), records.COMPONENTS[band.attribute]), np.float32)
-        records.unpack(memoryview(payload), "colour codebook", len(rows))[0].read_numbers(values)
+        kinds.read(records.unpack(memoryview(payload), "colour codebook", len(rows))[0], values)
         decoded.append(values)
     return payloads, np.ascontiguousarray(np.concatenate(decoded, axis=1))

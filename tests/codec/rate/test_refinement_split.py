@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from cogsplat.codec.rate import refinement_split
 from cogsplat.codec.streams import grid as grids
-from cogsplat.codec.streams import records
+from cogsplat.codec.streams import records, scalar
 from cogsplat.codec.streams.records import Attribute, Kind
 
 
@@ -61,8 +61,8 @@ def test_what_is_mostly_zero_is_not_cut():
 def test_a_cut_costs_little():
     values = normal(20_000)
     grid, parts = cut(values, 0.05, (8, 8, 8))
-    whole = records.pack([records.scalar(Attribute.SH0, values, grid)])
-    head = records.pack([records.scalar(Attribute.SH0, parts.coarse, parts.grid)])
+    whole = records.pack([scalar.write(Attribute.SH0, values, grid)])
+    head = records.pack([scalar.write(Attribute.SH0, parts.coarse, parts.grid)])
     below = records.pack([parts.digits])
     assert len(head) + len(below) < 1.04 * len(whole)
     assert len(head) < 0.7 * len(whole)

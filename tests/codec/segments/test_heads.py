@@ -11,7 +11,7 @@ from cogsplat.codec.segments.codebooks import (
 from cogsplat.codec.segments.heads import decode_head
 from cogsplat.codec.segments.tails import decode_tail
 from cogsplat.codec.splats import empty, sh_coefficients
-from cogsplat.codec.streams import records
+from cogsplat.codec.streams import codebook_index, kinds, quaternion, records, scalar
 from cogsplat.codec.streams.grid import fit
 from cogsplat.codec.streams.records import COMPONENTS, SH_BANDS, Attribute
 
@@ -25,23 +25,23 @@ def rng(seed):
     return np.random.default_rng(seed)
 
 
-def scalar(attribute, rows=ROWS, seed=None, step=0.01, kept=False):
+def numbers(attribute, rows=ROWS, seed=None, step=0.01, escape=False):
     """A stream and the values it decodes to."""
     size = (rows, COMPONENTS[attribute])
     values = rng(attribute if seed is None else seed).normal(size=size).astype(np.float32)
     grid = fit(values, step)
-    stream = records.scalar(attribute, values, grid, kept=kept)
+    stream = scalar.write(attribute, values, grid, escape=escape)
     return stream, grid.dequantise(grid.quantise(values))
 
 
-def turns(rows=ROWS, seed=5, kept=False):
+def turns(rows=ROWS, seed=5, escape=False):
     quats = rng(seed).normal(size=(rows, 4)).astype(np.float32)
     quats /= np.sqrt(np.square(quats).sum(axis=1, keepdims=True))
     quats[quats[:, 0] < 0] *= -1
-    stream = records.quats(quats, 1e-3, kept=kept)
+    stream = quaternion.write(quats, 1e-3, escape=escape)
     (one,) = records.unpack(memoryview(records.pack([stream])), "alone", rows)
     out = np.empty((rows, 4), np.float32)
-    one.read_quats(out)
+    kinds.read(one, out)
     return stream, out
 
 
@@ -74,23 +74,27 @@ def tail(parts, out, books=None, **options):
 
 def plain():
     rest = (Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0)
-    return [scalar(Attribute.SCALES), turns(), *map(scalar, rest)]
+    return [numbers(Attribute.SCALES), turns(), *map(numbers, rest)]
 
 
-def indices(attribute, size, kept, book=0, rows=ROWS):
-    """Indices of which the last `kept` rows are the chunk's own, in order."""
+def indices(attribute, size, escape, book=0, rows=ROWS):
+    """Indices of which the last `escape` rows are the chunk's own, in order."""
     values = rng(23).integers(0, max(size, 1), rows).astype(np.uint32)
     values[0] = max(size, 1) - 1
-    if kept:
-        values[-kept:] = size + np.arange(kept)
-    return records.vq(attribute, values, book, size, kept), values
+    if escape:
+        values[-escape:] = size + np.arange(escape)
+    return codebook_index.write(attribute, values, book, size, escape), values
 
 
-def shaped(kept=0, book=0):
-    own = [scalar(Attribute.SCALES, kept, kept=True), turns(kept, kept=True)] if kept else []
-    shape = [indices(Attribute.SHAPE, 9, kept, book), scalar(Attribute.SCALE_FACTOR)]
+def shaped(escape=0, book=0):
+    own = (
+        [numbers(Attribute.SCALES, escape, escape=True), turns(escape, escape=True)]
+        if escape
+        else []
+    )
+    shape = [indices(Attribute.SHAPE, 9, escape, book), numbers(Attribute.SCALE_FACTOR)]
     rest = (Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0)
-    return [*own, *shape, *map(scalar, rest)]
+    return [*own, *shape, *map(numbers, rest)]
 
 
 def refusal(call, *args, **options):
@@ -112,13 +116,13 @@ def test_a_head_of_numbers_is_written_bit_for_bit():
     assert (out.shN == UNSET).all()
 
 
-@pytest.mark.parametrize("kept", [0, 1, 7, ROWS])
-def test_a_head_of_shapes_takes_them_from_the_codebook_and_its_own(kept):
-    out, parts, book = blank(), shaped(kept, book=4), shape_book()
+@pytest.mark.parametrize("escape", [0, 1, 7, ROWS])
+def test_a_head_of_shapes_takes_them_from_the_codebook_and_its_own(escape):
+    out, parts, book = blank(), shaped(escape, book=4), shape_book()
     head(parts, out, {4: book, 0: colour_book()})
     (_, rows), (_, factor), (_, means) = parts[-5:-2]
     scales, quats = book.scales, book.quats
-    if kept:
+    if escape:
         scales = np.concatenate([scales, parts[0][1]])
         quats = np.concatenate([quats, parts[1][1]])
     assert out.scales.tobytes() == (scales[rows] + factor).tobytes()
@@ -154,12 +158,12 @@ def test_a_head_of_shapes_without_one_of_its_streams_is_refused(missing):
     [Attribute.SH1, Attribute.SH3, Attribute.SCALE_FACTOR],
 )
 def test_streams_that_have_no_place_in_a_head_are_refused(extra):
-    assert refusal(head, [*plain(), scalar(extra)], blank()) == "stream-unexpected"
-    kept = scalar(Attribute.MEANS, 3, kept=True)
-    assert refusal(head, [*plain(), kept], blank()) == "stream-unexpected"
-    both = [*shaped(), scalar(Attribute.SCALES)]
+    assert refusal(head, [*plain(), numbers(extra)], blank()) == "stream-unexpected"
+    escape = numbers(Attribute.MEANS, 3, escape=True)
+    assert refusal(head, [*plain(), escape], blank()) == "stream-unexpected"
+    both = [*shaped(), numbers(Attribute.SCALES)]
     assert refusal(head, both, blank(), {0: shape_book()}) == "stream-unexpected"
-    unused = [*shaped(), scalar(Attribute.SCALES, 2, kept=True)]
+    unused = [*shaped(), numbers(Attribute.SCALES, 2, escape=True)]
     assert refusal(head, unused, blank(), {0: shape_book()}) == "stream-unexpected"
 
 
@@ -167,13 +171,13 @@ def test_streams_of_another_number_of_rows_are_refused():
     for position in range(5):
         parts = plain()
         name = parts[position][0].attribute
-        short = turns(ROWS - 1) if name == Attribute.QUATS else scalar(name, ROWS - 1)
+        short = turns(ROWS - 1) if name == Attribute.QUATS else numbers(name, ROWS - 1)
         parts[position] = short
         assert refusal(head, parts, blank()) == "stream-rows"
         assert refusal(head, plain(), blank(ROWS + 1)) == "stream-rows"
         assert refusal(head, plain(), blank(ROWS - 1)) == "stream-rows"
     parts = shaped(3)
-    parts[0] = scalar(Attribute.SCALES, 2, kept=True)
+    parts[0] = numbers(Attribute.SCALES, 2, escape=True)
     assert refusal(head, parts, blank(), {0: shape_book()}) == "stream-rows"
 
 
@@ -189,7 +193,7 @@ def test_indices_where_numbers_belong_are_refused():
     parts[4] = indices(Attribute.SH0, 9, 0)
     assert refusal(head, parts, blank()) == "stream-kind"
     parts = shaped()
-    parts[0] = scalar(Attribute.SHAPE)
+    parts[0] = numbers(Attribute.SHAPE)
     assert refusal(head, parts, blank(), {0: shape_book()}) == "stream-kind"
 
 
@@ -214,8 +218,8 @@ def test_bytes_behind_the_last_plane_of_a_head_are_refused(extra):
 # Tails.
 
 
-def bands(degree, rows=ROWS, kept=False):
-    return [scalar(attribute, rows, kept=kept) for attribute in SH_BANDS[:degree]]
+def bands(degree, rows=ROWS, escape=False):
+    return [numbers(attribute, rows, escape=escape) for attribute in SH_BANDS[:degree]]
 
 
 def joined(parts, rows=ROWS):
@@ -248,22 +252,22 @@ def test_bands_above_the_files_degree_are_refused(degree):
     assert code == "stream-unexpected"
 
 
-@pytest.mark.parametrize("kept", [0, 1, 5, ROWS])
+@pytest.mark.parametrize("escape", [0, 1, 5, ROWS])
 @pytest.mark.parametrize("wanted", [0, 1, 2, 3])
-def test_a_tail_of_colours_takes_them_from_the_codebook_and_its_own(kept, wanted):
+def test_a_tail_of_colours_takes_them_from_the_codebook_and_its_own(escape, wanted):
     out, book = blank(degree=wanted), colour_book()
-    own = bands(3, kept, kept=True) if kept else []
-    choice = indices(Attribute.SHN, 9, kept, book=1)
+    own = bands(3, escape, escape=True) if escape else []
+    choice = indices(Attribute.SHN, 9, escape, book=1)
     tail([*own, choice], out.shN, {0: shape_book(), 1: book})
     rows = book.shN
-    if kept:
-        rows = np.concatenate([rows, joined(own, kept)])
+    if escape:
+        rows = np.concatenate([rows, joined(own, escape)])
     assert out.shN.tobytes() == rows[choice[1]][:, : sh_coefficients(wanted) - 1].tobytes()
 
 
 def test_bands_of_kept_colours_that_are_absent_are_zeros():
     out, book = blank(), colour_book()
-    own = bands(3, ROWS, kept=True)
+    own = bands(3, ROWS, escape=True)
     tail([own[1], indices(Attribute.SHN, 9, ROWS)], out.shN, {0: book})
     assert (out.shN[:, :3] == 0).all()
     assert (out.shN[:, 8:] == 0).all()
@@ -279,13 +283,13 @@ def test_colours_need_a_colour_codebook_of_a_sufficient_degree():
 
 def test_streams_that_have_no_place_in_a_tail_are_refused():
     out = blank().shN
-    assert refusal(tail, [*bands(3), scalar(Attribute.SH0)], out) == "stream-unexpected"
+    assert refusal(tail, [*bands(3), numbers(Attribute.SH0)], out) == "stream-unexpected"
     both = [indices(Attribute.SHN, 9, 0), *bands(1)]
     assert refusal(tail, both, out, {0: colour_book()}) == "stream-unexpected"
-    own = bands(3, 2, kept=True)
+    own = bands(3, 2, escape=True)
     unused = [*own, indices(Attribute.SHN, 9, 0)]
     assert refusal(tail, unused, out, {0: colour_book()}) == "stream-unexpected"
-    short = [*bands(3, 2, kept=True), indices(Attribute.SHN, 9, 3)]
+    short = [*bands(3, 2, escape=True), indices(Attribute.SHN, 9, 3)]
     assert refusal(tail, short, out, {0: colour_book()}) == "stream-rows"
 
 
@@ -293,7 +297,7 @@ def test_streams_that_have_no_place_in_a_tail_are_refused():
 
 
 def test_a_shape_codebook_comes_back():
-    parts = [scalar(Attribute.SCALES), turns()]
+    parts = [numbers(Attribute.SCALES), turns()]
     book = decode_shape_codebook(
         memoryview(records.pack([stream for stream, _ in parts])), ROWS, "codebook 0"
     )
@@ -304,15 +308,15 @@ def test_a_shape_codebook_comes_back():
 
 
 def test_shape_codebooks_that_break_the_rules_are_refused():
-    scales, quats = scalar(Attribute.SCALES)[0], turns()[0]
+    scales, quats = numbers(Attribute.SCALES)[0], turns()[0]
 
     def read(*given, rows=ROWS):
         return refusal(decode_shape_codebook, memoryview(records.pack(given)), rows, "codebook 0")
 
     assert read(scales) == read(quats) == read() == "stream-missing"
     assert read(scales, quats, rows=ROWS - 1) == read(scales, quats, rows=ROWS + 1) == "stream-rows"
-    assert read(scales, quats, scalar(Attribute.SH0)[0]) == "stream-unexpected"
-    assert read(scalar(Attribute.SCALES, kept=True)[0], quats) == "stream-missing"
+    assert read(scales, quats, numbers(Attribute.SH0)[0]) == "stream-unexpected"
+    assert read(numbers(Attribute.SCALES, escape=True)[0], quats) == "stream-missing"
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])

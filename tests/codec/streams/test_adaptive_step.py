@@ -10,9 +10,9 @@ from cogsplat.codec.errors import FormatError
 from cogsplat.codec.streams import adaptive_step
 from cogsplat.codec.streams.adaptive_step import (
     MAX_COEFFICIENT,
-    MAX_HALVINGS,
-    RESOLUTION_BYTES,
-    Resolution,
+    MAX_EXTRA_BITS,
+    MODEL_BYTES,
+    StepModel,
 )
 
 pytestmark = pytest.mark.usefixtures("arithmetic")
@@ -28,7 +28,7 @@ def plain_halvings(coefficients, scales):
     total = f32(coefficients[0])
     for coefficient, feature in zip(coefficients[1:], features, strict=True):
         total = f32(total + f32(f32(coefficient) * feature))
-    return min(max(math.floor(total), 0), MAX_HALVINGS)
+    return min(max(math.floor(total), 0), MAX_EXTRA_BITS)
 
 
 def shapes(rng, rows, spread=1.5):
@@ -46,20 +46,20 @@ def test_halvings_follow_the_clause_bit_for_bit(coefficients, seed):
     rng = np.random.default_rng(seed)
     # Sorted or not: a hostile file's scales are in any order.
     scales = rng.normal(0, 2, (40, 3)).astype(f32)
-    found = Resolution(tuple(coefficients)).halvings(scales)
+    found = StepModel(tuple(coefficients)).extra_bits(scales)
     assert found.dtype == np.uint8
     assert found.tolist() == [plain_halvings(coefficients, row) for row in scales]
 
 
 def test_halvings_turn_at_whole_sums():
     scales = np.zeros((1, 3), f32)
-    for whole in range(-2, MAX_HALVINGS + 3):
+    for whole in range(-2, MAX_EXTRA_BITS + 3):
         for step, expected in ((-1, whole - 1), (0, whole), (1, whole)):
             value = f32(whole)
             if step:
                 value = np.nextafter(value, f32(step * np.inf), dtype=f32)
-            (found,) = Resolution((float(value), 0, 0, 0, 0, 0)).halvings(scales)
-            assert found == min(max(expected, 0), MAX_HALVINGS)
+            (found,) = StepModel((float(value), 0, 0, 0, 0, 0)).extra_bits(scales)
+            assert found == min(max(expected, 0), MAX_EXTRA_BITS)
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
@@ -67,17 +67,17 @@ def test_the_largest_coefficients_and_scales_stay_finite(sign):
     ends = f32([-3 * 2.0**100, -(2.0**100), 0, 2.0**100])
     scales = np.stack(np.meshgrid(ends, ends, ends), axis=-1).reshape(-1, 3)
     coefficients = (sign * MAX_COEFFICIENT,) * 6
-    found = Resolution(coefficients).halvings(scales)
+    found = StepModel(coefficients).extra_bits(scales)
     assert found.tolist() == [plain_halvings(coefficients, row) for row in scales]
 
 
 def test_a_resolution_comes_back_and_no_rows_have_no_halvings():
-    given_one = Resolution(tuple(float(f32(value)) for value in (0.1, -2, 3e5, -1e6, 1e-30, -0.0)))
+    given_one = StepModel(tuple(float(f32(value)) for value in (0.1, -2, 3e5, -1e6, 1e-30, -0.0)))
     packed = given_one.pack()
-    assert len(packed) == RESOLUTION_BYTES == 24
+    assert len(packed) == MODEL_BYTES == 24
     assert packed == struct.pack("<6f", *given_one.coefficients)
     assert adaptive_step.unpack(memoryview(packed), "here") == given_one
-    assert given_one.halvings(np.zeros((0, 3), f32)).shape == (0,)
+    assert given_one.extra_bits(np.zeros((0, 3), f32)).shape == (0,)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1.01e6, -1.01e6, 3e38])
@@ -91,7 +91,7 @@ def test_coefficients_out_of_range_are_refused(value, place):
 
 
 def spent(found, scales, sensitivity, base):
-    steps = base * 2.0 ** -found.halvings(scales).astype(float)
+    steps = base * 2.0 ** -found.extra_bits(scales).astype(float)
     return float((sensitivity * steps**2).mean())
 
 
@@ -112,7 +112,7 @@ def test_a_fit_makes_sensitive_shapes_finer():
     flatness = (scales[:, 2] - scales[:, 1]).astype(float)
     sensitivity = 1e-2 * np.exp(1.2 * np.minimum(flatness, 4))
     found = adaptive_step.fit(scales, sensitivity, 1e-5, 2.0)
-    halvings = found.halvings(scales).astype(float)
+    halvings = found.extra_bits(scales).astype(float)
     wanted = 0.5 * np.log2(sensitivity * 4 / 1e-5)
     assert np.corrcoef(halvings, wanted)[0, 1] > 0.9
     # And spends less than one step for all that costs as much.
@@ -126,8 +126,8 @@ def test_equal_rows_get_the_halvings_they_ask_for(rows, sensitivity):
     scales = np.tile(np.array([[-4.5, -6, -3.25]], f32), (rows, 1))
     found = adaptive_step.fit(scales, np.full(rows, sensitivity), 1e-9, 2.0)
     assert adaptive_step.unpack(memoryview(found.pack()), "here") == found
-    wanted = min(max(0.5 * math.log2(sensitivity * 4 / 1e-9), 0), MAX_HALVINGS)
-    assert np.abs(found.halvings(scales) - wanted).max() <= 1
+    wanted = min(max(0.5 * math.log2(sensitivity * 4 / 1e-9), 0), MAX_EXTRA_BITS)
+    assert np.abs(found.extra_bits(scales) - wanted).max() <= 1
 
 
 @pytest.mark.parametrize("scale", [-40.0, 0.0, 40.0])

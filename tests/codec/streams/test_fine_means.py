@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.geometry import morton
-from cogsplat.codec.streams import fine_means, shape_streams, sorted_means
 from cogsplat.codec.streams import grid as grids
-from cogsplat.codec.streams.adaptive_step import MAX_HALVINGS, Resolution
+from cogsplat.codec.streams import scale_differences, sorted_means
+from cogsplat.codec.streams.adaptive_step import MAX_EXTRA_BITS, StepModel
 from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.records import Attribute, Kind, Stream
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("arithmetic")
 f32 = np.float32
 checked = settings(derandomize=True, deadline=None, max_examples=60)
 # Halvings equal the long axis' log scale, which a ladder of whole numbers stores exactly.
-BY_LONG = Resolution((0.0, 1.0, 0.0, 0.0, 0.0, 0.0))
+BY_LONG = StepModel((0.0, 1.0, 0.0, 0.0, 0.0, 0.0))
 
 
 def sized(halvings):
@@ -29,7 +29,7 @@ def sized(halvings):
     steps[:, 0] = halvings
     level = np.array([16, 1, 1], np.uint32)
     grid = Grid(np.zeros(3, f32), np.array([15, 0, 0], f32), level)
-    return shape_streams.ladder(steps, grid)
+    return scale_differences.write(steps, grid)
 
 
 def grid_of(step, levels, minimum=(-3.0, 0.5, 100.0)):
@@ -40,9 +40,9 @@ def grid_of(step, levels, minimum=(-3.0, 0.5, 100.0)):
 
 def encoded(means, grid, halvings):
     """A fine stream, its scales, the order and the codes in it."""
-    codes = fine_means.fine_codes(means, grid, halvings)
-    order = fine_means.morton_order(codes, halvings)
-    stream = fine_means.fine_means(codes[order], grid, halvings[order], BY_LONG)
+    codes = sorted_means.codes_of(means, grid, halvings)
+    order = sorted_means.morton_order(codes, halvings)
+    stream = sorted_means.write(codes[order], grid, halvings[order], BY_LONG)
     return stream, sized(halvings[order]), order, codes[order]
 
 
@@ -80,7 +80,7 @@ def test_means_are_within_half_of_their_own_step(halvings, step, seed):
 
 
 @checked
-@given(st.lists(st.integers(0, MAX_HALVINGS), min_size=1, max_size=40), st.integers(0, 2**32 - 1))
+@given(st.lists(st.integers(0, MAX_EXTRA_BITS), min_size=1, max_size=40), st.integers(0, 2**32 - 1))
 def test_means_decode_in_the_documented_order(halvings, seed):
     wide = np.array(halvings, np.uint8)
     rng = np.random.default_rng(seed)
@@ -92,8 +92,8 @@ def test_means_decode_in_the_documented_order(halvings, seed):
     coarse = rng.integers(0, grid.levels, (len(wide), 3))
     low = rng.integers(0, 1 << wide.astype(int)[:, None], (len(wide), 3))
     codes = (coarse << wide.astype(int)[:, None] | low).astype(np.uint32)
-    order = fine_means.morton_order(codes, wide)
-    stream = fine_means.fine_means(codes[order], grid, wide[order], BY_LONG)
+    order = sorted_means.morton_order(codes, wide)
+    stream = sorted_means.write(codes[order], grid, wide[order], BY_LONG)
     out = decode(sized(wide[order]), stream).means
     step = [f32(f32(9.1) - f32(-7.3)) / f32(39_999), f32(f32(0.7) - f32(0.1)) / f32(65_535), f32(0)]
     for place, row in enumerate(order):
@@ -115,8 +115,8 @@ def test_rows_follow_the_morton_order_of_their_cells_and_ties_stay():
     rng = np.random.default_rng(1)
     wide = rng.integers(0, 6, 300).astype(np.uint8)
     grid = grid_of(1.0, (6, 5, 4), (0, 0, 0))
-    codes = fine_means.fine_codes(rng.uniform(0, 4, (300, 3)).astype(f32), grid, wide)
-    order = fine_means.morton_order(codes, wide)
+    codes = sorted_means.codes_of(rng.uniform(0, 4, (300, 3)).astype(f32), grid, wide)
+    order = sorted_means.morton_order(codes, wide)
     keys = [plain_key(codes[row] >> wide[row]) for row in range(300)]
     assert order.tolist() == sorted(range(300), key=lambda row: keys[row])
 
@@ -126,7 +126,7 @@ def test_codes_stay_inside_the_grid():
     means = np.array([[-9, 0, 99], [1.5, 1.74, 1.76]], f32)
     for halvings in (0, 1, 5):
         wide = np.full(2, halvings, np.uint8)
-        codes = fine_means.fine_codes(means, grid, wide)
+        codes = sorted_means.codes_of(means, grid, wide)
         assert (codes >> halvings).max() <= 3
         assert codes[0].tolist() == [0, 0, (4 << halvings) - 1]
 

@@ -8,12 +8,14 @@ import decoding
 import numpy as np
 import pytest
 
+import cogsplat.codec.streams as streams
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.encoder import encode
 from cogsplat.codec.errors import CogsplatError
-from cogsplat.codec.streams import compiled, records
-from cogsplat.codec.streams.adaptive_step import MAX_HALVINGS
+from cogsplat.codec.streams import compiled, kinds, records, scalar
+from cogsplat.codec.streams.adaptive_step import MAX_EXTRA_BITS
 from cogsplat.codec.streams.byte_planes import DIGITS, pack_plane, unpack_plane
+from cogsplat.codec.streams.inputs import Inputs
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools.synthetic.scene import synth
@@ -98,12 +100,12 @@ def test_grids_of_every_width(levels, both):
     minimum = np.array([-0.0, -3.7, 1e-3], np.float32)
     grid = Grid(minimum, minimum + np.float32(2.3), np.array(levels, np.uint32))
     values = (rng.random((500, 3)) * 2.3 + minimum).astype(np.float32)
-    payload = records.pack([records.scalar(records.Attribute.SCALES, values, grid)])
+    payload = records.pack([scalar.write(records.Attribute.SCALES, values, grid)])
 
     def read():
         out = np.empty((500, 3), np.float32)
         (stored,) = records.unpack(memoryview(payload), "here", 500)
-        stored.read_numbers(out)
+        kinds.read(stored, out)
         return out
 
     plain, fast = both(read)
@@ -113,30 +115,30 @@ def test_grids_of_every_width(levels, both):
 @pytest.mark.parametrize("offset", [-6.0, -1.0, 0.0, 9.0])
 def test_fine_streams_at_every_halving(offset, both):
     from cogsplat.codec.geometry import rotations
-    from cogsplat.codec.streams import fine_means, shape_streams, turn
-    from cogsplat.codec.streams.adaptive_step import Resolution
+    from cogsplat.codec.streams import sorted_means, swing_twist
+    from cogsplat.codec.streams.adaptive_step import StepModel
     from cogsplat.codec.streams.grid import Grid
 
     rng = np.random.default_rng(11)
     rows = 700
-    resolution = Resolution((float(offset), -1.25, 0.5, 0.25, -0.75, 0.125))
+    resolution = StepModel((float(offset), -1.25, 0.5, 0.25, -0.75, 0.125))
     quats = rotations.unit(rng.normal(size=(rows, 4)).astype(np.float32))
-    values, scales = turn.canonical(quats, rng.normal(-4, 4, (rows, 3)).astype(np.float32))
-    turned, _ = shape_streams.turns(values, scales, resolution, resolution)
-    halvings = resolution.halvings(scales)
-    assert (halvings.max() == MAX_HALVINGS) == (offset > 0)
+    values, scales = swing_twist.canonical(quats, rng.normal(-4, 4, (rows, 3)).astype(np.float32))
+    turned, _ = swing_twist.turns(values, scales, resolution, resolution)
+    halvings = resolution.extra_bits(scales)
+    assert (halvings.max() == MAX_EXTRA_BITS) == (offset > 0)
     grid = Grid(np.full(3, -1, np.float32), np.full(3, 1, np.float32), np.full(3, 99, np.uint32))
-    codes = fine_means.fine_codes(rng.uniform(-1, 1, (rows, 3)).astype(np.float32), grid, halvings)
+    codes = sorted_means.codes_of(rng.uniform(-1, 1, (rows, 3)).astype(np.float32), grid, halvings)
     # The rows' scales go where the Morton order takes the rows.
-    order = fine_means.morton_order(codes, halvings)
-    means = fine_means.fine_means(codes[order], grid, halvings[order], resolution)
+    order = sorted_means.morton_order(codes, halvings)
+    means = sorted_means.write(codes[order], grid, halvings[order], resolution)
     payloads = [records.pack([turned]), records.pack([means])]
 
     def read():
         out = np.empty((rows, 4), np.float32), np.empty((rows, 3), np.float32)
         stored = [records.unpack(memoryview(payload), "here", rows)[0] for payload in payloads]
-        shape_streams.read_turns(stored[0], scales, out[0])
-        fine_means.read_fine_means(stored[1], scales[order], out[1])
+        kinds.read(stored[0], out[0], Inputs(scales=scales))
+        kinds.read(stored[1], out[1], Inputs(scales=scales[order]))
         return out
 
     for plain, fast in zip(*both(read), strict=True):
@@ -157,7 +159,9 @@ def test_kernels_are_used_where_numba_is_loaded_or_the_work_is_large(monkeypatch
             compiled.prepare(splats)
             assert compiled.ready() is expected
         # Not to be had: numpy decodes, whatever the size.
-        monkeypatch.delitem(sys.modules, "cogsplat.codec.streams.kernels")
+        for name in [n for n in sys.modules if n.startswith("cogsplat.codec.streams.kernels")]:
+            monkeypatch.delitem(sys.modules, name)
+            monkeypatch.delattr(streams, name.rpartition(".")[2])
         compiled.prepare(compiled.WORTH_LOADING)
         assert not compiled.ready()
     finally:

@@ -8,15 +8,23 @@ from hypothesis import strategies as st
 
 from cogsplat.codec.errors import FormatError, UnsupportedError
 from cogsplat.codec.geometry import morton
-from cogsplat.codec.streams import grid as grids
+from cogsplat.codec.streams import (
+    codebook_index,
+    float32,
+    grid_planes,
+    kinds,
+    quaternion,
+    scalar,
+    sorted_means,
+)
 from cogsplat.codec.streams import records as streams
 from cogsplat.codec.streams.byte_planes import PACKED_FLAG, ZSTD_FLAG
 from cogsplat.codec.streams.grid import MAX_LEVELS, Grid, fit
+from cogsplat.codec.streams.quaternion import PER_ROW
 from cogsplat.codec.streams.records import (
     COMPONENTS,
+    ESCAPE,
     INFINITIES,
-    KEPT,
-    PER_ROW,
     Attribute,
     Kind,
     Stream,
@@ -35,14 +43,14 @@ def stored(*given_streams, max_rows=1 << 18):
 def numbers(stream):
     (one,) = stored(stream)
     out = np.full((one.rows, COMPONENTS[one.attribute]), np.nan, np.float32)
-    one.read_numbers(out)
+    kinds.read(one, out)
     return out
 
 
 def rotations(stream):
     (one,) = stored(stream)
     out = np.full((one.rows, 4), np.nan, np.float32)
-    one.read_quats(out)
+    kinds.read(one, out)
     return out
 
 
@@ -88,21 +96,21 @@ def test_scalar_streams_hold_the_grids_own_values(rows, levels, seed):
     grid = grid_of(levels, -3.0, 7.5)
     codes = rng.integers(0, np.array(levels), (rows, 3)).astype(np.uint32)
     values = grid.dequantise(codes)
-    stream = streams.scalar(Attribute.SH0, values, grid)
-    assert len(stream.planes) == sum(grids.code_bytes(count) for count in levels)
+    stream = scalar.write(Attribute.SH0, values, grid)
+    assert len(stream.planes) == sum(grid_planes.code_bytes(count) for count in levels)
     assert numbers(stream).tobytes() == values.tobytes()
 
 
 def test_planes_come_by_component_then_lowest_byte_first():
     values = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]], np.float32)
-    stream = streams.scalar(Attribute.SH0, values, grid_of([0x1234, 1, 3]))
+    stream = scalar.write(Attribute.SH0, values, grid_of([0x1234, 1, 3]))
     assert [plane.tolist() for plane in stream.planes] == [[0, 0x33], [0, 0x12], [0, 2]]
 
 
 def test_a_constant_of_negative_zero_decodes_as_its_level_does():
     grid = grid_of([1, 2, 2], -0.0, -0.0)
     values = np.zeros((2, 3), np.float32)
-    out = numbers(streams.scalar(Attribute.SH0, values, grid))
+    out = numbers(scalar.write(Attribute.SH0, values, grid))
     assert out.tobytes() == bytes(24)
 
 
@@ -118,7 +126,7 @@ def test_a_constant_of_negative_zero_decodes_as_its_level_does():
 def test_infinities_take_two_codes_above_the_levels(values, levels):
     source = np.array(values, np.float32)[:, None]
     grid = grid_of([levels], -30.0, 30.0)
-    stream = streams.scalar_with_infinities(Attribute.OPACITIES, source, grid)
+    stream = scalar.write_with_infinities(Attribute.OPACITIES, source, grid)
     assert stream.flags == INFINITIES
     out = numbers(stream)
     infinite = np.isinf(source)
@@ -131,23 +139,23 @@ def test_float_streams_keep_every_bit():
     rng = np.random.default_rng(3)
     values = rng.normal(size=(9, 3)).astype(np.float32) * np.float32(1e-30)
     values[0] = [-0.0, 1e-45, -1e30]
-    out = numbers(streams.floats(Attribute.MEANS, values))
+    out = numbers(float32.write(Attribute.MEANS, values))
     assert out.tobytes() == values.tobytes()
     logits = np.array([[np.inf], [-np.inf], [3.5]], np.float32)
-    assert numbers(streams.floats(Attribute.OPACITIES, logits)).tobytes() == logits.tobytes()
+    assert numbers(float32.write(Attribute.OPACITIES, logits)).tobytes() == logits.tobytes()
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 2e30, -2e30])
 def test_floats_no_scene_can_hold_are_refused(value):
     values = np.zeros((3, 3), np.float32)
     values[1, 2] = value
-    refused(lambda: numbers(streams.floats(Attribute.SCALES, values)), "float-value", "6.8")
+    refused(lambda: numbers(float32.write(Attribute.SCALES, values)), "float-value", "6.8")
 
 
 @pytest.mark.parametrize("value", [np.nan, 2e30, -2e30])
 def test_opacities_may_be_infinite_but_not_nan_or_huge(value):
     values = np.full((3, 1), value, np.float32)
-    refused(lambda: numbers(streams.floats(Attribute.OPACITIES, values)), "float-value", "6.8")
+    refused(lambda: numbers(float32.write(Attribute.OPACITIES, values)), "float-value", "6.8")
 
 
 def test_codes_above_the_levels_are_refused():
@@ -178,15 +186,15 @@ def test_other_lengths_of_parameters_are_refused():
             refused(lambda stream=stream: numbers(stream), "stream-params", "6.2")
 
 
-def test_numbers_of_another_kind_are_refused():
+def test_attributes_of_another_kind_are_refused():
     quats = np.array([[1, 0, 0, 0]], np.float32)
-    (stream,) = stored(streams.quats(quats, 0.1))
-    refused(lambda: stream.read_numbers(np.empty((1, 4), np.float32)), "stream-kind", "6.2")
-    (scalar,) = stored(streams.scalar(Attribute.SH0, quats[:, :3].copy(), grid_of([2] * 3)))
-    refused(lambda: scalar.read_quats(np.empty((1, 4), np.float32)), "stream-kind", "6.2")
-    refused(lambda: scalar.read_indices(4), "stream-kind", "6.2")
-    refused(lambda: scalar.codebook, "stream-kind", "6.2")
-    refused(lambda: scalar.kept, "stream-kind", "6.2")
+    stream = quaternion.write(quats, 0.1)
+    other = Stream(Attribute.SH0, stream.kind, stream.rows, stream.params, stream.planes)
+    refused(lambda: numbers(other), "stream-kind", "6.2")
+    plain = scalar.write(Attribute.SH0, quats[:, :3].copy(), grid_of([2] * 3))
+    for attribute in (Attribute.QUATS, Attribute.SHAPE, Attribute.SHN):
+        other = Stream(attribute, plain.kind, plain.rows, plain.params, plain.planes)
+        refused(lambda other=other: numbers(other), "stream-kind", "6.2")
 
 
 # Means.
@@ -201,33 +209,33 @@ def sorted_codes(rng, rows, levels):
 def test_morton_means_decode_as_the_grid_does(levels):
     codes = sorted_codes(np.random.default_rng(5), 500, levels)
     grid = grid_of(levels, -12.5, 100.25)
-    (one,) = stored(streams.morton_means(codes, grid))
+    (one,) = stored(sorted_means.write_cells(codes, grid))
     out = np.empty((500, 3), np.float32)
-    one.read_means(out)
+    kinds.read(one, out)
     assert out.tobytes() == grid.dequantise(codes).tobytes()
-    plain = streams.scalar(Attribute.MEANS, grid.dequantise(codes), grid)
+    plain = scalar.write(Attribute.MEANS, grid.dequantise(codes), grid)
     (two,) = stored(plain)
     again = np.empty_like(out)
-    two.read_means(again)
+    kinds.read(two, again)
     assert again.tobytes() == out.tobytes()
 
 
 def test_morton_codes_above_an_axis_levels_are_refused():
     codes = np.array([[0, 0, 0], [1, 5, 2]], np.uint32)
     for levels in ((2, 5, 3), (1, 6, 3), (2, 6, 2)):
-        (one,) = stored(streams.morton_means(codes, grid_of(levels)))
+        (one,) = stored(sorted_means.write_cells(codes, grid_of(levels)))
         out = np.empty((2, 3), np.float32)
-        refused(lambda one=one, out=out: one.read_means(out), "code-range", "6.5")
+        refused(lambda one=one, out=out: kinds.read(one, out), "code-range", "6.5")
 
 
 def test_morton_means_of_more_levels_than_bits_are_refused():
     grid = grid_of([2, morton.MAX_LEVELS + 1, 2])
-    (one,) = stored(streams.morton_means(np.zeros((1, 3), np.uint32), grid))
-    refused(lambda: one.read_means(np.empty((1, 3), np.float32)), "grid-levels", "6.4")
+    (one,) = stored(sorted_means.write_cells(np.zeros((1, 3), np.uint32), grid))
+    refused(lambda: kinds.read(one, np.empty((1, 3), np.float32)), "grid-levels", "6.4")
 
 
 def test_morton_means_need_two_planes_of_the_implied_lengths():
-    good = streams.morton_means(np.array([[0, 0, 0], [3, 3, 3]], np.uint32), grid_of([4] * 3))
+    good = sorted_means.write_cells(np.array([[0, 0, 0], [3, 3, 3]], np.uint32), grid_of([4] * 3))
     classes, bits = good.planes
     out = np.empty((2, 3), np.float32)
     for planes, code in (
@@ -240,7 +248,7 @@ def test_morton_means_need_two_planes_of_the_implied_lengths():
         ([classes, bits | np.uint8(128)], "morton-padding"),
     ):
         (one,) = stored(Stream(Attribute.MEANS, Kind.MORTON, 2, good.params, planes))
-        refused(lambda one=one: one.read_means(out), code)
+        refused(lambda one=one: kinds.read(one, out), code)
 
 
 # Rotations.
@@ -266,7 +274,7 @@ def test_rotations_stay_within_the_angle_their_step_allows(step, largest):
     quats = random_quats(7, 3000)
     if largest is not None:
         quats = quats[np.abs(quats).argmax(axis=1) == largest]
-    stream = streams.quats(quats, step)
+    stream = quaternion.write(quats, step)
     assert stream.params[0] == (PER_ROW if largest is None else largest)
     out = rotations(stream)
     norms = np.sqrt(np.square(out.astype(np.float64)).sum(axis=1))
@@ -301,7 +309,7 @@ def test_rotations_decode_in_the_documented_order(per_row):
     which = rng.integers(0, 4, rows).astype(np.uint8) if per_row else np.full(rows, 2, np.uint8)
     planes = [which] if per_row else []
     for component in range(3):
-        planes += grids.split_planes(codes[:, component], int(grid.levels[component]))
+        planes += grid_planes.split_planes(codes[:, component], int(grid.levels[component]))
     params = bytes([PER_ROW if per_row else 2, 0, 0, 0]) + grid.pack()
     out = rotations(Stream(Attribute.QUATS, Kind.QUAT, rows, params, planes))
     others = grid.dequantise(codes)
@@ -327,7 +335,7 @@ def test_exact_axes_and_ties_come_back():
         [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1], [half, -half, half, -half]],
         np.float32,
     )
-    out = rotations(streams.quats(quats, 1e-4))
+    out = rotations(quaternion.write(quats, 1e-4))
     assert angles(quats, out).max() <= 4e-4
 
 
@@ -363,27 +371,27 @@ def test_bad_rotation_parameters_are_refused():
 def test_indices_come_back(size, kept, seed):
     rows = kept + 5 if size + kept else 0
     indices = np.random.default_rng(seed).integers(0, max(size + kept, 1), rows).astype(np.uint32)
-    (one,) = stored(streams.vq(Attribute.SHAPE, indices, 3, size, kept))
-    assert (one.codebook, one.kept) == (3, kept)
-    np.testing.assert_array_equal(one.read_indices(size), indices)
+    (one,) = stored(codebook_index.write(Attribute.SHAPE, indices, 3, size, kept))
+    assert codebook_index.parse(one) == codebook_index.CodebookUse(3, kept)
+    np.testing.assert_array_equal(codebook_index.read_indices(one, size), indices)
 
 
 def test_indices_beyond_codebook_and_kept_rows_are_refused():
     indices = np.array([0, 11, 12], np.uint32)
-    (one,) = stored(streams.vq(Attribute.SHAPE, indices, 0, 10, 3))
-    np.testing.assert_array_equal(one.read_indices(10), indices)
-    refused(lambda: one.read_indices(9), "index-range", "6.7")
-    refused(lambda: one.read_indices(10_000), "stream-planes", "6.2")
-    (nothing,) = stored(streams.vq(Attribute.SHAPE, indices[:1], 0, 0, 0))
-    refused(lambda: nothing.read_indices(0), "index-range", "6.7")
+    (one,) = stored(codebook_index.write(Attribute.SHAPE, indices, 0, 10, 3))
+    np.testing.assert_array_equal(codebook_index.read_indices(one, 10), indices)
+    refused(lambda: codebook_index.read_indices(one, 9), "index-range", "6.7")
+    refused(lambda: codebook_index.read_indices(one, 10_000), "stream-planes", "6.2")
+    (nothing,) = stored(codebook_index.write(Attribute.SHAPE, indices[:1], 0, 0, 0))
+    refused(lambda: codebook_index.read_indices(nothing, 0), "index-range", "6.7")
 
 
 def test_more_kept_rows_than_rows_are_refused():
-    (one,) = stored(streams.vq(Attribute.SHAPE, np.zeros(4, np.uint32), 0, 10, 5))
-    refused(lambda: one.kept, "stream-rows", "6.7")
+    (one,) = stored(codebook_index.write(Attribute.SHAPE, np.zeros(4, np.uint32), 0, 10, 5))
+    refused(lambda: codebook_index.parse(one), "stream-rows", "6.7")
     params = struct.pack("<I", 0)
     (short,) = stored(Stream(Attribute.SHAPE, Kind.VQ, 1, params, []))
-    refused(lambda: short.kept, "stream-params", "6.2")
+    refused(lambda: codebook_index.parse(short), "stream-params", "6.2")
 
 
 # Payloads.
@@ -395,11 +403,11 @@ def some_streams():
     kept = rng.normal(size=(7, 3)).astype(np.float32)
     logits = np.append(rng.normal(size=199), np.inf).astype(np.float32)[:, None]
     return [
-        streams.scalar(Attribute.SH0, values, fit(values, 0.01)),
-        streams.scalar(Attribute.SCALES, kept, fit(kept, 0.1), kept=True),
-        streams.scalar_with_infinities(Attribute.OPACITIES, logits, fit(logits[:199], 0.1)),
-        streams.quats(random_quats(1, 200), 0.01),
-        streams.quats(random_quats(2, 7), 0.01, kept=True),
+        scalar.write(Attribute.SH0, values, fit(values, 0.01)),
+        scalar.write(Attribute.SCALES, kept, fit(kept, 0.1), escape=True),
+        scalar.write_with_infinities(Attribute.OPACITIES, logits, fit(logits[:199], 0.1)),
+        quaternion.write(random_quats(1, 200), 0.01),
+        quaternion.write(random_quats(2, 7), 0.01, escape=True),
     ]
 
 
@@ -409,12 +417,10 @@ def read_all(data):
     found = streams.unpack(memoryview(data), "head 5", 200)
     for one in found:
         out = np.zeros((one.rows, COMPONENTS[one.attribute]), np.float32)
-        if one.kind == Kind.QUAT:
-            one.read_quats(out)
-        elif one.kind == Kind.VQ:
-            one.read_indices(10)
+        if one.kind == Kind.VQ:
+            codebook_index.read_indices(one, 10)
         else:
-            one.read_means(out)
+            kinds.read(one, out)
         values.append(out)
     return values
 
@@ -429,9 +435,9 @@ def test_a_payload_gives_back_its_records():
     assert [bytes(s.params) for s in found] == [s.params for s in given_streams]
     assert 2 + sum(s.stored_bytes for s in found) == len(data)
     assert [s.label for s in found] == [
-        "sh0 scalar", "scales scalar kept", "opacities scalar", "quats quat", "quats quat kept",
+        "sh0 scalar", "scales scalar escape", "opacities scalar", "quats quat", "quats quat escape",
     ]  # fmt: skip
-    assert found[1].flags == KEPT
+    assert found[1].flags == ESCAPE
     assert streams.pack(given_streams) == data
 
 
@@ -482,8 +488,8 @@ def test_records_that_break_the_rules_are_refused(broken, code, clause):
 
 
 def test_the_same_attribute_may_come_once_more_as_kept():
-    found = streams.unpack(payload(record(), record(flags=KEPT)), "head 5", 10)
-    assert [s.flags for s in found] == [0, KEPT]
+    found = streams.unpack(payload(record(), record(flags=ESCAPE)), "head 5", 10)
+    assert [s.flags for s in found] == [0, ESCAPE]
 
 
 def test_what_a_later_version_may_add_is_unsupported_not_invalid():

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.streams import grid as grids
-from cogsplat.codec.streams import records, shape_streams, turn
-from cogsplat.codec.streams.adaptive_step import Resolution
+from cogsplat.codec.streams import grid_planes, scalar, scale_differences, swing_twist
+from cogsplat.codec.streams.adaptive_step import StepModel
 from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.records import Attribute, Kind, Stream
 
@@ -35,7 +35,7 @@ def gaussians(seed, rows):
 
 
 def constant(halvings):
-    return Resolution((float(halvings), 0.0, 0.0, 0.0, 0.0, 0.0))
+    return StepModel((float(halvings), 0.0, 0.0, 0.0, 0.0, 0.0))
 
 
 def refusal(*given_streams):
@@ -55,10 +55,10 @@ def changed(stream, **changes):
 @pytest.mark.parametrize("step", [1.0, 0.1, 1e-4])
 def test_ladders_hold_scales_within_their_steps(step):
     scales = scales_of(1, 400)
-    steps = shape_streams.steps_of(scales)
+    steps = scale_differences.differences_of(scales)
     assert (steps[:, 1:] >= 0).all()
     grid = grids.fit(steps, step)
-    out = decode(shape_streams.ladder(steps, grid)).scales
+    out = decode(scale_differences.write(steps, grid)).scales
     # Errors of half a step each: the long axis has one, the middle two, the thin three.
     error = np.abs(out.astype(np.float64) - scales)
     assert (error <= np.array([2, 3, 1]) * step * 0.5001 + 4e-6).all()
@@ -76,8 +76,8 @@ def test_ladders_are_climbed_in_the_documented_order():
     codes = rng.integers(0, grid.levels, (64, 3)).astype(np.uint32)
     planes = []
     for component in range(3):
-        planes += grids.split_planes(codes[:, component], int(grid.levels[component]))
-    out = decode(Stream(Attribute.SCALES, Kind.LADDER, 64, grid.pack(), planes)).scales
+        planes += grid_planes.split_planes(codes[:, component], int(grid.levels[component]))
+    out = decode(Stream(Attribute.SCALES, Kind.DIFFERENCES, 64, grid.pack(), planes)).scales
     for row in range(64):
         l, u, v = (  # noqa: E741 - as the clause names them
             f32(f32(f32(code) * f32(f32(high - low) / f32(levels - 1))) + low)
@@ -90,15 +90,15 @@ def test_ladders_are_climbed_in_the_documented_order():
 
 
 def test_a_ladder_of_one_shape_costs_no_plane():
-    steps = shape_streams.steps_of(np.tile(np.array([[-4, -6, -3.5]], f32), (9, 1)))
-    stream = shape_streams.ladder(steps, grids.fit(steps, 0.1))
+    steps = scale_differences.differences_of(np.tile(np.array([[-4, -6, -3.5]], f32), (9, 1)))
+    stream = scale_differences.write(steps, grids.fit(steps, 0.1))
     assert list(stream.planes) == []
     np.testing.assert_allclose(decode(stream).scales, [[-4, -6, -3.5]] * 9, atol=1e-6)
 
 
 def test_ladders_that_break_the_rules_are_refused():
-    steps = shape_streams.steps_of(scales_of(3, 20))
-    good = shape_streams.ladder(steps, grids.fit(steps, 0.1))
+    steps = scale_differences.differences_of(scales_of(3, 20))
+    good = scale_differences.write(steps, grids.fit(steps, 0.1))
     decode(good)
     for params in (b"", good.params[:-1], good.params + b"\0", good.params[:24]):
         assert refusal(changed(good, params=params)) == ("stream-params", "6.2")
@@ -120,11 +120,11 @@ def test_ladders_that_break_the_rules_are_refused():
 
 
 def test_ladders_and_turns_stand_for_their_attributes_alone():
-    steps = shape_streams.steps_of(scales_of(4, 5))
-    ladder = shape_streams.ladder(steps, grids.fit(steps, 0.1))
+    steps = scale_differences.differences_of(scales_of(4, 5))
+    ladder = scale_differences.write(steps, grids.fit(steps, 0.1))
     for attribute in (Attribute.MEANS, Attribute.SH0):
         assert refusal(changed(ladder, attribute=attribute)) == ("stream-kind", "6.2")
-    turns, _ = shape_streams.turns(np.zeros((5, 3)), scales_of(4, 5), constant(3), constant(3))
+    turns, _ = swing_twist.turns(np.zeros((5, 3)), scales_of(4, 5), constant(3), constant(3))
     for attribute in (Attribute.SCALES, Attribute.MEANS, Attribute.SH0):
         assert refusal(changed(turns, attribute=attribute)) == ("stream-kind", "6.2")
 
@@ -134,9 +134,9 @@ def test_ladders_and_turns_stand_for_their_attributes_alone():
 
 def stored_scales(scales):
     """A ladder that a decoder reads these scales from exactly, and them as it does."""
-    steps = shape_streams.steps_of(scales)
+    steps = scale_differences.differences_of(scales)
     grid = grids.fit(steps, 1e-3)
-    return shape_streams.ladder(steps, grid), shape_streams.climb(
+    return scale_differences.write(steps, grid), scale_differences.accumulate(
         grid.dequantise(grid.quantise(steps))
     )
 
@@ -150,12 +150,14 @@ def stored_scales(scales):
 def test_turns_decode_to_what_the_encoder_was_told(coefficients, rows, seed):
     ladder, scales = stored_scales(scales_of(seed, rows))
     values = np.random.default_rng(seed).uniform(-1, 1, (rows, 3))
-    tilt = Resolution((coefficients[0] + 12, *coefficients[1:6]))
-    spin = Resolution((coefficients[6] + 6, *coefficients[7:]))
-    stream, decoded = shape_streams.turns(values, scales, tilt, spin)
+    tilt = StepModel((coefficients[0] + 12, *coefficients[1:6]))
+    spin = StepModel((coefficients[6] + 6, *coefficients[7:]))
+    stream, decoded = swing_twist.turns(values, scales, tilt, spin)
     out = decode(ladder, stream).quats
-    assert out.tobytes() == turn.quats_of(decoded).tobytes()
-    wide = np.stack([tilt.halvings(scales), tilt.halvings(scales), spin.halvings(scales)], axis=1)
+    assert out.tobytes() == swing_twist.quats_of(decoded).tobytes()
+    wide = np.stack(
+        [tilt.extra_bits(scales), tilt.extra_bits(scales), spin.extra_bits(scales)], axis=1
+    )
     bound = np.where(wide > 0, 2.0 ** -wide.astype(float) + 2.0**-24, np.abs(values))
     assert (np.abs(decoded - values) <= bound).all()
 
@@ -163,9 +165,9 @@ def test_turns_decode_to_what_the_encoder_was_told(coefficients, rows, seed):
 @pytest.mark.parametrize("halvings", [1, 3, 6, 7, 11, 15])
 def test_rotations_come_back_as_finely_as_they_are_halved(halvings):
     quats, source = gaussians(5, 300)
-    values, scales = turn.canonical(quats, source)
+    values, scales = swing_twist.canonical(quats, source)
     ladder, stored = stored_scales(scales)
-    stream, _ = shape_streams.turns(values, stored, constant(halvings), constant(halvings))
+    stream, _ = swing_twist.turns(values, stored, constant(halvings), constant(halvings))
     out = decode(ladder, stream).quats
     for row in range(300):
         axes = oracle.rotation_matrix(out[row])
@@ -180,7 +182,7 @@ def test_rotations_come_back_as_finely_as_they_are_halved(halvings):
 def test_turns_of_no_halvings_are_no_rotation_and_cost_no_byte():
     ladder, scales = stored_scales(scales_of(6, 30))
     values = np.random.default_rng(6).uniform(-1, 1, (30, 3))
-    stream, _ = shape_streams.turns(values, scales, constant(0), constant(-5))
+    stream, _ = swing_twist.turns(values, scales, constant(0), constant(-5))
     assert [len(plane) for plane in stream.planes] == [0, 0, 0]
     assert (decode(ladder, stream).quats == [1, 0, 0, 0]).all()
 
@@ -188,7 +190,7 @@ def test_turns_of_no_halvings_are_no_rotation_and_cost_no_byte():
 def fine_turns():
     ladder, scales = stored_scales(scales_of(7, 40))
     values = np.random.default_rng(7).uniform(-1, 1, (40, 3))
-    stream, _ = shape_streams.turns(values, scales, constant(9), constant(4))
+    stream, _ = swing_twist.turns(values, scales, constant(9), constant(4))
     # a: symbols, bits; b: symbols, bits; c: symbols, no bits.
     assert [len(plane) for plane in stream.planes] == [40, 15, 40, 15, 40, 0]
     return ladder, stream
@@ -225,7 +227,7 @@ def test_turns_that_break_the_rules_are_refused():
 
 
 def constant_ladder_rows(rows):
-    return records.scalar(Attribute.SH0, np.zeros((rows, 3), f32), flat(3))
+    return scalar.write(Attribute.SH0, np.zeros((rows, 3), f32), flat(3))
 
 
 @pytest.mark.parametrize(
@@ -254,7 +256,7 @@ def test_codes_beyond_the_levels_of_their_row_are_refused(place, symbol, low, fi
 
 def test_padding_behind_the_plain_bits_is_refused():
     ladder, scales = stored_scales(scales_of(8, 3))
-    good, _ = shape_streams.turns(np.zeros((3, 3)), scales, constant(9), constant(9))
+    good, _ = swing_twist.turns(np.zeros((3, 3)), scales, constant(9), constant(9))
     for place in (1, 3, 5):
         planes = [plane.copy() for plane in good.planes]
         assert len(planes[place]) == 2
@@ -265,7 +267,7 @@ def test_padding_behind_the_plain_bits_is_refused():
 def test_turns_of_one_splat_come_back():
     for halvings in (0, 1, 6, 15):
         ladder, scales = stored_scales(scales_of(9, 1))
-        stream, decoded = shape_streams.turns(
+        stream, decoded = swing_twist.turns(
             np.array([[0.3, -0.6, 0.9]]), scales, constant(halvings), constant(halvings)
         )
-        assert decode(ladder, stream).quats.tobytes() == turn.quats_of(decoded).tobytes()
+        assert decode(ladder, stream).quats.tobytes() == swing_twist.quats_of(decoded).tobytes()

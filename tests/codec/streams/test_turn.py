@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cogsplat.codec.streams import turn
+from cogsplat.codec.streams import swing_twist
 
 pytestmark = pytest.mark.usefixtures("arithmetic")
 
@@ -33,7 +33,7 @@ def composed(turns):
 
 
 def check_canonical(quats, scales):
-    turns, named = turn.canonical(quats, scales)
+    turns, named = swing_twist.canonical(quats, scales)
     a, b, c = turns.T
     assert np.isfinite(turns).all()
     assert (a * a + b * b).max(initial=0) <= 1 + 1e-6
@@ -70,9 +70,9 @@ def test_half_turns_and_axes_have_a_name():
 
 
 def test_no_rows_have_no_turns():
-    turns, scales = turn.canonical(np.empty((0, 4), f32), np.empty((0, 3), f32))
+    turns, scales = swing_twist.canonical(np.empty((0, 4), f32), np.empty((0, 3), f32))
     assert (turns.shape, scales.shape) == ((0, 3), (0, 3))
-    assert turn.quats_of(turns.astype(f32)).shape == (0, 4)
+    assert swing_twist.quats_of(turns.astype(f32)).shape == (0, 4)
 
 
 def plain_quat(a, b, c):
@@ -87,7 +87,7 @@ def plain_quat(a, b, c):
 @given(st.lists(st.tuples(*[st.floats(-1, 1, width=32)] * 3), max_size=30))
 def test_turns_become_quats_in_the_documented_order(values):
     turns = np.array(values, f32).reshape(-1, 3)
-    out = turn.quats_of(turns)
+    out = swing_twist.quats_of(turns)
     expected = np.array([plain_quat(*row) for row in turns], f32).reshape(-1, 4)
     assert out.tobytes() == expected.tobytes()
     assert (out[:, 0] > 0).all()
@@ -98,9 +98,9 @@ def test_turns_become_quats_in_the_documented_order(values):
 def test_codes_are_within_half_a_step(halvings):
     values = np.append(np.random.default_rng(halvings).uniform(-1, 1, 500), [-1, 0, 1])
     wide = np.full(len(values), halvings, np.uint8)
-    codes = turn.quantise(values, wide)
+    codes = swing_twist.quantise(values, wide)
     assert codes.max() <= 1 << halvings
-    out = turn.dequantise(codes, wide)
+    out = swing_twist.dequantise(codes, wide)
     if halvings == 0:
         assert not codes.any()
         assert not out.any()
@@ -115,7 +115,7 @@ def test_codes_are_within_half_a_step(halvings):
 def test_values_a_little_beyond_their_ends_are_clamped():
     wide = np.array([1, 4, 9, 15, 1, 4, 9, 15], np.uint8)
     values = np.array([-1.2] * 4 + [1.2] * 4)
-    out = turn.dequantise(turn.quantise(values, wide), wide)
+    out = swing_twist.dequantise(swing_twist.quantise(values, wide), wide)
     assert out.tolist() == [-1] * 4 + [1] * 4
 
 
@@ -125,10 +125,10 @@ def test_codes_split_into_symbols_and_plain_bits(halvings, seed):
     rng = np.random.default_rng(seed)
     wide = np.array(halvings, np.uint8)
     codes = np.array([rng.integers(0, (1 << h) + 1) if h else 0 for h in halvings], np.uint32)
-    planes, rest = turn.split(codes, wide)
+    planes, rest = swing_twist.split(codes, wide)
     # SPEC 6.11: a plane for each min(h, 6) that occurs, the lowest first, then the low bits.
     present = sorted({min(h, 6) for h in halvings} - {0})
-    assert len(planes) == len(present) == len(turn.groups(wide))
+    assert len(planes) == len(present) == len(swing_twist.groups(wide))
     for group, plane in zip(present, planes, strict=True):
         rows = [row for row, h in enumerate(halvings) if min(h, 6) == group]
         expected = [int(codes[row]) >> max(halvings[row] - 6, 0) for row in rows]
@@ -140,5 +140,5 @@ def test_codes_split_into_symbols_and_plain_bits(halvings, seed):
         number |= (code & ((1 << spare) - 1)) << total
         total += spare
     assert rest.tobytes() == number.to_bytes(-(-total // 8), "little")
-    assert turn.rest_bytes(wide) == len(rest)
-    assert turn.join(planes, rest, wide, "here").tolist() == codes.tolist()
+    assert swing_twist.rest_bytes(wide) == len(rest)
+    assert swing_twist.join(planes, rest, wide, "here").tolist() == codes.tolist()

@@ -4,14 +4,14 @@ import pytest
 from cogsplat.codec.encode.profiles.chunk_streams import MAX_LOGIT, chunk_means, chunk_opacities
 from cogsplat.codec.geometry import morton
 from cogsplat.codec.streams import grid as grids
-from cogsplat.codec.streams import records
+from cogsplat.codec.streams import kinds, records
 from cogsplat.codec.streams.records import Kind
 
 
 def read(stream, columns):
     (one,) = records.unpack(memoryview(records.pack([stream])), "chunk", 1 << 18)
     out = np.empty((one.rows, columns), np.float32)
-    one.read_means(out)
+    kinds.read(one, out)
     return out
 
 

@@ -1,0 +1,118 @@
+"""Vq streams: indices into a codebook and the escape rows that follow it (SPEC 6.7)."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import FormatError
+
+from . import grid_planes
+from .inputs import Inputs
+from .records import Attribute, Kind, StoredStream, Stream
+
+F32 = NDArray[np.float32]
+U32 = NDArray[np.uint32]
+
+_PARAMS: Final = struct.Struct("<II")
+
+
+@dataclass(frozen=True)
+class CodebookUse:
+    """Which rows a stream refers to.
+
+    Parameters
+    ----------
+    number : int
+        Codebook of the file.
+    escape_rows : int
+        Escape rows of the same payload.
+    """
+
+    number: int
+    escape_rows: int = 0
+
+
+def write(attribute: Attribute, indices: U32, codebook: int, size: int, escape_rows: int) -> Stream:
+    """Return a vq stream.
+
+    Parameters
+    ----------
+    attribute : Attribute
+    indices : (n,) uint32
+        Below `size` a row of the codebook, from there on an escape row.
+    codebook : int
+        Number of the codebook in the file.
+    size : int
+        Rows of the codebook.
+    escape_rows : int
+    """
+    planes = grid_planes.split_planes(indices, size + escape_rows)
+    params = _PARAMS.pack(codebook, escape_rows)
+    return Stream(attribute, Kind.VQ, len(indices), params, planes)
+
+
+def parse(stream: StoredStream) -> CodebookUse:
+    """Return what a vq stream refers to.
+
+    Raises
+    ------
+    FormatError
+        ``stream-params``; ``stream-rows``: more escape rows than the stream has rows.
+    """
+    number, escape_rows = _PARAMS.unpack(stream.require_params(_PARAMS.size))
+    if escape_rows > stream.rows:
+        raise FormatError(
+            "stream-rows",
+            f"{stream.where}: {escape_rows} escape rows, expected at most {stream.rows}",
+            clause="6.7",
+        )
+    return CodebookUse(number, escape_rows)
+
+
+def read_indices(stream: StoredStream, size: int) -> U32:
+    """Return the (rows,) indices into a codebook of `size` rows and the escape rows behind it.
+
+    Raises
+    ------
+    FormatError
+        As `parse`, and ``stream-planes``, ``index-range``.
+    """
+    escape_rows = parse(stream).escape_rows
+    total = size + escape_rows
+    planes = stream.read_planes([stream.rows] * grid_planes.code_bytes(total))
+    indices = grid_planes.join_planes(planes, stream.rows)
+    if len(indices) and int(indices.max()) >= total:
+        raise FormatError(
+            "index-range",
+            f"{stream.where}: index {int(indices.max())}, expected below {size} codebook rows "
+            f"and {escape_rows} escape rows",
+            clause="6.7",
+        )
+    return indices
+
+
+def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
+    """Write the rows that the indices name into (rows, d) float32 `out`.
+
+    Needs `inputs.codebook`, and `inputs.escape` where there are escape rows.
+
+    Raises
+    ------
+    FormatError
+        As `read_indices`.
+    ValueError
+        No codebook is given.
+    """
+    if inputs.codebook is None:
+        raise ValueError("no codebook for a vq stream")
+    indices = read_indices(stream, len(inputs.codebook))
+    rows = inputs.codebook
+    if inputs.escape is not None and len(inputs.escape):
+        rows = np.concatenate([rows, inputs.escape])
+    # The indices are in range; only a mode that cannot fail writes into `out` without a copy.
+    np.take(rows, indices, axis=0, out=out, mode="clip")

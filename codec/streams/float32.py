@@ -1,0 +1,45 @@
+"""Float streams: the values themselves, byte by byte (SPEC 6.8)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import FormatError
+
+from .grid import MAX_VALUE
+from .inputs import Inputs
+from .records import Attribute, Kind, StoredStream, Stream
+
+F32 = NDArray[np.float32]
+
+
+def write(attribute: Attribute, values: F32) -> Stream:
+    """Return a float stream of (n, c) float32 values: four planes for each component."""
+    octets = np.ascontiguousarray(values).view(np.uint8).reshape(len(values), -1)
+    planes = [np.ascontiguousarray(octets[:, column]) for column in range(octets.shape[1])]
+    return Stream(attribute, Kind.FLOAT, len(values), b"", planes)
+
+
+def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
+    """Write the values of a float stream into (rows, c) float32 `out`; it needs no `inputs`.
+
+    Raises
+    ------
+    FormatError
+        ``stream-params``, ``stream-planes``; ``float-value``: NaN, or a magnitude above 2^100,
+        other than infinite opacities.
+    """
+    stream.require_params(0)
+    planes = stream.read_planes([stream.rows] * (4 * out.shape[1]))
+    values = np.stack(planes, axis=1).view("<f4").astype(np.float32)
+    legal = np.abs(values) <= MAX_VALUE
+    if stream.attribute == Attribute.OPACITIES:
+        legal |= np.isinf(values)
+    if not legal.all():
+        raise FormatError(
+            "float-value",
+            f"{stream.where}: NaN, or a magnitude above {MAX_VALUE:g}",
+            clause="6.8",
+        )
+    out[:] = values

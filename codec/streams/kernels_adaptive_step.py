@@ -1,0 +1,54 @@
+"""Compiled decoding of adaptive steps: the extra bits of rows (SPEC 6.10)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .kernels_bits import exact
+
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+
+
+@exact
+def write_extra_bits(scales: F32, coefficients: F32, knees: F32, most: int, extra: U8) -> None:
+    """Write the extra bits of rows (SPEC 6.10)."""
+    c0, c1, c2 = coefficients[0], coefficients[1], coefficients[2]
+    c3, c4, c5 = coefficients[3], coefficients[4], coefficients[5]
+    k0, k1, k2, k3 = knees[0], knees[1], knees[2], knees[3]
+    limit = np.float32(most)
+    zero = np.float32(0)
+    for row in range(len(extra)):
+        middle, thin, long = scales[row, 0], scales[row, 1], scales[row, 2]
+        p = long - middle
+        q = middle - thin
+        total = c0 + c1 * long
+        total = total + c2 * (p if p < k0 else k0)
+        total = total + c3 * (p if p < k1 else k1)
+        total = total + c4 * (q if q < k2 else k2)
+        total = total + c5 * (q if q < k3 else k3)
+        total = total if total < limit else limit
+        # Of what is not negative, the integer part is the floor.
+        extra[row] = np.uint8(np.int32(total if total > zero else zero))
+
+
+@exact
+def count_extra_bits(scales: F32, coefficients: F32, knees: F32, most: int, extra: U8) -> I64:
+    """Write the extra bits of rows (SPEC 6.10); return how many rows have each."""
+    write_extra_bits(scales, coefficients, knees, most, extra)
+    # Two histograms in turn: a count need not wait for the one before.
+    rows = np.zeros((2, most + 1), np.int64)
+    for row in range(len(extra)):
+        rows[row & 1, extra[row]] += 1
+    total_rows: I64 = rows[0] + rows[1]
+    return total_rows
+
+
+@exact
+def gained(scales: F32, coefficients: F32, knees: F32, most: int, extra: U8, out: U8) -> None:
+    """Write how many extra bits more than `extra` rows have (SPEC 6.17)."""
+    write_extra_bits(scales, coefficients, knees, most, out)
+    for row in range(len(out)):
+        out[row] = out[row] - extra[row] if out[row] > extra[row] else 0

@@ -1,0 +1,152 @@
+"""The table of stream kinds: how each attribute may be stored, and what reads it (SPEC 6.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import FormatError
+
+from . import (
+    codebook_index,
+    compiled,
+    float32,
+    quaternion,
+    scalar,
+    scale_differences,
+    sh0_transform,
+    shn_transform,
+    sorted_means,
+    swing_twist,
+)
+from .codebook_index import CodebookUse
+from .inputs import NO_INPUTS, Inputs
+from .records import Attribute, Kind, StoredStream
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class StreamCodec:
+    """What there is to know of an attribute stored in one kind.
+
+    Parameters
+    ----------
+    read : callable
+        Writes the (rows, c) float32 values of a stream, in numpy.
+    refined_by : Kind or None
+        Kind of the streams in a refinement that refine it; None where none do.
+    heads_only : bool
+        Whether it may stand for neither escape rows nor rows of a codebook.
+    codebook : callable or None
+        Returns the codebook and the number of escape rows that a stream refers to; None where it
+        refers to none.
+    """
+
+    read: Callable[[StoredStream, F32, Inputs], None]
+    refined_by: Kind | None = None
+    heads_only: bool = False
+    codebook: Callable[[StoredStream], CodebookUse] | None = None
+
+
+_PLAIN: Final = {Kind.SCALAR: StreamCodec(scalar.read), Kind.FLOAT: StreamCodec(float32.read)}
+_REFINABLE: Final = {
+    Kind.SCALAR: StreamCodec(scalar.read, refined_by=Kind.DIGITS),
+    Kind.FLOAT: StreamCodec(float32.read),
+}
+_INDEX: Final = {Kind.VQ: StreamCodec(codebook_index.read, codebook=codebook_index.parse)}
+
+KINDS: Final[Mapping[Attribute, Mapping[Kind, StreamCodec]]] = {
+    Attribute.MEANS: {
+        **_PLAIN,
+        Kind.MORTON: StreamCodec(sorted_means.read_cells),
+        Kind.FINE: StreamCodec(sorted_means.read, refined_by=Kind.BITS),
+    },
+    Attribute.OPACITIES: _REFINABLE,
+    Attribute.SH0: {
+        **_REFINABLE,
+        Kind.BASIS: StreamCodec(sh0_transform.read, refined_by=Kind.DIGITS),
+    },
+    Attribute.SCALES: {
+        **_REFINABLE,
+        Kind.DIFFERENCES: StreamCodec(
+            scale_differences.read, refined_by=Kind.DIGITS, heads_only=True
+        ),
+    },
+    Attribute.QUATS: {
+        Kind.QUAT: StreamCodec(quaternion.read),
+        Kind.SWING_TWIST: StreamCodec(swing_twist.read, refined_by=Kind.BITS, heads_only=True),
+    },
+    Attribute.SCALE_FACTOR: _PLAIN,
+    Attribute.SHAPE: _INDEX,
+    Attribute.SHN: {
+        **_INDEX,
+        Kind.BASIS: StreamCodec(shn_transform.read, codebook=shn_transform.codebook_use),
+    },
+    Attribute.SH1: _PLAIN,
+    Attribute.SH2: _PLAIN,
+    Attribute.SH3: _PLAIN,
+}
+"""What may stand in heads, tails and codebooks; refinements hold what `refined_by` names."""
+
+
+def codec_of(stream: StoredStream) -> StreamCodec:
+    """Return the codec of a stream.
+
+    Raises
+    ------
+    FormatError
+        ``stream-kind``: the attribute is not stored in this kind.
+    """
+    found = KINDS[stream.attribute].get(stream.kind)
+    if found is None:
+        names = ", ".join(kind.name.lower() for kind in KINDS[stream.attribute])
+        raise FormatError(
+            "stream-kind",
+            f"{stream.where}: kind {stream.kind.name.lower()}, expected one of {names}",
+            clause="6.2",
+        )
+    return found
+
+
+def codebook_use(stream: StoredStream) -> CodebookUse:
+    """Return the codebook and the escape rows that a stream of shape or shN refers to.
+
+    Raises
+    ------
+    FormatError
+        ``stream-kind``, ``stream-params``, ``stream-rows``.
+    ValueError
+        The kind refers to no codebook.
+    """
+    codebook = codec_of(stream).codebook
+    if codebook is None:
+        raise ValueError(f"{stream.where}: {stream.label} refers to no codebook")
+    return codebook(stream)
+
+
+def read(stream: StoredStream, out: F32, inputs: Inputs = NO_INPUTS) -> None:
+    """Write the values of a stream, by a compiled kernel where kernels are in use.
+
+    Parameters
+    ----------
+    stream : StoredStream
+    out : (rows, c) float32
+        C-contiguous.
+    inputs : Inputs
+        What the stream's kind depends on.
+
+    Raises
+    ------
+    FormatError
+        The stream breaks its clause of SPEC 6.
+    """
+    codec = codec_of(stream)
+    kernel = compiled.reader(stream.attribute, stream.kind)
+    if kernel is None or not kernel(stream, out, inputs):
+        # Where a kernel refuses, the reader in numpy finds the same and names it.
+        codec.read(stream, out, inputs)

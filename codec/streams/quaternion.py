@@ -1,0 +1,131 @@
+"""Quat streams: unit quaternions by three of their four components (SPEC 6.6)."""
+
+from __future__ import annotations
+
+import struct
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import FormatError
+
+from . import grid as grids
+from . import grid_planes, scalar
+from .grid import ENTRY_BYTES, Grid
+from .inputs import Inputs
+from .records import ESCAPE, Attribute, Kind, StoredStream, Stream
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+
+PER_ROW: Final = 255
+"""The parameter `largest` where it differs from row to row and has a plane of its own."""
+
+_PARAMS: Final = struct.Struct("<B3x")
+
+
+def write(rows: F32, step: float, *, escape: bool = False) -> Stream:
+    """Return a quat stream.
+
+    Parameters
+    ----------
+    rows : (n, 4) float32
+        Unit quaternions, wxyz, w at least 0; n at least 1.
+    step : float
+        Largest distance between levels of a stored component.
+    escape : bool
+        Whether the rows are escape rows.
+    """
+    largest = np.abs(rows).argmax(axis=1)
+    sign = np.where(rows[np.arange(len(rows)), largest] < 0, np.float32(-1), np.float32(1))
+    others = rows[largest[:, None] != np.arange(4)].reshape(-1, 3) * sign[:, None]
+    grid = grids.fit(others, step)
+    body = scalar.write(Attribute.QUATS, others, grid)
+    constant = bool((largest == largest[0]).all())
+    params = _PARAMS.pack(int(largest[0]) if constant else PER_ROW) + grid.pack()
+    planes = [] if constant else [largest.astype(np.uint8)]
+    planes += body.planes
+    flags = ESCAPE if escape else 0
+    return Stream(Attribute.QUATS, Kind.QUAT, len(rows), params, planes, flags)
+
+
+def parse(stream: StoredStream) -> tuple[int, Grid]:
+    """Return `largest` and the grid of the other three components.
+
+    Raises
+    ------
+    FormatError
+        ``stream-params``, ``quat-largest``, ``grid-value``, ``grid-levels``.
+    """
+    params = stream.require_params(_PARAMS.size + 3 * ENTRY_BYTES)
+    (largest,) = _PARAMS.unpack(params[: _PARAMS.size])
+    if (largest > 3 and largest != PER_ROW) or any(params[1 : _PARAMS.size]):
+        raise FormatError(
+            "quat-largest",
+            f"{stream.where}: largest component {largest}, expected 0 to 3 or {PER_ROW}, "
+            "and three zero bytes",
+            clause="6.6",
+        )
+    grid = grids.unpack(params[_PARAMS.size :], 3, stream.where)
+    if float(np.abs([grid.minimum, grid.maximum]).max()) > 1:
+        raise FormatError(
+            "grid-value",
+            f"{stream.where}: range {grid.minimum.tolist()} to {grid.maximum.tolist()}, "
+            "expected -1 to 1",
+            clause="6.6",
+        )
+    return largest, grid
+
+
+def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
+    """Write unit quaternions, wxyz, w at least 0, into (rows, 4) float32 `out`.
+
+    It needs no `inputs`.
+
+    Raises
+    ------
+    FormatError
+        As `parse`, and ``stream-planes``, ``code-range``.
+    """
+    largest, grid = parse(stream)
+    first = 1 if largest == PER_ROW else 0
+    others = np.empty((stream.rows, 3), np.float32)
+    grid_planes.read_values(stream, grid, others, first=first)
+    complete(stream, largest, others, out)
+
+
+def complete(stream: StoredStream, largest: int, others: F32, out: F32) -> None:
+    """Write (rows, 4) unit quaternions from the (rows, 3) components that are stored.
+
+    Raises
+    ------
+    FormatError
+        ``quat-largest``: a row whose component does not exist.
+    """
+    a, b, c = others.T
+    rest = np.float32(1) - ((a * a + b * b) + c * c)
+    root = np.sqrt(np.maximum(rest, np.float32(0)))
+    if largest == PER_ROW:
+        which = stream.plane(0, stream.rows)
+        if int(which.max(initial=0)) > 3:
+            raise FormatError(
+                "quat-largest",
+                f"{stream.where}: largest component {int(which.max())}, expected 0 to 3",
+                clause="6.6",
+            )
+        mask = which[:, None] == np.arange(4, dtype=np.uint8)
+        out[mask] = root
+        out[~mask] = others.reshape(-1)
+    else:
+        out[:, largest] = root
+        out[:, [i for i in range(4) if i != largest]] = others
+    _normalise(out)
+
+
+def _normalise(rows: F32) -> None:
+    w, x, y, z = rows.T
+    norm = np.sqrt(((w * w + x * x) + y * y) + z * z)
+    rows /= norm[:, None]
+    flip = w < 0
+    rows[flip] = -rows[flip]

@@ -1,0 +1,82 @@
+"""Scalar streams: values on a uniform grid of its own for each component (SPEC 6.4)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import grid as grids
+from . import grid_planes, refinement_digits
+from .grid import ENTRY_BYTES, Grid
+from .inputs import Inputs
+from .records import ESCAPE, INFINITIES, Attribute, Kind, StoredStream, Stream
+
+F32 = NDArray[np.float32]
+
+
+def write(attribute: Attribute, values: F32, grid: Grid, *, escape: bool = False) -> Stream:
+    """Return a scalar stream.
+
+    Parameters
+    ----------
+    attribute : Attribute
+    values : (n, c) float32
+        Finite; those outside the grid become its first or last level.
+    grid : Grid
+        Of c components.
+    escape : bool
+        Whether the rows are escape rows.
+    """
+    planes = grid_planes.split_components(grid.quantise(values), grid)
+    flags = ESCAPE if escape else 0
+    return Stream(attribute, Kind.SCALAR, len(values), grid.pack(), planes, flags)
+
+
+def write_with_infinities(attribute: Attribute, values: F32, grid: Grid) -> Stream:
+    """Return a scalar stream of (n, 1) float32 values, of which some are infinite.
+
+    The grid has one component and at most `grid.MAX_LEVELS` - 2 levels: two codes more stand for
+    +inf and -inf.
+    """
+    finite = np.isfinite(values)
+    codes = grid.quantise(np.where(finite, values, grid.minimum))[:, 0]
+    levels = int(grid.levels[0])
+    codes[np.isposinf(values[:, 0])] = levels
+    codes[np.isneginf(values[:, 0])] = levels + 1
+    planes = grid_planes.split_planes(codes, levels + 2)
+    return Stream(attribute, Kind.SCALAR, len(values), grid.pack(), planes, INFINITIES)
+
+
+def parse(stream: StoredStream, components: int) -> Grid:
+    """Return the grid that the parameters of a scalar stream state.
+
+    Raises
+    ------
+    FormatError
+        ``stream-params``, ``grid-value``, ``grid-levels``.
+    """
+    params = stream.require_params(components * ENTRY_BYTES)
+    return grids.unpack(params, components, stream.where)
+
+
+def extra_codes(stream: StoredStream) -> int:
+    """Return how many codes above the levels stand for infinities: 2 or 0."""
+    return 2 if stream.flags & INFINITIES else 0
+
+
+def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
+    """Write the values of a scalar stream into (rows, c) float32 `out`.
+
+    Digits that refine it are `inputs.refinement`; `inputs.coarse` is then filled with the values
+    of the stream alone.
+
+    Raises
+    ------
+    FormatError
+        As `parse`, and ``stream-planes``, ``code-range``.
+    """
+    grid = parse(stream, out.shape[1])
+    if inputs.refinement is None:
+        grid_planes.read_values(stream, grid, out, extra=extra_codes(stream))
+    else:
+        refinement_digits.read(stream, grid, inputs.refinement, out, inputs.coarse)

@@ -1,0 +1,69 @@
+"""Differences streams: log scales from the longest axis to the shortest (SPEC 6.12)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import grid_planes, refinement_digits, scalar
+from .grid import Grid
+from .inputs import Inputs
+from .records import Attribute, Kind, StoredStream, Stream
+
+F32 = NDArray[np.float32]
+
+
+def differences_of(scales: F32) -> F32:
+    """Return (n, 3) differences of (n, 3) log scales in the order middle, thin, long.
+
+    They are the longest log scale, how much less the middle one is, and how much less than that
+    the thinnest one is.
+    """
+    middle, thin, long = scales.T
+    return np.stack([long, long - middle, middle - thin], axis=1)
+
+
+def accumulate(differences: F32) -> F32:
+    """Return the (n, 3) log scales, middle, thin, long, of decoded differences (SPEC 6.12)."""
+    out = np.empty_like(differences)
+    out[:, 2] = differences[:, 0]
+    out[:, 0] = differences[:, 0] - differences[:, 1]
+    out[:, 1] = out[:, 0] - differences[:, 2]
+    return out
+
+
+def write(differences: F32, grid: Grid) -> Stream:
+    """Return a differences stream of scales.
+
+    Parameters
+    ----------
+    differences : (n, 3) float32
+        As `differences_of` returns them.
+    grid : Grid
+        Of these three components.
+    """
+    planes = grid_planes.split_components(grid.quantise(differences), grid)
+    return Stream(Attribute.SCALES, Kind.DIFFERENCES, len(differences), grid.pack(), planes)
+
+
+def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
+    """Write the log scales of a differences stream into (rows, 3) float32 `out`.
+
+    Digits that refine it are `inputs.refinement`; `inputs.coarse` is then filled with the scales
+    of the stream alone.
+
+    Raises
+    ------
+    FormatError
+        As `scalar.read`.
+    """
+    grid = scalar.parse(stream, 3)
+    differences = np.empty((stream.rows, 3), np.float32)
+    if inputs.refinement is None:
+        grid_planes.read_values(stream, grid, differences)
+    else:
+        alone = None if inputs.coarse is None else np.empty_like(differences)
+        refinement_digits.read(stream, grid, inputs.refinement, differences, alone)
+        if inputs.coarse is not None and alone is not None:
+            inputs.coarse[:] = accumulate(alone)
+    out[:] = accumulate(differences)

@@ -1,0 +1,278 @@
+"""Basis streams of shN: a few coordinates on the rows of a codebook (SPEC 6.14)."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import FormatError
+
+from . import grid_planes
+from .codebook_index import CodebookUse
+from .inputs import Inputs
+from .records import Attribute, Kind, StoredStream, Stream
+
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+U32 = NDArray[np.uint32]
+
+PARAMS: Final = struct.Struct("<IffHH")
+"""Codebook, step, shrink, width and reserved bytes; the sizes of codes follow (SPEC 6.14)."""
+
+MAX_BASIS_ROWS: Final = 255
+"""Most rows of a basis: the number of a row fits a byte (SPEC 6.14)."""
+
+MAX_FACTOR: Final = 2.0**32
+"""Largest step of shN and magnitude in its basis: sums of products stay finite (SPEC 6.14)."""
+
+# First coordinates of the groups that share planes: the strongest alone, then the sparse together.
+_GROUP_STARTS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 26)
+
+# Rows of sums and products that stay in the second-level cache.
+_BLOCK: Final = 1024
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """What a basis stream of shN states before its planes.
+
+    Parameters
+    ----------
+    step : float
+        Distance between codes of a coordinate.
+    shrink : float
+        Taken off the magnitude of every coordinate that is not 0, in steps.
+    width : int
+        Coordinates in use.
+    sizes : bytes
+        For each group the bytes of its inner and of its last codes.
+    """
+
+    step: float
+    shrink: float
+    width: int
+    sizes: bytes
+
+
+def write(codes: I64, codebook: int, step: float, shrink: float) -> Stream:
+    """Return a basis stream of shN.
+
+    Parameters
+    ----------
+    codes : (n, k) int64
+        Coordinates on the basis in steps, signed.
+    codebook : int
+        Number of the codebook whose rows are the basis.
+    step : float
+        Distance between codes.
+    shrink : float
+        What is taken off the magnitude of every coordinate that is not 0, in steps: 0 to 0.5.
+    """
+    used = np.flatnonzero(codes.any(axis=0))
+    width = int(used[-1]) + 1 if len(used) else 0
+    codes = codes[:, :width]
+    ends = ((codes != 0) * np.arange(1, width + 1)).max(axis=1, initial=0).astype(np.uint8)
+    order, above = _by_falling_end(ends, width)
+    ranked = codes[order]
+    zigzag = np.where(ranked > 0, 2 * ranked - 1, -2 * ranked).astype(np.uint32)
+    planes: list[U8] = [ends]
+    sizes = bytearray()
+    for group in groups(width):
+        inner = [zigzag[: above[j + 1], j] for j in group]
+        last = [zigzag[above[j + 1] : above[j], j] - np.uint32(1) for j in group]
+        for symbols in (np.concatenate(inner), np.concatenate(last)):
+            size = grid_planes.code_bytes(int(symbols.max(initial=0)) + 1)
+            sizes.append(size)
+            planes += grid_planes.split_planes(symbols, 1 << (8 * size)) if size else []
+    params = PARAMS.pack(codebook, step, shrink, width, 0) + bytes(sizes)
+    return Stream(Attribute.SHN, Kind.BASIS, len(codes), params, planes)
+
+
+@cache
+def groups(width: int) -> tuple[range, ...]:
+    """Return the coordinates of each group that shares planes (SPEC 6.14)."""
+    stops = [min(start, width) for start in (*_GROUP_STARTS[1:], width)]
+    found = [range(a, b) for a, b in zip(_GROUP_STARTS, stops, strict=True)]
+    return tuple(group for group in found if len(group))
+
+
+def _by_falling_end(ends: U8, width: int) -> tuple[I64, list[int]]:
+    """Return the rows by falling ends, and how many rows have an end above 0, 1, … `width`."""
+    order = np.argsort(np.uint8(255) - ends, kind="stable").astype(np.int64)
+    counts = np.bincount(ends, minlength=width + 1)
+    above: list[int] = (len(ends) - np.cumsum(counts)).tolist()
+    return order, above
+
+
+def codebook_use(stream: StoredStream) -> CodebookUse:
+    """Return the codebook that a basis stream of shN names.
+
+    Raises
+    ------
+    FormatError
+        ``stream-params``.
+    """
+    return CodebookUse(int(PARAMS.unpack_from(_params(stream))[0]))
+
+
+def _params(stream: StoredStream) -> memoryview:
+    if len(stream.params) < PARAMS.size:
+        raise FormatError(
+            "stream-params",
+            f"{stream.where}: {len(stream.params)} bytes of parameters, expected at least "
+            f"{PARAMS.size}",
+            clause="6.14",
+        )
+    width = int(PARAMS.unpack_from(stream.params)[3])
+    return stream.require_params(PARAMS.size + 2 * len(groups(width)))
+
+
+def parse(stream: StoredStream, basis: F32) -> Parameters:
+    """Return the parameters of a basis stream of shN, checked against its basis.
+
+    Parameters
+    ----------
+    stream : StoredStream
+    basis : (C, d) float32
+        Rows of the codebook.
+
+    Raises
+    ------
+    FormatError
+        ``stream-params``, ``basis-width``, ``basis-value``, ``stream-planes``.
+    """
+    params = _params(stream)
+    _, step, shrink, width, reserved = PARAMS.unpack_from(params)
+    if width > min(len(basis), MAX_BASIS_ROWS) or reserved:
+        raise FormatError(
+            "basis-width",
+            f"{stream.where}: {width} coordinates on a basis of {len(basis)} rows and reserved "
+            f"bytes {reserved}, expected no more than rows, and 0",
+            clause="6.14",
+        )
+    if not 0 < step <= MAX_FACTOR or not 0 <= shrink <= 0.5:
+        raise FormatError(
+            "basis-value",
+            f"{stream.where}: step {step} and shrink {shrink}, expected up to {MAX_FACTOR:g} "
+            "and 0 to 0.5",
+            clause="6.14",
+        )
+    largest = float(np.abs(basis[:width]).max(initial=0))
+    if largest > MAX_FACTOR:
+        raise FormatError(
+            "basis-value",
+            f"{stream.where}: {largest:g} in the basis, expected up to {MAX_FACTOR:g}",
+            clause="6.14",
+        )
+    sizes = bytes(params[PARAMS.size :])
+    expected = 1 + sum(sizes)
+    if max(sizes, default=0) > 3 or len(stream.words) != expected:
+        raise FormatError(
+            "stream-planes",
+            f"{stream.where}: {len(stream.words)} planes, codes of {list(sizes)} bytes, "
+            f"expected {expected} planes and at most 3 bytes",
+            clause="6.14",
+        )
+    return Parameters(step, shrink, width, sizes)
+
+
+def read_ends(stream: StoredStream, width: int) -> U8:
+    """Return the (rows,) numbers of coordinates up to the last that is not 0.
+
+    Raises
+    ------
+    FormatError
+        ``code-range``: more than `width`.
+    """
+    ends = stream.plane(0, stream.rows)
+    grid_planes.require_codes(ends, width + 1, f"{stream.where}, ends", "6.14")
+    return ends
+
+
+def basis_of(inputs: Inputs) -> F32:
+    """Return the (C, d) float32 basis that the inputs of a stream hold.
+
+    Raises
+    ------
+    ValueError
+        They hold none.
+    """
+    if inputs.codebook is None:
+        raise ValueError("no codebook for a basis stream")
+    return inputs.codebook
+
+
+def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
+    """Write SH coefficients into (rows, d) float32 `out`, coefficient by coefficient, R G B inside.
+
+    Needs `inputs.codebook`, (C, d) float32: the basis, with as many coefficients as are wanted.
+
+    Raises
+    ------
+    FormatError
+        As `parse` and `read_ends`.
+    ValueError
+        No codebook is given.
+    """
+    basis = basis_of(inputs)
+    found = parse(stream, basis)
+    ends = read_ends(stream, found.width)
+    order, above = _by_falling_end(ends, found.width)
+    step, shrink = np.float32(found.step), np.float32(found.shrink)
+    octets = np.arange(256, dtype=np.uint32)
+    tables = [_coordinate(octets + np.uint32(part), step, shrink) for part in range(2)]
+    ranked = np.zeros((above[0] if found.width else 0, basis.shape[1]), np.float32)
+    plane = 1
+    for number, group in enumerate(groups(found.width)):
+        counts = [above[j + 1] for j in group], [above[j] - above[j + 1] for j in group]
+        values: list[F32] = []
+        for part in range(2):
+            size = found.sizes[2 * number + part]
+            length = sum(counts[part])
+            parts = [stream.plane(plane + byte, length) for byte in range(size)]
+            plane += size
+            values.append(_coordinates(parts, length, tables[part], part, (step, shrink)))
+        starts = [0, 0]
+        for j in group:
+            inner, outer = above[j + 1], above[j]
+            for part, rows in enumerate((ranked[:inner], ranked[inner:outer])):
+                stop = starts[part] + len(rows)
+                _add(rows, values[part][starts[part] : stop], basis[j])
+                starts[part] = stop
+    out[order[: len(ranked)]] = ranked
+    out[order[len(ranked) :]] = 0
+
+
+def _add(sums: F32, values: F32, row: F32) -> None:
+    """Add a basis row times its coordinates, by blocks of rows that stay in cache."""
+    product = np.empty((min(_BLOCK, len(sums)), sums.shape[1]), np.float32)
+    for start in range(0, len(sums), _BLOCK):
+        block = sums[start : start + _BLOCK]
+        part = product[: len(block)]
+        np.multiply(values[start : start + _BLOCK, None], row, out=part)
+        block += part
+
+
+def _coordinates(
+    planes: list[U8], rows: int, table: F32, offset: int, factors: tuple[np.float32, np.float32]
+) -> F32:
+    """Return (rows,) float32 coordinates from the planes of inner or of last codes."""
+    if not planes:
+        return np.full(rows, table[0])
+    if len(planes) == 1:
+        return table.take(planes[0])
+    return _coordinate(grid_planes.join_planes(planes, rows) + np.uint32(offset), *factors)
+
+
+def _coordinate(codes: U32, step: np.float32, shrink: np.float32) -> F32:
+    """Return the coordinates that codes stand for (SPEC 6.14)."""
+    magnitude = ((codes + np.uint32(1)) >> np.uint32(1)).astype(np.float32)
+    value = np.where(codes > 0, magnitude - shrink, np.float32(0)) * step
+    out: F32 = np.where(codes & np.uint32(1), value, -value)
+    return out
