@@ -1,3 +1,4 @@
+import doctest
 import hashlib
 import math
 import os
@@ -11,7 +12,7 @@ import pytest
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.encode.config import PROFILES, EncodeConfig
+from cogsplat.codec.encode.config import PROFILE_NAMES, EncodeConfig
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.errors import Cancelled, DataError, FormatError, StorageError, TruncatedError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
@@ -22,6 +23,8 @@ from cogsplat.formats.storage.source import FileSource
 ROOT = Path(__file__).resolve().parents[1]
 FIELDS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 KEEP = EncodeConfig(prune=None, chunk_splats=50, threads=1)
+# The default order draws the scene, which takes cameras.
+SCORED = replace(KEEP, order="contribution")
 
 
 def scene(n=300, degree=3, seed=1) -> Splats:
@@ -58,15 +61,15 @@ def made(tmp_path_factory):
     path = tmp_path_factory.mktemp("facade") / "scene.cogs"
     splats = scene()
     scores = score(splats, ring(), ScoreConfig(threads=1))
-    length = cogsplat.encode(splats, path, scores=scores, config=KEEP)
-    assert length == path.stat().st_size
+    report = cogsplat.encode(splats, path, scores=scores, config=SCORED)
+    assert report.size_bytes == path.stat().st_size
     return path, splats, scores
 
 
 # Encoding.
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
 @pytest.mark.parametrize(("n", "degree"), [(0, 3), (1, 0), (2, 1), (100, 2), (100, 3)])
 def test_scenes_of_any_size_come_back(tmp_path, profile, n, degree):
     splats = scene(n, degree)
@@ -99,7 +102,7 @@ def test_given_scores_are_not_measured_again(tmp_path, made):
     stages = set()
     again = tmp_path / "again.cogs"
     cogsplat.encode(
-        splats, again, scores=scores, config=KEEP, progress=lambda *call: stages.add(call[0])
+        splats, again, scores=scores, config=SCORED, progress=lambda *call: stages.add(call[0])
     )
     assert "score" not in stages
     assert again.read_bytes() == path.read_bytes()
@@ -107,7 +110,7 @@ def test_given_scores_are_not_measured_again(tmp_path, made):
 
 def test_cameras_and_scenes_may_be_files(tmp_path):
     splats, cameras = scene(120), ring()
-    cogsplat.write(tmp_path / "scene.ply", splats)
+    cogsplat.write(splats, tmp_path / "scene.ply")
     write_cameras_json(tmp_path / "cameras.json", cameras)
     a, b = tmp_path / "a.cogs", tmp_path / "b.cogs"
     config = replace(KEEP, profile="near-lossless")
@@ -135,10 +138,10 @@ def test_an_existing_file_is_refused_before_any_work(tmp_path, made):
     assert (caught.value.code, caught.value.exit_code) == ("exists", 2)
     assert stages == []
     assert target.read_bytes() == b"mine"
-    cogsplat.encode(splats, target, scores=scores, config=KEEP, force=True)
+    cogsplat.encode(splats, target, scores=scores, config=SCORED, force=True)
     assert target.read_bytes() == path.read_bytes()
     with pytest.raises(StorageError) as caught:
-        cogsplat.encode(splats, tmp_path / "no" / "such.cogs", scores=scores)
+        cogsplat.encode(splats, tmp_path / "no" / "such.cogs", scores=scores, config=SCORED)
     assert caught.value.code == "not-found"
 
 
@@ -206,8 +209,9 @@ def test_cameras_that_cannot_be_used_are_refused(tmp_path):
 
 def test_scores_of_another_scene_are_refused(tmp_path, made):
     _, splats, scores = made
+    few = splats.take(slice(0, 20))
     with pytest.raises(DataError) as caught:
-        cogsplat.encode(splats.take(slice(0, 20)), tmp_path / "out.cogs", scores=scores)
+        cogsplat.encode(few, tmp_path / "out.cogs", scores=scores, config=SCORED)
     assert caught.value.code == "scores-mismatch"
     assert list(tmp_path.iterdir()) == []
 
@@ -367,19 +371,19 @@ def test_what_is_no_cogs_file_is_refused(tmp_path):
 def test_scenes_are_written_and_read(tmp_path, degree):
     splats = scene(40, degree)
     path = tmp_path / "scene.ply"
-    cogsplat.write(path, splats)
+    cogsplat.write(splats, path)
     assert same(cogsplat.read(path), splats)
     with pytest.raises(StorageError) as caught:
-        cogsplat.write(path, splats)
+        cogsplat.write(splats, path)
     assert caught.value.code == "exists"
-    cogsplat.write(path, splats.take(slice(0, 3)), force=True)
+    cogsplat.write(splats.take(slice(0, 3)), path, force=True)
     assert len(cogsplat.read(path)) == 3
 
 
 def test_what_no_format_takes_is_refused(tmp_path):
     for name in ("scene.cogs", "scene.xyz", "scene"):
         with pytest.raises(FormatError) as caught:
-            cogsplat.write(tmp_path / name, scene(5))
+            cogsplat.write(scene(5), tmp_path / name)
         assert caught.value.code == "unknown-format"
     assert list(tmp_path.iterdir()) == []
 
@@ -389,6 +393,22 @@ def test_the_facade_names_what_it_gives():
     for name in cogsplat.__all__:
         assert getattr(cogsplat, name) is not None
     assert cogsplat.__version__
+
+
+def test_its_examples_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    splats = scene()
+    cogsplat.write(splats, "scene.ply")
+    write_cameras_json("cameras.json", ring())
+    cogsplat.encode(splats, "scene.cogs", cameras=ring(), config=KEEP)
+    finder = doctest.DocTestFinder(exclude_empty=True)
+    runner = doctest.DocTestRunner()
+    ran = {}
+    for name in ("open", "decode", "encode", "read", "write", "read_cameras"):
+        for test in finder.find(getattr(cogsplat, name), name, globs={}):
+            ran[name] = runner.run(test)
+    assert all(result.attempted > 1 and result.failed == 0 for result in ran.values())
+    assert len(ran) == 6
 
 
 def test_importing_it_needs_no_compiler():

@@ -28,7 +28,6 @@ from cogsplat.codec.threads import ordered_map, thread_count
 
 from .adam import Adam
 from .encoded import EncodedScene
-from .prefix_quality import decoded
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -405,7 +404,7 @@ def compensated(
     effective_splats = prefix_inflation.effective_splats(contribution)
     if not plan_layers(counts, effective_splats):
         return encoded
-    splats = decoded(encoded, threads=config.threads)
+    splats = encoded.decoded
     found = fit(splats, counts, references, effective_splats, config, progress=progress)
     prefix_mse = errors(found, splats, references, threads=config.threads)
     return replace(encoded, compensation=found, prefix_mse=prefix_mse)

@@ -1,4 +1,4 @@
-"""How a scene is encoded: the options of the pipeline."""
+"""The configuration of the encoder, and what can be switched off in it for measuring."""
 
 from __future__ import annotations
 
@@ -13,11 +13,54 @@ from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.streams import limits
 from cogsplat.codec.threads import thread_count
 
-from .ablation import Ablation
+PROFILE_NAMES: Final = ("transform", "vq", "near-lossless")
+"""Names of the profiles; `profiles.dispatch.PROFILES` holds what they do."""
 
-PROFILES: Final = ("transform", "vq", "near-lossless")
 MIN_QUALITY_DB: Final = 10.0
 MAX_QUALITY_DB: Final = 90.0
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """Techniques of the `transform` profile, each of which can be switched off for measuring.
+
+    Files of any combination are valid and decode as all others do; only their size and their
+    quality differ. The other profiles use none of these techniques.
+
+    Parameters
+    ----------
+    sensitivities : bool
+        What errors of positions, shapes and opacities cost comes from the scoring pass; otherwise
+        it is guessed from each splat's energy alone.
+    chunk_steps : bool
+        Every chunk has steps of its own, by what errors cost there; otherwise one step of each
+        attribute serves all chunks.
+    fine_means : bool
+        Means are quantised as finely as each splat is small; otherwise with one step a chunk.
+    fine_turns : bool
+        Rotations are quantised as finely as each shape asks; otherwise with one step a chunk.
+    areas : bool
+        The longest axis and the opacity make up for areas that coarse scales change.
+    colour_basis : bool
+        shN is stored by its principal axes; otherwise by its own coefficients.
+    view_metric : bool
+        Errors of shN are weighed by the directions that it is seen from; otherwise all directions
+        count alike.
+    sh0_makes_up : bool
+        sh0 makes up for what shN loses, as its views see it on average.
+    digits : bool
+        Planes of few symbols put several of them into a byte before zstd.
+    """
+
+    sensitivities: bool = True
+    chunk_steps: bool = True
+    fine_means: bool = True
+    fine_turns: bool = True
+    areas: bool = True
+    colour_basis: bool = True
+    view_metric: bool = True
+    sh0_makes_up: bool = True
+    digits: bool = True
 
 
 @dataclass(frozen=True)
@@ -27,13 +70,13 @@ class EncodeConfig:
     Parameters
     ----------
     profile : str
-        One of `PROFILES`.
+        One of `PROFILE_NAMES`.
     quality_db : float
         Nominal PSNR, dB, of the profiles for viewing: sets all their steps.
     order : str
         One of `orders.ORDERS`, alone or with one of `orders.POSE_RULES`.
     ordering : OrderConfig
-        Parameters of the order; chunks of one object each.
+        Parameters of the order, and whether chunks hold one object each.
     chunk_splats : int
         Most splats in a chunk.
     morton : bool
@@ -43,16 +86,17 @@ class EncodeConfig:
         later.
     prune : PruneConfig or None
         What may be dropped; None keeps every splat, as `near-lossless` always does.
-    near : NearBounds
+    near_lossless : NearLosslessBounds
         Error bounds of the `near-lossless` profile.
     compensate : bool
-        Whether the order is made for prefixes that are drawn with compensation. Fitting that
-        takes what is encoded, and views: `compensation_fit.compensated`.
+        Whether the order is made for prefixes that are drawn with compensation, and compensation
+        is fitted to the scene's own pictures; the `near-lossless` profile has none.
     training : TrainingConfig
+        How the codebooks of the `vq` profile are trained.
     threads : int
         0 uses all cores; the bytes do not depend on it.
     ablation : Ablation
-        What the `transform` profile does without, for measuring.
+        Techniques of the `transform` profile that are switched off.
     """
 
     profile: str = "transform"
@@ -70,8 +114,8 @@ class EncodeConfig:
     ablation: Ablation = field(default_factory=Ablation)
 
     def __post_init__(self) -> None:
-        if self.profile not in PROFILES:
-            raise ValueError(f"profile {self.profile!r}, expected one of {PROFILES}")
+        if self.profile not in PROFILE_NAMES:
+            raise ValueError(f"profile {self.profile!r}, expected one of {PROFILE_NAMES}")
         require_order(self.order, self.ordering)
         if not 1 <= self.chunk_splats <= limits.MAX_CHUNK_SPLATS:
             raise ValueError(
@@ -81,7 +125,7 @@ class EncodeConfig:
         require_quality(self.quality_db)
 
     def dropping(self) -> PruneConfig | None:
-        """Return what may be dropped; an archive keeps all: what is not there has no bound."""
+        """Return what may be dropped; `near-lossless` keeps every splat, for it bounds errors."""
         return None if self.profile == "near-lossless" else self.prune
 
 

@@ -1,9 +1,9 @@
-"""An encoded scene: payloads and tables, ready for a container."""
+"""What the encoder returns: payloads, tables, decoded rows and a report of the work."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +73,32 @@ class EncodedChunk:
         )
 
 
+@dataclass(frozen=True)
+class EncodeReport:
+    """How a scene was encoded.
+
+    Parameters
+    ----------
+    seconds : mapping of str to float
+        Time of each stage, by the names that `Progress` reports, in the order they began.
+    scored_views : int
+        Views that splats were scored in, jittered copies included; 0 where scores were given.
+    quality_db : float
+        Nominal quality of the result, dB: the configuration's, or what the search for a target
+        found.
+    trials : int
+        Times that the chunks were encoded; more than one only for a target.
+    size_bytes : int
+        Length of the file; 0 until a container was written.
+    """
+
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    scored_views: int = 0
+    quality_db: float = 0.0
+    trials: int = 1
+    size_bytes: int = 0
+
+
 @dataclass(frozen=True, eq=False)
 class EncodedScene:
     """A scene ready for a container.
@@ -82,15 +108,21 @@ class EncodedScene:
     scene : Splats
         No rows: SH degree, `info` and extra attributes of the scene.
     splats : int
+        Rows that are stored.
     pruned : int
         Rows of the source that were dropped.
     box : (6,) float64
+        Lower and upper corner of all chunks' boxes, scene units.
     codebooks, chunks : sequence
+    decoded : Splats
+        The rows of all chunks as a reader of the complete file decodes them, in stored order,
+        without extra attributes.
     compensation : Compensation or None
-        What its prefixes want.
+        How prefixes are changed so that they look most like the whole scene.
     prefix_mse : (c + 1,) float64 or None
         Mean squared error of pictures of nothing, of the first chunk, and so on to the whole, for
         what the splats behind are missing; None where that was not measured.
+    report : EncodeReport
     """
 
     scene: Splats
@@ -99,5 +131,7 @@ class EncodedScene:
     box: NDArray[np.float64]
     codebooks: Sequence[EncodedCodebook]
     chunks: Sequence[EncodedChunk]
+    decoded: Splats
     compensation: Compensation | None = None
     prefix_mse: NDArray[np.float64] | None = None
+    report: EncodeReport = field(default_factory=EncodeReport)

@@ -1,4 +1,4 @@
-"""What an encoded scene will look like, in views that the encoder has: decoded and rendered."""
+"""The PSNR of an encoded scene and of its prefixes, measured in views that the encoder has."""
 
 from __future__ import annotations
 
@@ -14,34 +14,27 @@ from cogsplat.codec.errors import DataError
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render
-from cogsplat.codec.segments.codebooks import (
-    Codebook,
-    decode_colour_codebook,
-    decode_shape_codebook,
-)
-from cogsplat.codec.segments.heads import decode_head
-from cogsplat.codec.segments.tails import decode_tail
-from cogsplat.codec.splats import Splats, concatenate, empty
+from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.views.view_sets import evenly
 
-from .encoded import EncodedChunk, EncodedScene
+from .encoded import EncodedScene
 
 PREFIX_VIEWS: Final = 8
 """Views that prefixes are predicted in, at most."""
 
-# Prefixes that are measured; those between are interpolated.
+# Prefixes that are measured at most: each takes a rendering of every view.
 _PREFIXES: Final = 12
 
 
 class PrefixEvaluator:
-    """The source as some views show it, to hold encoded scenes against.
+    """Measures the PSNR of scenes against pictures of the source in some views.
 
     Parameters
     ----------
     source : Splats
     views : sequence of Camera
-        In the frame of the means; never views that judge the result.
+        In the frame of the means; never held-out views, which judge the result.
     threads : int
         0 for all cores; the figures do not depend on it.
 
@@ -73,7 +66,7 @@ class PrefixEvaluator:
         return float(np.mean(values))
 
     def prefixes_db(self, encoded: EncodedScene, *, progress: Progress = silent) -> list[float]:
-        """Return what the first chunks show, for every number of them from 1, dB.
+        """Return the PSNR of the first chunk, of the first two, and so on to all, dB.
 
         Parameters
         ----------
@@ -84,18 +77,18 @@ class PrefixEvaluator:
         Returns
         -------
         list of float
-            One per chunk. Of many chunks some are measured, the others lie on lines between them.
+            One per chunk. At most 12 prefixes are measured; the values of those between are
+            interpolated by their number of splats.
         """
         count = len(encoded.chunks)
         if count == 0:
             return []
-        splats = decoded(encoded, threads=self._threads)
         ends = np.cumsum([chunk.splats for chunk in encoded.chunks])
         measured = np.unique(np.linspace(0, count - 1, min(count, _PREFIXES)).round().astype(int))
         values = []
         progress("predict", 0, len(measured))
         for done, chunk in enumerate(measured, start=1):
-            values.append(self.psnr_db(splats.take(slice(0, int(ends[chunk])))))
+            values.append(self.psnr_db(encoded.decoded.take(slice(0, int(ends[chunk])))))
             progress("predict", done, len(measured))
         return [float(x) for x in np.interp(ends, ends[measured], values)]
 
@@ -109,7 +102,7 @@ def predicted(
     threads: int = 0,
     progress: Progress = silent,
 ) -> EncodedScene:
-    """Return an encoded scene whose chunks say what is seen once they are there.
+    """Return an encoded scene whose chunks state the PSNR of the scene that ends with them.
 
     Parameters
     ----------
@@ -117,7 +110,7 @@ def predicted(
     source : Splats
         What it was encoded from.
     views : sequence of Camera
-        That the encoder may look at.
+        Views that the encoder may look at.
     most_views : int
         So many of them are rendered, spread evenly.
     threads : int
@@ -132,36 +125,3 @@ def predicted(
         for chunk, quality in zip(encoded.chunks, qualities, strict=True)
     ]
     return replace(encoded, chunks=chunks)
-
-
-def decoded(encoded: EncodedScene, *, threads: int = 0) -> Splats:
-    """Return a scene as a reader of its file will have it.
-
-    Parameters
-    ----------
-    encoded : EncodedScene
-    threads : int
-        0 for all cores.
-    """
-    degree = encoded.scene.sh_degree
-    books: dict[int, Codebook] = {}
-    for number, book in enumerate(encoded.codebooks):
-        payloads = [memoryview(payload) for payload in book.payloads]
-        if book.attribute == "shape":
-            books[number] = decode_shape_codebook(payloads[0], book.rows, "shape codebook")
-        else:
-            bands = dict(enumerate(payloads, start=1))
-            books[number] = decode_colour_codebook(bands, book.rows, degree, "colour codebook")
-
-    def decode(chunk: EncodedChunk) -> Splats:
-        out = empty(degree, chunk.splats)
-        fine = chunk.payloads.refinement
-        refinement = None if fine is None else memoryview(fine)
-        decode_head(memoryview(chunk.payloads.head), books, out, "chunk", refinement)
-        if chunk.payloads.tail is not None:
-            decode_tail(memoryview(chunk.payloads.tail), books, out.shN, "chunk")
-        return out
-
-    parts = list(ordered_map(decode, encoded.chunks, thread_count(threads)))
-    whole = concatenate(parts) if parts else empty(degree)
-    return replace(whole, info=encoded.scene.info)

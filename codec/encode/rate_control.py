@@ -1,9 +1,9 @@
-"""Targets: the nominal quality at which a scene comes out as small, or as good, as is asked for."""
+"""Search for the nominal quality at which an encoded scene has a target PSNR or file size."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -13,10 +13,12 @@ from cogsplat.codec.progress import Progress, silent
 
 from .config import MAX_QUALITY_DB, MIN_QUALITY_DB
 from .encoded import EncodedScene
-from .encoder import Prepared
 
 MAX_TRIALS: Final = 8
 """Encodes that a search takes at most."""
+
+MAX_ROUNDS: Final = 3
+"""Searches for a size at most, where what is added after a search makes the file too large."""
 
 PSNR_TOLERANCE_DB: Final = 0.02
 """How far from a PSNR a search may stop."""
@@ -45,12 +47,12 @@ _MARGIN: Final = 0.03
 
 @dataclass(frozen=True)
 class Target:
-    """What an encode aims at: one of two.
+    """What an encode aims at: a PSNR or a file size.
 
     Parameters
     ----------
     psnr_db : float or None
-        Mean PSNR against the source's own pictures, dB, in views that the encoder has.
+        Mean PSNR against pictures of the source, dB, in views that the encoder has; 5 to 90.
     size_bytes : int or None
         Bytes of the whole file, never exceeded.
     """
@@ -71,9 +73,13 @@ TARGET_VIEWS: Final = 32
 """Views that a PSNR is measured in, at most."""
 
 
+EncodeAt = Callable[[float], EncodedScene]
+"""Encodes a scene at a nominal quality, dB."""
+
+
 @dataclass(frozen=True, eq=False)
 class Hit:
-    """What a search found.
+    """The encode that came nearest to a target.
 
     Parameters
     ----------
@@ -81,9 +87,9 @@ class Hit:
     quality_db : float
         The nominal quality it was encoded at.
     value : float
-        PSNR in dB, or bytes.
+        What was measured of it: PSNR in dB, or bytes.
     trials : int
-        Encodes it took.
+        Encodes that the search took.
     """
 
     encoded: EncodedScene
@@ -93,21 +99,21 @@ class Hit:
 
 
 def to_psnr(
-    prepared: Prepared,
+    encode_at: EncodeAt,
     psnr_db: float,
     psnr_of: Callable[[EncodedScene], float],
     *,
     progress: Progress = silent,
 ) -> Hit:
-    """Encode a scene so that it comes as near to a PSNR as a few trials bring it.
+    """Search for the nominal quality at which a scene has a PSNR.
 
     Parameters
     ----------
-    prepared : Prepared
+    encode_at : callable
     psnr_db : float
-        dB.
+        The target, dB.
     psnr_of : callable
-        Measures a trial, dB.
+        Measures an encoded scene, dB.
     progress : Progress
         Called with ``search`` and the trials done, of `MAX_TRIALS`.
 
@@ -117,36 +123,45 @@ def to_psnr(
         ``target-out-of-reach``: beyond what the finest or the coarsest setting gives.
     """
 
-    def enough(value: float) -> bool:
-        return abs(value - psnr_db) <= PSNR_TOLERANCE_DB
+    def miss(value: float) -> float:
+        return abs(value - psnr_db)
 
-    found = _search(
-        prepared, psnr_db + _NOMINAL_DB, psnr_db, psnr_of, _PSNR_PER_DB, enough, progress
+    goal = _Goal(
+        value=psnr_db,
+        rise=_PSNR_PER_DB,
+        start_db=psnr_db + _NOMINAL_DB,
+        is_enough=lambda value: miss(value) <= PSNR_TOLERANCE_DB,
+        is_better=lambda trial, best: miss(trial.value) < miss(best.value),
     )
-    best = min(found, key=lambda hit: abs(hit.value - psnr_db))
-    if abs(best.value - psnr_db) > _NEAR_DB and any(_at_an_end(hit) for hit in found):
+    best, trials = _search(encode_at, goal, psnr_of, progress)
+    if miss(best.value) > _NEAR_DB and any(
+        trial.quality_db in (MIN_QUALITY_DB, MAX_QUALITY_DB) for trial in trials
+    ):
         raise _out_of_reach(f"PSNR of {psnr_db:g} dB", f"{best.value:.2f} dB")
-    return _counted(best, found)
+    return best
 
 
 def to_size(
-    prepared: Prepared,
+    encode_at: EncodeAt,
+    splats: int,
     size_bytes: int,
     size_of: Callable[[EncodedScene], int],
     *,
     progress: Progress = silent,
 ) -> Hit:
-    """Encode a scene as finely as a size allows.
+    """Search for the finest nominal quality at which a scene takes no more than a size.
 
     Parameters
     ----------
-    prepared : Prepared
+    encode_at : callable
+    splats : int
+        That may be stored: the search begins at what so many usually take.
     size_bytes : int
-        Never exceeded; at least 1.
+        The target, never exceeded; at least 1.
     size_of : callable
-        Bytes of the whole file that a trial would make.
+        Bytes of the whole file that an encoded scene would make.
     progress : Progress
-        As `to_psnr`.
+        As in `to_psnr`.
 
     Raises
     ------
@@ -154,35 +169,112 @@ def to_size(
         ``target-out-of-reach``: larger even at the coarsest setting.
     """
 
-    def enough(value: float) -> bool:
-        return bool(1 - SIZE_TOLERANCE <= np.exp2(value) / size_bytes <= 1.0)
+    def fits(trial: _Trial) -> bool:
+        return bool(round(2.0**trial.value) <= size_bytes)
 
-    # A little below the size, so that a guess that is off by a little is not too large.
-    goal = float(np.log2(size_bytes * (1 - SIZE_TOLERANCE / 2)))
-    each = size_bytes / max(len(prepared.rows), 1)
-    found = _search(
-        prepared,
-        _START_DB + float(np.log2(each / _START_BYTES)) / _LOG2_BYTES_PER_DB,
-        goal,
-        lambda encoded: float(np.log2(size_of(encoded))),
-        _LOG2_BYTES_PER_DB,
-        enough,
-        progress,
+    def is_better(trial: _Trial, best: _Trial) -> bool:
+        if fits(trial) and fits(best):
+            return trial.quality_db > best.quality_db
+        return trial.value < best.value
+
+    # Sizes are searched for as base-2 logarithms, which rise nearly evenly with the quality.
+    goal = _Goal(
+        # A little below the size, so that a guess that is off by a little is not too large.
+        value=float(np.log2(size_bytes * (1 - SIZE_TOLERANCE / 2))),
+        rise=_LOG2_BYTES_PER_DB,
+        start_db=_START_DB
+        + float(np.log2(size_bytes / max(splats, 1) / _START_BYTES)) / _LOG2_BYTES_PER_DB,
+        is_enough=lambda value: bool(1 - SIZE_TOLERANCE <= np.exp2(value) / size_bytes <= 1.0),
+        is_better=is_better,
     )
-    fitting = [hit for hit in found if round(2.0**hit.value) <= size_bytes]
-    if not fitting:
-        least = min(round(2.0**hit.value) for hit in found)
+    best, trials = _search(encode_at, goal, lambda scene: float(np.log2(size_of(scene))), progress)
+    if not fits(_Trial(best.quality_db, best.value)):
+        least = min(round(2.0**trial.value) for trial in trials)
         raise _out_of_reach(f"size of {size_bytes:,} bytes", f"{least:,} bytes")
-    best = max(fitting, key=lambda hit: hit.quality_db)
-    return _counted(best, found)
+    return replace(best, value=float(round(2.0**best.value)))
 
 
-def _counted(best: Hit, found: list[Hit]) -> Hit:
-    return Hit(best.encoded, best.quality_db, best.value, len(found))
+def to_finished_size(
+    encode_at: EncodeAt,
+    splats: int,
+    size_bytes: int,
+    foreseen_size: Callable[[EncodedScene], int],
+    finish: Callable[[EncodedScene], EncodedScene],
+    size_of: Callable[[EncodedScene], int],
+    *,
+    progress: Progress = silent,
+) -> Hit:
+    """Search as `to_size` does and finish the result, which may change its size a little.
+
+    What is added to a scene after the search takes a known number of bytes, but the order of
+    segments follows from it, and with that order index pages end elsewhere. Where a finished scene
+    is too large, the search begins again at a size that is lower by what was added. There are at
+    most `MAX_ROUNDS` searches; after the last, segments keep the order that the search measured.
+
+    Parameters
+    ----------
+    encode_at, splats, size_bytes
+        As in `to_size`.
+    foreseen_size : callable
+        Bytes of the whole file that an encoded scene will make once it is finished.
+    finish : callable
+        Adds compensation and predicted quality to an encoded scene.
+    size_of : callable
+        Bytes of the whole file that a finished scene makes.
+    progress : Progress
+        As in `to_psnr`.
+
+    Raises
+    ------
+    DataError
+        ``target-out-of-reach``, as in `to_size`.
+    """
+    aim, trials = size_bytes, 0
+    for _ in range(MAX_ROUNDS):
+        hit = to_size(encode_at, splats, aim, foreseen_size, progress=progress)
+        trials += hit.trials
+        finished = finish(hit.encoded)
+        size = size_of(finished)
+        if size <= size_bytes:
+            break
+        aim = size_bytes - (size - round(hit.value))
+        if aim < 1:
+            raise _out_of_reach(f"size of {size_bytes:,} bytes", f"{size:,} bytes")
+    else:
+        finished = replace(finished, prefix_mse=None)
+    return Hit(finished, hit.quality_db, float(size_of(finished)), trials)
 
 
-def _at_an_end(hit: Hit) -> bool:
-    return hit.quality_db in (MIN_QUALITY_DB, MAX_QUALITY_DB)
+@dataclass(frozen=True)
+class _Trial:
+    """A nominal quality and what was measured at it."""
+
+    quality_db: float
+    value: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Goal:
+    """The value that a search aims at.
+
+    Parameters
+    ----------
+    value : float
+    rise : float
+        How much the value usually rises per nominal dB.
+    start_db : float
+        The nominal quality to try first.
+    is_enough : callable
+        Tells whether a value is near enough to stop.
+    is_better : callable
+        Tells whether a trial beats another.
+    """
+
+    value: float
+    rise: float
+    start_db: float
+    is_enough: Callable[[float], bool]
+    is_better: Callable[[_Trial, _Trial], bool]
 
 
 def _out_of_reach(wanted: str, found: str) -> DataError:
@@ -193,45 +285,49 @@ def _out_of_reach(wanted: str, found: str) -> DataError:
 
 
 def _search(
-    prepared: Prepared,
-    start_db: float,
-    goal: float,
+    encode_at: EncodeAt,
+    goal: _Goal,
     measure: Callable[[EncodedScene], float],
-    rise: float,
-    enough: Callable[[float], bool],
     progress: Progress,
-) -> list[Hit]:
-    """Try qualities until one is good enough or the next would be no other; return all trials."""
-    found: list[Hit] = []
-    quality = _within(start_db)
+) -> tuple[Hit, list[_Trial]]:
+    """Try qualities until one is near enough or the next would be no other; keep the best."""
+    trials: list[_Trial] = []
+    best: _Trial | None = None
+    kept: EncodedScene | None = None
+    quality = _within(goal.start_db)
     progress("search", 0, MAX_TRIALS)
-    while len(found) < MAX_TRIALS:
-        encoded = prepared.encode(quality)
-        hit = Hit(encoded, quality, measure(encoded), len(found) + 1)
-        found.append(hit)
-        progress("search", len(found), MAX_TRIALS)
-        if enough(hit.value):
+    while len(trials) < MAX_TRIALS:
+        encoded = encode_at(quality)
+        trial = _Trial(quality, measure(encoded))
+        trials.append(trial)
+        # Only the best scene is kept: a large one takes as much memory as its source.
+        if best is None or goal.is_better(trial, best):
+            best, kept = trial, encoded
+        progress("search", len(trials), MAX_TRIALS)
+        if goal.is_enough(trial.value):
             break
-        quality = _next(found, goal, rise)
-        if any(abs(quality - other.quality_db) < _SHORTEST_DB for other in found):
+        quality = _next(trials, goal.value, goal.rise)
+        if any(abs(quality - other.quality_db) < _SHORTEST_DB for other in trials):
             break
     progress("search", MAX_TRIALS, MAX_TRIALS)
-    return found
+    if best is None or kept is None:
+        raise AssertionError("a search without a trial")
+    return Hit(kept, best.quality_db, best.value, len(trials)), trials
 
 
-def _next(found: list[Hit], goal: float, rise: float) -> float:
+def _next(trials: list[_Trial], goal: float, rise: float) -> float:
     """Return the quality to try: between the nearest values on both sides, else further out."""
-    below = max((h for h in found if h.value < goal), key=lambda h: h.value, default=None)
-    above = min((h for h in found if h.value >= goal), key=lambda h: h.value, default=None)
+    below = max((t for t in trials if t.value < goal), key=lambda t: t.value, default=None)
+    above = min((t for t in trials if t.value >= goal), key=lambda t: t.value, default=None)
     if below and above:
         share = (goal - below.value) / (above.value - below.value)
         share = min(max(share, _MARGIN), 1 - _MARGIN)
         return below.quality_db + share * (above.quality_db - below.quality_db)
-    last = found[-1]
-    if len(found) > 1:
-        run = last.quality_db - found[-2].quality_db
+    last = trials[-1]
+    if len(trials) > 1:
+        run = last.quality_db - trials[-2].quality_db
         # Curves that flatten must not send the search off: at least a quarter of the usual rise.
-        rise = max((last.value - found[-2].value) / run, rise / 4)
+        rise = max((last.value - trials[-2].value) / run, rise / 4)
     step = min(max((goal - last.value) / rise, -_LONGEST_DB), _LONGEST_DB)
     return _within(last.quality_db + step)
 

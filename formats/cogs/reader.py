@@ -21,7 +21,7 @@ from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, empty, sh_coefficients
 from cogsplat.codec.streams import compiled
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.formats.storage.source import Source
+from cogsplat.formats.storage.source import PrefixSource, Source
 
 from . import cameras as cogs_cameras
 from . import compensation as cogs_compensation
@@ -38,6 +38,9 @@ _SCRATCH_ROW_BYTES: Final = 128
 
 # Of one splat while compensation is applied: shifts of two layers and the codes' entries.
 _COMPENSATION_ROW_BYTES: Final = 96
+
+# Labels that a message lists.
+_MOST_NAMED: Final = 12
 
 # Below this, and without compiled kernels, threads wait for the interpreter's lock longer than
 # they save (measured: a scene of 80,000 splats takes a third longer on two threads).
@@ -115,6 +118,11 @@ class CogsFile:
     def num_chunks(self) -> int:
         """Chunks the tables list; a partial file may lack the last pages' chunks."""
         return len(self.chunks)
+
+    @property
+    def source_bytes(self) -> int:
+        """Bytes that the source holds, of which a partial one lacks some of the file's."""
+        return self._source.size
 
     @property
     def page_bytes(self) -> int:
@@ -200,17 +208,65 @@ class CogsFile:
         whole = np.concatenate([counts, [rest]]) if rest else counts
         return Compensation(tuple(layers), whole.astype(np.int64))
 
-    def chunks_of_objects(self, objects: Iterable[int]) -> list[int]:
-        """Return the chunks that hold some of these objects, by label, in the file's order."""
-        wanted = np.isin(self.chunks.object, np.array(sorted(set(objects)), np.int64))
-        return [int(chunk) for chunk in np.flatnonzero(wanted)]
+    def select(
+        self,
+        *,
+        chunks: tuple[int | None, int | None] | None = None,
+        objects: Iterable[int] | None = None,
+        splats: int | None = None,
+    ) -> list[int]:
+        """Return the numbers of the chunks that make up a part of the scene, in file order.
 
-    def first_chunks(self, chunks: Sequence[int], splats: int) -> Sequence[int]:
-        """Return the first of some chunks, so many that they hold at least `splats` splats."""
-        if splats <= 0:
-            return chunks[:0]
-        ends = np.cumsum(self.chunks.splats[list(chunks)].astype(np.int64))
-        return chunks[: int(np.searchsorted(ends, splats)) + 1]
+        Conditions that are given together all hold; `splats` counts what the others leave.
+
+        Parameters
+        ----------
+        chunks : tuple of (int or None, int or None), optional
+            Half-open range of chunks; None leaves an end open. By default all chunks that are
+            complete.
+        objects : iterable of int, optional
+            Labels of objects: only chunks that hold one of them.
+        splats : int, optional
+            Whole chunks from the first until they hold at least so many splats.
+
+        Returns
+        -------
+        list of int
+            As `decode` takes them.
+
+        Raises
+        ------
+        ValueError
+            A range that does not lie within the file's chunks, a label that no chunk has, or a
+            negative number of splats.
+        """
+        selected = list(range(self.complete_chunks()))
+        if chunks is not None:
+            first = 0 if chunks[0] is None else chunks[0]
+            last = self.num_chunks if chunks[1] is None else chunks[1]
+            if not 0 <= first <= last <= self.num_chunks:
+                raise ValueError(
+                    f"chunks {first}:{last}, expected a range within 0:{self.num_chunks}"
+                )
+            selected = list(range(first, last))
+        if objects is not None:
+            own = self._chunks_of(set(objects))
+            selected = [chunk for chunk in selected if chunk in own]
+        if splats is not None:
+            if splats < 0:
+                raise ValueError(f"splats {splats}, expected 0 or more")
+            ends = np.cumsum(self.chunks.splats[selected].astype(np.int64))
+            selected = selected[: int(np.searchsorted(ends, splats)) + 1] if splats else []
+        return selected
+
+    def _chunks_of(self, objects: set[int]) -> set[int]:
+        labels = self.chunks.object.tolist()
+        there = sorted(set(labels))
+        for label in sorted(objects):
+            if label not in there:
+                some = ", ".join(map(str, there[:_MOST_NAMED])) + " …" * (len(there) > _MOST_NAMED)
+                raise ValueError(f"object {label}, expected some of {some}")
+        return {chunk for chunk, label in enumerate(labels) if label in objects}
 
     def read_segment(self, row: int) -> memoryview:
         """Return a segment's bytes, its CRC checked.
@@ -479,7 +535,13 @@ class CogsFile:
         return {book: self._codebooks[key] for book, key in keys.items()}
 
 
-def open_cogs(source: Source, *, partial: bool = False, limits: Limits | None = None) -> CogsFile:
+def open_cogs(
+    source: Source,
+    *,
+    partial: bool = False,
+    size_bytes: int | None = None,
+    limits: Limits | None = None,
+) -> CogsFile:
     """Read the index of a file and check it.
 
     Parameters
@@ -487,6 +549,8 @@ def open_cogs(source: Source, *, partial: bool = False, limits: Limits | None = 
     source : Source
     partial : bool
         Accept a source that ends before the file does; its complete chunks can be decoded.
+    size_bytes : int, optional
+        Take the source as if it ended after so many bytes, which makes it a partial one.
     limits : Limits, optional
 
     Returns
@@ -501,7 +565,13 @@ def open_cogs(source: Source, *, partial: bool = False, limits: Limits | None = 
         The file is short (strict), or its root is not complete (partial).
     UnsupportedError
         Another version, or something that must be understood and is not.
+    ValueError
+        A negative size.
     """
+    if size_bytes is not None:
+        if size_bytes < 0:
+            raise ValueError(f"size_bytes {size_bytes}, expected 0 or more")
+        source, partial = PrefixSource(source, size_bytes), True
     return CogsFile(source, read_index(source, partial=partial), limits or Limits())
 
 

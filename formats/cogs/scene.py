@@ -24,8 +24,8 @@ from .writer import Segment, lay_out, write_cogs
 
 
 def save(
-    path: Path,
     scene: EncodedScene,
+    path: Path,
     *,
     writer: str,
     first_view: Camera | None = None,
@@ -36,8 +36,8 @@ def save(
 
     Parameters
     ----------
-    path : Path
     scene : EncodedScene
+    path : Path
     writer : str
         Name and version of the program, for the root.
     first_view : Camera, optional

@@ -3,9 +3,8 @@
 from functools import cache
 
 import numpy as np
+from encoding import encode, unseen
 
-from cogsplat.codec.encode import encoder
-from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs import scene as cogs
 from cogsplat.formats.cogs.writer import lay_out
@@ -28,8 +27,8 @@ def scene(count, degree=3, seed=1):
 
 @cache
 def encoded(profile, count=900, degree=3, chunk=150):
-    return encoder.encode(
-        scene(count, degree), None, EncodeConfig(profile=profile, chunk_splats=chunk, prune=None)
+    return encode(
+        scene(count, degree), None, unseen(profile=profile, chunk_splats=chunk, prune=None)
     )
 
 

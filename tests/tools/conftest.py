@@ -20,7 +20,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> SmallScene:
     folder = tmp_path_factory.mktemp("small")
     scene = SmallScene(folder / "scene.ply", folder / "scene.cogs", folder / "cameras.json")
     splats, cameras = synth(SPLATS), synth_cameras(VIEWS, 64, 48)
-    cogsplat.write(scene.ply, splats)
+    cogsplat.write(splats, scene.ply)
     write_cameras_json(scene.cameras, cameras)
     config = EncodeConfig(chunk_splats=300, prune=PruneConfig(peak=0.001))
     cogsplat.encode(splats, scene.cogs, cameras=cameras, config=config)

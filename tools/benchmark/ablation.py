@@ -16,8 +16,8 @@ from cogsplat.codec.views.view_sets import roam
 
 if TYPE_CHECKING:
     from cogsplat.codec.encode.config import EncodeConfig
-    from cogsplat.codec.encode.encoder import Prepared
     from cogsplat.codec.encode.prefix_quality import PrefixEvaluator
+    from cogsplat.codec.encode.prepared import PreparedScene
 
     from .rate_distortion import Subject
 
@@ -86,7 +86,7 @@ class _Point:
 
 def changes(sh_degree: int) -> dict[str, Change]:
     """Return what is switched off, by name, for a scene of an SH degree."""
-    from cogsplat.codec.encode.ablation import Ablation
+    from cogsplat.codec.encode.config import Ablation
 
     def without(**flags: bool) -> Change:
         return lambda config: replace(config, ablation=replace(config.ablation, **flags))
@@ -138,9 +138,9 @@ def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> 
     DataError
         ``no-cameras``.
     """
-    from cogsplat.codec.encode import encoder
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.prefix_quality import PrefixEvaluator
+    from cogsplat.codec.encode.prepared import prepare
 
     whole = EncodeConfig(profile="transform", quality_db=quality_db, threads=subject.threads)
     named = changes(subject.splats.sh_degree)
@@ -149,7 +149,7 @@ def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> 
     roaming = roam(subject.splats, subject.cameras)
     judges = held_out, PrefixEvaluator(subject.splats, roaming, subject.threads)
     start = time.perf_counter()
-    prepared = encoder.prepare(subject.splats, subject.scores, whole, views=subject.scored_on)
+    prepared = prepare(subject.splats, subject.scores, whole, views=subject.scored_on)
     ordered_s = time.perf_counter() - start
     measure = _measurer(subject, prepared, judges, ordered_s)
     base = measure(quality_db)
@@ -161,7 +161,7 @@ def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> 
         prepare_s = ordered_s
         if changed.config.order != whole.order:
             start = time.perf_counter()
-            changed = encoder.prepare(subject.splats, subject.scores, changed.config)
+            changed = prepare(subject.splats, subject.scores, changed.config)
             prepare_s = time.perf_counter() - start
         measure = _measurer(subject, changed, judges, prepare_s)
         points = _around(measure, quality_db, base.held_out_db)
@@ -184,20 +184,19 @@ def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> 
 
 def _measurer(
     subject: Subject,
-    prepared: Prepared,
+    prepared: PreparedScene,
     judges: tuple[PrefixEvaluator, PrefixEvaluator],
     prepare_s: float,
 ) -> Callable[[float], _Point]:
-    from cogsplat.codec.encode.prefix_quality import decoded
+    from cogsplat.codec.encode.encoder import encode_chunks
     from cogsplat.formats.cogs import scene
 
     def measure(quality_db: float) -> _Point:
         start = time.perf_counter()
-        encoded = prepared.encode(quality_db)
+        encoded = encode_chunks(prepared, quality_db)
         encode_s = prepare_s + time.perf_counter() - start
         size = scene.size_bytes(encoded, writer=f"cogsplat {cogsplat.__version__}")
-        splats = decoded(encoded, threads=subject.threads)
-        held_out_db, roam_db = (judge.psnr_db(splats) for judge in judges)
+        held_out_db, roam_db = (judge.psnr_db(encoded.decoded) for judge in judges)
         return _Point(held_out_db, roam_db, size, encode_s)
 
     return measure

@@ -82,7 +82,7 @@ def convert(
             stages("write", 1, 1)
         else:
             with stages.stage("write"):
-                cogsplat.write(out, splats, force=force)
+                cogsplat.write(splats, out, force=force)
     with storage_errors(out):
         written = out.stat().st_size
     done = _Done(source, out, name, given, splats, written)

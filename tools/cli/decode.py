@@ -69,7 +69,7 @@ def decode(
     with Stages(shown=not (quiet or as_json)) as stages:
         scene = decode_part(cogs, part, threads=threads, progress=stages)
         with stages.stage("write"):
-            cogsplat.write(out, scene.splats, force=force)
+            cogsplat.write(scene.splats, out, force=force)
     if not scene.chunks and scene.file_chunks and part.size is not None:
         warnings.warn(
             f"{cogs}: no chunk is complete in the first {scene.bytes_read} bytes",

@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.errors import TruncatedError
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.splats import Splats, empty
+from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.atomic import check_output, storage_errors
-from cogsplat.formats.storage.source import FileSource, PrefixSource
 from cogsplat.tools.synthetic.scene import synth, synth_cameras
 
 SHARES: Final = (0.02, 0.05, 0.10, 0.25, 1.0)
@@ -140,6 +138,7 @@ def run(
         A file cannot be written, or is there already and `force` is not set.
     """
     from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.tools.evaluation.prefix_quality import decode_beginning
     from cogsplat.tools.pictures.filmstrip import filmstrip
     from cogsplat.tools.pictures.png import write_png
 
@@ -151,7 +150,7 @@ def run(
 
     progress("synth", 0, 1)
     scene, cameras = synth(splats), synth_cameras()
-    cogsplat.write(files.scene, scene, force=force)
+    cogsplat.write(scene, files.scene, force=force)
     write_cameras_json(files.cameras, cameras, force=force)
     progress("synth", 1, 1)
 
@@ -159,18 +158,20 @@ def run(
     config = EncodeConfig(threads=threads)
     size = cogsplat.encode(
         scene, files.cogs, cameras=train, config=config, force=force, progress=progress
-    )
+    ).size_bytes
     progress("write", 1, 1)
 
     decoded = cogsplat.decode(files.cogs, threads=threads, progress=progress)
-    cogsplat.write(files.decoded, decoded, force=force)
+    cogsplat.write(decoded, files.decoded, force=force)
     progress("decode", 1, 1)
 
     draw = _drawer(held[_SHOWN], threads)
     prefixes, pictures = [], []
     for step, share in enumerate(SHARES):
         progress("compare", step, len(SHARES))
-        part = decoded if share == 1.0 else _first_bytes(files.cogs, int(share * size), threads)
+        part = decoded
+        if share < 1.0:
+            part = decode_beginning(files.cogs, int(share * size), compensate=True, threads=threads)
         prefixes.append(_measured(scene, part, held, share, int(share * size), threads))
         pictures.append(draw(part))
     progress("compare", len(SHARES), len(SHARES))
@@ -187,17 +188,6 @@ def run(
     write_png(files.strip, strip, force=force)
     progress("film-strip", 1, 1)
     return Demo(files, splats, scene_bytes, size, tuple(prefixes))
-
-
-def _first_bytes(path: Path, size: int, threads: int) -> Splats:
-    """Decode what is complete in the first bytes of a file, made up for what is not there."""
-    source = PrefixSource(FileSource(path), size)
-    try:
-        with cogsplat.open(source, partial=True) as file:
-            return file.decode(compensate=True, threads=threads)
-    except TruncatedError:
-        # Of a small file the first fiftieth ends inside the root: nothing to draw yet.
-        return empty(0)
 
 
 def _measured(

@@ -39,6 +39,7 @@ from .scene_edits import SceneEdits, edit_options
 
 if TYPE_CHECKING:
     from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.encoded import EncodeReport
     from cogsplat.codec.encode.rate_control import Target
     from cogsplat.formats.cogs.reader import CogsFile
 
@@ -233,7 +234,7 @@ def encode(
             views = virtual_views(splats, threads=threads, progress=stages)
         numbered = [edits.camera(view) for view in given_cameras(cameras)] if cameras else views
         config = replace(config, order=choice.name, ordering=choice.config(numbered or []))
-        size = cogsplat.encode(
+        made = cogsplat.encode(
             splats,
             out,
             cameras=views,
@@ -244,7 +245,7 @@ def encode(
             target=_target(target_psnr, target_size, given.file_bytes),
             preset=preset,
             stored_cameras=list(numbered or []) if store_cameras else [],
-            measured_on=measured_in(numbered, eval_every) if cameras and numbered else None,
+            test_views=measured_in(numbered, eval_every) if cameras and numbered else None,
             force=force,
             progress=stages,
         )
@@ -252,7 +253,7 @@ def encode(
         judged: list[PrefixQuality] = []
         if judges is not None:
             settings = settings_of(
-                click.get_current_context(), stages.totals.get("score", 0), stages.total_seconds
+                click.get_current_context(), made.scored_views, stages.total_seconds
             )
             judged = judges.measure(out, threads=threads, progress=stages)
             if report is not None:
@@ -261,9 +262,10 @@ def encode(
     if quiet and not as_json:
         return
     with cogsplat.open(out) as file:
-        told = _report(file, size, config, stages)
+        told = _report(file, made, config, stages)
         seen = _predicted(file)
         sizes = stored_sizes(file) if judged else []
+    size = made.size_bytes
     rows_in, kept = given.file_splats, int(file.root.splats)
     dropped, pruned = rows_in - len(splats), len(splats) - kept
     if as_json:
@@ -289,7 +291,7 @@ def encode(
         ("chunks", f"{file.num_chunks}, SH degree {file.root.sh_degree}"),
         ("codebooks", f"{', '.join(books)} rows" if books else ""),
         ("predicted", f"{seen:.2f} dB in views given to the encoder" if seen else ""),
-        ("scored", counted(stages.totals.get("score", 0), "view") + _with_copies(no_jitter)),
+        ("scored", counted(made.scored_views, "view") + _with_copies(no_jitter)),
         ("time", stages.line()),
         ("report", str(report) if report else ""),
     )
@@ -340,13 +342,15 @@ def _predicted(file: CogsFile) -> float | None:
     return round(float(file.chunks.quality[-1]), 3)
 
 
-def _report(file: CogsFile, size: int, config: EncodeConfig, stages: Stages) -> dict[str, object]:
+def _report(
+    file: CogsFile, made: EncodeReport, config: EncodeConfig, stages: Stages
+) -> dict[str, object]:
     """Return what the new file holds and how it came about."""
     splats = file.root.splats
     return {
-        "bytes": size,
+        "bytes": made.size_bytes,
         "splats": splats,
-        "bytes_per_splat": round(size / max(splats, 1), 3),
+        "bytes_per_splat": round(made.size_bytes / max(splats, 1), 3),
         "sh_degree": file.root.sh_degree,
         "chunks": file.num_chunks,
         "codebooks": [
@@ -355,6 +359,8 @@ def _report(file: CogsFile, size: int, config: EncodeConfig, stages: Stages) -> 
         "profile": config.profile,
         "predicted_psnr_db": _predicted(file),
         "order": config.order,
-        "scored_views": stages.totals.get("score", 0),
+        "quality_db": None if config.profile == "near-lossless" else round(made.quality_db, 3),
+        "trials": made.trials,
+        "scored_views": made.scored_views,
         "seconds": stages.rounded(),
     }

@@ -16,9 +16,8 @@ from cogsplat.codec.errors import CogsplatWarning, DataError, LimitError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
-from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes
-from cogsplat.formats.storage.source import FileSource, PrefixSource, Source
+from cogsplat.formats.storage.source import FileSource
 from cogsplat.tools.terminal.values import ByteCount, ChunkRange
 
 EVAL_CAMERAS: Final = "eval_cameras.json"
@@ -28,8 +27,6 @@ EVAL_EVERY: Final = 8
 """What ``--eval-every`` is in commands that judge, unless said."""
 
 _FEWEST_JUDGES: Final = 4
-# Objects that a message lists.
-_MOST_NAMED: Final = 12
 
 # Three float32 images of this many pixels take 4.5 GiB.
 _MAX_VIEW_PIXELS: Final = 1 << 27
@@ -154,19 +151,18 @@ def decode_part(path: Path, part: Part, *, threads: int = 0, progress: Progress 
     CogsplatError
         The file cannot be read or breaks SPEC.
     """
-    whole = FileSource(path)
-    source: Source = whole
-    if part.size is not None:
-        source = PrefixSource(whole, part.size.of(whole.size))
-    with cogsplat.open(source, partial=part.size is not None) as file:
-        chunks: Sequence[int] = range(file.complete_chunks())
-        if part.chunks is not None:
-            chunks = _chosen(part.chunks, file.num_chunks)
-        if part.objects is not None:
-            own = set(_of_objects(file, part.objects))
-            chunks = [chunk for chunk in chunks if chunk in own]
-        if part.least_splats is not None:
-            chunks = file.first_chunks(chunks, part.least_splats)
+    source = FileSource(path)
+    size_bytes = None if part.size is None else part.size.of(source.size)
+    with cogsplat.open(source, size_bytes=size_bytes) as file:
+        try:
+            chunks = file.select(
+                chunks=None if part.chunks is None else (part.chunks.first, part.chunks.last),
+                objects=part.objects,
+                splats=part.least_splats,
+            )
+        except ValueError as error:
+            # Its message begins with the name of the condition, which is the option's.
+            raise click.UsageError(f"--{error}") from error
         splats = file.decode(
             chunks,
             sh_degree=part.sh_degree,
@@ -179,7 +175,7 @@ def decode_part(path: Path, part: Part, *, threads: int = 0, progress: Progress 
         return Scene(
             splats=splats,
             file_bytes=file.file_length,
-            bytes_read=source.size,
+            bytes_read=file.source_bytes,
             chunks=chunks,
             file_chunks=file.num_chunks,
             file_splats=file.root.splats,
@@ -190,24 +186,6 @@ def decode_part(path: Path, part: Part, *, threads: int = 0, progress: Progress 
             ),
             unrefined=tuple(chunk for chunk in chunks if not file.has_refinement(chunk)),
         )
-
-
-def _chosen(wanted: ChunkRange, chunks: int) -> range:
-    first = 0 if wanted.first is None else wanted.first
-    last = chunks if wanted.last is None else wanted.last
-    if not first <= last <= chunks:
-        raise click.UsageError(f"--chunks {first}:{last}, expected a range within 0:{chunks}")
-    return range(first, last)
-
-
-def _of_objects(file: CogsFile, wanted: Sequence[int]) -> list[int]:
-    found = file.chunks_of_objects(wanted)
-    there = sorted(set(file.chunks.object.tolist()))
-    missing = [label for label in wanted if label not in there]
-    if missing:
-        named = f"{', '.join(map(str, there[:_MOST_NAMED]))}{' …' * (len(there) > _MOST_NAMED)}"
-        raise click.UsageError(f"--object {missing[0]}, expected some of {named}")
-    return found
 
 
 def usable_rows(splats: Splats, where: Path) -> Splats:

@@ -114,7 +114,7 @@ def synth(
             labels = scenes.synth_objects(splats, seed)
         written = with_labels(scene, labels) if objects else scene
         with stages.stage("write"):
-            cogsplat.write(out, written, force=force)
+            cogsplat.write(written, out, force=force)
             write_cameras_json(cameras, views, force=force)
         if masks is not None:
             with stages.stage("masks"):

@@ -12,7 +12,6 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import TruncatedError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats, empty
-from cogsplat.formats.storage.source import FileSource, PrefixSource
 
 from . import view_quality
 from .photos import Photos
@@ -58,6 +57,31 @@ class PrefixQuality:
         return asdict(self)
 
 
+def decode_beginning(
+    path: Path, size_bytes: int, *, compensate: bool = False, threads: int = 0
+) -> Splats:
+    """Decode what is complete in the first bytes of a file, as if its transfer had stopped there.
+
+    Parameters
+    ----------
+    path : Path
+    size_bytes : int
+    compensate : bool
+        Whether the splats make up for what is missing (SPEC 8.5).
+    threads : int
+
+    Returns
+    -------
+    Splats
+        Without rows where the bytes end inside the index.
+    """
+    try:
+        with cogsplat.open(path, size_bytes=size_bytes) as file:
+            return file.decode(compensate=compensate, threads=threads)
+    except TruncatedError:
+        return empty(0)
+
+
 def decode_share(path: Path, share: float, *, threads: int = 0) -> Splats:
     """Decode what is complete in the first bytes of a file, made up for what is not there.
 
@@ -73,13 +97,8 @@ def decode_share(path: Path, share: float, *, threads: int = 0) -> Splats:
     Splats
         Without rows where the bytes end inside the root.
     """
-    whole = FileSource(path)
-    source = PrefixSource(whole, int(share * whole.size))
-    try:
-        with cogsplat.open(source, partial=True) as file:
-            return file.decode(compensate=True, threads=threads)
-    except TruncatedError:
-        return empty(0)
+    size_bytes = int(share * path.stat().st_size)
+    return decode_beginning(path, size_bytes, compensate=True, threads=threads)
 
 
 def measure(

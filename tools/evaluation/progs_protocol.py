@@ -11,13 +11,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-import cogsplat
-from cogsplat.codec.errors import TruncatedError
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.splats import Splats, empty
-from cogsplat.formats.storage.source import FileSource, PrefixSource
+from cogsplat.codec.splats import Splats
 
 from .panel import Figures, Panel
+from .prefix_quality import decode_beginning
 
 SHARES: Final = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Of the splats (PRoGS, section 4)."""
@@ -113,32 +111,6 @@ def sizes_of(file_bytes: int) -> list[int]:
     """Return 32 KiB, doubled while it is below a file's size, and that size."""
     doublings = max(math.ceil(math.log2(max(file_bytes, 1) / FIRST_BYTES)), 0)
     return [*(FIRST_BYTES << k for k in range(doublings)), file_bytes]
-
-
-def decode_beginning(
-    path: Path, size_bytes: int, *, compensate: bool = False, threads: int = 0
-) -> Splats:
-    """Decode what is complete in the first bytes of a file, as if its transfer had stopped there.
-
-    Parameters
-    ----------
-    path : Path
-    size_bytes : int
-    compensate : bool
-        Whether the splats make up for what is missing.
-    threads : int
-
-    Returns
-    -------
-    Splats
-        Without rows where the bytes end inside the index.
-    """
-    source = PrefixSource(FileSource(path), size_bytes)
-    try:
-        with cogsplat.open(source, partial=True) as file:
-            return file.decode(compensate=compensate, threads=threads)
-    except TruncatedError:
-        return empty(0)
 
 
 def by_bytes(

@@ -17,7 +17,8 @@ from cogsplat.tools.pictures.filmstrip import BACKGROUND, filmstrip
 from cogsplat.tools.terminal.output import size_text
 
 from .panel import Panel
-from .progs_protocol import Point, counts, decode_beginning
+from .prefix_quality import decode_beginning
+from .progs_protocol import Point, counts
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -20,40 +20,32 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
+from cogsplat.codec.progress import TimedProgress
+
 # Logs stay readable: a stage writes no more often than this, seconds.
 _LINE_EVERY: Final = 2.0
 
 
-class Stages:
+class Stages(TimedProgress):
     """A `codec.progress.Progress` for the terminal: bars there, plain lines elsewhere.
 
-    A context manager. The time between two reports belongs to the stage that reports second, so
-    that the stages' times add up to the whole.
+    A context manager, which times the stages as `TimedProgress` says.
 
     Parameters
     ----------
     shown : bool
         Whether anything is written, always to standard error.
-
-    Attributes
-    ----------
-    seconds : dict of str to float
-        By stage, in the order they began.
-    totals : dict of str to int
-        Steps that each stage announced.
     """
 
     def __init__(self, *, shown: bool = True) -> None:
-        self.seconds: dict[str, float] = {}
-        self.totals: dict[str, int] = {}
+        super().__init__()
         self._shown = shown
         self._bars: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
         self._written: dict[str, float] = {}
-        self._last = time.monotonic()
 
     def __enter__(self) -> Stages:
-        self._last = time.monotonic()
+        self.restart()
         if self._shown and sys.stderr is not None and sys.stderr.isatty():
             console = Console(stderr=True)
             if not console.is_dumb_terminal:
@@ -79,21 +71,19 @@ class Stages:
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Report that `done` of `total` steps of a stage are through."""
-        now = time.monotonic()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
-        self.totals[stage] = total
-        self._last = now
+        super().__call__(stage, done, total)
         if self._bars:
             if stage not in self._tasks:
                 self._tasks[stage] = self._bars.add_task(stage, total=total)
             self._bars.update(self._tasks[stage], completed=done, total=total)
         elif self._shown:
-            self._write_line(stage, done, total, now)
+            self._write_line(stage, done, total)
 
-    def _write_line(self, stage: str, done: int, total: int, now: float) -> None:
+    def _write_line(self, stage: str, done: int, total: int) -> None:
         # One step tells nothing while it goes on, and is in the summary when it is over.
         if total <= 1:
             return
+        now = time.monotonic()
         due = now - self._written.setdefault(stage, now) >= _LINE_EVERY
         if done == 0 or due:
             self._written[stage] = now

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.encode import colour_transform
-from cogsplat.codec.encode.ablation import Ablation
 from cogsplat.codec.encode.colour_transform import ColourBasis
+from cogsplat.codec.encode.config import Ablation
 from cogsplat.codec.geometry import morton, rotations
 from cogsplat.codec.rate import allocation, refinement_split, segment_order
 from cogsplat.codec.rate import costs as rate_costs

@@ -6,10 +6,9 @@ import decoding
 import numpy as np
 import oracle
 import pytest
+from encoding import encode, unseen
 
-from cogsplat.codec.encode.ablation import Ablation
-from cogsplat.codec.encode.config import EncodeConfig
-from cogsplat.codec.encode.encoder import encode
+from cogsplat.codec.encode.config import Ablation
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.rate import costs as rate_costs
 from cogsplat.codec.render.sensitivities import Sensitivities
@@ -39,7 +38,7 @@ def scored():
 
 
 def encoded(ablation):
-    config = EncodeConfig(chunk_splats=300, prune=None, ablation=ablation, quality_db=40)
+    config = unseen(chunk_splats=300, prune=None, ablation=ablation, quality_db=40)
     return encode(oracle.scene(3, n=N, degree=3), scored(), config)
 
 

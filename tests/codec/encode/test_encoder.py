@@ -4,9 +4,11 @@ import decoding
 import numpy as np
 import oracle
 import pytest
+from encoding import encode, unseen
 
-from cogsplat.codec.encode.config import PROFILES, EncodeConfig
-from cogsplat.codec.encode.encoder import encode, prepare
+from cogsplat.codec.encode.config import PROFILE_NAMES, EncodeConfig
+from cogsplat.codec.encode.encoder import encode_chunks
+from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.profiles.near_lossless import NearLosslessBounds
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.geometry import bounds as extent
@@ -18,7 +20,7 @@ from cogsplat.codec.splats import concatenate, empty
 from cogsplat.codec.streams.grid import MAX_VALUE
 
 FIELDS = ("means", "scales", "quats", "opacities", "sh0", "shN")
-KEEP = EncodeConfig(prune=None)
+KEEP = unseen(prune=None)
 
 
 def config(**changes):
@@ -76,7 +78,7 @@ def check(encoded, n, degree):
     return out
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
 @pytest.mark.parametrize("degree", range(4))
 @pytest.mark.parametrize("n", [0, 1, 2, 100])
 def test_small_scenes_come_back(profile, degree, n):
@@ -91,7 +93,7 @@ def test_small_scenes_come_back(profile, degree, n):
         assert encoded.pruned == 0
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
 def test_equal_splats_come_back(profile):
     splats = oracle.scene(3, n=1).take(np.zeros(1500, np.int64))
     encoded = encode(splats, None, config(profile=profile, chunk_splats=500))
@@ -101,7 +103,7 @@ def test_equal_splats_come_back(profile):
     assert len(payload_bytes(encoded)) < 4000
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
 @pytest.mark.parametrize("logit", [-np.inf, np.inf])
 def test_opacities_may_all_be_infinite(profile, logit):
     splats = replace(tagged(50), opacities=np.full(50, logit, np.float32))
@@ -120,13 +122,13 @@ def test_opacities_may_all_be_infinite(profile, logit):
         assert pruned.box.tolist() == [0] * 6
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
 def test_scores_of_nothing_keep_everything_in_file_order(profile):
     splats = tagged(300)
-    encoded = encode(splats, unscored(300), EncodeConfig(profile=profile, morton=False, prune=None))
+    encoded = encode(splats, unscored(300), unseen(profile=profile, morton=False, prune=None))
     assert tags(check(encoded, 300, 3)) == list(range(300))
     assert payload_bytes(encoded) == payload_bytes(
-        encode(splats, None, EncodeConfig(profile=profile, morton=False, prune=None))
+        encode(splats, None, unseen(profile=profile, morton=False, prune=None))
     )
 
 
@@ -136,15 +138,15 @@ def test_cameras_that_see_half_leave_the_other_half():
     splats.opacities[:] = np.maximum(splats.opacities, 0)
     scores = score(splats, [oracle.camera(0.2 * k) for k in range(6)])
     assert not scores.seen[200:].any()
-    encoded = encode(splats, scores, EncodeConfig(chunk_splats=64))
+    encoded = encode(splats, scores, unseen(chunk_splats=64))
     out = check(encoded, 400 - encoded.pruned, 3)
-    unseen = out.means[:, 2] < -250
-    assert unseen.sum() == 200
+    hidden = out.means[:, 2] < -250
+    assert hidden.sum() == 200
     # They come last, but for what a chunk's sort mixes.
-    assert not unseen[: 200 - encoded.pruned - 64].any()
+    assert not hidden[: 200 - encoded.pruned - 64].any()
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
 @pytest.mark.parametrize("morton", [True, False])
 def test_chunks_follow_the_order_and_say_what_they_hold(profile, morton):
     n = 2500
@@ -193,18 +195,18 @@ def test_the_source_order_is_kept():
 
 def test_the_near_profile_drops_nothing():
     prune = PruneConfig(peak=0.5, views=3)
-    encoded = encode(tagged(800), scored(800), EncodeConfig(profile="near-lossless", prune=prune))
+    encoded = encode(tagged(800), scored(800), unseen(profile="near-lossless", prune=prune))
     assert encoded.pruned == 0
     assert sorted(tags(check(encoded, 800, 3))) == list(range(800))
 
 
-@pytest.mark.parametrize("profile", [name for name in PROFILES if name != "near-lossless"])
+@pytest.mark.parametrize("profile", [name for name in PROFILE_NAMES if name != "near-lossless"])
 def test_pruned_rows_are_gone_and_counted(profile):
     splats, scores = tagged(800), scored(800)
     prune = PruneConfig(peak=0.5, views=3)
-    prepared = prepare(splats, scores, EncodeConfig(profile=profile, prune=prune))
-    assert prepared.encode(60.0).pruned < prepared.encode(30.0).pruned
-    encoded = prepared.encode(31.0)
+    prepared = prepare(splats, scores, unseen(profile=profile, prune=prune))
+    assert encode_chunks(prepared, 60.0).pruned < encode_chunks(prepared, 30.0).pruned
+    encoded = encode_chunks(prepared, 31.0)
     worth = scores.energy >= prune.worth * lagrangian(scores, 31.0)
     gone = (scores.peak < 0.5) & (scores.covered >= 3) & ~worth
     gone |= splats.opacities < -np.log(254)
@@ -236,7 +238,7 @@ def test_more_quality_costs_more_and_loses_less():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
 def test_the_number_of_threads_changes_no_byte(profile):
     splats, scores = oracle.scene(7, n=800), scored(800)
     first, *others = (
@@ -249,7 +251,7 @@ def test_the_number_of_threads_changes_no_byte(profile):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
 def test_stray_values_are_survived(profile):
     for name in ("means", "scales", "quats", "opacities", "sh0", "shN"):
         for value in (-1e7, MAX_VALUE):
@@ -307,7 +309,7 @@ def test_rows_that_cannot_be_drawn_are_refused(name):
     assert refusal(splats) == "invalid-rows"
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
 @pytest.mark.parametrize("name", ["means", "scales", "opacities", "sh0", "shN"])
 def test_values_that_no_reader_takes_are_refused(name, profile):
     splats = oracle.scene(13, n=20)
@@ -345,7 +347,7 @@ def test_settings_out_of_range_are_refused_when_made(changes):
 # Progress.
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
 def test_progress_counts_every_stage_to_its_end(profile):
     calls = []
     settings = config(profile=profile, chunk_splats=100)

@@ -1,17 +1,17 @@
 from dataclasses import replace
 
+import decoding
 import numpy as np
 import oracle
 import pytest
+from encoding import encode, unseen
 
-from cogsplat.codec.encode.config import EncodeConfig
-from cogsplat.codec.encode.encoder import encode
-from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, decoded, predicted
+from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, predicted
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.splats import SceneInfo
+from cogsplat.codec.splats import SceneInfo, concatenate
 from cogsplat.codec.views.view_sets import evenly
 
 
@@ -23,28 +23,45 @@ def scene(n=600):
     return replace(oracle.scene(2, n=n), info=SceneInfo(kernel_px=0.1, antialiased=True))
 
 
-def encoded_in(chunks, profile="transform", n=600):
-    config = EncodeConfig(profile=profile, prune=None, chunk_splats=n // chunks, order="source")
+def encoded_in(chunks, profile="transform", n=600, **changes):
+    config = unseen(
+        profile=profile, prune=None, chunk_splats=n // chunks, order="source", **changes
+    )
     return encode(scene(n), None, config)
 
 
 @pytest.mark.parametrize("profile", ["transform", "vq", "near-lossless"])
-def test_decoding_gives_the_rows_and_the_info_of_the_scene(profile):
-    n = 90
-    back = decoded(encoded_in(3, profile, n))
-    assert (len(back), back.sh_degree) == (n, 3)
-    assert back.info == scene(n).info
-    np.testing.assert_allclose(np.sort(back.means[:, 0]), np.sort(scene(n).means[:, 0]), atol=1.0)
+def test_decoded_rows_are_what_the_payloads_hold(profile):
+    encoded = encoded_in(3, profile, 90)
+    expected = concatenate(decoding.chunks(encoded))
+    assert len(expected) == 90
+    for name in ("means", "scales", "quats", "opacities", "sh0", "shN"):
+        found = getattr(encoded.decoded, name)
+        assert found.tobytes() == getattr(expected, name).tobytes(), name
+    assert encoded.decoded.info == scene(90).info
+
+
+@pytest.mark.parametrize("profile", ["transform", "vq", "near-lossless"])
+def test_every_decoded_row_stands_for_its_row_of_the_source(profile):
+    # The order of the source and no sort inside chunks: row for row.
+    encoded = encoded_in(3, profile, 90, morton=False, quality_db=60.0)
+    found, source = encoded.decoded, scene(90)
+    sizes = np.exp(source.scales.astype(np.float64)).mean(axis=1)
+    moved = np.linalg.norm(found.means.astype(np.float64) - source.means, axis=1)
+    assert (moved < 0.5 * sizes).all()
+    others = np.linalg.norm(found.means[:, None] - source.means, axis=2).argmin(axis=1)
+    assert (others == np.arange(90)).mean() > 0.9
+    assert np.abs(found.sh0 - source.sh0).max() < 0.1
 
 
 def test_an_empty_scene_has_nothing_to_predict():
     none = encode(scene().take(slice(0, 0)), None)
-    assert len(decoded(none)) == 0
+    assert len(none.decoded) == 0
     assert PrefixEvaluator(scene(), views(1)).prefixes_db(none) == []
 
 
 def test_quality_is_the_mean_over_the_views():
-    source, other = scene(), decoded(encoded_in(1))
+    source, other = scene(), encoded_in(1).decoded
     settings = {"kernel_px": 0.1, "antialiased": True}
     from cogsplat.codec.render.rasteriser import RenderConfig
 
@@ -65,7 +82,7 @@ def test_no_views_are_refused():
 def test_every_chunk_says_what_the_scene_up_to_it_shows():
     encoded = encoded_in(5)
     found = predicted(encoded, scene(), views(3))
-    evaluator, whole = PrefixEvaluator(scene(), views(3)), decoded(encoded)
+    evaluator, whole = PrefixEvaluator(scene(), views(3)), encoded.decoded
     ends = np.cumsum([chunk.splats for chunk in encoded.chunks])
     for chunk, end in zip(found.chunks, ends, strict=True):
         expected = evaluator.psnr_db(whole.take(slice(0, int(end))))
@@ -80,7 +97,7 @@ def test_of_many_chunks_some_are_measured():
     found = evaluator.prefixes_db(encoded, progress=lambda *call: calls.append(call))
     assert len(found) == len(encoded.chunks) == 40
     assert calls[-1] == ("predict", 12, 12)
-    assert found[-1] == evaluator.psnr_db(decoded(encoded))
+    assert found[-1] == evaluator.psnr_db(encoded.decoded)
     assert np.isfinite(found).all()
 
 

@@ -1,4 +1,5 @@
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import oracle
@@ -6,9 +7,17 @@ import pytest
 
 from cogsplat.codec.encode import config
 from cogsplat.codec.encode.config import EncodeConfig
-from cogsplat.codec.encode.encoder import prepare
-from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, decoded
-from cogsplat.codec.encode.rate_control import MAX_TRIALS, Target, to_psnr, to_size
+from cogsplat.codec.encode.encoder import encode_chunks
+from cogsplat.codec.encode.prefix_quality import PrefixEvaluator
+from cogsplat.codec.encode.prepared import prepare
+from cogsplat.codec.encode.rate_control import (
+    MAX_ROUNDS,
+    MAX_TRIALS,
+    Target,
+    to_finished_size,
+    to_psnr,
+    to_size,
+)
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 
@@ -26,7 +35,7 @@ def views():
 @pytest.fixture(scope="module")
 def prepared(scene, views):
     scores = score(scene, views, ScoreConfig(sensitivity_every=1))
-    return prepare(scene, scores, EncodeConfig(prune=None))
+    return prepare(scene, scores, EncodeConfig(order="contribution", prune=None))
 
 
 def payload_bytes(encoded):
@@ -37,18 +46,22 @@ def payload_bytes(encoded):
 
 
 class Curve:
-    """A scene of which only the quality matters: what is measured is any function of it."""
+    """An encoder of which only the quality matters: what is measured is any function of it."""
 
-    def __init__(self, function, rows=1000):
-        self.function, self.rows, self.tried = function, np.arange(rows), []
+    def __init__(self, function):
+        self.function, self.tried = function, []
 
-    def encode(self, quality_db):
+    def __call__(self, quality_db):
         self.tried.append(quality_db)
         return self.function(quality_db)
 
 
+def itself(value):
+    return value
+
+
 def psnr_hit(curve, goal):
-    return to_psnr(curve, goal, lambda value: value)
+    return to_psnr(curve, goal, itself)
 
 
 @pytest.mark.parametrize("goal", [25.0, 33.3, 40.0, 52.0])
@@ -74,16 +87,70 @@ def test_a_psnr_is_found_on_curves_of_any_kind(function, goal):
 @pytest.mark.parametrize("overhead", [0, 1500])
 def test_a_size_is_found_and_never_exceeded(each, overhead):
     rows = 50_000
-    curve = Curve(lambda q: int(rows * 6 * 2 ** ((q - 36) / 11.0)) + overhead, rows)
+    curve = Curve(lambda q: int(rows * 6 * 2 ** ((q - 36) / 11.0)) + overhead)
     size = each * rows
-    hit = to_size(curve, size, lambda value: value)
+    hit = to_size(curve, rows, size, itself)
     assert 0.99 * size <= hit.encoded <= size
     assert hit.trials == len(curve.tried) <= 6
 
 
 def test_a_size_that_jumps_stays_below():
-    curve = Curve(lambda q: 1000 if q < 41.7 else 5000, 500)
-    assert to_size(curve, 3000, lambda value: value).encoded == 1000
+    curve = Curve(lambda q: 1000 if q < 41.7 else 5000)
+    assert to_size(curve, 500, 3000, itself).encoded == 1000
+
+
+@dataclass(frozen=True)
+class Sized:
+    """An encoded scene of so many bytes; finished, it has a number of its own in `prefix_mse`."""
+
+    size: int
+    prefix_mse: int | None = None
+
+
+class Finishing:
+    """Finishes scenes, each time adding so many bytes more than was foreseen."""
+
+    def __init__(self, added):
+        self.added, self.finished = added, 0
+
+    def __call__(self, encoded):
+        self.finished += 1
+        return replace(encoded, prefix_mse=self.finished)
+
+    def size_of(self, encoded):
+        return encoded.size + (self.added(encoded.prefix_mse) if encoded.prefix_mse else 0)
+
+
+def finished_hit(curve, finishing, size):
+    return to_finished_size(curve, 1000, size, lambda s: s.size, finishing, finishing.size_of)
+
+
+@pytest.mark.parametrize("added", [-40, 0, 250])
+def test_a_finished_scene_is_no_larger_than_the_target(added):
+    curve = Curve(lambda q: Sized(int(2000 * 2 ** (q / 12))))
+    finishing = Finishing(lambda count: added)
+    hit = finished_hit(curve, finishing, 20_000)
+    assert hit.value == finishing.size_of(hit.encoded) <= 20_000
+    assert hit.value >= 0.98 * 20_000
+    assert hit.encoded.prefix_mse == finishing.finished == (1 if added < 250 else 2)
+    assert hit.trials == len(curve.tried)
+
+
+def test_a_finished_scene_that_always_grows_keeps_the_order_that_was_measured():
+    curve = Curve(lambda q: Sized(int(2000 * 2 ** (q / 12))))
+    finishing = Finishing(lambda count: 4000 * count)
+    hit = finished_hit(curve, finishing, 20_000)
+    assert finishing.finished == MAX_ROUNDS
+    assert hit.encoded.prefix_mse is None
+    assert hit.value <= 20_000
+    assert len(curve.tried) == hit.trials <= MAX_ROUNDS * MAX_TRIALS
+
+
+def test_what_is_added_may_leave_no_room():
+    finishing = Finishing(lambda count: 30_000)
+    with pytest.raises(DataError) as caught:
+        finished_hit(Curve(lambda q: Sized(int(100 * q))), finishing, 5000)
+    assert caught.value.code == "target-out-of-reach"
 
 
 def test_what_cannot_be_reached_is_said():
@@ -91,23 +158,24 @@ def test_what_cannot_be_reached_is_said():
         psnr_hit(Curve(lambda q: min(q, 31.0)), 40.0)
     assert caught.value.code == "target-out-of-reach"
     with pytest.raises(DataError) as caught:
-        to_size(Curve(lambda q: 5000 + int(q)), 2000, lambda value: value)
+        to_size(Curve(lambda q: 5000 + int(q)), 1000, 2000, itself)
     assert caught.value.code == "target-out-of-reach"
 
 
 def test_more_room_than_a_scene_needs_gives_the_finest():
-    hit = to_size(Curve(lambda q: int(100 * q)), 10**9, lambda value: value)
+    hit = to_size(Curve(lambda q: int(100 * q)), 1000, 10**9, itself)
     assert hit.quality_db == 90.0
 
 
 def test_real_scenes_hit_their_targets(prepared, scene, views):
     evaluator = PrefixEvaluator(scene, views)
-    hit = to_psnr(prepared, 34.0, lambda trial: evaluator.psnr_db(decoded(trial)))
-    assert evaluator.psnr_db(decoded(hit.encoded)) == hit.value
+    encode_at = partial(encode_chunks, prepared)
+    hit = to_psnr(encode_at, 34.0, lambda trial: evaluator.psnr_db(trial.decoded))
+    assert evaluator.psnr_db(hit.encoded.decoded) == hit.value
     # In small views of few splats one splat's step is a jump of the curve.
     assert abs(hit.value - 34.0) <= 1.0
     size = payload_bytes(hit.encoded)
-    again = to_size(prepared, size + 300, payload_bytes)
+    again = to_size(encode_at, len(prepared.rows), size + 300, payload_bytes)
     assert 0.9 * (size + 300) <= payload_bytes(again.encoded) <= size + 300
     assert again.quality_db >= hit.quality_db - 0.1
 
@@ -148,5 +216,5 @@ def test_a_search_never_leaves_the_range_of_qualities(prepared):
     assert all(10 <= q <= 90 for q in curve.tried)
     assert len(set(curve.tried)) == len(curve.tried)
     with pytest.raises(ValueError, match="expected"):
-        prepared.encode(config.MAX_QUALITY_DB + 1)
+        encode_chunks(prepared, config.MAX_QUALITY_DB + 1)
     assert replace(prepared.config, quality_db=90.0).quality_db == 90.0

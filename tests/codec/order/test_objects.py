@@ -3,9 +3,8 @@ from dataclasses import replace
 import numpy as np
 import oracle
 import pytest
+from encoding import encode, unseen
 
-from cogsplat.codec.encode.config import EncodeConfig
-from cogsplat.codec.encode.encoder import encode
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.order import chunks, objects
 from cogsplat.codec.order.orders import OrderConfig
@@ -116,9 +115,7 @@ def test_no_rows_make_no_chunks():
 def test_encoded_chunks_name_their_object():
     splats = labelled(np.random.default_rng(3).integers(0, 3, 600))
     scores = replace(unscored(600), contribution=np.random.default_rng(4).random(600))
-    config = EncodeConfig(
-        profile="near-lossless", chunk_splats=128, ordering=OrderConfig(by_object=True)
-    )
+    config = unseen(profile="near-lossless", chunk_splats=128, ordering=OrderConfig(by_object=True))
     encoded = encode(splats, scores, config)
     labels = splats.extras["object"]
     for label in range(3):

@@ -7,10 +7,9 @@ from pathlib import Path
 import decoding
 import numpy as np
 import pytest
+from encoding import encode, unseen
 
 import cogsplat.codec.streams as streams
-from cogsplat.codec.encode.config import EncodeConfig
-from cogsplat.codec.encode.encoder import encode
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.codec.streams import compiled, kinds, records, scalar
 from cogsplat.codec.streams.adaptive_step import MAX_EXTRA_BITS
@@ -77,7 +76,7 @@ def test_invalid_vectors_are_refused_in_the_same_words(both):
 @pytest.mark.parametrize("degree", [0, 3])
 def test_encoded_scenes_decode_to_the_same_bits(profile, degree, both):
     scene = synth(3000, sh_degree=degree)
-    encoded = encode(scene, None, EncodeConfig(profile=profile, prune=None))
+    encoded = encode(scene, None, unseen(profile=profile, prune=None))
     for plain, fast in zip(*both(lambda: decoding.chunks(encoded)), strict=True):
         assert_same_bits(fast, plain)
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cogs_samples import ARRAYS, scene
+from encoding import encode, unseen
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.encode import encoder
-from cogsplat.codec.encode.config import PROFILES, EncodeConfig
+from cogsplat.codec.encode.config import PROFILE_NAMES
 from cogsplat.codec.errors import CogsplatError, DataError, LimitError, TruncatedError
 from cogsplat.codec.splats import EXTRA_DTYPES
 from cogsplat.formats.cogs import scene as cogs
@@ -35,8 +35,8 @@ def with_extras(count=N, degree=1):
 
 
 def file_of(splats, profile="transform", cameras=(), **config):
-    settings_ = EncodeConfig(profile=profile, chunk_splats=150, prune=None, **config)
-    made = encoder.encode(splats, None, settings_)
+    settings_ = unseen(profile=profile, chunk_splats=150, prune=None, **config)
+    made = encode(splats, None, settings_)
     root = cogs.build_root(made, "samples")
     data = b"".join(lay_out(root, cogs.segments(made, cameras)))
     assert cogs.size_bytes(made, writer="samples", cameras=cameras) == len(data)
@@ -53,7 +53,7 @@ def assert_rows(found, splats, rows):
         assert found.extras[name].tobytes() == values[rows].tobytes(), name
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
 @pytest.mark.parametrize("morton", [True, False])
 def test_extras_stay_with_their_splats(profile, morton):
     splats = with_extras()
@@ -73,7 +73,7 @@ def test_extras_stay_with_their_splats(profile, morton):
         file.verify()
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
 def test_extras_change_nothing_of_what_is_drawn(profile):
     splats = with_extras()
     plain, rich = (file_of(s, profile) for s in (splats.without_extras(), splats))

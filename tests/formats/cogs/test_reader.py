@@ -1,13 +1,16 @@
 import random
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from cogs_samples import assert_same, file_of
+from cogs_samples import assert_same, encoded, file_of
 
 from cogsplat.codec.errors import Cancelled, FormatError, LimitError, TruncatedError
+from cogsplat.formats.cogs import scene as cogs
 from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.cogs.writer import lay_out
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource, FileSource, PrefixSource
 
@@ -126,14 +129,67 @@ def test_several_threads_may_decode_one_file(data):
             assert_same(splats, whole)
 
 
-def test_first_chunks_are_whole_and_enough(data):
+def test_selected_chunks_are_whole_and_enough(data):
     with open_cogs(BytesSource(data)) as file:
         ends = ends_of(file).tolist()
         total = ends[-1]
-        for splats in (-1, 0, 1, ends[1], ends[1] + 1, total, total + 1):
-            count = len(file.first_chunks(range(file.num_chunks), splats))
+        for splats in (0, 1, ends[1], ends[1] + 1, total, total + 1):
+            selected = file.select(splats=splats)
+            count = len(selected)
+            assert selected == list(range(count))
             assert ends[count] >= min(splats, total)
             assert count == 0 or ends[count - 1] < splats
+        second = ends[2] - ends[1]
+        assert file.select(chunks=(1, None), splats=second) == [1]
+        assert file.select(chunks=(1, None), splats=second + 1) == [1, 2]
+
+
+def test_selected_ranges_may_be_open(data):
+    with open_cogs(BytesSource(data)) as file:
+        count = file.num_chunks
+        assert file.select() == file.select(chunks=(None, None)) == list(range(count))
+        assert file.select(chunks=(2, None)) == list(range(2, count))
+        assert file.select(chunks=(None, 2)) == [0, 1]
+        assert file.select(chunks=(2, 2)) == []
+        for chunks in ((0, count + 1), (3, 2), (-1, 2)):
+            with pytest.raises(ValueError, match=f"^chunks .* within 0:{count}"):
+                file.select(chunks=chunks)
+        with pytest.raises(ValueError, match="splats -1"):
+            file.select(splats=-1)
+
+
+def test_selected_objects_are_those_that_are_there():
+    # Objects 3 and 7 take turns in the table of chunks.
+    made = encoded("vq")
+    labelled = [replace(chunk, object=(3, 7)[k % 2]) for k, chunk in enumerate(made.chunks)]
+    made = replace(made, chunks=labelled)
+    data = b"".join(lay_out(cogs.build_root(made, "samples"), cogs.segments(made)))
+    with open_cogs(BytesSource(data)) as file:
+        every = list(range(file.num_chunks))
+        assert file.select(objects=[3]) == every[::2]
+        assert file.select(objects=[7, 3, 7]) == every
+        assert file.select(objects=[]) == []
+        assert file.select(objects=iter([7]), chunks=(1, 4)) == [1, 3]
+        assert file.select(objects=[7], splats=1) == [1]
+        with pytest.raises(ValueError, match="object 5, expected some of 3, 7"):
+            file.select(objects=[3, 5])
+
+
+def test_a_size_ends_the_source(data):
+    with open_cogs(BytesSource(data)) as file:
+        whole = file.decode()
+    for share in (0.4, 0.7, 1.0, 2.0):
+        size = int(share * len(data))
+        with (
+            open_cogs(BytesSource(data), size_bytes=size) as part,
+            open_cogs(PrefixSource(BytesSource(data), size), partial=True) as expected,
+        ):
+            assert part.source_bytes == min(size, len(data))
+            assert part.select() == list(range(expected.complete_chunks()))
+            assert_same(part.decode(), expected.decode())
+            assert share < 1 or len(part.decode()) == len(whole)
+    with pytest.raises(ValueError, match="size_bytes -1"):
+        open_cogs(BytesSource(data), size_bytes=-1)
 
 
 def test_a_hundred_cuts_decode_to_complete_chunks_or_are_refused(data):

@@ -6,9 +6,8 @@ from functools import cache
 import cogs_samples
 import numpy as np
 import pytest
+from encoding import encode, unseen
 
-from cogsplat.codec.encode import encoder
-from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.scoring.contribution import unscored
 from cogsplat.formats.cogs import scene
@@ -30,10 +29,8 @@ def encoded(refine=True):
         contribution=contribution.astype(np.float64),
         energy=(contribution / contribution.sum() * 0.1).astype(np.float64),
     )
-    config = EncodeConfig(
-        chunk_splats=300, prune=None, refine=refine, quality_db=45.0, compensate=False
-    )
-    return encoder.encode(cogs_samples.scene(N), scores, config)
+    config = unseen(chunk_splats=300, prune=None, refine=refine, quality_db=45.0, compensate=False)
+    return encode(cogs_samples.scene(N), scores, config)
 
 
 @cache

@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 from cogs_samples import encoded, file_of, scene
+from encoding import encode, unseen
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.encode import encoder
-from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.errors import StorageError
 from cogsplat.codec.geometry.bounds import box
 from cogsplat.formats.cogs import scene as cogs
@@ -19,7 +18,7 @@ PROFILES = ("transform", "vq", "near-lossless")
 @pytest.mark.parametrize("profile", PROFILES)
 def test_a_scene_comes_back_in_its_own_order(tmp_path, profile):
     made = encoded(profile)
-    size = cogs.save(tmp_path / "a.cogs", made, writer="tests 1.0")
+    size = cogs.save(made, tmp_path / "a.cogs", writer="tests 1.0")
     assert size == (tmp_path / "a.cogs").stat().st_size
     with open_cogs(FileSource(tmp_path / "a.cogs")) as file:
         file.verify()
@@ -34,7 +33,7 @@ def test_a_file_is_not_replaced_unasked(tmp_path):
     path = tmp_path / "a.cogs"
     path.write_bytes(b"mine")
     with pytest.raises(StorageError) as caught:
-        cogs.save(path, encoded("near-lossless"), writer="x")
+        cogs.save(encoded("near-lossless"), path, writer="x")
     assert (caught.value.code, path.read_bytes()) == ("exists", b"mine")
 
 
@@ -80,9 +79,7 @@ def test_every_prefix_with_a_head_draws(profile):
 def test_boxes_hold_their_decoded_splats_as_float32():
     splats = scene(700, 0, seed=3)
     splats.means[:] *= np.float32(1e5)
-    made = encoder.encode(
-        splats, None, EncodeConfig(profile="near-lossless", chunk_splats=100, prune=None)
-    )
+    made = encode(splats, None, unseen(profile="near-lossless", chunk_splats=100, prune=None))
     root = cogs.build_root(made, "x")
     with open_cogs(BytesSource(b"".join(lay_out(root, cogs.segments(made))))) as file:
         reach = np.array([box(part) for part in file.iter_chunks()])
@@ -99,7 +96,7 @@ def test_the_first_view_and_the_scene_s_words_go_along(tmp_path):
     view = Camera(
         320, 200, 300.0, 310.0, 160.0, 100.0, np.eye(3), np.array([0.5, 0.0, 4.0]), "name"
     )
-    cogs.save(tmp_path / "a.cogs", encoded("near-lossless"), writer="x", first_view=view)
+    cogs.save(encoded("near-lossless"), tmp_path / "a.cogs", writer="x", first_view=view)
     with open_cogs(FileSource(tmp_path / "a.cogs")) as file:
         found = file.root.first_view
         assert found is not None
@@ -108,7 +105,7 @@ def test_the_first_view_and_the_scene_s_words_go_along(tmp_path):
 
 
 def test_an_empty_scene_is_a_file():
-    made = encoder.encode(scene(3).take(slice(0, 0)), None, EncodeConfig(profile="near-lossless"))
+    made = encode(scene(3).take(slice(0, 0)), None, unseen(profile="near-lossless"))
     data = b"".join(lay_out(cogs.build_root(made, "x"), cogs.segments(made)))
     with open_cogs(BytesSource(data)) as file:
         file.verify()

@@ -80,7 +80,7 @@ def test_figures_are_those_of_files_made_apart(
         source, tmp_path / "a.cogs", cameras=train, scores=scores,
         config=EncodeConfig(profile="transform", quality_db=36),
     )  # fmt: skip
-    cogsplat.write(tmp_path / "a.spz", source)
+    cogsplat.write(source, tmp_path / "a.spz")
     for name, row in (("a.cogs", told["rows"][1]), ("a.spz", told["rows"][3])):
         found = view_quality.compare(source, cogsplat.read(tmp_path / name), held)
         assert row["file_bytes"] == (tmp_path / name).stat().st_size
@@ -134,7 +134,7 @@ def test_the_terminal_gets_a_table_that_fits(run: Run, small: SmallScene) -> Non
 
 
 def test_ablation_tells_every_technique(run: Run, tmp_path: Path) -> None:
-    cogsplat.write(tmp_path / "few.ply", synth(400))
+    cogsplat.write(synth(400), tmp_path / "few.ply")
     write_cameras_json(tmp_path / "cameras.json", synth_cameras(4, 32, 24))
     arguments = ["--cameras", tmp_path / "cameras.json", "--eval-every", 3, "--qualities", 34]
     arguments += ["--ablation", "--out", tmp_path, "--json"]

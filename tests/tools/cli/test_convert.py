@@ -71,7 +71,7 @@ def test_edits_are_made_and_counted(run: Run, tmp_path: Path) -> None:
     means = scene.means.copy()
     means[7] = np.nan
     source = tmp_path / "scene.ply"
-    cogsplat.write(source, replace(scene, means=means))
+    cogsplat.write(replace(scene, means=means), source)
     x = float(np.median(scene.means[:, 0]))
     told = run(
         "convert", source, tmp_path / "out.ply", "--drop-invalid", "--sh", 1,

@@ -22,7 +22,7 @@ def labelled(small: SmallScene, tmp_path_factory: pytest.TempPathFactory) -> tup
     }
     splats = replace(cogsplat.read(small.ply), extras=extras)
     path = tmp_path_factory.mktemp("labelled") / "labelled.ply"
-    cogsplat.write(path, splats)
+    cogsplat.write(splats, path)
     return path, splats
 
 
@@ -141,7 +141,7 @@ def test_info_tells_an_origin_in_full(
 ) -> None:
     info = replace(labelled[1].info, origin=(499998.0, 4649777.0, 4.5))
     path = tmp_path / "a.ply"
-    cogsplat.write(path, replace(labelled[1], info=info))
+    cogsplat.write(replace(labelled[1], info=info), path)
     assert "(499998, 4649777, 4.5)" in run("info", path).out
 
 

@@ -20,7 +20,7 @@ from cogsplat.tools.synthetic.scene import OBJECTS, synth, synth_cameras, synth_
 def labelled(small: SmallScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The small scene with its three objects labelled."""
     path = tmp_path_factory.mktemp("labelled") / "scene.ply"
-    cogsplat.write(path, with_labels(synth(SPLATS), synth_objects(SPLATS)))
+    cogsplat.write(with_labels(synth(SPLATS), synth_objects(SPLATS)), path)
     return path
 
 

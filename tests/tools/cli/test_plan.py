@@ -66,7 +66,7 @@ def test_other_outputs_are_refused(run: Run, small: SmallScene, tmp_path: Path, 
 
 def test_a_scene_without_splats_has_no_views(run: Run, tmp_path: Path) -> None:
     scene = tmp_path / "scene.ply"
-    cogsplat.write(scene, empty(0))
+    cogsplat.write(empty(0), scene)
     told = run("views", scene, tmp_path / "views.json", "--json")
     assert told.code == 3
     error = told.json["error"]

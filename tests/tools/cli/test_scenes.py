@@ -30,14 +30,14 @@ def option(command: click.Command, name: str) -> click.Option:
 
 
 def test_choices_and_defaults_are_the_encoder_s_own() -> None:
-    from cogsplat.codec.encode.config import PROFILES, EncodeConfig
+    from cogsplat.codec.encode.config import PROFILE_NAMES, EncodeConfig
     from cogsplat.codec.rate.pruning import PruneConfig
     from cogsplat.codec.scoring.contribution import ScoreConfig
 
     config = EncodeConfig()
     profile, order = option(encode, "profile"), option(encode, "order")
     assert isinstance(profile.type, click.Choice)
-    assert tuple(profile.type.choices) == tuple(PROFILES)
+    assert tuple(profile.type.choices) == tuple(PROFILE_NAMES)
     assert profile.default == config.profile
     assert order.default == config.order
     assert option(encode, "quality").default == config.quality_db
@@ -120,7 +120,7 @@ def test_rows_that_cannot_be_drawn_are_refused_or_left_out(run: Run, tmp_path: P
     means = scene.means.copy()
     means[[3, 50]] = np.nan
     scene_file, cameras = tmp_path / "scene.ply", tmp_path / "cameras.json"
-    cogsplat.write(scene_file, replace(scene, means=means))
+    cogsplat.write(replace(scene, means=means), scene_file)
     write_cameras_json(cameras, synth_cameras(3, 64, 48))
     arguments = ["encode", scene_file, tmp_path / "out.cogs", "--cameras", cameras, "--no-prune"]
     told = run(*arguments)
@@ -136,7 +136,7 @@ def test_rows_that_cannot_be_drawn_are_refused_or_left_out(run: Run, tmp_path: P
     assert told.err.startswith("warning: ")
     assert told.err.count("2 of 300 splats") == 1
 
-    cogsplat.write(scene_file, replace(scene, means=np.full_like(means, np.nan)), force=True)
+    cogsplat.write(replace(scene, means=np.full_like(means, np.nan)), scene_file, force=True)
     told = run(*arguments, "--drop-invalid", "--force")
     assert told.code == 3
     assert "[no-valid-rows]" in told.err
@@ -350,7 +350,7 @@ def test_info_of_a_foreign_scene_gives_ranges(run: Run, small: SmallScene, tmp_p
     opacities = scene.opacities.copy()
     opacities[0] = np.inf
     odd = tmp_path / "odd.ply"
-    cogsplat.write(odd, replace(scene, opacities=opacities))
+    cogsplat.write(replace(scene, opacities=opacities), odd)
     ranges = run("info", odd, "--json").json["ranges"]
     assert isinstance(ranges, dict)
     assert ranges["opacities"]["not_finite"] == 1
@@ -359,7 +359,7 @@ def test_info_of_a_foreign_scene_gives_ranges(run: Run, small: SmallScene, tmp_p
 
 def test_empty_scenes_go_through(run: Run, tmp_path: Path) -> None:
     ply, cogs = tmp_path / "none.ply", tmp_path / "none.cogs"
-    cogsplat.write(ply, synth(5).take(slice(0, 0)))
+    cogsplat.write(synth(5).take(slice(0, 0)), ply)
     assert run("info", ply).code == 0
     assert run("encode", ply, cogs).code == 0
     assert run("info", cogs, "--verify").code == 0

@@ -78,7 +78,7 @@ def test_what_is_not_finite_is_counted_and_json_stays_json(run: Run, tmp_path: P
     scales, opacities = scene.scales.copy(), scene.opacities.copy()
     scales[1], opacities[:3] = np.inf, np.nan
     path = tmp_path / "scene.ply"
-    cogsplat.write(path, replace(scene, scales=scales, opacities=opacities))
+    cogsplat.write(replace(scene, scales=scales, opacities=opacities), path)
     report = run("stats", path, "--json").json
     assert report["invalid_splats"] == 3
     assert report["fill_ratio"] is None
@@ -92,7 +92,7 @@ def test_what_is_not_finite_is_counted_and_json_stays_json(run: Run, tmp_path: P
 
 def test_empty_scenes_are_told(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "scene.ply"
-    cogsplat.write(path, empty(0))
+    cogsplat.write(empty(0), path)
     assert run("stats", path).code == 0
     report = run("stats", path, "--json").json
     assert (report["splats"], report["opaque_share"]) == (0, None)

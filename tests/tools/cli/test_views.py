@@ -65,7 +65,7 @@ def test_rows_that_cannot_be_drawn_score_nothing(run: Run, tmp_path: Path) -> No
     scene = synth(300)
     means = scene.means.copy()
     means[7] = np.nan
-    cogsplat.write(tmp_path / "scene.ply", replace(scene, means=means))
+    cogsplat.write(replace(scene, means=means), tmp_path / "scene.ply")
     write_cameras_json(tmp_path / "cameras.json", synth_cameras(3, 64, 48))
     out = tmp_path / "out.npy"
     told = run("score", tmp_path / "scene.ply", out, "--cameras", tmp_path / "cameras.json", "-q")

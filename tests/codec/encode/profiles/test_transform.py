@@ -5,10 +5,9 @@ import decoding
 import numpy as np
 import oracle
 import pytest
+from encoding import encode, unseen
 
-from cogsplat.codec.encode.ablation import Ablation
-from cogsplat.codec.encode.config import EncodeConfig
-from cogsplat.codec.encode.encoder import encode
+from cogsplat.codec.encode.config import Ablation
 from cogsplat.codec.geometry.sh import C0
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.rate import costs
@@ -20,7 +19,7 @@ from cogsplat.codec.streams.records import Attribute, Kind
 
 CAMERAS = [oracle.camera(angle) for angle in (0.0, 0.5, 1.1)]
 OTHERS = [oracle.camera(angle) for angle in (0.25, 0.8)]
-CONFIG = EncodeConfig(profile="transform", prune=None, chunk_splats=400, threads=1)
+CONFIG = unseen(profile="transform", prune=None, chunk_splats=400, threads=1)
 N = 900
 
 

@@ -1,0 +1,264 @@
+"""The encoder from end to end: score, order, lay out, encode, compensate, predict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.order.orders import split_name
+from cogsplat.codec.order.prefix_inflation import effective_splats
+from cogsplat.codec.progress import Progress, TimedProgress, silent
+from cogsplat.codec.scoring.contribution import ScoreConfig, Scores, score, unscored
+from cogsplat.codec.scoring.reference_views import ReferenceViews, render_references
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.planner import ViewPlanConfig, plan
+from cogsplat.codec.views.view_sets import evenly
+
+from .compensation_fit import FitConfig, blank, compensated
+from .config import EncodeConfig
+from .encoded import EncodedScene, EncodeReport
+from .encoder import encode_chunks
+from .prefix_quality import PrefixEvaluator, predicted
+from .prepared import PreparedScene, prepare
+from .presets import DEFAULT_PRESET, PRESETS, Preset
+from .rate_control import TARGET_VIEWS, Hit, Target, to_finished_size, to_psnr
+
+SizeOf = Callable[[EncodedScene], int]
+"""Returns the bytes of the whole file that an encoded scene makes."""
+
+
+def encode(
+    splats: Splats,
+    config: EncodeConfig,
+    *,
+    cameras: Sequence[Camera] | None = None,
+    scores: Scores | None = None,
+    score_config: ScoreConfig | None = None,
+    preset: Preset = PRESETS[DEFAULT_PRESET],
+    target: Target | None = None,
+    test_views: Sequence[Camera] = (),
+    size_of: SizeOf | None = None,
+    progress: Progress = silent,
+) -> EncodedScene:
+    """Encode a scene: from arrays and cameras to payloads and tables.
+
+    Parameters
+    ----------
+    splats : Splats
+    config : EncodeConfig
+        An order that renders (``gain``) and compensation need cameras, given or planned: with
+        `scores` alone the order is refused and no compensation is fitted.
+    cameras : sequence of Camera, optional
+        Views to score in, in the frame of the means. Without them, and without `scores`, views
+        are planned around the splats.
+    scores : Scores, optional
+        Of an earlier `score` of these splats; then none are measured.
+    score_config : ScoreConfig, optional
+        In place of the preset's.
+    preset : Preset
+        How many views are planned, scored and predicted in.
+    target : Target, optional
+        A PSNR or a size to search for; then `EncodeConfig.quality_db` does not count.
+    test_views : sequence of Camera
+        Views that a PSNR is measured and predicted in. Where none are given, planned test views,
+        or some of `cameras`.
+    size_of : callable, optional
+        Needed for a size as target.
+    progress : Progress
+        Called with the stages ``plan views``, ``score``, ``reference views``, those of the order,
+        ``codebooks``, ``chunks`` or ``search``, ``compensate`` and ``predict``.
+
+    Returns
+    -------
+    EncodedScene
+        With a report of the stages. The same bytes for any number of threads.
+
+    Raises
+    ------
+    DataError
+        ``invalid-rows``, ``value-range``, ``scores-mismatch``; ``no-cameras`` and
+        ``cameras-see-nothing``; ``empty-scene`` where no view can be planned;
+        ``target-out-of-reach``.
+    ValueError
+        The order ``gain`` with scores and no cameras; a target for the profile ``near-lossless``;
+        a PSNR as target and no views to measure it in; a size without `size_of`.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.encode.config import EncodeConfig
+    >>> from cogsplat.codec.scoring.contribution import unscored
+    >>> from cogsplat.codec.splats import empty
+    >>> config = EncodeConfig(order="source", prune=None)
+    >>> encoded = encode(empty(0, 100), config, scores=unscored(100))
+    >>> len(encoded.chunks), encoded.splats
+    (1, 100)
+    """
+    _require_consistent(config, cameras, scores, target, size_of)
+    timed = TimedProgress(progress)
+    splats.require_valid()
+    settings = score_config or preset.score_config(config.profile, threads=config.threads)
+    views, tests = list(cameras or ()), list(test_views)
+    if scores is None and len(splats):
+        if cameras is None:
+            views, planned_tests = _planned(splats, config, preset.planned_views, timed)
+            tests = tests or planned_tests
+        else:
+            views = preset.views(views)
+        # An empty list of cameras is refused by `score`, not taken for none given.
+        if cameras is not None or views:
+            scores = score(splats, views, settings, progress=timed)
+    if not views:
+        # There are no pictures to fit it to, so nothing may count on it.
+        config = replace(config, compensate=False)
+    fits = config.compensate and config.profile != "near-lossless"
+    references = None
+    # Both the order and the fit compare prefixes with pictures of the whole scene.
+    if len(splats) and views and (fits or split_name(config.order)[0] == "gain"):
+        references = render_references(
+            splats, views, jittered=settings.jitter, threads=config.threads, progress=timed
+        )
+    prepared = prepare(
+        splats,
+        unscored(len(splats)) if scores is None else scores,
+        config,
+        views=views,
+        jitter=settings.jitter,
+        references=references,
+        progress=timed,
+    )
+    finishing = _Finishing(
+        prepared, references if fits else None, tests or views, preset.prediction_views, timed
+    )
+    if target is None or not len(splats):
+        encoded = encode_chunks(prepared, config.quality_db, progress=timed)
+        hit = Hit(finishing.finish(encoded), config.quality_db, 0.0, 1)
+    else:
+        hit = _search(prepared, target, finishing, size_of)
+    report = EncodeReport(timed.seconds, timed.totals.get("score", 0), hit.quality_db, hit.trials)
+    return replace(hit.encoded, report=report)
+
+
+def _require_consistent(
+    config: EncodeConfig,
+    cameras: Sequence[Camera] | None,
+    scores: Scores | None,
+    target: Target | None,
+    size_of: SizeOf | None,
+) -> None:
+    """Refuse what would fail, or be quietly left out, after minutes of work."""
+    if scores is not None and not cameras and split_name(config.order)[0] == "gain":
+        raise ValueError(
+            f"order {config.order!r} with scores and no cameras, expected the cameras that were "
+            "scored, or an order that does not render, such as 'contribution'"
+        )
+    if target is None:
+        return
+    if config.profile == "near-lossless":
+        raise ValueError("a target for the profile 'near-lossless', expected a profile for viewing")
+    if target.size_bytes is not None and size_of is None:
+        raise ValueError("a size as target without size_of, expected what measures a file")
+
+
+def _planned(
+    splats: Splats, config: EncodeConfig, count: int, progress: Progress
+) -> tuple[list[Camera], list[Camera]]:
+    """Return views to score in and test views, of a scene that came without cameras.
+
+    There are none where a scene shows nothing and is to be stored without loss all the same.
+    """
+    try:
+        found = plan(splats, ViewPlanConfig(views=count, threads=config.threads), progress=progress)
+    except DataError as error:
+        if error.code != "empty-scene" or config.profile != "near-lossless":
+            raise
+        return [], []
+    return found.views, found.test_views
+
+
+@dataclass(frozen=True, eq=False)
+class _Finishing:
+    """What is added to a scene once its chunks are encoded: compensation and predicted quality.
+
+    Parameters
+    ----------
+    prepared : PreparedScene
+    references : ReferenceViews or None
+        Pictures that compensation is fitted to; None where none is fitted.
+    test_views : sequence of Camera
+        Views to predict in; empty where nothing is predicted.
+    most_views : int
+        So many of them are rendered.
+    progress : Progress
+    """
+
+    prepared: PreparedScene
+    references: ReferenceViews | None
+    test_views: Sequence[Camera]
+    most_views: int
+    progress: Progress
+
+    @property
+    def fit(self) -> FitConfig:
+        """Configuration of the fit."""
+        return FitConfig(threads=self.prepared.config.threads)
+
+    def finish(self, encoded: EncodedScene) -> EncodedScene:
+        """Return a scene with compensation and predicted quality."""
+        if self.references is not None:
+            contribution = self.prepared.scores.contribution
+            encoded = compensated(
+                encoded, self.references, contribution, self.fit, progress=self.progress
+            )
+        if self.test_views and len(encoded.chunks):
+            encoded = predicted(
+                encoded,
+                self.prepared.source,
+                self.test_views,
+                most_views=self.most_views,
+                threads=self.prepared.config.threads,
+                progress=self.progress,
+            )
+        return encoded
+
+    def foresee(self, encoded: EncodedScene) -> EncodedScene:
+        """Return a scene that takes the bytes of the finished one, without fitting anything."""
+        if self.references is not None:
+            counts = [chunk.splats for chunk in encoded.chunks]
+            carriers = effective_splats(self.prepared.scores.contribution)
+            encoded = replace(encoded, compensation=blank(counts, carriers, self.fit))
+        if self.test_views:
+            chunks = [replace(chunk, quality_db=1.0) for chunk in encoded.chunks]
+            encoded = replace(encoded, chunks=chunks)
+        return encoded
+
+
+def _search(
+    prepared: PreparedScene, target: Target, finishing: _Finishing, size_of: SizeOf | None
+) -> Hit:
+    """Return the finished scene that comes nearest to a target."""
+    encode_at = partial(encode_chunks, prepared)
+    progress = finishing.progress
+    if target.size_bytes is not None and size_of is not None:
+        return to_finished_size(
+            encode_at,
+            len(prepared.rows),
+            target.size_bytes,
+            lambda encoded: size_of(finishing.foresee(encoded)),
+            finishing.finish,
+            size_of,
+            progress=progress,
+        )
+    if not finishing.test_views:
+        raise ValueError("a PSNR as target and no cameras, expected views to see it in")
+    views = evenly(finishing.test_views, TARGET_VIEWS)
+    evaluator = PrefixEvaluator(prepared.source, views, prepared.config.threads)
+    hit = to_psnr(
+        encode_at,
+        target.psnr_db or 0.0,
+        lambda encoded: evaluator.psnr_db(encoded.decoded),
+        progress=progress,
+    )
+    return replace(hit, encoded=finishing.finish(hit.encoded))

@@ -1,0 +1,185 @@
+"""A scene in its order and cut into chunks: all that does not depend on its quantisers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.order import chunks as chunking
+from cogsplat.codec.order import objects
+from cogsplat.codec.order.orders import Unordered, order_rows
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.rate import allocation
+from cogsplat.codec.rate.pruning import kept_rows
+from cogsplat.codec.scoring.contribution import Scores
+from cogsplat.codec.scoring.reference_views import ReferenceViews
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.streams.grid import MAX_VALUE
+
+from .config import EncodeConfig
+
+
+@dataclass(frozen=True, eq=False)
+class LaidOutScene:
+    """The splats that stay, in the order of their chunks.
+
+    Parameters
+    ----------
+    source : Splats
+        The scene that is encoded.
+    ordered : Splats
+        The rows that stay, in chunk order.
+    rows : (n,) int64
+        Where these rows stand in the source.
+    scores : Scores
+        Of the source.
+    slices : sequence of slice
+        Rows of each chunk, one run behind the other.
+    objects : (c,) uint32
+        Label of the object that each chunk holds; zeros where chunks are not cut by object.
+    config : EncodeConfig
+    """
+
+    source: Splats
+    ordered: Splats
+    rows: NDArray[np.int64]
+    scores: Scores
+    slices: Sequence[slice]
+    objects: NDArray[np.uint32]
+    config: EncodeConfig
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedScene:
+    """A scene in its order, which one quality after the other can be encoded from.
+
+    Parameters
+    ----------
+    source : Splats
+        The scene that is encoded.
+    rows : (n,) int64
+        The order: rows of the source, without those that nothing can ever show.
+    scores : Scores
+        Of the source.
+    config : EncodeConfig
+    """
+
+    source: Splats
+    rows: NDArray[np.int64]
+    scores: Scores
+    config: EncodeConfig
+    # The layout that was made last. A search for a target often keeps the same splats in every
+    # trial, and gathering the rows of a large scene takes longer than comparing their numbers.
+    _made: dict[str, tuple[NDArray[np.int64], LaidOutScene]] = field(
+        default_factory=dict, init=False, repr=False
+    )
+
+    def laid_out(self, quality_db: float) -> LaidOutScene:
+        """Return the chunks of the splats that are worth their bytes at a nominal quality."""
+        lagrangian = allocation.lagrangian(self.scores, quality_db)
+        kept = kept_rows(self.source, self.scores, self.config.dropping(), lagrangian)
+        rows = self.rows[kept[self.rows]]
+        made = self._made.get("last")
+        if made is None or not np.array_equal(made[0], rows):
+            made = rows, _lay_out(self.source, rows, self.scores, self.config)
+            self._made["last"] = made
+        return made[1]
+
+
+def prepare(
+    splats: Splats,
+    scores: Scores,
+    config: EncodeConfig,
+    *,
+    views: Sequence[Camera] = (),
+    jitter: bool = True,
+    references: ReferenceViews | None = None,
+    progress: Progress = silent,
+) -> PreparedScene:
+    """Order a scene.
+
+    Parameters
+    ----------
+    splats : Splats
+        Rows must be valid (`Splats.require_valid`).
+    scores : Scores
+        Of these splats, row by row; `unscored` where nothing was rendered.
+    config : EncodeConfig
+    views : sequence of Camera
+        Those the scores are of, for orders that render.
+    jitter : bool
+        Whether orders that render look from jittered copies of the views as well.
+    references : ReferenceViews, optional
+        Pictures of the scene in these views, where they have been drawn.
+    progress : Progress
+        Called by orders that render, with their own stages.
+
+    Raises
+    ------
+    DataError
+        ``invalid-rows``; ``value-range`` where a value is beyond what the format holds;
+        ``scores-mismatch`` where the scores are another scene's.
+    """
+    splats.require_valid()
+    _require_storable(splats)
+    _require_scores(scores, len(splats))
+    kept = kept_rows(splats, scores, config.dropping(), 0.0)
+    scene = Unordered(splats, scores, views, config.threads, progress, jitter, references)
+    inflated = config.ordering.inflated and config.compensate
+    rows = order_rows(config.order, scene, replace(config.ordering, inflated=inflated))
+    return PreparedScene(splats, rows[kept[rows]], scores, config)
+
+
+def _lay_out(
+    splats: Splats, rows: NDArray[np.int64], scores: Scores, config: EncodeConfig
+) -> LaidOutScene:
+    """Cut rows in their order into chunks."""
+    if config.ordering.by_object:
+        arranged = objects.arrange(
+            rows,
+            objects.labels_of(splats),
+            scores.contribution,
+            config.chunk_splats,
+            config.ordering.object_budgets,
+        )
+    else:
+        if config.order == "gain":
+            # The order was sorted before splats were pruned, and pruning moved those behind them
+            # into other chunks. Not where a pose is served first: its splats would lose their
+            # places.
+            rows = chunking.sort_runs(rows, scores.contribution, config.chunk_splats)
+        slices = chunking.plan_chunks(len(rows), config.chunk_splats)
+        arranged = objects.Arrangement(rows, slices, np.zeros(len(slices), np.uint32))
+    return LaidOutScene(
+        source=splats,
+        ordered=splats.take(arranged.rows),
+        rows=arranged.rows,
+        scores=scores,
+        slices=arranged.slices,
+        objects=arranged.objects,
+        config=config,
+    )
+
+
+def _require_scores(scores: Scores, splats: int) -> None:
+    for name in ("contribution", "energy", "peak", "covered"):
+        length = len(getattr(scores, name))
+        if length != splats:
+            raise DataError("scores-mismatch", f"{name} of {length} splats for a scene of {splats}")
+
+
+def _require_storable(splats: Splats) -> None:
+    for name in ("means", "scales", "opacities", "sh0", "shN"):
+        values = getattr(splats, name)
+        far = np.argwhere((np.abs(values) > MAX_VALUE) & np.isfinite(values))
+        if len(far):
+            raise DataError(
+                "value-range",
+                f"{name} of splat {far[0, 0]}: {values[tuple(far[0])]:g}, "
+                f"expected at most {MAX_VALUE:g} either way (SPEC 6.4)",
+            )

@@ -1,0 +1,157 @@
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+from encoding import UNSEEN, encode, unseen
+
+from cogsplat.codec.encode import pipeline
+from cogsplat.codec.encode.config import PROFILE_NAMES, EncodeConfig
+from cogsplat.codec.encode.prepared import prepare
+from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.profiles.dispatch import PROFILES
+from cogsplat.codec.encode.rate_control import Target
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.rate.pruning import PruneConfig
+from cogsplat.codec.scoring.contribution import ScoreConfig, score, unscored
+
+FAST = PRESETS["fast"]
+LITTLE = EncodeConfig(chunk_splats=40, threads=1)
+ONCE = ScoreConfig(jitter=False, sensitivity_every=1, threads=1)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return oracle.scene(4, n=600)
+
+
+@pytest.fixture(scope="module")
+def views():
+    return [oracle.camera(0.3 * k) for k in range(4)]
+
+
+def payload_bytes(encoded):
+    parts = [payload for book in encoded.codebooks for payload in book.payloads]
+    for chunk in encoded.chunks:
+        payloads = chunk.payloads
+        parts += [payloads.head, payloads.refinement or b"", payloads.tail or b""]
+    return sum(len(part) for part in parts)
+
+
+def encoded(scene, views, config=LITTLE, **options):
+    return pipeline.encode(scene, config, cameras=views, score_config=ONCE, **options)
+
+
+def test_the_table_of_profiles_has_those_that_a_configuration_names():
+    assert tuple(PROFILES) == PROFILE_NAMES
+
+
+def test_a_scene_with_cameras_is_compensated_and_predicted(scene, views):
+    stages = []
+    made = encoded(scene, views, progress=lambda *call: stages.append(call))
+    assert made.compensation is not None
+    assert made.prefix_mse is not None
+    assert len(made.prefix_mse) == len(made.chunks) + 1
+    assert all(chunk.quality_db > 10 for chunk in made.chunks)
+    assert made.report.scored_views == len(views)
+    assert (made.report.quality_db, made.report.trials) == (40.0, 1)
+    # Every stage that reported has its time, in the order in which the stages began.
+    names = list(dict.fromkeys(name for name, _, _ in stages))
+    assert list(made.report.seconds) == names
+    assert names == ["score", "reference views", "gain", "chunks", "compensate", "predict"]
+    assert all(seconds >= 0 for seconds in made.report.seconds.values())
+
+
+def test_test_views_are_where_quality_is_predicted(scene, views):
+    config = replace(LITTLE, compensate=False, order="contribution")
+    elsewhere = [oracle.camera(0.15)]
+    own, given = (encoded(scene, views, config, test_views=tests) for tests in ((), elsewhere))
+    assert payload_bytes(own) == payload_bytes(given)
+    pairs = zip(own.chunks, given.chunks, strict=True)
+    assert all(a.quality_db != b.quality_db for a, b in pairs)
+
+
+def test_without_views_nothing_is_compensated_nor_predicted(scene):
+    made = encode(scene, None, unseen(compensate=True))
+    assert made.compensation is None
+    assert all(chunk.quality_db == 0 for chunk in made.chunks)
+    # And heads are not made for being compensated.
+    assert payload_bytes(made) == payload_bytes(encode(scene, None, UNSEEN))
+
+
+@pytest.mark.parametrize("order", ["gain", "gain+first-view"])
+@pytest.mark.parametrize("cameras", [None, []])
+def test_an_order_that_renders_takes_cameras(scene, order, cameras):
+    ordering = replace(LITTLE.ordering, first_view=oracle.camera(0.0))
+    config = EncodeConfig(order=order, ordering=ordering)
+    with pytest.raises(ValueError, match="expected the cameras"):
+        pipeline.encode(scene, config, cameras=cameras, scores=unscored(len(scene)))
+
+
+def test_scores_of_the_cameras_are_not_measured_again(scene, views):
+    scores = score(scene, views, ONCE)
+    stages = set()
+    made = encoded(scene, views, scores=scores, progress=lambda name, *_: stages.add(name))
+    assert "score" not in stages
+    assert made.report.scored_views == 0
+    assert payload_bytes(made) == payload_bytes(encoded(scene, views))
+
+
+def test_scenes_that_show_nothing_are_archived_and_else_refused(scene):
+    hidden = replace(scene, opacities=np.full(len(scene), -20, np.float32))
+    archived = pipeline.encode(hidden, EncodeConfig(profile="near-lossless"), preset=FAST)
+    assert archived.splats == len(scene)
+    with pytest.raises(DataError) as caught:
+        pipeline.encode(hidden, EncodeConfig(), preset=FAST)
+    assert caught.value.code == "empty-scene"
+
+
+@pytest.mark.parametrize(
+    ("target", "profile", "words"),
+    [
+        (Target(psnr_db=30.0), "near-lossless", "profile for viewing"),
+        (Target(size_bytes=9000), "near-lossless", "profile for viewing"),
+        (Target(size_bytes=9000), "transform", "size_of"),
+        (Target(psnr_db=30.0), "transform", "views to see it in"),
+    ],
+)
+def test_targets_that_cannot_be_measured_are_misuse(scene, target, profile, words):
+    with pytest.raises(ValueError, match=words):
+        encode(scene, None, unseen(profile=profile), target=target)
+
+
+def test_a_size_is_kept_by_the_finished_scene(scene, views):
+    calls = []
+
+    def size_of(made):
+        calls.append(made)
+        extra = 200 if made.prefix_mse is not None else 0
+        return payload_bytes(made) + extra
+
+    whole = payload_bytes(encoded(scene, views))
+    target = Target(size_bytes=int(0.7 * whole))
+    made = encoded(scene, views, target=target, size_of=size_of)
+    assert 0.9 * target.size_bytes <= size_of(made) <= target.size_bytes
+    assert made.compensation is not None
+    assert 1 < made.report.trials < len(calls)
+    assert made.report.quality_db < 40.0
+
+
+def test_a_scene_is_laid_out_once_while_the_same_splats_stay(scene):
+    rng = np.random.default_rng(3)
+    scores = replace(
+        unscored(len(scene)),
+        energy=rng.lognormal(-9, 2, len(scene)),
+        peak=rng.uniform(0, 0.1, len(scene)).astype(np.float32),
+        covered=np.full(len(scene), 9, np.int32),
+    )
+    kept = prepare(scene, scores, unseen(prune=None))
+    assert kept.laid_out(30.0) is kept.laid_out(50.0)
+    pruned = prepare(scene, scores, unseen(prune=PruneConfig()))
+    few, more = pruned.laid_out(12.0), pruned.laid_out(40.0)
+    assert 0 < len(few.rows) < len(more.rows) < len(scene)
+    assert pruned.laid_out(40.0) is more
+    np.testing.assert_array_equal(pruned.laid_out(12.0).rows, few.rows)
+    for layout in (few, more):
+        np.testing.assert_array_equal(layout.ordered.means, scene.means[layout.rows])
+        assert layout.slices[-1].stop == len(layout.rows)

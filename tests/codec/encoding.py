@@ -1,0 +1,22 @@
+"""Encode scenes of which no view is drawn: through the pipeline, with scores that are given."""
+
+from dataclasses import replace
+
+from cogsplat.codec.encode import pipeline
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.encoded import EncodedScene
+from cogsplat.codec.scoring.contribution import unscored
+
+# Orders by gain draw the scene; compensation is fitted to pictures of it.
+UNSEEN = EncodeConfig(order="contribution", compensate=False)
+
+
+def unseen(**changes) -> EncodeConfig:
+    """Return a configuration that looks at no view, with some other settings."""
+    return replace(UNSEEN, **changes)
+
+
+def encode(splats, scores=None, config=UNSEEN, **options) -> EncodedScene:
+    """Encode a scene whose splats count what `scores` says, or all the same."""
+    known = unscored(len(splats)) if scores is None else scores
+    return pipeline.encode(splats, config, scores=known, **options)
