@@ -383,7 +383,7 @@ def read_cameras(path: _Path) -> list[Camera]:
     >>> import cogsplat
     >>> cameras = cogsplat.read_cameras("cameras.json")
     >>> cameras[0].width, cameras[0].height
-    (48, 40)
+    (64, 48)
     """
     from .formats.cameras.files import read_cameras as read_camera_files
 

@@ -182,7 +182,7 @@ def small_scene(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
     folder = tmp_path_factory.mktemp("examples")
     splats, cameras = synthetic.synth(1000), synthetic.synth_cameras(9, 64, 48)
-    cogsplat.write(folder / "scene.ply", splats)
+    cogsplat.write(splats, folder / "scene.ply")
     write_cameras_json(folder / "cameras.json", cameras)
     config = EncodeConfig(chunk_splats=300, prune=PruneConfig(peak=0.001))
     cogsplat.encode(splats, folder / "scene.cogs", cameras=cameras, config=config)

@@ -1,4 +1,3 @@
-import doctest
 import hashlib
 import math
 import os
@@ -393,22 +392,6 @@ def test_the_facade_names_what_it_gives():
     for name in cogsplat.__all__:
         assert getattr(cogsplat, name) is not None
     assert cogsplat.__version__
-
-
-def test_its_examples_run(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    splats = scene()
-    cogsplat.write(splats, "scene.ply")
-    write_cameras_json("cameras.json", ring())
-    cogsplat.encode(splats, "scene.cogs", cameras=ring(), config=KEEP)
-    finder = doctest.DocTestFinder(exclude_empty=True)
-    runner = doctest.DocTestRunner()
-    ran = {}
-    for name in ("open", "decode", "encode", "read", "write", "read_cameras"):
-        for test in finder.find(getattr(cogsplat, name), name, globs={}):
-            ran[name] = runner.run(test)
-    assert all(result.attempted > 1 and result.failed == 0 for result in ran.values())
-    assert len(ran) == 6
 
 
 def test_importing_it_needs_no_compiler():
