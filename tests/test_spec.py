@@ -5,6 +5,7 @@ import json
 import re
 import struct
 from collections import defaultdict
+from fractions import Fraction
 from pathlib import Path
 
 import pytest
@@ -20,9 +21,10 @@ from cogsplat.codec.streams import (
     shn_transform,
 )
 from cogsplat.codec.streams.kinds import KINDS
-from cogsplat.formats.cogs import canonical_msgpack, layout, root
+from cogsplat.formats.cogs import cameras, canonical_msgpack, layout, reader, root
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.tools import make_vectors
-from cogsplat.tools.conformance import valid
+from cogsplat.tools.conformance import tolerance, valid
 
 ROOT = Path(__file__).resolve().parents[1]
 SPEC = (ROOT / "SPEC.md").read_text(encoding="utf-8")
@@ -118,7 +120,9 @@ def test_clauses_in_the_text_exist():
     headings = set(re.findall(r"^#{2,4} (\d+(?:\.\d+)?) ", SPEC, re.MULTILINE))
     body = re.sub(r"```.*?```", "", SPEC.split("## Appendix A")[0], flags=re.DOTALL)
     cited = re.findall(r"(?<![\d.,×−-])\(?(?:as |clause |section )?(\d\.\d{1,2})(?![\d.])", body)
-    strange = {c for c in cited if c not in headings} - {"1.0", "0.1", "0.2", "0.5", "1.5", "3.33"}
+    # No section has the number 0: such numbers are quantities and versions before 1.0.
+    quantities = {c for c in cited if c.startswith("0.")} | {"1.0", "1.5", "3.33"}
+    strange = {c for c in cited if c not in headings} - quantities
     assert strange == set()
 
 
@@ -261,6 +265,37 @@ def test_limits_are_the_constants():
 def test_limits_name_known_codes():
     codes = {code for _, _, code in tables(section("9.1 "))[0]}
     assert codes - {""} <= registry().keys()
+
+
+def test_tolerances_are_the_constants():
+    ((means, *others),) = tables(section("8.6 "))
+    assert "2^−10" in means[1]
+    assert tolerance.MEANS_RELATIVE == 2**-10
+    assert "⅛" in means[1]
+    assert tolerance.MEANS_SIGMAS == 1 / 8
+    stated = [float(Fraction(re.search(r"\d[\d./]*", limit)[0])) for _, limit, _ in others]
+    assert [name for name, *_ in others] == ["scales", "quats", "opacities", "sh0", "shN"]
+    assert stated == [
+        tolerance.SCALES,
+        tolerance.QUAT_ANGLE,
+        tolerance.OPACITY_UNIT,
+        tolerance.SH0,
+        tolerance.SHN,
+    ]
+
+
+def test_decoded_bytes_are_counted_as_stated():
+    text = section("9.2 ")
+    assert f"{Limits().expansion} bytes more for each byte" in text
+    assert f"{Limits().allowed(0) >> 20} MiB" in text
+    for number in (
+        reader._HEAD_ROW_BYTES,
+        reader._SCRATCH_ROW_BYTES,
+        reader._COMPENSATION_ROW_BYTES,
+        canonical_msgpack.VALUE_BYTES,
+    ):
+        assert re.search(rf"(?<![\d,]){number}(?![\d,])", text), number
+    assert f"{cameras._CAMERA_BYTES:,} bytes each" in text
 
 
 def test_version_is_the_code_s():

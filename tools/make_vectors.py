@@ -90,9 +90,29 @@ def valid() -> list[Valid]:
     ]
 
 
+ASIDE: Final[tuple[Callable[[], list[Invalid]], ...]] = (
+    extras.attributes,
+    extras.cameras,
+    compensations.compensation,
+    boxes.sizes,
+)
+"""What a viewer leaves aside (SPEC 8.6): it need not refuse these files."""
+
+
 def invalid() -> list[Invalid]:
     """Return all must-reject vectors, in the order of the manifest."""
     return [vector for make in INVALID for vector in make()]
+
+
+def levels() -> dict[str, str]:
+    """Return the lowest level of conformance that must refuse each file (SPEC 1.4)."""
+    aside = {vector.name for make in ASIDE for vector in make()}
+    return {
+        vector.name: "verifier"
+        if vector.stage == "verify"
+        else ("reader" if vector.name in aside else "viewer")
+        for vector in invalid()
+    }
 
 
 def _sha256(data: bytes) -> str:
@@ -157,13 +177,14 @@ def _camera(camera: reference_decoder.Camera) -> Json:
     return {key: list(value) if isinstance(value, list) else value for key, value in camera.items()}
 
 
-def _invalid_entry(vector: Invalid) -> dict[str, Json]:
+def _invalid_entry(vector: Invalid, level: str) -> dict[str, Json]:
     return {
         "name": vector.name,
         "note": vector.note,
         "code": vector.code,
         "clause": vector.clause,
         "stage": vector.stage,
+        "level": level,
         "partial": vector.partial,
         "bytes": len(vector.data),
         "sha256": _sha256(vector.data),
@@ -194,8 +215,9 @@ def make() -> tuple[dict[str, Json], dict[str, bytes]]:
         files[f"valid/{vector.name}.cogs"] = vector.data
         files[f"valid/{vector.name}.f32"] = arrays
     bad: list[Json] = []
+    level_of = levels()
     for refused in invalid():
-        bad.append(_invalid_entry(refused))
+        bad.append(_invalid_entry(refused, level_of[refused.name]))
         files[f"invalid/{refused.name}.cogs"] = refused.data
     manifest: dict[str, Json] = {
         "format": f"{MAJOR}.{MINOR}",

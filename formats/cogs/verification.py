@@ -78,7 +78,7 @@ class Finding:
 
 
 def checks(file: CogsFile) -> Iterator[Check]:
-    """Yield every check that a verifier makes of an open file (SPEC 8, conformance levels).
+    """Yield every check that a verifier makes of an open file (SPEC 1.4).
 
     Parameters
     ----------

@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import StorageError
 from cogsplat.codec.progress import Progress, silent
 
-from .protocol import DecoderProcess, Hello
+from .protocol import LEVELS, DecoderProcess, Hello
 from .tolerance import beyond_tolerance
 
 Entry = Mapping[str, object]
 Arrays = dict[str, NDArray[np.float32]]
 
-# Codes of 8.2 that only a verifier looks for, and limits that another decoder may set higher.
+# The code of a limit that another decoder may set higher (SPEC 9.2).
 _LIMIT: Final = "decoded-size"
-_VERIFY: Final = "verify"
 
 
 @dataclass(frozen=True)
@@ -233,9 +232,9 @@ class _Judge:
 
     def invalid(self, entry: Entry) -> None:
         """Try a file to refuse: with its code, or by a viewer with any."""
-        verifies = self._hello.level == "verifier"
-        if entry["stage"] == _VERIFY and not verifies:
+        if LEVELS.index(str(entry["level"])) > LEVELS.index(self._hello.level):
             return
+        verifies = self._hello.level == "verifier"
         name, code = str(entry["name"]), str(entry["code"])
         path = self._vectors / "invalid" / f"{name}.cogs"
         self._out.unlink(missing_ok=True)

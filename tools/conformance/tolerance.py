@@ -1,4 +1,4 @@
-"""How far a viewer's rows may lie from the exact ones (SPEC 8.4)."""
+"""How far a viewer's rows may lie from the exact ones (SPEC 8.6)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
 
-# SPEC 8.4, table of tolerances.
+# SPEC 8.6, table of tolerances.
 MEANS_RELATIVE: Final = 2.0**-10
 MEANS_SIGMAS: Final = 0.125
 SCALES: Final = 0.05
@@ -20,7 +20,7 @@ SHN: Final = 0.04
 
 
 def beyond_tolerance(name: str, given: F32, exact: F32, rows: dict[str, F32]) -> NDArray[np.bool_]:
-    """Mark the values of one attribute that lie further from the exact ones than SPEC 8.4 allows.
+    """Mark the values of one attribute that lie further from the exact ones than SPEC 8.6 allows.
 
     Parameters
     ----------
