@@ -305,12 +305,14 @@ def encode(
     return replace(encoded.report, size_bytes=size_bytes)
 
 
-def read(path: _Path) -> Splats:
+def read(path: _Path, *, limits: Limits | None = None) -> Splats:
     """Read a scene in any format, COGS included.
 
     Parameters
     ----------
     path : path
+    limits : Limits, optional
+        What the file may cost in memory, and how many splats it may hold.
 
     Returns
     -------
@@ -320,7 +322,7 @@ def read(path: _Path) -> Splats:
     Raises
     ------
     CogsplatError
-        The file cannot be read, or is of no known format.
+        The file cannot be read, is of no known format, or costs more than `limits` allow.
 
     Examples
     --------
@@ -330,7 +332,7 @@ def read(path: _Path) -> Splats:
     """
     from .formats.scenes.registry import is_cogs, read_scene
 
-    return decode(path) if is_cogs(path) else read_scene(path)
+    return decode(path, limits=limits) if is_cogs(path) else read_scene(path, limits=limits)
 
 
 def write(splats: Splats, path: _Path, *, force: bool = False) -> None:
@@ -361,12 +363,14 @@ def write(splats: Splats, path: _Path, *, force: bool = False) -> None:
     write_scene(path, splats, force=force)
 
 
-def read_cameras(path: _Path) -> list[Camera]:
+def read_cameras(path: _Path, *, limits: Limits | None = None) -> list[Camera]:
     """Read cameras from a ``cameras.json``, a ``transforms.json``, COLMAP's folder or a COGS file.
 
     Parameters
     ----------
     path : path
+    limits : Limits, optional
+        How many cameras there may be.
 
     Returns
     -------
@@ -376,7 +380,7 @@ def read_cameras(path: _Path) -> list[Camera]:
     Raises
     ------
     CogsplatError
-        They cannot be read.
+        They cannot be read, or are more than `limits` allow.
 
     Examples
     --------
@@ -387,4 +391,4 @@ def read_cameras(path: _Path) -> list[Camera]:
     """
     from .formats.cameras.files import read_cameras as read_camera_files
 
-    return read_camera_files(path)
+    return read_camera_files(path, limits=limits)

@@ -5,6 +5,7 @@ Layout after COLMAP's documentation, "Output format": little-endian, no padding.
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 from collections.abc import Iterator
@@ -19,14 +20,11 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import (
     DataError,
     FormatError,
-    LimitError,
     TruncatedError,
     UnsupportedError,
 )
 from cogsplat.formats.storage.atomic import open_for_read, storage_errors
-
-MAX_CAMERAS = 1_000_000
-"""Most cameras, and most images, that are read from one model."""
+from cogsplat.formats.storage.limits import Limits
 
 # COLMAP, camera models: number in binary files, name, parameters.
 _MODELS: dict[int, tuple[str, tuple[str, ...]]] = {
@@ -92,7 +90,7 @@ def _suffix(folder: Path) -> str:
     return ""
 
 
-def read_colmap(folder: Path) -> list[Camera]:
+def read_colmap(folder: Path, *, limits: Limits | None = None) -> list[Camera]:
     """Read one camera per image of a sparse model.
 
     Parameters
@@ -101,6 +99,8 @@ def read_colmap(folder: Path) -> list[Camera]:
         Holds ``cameras`` and ``images``, both ``.bin`` or both ``.txt``. Pinhole models are read,
         and SIMPLE_RADIAL, RADIAL and OPENCV whose distortion is zero. Both sides count pixel
         centres from 0.5, so principal points are taken as they are.
+    limits : Limits, optional
+        `Limits.cameras` counts for cameras and for images.
 
     Returns
     -------
@@ -124,15 +124,16 @@ def read_colmap(folder: Path) -> list[Camera]:
     StorageError
         As `open_for_read`.
     """
+    limits = limits or Limits()
     suffix = _suffix(folder)
     if not suffix:
         raise FormatError("unknown-cameras", f"{folder}: expected cameras.bin and images.bin")
     binary = suffix == ".bin"
     path = folder / f"cameras{suffix}"
     with storage_errors(path), open_for_read(path) as file:
-        rows = _binary_lenses(file, str(path)) if binary else _text_lenses(file, str(path))
+        read_lenses = _binary_lenses if binary else _text_lenses
         lenses: dict[int, _Lens] = {}
-        for number, lens in rows:
+        for number, lens in read_lenses(file, str(path), limits):
             if number in lenses:
                 raise FormatError(
                     "colmap-duplicate-camera", f"{path}: camera {number} twice, expected once"
@@ -140,7 +141,8 @@ def read_colmap(folder: Path) -> list[Camera]:
             lenses[number] = lens
     path = folder / f"images{suffix}"
     with storage_errors(path), open_for_read(path) as file:
-        images = list(_binary_images(file, str(path)) if binary else _text_images(file, str(path)))
+        read_images = _binary_images if binary else _text_images
+        images = list(read_images(file, str(path), limits))
     if not images:
         raise DataError("no-cameras", f"{path}: holds no images, expected at least one")
     images.sort(key=lambda image: (image.name, image.number))
@@ -175,13 +177,13 @@ def _camera(image: _Image, lenses: dict[int, _Lens], where: str) -> Camera:
 
 def _rotation(image: _Image) -> NDArray[np.float64]:
     """Return the rotation matrix of a wxyz quaternion, normalised."""
-    quaternion = np.array(image.quaternion)
-    norm = float(np.sqrt(np.square(quaternion).sum()))
-    if not 0.0 < norm < np.inf:
+    w, x, y, z = image.quaternion
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    if not 0.0 < norm < math.inf:
         raise DataError(
             "bad-camera", f"camera {image.name!r}: quaternion of norm {norm}, expected about 1"
         )
-    w, x, y, z = quaternion / norm
+    w, x, y, z = w / norm, x / norm, y / norm, z / norm
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -278,18 +280,12 @@ class _Reader:
             )
 
 
-def _limited(count: int, what: str, where: str) -> int:
-    if count > MAX_CAMERAS:
-        raise LimitError(
-            "too-many-cameras", f"{where}: {count} {what}, expected at most {MAX_CAMERAS}"
-        )
-    return count
-
-
-def _binary_lenses(file: BinaryIO, where: str) -> Iterator[tuple[int, _Lens]]:
+def _binary_lenses(file: BinaryIO, where: str, limits: Limits) -> Iterator[tuple[int, _Lens]]:
     reader = _Reader(file, where)
     least = _CAMERA.size + 8 * min(map(len, _PARAMETERS.values()))
-    for _ in range(_limited(reader.count(least, "cameras"), "cameras", where)):
+    count = reader.count(least, "cameras")
+    limits.require_cameras(count, where)
+    for _ in range(count):
         number, model, width, height = _CAMERA.unpack(reader.take(_CAMERA.size, "a camera"))
         at = f"{where}: camera {number}"
         if model not in _MODELS:
@@ -301,10 +297,12 @@ def _binary_lenses(file: BinaryIO, where: str) -> Iterator[tuple[int, _Lens]]:
     reader.finish()
 
 
-def _binary_images(file: BinaryIO, where: str) -> Iterator[_Image]:
+def _binary_images(file: BinaryIO, where: str, limits: Limits) -> Iterator[_Image]:
     reader = _Reader(file, where)
     least = _POSE.size + 1 + _COUNT.size
-    for _ in range(_limited(reader.count(least, "images"), "images", where)):
+    count = reader.count(least, "images")
+    limits.require_cameras(count, where)
+    for _ in range(count):
         number, *pose, lens = _POSE.unpack(reader.take(_POSE.size, "an image"))
         name = reader.name(f"image {number}")
         points = reader.count(_POINT_BYTES, f"points of image {number}")
@@ -313,34 +311,40 @@ def _binary_images(file: BinaryIO, where: str) -> Iterator[_Image]:
     reader.finish()
 
 
-def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Give numbered lines, long ones in their first part only: points can take megabytes."""
-    number = 0
-    while line := file.readline(_MAX_LINE_BYTES):
-        number += 1
-        yield number, line
-        while line and not line.endswith(b"\n"):
-            line = file.readline(_MAX_LINE_BYTES)
+def _skip_line(file: BinaryIO) -> None:
+    """Read to the end of a line of any length, of which nothing is kept."""
+    while (piece := file.readline(_MAX_LINE_BYTES)) and not piece.endswith(b"\n"):
+        pass
 
 
-def _records(file: BinaryIO, where: str, *, has_points: bool) -> Iterator[tuple[str, list[str]]]:
+def _records(
+    file: BinaryIO, where: str, limits: Limits, *, has_points: bool
+) -> Iterator[tuple[str, list[str]]]:
     """Give the fields of each record and where it stands; images have a line of points behind."""
-    lines = _lines(file)
-    records = 0
-    for number, line in lines:
+    number = records = 0
+    while line := file.readline(_MAX_LINE_BYTES + 1):
+        number += 1
+        at = f"{where}: line {number}"
+        if len(line) > _MAX_LINE_BYTES:
+            raise FormatError(
+                "colmap-malformed",
+                f"{at}: is longer than {_MAX_LINE_BYTES} bytes, expected a record of fewer",
+            )
         text = line.decode("utf-8", "replace").strip()
         if not text or text.startswith("#"):
             continue
-        records = _limited(records + 1, "records", where)
+        records += 1
+        limits.require_cameras(records, where)
         # The last field of an image is its name, which may hold spaces.
-        yield f"{where}: line {number}", text.split(maxsplit=9 if has_points else -1)
+        yield at, text.split(maxsplit=9 if has_points else -1)
         if has_points:
-            # Empty where there are no points, so it must not be looked at.
-            next(lines, None)
+            # Empty where there are no points, and megabytes where there are many.
+            number += 1
+            _skip_line(file)
 
 
-def _text_lenses(file: BinaryIO, where: str) -> Iterator[tuple[int, _Lens]]:
-    for at, fields in _records(file, where, has_points=False):
+def _text_lenses(file: BinaryIO, where: str, limits: Limits) -> Iterator[tuple[int, _Lens]]:
+    for at, fields in _records(file, where, limits, has_points=False):
         if len(fields) < 4:
             raise _malformed(at, fields, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS")
         name = fields[1]
@@ -356,10 +360,12 @@ def _text_lenses(file: BinaryIO, where: str) -> Iterator[tuple[int, _Lens]]:
         yield number, _lens(name, width, height, values, at)
 
 
-def _text_images(file: BinaryIO, where: str) -> Iterator[_Image]:
-    for at, fields in _records(file, where, has_points=True):
+def _text_images(file: BinaryIO, where: str, limits: Limits) -> Iterator[_Image]:
+    for at, fields in _records(file, where, limits, has_points=True):
         if len(fields) != 10:
             raise _malformed(at, fields, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME")
+        if len(fields[9]) >= _MAX_NAME_BYTES:
+            raise _malformed(at, fields, f"a name of fewer than {_MAX_NAME_BYTES} characters")
         try:
             number, lens = int(fields[0]), int(fields[8])
             pose = [float(field) for field in fields[1:8]]

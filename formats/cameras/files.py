@@ -10,6 +10,7 @@ from cogsplat.codec.errors import FormatError
 from cogsplat.formats.cogs.layout import MAGIC
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import FileSource
 
 from .colmap import find_model, read_colmap
@@ -24,7 +25,7 @@ _HEAD_BYTES = 64
 _TRANSFORMS = ("transforms.json", "transforms_train.json")
 
 
-def read_cameras(path: StrPath) -> list[Camera]:
+def read_cameras(path: StrPath, *, limits: Limits | None = None) -> list[Camera]:
     """Read the cameras of a scene.
 
     Parameters
@@ -34,6 +35,8 @@ def read_cameras(path: StrPath) -> list[Camera]:
         file that cameras were stored in, or a folder: one that holds COLMAP's ``cameras`` and
         ``images`` as ``.bin`` or ``.txt``, or has them in ``sparse/0``, or else holds a
         ``transforms.json``.
+    limits : Limits, optional
+        What the file may cost; `Limits.cameras` counts in every format.
 
     Returns
     -------
@@ -45,6 +48,8 @@ def read_cameras(path: StrPath) -> list[Camera]:
     FormatError
         ``unknown-cameras``: none of these; ``no-cameras``: a COGS file without. Otherwise as
         `read_cameras_json`, `read_transforms`, `read_colmap` and `open_cogs`.
+    LimitError
+        ``too-many-cameras``, ``json-too-long``.
     StorageError
         As `open_for_read`.
     """
@@ -52,10 +57,10 @@ def read_cameras(path: StrPath) -> list[Camera]:
     if Path(path).is_dir():
         model = find_model(Path(path))
         if model is not None:
-            return read_colmap(model)
+            return read_colmap(model, limits=limits)
         for name in _TRANSFORMS:
             if (Path(path) / name).is_file():
-                return read_transforms(Path(path) / name)
+                return read_transforms(Path(path) / name, limits=limits)
         raise FormatError(
             "unknown-cameras",
             f"{where}: expected cameras.bin and images.bin, or .txt, in this folder or in its "
@@ -66,11 +71,11 @@ def read_cameras(path: StrPath) -> list[Camera]:
     # A byte order mark is legal to find before JSON, if not to write.
     first = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
     if first == b"[":
-        return read_cameras_json(path)
+        return read_cameras_json(path, limits=limits)
     if first == b"{":
-        return read_transforms(path)
+        return read_transforms(path, limits=limits)
     if head.startswith(MAGIC):
-        return _stored_cameras(path)
+        return _stored_cameras(path, limits or Limits())
     raise FormatError(
         "unknown-cameras",
         f"{where}: starts with {head[:8]!r}, expected a cameras.json, a transforms.json, a "
@@ -78,10 +83,10 @@ def read_cameras(path: StrPath) -> list[Camera]:
     )
 
 
-def _stored_cameras(path: StrPath) -> list[Camera]:
+def _stored_cameras(path: StrPath, limits: Limits) -> list[Camera]:
     source = FileSource(Path(path))
     try:
-        with open_cogs(source) as file:
+        with open_cogs(source, limits=limits) as file:
             cameras = file.cameras()
     finally:
         source.close()
@@ -90,4 +95,5 @@ def _stored_cameras(path: StrPath) -> list[Camera]:
             "no-cameras",
             f"{os.fspath(path)}: brings no cameras, expected a file encoded with --store-cameras",
         )
+    limits.require_cameras(len(cameras), os.fspath(path))
     return cameras

@@ -11,21 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.errors import DataError, FormatError, LimitError
+from cogsplat.codec.errors import DataError, FormatError
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
+from cogsplat.formats.storage.json_stream import JsonStream
+from cogsplat.formats.storage.limits import Limits
 
-MAX_FILE_BYTES = 1 << 26
-"""Longest file that is read; a camera takes about 500 bytes."""
-
-MAX_CAMERAS = 1_000_000
-"""Most cameras that are read from one file."""
+_CODE = "bad-cameras-json"
 
 # How far a given translation may be from the one that position and rotation make, relative to
 # the position: files round rotations, and `Camera` lets them be off orthonormal by 1e-3.
 _TRANSLATION_TOLERANCE = 1e-2
 
 
-def read_cameras_json(path: StrPath) -> list[Camera]:
+def read_cameras_json(path: StrPath, *, limits: Limits | None = None) -> list[Camera]:
     """Read cameras from an INRIA ``cameras.json``.
 
     Parameters
@@ -35,6 +33,8 @@ def read_cameras_json(path: StrPath) -> list[Camera]:
         the centre, scene units) and ``rotation`` (3 rows of 3; camera to world, so its columns are
         the camera's axes), and maybe ``img_name``. Ours have ``cx``, ``cy`` (px; otherwise the
         image's centre) and ``translation`` (3; world to camera, the exact one) as well.
+    limits : Limits, optional
+        `Limits.cameras` counts.
 
     Returns
     -------
@@ -48,41 +48,32 @@ def read_cameras_json(path: StrPath) -> list[Camera]:
     DataError
         ``bad-camera``: as `Camera`; ``no-cameras``: the array is empty.
     LimitError
-        ``too-many-cameras``: more than `MAX_CAMERAS`, or beyond `MAX_FILE_BYTES`.
+        ``too-many-cameras``: more than `limits` allow; ``json-too-long``: an entry is longer than
+        `MAX_VALUE_BYTES`.
     StorageError
         As `open_for_read`.
     """
     where = os.fspath(path)
+    limits = limits or Limits()
     with storage_errors(path), open_for_read(path) as file:
-        text = file.read(MAX_FILE_BYTES + 1)
-    if len(text) > MAX_FILE_BYTES:
-        raise LimitError(
-            "too-many-cameras", f"{where}: expected at most {MAX_FILE_BYTES} bytes of JSON"
-        )
-    try:
-        entries: object = json.loads(text, parse_constant=_refuse_constant)
-    # RecursionError: nested deeper than the parser goes.
-    except (ValueError, RecursionError) as error:
+        data = file.read()
+    # Counted first, so that too many are refused before the first camera is made.
+    stream = JsonStream(data, where, _CODE)
+    if stream.peek() != b"[":
         raise FormatError(
-            "bad-cameras-json", f"{where}: {error}, expected a JSON array of cameras"
-        ) from error
-    if not isinstance(entries, list):
-        raise FormatError(
-            "bad-cameras-json", f"{where}: is {_kind(entries)}, expected an array of cameras"
+            _CODE, f"{where}: is {_kind(stream.value())}, expected an array of cameras"
         )
-    if not entries:
-        raise DataError("no-cameras", f"{where}: the array is empty, expected cameras")
-    if len(entries) > MAX_CAMERAS:
-        raise LimitError(
-            "too-many-cameras", f"{where}: {len(entries)} cameras, expected at most {MAX_CAMERAS}"
-        )
+    for index in stream.items():
+        limits.require_cameras(index + 1, where)
+        stream.value()
+    stream.finish()
+    stream = JsonStream(data, where, _CODE)
     # Absurd magnitudes overflow on the way to `Camera`, which refuses what comes of them.
     with np.errstate(over="ignore", invalid="ignore"):
-        return [_camera(entry, f"{where}: entry {index}") for index, entry in enumerate(entries)]
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is no JSON number")
+        cameras = [_camera(stream.value(), f"{where}: entry {index}") for index in stream.items()]
+    if not cameras:
+        raise DataError("no-cameras", f"{where}: the array is empty, expected cameras")
+    return cameras
 
 
 def _camera(entry: object, where: str) -> Camera:
@@ -118,7 +109,7 @@ def _camera(entry: object, where: str) -> Camera:
 
 def _number(entry: dict[object, object], key: str, where: str) -> float:
     if key not in entry:
-        raise FormatError("bad-cameras-json", f"{where}: has no key '{key}', expected a number")
+        raise FormatError(_CODE, f"{where}: has no key '{key}', expected a number")
     return _float(entry[key], f"{where}, key '{key}'")
 
 
@@ -147,7 +138,7 @@ def _array(
 ) -> NDArray[np.float64]:
     where = f"{where}, key '{key}'"
     if key not in entry:
-        raise FormatError("bad-cameras-json", f"{where}: is not there, expected numbers")
+        raise FormatError(_CODE, f"{where}: is not there, expected numbers")
     numbers: list[float] = []
 
     def collect(value: object, sizes: tuple[int, ...]) -> None:
@@ -164,7 +155,7 @@ def _array(
 
 
 def _bad(where: str, value: object, expected: str) -> FormatError:
-    return FormatError("bad-cameras-json", f"{where}: is {_kind(value)}, expected {expected}")
+    return FormatError(_CODE, f"{where}: is {_kind(value)}, expected {expected}")
 
 
 def _kind(value: object) -> str:

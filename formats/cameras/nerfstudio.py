@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -26,10 +26,10 @@ from cogsplat.codec.errors import (
 )
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
 from cogsplat.formats.storage.images import picture_size
+from cogsplat.formats.storage.json_stream import MAX_VALUE_BYTES, JsonStream
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.siblings import sibling
-from cogsplat.formats.storage.strict_json import JsonObject, parse_object
-
-from .inria import MAX_CAMERAS, MAX_FILE_BYTES
+from cogsplat.formats.storage.strict_json import JsonObject
 
 F64 = NDArray[np.float64]
 
@@ -60,9 +60,13 @@ class _Frames:
     folder: Path
     undo: F64
     scale: float
+    # By file path: scenes of one size often name one picture, and it is not read for every frame.
+    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
-def read_transforms(path: StrPath, *, original_frame: bool = False) -> list[Camera]:
+def read_transforms(
+    path: StrPath, *, original_frame: bool = False, limits: Limits | None = None
+) -> list[Camera]:
     """Read cameras from a nerfstudio ``transforms.json``.
 
     Parameters
@@ -75,6 +79,8 @@ def read_transforms(path: StrPath, *, original_frame: bool = False) -> list[Came
     original_frame : bool
         Whether to undo ``applied_transform`` and ``applied_scale``, and so return to the world of
         the COLMAP model that the file was made from.
+    limits : Limits, optional
+        `Limits.cameras` counts.
 
     Returns
     -------
@@ -91,7 +97,8 @@ def read_transforms(path: StrPath, *, original_frame: bool = False) -> list[Came
     UnsupportedError
         ``camera-model``: a lens that is no pinhole.
     LimitError
-        ``too-many-cameras``; ``json-too-long``.
+        ``too-many-cameras``: more than `limits` allow; ``json-too-long``: a frame, or all that is
+        no frame, is longer than `MAX_VALUE_BYTES`.
     StorageError
         As `open_for_read`.
 
@@ -108,31 +115,65 @@ def read_transforms(path: StrPath, *, original_frame: bool = False) -> list[Came
     """
     where = os.fspath(path)
     with storage_errors(path), open_for_read(path) as file:
-        text = file.read(MAX_FILE_BYTES + 1)
-    root = parse_object(text, MAX_FILE_BYTES, where, _CODE)
+        data = file.read()
+    root, frames_at, count = _scan(data, where, limits or Limits())
     if "frames" not in root:
         raise root.wrong("frames", "an array of cameras")
-    nodes = root.children("frames")
-    if not nodes:
+    # Refused here where it is no array.
+    root.children("frames")
+    if not count:
         raise DataError("no-cameras", f"{where}: 'frames' is empty, expected cameras")
-    if len(nodes) > MAX_CAMERAS:
-        raise LimitError(
-            "too-many-cameras", f"{where}: {len(nodes)} frames, expected at most {MAX_CAMERAS}"
-        )
     undo, scale = _applied(root) if original_frame else (np.eye(4), 1.0)
     frames = _Frames(root, Path(path).parent, undo, scale)
+    stream = JsonStream(data, where, _CODE)
+    stream.at = frames_at
+    cameras: list[Camera] = []
+    bent = 0
     # Absurd magnitudes overflow on the way to `Camera`, which refuses what comes of them.
     with np.errstate(over="ignore", invalid="ignore"):
-        cameras = [_camera(node, frames) for node in nodes]
-    bent = sum(1 for node in nodes if any(_number(node, root, key, 0.0) for key in _DISTORTION))
+        for index in stream.items():
+            # Through an array, which refuses what is no object in the words of the others.
+            entry = JsonObject({"frames": [stream.value()]}, where, _CODE).children("frames")[0]
+            node = JsonObject(entry.values, f"{where}, frames {index}", _CODE)
+            cameras.append(_camera(node, frames))
+            bent += any(_number(node, root, key, 0.0) for key in _DISTORTION)
     if bent:
         warnings.warn(
-            f"{where}: {bent} of {len(nodes)} cameras have lens distortion, which is left out: "
+            f"{where}: {bent} of {count} cameras have lens distortion, which is left out: "
             "expected splats trained on undistorted images",
             CogsplatWarning,
             stacklevel=2,
         )
     return cameras
+
+
+def _scan(data: bytes, where: str, limits: Limits) -> tuple[JsonObject, int, int]:
+    """Return what a file says beside its frames, where these begin, and how many they are.
+
+    What is said for all frames may stand behind them, so they are read a second time.
+    """
+    stream = JsonStream(data, where, _CODE)
+    root: dict[str, object] = {}
+    frames_at = count = others = 0
+    for key in stream.members():
+        is_frames = key == "frames" and stream.peek() == b"["
+        start = stream.at
+        if is_frames:
+            frames_at, count = start, 0
+            for index in stream.items():
+                limits.require_cameras(index + 1, where)
+                stream.value()
+                count += 1
+        root[key] = [] if is_frames else stream.value()
+        if not is_frames:
+            others += len(key) + stream.at - start
+        if others > MAX_VALUE_BYTES:
+            raise LimitError(
+                "json-too-long",
+                f"{where}: more than {MAX_VALUE_BYTES} bytes beside its frames, expected fewer",
+            )
+    stream.finish()
+    return JsonObject(root, where, _CODE), frames_at, count
 
 
 def _applied(root: JsonObject) -> tuple[F64, float]:
@@ -213,8 +254,14 @@ def _size(node: JsonObject, name: str, frames: _Frames) -> tuple[int, int]:
         return sources[0].integer("w", 1, _MAX_SIDE), sources[1].integer("h", 1, _MAX_SIDE)
     if not name:
         raise node.wrong("w", "a size, or a file_path to an image")
+    if name not in frames.sizes:
+        frames.sizes[name] = _picture_size(node, name, frames.folder)
+    return frames.sizes[name]
+
+
+def _picture_size(node: JsonObject, name: str, folder: Path) -> tuple[int, int]:
     for ending in _ENDINGS:
-        path = sibling(frames.folder, name + ending, f"{node.where}, file_path", _CODE)
+        path = sibling(folder, name + ending, f"{node.where}, file_path", _CODE)
         try:
             with storage_errors(path), open_for_read(path) as file:
                 size = picture_size(file.read(_PICTURE_BYTES))

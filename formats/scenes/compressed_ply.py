@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError, StorageError, TruncatedError, UnsupportedError
 from cogsplat.codec.geometry.sh import C0, COLOUR_OFFSET
-from cogsplat.codec.splats import SceneInfo, Splats
+from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo, Splats
 from cogsplat.formats.scenes.ply.comments import parse_scene_info, scene_comments
 from cogsplat.formats.scenes.ply.header import Element, PlyHeader, check_size, is_ply, read_header
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
+from cogsplat.formats.storage.limits import Limits
 
 from .losses import extra_losses, warn_of_losses
 from .quantised_values import (
@@ -79,7 +80,7 @@ def is_compressed_ply(head: bytes) -> bool:
     return re.search(rb"\nproperty [a-z0-9]+ packed_position(\r?\n|$)", header) is not None
 
 
-def read_compressed_ply(path: StrPath) -> Splats:
+def read_compressed_ply(path: StrPath, *, limits: Limits | None = None) -> Splats:
     """Read a scene from a compressed PLY.
 
     Parameters
@@ -87,6 +88,8 @@ def read_compressed_ply(path: StrPath) -> Splats:
     path : path
         With or without colour ranges, SH degree 0 to 3; further elements without lists are
         skipped.
+    limits : Limits, optional
+        What the file may cost.
 
     Returns
     -------
@@ -103,6 +106,8 @@ def read_compressed_ply(path: StrPath) -> Splats:
         ``ply-no-end-header``, ``ply-truncated``.
     UnsupportedError
         ``compressed-ply-layout``: not little-endian, or lists in it.
+    LimitError
+        ``decoded-size``, ``too-many-splats``.
     StorageError
         As `open_for_read`; ``file-changed``: it was written to meanwhile.
 
@@ -120,6 +125,14 @@ def read_compressed_ply(path: StrPath) -> Splats:
         chunk = _element(header, "chunk", where)
         _check_counts(vertex, chunk, where)
         info = parse_scene_info(header.comments, where)
+        (limits or Limits()).require_scene(
+            vertex.count,
+            sh_degree=MAX_SH_DEGREE,
+            source_bytes=before.st_size,
+            where=where,
+            # The tables of the file, which are held while they are unpacked.
+            beside_bytes=before.st_size,
+        )
         ranges = _read_ranges(file, header, chunk, where)
         words = _read_table(file, header, vertex, _WORDS, "u4", where)
         rest = _read_rest(file, header, vertex.count, where)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import FormatError, TruncatedError, UnsupportedError
 from cogsplat.codec.splats import Splats, empty, sh_coefficients
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.magic import describe
 
 from .quantised_values import BYTE_LOGITS
@@ -81,13 +82,15 @@ class _Section:
     records_offset: int
 
 
-def read_ksplat(path: StrPath) -> Splats:
+def read_ksplat(path: StrPath, *, limits: Limits | None = None) -> Splats:
     """Read a scene from a .ksplat file.
 
     Parameters
     ----------
     path : path
         Version 0.1 and later minor ones, level 0 to 2, SH degree 0 to 2.
+    limits : Limits, optional
+        What the file may cost.
 
     Returns
     -------
@@ -103,6 +106,8 @@ def read_ksplat(path: StrPath) -> Splats:
         ``ksplat-truncated``.
     UnsupportedError
         ``ksplat-version``.
+    LimitError
+        ``decoded-size``, ``too-many-splats``.
     StorageError
         As `open_for_read`.
 
@@ -116,6 +121,14 @@ def read_ksplat(path: StrPath) -> Splats:
     header = _read_header(data, where)
     sections = _read_sections(data, header, where)
     degree = max((section.sh_degree for section in sections if section.count), default=0)
+    (limits or Limits()).require_scene(
+        header.count,
+        sh_degree=degree,
+        source_bytes=len(data),
+        where=where,
+        # The bucket of each splat of a section.
+        beside_bytes=8 * header.count,
+    )
     splats = empty(degree, header.count)
     start = 0
     for section in sections:

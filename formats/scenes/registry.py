@@ -23,6 +23,7 @@ from cogsplat.formats.scenes.sog.scene import is_sog, read_sog, sog_files, write
 from cogsplat.formats.scenes.spz.container import is_spz
 from cogsplat.formats.scenes.spz.scene import read_spz, write_spz
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.magic import describe
 
 from .compressed_ply import is_compressed_ply, read_compressed_ply, write_compressed_ply
@@ -31,6 +32,13 @@ from .splat import no_magic, read_splat, write_splat
 
 HEAD_BYTES = 65536
 """Bytes that a sniffer is given, fewer where the file is shorter."""
+
+
+class Reader(Protocol):
+    """What reads a scene of unknown origin."""
+
+    def __call__(self, path: StrPath, *, limits: Limits | None = None) -> Splats:
+        """Return the scene in `path`, or raise where it costs more than `limits` allow."""
 
 
 class Writer(Protocol):
@@ -65,7 +73,7 @@ class Format:
     name: str
     extensions: tuple[str, ...]
     sniff: Callable[[bytes], bool]
-    read: Callable[[StrPath], Splats]
+    read: Reader
     write: Writer | None
     files: Callable[[StrPath], list[Path]] | None = None
 
@@ -105,18 +113,26 @@ def is_cogs(path: StrPath) -> bool:
     return named and not any(format_.sniff(head) for format_ in FORMATS)
 
 
-def read_scene(path: StrPath) -> Splats:
+def read_scene(path: StrPath, *, limits: Limits | None = None) -> Splats:
     """Read a scene of any foreign format.
+
+    Parameters
+    ----------
+    path : path
+    limits : Limits, optional
+        What the file may cost.
 
     Raises
     ------
+    LimitError
+        It costs more.
     FormatError
         ``unknown-format``: neither first bytes nor extension are known; ``cogs-file``: it is a
         COGS container. Otherwise as the format's reader.
     StorageError
         As `open_for_read`.
     """
-    return format_of(path).read(path)
+    return format_of(path).read(path, limits=limits)
 
 
 def scene_bytes(path: StrPath) -> int:

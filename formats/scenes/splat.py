@@ -18,6 +18,7 @@ from cogsplat.codec.geometry.sh import C0
 from cogsplat.codec.geometry.transforms import convert_axes
 from cogsplat.codec.splats import Splats, empty
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.magic import describe
 
 from .losses import extra_losses, info_losses, warn_of_losses
@@ -63,13 +64,15 @@ def log_scales(linear: F32, flat: np.float32) -> F32:
     return logs
 
 
-def read_splat(path: StrPath) -> Splats:
+def read_splat(path: StrPath, *, limits: Limits | None = None) -> Splats:
     """Read a scene from a .splat file.
 
     Parameters
     ----------
     path : path
         A file of 32-byte records.
+    limits : Limits, optional
+        What the file may cost.
 
     Returns
     -------
@@ -80,6 +83,8 @@ def read_splat(path: StrPath) -> Splats:
     ------
     FormatError
         ``splat-size``: not a multiple of 32 bytes.
+    LimitError
+        ``decoded-size``, ``too-many-splats``.
     StorageError
         As `open_for_read`; ``file-changed``: it was cut short meanwhile.
     """
@@ -93,6 +98,7 @@ def read_splat(path: StrPath) -> Splats:
                 f"{where}: {size} bytes of {describe(file.read(64))}, expected a multiple of "
                 f"{RECORD.itemsize}",
             )
+        (limits or Limits()).require_scene(count, sh_degree=0, source_bytes=size, where=where)
         splats = empty(0, count)
         buffer = np.empty(min(count, _BLOCK_ROWS), RECORD)
         for start in range(0, count, _BLOCK_ROWS):

@@ -10,11 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.errors import DataError
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
-from cogsplat.formats.storage.atomic import open_for_read, storage_errors
+from cogsplat.formats.storage.pictures import read_picture
+from cogsplat.formats.storage.siblings import sibling
+
+# What cameras and training code write.
+_FORMATS = ("PNG", "JPEG", "WEBP")
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,26 +78,16 @@ def read_photos(
     StorageError
         A photo is missing or cannot be read.
     DataError
-        ``photo``: it is no picture, or of another size than its camera.
+        ``photo``: it is no PNG, JPEG or WebP, or of another size than its camera.
+    FormatError
+        ``photo-name``: a camera's name leads out of `folder`.
     """
-    from PIL import Image, UnidentifiedImageError
-
     pictures: list[NDArray[np.uint8]] = []
-    for camera in cameras:
-        path = folder / camera.name
-        with storage_errors(path), open_for_read(path) as file:
-            try:
-                with Image.open(file) as image:
-                    size = image.size
-                    if size == (camera.width, camera.height):
-                        pictures.append(np.asarray(image.convert("RGB")))
-                        continue
-            except (UnidentifiedImageError, Image.DecompressionBombError) as error:
-                raise DataError("photo", f"{path}: {error}, expected a picture") from error
-        raise DataError(
-            "photo",
-            f"{path}: {size[0]}x{size[1]} px, expected its camera's {camera.width}x{camera.height}",
-        )
+    for index, camera in enumerate(cameras):
+        path = sibling(folder, camera.name, f"camera {index}", "photo-name")
+        size = camera.width, camera.height
+        pixels = read_picture(path, size, code="photo", formats=_FORMATS, convert="RGB")
+        pictures.append(pixels.astype(np.uint8, copy=False))
     source_db = _mean_psnr_db(splats, cameras, pictures, background, threads)
     return Photos(cameras, pictures, source_db)
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
-from cogsplat.formats.storage.atomic import open_for_read, storage_errors
+from cogsplat.formats.storage.atomic import storage_errors
+from cogsplat.formats.storage.pictures import read_picture
 
 # Pillow's modes whose pixels are one number: bits, palettes, greys of 8, 16 and 32 bits.
 _MODES: Final = frozenset({"1", "P", "L", "I;16", "I;16B", "I;16L", "I"})
@@ -62,18 +63,6 @@ def read_masks(
 
 
 def _read(path: Path, camera: Camera) -> NDArray[np.uint32]:
-    from PIL import Image, UnidentifiedImageError
-
-    with storage_errors(path), open_for_read(path) as file:
-        try:
-            with Image.open(file) as image:
-                size, mode = image.size, image.mode
-                if size == (camera.width, camera.height) and mode in _MODES:
-                    return np.asarray(image).astype(np.uint32)
-        except (UnidentifiedImageError, Image.DecompressionBombError) as error:
-            raise DataError("mask", f"{path}: {error}, expected a picture") from error
-    raise DataError(
-        "mask",
-        f"{path}: {size[0]}x{size[1]} px of mode {mode}, expected its camera's "
-        f"{camera.width}x{camera.height} and one number per pixel",
-    )
+    size = camera.width, camera.height
+    labels = read_picture(path, size, code="mask", formats=("PNG",), modes=_MODES)
+    return labels.astype(np.uint32)

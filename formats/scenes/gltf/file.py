@@ -5,8 +5,6 @@ Section numbers are those of the glTF 2.0 specification (Khronos, 2.0.1).
 
 from __future__ import annotations
 
-import base64
-import binascii
 import os
 import struct
 import urllib.parse
@@ -18,11 +16,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.errors import FormatError, LimitError, TruncatedError, UnsupportedError
+from cogsplat.codec.errors import FormatError, TruncatedError, UnsupportedError
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.magic import describe
 from cogsplat.formats.storage.siblings import sibling
 from cogsplat.formats.storage.strict_json import JsonObject, parse_object
+
+from .embedded_buffers import Embedded, take_out
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -36,9 +37,8 @@ BIN_CHUNK: Final = b"BIN\0"
 BAD_JSON: Final = "gltf-bad-json"
 
 MAX_TEXT_BYTES: Final = 1 << 28
-"""Longest ``.gltf`` that is read or written, with the buffers inside it."""
+"""Longest ``.gltf`` that is written, with the buffers inside it."""
 
-_MAX_JSON_BYTES: Final = 1 << 26
 _MAX_BUFFER_BYTES: Final = (1 << 53) - 1
 _MAX_COUNT: Final = (1 << 31) - 1
 
@@ -70,12 +70,18 @@ class Gltf:
         Where files beside it lie.
     binary : memoryview or None
         The binary chunk of a GLB.
+    embedded : Embedded
+        Buffers inside the JSON.
+    file_bytes : int
+        Of the file, without those beside it.
     """
 
     root: JsonObject
     where: str
     folder: Path
     binary: memoryview | None
+    embedded: Embedded
+    file_bytes: int
     _buffers: dict[int, memoryview] = field(default_factory=dict)
     _items: dict[str, list[JsonObject]] = field(default_factory=dict)
 
@@ -84,6 +90,33 @@ class Gltf:
         if key not in self._items:
             self._items[key] = self.root.children(key)
         return self._items[key]
+
+    def source_bytes(self) -> int:
+        """Return the bytes of the file and of the buffers beside it, as far as they are there."""
+        total = self.file_bytes
+        for path in self.beside():
+            with storage_errors(path):
+                total += path.stat().st_size if path.exists() else 0
+        return total
+
+    def beside(self) -> list[Path]:
+        """Return the files that buffers name, each once.
+
+        Raises
+        ------
+        FormatError
+            ``gltf-uri``: a name that leads out of the file's folder.
+        """
+        uris = [node.text("uri", "data:") for node in self.items("buffers")]
+        return [
+            sibling(self.folder, urllib.parse.unquote(uri), self.where, "gltf-uri")
+            for uri in dict.fromkeys(uris)
+            if not uri.startswith("data:")
+        ]
+
+    def count(self, index: int) -> int:
+        """Return how many values an accessor says it has, before any is read."""
+        return self._item("accessors", index).integer("count", 1, _MAX_COUNT)
 
     def accessor(self, index: int, kind: str, name: str) -> F32:
         """Return the values of an accessor.
@@ -196,15 +229,7 @@ class Gltf:
             return self.binary
         uri = node.text("uri")
         if uri.startswith("data:"):
-            head, _, text = uri.partition(",")
-            if not head.endswith(";base64"):
-                raise UnsupportedError("gltf-uri", f"{node.where}: {head[:60]!r}, expected base64")
-            try:
-                return memoryview(base64.b64decode(text, validate=True))
-            except (binascii.Error, ValueError) as error:
-                raise FormatError(
-                    "gltf-bad-buffer", f"{node.where}: {error}, expected base64"
-                ) from error
+            return self.embedded.decode(uri, node.where)
         path = sibling(self.folder, urllib.parse.unquote(uri), node.where, "gltf-uri")
         with storage_errors(path), open_for_read(path) as file:
             # Never more than the file has, whatever the JSON says.
@@ -220,14 +245,7 @@ def gltf_files(path: StrPath) -> list[Path]:
     FormatError, LimitError, StorageError, TruncatedError, UnsupportedError
         As `open_gltf`; ``gltf-uri``.
     """
-    gltf = open_gltf(path)
-    uris = [node.text("uri", "data:") for node in gltf.items("buffers")]
-    found = [
-        sibling(gltf.folder, urllib.parse.unquote(uri), gltf.where, "gltf-uri")
-        for uri in dict.fromkeys(uris)
-        if not uri.startswith("data:")
-    ]
-    return [Path(path), *found]
+    return [Path(path), *open_gltf(path).beside()]
 
 
 def _strided(
@@ -252,8 +270,14 @@ def _strided(
     return np.ndarray(shape, dtype, data, offset, (stride, dtype.itemsize))
 
 
-def open_gltf(path: StrPath) -> Gltf:
+def open_gltf(path: StrPath, *, limits: Limits | None = None) -> Gltf:
     """Read a ``.glb`` or ``.gltf``, without the files beside it.
+
+    Parameters
+    ----------
+    path : path
+    limits : Limits, optional
+        What the parsed JSON may take.
 
     Raises
     ------
@@ -271,23 +295,23 @@ def open_gltf(path: StrPath) -> Gltf:
     """
     where = os.fspath(path)
     with storage_errors(path), open_for_read(path) as file:
-        head = file.read(GLB_HEADER.size)
-        if head.startswith(GLB_MAGIC):
-            size = os.fstat(file.fileno()).st_size
-            _check_header(head, size, where)
-            text, binary = _chunks(memoryview(head + file.read()), where)
-        else:
-            if head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] != b"{":
-                raise FormatError(
-                    "gltf-magic", f"{where}: is {describe(head)}, expected a .glb or .gltf"
-                )
-            text, binary = head + file.read(MAX_TEXT_BYTES), None
-    root = parse_object(text, MAX_TEXT_BYTES, where, BAD_JSON)
+        data = file.read()
+    if data.startswith(GLB_MAGIC):
+        _check_header(data[: GLB_HEADER.size], len(data), where)
+        chunk, binary = _chunks(memoryview(data), where)
+        embedded = take_out(bytes(chunk))
+    else:
+        if data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] != b"{":
+            raise FormatError(
+                "gltf-magic", f"{where}: is {describe(data[:64])}, expected a .glb or .gltf"
+            )
+        embedded, binary = take_out(data), None
+    root = parse_object(embedded.text, where, BAD_JSON, limits=limits)
     version = root.child("asset").text("version")
     if not version.startswith("2."):
         raise UnsupportedError("gltf-version", f"{where}: glTF {version[:20]!r}, expected 2.x")
     _check_extensions(root, where)
-    return Gltf(root, where, Path(path).parent, binary)
+    return Gltf(root, where, Path(path).parent, binary, embedded, len(data))
 
 
 def _check_header(head: bytes, size: int, where: str) -> None:
@@ -307,7 +331,7 @@ def _check_header(head: bytes, size: int, where: str) -> None:
         )
 
 
-def _chunks(data: memoryview, where: str) -> tuple[bytes, memoryview | None]:
+def _chunks(data: memoryview, where: str) -> tuple[memoryview, memoryview | None]:
     """Return the JSON and the binary chunk of a GLB (section 4.4.3)."""
     chunks: list[tuple[bytes, memoryview]] = []
     offset = GLB_HEADER.size
@@ -325,14 +349,8 @@ def _chunks(data: memoryview, where: str) -> tuple[bytes, memoryview | None]:
         offset += length
     if not chunks or chunks[0][0] != JSON_CHUNK:
         raise FormatError("gltf-bad-glb", f"{where}: expected JSON as its first chunk")
-    text = chunks[0][1]
-    if len(text) > _MAX_JSON_BYTES:
-        raise LimitError(
-            "json-too-long",
-            f"{where}: {len(text)} bytes of JSON, expected at most {_MAX_JSON_BYTES}",
-        )
     binary = chunks[1][1] if len(chunks) == 2 and chunks[1][0] == BIN_CHUNK else None
-    return bytes(text), binary
+    return chunks[0][1], binary
 
 
 def _check_extensions(root: JsonObject, where: str) -> None:

@@ -33,6 +33,7 @@ from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo, Splats, concatenate,
 from cogsplat.formats.scenes.losses import extra_losses, info_losses, warn_of_losses
 from cogsplat.formats.scenes.quantised_values import opacity_bytes, opacity_logits, unit_opacities
 from cogsplat.formats.storage.atomic import StrPath, atomic_write
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.strict_json import JsonObject
 
 from .file import (
@@ -59,7 +60,10 @@ _TRIANGLES: Final = 4
 _COLOUR_SPACES: Final = {"srgb_rec709_display": "srgb", "lin_rec709_display": "linear"}
 
 # Far more than exporters cut a scene into.
-_MAX_PRIMITIVES: Final = 1 << 16
+_MAX_PRIMITIVES: Final = 1 << 12
+
+# As read, placed in the world, put together, and turned to our axes.
+_COPIES: Final = 4
 
 # A mesh may stand in many places; past this many times its splats it is no scan any more.
 _MAX_REPEATS: Final = 16
@@ -88,7 +92,7 @@ def is_gltf(head: bytes) -> bool:
     return head.startswith(GLB_MAGIC) or (start == b"{" and _EXTENSION.encode() in head)
 
 
-def read_gltf(path: StrPath) -> Splats:
+def read_gltf(path: StrPath, *, limits: Limits | None = None) -> Splats:
     """Read all splats of a glTF scene.
 
     Parameters
@@ -96,6 +100,8 @@ def read_gltf(path: StrPath) -> Splats:
     path : path
         A ``.glb``, or a ``.gltf`` whose buffers are in it or beside it. Attributes may be floats
         or integers. Other primitives are skipped.
+    limits : Limits, optional
+        What the file may cost.
 
     Returns
     -------
@@ -114,7 +120,7 @@ def read_gltf(path: StrPath) -> Splats:
         ``gltf-`` and ``spz``, ``compressed``, ``extension``, ``kernel``, ``colour-space``,
         ``projection``, ``shear``, ``sparse``, ``component-type``, ``uri``, ``version``.
     LimitError
-        ``gltf-too-many-instances``; ``json-too-long``.
+        ``gltf-too-many-instances``; ``json-too-long``; ``decoded-size``, ``too-many-splats``.
     StorageError
         As `open_for_read`.
 
@@ -127,24 +133,18 @@ def read_gltf(path: StrPath) -> Splats:
     -----
     Nothing is allocated for a count that the buffers do not bear out.
     """
-    gltf = open_gltf(path)
+    limits = limits or Limits()
+    gltf = open_gltf(path, limits=limits)
     placed = _placed_primitives(gltf)
     if not placed:
         raise FormatError(
             "gltf-no-splats", f"{gltf.where}: no primitive with {_EXTENSION}, expected one"
         )
+    _check_cost(gltf, [node for node, _ in placed], limits)
     read: dict[int, Splats] = {}
     for node, _ in placed:
         if id(node.values) not in read:
             read[id(node.values)] = _read_primitive(gltf, node)
-    total = sum(len(read[id(node.values)]) for node, _ in placed)
-    distinct = sum(map(len, read.values()))
-    if total > _MAX_REPEATS * distinct:
-        raise LimitError(
-            "gltf-too-many-instances",
-            f"{gltf.where}: nodes repeat {distinct} splats to {total}, expected at most "
-            f"{_MAX_REPEATS} times",
-        )
     spaces = {splats.info.colour_space for splats in read.values()}
     if len(spaces) > 1:
         raise UnsupportedError(
@@ -156,6 +156,34 @@ def read_gltf(path: StrPath) -> Splats:
         for node, matrix in placed
     ]
     return convert_axes(concatenate(parts) if len(parts) > 1 else parts[0], _AXES)
+
+
+def _check_cost(gltf: Gltf, placed: list[JsonObject], limits: Limits) -> None:
+    """Check what all primitives of a scene will take together, before the first one is read."""
+    counts: dict[int, int] = {}
+    total = degree = 0
+    for node in placed:
+        attributes = node.child("attributes")
+        degree = max(degree, _sh_degree(attributes))
+        index = _accessor_index(attributes, "POSITION")
+        # Primitives that name the same positions are the same splats once more.
+        if index not in counts:
+            counts[index] = gltf.count(index)
+        total += counts[index]
+    distinct = sum(counts.values())
+    if total > _MAX_REPEATS * distinct:
+        raise LimitError(
+            "gltf-too-many-instances",
+            f"{gltf.where}: {distinct} splats are repeated to {total}, expected at most "
+            f"{_MAX_REPEATS} times as many",
+        )
+    limits.require_scene(
+        total,
+        sh_degree=degree,
+        source_bytes=gltf.source_bytes(),
+        where=gltf.where,
+        copies=_COPIES,
+    )
 
 
 def _placed_primitives(gltf: Gltf) -> list[tuple[JsonObject, F64]]:
@@ -261,14 +289,18 @@ def _sh_degree(attributes: JsonObject) -> int:
     )
 
 
-def _attribute(gltf: Gltf, attributes: JsonObject, name: str, kind: str, count: int | None) -> F32:
+def _accessor_index(attributes: JsonObject, name: str) -> int:
     if name not in attributes:
         raise FormatError(
             "gltf-missing-attribute",
             f"{attributes.where}: no {name}, expected it beside "
             f"{', '.join(list(attributes.values)[:8])[:300]}",
         )
-    values = gltf.accessor(attributes.integer(name, 0, (1 << 31) - 1), kind, name)
+    return attributes.integer(name, 0, (1 << 31) - 1)
+
+
+def _attribute(gltf: Gltf, attributes: JsonObject, name: str, kind: str, count: int | None) -> F32:
+    values = gltf.accessor(_accessor_index(attributes, name), kind, name)
     if count is not None and len(values) != count:
         raise FormatError(
             "gltf-count", f"{attributes.where}: {len(values)} values of {name}, expected {count}"
@@ -310,21 +342,33 @@ def _place(splats: Splats, matrix: F64, where: str) -> Splats:
     """Return splats moved by a node's transform, which keeps angles."""
     if np.array_equal(matrix, np.eye(4)):
         return splats
-    linear = matrix[:3, :3]
+    largest = float(np.abs(matrix[:3, :3]).max())
+    # Divided first: determinants of large and of small axes leave the range of doubles.
+    linear = matrix[:3, :3] / largest if largest > 0 else matrix[:3, :3]
     if np.linalg.det(linear) < 0:
         # As seen in a mirror: x counted the other way, then what turns that into `linear`.
         mirrored = convert_axes(splats, "R" + GLTF_AXES[1:])
         splats = replace(mirrored, info=splats.info)
         linear = linear * np.array([-1.0, 1.0, 1.0])
     left, lengths, right = np.linalg.svd(linear)
-    if not lengths[0] > 0 or lengths[0] - lengths[2] > _SIMILARITY_TOLERANCE * lengths[0]:
+    longest, shortest = float(lengths[0]), float(lengths[2])
+    if not longest > 0 or longest - shortest > _SIMILARITY_TOLERANCE * longest:
         raise UnsupportedError(
             "gltf-shear",
-            f"{where}: its node stretches axes by {lengths[2]:g} to {lengths[0]:g}, expected all "
-            "by the same",
+            f"{where}: its node stretches axes by {largest * shortest:g} to "
+            f"{largest * longest:g}, expected all by the same",
         )
+    scale = largest * float(lengths.mean())
     x, y, z = (float(value) for value in matrix[:3, 3])
-    return transform(splats, float(lengths.mean()), left @ right, (x, y, z))
+    if not (
+        _SMALLEST_SCALE <= scale <= _LARGEST_SCALE and max(abs(x), abs(y), abs(z)) <= _LARGEST_SCALE
+    ):
+        raise FormatError(
+            "gltf-bad-transform",
+            f"{where}: its node scales by {scale:g} and moves by ({x:g}, {y:g}, {z:g}), expected "
+            "what float32 holds",
+        )
+    return transform(splats, scale, left @ right, (x, y, z))
 
 
 def write_gltf(path: StrPath, splats: Splats, *, force: bool = False) -> None:

@@ -20,8 +20,9 @@ from cogsplat.codec.splats import Extra
 
 from .header import PlyHeader
 
-# plyfile makes one array of each list, about 120 bytes for what may be one byte of the file.
-_MAX_LISTS = 1 << 20
+# plyfile makes one array of each list: about 250 bytes and 5 µs for what may be one byte of the
+# file. Splats come without lists; a mesh beside them may have some.
+_MAX_LISTS = 1 << 17
 
 # plyfile splits a line of text at once; 45 + 17 numbers take some 1600 bytes.
 _MAX_LINE_BYTES = 1 << 20

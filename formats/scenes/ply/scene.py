@@ -14,6 +14,7 @@ from cogsplat.codec.errors import StorageError, TruncatedError
 from cogsplat.codec.splats import Extra, Splats
 from cogsplat.formats.scenes.losses import warn_of_losses
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
+from cogsplat.formats.storage.limits import Limits
 
 from .comments import parse_scene_info, scene_comments
 from .extras import NORMALS, as_origin, extra_columns, extra_properties, without_padding
@@ -28,6 +29,9 @@ _BLOCK_BYTES = 1 << 18
 
 _LITTLE_FLOAT = np.dtype("<f4")
 
+# By the number of f_rest properties, as `match_fields` lets pass.
+_DEGREES = {0: 0, 9: 1, 24: 2, 45: 3}
+
 # The names of the PLY description, which every reader knows.
 _TYPE_NAMES = {
     "i1": "char",
@@ -41,7 +45,7 @@ _TYPE_NAMES = {
 }
 
 
-def read_ply(path: StrPath) -> Splats:
+def read_ply(path: StrPath, *, limits: Limits | None = None) -> Splats:
     """Read a 3DGS scene from a PLY file.
 
     Parameters
@@ -50,6 +54,8 @@ def read_ply(path: StrPath) -> Splats:
         Any PLY with the properties x y z, f_dc_0 to 2, f_rest_0 to (0, 9, 24 or 45) - 1, opacity,
         scale_0 to 2, rot_0 to 3 of its element ``vertex``. Canonical files (little-endian,
         ``vertex`` first) take numpy alone, others plyfile.
+    limits : Limits, optional
+        What the file may cost.
 
     Returns
     -------
@@ -71,6 +77,8 @@ def read_ply(path: StrPath) -> Splats:
         ``ply-no-end-header``, ``ply-truncated``.
     UnsupportedError
         ``needs-plyfile``, ``ply-too-many-lists``.
+    LimitError
+        ``decoded-size``, ``too-many-splats``.
     StorageError
         As `open_for_read`; ``file-changed``: it was written to meanwhile.
 
@@ -87,14 +95,21 @@ def read_ply(path: StrPath) -> Splats:
         fields = match_fields(vertex, where)
         info = parse_scene_info(header.comments, where)
         check_size(header, before.st_size, where)
+        others = extra_properties(vertex, fields, where)
+        (limits or Limits()).require_scene(
+            vertex.count,
+            sh_degree=_DEGREES[len(fields["shN"])],
+            source_bytes=before.st_size,
+            where=where,
+            beside_bytes=vertex.count * sum(int(prop.dtype[1:]) for prop in others),
+        )
         arrays: dict[str, F32 | F64] = {
             name: np.empty((vertex.count, len(p)), np.float32) for name, p in fields.items()
         }
         if any(p.dtype == "f8" for p in vertex.properties if p.name in fields["means"]):
             arrays["means"] = np.empty((vertex.count, 3), np.float64)
         extras: dict[str, Extra] = {
-            prop.name: np.empty(vertex.count, prop.dtype)
-            for prop in extra_properties(vertex, fields, where)
+            prop.name: np.empty(vertex.count, prop.dtype) for prop in others
         }
         if header.is_canonical:
             _read_rows(file, header, fields, arrays, extras, where)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import errno
+import os
 import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, cast
 
 from cogsplat.codec.errors import CogsplatError, FormatError, LimitError, UnsupportedError
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
@@ -21,8 +22,14 @@ ZIP_MAGIC: Final = b"PK\x03\x04"
 
 _HEAD_BYTES: Final = 64
 
-# WebP does not shrink in a ZIP, JSON does by less than this.
-_MAX_RATIO: Final = 64
+# WebP does not shrink in a ZIP and JSON is short, so that all files of a bundle together inflate to
+# little more than it has bytes; what its directory says of that is not relied on.
+_MAX_RATIO: Final = 4
+_FREE_BYTES: Final = 1 << 22
+
+# An entry takes 46 bytes and its name, and a scene has eight files. Where the directory lies is
+# looked for in the last 64 KiB, which are read twice.
+_MAX_DIRECTORY_BYTES: Final = 1 << 18
 
 # The earliest date that ZIP can hold, so that a scene gives the same bytes on any day.
 _DATE: Final = (1980, 1, 1, 0, 0, 0)
@@ -32,21 +39,36 @@ _UNIX: Final = 3
 class SogFiles(ABC):
     """The files of one scene, by the names that its ``meta.json`` gives them."""
 
+    def __init__(self) -> None:
+        self._found: dict[str, bytes] = {}
+
+    @property
     @abstractmethod
+    def source_bytes(self) -> int:
+        """Bytes that lie in the file system: of the bundle, or of the files read by now."""
+
+    @abstractmethod
+    def _load(self, name: str, max_bytes: int) -> bytes:
+        """Read a file for the first time."""
+
     def read(self, name: str, max_bytes: int) -> bytes:
-        """Return a file's bytes.
+        """Return a file's bytes, which are read once however often it is named.
 
         Raises
         ------
         FormatError
             ``sog-missing-file``, ``sog-file-name``, ``sog-zip``.
         LimitError
-            ``sog-file-too-large``, ``sog-zip-ratio``.
+            ``sog-file-too-large``; ``sog-zip-ratio``: the files of a bundle inflate to far more
+            bytes than it has.
         UnsupportedError
             ``sog-zip-method``.
         StorageError
             As `open_for_read`.
         """
+        if name not in self._found:
+            self._found[name] = self._load(name, max_bytes)
+        return self._found[name]
 
 
 @contextmanager
@@ -57,6 +79,8 @@ def open_files(path: StrPath, where: str) -> Iterator[SogFiles]:
     ------
     FormatError
         ``sog-magic``: neither of the two; ``sog-zip``: a damaged bundle.
+    LimitError
+        ``sog-zip-directory``: a bundle of far more files than a scene has.
     StorageError
         As `open_for_read`.
     """
@@ -69,18 +93,54 @@ def open_files(path: StrPath, where: str) -> Iterator[SogFiles]:
                 )
             yield Folder(Path(path), where)
             return
+        rationed = _RationedFile(file, where)
         with _zip_errors(where):
-            archive = zipfile.ZipFile(file)
+            archive = zipfile.ZipFile(cast("BinaryIO", rationed))
+        rationed.left = None
         with archive:
-            yield _Bundle(archive, where)
+            yield _Bundle(archive, where, os.fstat(file.fileno()).st_size)
+
+
+class _RationedFile:
+    """A file that gives only so many bytes: zipfile reads a directory of any size at once.
+
+    It then makes an object of about 600 bytes of each entry.
+    """
+
+    def __init__(self, file: BinaryIO, where: str) -> None:
+        self._file = file
+        self._where = where
+        self.left: int | None = _MAX_DIRECTORY_BYTES
+        self.seek = file.seek
+        self.tell = file.tell
+        self.seekable = file.seekable
+
+    def read(self, size: int = -1) -> bytes:
+        if self.left is None:
+            return self._file.read(size)
+        data = self._file.read(self.left + 1 if size < 0 else min(size, self.left + 1))
+        if len(data) > self.left:
+            raise LimitError(
+                "sog-zip-directory",
+                f"{self._where}: a ZIP directory of more than {_MAX_DIRECTORY_BYTES} bytes, "
+                "expected the few files of a scene",
+            )
+        self.left -= len(data)
+        return data
 
 
 class Folder(SogFiles):
     """The folder around a ``meta.json``."""
 
     def __init__(self, meta: Path, where: str) -> None:
+        super().__init__()
         self.meta = meta
         self.where = where
+
+    @property
+    def source_bytes(self) -> int:
+        """Bytes of the files read by now."""
+        return sum(map(len, self._found.values()))
 
     def path(self, name: str) -> Path:
         """Return where a file lies, or raise ``sog-file-name``."""
@@ -88,8 +148,7 @@ class Folder(SogFiles):
             return self.meta
         return sibling(self.meta.parent, name, self.where, "sog-file-name")
 
-    def read(self, name: str, max_bytes: int) -> bytes:
-        """Return a file's bytes."""
+    def _load(self, name: str, max_bytes: int) -> bytes:
         path = self.path(name)
         with storage_errors(path), open_for_read(path) as file:
             data = file.read(max_bytes + 1)
@@ -99,11 +158,17 @@ class Folder(SogFiles):
 
 
 class _Bundle(SogFiles):
-    def __init__(self, archive: zipfile.ZipFile, where: str) -> None:
+    def __init__(self, archive: zipfile.ZipFile, where: str, size: int) -> None:
+        super().__init__()
         self.archive = archive
         self.where = where
+        self.size = size
 
-    def read(self, name: str, max_bytes: int) -> bytes:
+    @property
+    def source_bytes(self) -> int:
+        return self.size
+
+    def _load(self, name: str, max_bytes: int) -> bytes:
         where = f"{self.where}: {name!r}"
         try:
             entry = self.archive.getinfo(name)
@@ -123,11 +188,12 @@ class _Bundle(SogFiles):
             )
         if entry.file_size > max_bytes:
             raise _too_large(where, str(entry.file_size), max_bytes)
-        if entry.file_size > _MAX_RATIO * entry.compress_size:
+        inflated = entry.file_size + sum(map(len, self._found.values()))
+        if inflated > _MAX_RATIO * self.size + _FREE_BYTES:
             raise LimitError(
                 "sog-zip-ratio",
-                f"{where} grows from {entry.compress_size} to {entry.file_size} bytes, expected "
-                f"at most {_MAX_RATIO} times",
+                f"{where}: the files read up to it have {inflated} bytes in a bundle of "
+                f"{self.size}, expected at most {_MAX_RATIO} times as many",
             )
         with _zip_errors(where), self.archive.open(entry) as file:
             # One byte more: the directory may understate what the stream holds.

@@ -32,6 +32,7 @@ from cogsplat.formats.scenes.quantised_values import (
 )
 from cogsplat.formats.storage.atomic import StrPath, atomic_write
 from cogsplat.formats.storage.images import MAX_SIDE, decode_image, encode_image, image_size
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.strict_json import JsonObject, parse_object
 
 from .files import META_NAME, ZIP_MAGIC, Folder, open_files, write_bundle
@@ -49,8 +50,9 @@ _MAX_IMAGE_BYTES: Final = 1 << 30
 _CODEBOOK: Final = 256
 _CODE: Final = "sog-bad-meta"
 
-# Images of one colour take no bytes for any number of splats; real ones take eight a splat.
-_FREE_SPLATS: Final = 1 << 18
+# An image while it is decoded: Pillow's own copy, its conversion to RGBA, and our array.
+_PIXEL_BYTES: Final = 4 + 4 + 4
+
 # Images hold about one pixel a splat, in textures of powers of two up to four.
 _PIXELS_PER_SPLAT: Final = 4
 _FREE_PIXELS: Final = 1 << 16
@@ -100,13 +102,16 @@ class _Meta:
     files: tuple[str, ...]
 
 
-def read_sog(path: StrPath) -> Splats:
+def read_sog(path: StrPath, *, limits: Limits | None = None) -> Splats:
     """Read a scene from a SOG bundle, or from the ``meta.json`` of an unpacked one.
 
     Parameters
     ----------
     path : path
         A ``.sog``, or the ``meta.json`` whose folder holds the images.
+    limits : Limits, optional
+        What the file may cost. Images of one colour take no bytes for any number of splats, so
+        what they are decoded to is held against the bytes of the images.
 
     Returns
     -------
@@ -124,7 +129,7 @@ def read_sog(path: StrPath) -> Splats:
         ``sog-version``, ``sog-model``, ``sog-zip-method``, ``image-format``, ``needs-pillow``.
     LimitError
         ``json-too-long``, ``image-too-large``, ``sog-`` and ``file-too-large``, ``zip-ratio``,
-        ``too-many-splats``.
+        ``zip-directory``; ``decoded-size``, ``too-many-splats``.
     StorageError
         As `open_for_read`.
 
@@ -133,11 +138,21 @@ def read_sog(path: StrPath) -> Splats:
     Sizes of images are known before they are decoded, and fit the count and the bytes there are.
     """
     where = os.fspath(path)
+    limits = limits or Limits()
     with open_files(path, where) as files:
         meta = _parse_meta(files.read(META_NAME, _MAX_META_BYTES), where)
         data = [files.read(name, _MAX_IMAGE_BYTES) for name in meta.files]
         centroids = files.read(meta.sh.files[0], _MAX_IMAGE_BYTES) if meta.sh else b""
-    _check_sizes(meta, data, where)
+        source_bytes = files.source_bytes
+    pixels_each = _check_sizes(meta, data, where)
+    palette_pixels = _check_palette(centroids, meta.sh, where) if meta.sh else 0
+    limits.require_scene(
+        meta.count,
+        sh_degree=meta.sh.bands if meta.sh else 0,
+        source_bytes=source_bytes,
+        where=where,
+        beside_bytes=_PIXEL_BYTES * max(2 * pixels_each, palette_pixels),
+    )
     pixels = (
         decode_image(image, f"{where}: {name!r}").reshape(-1, 4)[: meta.count]
         for name, image in zip(meta.files, data, strict=True)
@@ -179,7 +194,7 @@ def sog_files(path: StrPath) -> list[Path]:
 
 
 def _parse_meta(data: bytes, where: str) -> _Meta:
-    root = parse_object(data, _MAX_META_BYTES, f"{where}: {META_NAME}", _CODE)
+    root = parse_object(data, f"{where}: {META_NAME}", _CODE)
     version = root.integer("version", 0, 1 << 31, default=1)
     if version != _VERSION:
         raise UnsupportedError(
@@ -236,15 +251,8 @@ def _codebook(node: JsonObject) -> F32:
     return codebook.astype(np.float32)
 
 
-def _check_sizes(meta: _Meta, data: list[bytes], where: str) -> None:
-    """Check every image's size against the count, and the count against the bytes there are."""
-    total = sum(map(len, data))
-    if meta.count > total + _FREE_SPLATS:
-        raise LimitError(
-            "sog-too-many-splats",
-            f"{where}: {meta.count} splats in {total} bytes of images, expected at most a splat a "
-            f"byte beyond the first {_FREE_SPLATS}",
-        )
+def _check_sizes(meta: _Meta, data: list[bytes], where: str) -> int:
+    """Check every image's size against the count; return the pixels of one."""
     sizes = [
         image_size(image, f"{where}: {name!r}")
         for name, image in zip(meta.files, data, strict=True)
@@ -257,6 +265,7 @@ def _check_sizes(meta: _Meta, data: list[bytes], where: str) -> None:
                 f"{where}: {name!r} is {width}x{height}, expected {meta.count} to {most} pixels "
                 f"and {sizes[0][0]}x{sizes[0][1]} like {meta.files[0]!r}",
             )
+    return sizes[0][0] * sizes[0][1]
 
 
 def _unpack_means(lower: U8, upper: U8, meta: _Meta) -> F32:
@@ -294,11 +303,10 @@ def _unpack_quats(pixels: U8, where: str) -> F32:
     return from_smallest_three(pixels[:, 3] - np.uint8(_QUAT_ALPHA), _QUAT_VALUES[pixels[:, :3]])
 
 
-def _unpack_palette(data: bytes, sh: _Sh, where: str) -> F32:
-    """Return (entries, K-1, 3) float32."""
+def _check_palette(data: bytes, sh: _Sh, where: str) -> int:
+    """Check the size of the image of SH coefficients against the entries; return its pixels."""
     name = f"{where}: {sh.files[0]!r}"
-    coefficients = sh_coefficients(sh.bands) - 1
-    columns, rows = _PALETTE_COLUMNS * coefficients, -(-sh.count // _PALETTE_COLUMNS)
+    columns, rows = _palette_shape(sh)
     width, height = image_size(data, name)
     most = 4 * rows + 64
     if width != columns or not rows <= height <= most:
@@ -307,6 +315,20 @@ def _unpack_palette(data: bytes, sh: _Sh, where: str) -> F32:
             f"{name} is {width}x{height}, expected {columns} by {rows} to {most} for {sh.count} "
             f"entries of {sh.bands} bands",
         )
+    return width * height
+
+
+def _palette_shape(sh: _Sh) -> tuple[int, int]:
+    """Return columns and rows of pixels that the entries take."""
+    coefficients = sh_coefficients(sh.bands) - 1
+    return _PALETTE_COLUMNS * coefficients, -(-sh.count // _PALETTE_COLUMNS)
+
+
+def _unpack_palette(data: bytes, sh: _Sh, where: str) -> F32:
+    """Return (entries, K-1, 3) float32."""
+    name = f"{where}: {sh.files[0]!r}"
+    coefficients = sh_coefficients(sh.bands) - 1
+    _, rows = _palette_shape(sh)
     codes = decode_image(data, name)[:rows, :, :3].reshape(-1, coefficients, 3)[: sh.count]
     return _look_up(sh.codebook, codes, name)
 

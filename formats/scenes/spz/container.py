@@ -17,8 +17,10 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from cogsplat.codec import splats
 from cogsplat.codec.errors import FormatError, TruncatedError, UnsupportedError
 from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.formats.storage.limits import Limits
 
 U8 = NDArray[np.uint8]
 
@@ -51,11 +53,6 @@ _MAX_EXTENSION_BYTES: Final = 1 << 20
 
 # Deflate never does better than 1032:1 (zlib's technical notes).
 _MAX_DEFLATE_RATIO: Final = 1032
-
-# Scenes shrink 3:1 to 10:1 over SPZ's quantised bytes. Files that claim more than this and are not
-# small are made to fill memory.
-_MAX_RATIO: Final = 1000
-_SMALL_BYTES: Final = 1 << 26
 
 _ZSTD_MAGIC: Final = bytes.fromhex("28b52ffd")  # RFC 8878, 3.1.1
 
@@ -129,7 +126,7 @@ def is_spz(head: bytes) -> bool:
     return head.startswith(MAGIC)
 
 
-def unpack(data: bytes, where: str) -> SpzFile:
+def unpack(data: bytes, where: str, limits: Limits) -> SpzFile:
     """Take a file apart.
 
     Parameters
@@ -138,26 +135,30 @@ def unpack(data: bytes, where: str) -> SpzFile:
         All of it.
     where : str
         Names the file in messages.
+    limits : Limits
+        What the file may cost, arrays that are made of its values included.
 
     Raises
     ------
     FormatError
         ``spz-magic``, ``spz-bad-sh``, ``spz-fractional-bits``, ``spz-gzip``, ``spz-toc``,
-        ``spz-zstd``, ``spz-extension``, ``spz-trailing-bytes``, ``spz-ratio``.
+        ``spz-zstd``, ``spz-extension``, ``spz-trailing-bytes``.
+    LimitError
+        ``decoded-size``, ``too-many-splats``.
     TruncatedError
         ``spz-truncated``.
     UnsupportedError
         ``spz-version``, ``spz-lod-tree``.
     """
     if data.startswith(GZIP_MAGIC):
-        return _unpack_gzip(data, where)
+        return _unpack_gzip(data, where, limits)
     if not MAGIC.startswith(data[:4]):
         raise FormatError(
             "spz-magic",
             f"{where}: starts with {data[:4].hex(' ') or 'nothing'}, expected "
             f"{GZIP_MAGIC.hex(' ')} (gzip) or {MAGIC.hex(' ')}",
         )
-    return _unpack_zstd(memoryview(data), where)
+    return _unpack_zstd(memoryview(data), where, limits)
 
 
 def _header(head: bytes, where: str, versions: range) -> SpzHeader:
@@ -195,7 +196,20 @@ def _header(head: bytes, where: str, versions: range) -> SpzHeader:
     return SpzHeader(version, count, degree, bits, flags)
 
 
-def _unpack_gzip(data: bytes, where: str) -> SpzFile:
+def _check_cost(
+    header: SpzHeader, limits: Limits, file_bytes: int, where: str, *, copies: int
+) -> None:
+    """Refuse a scene whose values and arrays take more than its file may cost."""
+    limits.require_scene(
+        header.count,
+        sh_degree=min(header.sh_degree, splats.MAX_SH_DEGREE),
+        source_bytes=file_bytes,
+        where=where,
+        beside_bytes=copies * header.count * sum(header.row_bytes),
+    )
+
+
+def _unpack_gzip(data: bytes, where: str, limits: Limits) -> SpzFile:
     # 31: a window of 2^15 and a gzip wrapping, whose CRC is checked at the end.
     inflater = zlib.decompressobj(31)
     try:
@@ -207,6 +221,8 @@ def _unpack_gzip(data: bytes, where: str) -> SpzFile:
                 f"{where}: {len(data)} bytes cannot hold the {sum(sizes)} bytes of "
                 f"{header.count} splats",
             )
+        # Inflated twice at once: zlib's pieces, and what they are joined to.
+        _check_cost(header, limits, len(data), where, copies=2)
         body = inflater.decompress(inflater.unconsumed_tail, sum(sizes)) if sum(sizes) else b""
         rest = inflater.decompress(inflater.unconsumed_tail, _MAX_EXTENSION_BYTES)
     except zlib.error as error:
@@ -250,7 +266,7 @@ def _unknown_flags(header: SpzHeader) -> int:
     return header.flags & ~(FLAG_ANTIALIASED | FLAG_EXTENSIONS)
 
 
-def _unpack_zstd(data: memoryview, where: str) -> SpzFile:
+def _unpack_zstd(data: memoryview, where: str, limits: Limits) -> SpzFile:
     header = _header(bytes(data[: _HEADER.size]), where, range(4, 5))
     if len(data) < _HEADER_4.size:
         raise TruncatedError(
@@ -305,12 +321,7 @@ def _unpack_zstd(data: memoryview, where: str) -> SpzFile:
             "spz-trailing-bytes",
             f"{where}: {len(data) - start} bytes behind the streams, expected none",
         )
-    total = header.count * sum(header.row_bytes)
-    if total > max(_SMALL_BYTES, _MAX_RATIO * len(data)):
-        raise FormatError(
-            "spz-ratio",
-            f"{where}: {total} bytes of values in {len(data)}, expected at most {_MAX_RATIO} to 1",
-        )
+    _check_cost(header, limits, len(data), where, copies=1)
     streams = {name: np.empty((header.count, 0), np.uint8) for name in STREAMS}
     # The largest first, so that it is not what the others wait for.
     parts.sort(key=lambda part: -part[2])

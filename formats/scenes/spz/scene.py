@@ -12,6 +12,7 @@ from cogsplat.codec.geometry.transforms import axes_change, convert_axes
 from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo, Splats
 from cogsplat.formats.scenes.losses import extra_losses, info_losses, warn_of_losses
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
+from cogsplat.formats.storage.limits import Limits
 
 from .container import FLAG_ANTIALIASED, FLAG_EXTENSIONS, SpzFile, is_spz, pack, unpack
 from .values import decode, encode
@@ -38,13 +39,15 @@ _NAMES: Final = {0xADBE0002: "orbit limits", 0x4E530001: "georeference"}
 _CLIPPED: Final = 0.01
 
 
-def read_spz(path: StrPath) -> Splats:
+def read_spz(path: StrPath, *, limits: Limits | None = None) -> Splats:
     """Read a scene from an SPZ file.
 
     Parameters
     ----------
     path : path
         Version 1 to 3 (gzip) or 4 (zstd), SH degree 0 to 4, any fractional bits.
+    limits : Limits, optional
+        What the file may cost.
 
     Returns
     -------
@@ -57,11 +60,13 @@ def read_spz(path: StrPath) -> Splats:
     ------
     FormatError
         ``spz-`` and ``magic``, ``bad-sh``, ``fractional-bits``, ``gzip``, ``toc``, ``zstd``,
-        ``extension``, ``trailing-bytes``, ``ratio``, ``coordinate-system``.
+        ``extension``, ``trailing-bytes``, ``coordinate-system``.
     TruncatedError
         ``spz-truncated``.
     UnsupportedError
         ``spz-version``, ``spz-lod-tree``.
+    LimitError
+        ``decoded-size``, ``too-many-splats``.
     StorageError
         As `open_for_read`.
 
@@ -77,7 +82,7 @@ def read_spz(path: StrPath) -> Splats:
     where = os.fspath(path)
     with storage_errors(path), open_for_read(path) as file:
         data = file.read()
-    spz = unpack(data, where)
+    spz = unpack(data, where, limits or Limits())
     axes = _read_extensions(spz, where)
     if spz.header.sh_degree > MAX_SH_DEGREE:
         _warn(

@@ -10,9 +10,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from cogsplat.codec.errors import CogsplatError, StorageError, TruncatedError
+from cogsplat.codec.errors import CogsplatError, LimitError, StorageError, TruncatedError
 from cogsplat.formats.cameras import colmap
 from cogsplat.formats.cameras.files import read_cameras
+from cogsplat.formats.storage.limits import Limits
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason="the real scenes are not here")
@@ -264,13 +265,14 @@ def test_long_lines_of_points_are_passed_over(
 
 
 @pytest.mark.parametrize("suffix", [".bin", ".txt"])
-def test_limits(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(colmap, "MAX_CAMERAS", 2)
+def test_limits(tmp_path: Path, suffix: str) -> None:
     if suffix == ".bin":
         model(tmp_path, cameras_bin(), images_bin())
     else:
         model(tmp_path, cameras_txt(), images_txt(), suffix)
-    assert refused(tmp_path).code == "too-many-cameras"
+    with pytest.raises(LimitError) as caught:
+        read_cameras(tmp_path, limits=Limits(cameras=2))
+    assert caught.value.code == "too-many-cameras"
 
 
 def test_folders_that_hold_no_model(tmp_path: Path) -> None:

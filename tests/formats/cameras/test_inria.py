@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatError, FormatError, LimitError, StorageError
-from cogsplat.formats.cameras import inria
 from cogsplat.formats.cameras.files import read_cameras
 from cogsplat.formats.cameras.inria import read_cameras_json, write_cameras_json
+from cogsplat.formats.storage.limits import Limits
 
 # A camera that stands at (1, 2, 3) and looks along the world's +x, with the world's z up: its own
 # x (right) is the world's -y, its y (down) is -z, its z (forward) is +x.
@@ -132,8 +132,8 @@ def test_a_rounded_rotation_comes_back_exactly_too(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[", "line 1"),
-        ("[1, 2", "line 1"),
+        ("[", "Expecting value"),
+        ("[1, 2", "no , or ] at byte 5"),
         ("[" * 200_000, "recursion"),
         ("[NaN]", "NaN"),
         ('[{"width": -Infinity}]', "-Infinity"),
@@ -226,14 +226,11 @@ def test_no_cameras(tmp_path: Path) -> None:
     assert refused(tmp_path, []).code == "no-cameras"
 
 
-def test_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limits(tmp_path: Path) -> None:
     path = saved(tmp_path, [ENTRY, ENTRY])
-    for name, limit in (("MAX_CAMERAS", 1), ("MAX_FILE_BYTES", 100)):
-        with monkeypatch.context() as patch:
-            patch.setattr(inria, name, limit)
-            with pytest.raises(LimitError) as caught:
-                read_cameras(path)
-            assert caught.value.code == "too-many-cameras"
+    with pytest.raises(LimitError) as caught:
+        read_cameras(path, limits=Limits(cameras=1))
+    assert caught.value.code == "too-many-cameras"
 
 
 @pytest.mark.parametrize(

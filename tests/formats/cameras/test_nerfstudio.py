@@ -23,11 +23,11 @@ from cogsplat.codec.errors import (
     LimitError,
     UnsupportedError,
 )
-from cogsplat.formats.cameras import nerfstudio
 from cogsplat.formats.cameras.colmap import find_model, read_colmap
 from cogsplat.formats.cameras.files import read_cameras
 from cogsplat.formats.cameras.nerfstudio import read_transforms
 from cogsplat.formats.storage.images import picture_size
+from cogsplat.formats.storage.limits import Limits
 
 Json = dict[str, Any]
 SHARED = Path(__file__).parents[4] / "shared" / "data"
@@ -283,15 +283,15 @@ def test_what_cannot_be_undone(tmp_path: Path, keys: Json) -> None:
     assert caught.value.code == "bad-transforms-json"
 
 
-def test_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(nerfstudio, "MAX_CAMERAS", 1)
+def test_limits(tmp_path: Path) -> None:
     frame = {"transform_matrix": POSE}
-    for value in (document(frame, frame),):
-        error = refused(tmp_path, value)
-        assert isinstance(error, LimitError)
-        assert error.code == "too-many-cameras"
-    monkeypatch.setattr(nerfstudio, "MAX_FILE_BYTES", 50)
-    assert refused(tmp_path, document()).code == "json-too-long"
+    path = saved(tmp_path, document(frame, frame))
+    with pytest.raises(LimitError) as caught:
+        read_transforms(path, limits=Limits(cameras=1))
+    assert caught.value.code == "too-many-cameras"
+    # Each value is short enough, and together they are not.
+    more = {str(k): "x" * 400_000 for k in range(3)}
+    assert refused(tmp_path, document(frame) | more).code == "json-too-long"
 
 
 @settings(

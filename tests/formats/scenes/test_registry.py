@@ -22,10 +22,11 @@ from cogsplat.formats.scenes.registry import (
     write_scene,
 )
 from cogsplat.formats.storage.atomic import StrPath
+from cogsplat.formats.storage.limits import Limits
 from cogsplat.tools.synthetic.scene import synth
 
 
-def read_three(path: StrPath) -> Splats:
+def read_three(path: StrPath, *, limits: Limits | None = None) -> Splats:
     return empty(0, 3)
 
 

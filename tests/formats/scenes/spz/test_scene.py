@@ -567,7 +567,7 @@ def test_no_memory_for_counts_the_file_does_not_bear_out(tmp_path: Path) -> None
             in_gzip(header(3, 1000, 3), streams(6, 3, 3)),
         ],
         "spz-trailing-bytes": [gzip.compress(header(3, 6) + bytes(100_000_000))],
-        "spz-ratio": [in_zstd(header(4, count), zeros)],
+        "decoded-size": [in_zstd(header(4, count), zeros)],
         "spz-zstd": [frames(zstandard.compress(bytes(100_000_000)))],
     }
     del zeros
