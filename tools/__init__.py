@@ -1,1 +1,1 @@
-"""What people run: the command line, the bench and the vector maker."""
+"""Programs: the command line, evaluation, benchmarks, the test scene, the conformance vectors."""

@@ -17,7 +17,7 @@ _MISUSE = 4
 
 
 def steps(pytest_arguments: list[str]) -> list[tuple[str, list[str]]]:
-    """Return name and command line of every check, pytest last: its summary closes the output."""
+    """Return name and command line of every check; pytest comes last, to end with its summary."""
     module = [sys.executable, "-m"]
     # A process for each core, and the slowest tests named; arguments that follow may say otherwise.
     pytest = ["pytest", "-n", "logical", "--dist", "worksteal", "--durations", "15"]
@@ -62,7 +62,7 @@ def run(checks: list[tuple[str, list[str]]], root: Path) -> list[str]:
 
 
 def main() -> int:
-    """Run all checks on the checkout this file lies in; arguments go to pytest."""
+    """Run all checks on the checkout that this file is part of; arguments go to pytest."""
     if not (_ROOT / "pyproject.toml").is_file():
         print(
             f"no pyproject.toml in {_ROOT}: the checks run from a checkout installed with "

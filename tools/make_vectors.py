@@ -1,4 +1,4 @@
-"""The conformance vectors in tests/vectors, made again or checked.
+"""Make the conformance vectors in tests/vectors, or check those that are there.
 
 Run ``python -m cogsplat.tools.make_vectors`` after every change of the format, and commit what it
 writes with the change. ``--check`` writes nothing and says what differs: decoded values and
@@ -298,7 +298,7 @@ def differences() -> list[str]:
 
 
 def write() -> None:
-    """Write all vectors, the manifest and SPEC's blocks; remove vectors that are no more."""
+    """Write all vectors, the manifest and SPEC's generated blocks; remove obsolete vectors."""
     manifest, files = make()
     for folder in ("valid", "invalid"):
         (VECTORS / folder).mkdir(parents=True, exist_ok=True)

@@ -1,1 +1,1 @@
-"""How COGS compares with other formats."""
+"""Benchmarks: COGS against other formats, and each technique of the encoder on its own."""

@@ -1,4 +1,4 @@
-"""What each technique of the encoder buys: bytes at equal quality with it switched off."""
+"""Ablation of the encoder: bytes at equal PSNR with one technique at a time switched off."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cogsplat.codec.encode.prefix_quality import PrefixEvaluator
     from cogsplat.codec.encode.prepared import PreparedScene
 
-    from .rate_distortion import Subject
+    from .rate_distortion import BenchInput
 
 Change = Callable[["EncodeConfig"], "EncodeConfig"]
 
@@ -29,7 +29,7 @@ _BEYOND_DB: Final = 0.3
 
 @dataclass(frozen=True)
 class Without:
-    """The encoder without a technique.
+    """Bytes and PSNR of the encoder without one technique.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Without:
 
 @dataclass(frozen=True)
 class AblationTable:
-    """The whole encoder and what it is without each technique.
+    """Results of an ablation: the full encoder, and the encoder without each technique.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class AblationTable:
 
 @dataclass(frozen=True)
 class _Point:
-    """One encode, measured."""
+    """Size and PSNR of one encode."""
 
     held_out_db: float
     roam_db: float
@@ -85,7 +85,7 @@ class _Point:
 
 
 def changes(sh_degree: int) -> dict[str, Change]:
-    """Return what is switched off, by name, for a scene of an SH degree."""
+    """Return the configurations with one technique off, by name, for a scene of an SH degree."""
     from cogsplat.codec.encode.config import Ablation
 
     def without(**flags: bool) -> Change:
@@ -117,12 +117,12 @@ def changes(sh_degree: int) -> dict[str, Change]:
     return named
 
 
-def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> AblationTable:
-    """Measure the encoder whole and without each technique, at three qualities.
+def run(given: BenchInput, *, quality_db: float, progress: Progress = silent) -> AblationTable:
+    """Measure the full encoder and the encoder without each technique, at three qualities.
 
     Parameters
     ----------
-    subject : Subject
+    given : BenchInput
         Its background is not used: all is judged on black.
     quality_db : float
         Nominal; the whole encoder's PSNR there is what all are compared at.
@@ -142,18 +142,18 @@ def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> 
     from cogsplat.codec.encode.prefix_quality import PrefixEvaluator
     from cogsplat.codec.encode.prepared import prepare
 
-    whole = EncodeConfig(profile="transform", quality_db=quality_db, threads=subject.threads)
-    named = changes(subject.splats.sh_degree)
+    whole = EncodeConfig(profile="transform", quality_db=quality_db, threads=given.threads)
+    named = changes(given.splats.sh_degree)
     progress("ablation", 0, len(named) + 1)
-    held_out = PrefixEvaluator(subject.splats, subject.cameras, subject.threads)
-    roaming = roam(subject.splats, subject.cameras)
-    judges = held_out, PrefixEvaluator(subject.splats, roaming, subject.threads)
+    held_out = PrefixEvaluator(given.splats, given.cameras, given.threads)
+    roaming = roam(given.splats, given.cameras)
+    evaluators = held_out, PrefixEvaluator(given.splats, roaming, given.threads)
     start = time.perf_counter()
-    prepared = prepare(subject.splats, subject.scores, whole, views=subject.scored_on)
+    prepared = prepare(given.splats, given.scores, whole, views=given.scored_on)
     ordered_s = time.perf_counter() - start
-    measure = _measurer(subject, prepared, judges, ordered_s)
+    measure = _measurer(given, prepared, evaluators, ordered_s)
     base = measure(quality_db)
-    per_splat = 1 / len(subject.splats)
+    per_splat = 1 / len(given.splats)
     rows = [Without("nothing", base.file_bytes * per_splat, 0.0, base.roam_db, base.encode_s, 0.0)]
     progress("ablation", 1, len(named) + 1)
     for name, change in named.items():
@@ -161,9 +161,9 @@ def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> 
         prepare_s = ordered_s
         if changed.config.order != whole.order:
             start = time.perf_counter()
-            changed = prepare(subject.splats, subject.scores, changed.config)
+            changed = prepare(given.splats, given.scores, changed.config)
             prepare_s = time.perf_counter() - start
-        measure = _measurer(subject, changed, judges, prepare_s)
+        measure = _measurer(given, changed, evaluators, prepare_s)
         points = _around(measure, quality_db, base.held_out_db)
         size, roam_db = equal_quality(
             [(p.held_out_db, p.file_bytes, p.roam_db) for p in points], base.held_out_db
@@ -183,9 +183,9 @@ def run(subject: Subject, *, quality_db: float, progress: Progress = silent) -> 
 
 
 def _measurer(
-    subject: Subject,
+    given: BenchInput,
     prepared: PreparedScene,
-    judges: tuple[PrefixEvaluator, PrefixEvaluator],
+    evaluators: tuple[PrefixEvaluator, PrefixEvaluator],
     prepare_s: float,
 ) -> Callable[[float], _Point]:
     from cogsplat.codec.encode.encoder import encode_chunks
@@ -196,7 +196,7 @@ def _measurer(
         encoded = encode_chunks(prepared, quality_db)
         encode_s = prepare_s + time.perf_counter() - start
         size = scene.size_bytes(encoded, writer=f"cogsplat {cogsplat.__version__}")
-        held_out_db, roam_db = (judge.psnr_db(encoded.decoded) for judge in judges)
+        held_out_db, roam_db = (evaluator.psnr_db(encoded.decoded) for evaluator in evaluators)
         return _Point(held_out_db, roam_db, size, encode_s)
 
     return measure
@@ -205,7 +205,7 @@ def _measurer(
 def _around(
     measure: Callable[[float], _Point], quality_db: float, wanted_db: float
 ) -> list[_Point]:
-    """Return three measurements, the last two as near the wanted PSNR as one guess comes."""
+    """Return three measurements; linear guesses bring the last two near the wanted PSNR."""
     points: list[_Point] = []
     at = quality_db
     for beyond in (0.0, _BEYOND_DB, 0.0):
@@ -224,7 +224,7 @@ def _legal(quality_db: float) -> float:
 def equal_quality(
     points: Sequence[tuple[float, float, float]], wanted_db: float
 ) -> tuple[float, float]:
-    """Return bytes and roam PSNR at a held-out PSNR.
+    """Return bytes and roaming PSNR, interpolated at a held-out PSNR.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""The npz of Niedermayr et al. 2024, written from their description: a peer to compare with.
+"""The npz format of Niedermayr et al. 2024, written from their description, to compare with.
 
 All splats in one Morton-ordered archive: means in half precision, opacity, scale factor and
-codebook rows in 8 bit with one range for the scene, vectors that matter kept out of the clustering.
-Without the fine-tuning on photos that their figures include.
+codebook rows in 8 bit with one range for the scene; sensitive vectors stay out of the clustering.
+The fine-tuning on photos that their figures include is not done.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def write(path: Path, splats: Splats, scores: Scores, *, threads: int = 0) -> No
 
 
 def read(path: Path, info: SceneInfo | None = None) -> Splats:
-    """Read what `write` wrote; other files are not checked for.
+    """Read an npz that `write` wrote, without checks for files of other origin.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def _morton_order(means: F32) -> NDArray[np.int64]:
 def _clustered(
     vectors: F32, weights: F64, kept: NDArray[np.bool_], threads: int
 ) -> tuple[F32, I32]:
-    """Return codebook rows with the kept vectors behind them, and every vector's row."""
+    """Return codebook rows followed by the vectors left out of it, and the row of every vector."""
     rows = np.zeros((0, vectors.shape[1]), np.float32)
     indices = np.zeros(len(vectors), np.int32)
     if not kept.all():
@@ -171,7 +171,7 @@ def _shapes(splats: Splats, scores: Scores, keep: int, threads: int) -> tuple[F3
 
 
 def _to_int8(values: F64) -> tuple[I8, float, int]:
-    """Quantise with one range for all, 0 in it, as the observers of their fine-tuning find it."""
+    """Quantise to int8 over one range of all values and 0, as PyTorch's observers do."""
     low, high = min(float(values.min(initial=0)), 0.0), max(float(values.max(initial=0)), 0.0)
     scale = float(np.float32(max((high - low) / 255, 1e-12)))
     zero_point = round(-128 - low / scale)

@@ -1,4 +1,4 @@
-"""Time full decodes against copying what they give.
+"""Decoding speed: full decodes timed against copies of the decoded arrays.
 
 Run ``python -m cogsplat.tools.benchmark.decode_speed FILE.cogs ... [--synth 1000000]``.
 """
@@ -30,7 +30,7 @@ _ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 
 @dataclass(frozen=True)
 class Timing:
-    """How long decodes and copies of one file took, in interleaved pairs.
+    """Seconds of decodes and copies of one file, measured in interleaved pairs.
 
     Parameters
     ----------
@@ -50,12 +50,12 @@ class Timing:
 
     @property
     def least_ratio(self) -> float:
-        """Fastest decode over fastest copy."""
+        """Ratio of the fastest decode to the fastest copy."""
         return min(self.decode_s) / min(self.copy_s)
 
     @property
     def median_ratio(self) -> float:
-        """Median over the pairs of decode over copy."""
+        """Median over the pairs of the ratio of decode to copy."""
         pairs = zip(self.decode_s, self.copy_s, strict=True)
         return statistics.median(decode / copy for decode, copy in pairs)
 
@@ -135,7 +135,7 @@ def encode_synth(path: Path, splats: int, sh_degree: int, views: int) -> None:
 
 
 def machine() -> dict[str, object]:
-    """Return what the figures depend on."""
+    """Return the machine's description: processor, cores, versions."""
     return {
         "platform": platform.platform(),
         "processor": platform.processor() or platform.machine(),

@@ -1,4 +1,4 @@
-"""Profiles and foreign formats side by side: bytes, seconds, and what is left of the picture."""
+"""Rate-distortion benchmark: bytes, seconds and PSNR of COGS profiles and of foreign formats."""
 
 from __future__ import annotations
 
@@ -43,23 +43,23 @@ _READS: Final = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
-    """A scene with all that is known before it is written.
+class BenchInput:
+    """Input of a benchmark: a scene, its scores, and the views to measure in.
 
     Parameters
     ----------
     splats : Splats
         Valid rows, at least one.
     scores : Scores
-        From views that do not judge.
+        From other views than those that are measured in.
     score_s : float
         Seconds that scoring took; part of what our encoder and the baseline take.
     cameras : sequence of Camera
-        Judging views.
+        Test views, to measure in.
     scored_on : sequence of Camera
         Given or made up.
     photos : Photos or None
-        Of the judging views.
+        Of the test views.
     background : tuple of float
     threads : int
     """
@@ -80,7 +80,7 @@ def _label(method: str, quality_db: float | None) -> str:
 
 @dataclass(frozen=True)
 class Row:
-    """One way of writing the scene, measured.
+    """Size, time and quality of the scene written by one method.
 
     Parameters
     ----------
@@ -125,12 +125,12 @@ class Row:
 
     @property
     def is_ours(self) -> bool:
-        """Whether it is a profile of COGS."""
+        """Whether the method is a profile of COGS."""
         return self.method not in FOREIGN
 
     @property
     def is_identical(self) -> bool:
-        """Whether no held-out view differs."""
+        """Whether every held-out view is rendered identically."""
         return self.held_out_db >= PSNR_CAP_DB
 
     def report(self) -> dict[str, object]:
@@ -139,8 +139,8 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Prefix:
-    """What the first bytes of a file show.
+class BenchPrefix:
+    """PSNR of the first bytes of a file.
 
     Parameters
     ----------
@@ -169,22 +169,22 @@ class Prefix:
 
 @dataclass(frozen=True)
 class Bench:
-    """All that was measured of a scene.
+    """Results of a benchmark on one scene.
 
     Parameters
     ----------
     rows : tuple of Row
-    prefixes : tuple of Prefix
+    prefixes : tuple of BenchPrefix
         Of one file of each profile, the one in the middle of its qualities.
     """
 
     rows: tuple[Row, ...]
-    prefixes: tuple[Prefix, ...]
+    prefixes: tuple[BenchPrefix, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class _Method:
-    """A way to write the scene: its row's name, and both directions."""
+    """A method of writing the scene: its name, a writer and a reader."""
 
     name: str
     quality_db: float | None
@@ -196,7 +196,7 @@ class _Method:
 
 
 def run(
-    subject: Subject,
+    given: BenchInput,
     folder: Path,
     *,
     profiles: Sequence[str],
@@ -204,11 +204,11 @@ def run(
     formats: Sequence[str],
     progress: Progress = silent,
 ) -> Bench:
-    """Write a scene in every way, read it back and compare.
+    """Write a scene by every method, read it back and compare with the original.
 
     Parameters
     ----------
-    subject : Subject
+    given : BenchInput
     folder : Path
         For the files, which stay there.
     profiles : sequence of str
@@ -230,22 +230,22 @@ def run(
     DataError
         As `view_quality.compare`.
     """
-    methods = [*_ours(subject, profiles, qualities), *_foreign(subject, formats)]
+    methods = [*_ours(given, profiles, qualities), *_foreign(given, formats)]
     rows: list[Row] = []
-    prefixes: list[Prefix] = []
+    prefixes: list[BenchPrefix] = []
     progress("files", 0, len(methods))
     for number, method in enumerate(methods, start=1):
         path = folder / f"{number}{method.extension}"
-        row = _measure(subject, method, path)
+        row = _measure(given, method, path)
         rows.append(row)
         if method.prefixes and not row.refused:
-            prefixes += _prefixes(subject, method, path)
+            prefixes += _prefixes(given, method, path)
         progress("files", number, len(methods))
     return Bench(tuple(rows), tuple(prefixes))
 
 
 def _ours(
-    subject: Subject, profiles: Sequence[str], qualities: Sequence[float] | None
+    given: BenchInput, profiles: Sequence[str], qualities: Sequence[float] | None
 ) -> list[_Method]:
     from cogsplat.codec.encode.config import EncodeConfig
 
@@ -255,18 +255,16 @@ def _ours(
         if profile in QUALITIES:
             steps = sorted(qualities or QUALITIES[profile])
         for index, quality_db in enumerate(steps):
-            config = EncodeConfig(profile=profile, threads=subject.threads)
+            config = EncodeConfig(profile=profile, threads=given.threads)
             if quality_db is not None:
-                config = EncodeConfig(
-                    profile=profile, quality_db=quality_db, threads=subject.threads
-                )
+                config = EncodeConfig(profile=profile, quality_db=quality_db, threads=given.threads)
             methods.append(
                 _Method(
                     profile,
                     quality_db,
                     ".cogs",
-                    _encoder(subject, config),
-                    lambda path: cogsplat.decode(path, threads=subject.threads),
+                    _encoder(given, config),
+                    lambda path: cogsplat.decode(path, threads=given.threads),
                     scored=True,
                     prefixes=index == len(steps) // 2 and profile in QUALITIES,
                 )
@@ -274,13 +272,13 @@ def _ours(
     return methods
 
 
-def _encoder(subject: Subject, config: EncodeConfig) -> Callable[[Path], None]:
+def _encoder(given: BenchInput, config: EncodeConfig) -> Callable[[Path], None]:
     def write(path: Path) -> None:
         cogsplat.encode(
-            subject.splats,
+            given.splats,
             path,
-            cameras=subject.scored_on,
-            scores=subject.scores,
+            cameras=given.scored_on,
+            scores=given.scores,
             config=config,
             force=True,
         )
@@ -288,7 +286,7 @@ def _encoder(subject: Subject, config: EncodeConfig) -> Callable[[Path], None]:
     return write
 
 
-def _foreign(subject: Subject, names: Sequence[str]) -> list[_Method]:
+def _foreign(given: BenchInput, names: Sequence[str]) -> list[_Method]:
     from . import c3dgs_npz
 
     methods: list[_Method] = []
@@ -296,59 +294,59 @@ def _foreign(subject: Subject, names: Sequence[str]) -> list[_Method]:
         if name == BASELINE:
 
             def write_npz(path: Path) -> None:
-                c3dgs_npz.write(path, subject.splats, subject.scores, threads=subject.threads)
+                c3dgs_npz.write(path, given.splats, given.scores, threads=given.threads)
 
             def read_npz(path: Path) -> Splats:
-                return c3dgs_npz.read(path, subject.splats.info)
+                return c3dgs_npz.read(path, given.splats.info)
 
             methods.append(_Method(name, None, ".npz", write_npz, read_npz, scored=True))
             continue
         format_ = next(f for f in FORMATS if f.name == name)
-        write = _writer(subject, format_)
+        write = _writer(given, format_)
         methods.append(_Method(name, None, format_.extensions[0], write, read_scene, scored=False))
     return methods
 
 
-def _writer(subject: Subject, format_: Format) -> Callable[[Path], None]:
+def _writer(given: BenchInput, format_: Format) -> Callable[[Path], None]:
     write_scene = format_.write
     if write_scene is None:
         raise ValueError(f"format {format_.name!r} is not written, expected one of {FOREIGN}")
 
     def write(path: Path) -> None:
-        write_scene(path, subject.splats, force=True)
+        write_scene(path, given.splats, force=True)
 
     return write
 
 
-def _measure(subject: Subject, method: _Method, path: Path) -> Row:
+def _measure(given: BenchInput, method: _Method, path: Path) -> Row:
     start = time.perf_counter()
     try:
         method.write(path)
     except CogsplatError as error:
         return Row(method.name, method.quality_db, refused=error.code)
-    encode_s = time.perf_counter() - start + (subject.score_s if method.scored else 0.0)
+    encode_s = time.perf_counter() - start + (given.score_s if method.scored else 0.0)
     decode_s = float("inf")
     for _ in range(_READS):
         start = time.perf_counter()
         decoded = method.read(path)
         decode_s = min(decode_s, time.perf_counter() - start)
     found = view_quality.compare(
-        subject.splats,
+        given.splats,
         decoded,
-        subject.cameras,
-        background=subject.background,
-        threads=subject.threads,
+        given.cameras,
+        background=given.background,
+        threads=given.threads,
     )
     photo_db = loss_db = None
-    if subject.photos is not None:
-        photo_db = subject.photos.psnr_db(decoded, subject.background, threads=subject.threads)
-        loss_db = subject.photos.source_db - photo_db
+    if given.photos is not None:
+        photo_db = given.photos.psnr_db(decoded, given.background, threads=given.threads)
+        loss_db = given.photos.source_db - photo_db
     size = path.stat().st_size
     return Row(
         method=method.name,
         quality_db=method.quality_db,
         file_bytes=size,
-        bytes_per_splat=size / len(subject.splats),
+        bytes_per_splat=size / len(given.splats),
         held_out_db=view_quality.mean_psnr_db(found.held_out),
         held_out_ssim=view_quality.mean_ssim(found.held_out),
         worst_db=found.worst.psnr_db,
@@ -368,17 +366,19 @@ def prefix_sizes(file_bytes: int) -> list[int]:
     return [*(_FIRST_PREFIX << k for k in range(doublings)), file_bytes]
 
 
-def _prefixes(subject: Subject, method: _Method, path: Path) -> list[Prefix]:
-    prefixes: list[Prefix] = []
+def _prefixes(given: BenchInput, method: _Method, path: Path) -> list[BenchPrefix]:
+    prefixes: list[BenchPrefix] = []
     for size in prefix_sizes(path.stat().st_size):
-        decoded = cogsplat.decode(path, size_bytes=size, threads=subject.threads)
+        decoded = cogsplat.decode(path, size_bytes=size, threads=given.threads)
         found = view_quality.view_qualities(
-            subject.splats,
+            given.splats,
             decoded,
-            subject.cameras,
-            background=subject.background,
-            threads=subject.threads,
+            given.cameras,
+            background=given.background,
+            threads=given.threads,
         )
         held_out_db = view_quality.mean_psnr_db(found)
-        prefixes.append(Prefix(method.name, method.quality_db, size, len(decoded), held_out_db))
+        prefixes.append(
+            BenchPrefix(method.name, method.quality_db, size, len(decoded), held_out_db)
+        )
     return prefixes

@@ -1,1 +1,1 @@
-"""The command line: one command, one file."""
+"""The command line: each command in a file of its own."""

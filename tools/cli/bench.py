@@ -1,4 +1,4 @@
-"""``cogsplat bench``: our profiles against what else there is, on one scene."""
+"""``cogsplat bench``: COGS profiles against foreign formats, on one scene."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_
 from cogsplat.tools.benchmark import ablation as bench_ablation
 from cogsplat.tools.benchmark import rate_distortion as benches
 from cogsplat.tools.benchmark.ablation import AblationTable
-from cogsplat.tools.benchmark.rate_distortion import Bench, Row, Subject
+from cogsplat.tools.benchmark.rate_distortion import Bench, BenchInput, Row
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.pictures.svg_charts import Series, bar_chart, line_chart
 from cogsplat.tools.terminal.options import (
@@ -37,7 +37,7 @@ from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_t
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import Colour
 
-from .inputs import judging_cameras, read_any, scoring_cameras, usable_rows, virtual_views
+from .inputs import evaluation_cameras, read_any, scoring_cameras, usable_rows, virtual_views
 
 _PROFILES: Final = ("transform", "vq", "near-lossless")
 
@@ -49,7 +49,7 @@ _ABLATION_FILES: Final = ("ablation.csv", "ablation.json", "ablation.svg")
 
 
 def _names(text: str, known: Sequence[str]) -> tuple[str, ...]:
-    """Read names or what they begin with, separated by commas; ``all`` and ``none``."""
+    """Parse a list of names or of their beginnings, separated by commas; ``all`` and ``none``."""
     if text.strip().lower() in ("all", "none"):
         return tuple(known) if text.strip().lower() == "all" else ()
     found: list[str] = []
@@ -70,7 +70,7 @@ def _key(name: str) -> str:
 
 
 def profile_names(text: str) -> tuple[str, ...]:
-    """Read profiles as ``--profiles`` takes them.
+    """Parse the names of profiles given to ``--profiles``.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def profile_names(text: str) -> tuple[str, ...]:
 
 
 def format_names(text: str) -> tuple[str, ...]:
-    """Read foreign formats as ``--formats`` takes them.
+    """Parse the names of foreign formats given to ``--formats``.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def format_names(text: str) -> tuple[str, ...]:
 
 
 def decibels(text: str) -> tuple[float, ...]:
-    """Read nominal qualities such as ``30,35,40``.
+    """Parse nominal qualities such as ``30,35,40``, in dB.
 
     Raises
     ------
@@ -114,8 +114,10 @@ def decibels(text: str) -> tuple[float, ...]:
     "  cogsplat bench scene.ply --cameras cameras.json --ablation --qualities 40"
 )
 @click.argument("scene", type=PATH)
-@cameras_option("Without it, views are made up to score on; eval_cameras.json beside SCENE judges.")
-@eval_every_option(8, "Judge by, and keep from scoring, the")
+@cameras_option(
+    "Without it, views to score in are planned; test views are eval_cameras.json beside SCENE."
+)
+@eval_every_option(8, "Measure in, and keep from scoring, the")
 @click.option(
     "--out",
     type=PATH,
@@ -176,9 +178,9 @@ def bench(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Hold our profiles against foreign formats on SCENE.
+    """Compare COGS profiles with foreign formats on SCENE.
 
-    All are written, read back and judged by the same views against the source's own renders.
+    All are written, read back and measured in the same views against renders of the source.
     Seconds are of this machine and of one run; those of our profiles include scoring. Bytes per
     splat count the source's splats, pruned ones included.
     """
@@ -193,20 +195,20 @@ def bench(
         for name in _ABLATION_FILES if ablation else _FILES:
             check_output(out / name, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
-        subject, what = _subject(
+        given, what = _gather(
             scene, cameras, eval_every, images, background, threads=threads, stages=stages
         )
-        about = _about(scene, subject, what)
+        about = _about(scene, given, what)
         with tempfile.TemporaryDirectory(prefix="cogsplat-bench-") as folder:
             if ablation:
                 found = bench_ablation.run(
-                    subject,
+                    given,
                     quality_db=qualities[0] if qualities else _ABLATION_DB,
                     progress=stages,
                 )
             else:
                 measured = benches.run(
-                    subject,
+                    given,
                     Path(folder),
                     profiles=profiles,
                     qualities=qualities,
@@ -223,7 +225,7 @@ def bench(
         report = _ablation_report(found, about) if ablation else _bench_report(measured, about)
         say_json({**report, "seconds": stages.rounded()})
         return
-    _tell_about(scene, subject, what)
+    _tell_about(scene, given, what)
     if ablation:
         _tell_ablation(found)
     else:
@@ -237,7 +239,7 @@ def bench(
         )
 
 
-def _subject(
+def _gather(
     scene: Path,
     cameras: Path | None,
     eval_every: int,
@@ -246,7 +248,7 @@ def _subject(
     *,
     threads: int,
     stages: Stages,
-) -> tuple[Subject, str]:
+) -> tuple[BenchInput, str]:
     from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
     from cogsplat.codec.scoring.contribution import score
 
@@ -257,47 +259,47 @@ def _subject(
         splats = usable_rows(drawn, scene)
         if not len(splats):
             raise DataError("no-splats", f"{scene}: 0 splats, expected some to measure")
-        judging, what = judging_cameras(scene, splats, cameras, eval_every)
+        test_views, what = evaluation_cameras(scene, splats, cameras, eval_every)
         photos = None
         if images is not None:
-            photos = read_photos(images, splats, judging, background, threads=threads)
+            photos = read_photos(images, splats, test_views, background, threads=threads)
     preset = PRESETS[DEFAULT_PRESET]
     config = preset.score_config("transform", threads=threads)
     start = time.perf_counter()
     scored_on = preset.views(virtual_views(splats) if views is None else views)
     scores = score(splats, scored_on, config, progress=stages)
     score_s = time.perf_counter() - start
-    subject = Subject(splats, scores, score_s, judging, scored_on, photos, background, threads)
-    return subject, what
+    given = BenchInput(splats, scores, score_s, test_views, scored_on, photos, background, threads)
+    return given, what
 
 
-def _about(scene: Path, subject: Subject, what: str) -> dict[str, object]:
+def _about(scene: Path, given: BenchInput, what: str) -> dict[str, object]:
     return {
         "scene": name_of(scene),
-        "splats": len(subject.splats),
-        "sh_degree": subject.splats.sh_degree,
+        "splats": len(given.splats),
+        "sh_degree": given.splats.sh_degree,
         "judged_by": what,
-        "views": len(subject.cameras),
-        "scored_on": len(subject.scored_on),
-        "score_s": round(subject.score_s, 3),
-        "background": list(subject.background),
-        "source_photo_db": None if subject.photos is None else subject.photos.source_db,
+        "views": len(given.cameras),
+        "scored_on": len(given.scored_on),
+        "score_s": round(given.score_s, 3),
+        "background": list(given.background),
+        "source_photo_db": None if given.photos is None else given.photos.source_db,
         "machine": {
             "platform": platform.platform(),
             "cores": thread_count(0),
-            "threads": thread_count(subject.threads),
+            "threads": thread_count(given.threads),
             "python": platform.python_version(),
         },
     }
 
 
-def _tell_about(scene: Path, subject: Subject, what: str) -> None:
-    splats = subject.splats
+def _tell_about(scene: Path, given: BenchInput, what: str) -> None:
+    splats = given.splats
     say(f"{scene}: {len(splats):,} splats, SH degree {splats.sh_degree}")
-    photo = "" if subject.photos is None else f"{subject.photos.source_db:.2f} dB for the source"
+    photo = "" if given.photos is None else f"{given.photos.source_db:.2f} dB for the source"
     facts(
-        ("judged by", f"{len(subject.cameras)} {what}"),
-        ("scored", f"on {len(subject.scored_on)} views, {subject.score_s:.1f} s"),
+        ("judged by", f"{len(given.cameras)} {what}"),
+        ("scored", f"on {len(given.scored_on)} views, {given.score_s:.1f} s"),
         ("photos", photo),
     )
     say("")
@@ -403,7 +405,7 @@ def _look(method: str) -> int:
 
 
 def _series(measured: Bench) -> list[Series]:
-    """Return bytes per splat and PSNR by method; what changes no view is not drawn."""
+    """Return a curve of PSNR over bytes per splat for each method, without lossless results."""
     series: list[Series] = []
     for method in dict.fromkeys(row.method for row in measured.rows):
         rows = [row for row in measured.rows if row.method == method and not row.refused]

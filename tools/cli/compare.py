@@ -1,4 +1,4 @@
-"""``cogsplat render`` and ``compare``: what scenes look like, and how far they are apart."""
+"""``cogsplat render`` and ``compare``: pictures of scenes, and the PSNR and SSIM between two."""
 
 from __future__ import annotations
 
@@ -26,7 +26,14 @@ from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_jso
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import ByteCount, ChunkRange, Colour, picture_size
 
-from .inputs import Part, Scene, given_cameras, judging_cameras, read_any, virtual_views
+from .inputs import (
+    LoadedScene,
+    Selection,
+    evaluation_cameras,
+    given_cameras,
+    read_any,
+    virtual_views,
+)
 
 
 @click.command(
@@ -82,7 +89,7 @@ def render(
     from cogsplat.tools.pictures.png import to_image, write_png
 
     check_output(out, force=force)
-    part = Part(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
+    part = Selection(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             scene = read_any(path, part, threads=threads)
@@ -124,7 +131,7 @@ def render(
         )
 
 
-def _camera(scene: Scene, cameras: Path | None, index: int | None) -> Camera:
+def _camera(scene: LoadedScene, cameras: Path | None, index: int | None) -> Camera:
     if cameras is None and index is None and scene.first_view is not None:
         return scene.first_view
     views = given_cameras(cameras) if cameras else virtual_views(scene.splats)
@@ -135,7 +142,7 @@ def _camera(scene: Scene, cameras: Path | None, index: int | None) -> Camera:
 
 
 def fitted(camera: Camera, width: int, height: int) -> Camera:
-    """Return a camera for another picture size that shows all of its view, undistorted.
+    """Return a camera for another picture size that shows the whole view without distortion.
 
     Parameters
     ----------
@@ -184,19 +191,19 @@ def compare(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Measure how far B, or a part of it, is from A.
+    """Measure PSNR and SSIM between A and B, or a part of B.
 
     PSNR and SSIM of rendered views, three figures each: the mean over held-out cameras, the worst
     of them, and the mean over roaming views, which stand back from those cameras and turn away.
     """
     from cogsplat.tools.evaluation import view_quality
 
-    part = Part(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
+    part = Selection(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             first = read_any(reference, threads=threads)
             second = read_any(other, part, threads=threads)
-            views, what = judging_cameras(reference, first.splats, cameras, eval_every)
+            views, what = evaluation_cameras(reference, first.splats, cameras, eval_every)
         found = view_quality.compare(
             first.splats,
             second.splats,
@@ -217,8 +224,8 @@ def compare(
         figures = {name: {"psnr_db": p, "ssim": s} for name, (p, s) in rows.items()}
         say_json(
             {
-                "reference": _subject(reference, first),
-                "other": _subject(other, second),
+                "reference": _side(reference, first),
+                "other": _side(other, second),
                 "cameras": what,
                 "background": list(background),
                 "held_out": {**figures["held-out"], "views": len(found.held_out)},
@@ -249,7 +256,7 @@ def compare(
         facts(("time", stages.line()))
 
 
-def _subject(path: Path, scene: Scene) -> dict[str, object]:
+def _side(path: Path, scene: LoadedScene) -> dict[str, object]:
     return {
         "path": name_of(path),
         "splats": len(scene.splats),

@@ -1,4 +1,4 @@
-"""``cogsplat convert``: from any format to any that can be written."""
+"""``cogsplat convert``: from any format that is read to any that is written."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cogsplat.tools.terminal.options import (
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
 from cogsplat.tools.terminal.progress import Stages
 
-from .inputs import Scene, read_any, scoring_cameras
+from .inputs import LoadedScene, read_any, scoring_cameras
 from .scene_edits import SceneEdits, edit_options
 
 _COGS: Final = ".cogs"
@@ -94,12 +94,12 @@ def convert(
 
 @dataclass(frozen=True)
 class _Done:
-    """A conversion: what was read, what was written of it, and how many bytes that took."""
+    """Result of a conversion: the scene read, the scene written, and the bytes of the new file."""
 
     source: Path
     out: Path
     format: str
-    given: Scene
+    given: LoadedScene
     splats: Splats
     written: int
 
@@ -119,7 +119,7 @@ def _report(done: _Done) -> dict[str, object]:
 
 
 def _stored(done: _Done) -> int:
-    """Return the splats in the file; a COGS file may have fewer than it was given."""
+    """Return the number of splats in the new file; encoding to COGS may prune some."""
     if done.format != "cogs":
         return len(done.splats)
     with cogsplat.open(done.out) as file:

@@ -1,4 +1,4 @@
-"""``cogsplat decode``: from a COGS file, or a part of it, back to a scene."""
+"""``cogsplat decode``: from a COGS file, or a part of it, to a scene in another format."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_t
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import ByteCount, ChunkRange
 
-from .inputs import Part, Scene, decode_part
+from .inputs import LoadedScene, Selection, decode_part
 
 
 @click.command(
@@ -65,7 +65,7 @@ def decode(
     """
     check_output(out, force=force)
     refine = not no_refine
-    part = Part(chunks, least_splats, size, sh_degree, objects, refine, compensate)
+    part = Selection(chunks, least_splats, size, sh_degree, objects, refine, compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         scene = decode_part(cogs, part, threads=threads, progress=stages)
         with stages.stage("write"):
@@ -100,7 +100,7 @@ def decode(
         _tell(scene, out, written, stages)
 
 
-def _report(scene: Scene, out: Path, written: int, stages: Stages) -> dict[str, object]:
+def _report(scene: LoadedScene, out: Path, written: int, stages: Stages) -> dict[str, object]:
     return {
         "output": name_of(out),
         "bytes": written,
@@ -119,11 +119,11 @@ def _report(scene: Scene, out: Path, written: int, stages: Stages) -> dict[str, 
 
 
 def _span(chunks: Sequence[int]) -> tuple[int, int]:
-    """Return the half-open range that chunks lie in."""
+    """Return first and last chunk as a half-open range."""
     return (chunks[0], chunks[-1] + 1) if chunks else (0, 0)
 
 
-def _tell(scene: Scene, out: Path, written: int, stages: Stages) -> None:
+def _tell(scene: LoadedScene, out: Path, written: int, stages: Stages) -> None:
     found, (first, last) = len(scene.splats), _span(scene.chunks)
     say(f"{out}: {found:,} of {scene.file_splats:,} splats, {size_text(written)}")
     span = f"{first}:{last} of {scene.file_chunks}"

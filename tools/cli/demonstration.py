@@ -1,4 +1,4 @@
-"""The whole way in one go: make a scene, encode it, decode prefixes of it, and look at them."""
+"""The demonstration: make a scene, encode it, decode prefixes, compare and draw a film-strip."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ _SHOWN: Final = 3
 
 @dataclass(frozen=True)
 class DemoFiles:
-    """Where a demonstration puts what it makes, all in one folder."""
+    """Paths of the files that a demonstration writes, all in one folder."""
 
     folder: Path
 
     @property
     def scene(self) -> Path:
-        """The scene as it was made."""
+        """The synthetic scene, PLY."""
         return self.folder / "scene.ply"
 
     @property
     def cameras(self) -> Path:
-        """Its cameras."""
+        """The cameras of the synthetic scene."""
         return self.folder / "cameras.json"
 
     @property
     def cogs(self) -> Path:
-        """The scene encoded."""
+        """The encoded scene."""
         return self.folder / "scene.cogs"
 
     @property
     def decoded(self) -> Path:
-        """The encoded scene as a PLY."""
+        """The decoded scene, PLY."""
         return self.folder / "decoded.ply"
 
     @property
@@ -66,8 +66,8 @@ class DemoFiles:
 
 
 @dataclass(frozen=True)
-class Prefix:
-    """What the first bytes of the file show.
+class DemoPrefix:
+    """Splats and PSNR in the first bytes of the file.
 
     Parameters
     ----------
@@ -88,13 +88,13 @@ class Prefix:
 
 @dataclass(frozen=True)
 class Demo:
-    """What a demonstration made.
+    """Results of a demonstration.
 
     Parameters
     ----------
     files : DemoFiles
     splats, scene_bytes, cogs_bytes : int
-    prefixes : tuple of Prefix
+    prefixes : tuple of DemoPrefix
         By `SHARES`.
     """
 
@@ -102,7 +102,7 @@ class Demo:
     splats: int
     scene_bytes: int
     cogs_bytes: int
-    prefixes: tuple[Prefix, ...]
+    prefixes: tuple[DemoPrefix, ...]
 
 
 def run(
@@ -138,7 +138,7 @@ def run(
         A file cannot be written, or is there already and `force` is not set.
     """
     from cogsplat.codec.encode.config import EncodeConfig
-    from cogsplat.tools.evaluation.prefix_quality import decode_beginning
+    from cogsplat.tools.evaluation.prefix_quality import decode_prefix
     from cogsplat.tools.pictures.filmstrip import filmstrip
     from cogsplat.tools.pictures.png import write_png
 
@@ -171,7 +171,7 @@ def run(
         progress("compare", step, len(SHARES))
         part = decoded
         if share < 1.0:
-            part = decode_beginning(files.cogs, int(share * size), compensate=True, threads=threads)
+            part = decode_prefix(files.cogs, int(share * size), compensate=True, threads=threads)
         prefixes.append(_measured(scene, part, held, share, int(share * size), threads))
         pictures.append(draw(part))
     progress("compare", len(SHARES), len(SHARES))
@@ -192,11 +192,11 @@ def run(
 
 def _measured(
     scene: Splats, part: Splats, held: list[Camera], share: float, size: int, threads: int
-) -> Prefix:
+) -> DemoPrefix:
     from cogsplat.tools.evaluation import view_quality
 
     found = view_quality.compare(scene, part, held, threads=threads)
-    return Prefix(
+    return DemoPrefix(
         share=share,
         size_bytes=size,
         splats=len(part),
@@ -217,7 +217,7 @@ def _drawer(camera: Camera, threads: int) -> Callable[[Splats], NDArray[np.float
     return draw
 
 
-def _caption(prefix: Prefix) -> list[str]:
+def _caption(prefix: DemoPrefix) -> list[str]:
     return [
         f"{prefix.share:.0%}, {_size(prefix.size_bytes)}",
         f"{prefix.splats:,} splats",

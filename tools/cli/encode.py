@@ -1,4 +1,4 @@
-"""``cogsplat encode``: from a scene to a COGS file."""
+"""``cogsplat encode``: from a scene in any format to a COGS file."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from cogsplat.tools.terminal.values import ByteCount, Colour, byte_count
 
 from .info import tell_attributes
 from .inputs import given_cameras, measured_in, read_any, scoring_cameras, virtual_views
-from .measure import Judges, settings_of
+from .measure import FileEvaluation, settings_of
 from .order_options import OrderChoice, order_options
 from .scene_edits import SceneEdits, edit_options
 
@@ -125,7 +125,7 @@ if TYPE_CHECKING:
 )
 @jitter_option
 @top_k_option
-@eval_every_option(0, "Keep from scoring, and judge by, the")
+@eval_every_option(0, "Keep from scoring, and measure in, the")
 @click.option(
     "--measure",
     is_flag=True,
@@ -225,9 +225,9 @@ def encode(
                 splats = splats.without_extras()
             if views is not None:
                 views = [edits.camera(view) for view in views]
-            judges = None
+            evaluation = None
             if len(splats) and (measure or report is not None or images is not None):
-                judges = Judges.gather(
+                evaluation = FileEvaluation.gather(
                     scene, splats, cameras, eval_every, edits, images, background, threads=threads
                 )
         if choice.first_view is not None and cameras is None:
@@ -250,21 +250,21 @@ def encode(
             progress=stages,
         )
         stages("write", 1, 1)
-        judged: list[PrefixQuality] = []
-        if judges is not None:
+        qualities: list[PrefixQuality] = []
+        if evaluation is not None:
             settings = settings_of(
                 click.get_current_context(), made.scored_views, stages.total_seconds
             )
-            judged = judges.measure(out, threads=threads, progress=stages)
+            qualities = evaluation.measure(out, threads=threads, progress=stages)
             if report is not None:
-                subject = judges.subject(scene, given.file_bytes, out, judged, settings)
-                write_report(report, subject, force=force, progress=stages)
+                shown = evaluation.report_input(scene, given.file_bytes, out, qualities, settings)
+                write_report(report, shown, force=force, progress=stages)
     if quiet and not as_json:
         return
     with cogsplat.open(out) as file:
         told = _report(file, made, config, stages)
         seen = _predicted(file)
-        sizes = stored_sizes(file) if judged else []
+        sizes = stored_sizes(file) if qualities else []
     size = made.size_bytes
     rows_in, kept = given.file_splats, int(file.root.splats)
     dropped, pruned = rows_in - len(splats), len(splats) - kept
@@ -273,7 +273,7 @@ def encode(
             {
                 "output": name_of(out),
                 **told,
-                "quality": [quality.report() for quality in judged],
+                "quality": [quality.report() for quality in qualities],
                 "attributes": [stored.report() for stored in sizes],
                 "source_bytes": given.file_bytes,
                 "ratio": round(given.file_bytes / size, 3),
@@ -295,9 +295,9 @@ def encode(
         ("time", stages.line()),
         ("report", str(report) if report else ""),
     )
-    if judges is not None:
+    if evaluation is not None:
         tell_attributes(sizes, file)
-        judges.tell(judged)
+        evaluation.tell(qualities)
 
 
 def _require_one_aim(

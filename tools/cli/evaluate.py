@@ -1,4 +1,4 @@
-"""``cogsplat eval``: how good a scene is as it arrives, orders side by side."""
+"""``cogsplat eval``: quality of prefixes of a scene, for several orders of its splats."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from cogsplat.codec.order.orders import Unordered, order_rows
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
+from cogsplat.tools.evaluation.evaluator import Evaluator
 from cogsplat.tools.evaluation.lpips import read_lpips
-from cogsplat.tools.evaluation.panel import Panel
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.evaluation.progs_protocol import (
     BYTES,
     SHARES,
     SPLATS,
-    Point,
+    PrefixPoint,
     by_bytes,
     by_splats,
 )
 from cogsplat.tools.evaluation.strips import STRIP_SHARES, Strip, draw_strips
 from cogsplat.tools.evaluation.tables import (
     STRIPS,
-    Subject,
+    EvaluationInput,
     picture_names,
     report,
     tell,
@@ -53,8 +53,8 @@ from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import ByteCount, Colour, byte_count
 
 from .inputs import (
+    evaluation_cameras,
     given_cameras,
-    judging_cameras,
     read_any,
     scoring_cameras,
     usable_rows,
@@ -64,7 +64,7 @@ from .order_options import OrderChoice, orders_option
 
 
 def shares(text: str) -> tuple[float, ...]:
-    """Read shares of the splats such as ``1,5,20`` in percent, or ``none``.
+    """Parse shares of the splats such as ``1,5,20`` in percent, or ``none``.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def shares(text: str) -> tuple[float, ...]:
 
 
 def sizes(text: str) -> tuple[ByteCount, ...]:
-    """Read lengths of a file such as ``32KiB,64KiB,10%``, or ``none``.
+    """Parse lengths of a file such as ``32KiB,64KiB,10%``, or ``none``.
 
     Raises
     ------
@@ -102,8 +102,10 @@ def sizes(text: str) -> tuple[ByteCount, ...]:
     "  cogsplat eval scene.ply --cameras cameras.json --file scene.cogs",
 )
 @click.argument("scene", type=PATH)
-@cameras_option("Without it, views are made up to score on; eval_cameras.json beside SCENE judges.")
-@eval_every_option(8, "Judge by, and keep from scoring, the")
+@cameras_option(
+    "Without it, views to score in are planned; test views are eval_cameras.json beside SCENE."
+)
+@eval_every_option(8, "Measure in, and keep from scoring, the")
 @orders_option
 @click.option(
     "--file",
@@ -111,7 +113,7 @@ def sizes(text: str) -> tuple[ByteCount, ...]:
     type=PATH,
     multiple=True,
     metavar="PATH",
-    help="A COGS file of SCENE to judge by bytes, in place of encoding every order; may be given "
+    help="A COGS file of SCENE to measure by bytes, in place of encoding every order; may be given "
     "again.",
 )
 @click.option(
@@ -121,19 +123,19 @@ def sizes(text: str) -> tuple[ByteCount, ...]:
     default=",".join(f"{100 * share:g}" for share in SHARES),
     show_default=True,
     metavar="P,…",
-    help="Percents of the splats to judge orders at; none for none.",
+    help="Percents of the splats to measure orders at; none for none.",
 )
 @click.option(
     "--sizes",
     "lengths",
     type=sizes,
     metavar="N|P%,…",
-    help="Lengths of the files to judge at; none for none.  [default: 32 KiB, doubled to the end]",
+    help="Lengths of files to measure at; none for none.  [default: 32 KiB, doubled to the end]",
 )
 @click.option(
     "--compensate",
     is_flag=True,
-    help="Judge beginnings of files as they make up for what they lack.",
+    help="Measure prefixes of files with prefix compensation.",
 )
 @click.option(
     "--quality",
@@ -147,7 +149,7 @@ def sizes(text: str) -> tuple[ByteCount, ...]:
     "--target-psnr",
     type=click.FloatRange(5, 90),
     metavar="DB",
-    help="Encode every file to this PSNR instead, in views that do not judge.",
+    help="Encode every file to this PSNR instead, in other views than the test views.",
 )
 @click.option(
     "--out",
@@ -159,7 +161,7 @@ def sizes(text: str) -> tuple[ByteCount, ...]:
     "--images",
     type=PATH,
     metavar="DIR",
-    help="Photos named as the cameras: judge against them, too.",
+    help="Photos named as the cameras: measure against them, too.",
 )
 @click.option(
     "--lpips-weights",
@@ -196,7 +198,7 @@ def evaluate(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Judge SCENE as it arrives, orders side by side.
+    """Measure prefixes of SCENE under several orders of its splats.
 
     Beginnings of every order against the full render: at shares of the splats, nothing quantised,
     and at lengths of a file that really ends there. Mean PSNR of held-out views, the worst of them,
@@ -205,17 +207,17 @@ def evaluate(
     """
     by = ([SPLATS] if wanted else []) + ([BYTES] if files or lengths != () else [])
     if not by:
-        raise click.UsageError("--shares none and --sizes none: nothing to judge")
+        raise click.UsageError("--shares none and --sizes none: nothing to measure")
     if out is not None:
         # Before minutes of work, not after.
         with storage_errors(out):
             out.mkdir(parents=True, exist_ok=True)
         for name in ("eval.csv", "eval.json", *picture_names(by)):
             check_output(out / name, force=force)
-    points: list[Point] = []
+    points: list[PrefixPoint] = []
     strips: dict[str, list[Strip]] = {name: [] for name in by}
     with Stages(shown=not (quiet or as_json)) as stages:
-        subject = _gather(
+        given = _gather(
             scene,
             cameras,
             eval_every,
@@ -229,9 +231,9 @@ def evaluate(
             stages=stages,
         )
         unordered = Unordered(
-            subject.splats,
-            subject.scores,
-            subject.scored_on,
+            given.splats,
+            given.scores,
+            given.scored_on,
             threads,
             stages,
             jitter=not no_jitter,
@@ -239,11 +241,11 @@ def evaluate(
         if SPLATS in by:
             for name in choice.names:
                 with stages.stage("order"):
-                    rows = order_rows(name, unordered, subject.config)
+                    rows = order_rows(name, unordered, given.config)
                 points += by_splats(
-                    subject.panel, name, subject.splats, rows, wanted, progress=stages
+                    given.evaluator, name, given.splats, rows, wanted, progress=stages
                 )
-                strips[SPLATS].append(_strip_of_rows(name, subject.splats, rows))
+                strips[SPLATS].append(_strip_of_rows(name, given.splats, rows))
         if BYTES in by:
             with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
                 made = [(name_of(path), path) for path in files] or [
@@ -252,11 +254,11 @@ def evaluate(
                 ]
                 for name, path in made:
                     if not files:
-                        _encode(subject, name, path, quality, target_psnr, threads, stages)
+                        _encode(given, name, path, quality, target_psnr, threads, stages)
                     size = path.stat().st_size if not files else _size_of(path)
                     chosen = None if lengths is None else [one.of(size) for one in lengths]
                     found = by_bytes(
-                        subject.panel,
+                        given.evaluator,
                         name,
                         path,
                         chosen,
@@ -268,13 +270,13 @@ def evaluate(
                     strips[BYTES].append(
                         Strip.of_file(name, path, found, compensate=compensate, threads=threads)
                     )
-        pages = written_pages(subject, points, by)
+        pages = written_pages(given, points, by)
         if out is not None:
-            _write(out, pages, subject, strips, force=force, stages=stages)
+            _write(out, pages, given, strips, force=force, stages=stages)
     if as_json:
-        say_json({**report(subject, points, by), "seconds": stages.rounded()})
+        say_json({**report(given, points, by), "seconds": stages.rounded()})
         return
-    tell(subject, points, by)
+    tell(given, points, by)
     if not quiet:
         say("")
         written = f"{', '.join([*pages, *(STRIPS[name] for name in by)])} in {out}"
@@ -299,7 +301,7 @@ def _gather(
     *,
     threads: int,
     stages: Stages,
-) -> Subject:
+) -> EvaluationInput:
     from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
     from cogsplat.codec.scoring.contribution import score
 
@@ -307,7 +309,7 @@ def _gather(
         views = scoring_cameras(cameras, eval_every)
         splats = usable_rows(read_any(path, threads=threads).splats, path)
         if not len(splats):
-            raise DataError("no-splats", f"{path}: 0 splats, expected some to judge")
+            raise DataError("no-splats", f"{path}: 0 splats, expected at least 1")
         lpips = None if lpips_weights is None else read_lpips(lpips_weights)
     splats = choice.labelled(splats, cameras, threads=threads, progress=stages)
     numbered = given_cameras(cameras) if cameras else []
@@ -315,14 +317,14 @@ def _gather(
         numbered = virtual_views(splats, threads=threads, progress=stages)
         views = hold_out(numbered, eval_every)[0] or numbered
     config = choice.config(numbered)
-    judging, what = judging_cameras(path, splats, cameras, eval_every)
+    test_views, what = evaluation_cameras(path, splats, cameras, eval_every)
     photos = None
     if images is not None:
-        photos = read_photos(images, splats, judging, background, threads=threads)
+        photos = read_photos(images, splats, test_views, background, threads=threads)
     with stages.stage("references"):
-        panel = Panel(
+        evaluator = Evaluator(
             splats,
-            judging,
+            test_views,
             first_view=config.first_view,
             photos=None if photos is None else photos.pictures,
             lpips=lpips,
@@ -333,11 +335,11 @@ def _gather(
     scored_on = preset.views(views)
     settings = preset.score_config("transform", top_k=top_k, jitter=not no_jitter, threads=threads)
     scores = score(splats, scored_on, settings, progress=stages)
-    return Subject(path, splats, scores, scored_on, what, config, panel, photos)
+    return EvaluationInput(path, splats, scores, scored_on, what, config, evaluator, photos)
 
 
 def _encode(
-    subject: Subject,
+    given: EvaluationInput,
     name: str,
     path: Path,
     quality: float,
@@ -349,13 +351,11 @@ def _encode(
     from cogsplat.codec.encode.rate_control import Target
 
     cogsplat.encode(
-        subject.splats.without_extras() if not subject.config.by_object else subject.splats,
+        given.splats.without_extras() if not given.config.by_object else given.splats,
         path,
-        cameras=subject.scored_on,
-        scores=subject.scores,
-        config=EncodeConfig(
-            order=name, ordering=subject.config, quality_db=quality, threads=threads
-        ),
+        cameras=given.scored_on,
+        scores=given.scores,
+        config=EncodeConfig(order=name, ordering=given.config, quality_db=quality, threads=threads),
         target=None if target_psnr is None else Target(psnr_db=target_psnr),
         progress=stages,
     )
@@ -368,7 +368,7 @@ def _strip_of_rows(name: str, splats: Splats, rows: NDArray[np.int64]) -> Strip:
 def _write(
     out: Path,
     pages: Mapping[str, str],
-    subject: Subject,
+    given: EvaluationInput,
     strips: Mapping[str, list[Strip]],
     *,
     force: bool,
@@ -381,4 +381,4 @@ def _write(
             file.write(text.encode())
     with stages.stage("strips"):
         for kind, rows in strips.items():
-            write_png(out / STRIPS[kind], draw_strips(subject.panel, rows), force=force)
+            write_png(out / STRIPS[kind], draw_strips(given.evaluator, rows), force=force)

@@ -1,4 +1,4 @@
-"""``cogsplat info``: what a file holds."""
+"""``cogsplat info``: the contents of a file, in numbers."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _ATTRIBUTES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 @quiet_option
 @json_option
 def info(path: Path, verify: bool, all_chunks: bool, quiet: bool, as_json: bool) -> None:
-    """Show what a file holds.
+    """Show the contents of a file.
 
     Of a COGS file the root, codebooks, chunks and bytes per attribute; of a scene in another format
     splats, SH degree and ranges.
@@ -203,7 +203,7 @@ def _tell_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
 
 
 def tell_attributes(sizes: list[StoredSize], file: CogsFile) -> None:
-    """Print what every kind of stream takes."""
+    """Print the bytes of every kind of stream."""
     rows = [
         (
             size.segment,
@@ -222,7 +222,7 @@ def tell_attributes(sizes: list[StoredSize], file: CogsFile) -> None:
 
 
 def _ranges(splats: Splats) -> dict[str, tuple[float, float, int]]:
-    """Return the least and the largest finite value of each array, and how many are not finite."""
+    """Return the range of the finite values of each array, and the count of the others."""
     ranges: dict[str, tuple[float, float, int]] = {}
     for name in _ATTRIBUTES:
         values: NDArray[np.float32] = getattr(splats, name)

@@ -1,4 +1,4 @@
-"""What commands are given: a scene or a part of one, and the views to see it from."""
+"""Inputs of commands: a scene or a part of one, and the cameras to score and to measure in."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from cogsplat.formats.storage.source import FileSource
 from cogsplat.tools.terminal.values import ByteCount, ChunkRange
 
 EVAL_CAMERAS: Final = "eval_cameras.json"
-"""Cameras beside a scene that has none of its own: they judge, nothing is scored on them."""
+"""File of test views beside a scene; splats are not scored in these views."""
 
 EVAL_EVERY: Final = 8
-"""What ``--eval-every`` is in commands that judge, unless said."""
+"""Default of ``--eval-every`` in commands that evaluate."""
 
-_FEWEST_JUDGES: Final = 4
+_FEWEST_TEST_VIEWS: Final = 4
 
 # Three float32 images of this many pixels take 4.5 GiB.
 _MAX_VIEW_PIXELS: Final = 1 << 27
 
 
 @dataclass(frozen=True)
-class Part:
-    """What is wanted of a scene; of the first three fields one at most.
+class Selection:
+    """The part of a COGS file that options select; at most one of the first three fields is set.
 
     Parameters
     ----------
@@ -72,14 +72,14 @@ class Part:
 
     @property
     def is_cut(self) -> bool:
-        """Whether it may lack splats."""
+        """Whether splats may be left out."""
         cuts = (self.chunks, self.least_splats, self.size, self.objects)
         return any(x is not None for x in cuts)
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """A scene that was read, and what its file says beside it.
+class LoadedScene:
+    """A scene that was read, with what its file states about it.
 
     Parameters
     ----------
@@ -114,8 +114,8 @@ class Scene:
 
 
 def read_any(
-    path: Path, part: Part | None = None, *, threads: int = 0, progress: Progress = silent
-) -> Scene:
+    path: Path, part: Selection | None = None, *, threads: int = 0, progress: Progress = silent
+) -> LoadedScene:
     """Read a scene of any format, COGS included.
 
     Raises
@@ -125,7 +125,7 @@ def read_any(
     CogsplatError
         The file cannot be read.
     """
-    part = part or Part()
+    part = part or Selection()
     if is_cogs(path):
         return decode_part(path, part, threads=threads, progress=progress)
     if part.is_cut or part.compensate:
@@ -138,10 +138,12 @@ def read_any(
     rows = len(splats)
     if part.sh_degree is not None:
         splats = splats.with_sh_degree(part.sh_degree)
-    return Scene(splats, size, size, range(0), 0, rows, (), None)
+    return LoadedScene(splats, size, size, range(0), 0, rows, (), None)
 
 
-def decode_part(path: Path, part: Part, *, threads: int = 0, progress: Progress = silent) -> Scene:
+def decode_part(
+    path: Path, part: Selection, *, threads: int = 0, progress: Progress = silent
+) -> LoadedScene:
     """Decode a COGS file or a part of it.
 
     Raises
@@ -172,7 +174,7 @@ def decode_part(path: Path, part: Part, *, threads: int = 0, progress: Progress 
             progress=progress,
         )
         missing = [chunk for chunk in chunks if not file.has_tail(chunk, splats.sh_degree)]
-        return Scene(
+        return LoadedScene(
             splats=splats,
             file_bytes=file.file_length,
             bytes_read=file.source_bytes,
@@ -189,7 +191,7 @@ def decode_part(path: Path, part: Part, *, threads: int = 0, progress: Progress 
 
 
 def usable_rows(splats: Splats, where: Path) -> Splats:
-    """Return the rows that can be drawn, with a warning where that leaves some out.
+    """Return the rows whose values are finite, with a warning where some are not.
 
     Raises
     ------
@@ -214,7 +216,7 @@ def usable_rows(splats: Splats, where: Path) -> Splats:
 
 
 def given_cameras(path: Path) -> list[Camera]:
-    """Read cameras, none larger than can be drawn.
+    """Read cameras, and refuse those too large to render.
 
     Raises
     ------
@@ -248,20 +250,20 @@ def scoring_cameras(path: Path | None, every: int) -> list[Camera] | None:
 
 
 def measured_in(cameras: Sequence[Camera], every: int) -> list[Camera]:
-    """Return the cameras that an encode is measured in: those that tell most of its judges.
+    """Return the cameras that a target PSNR is measured in, near the test views but not of them.
 
     Parameters
     ----------
     cameras : sequence of Camera
         All that were given, in file order.
     every : int
-        Cameras held out; they are not measured in, those next to them in the file are. Where none
-        are held out, every eighth is measured in, as `compare` judges where it is not told.
+        Cameras held out; the target is measured in their neighbours in the file, not in them.
+        Where none are held out, it is measured in every eighth, the default of `compare`.
 
     Returns
     -------
     list of Camera
-        All that may be measured in where that would leave too few to go by.
+        All that are not held out where these would be too few.
     """
     if every:
         allowed, _ = hold_out(cameras, every)
@@ -271,7 +273,7 @@ def measured_in(cameras: Sequence[Camera], every: int) -> list[Camera]:
     else:
         allowed = list(cameras)
         _, found = hold_out(cameras, EVAL_EVERY)
-    return found if len(found) >= _FEWEST_JUDGES else allowed
+    return found if len(found) >= _FEWEST_TEST_VIEWS else allowed
 
 
 def virtual_views(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> list[Camera]:
@@ -287,10 +289,10 @@ def virtual_views(splats: Splats, *, threads: int = 0, progress: Progress = sile
     return plan_views(splats, ViewPlanConfig(threads=threads), progress=progress)
 
 
-def judging_cameras(
+def evaluation_cameras(
     reference: Path, splats: Splats, path: Path | None, every: int
 ) -> tuple[Sequence[Camera], str]:
-    """Return the cameras to judge by, and what they are.
+    """Return the test views, and a phrase that says where they come from.
 
     Parameters
     ----------

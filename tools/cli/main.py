@@ -1,4 +1,4 @@
-"""The command line: one group, and the one place where its commands fail."""
+"""The command group, and the one place that turns failures into messages and exit codes."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _JSON: Final = "cogsplat.json"
 
 
 class _OutputError(StorageError):
-    """What was printed did not arrive."""
+    """Standard output could not be written."""
 
 
 class CommandLine(click.Group):
@@ -82,7 +82,7 @@ class CommandLine(click.Group):
         parent: click.Context | None = None,
         **extra: object,
     ) -> click.Context:
-        """Parse the group's own options, failures told."""
+        """Parse the group's own options; report failures."""
         as_json = "--json" in args
         with _failures_told(as_json):
             ctx = super().make_context(info_name, args, parent, **extra)
@@ -90,7 +90,7 @@ class CommandLine(click.Group):
         return ctx
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run a command, failures told."""
+        """Run a command; report failures."""
         as_json = bool(ctx.meta[_JSON])
         with _failures_told(as_json), _stoppable(), _warnings_told(ctx, as_json):
             return super().invoke(ctx)
@@ -98,7 +98,7 @@ class CommandLine(click.Group):
 
 @contextmanager
 def _failures_told(as_json: bool) -> Iterator[None]:
-    """Tell what the block raises and leave with its exit code."""
+    """Print the error that the block raises and exit with its code."""
     try:
         with _as_cogsplat_errors():
             try:
@@ -121,7 +121,7 @@ def _failures_told(as_json: bool) -> Iterator[None]:
 
 @contextmanager
 def _as_cogsplat_errors() -> Iterator[None]:
-    """Turn what else may go wrong outside the program into a `CogsplatError`."""
+    """Turn errors of the operating system, of memory and of missing extras into `CogsplatError`."""
     try:
         yield
     except (KeyboardInterrupt, click.Abort) as error:
@@ -153,7 +153,7 @@ def _flush() -> None:
 
 
 def _drop_output() -> None:
-    """Send what standard output still holds nowhere, or the interpreter fails on it again."""
+    """Discard the buffer of standard output, so that the interpreter's exit does not fail on it."""
     # In-memory outputs have no descriptor and hold nothing back.
     with suppress(OSError, ValueError, AttributeError):
         descriptor = sys.stdout.fileno()
@@ -181,7 +181,7 @@ def _tell(code: str, message: str, exit_code: int, as_json: bool, hint: str = ""
 
 @contextmanager
 def _stoppable() -> Iterator[None]:
-    """Let signals that end a process interrupt the block, so that it cleans up."""
+    """Let signals that end a process raise in the block, so that it cleans up."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

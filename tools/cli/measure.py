@@ -1,4 +1,4 @@
-"""How ``cogsplat encode`` judges what it wrote: by which views, and how it tells."""
+"""Evaluation of a new file by ``cogsplat encode``: its test views, its figures, its report."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cogsplat.tools.evaluation.prefix_quality import PrefixQuality
 from cogsplat.tools.terminal.output import facts, say, size_text, table
 from cogsplat.tools.terminal.values import ByteCount, Colour
 
-from .inputs import judging_cameras
+from .inputs import evaluation_cameras
 from .scene_edits import SceneEdits
 
 _SETTINGS: Final = (
@@ -42,8 +42,8 @@ _SETTINGS: Final = (
 
 
 @dataclass(frozen=True, eq=False)
-class Judges:
-    """What a new file is judged by.
+class FileEvaluation:
+    """The source and the views that a new file is compared with.
 
     Parameters
     ----------
@@ -75,15 +75,15 @@ class Judges:
         background: Colour,
         *,
         threads: int = 0,
-    ) -> Judges:
-        """Find the views, before minutes of work: those held out, else all there are.
+    ) -> FileEvaluation:
+        """Choose the test views before encoding: the held-out cameras, or else all cameras.
 
         Raises
         ------
         CogsplatError
             Cameras or photos cannot be read.
         """
-        views, what = judging_cameras(scene, source, cameras, eval_every)
+        views, what = evaluation_cameras(scene, source, cameras, eval_every)
         if cameras is not None:
             what += " never given to the encoder" if eval_every else ", all given to the encoder"
         if what != "virtual views":
@@ -107,16 +107,16 @@ class Judges:
             progress=progress,
         )
 
-    def subject(
+    def report_input(
         self,
         scene: Path,
         scene_bytes: int,
         path: Path,
         found: Sequence[PrefixQuality],
         settings: Sequence[tuple[str, str]],
-    ) -> report_page.Subject:
-        """Return what a report on a file needs."""
-        return report_page.Subject(
+    ) -> report_page.ReportInput:
+        """Return the input of the report page on a file."""
+        return report_page.ReportInput(
             scene=scene,
             source_bytes=scene_bytes,
             source=self.source,
@@ -156,7 +156,7 @@ class Judges:
 
 
 def settings_of(context: click.Context, views: int, seconds: float) -> list[tuple[str, str]]:
-    """Return the options that shaped a file, and what they led to.
+    """Return the options that a file was encoded with, views scored and seconds.
 
     Parameters
     ----------

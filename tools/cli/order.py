@@ -1,4 +1,4 @@
-"""``cogsplat order``: which splats come first, as a permutation."""
+"""``cogsplat order``: an order of a scene's splats, written as a permutation."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def order(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Say which splats of SCENE come first.
+    """Write an order of the splats of SCENE as a permutation.
 
     OUT.npy holds an int64 for each splat: the rows of the file, first to last. Nothing is pruned.
     """

@@ -1,4 +1,4 @@
-"""Options that say which splats come first, and what they mean for a scene."""
+"""Options that choose the order of splats, and the order configuration they lead to."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Budgets = tuple[tuple[int | None, float], ...]
 
 @dataclass(frozen=True)
 class OrderChoice:
-    """What was asked for.
+    """The orders that options name, with their parameters.
 
     Parameters
     ----------
@@ -68,16 +68,16 @@ class OrderChoice:
 
     @property
     def base(self) -> str:
-        """The order without its rule for a pose."""
+        """Name of the first order without its rule for a first view."""
         return split_name(self.name)[0]
 
     def over(self, base: str) -> OrderChoice:
-        """Return the same rule for a pose over another order."""
+        """Return the same choice with another order under the rule for a first view."""
         rule = split_name(self.name)[1]
         return replace(self, names=(f"{base}+{rule}" if rule else base,))
 
     def config(self, cameras: Sequence[Camera]) -> OrderConfig:
-        """Return the parameters for a scene.
+        """Return the order configuration for a scene.
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class OrderChoice:
     def labelled(
         self, splats: Splats, cameras: Path | None, *, threads: int = 0, progress: Progress = silent
     ) -> Splats:
-        """Return the scene with the labels that its masks give it, where there are masks.
+        """Return the scene with object labels voted by its masks, where there are masks.
 
         Parameters
         ----------
@@ -140,7 +140,7 @@ class OrderChoice:
 
 
 def order_name(text: str) -> str:
-    """Read an order's name, alone or with a rule for a pose.
+    """Parse the name of an order, alone or with a rule for a first view.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def order_name(text: str) -> str:
 
 
 def budgets(text: str) -> Budgets:
-    """Read shares of objects such as ``20%`` or ``1:50%,2:10%``.
+    """Parse budgets of objects such as ``20%`` or ``1:50%,2:10%``.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def budgets(text: str) -> Budgets:
 
 
 def order_names(text: str) -> tuple[str, ...]:
-    """Read names of orders, separated by commas; ``all`` for all that need no pose.
+    """Parse names of orders, separated by commas; ``all`` for all that need no first view.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def order_names(text: str) -> tuple[str, ...]:
 
 
 def order_options(command: Callable[..., object]) -> Callable[..., object]:
-    """Add ``--order`` and what goes with it, given on as ``choice``."""
+    """Add ``--order`` and its parameters, passed to the command as ``choice``."""
     option = click.option(
         "--order",
         type=order_name,
@@ -208,7 +208,7 @@ def order_options(command: Callable[..., object]) -> Callable[..., object]:
 
 
 def orders_option(command: Callable[..., object]) -> Callable[..., object]:
-    """Add ``--orders`` and what goes with them, given on as ``choice``."""
+    """Add ``--orders`` and their parameters, passed to the command as ``choice``."""
     option = click.option(
         "--orders",
         "order",
@@ -225,7 +225,7 @@ def orders_option(command: Callable[..., object]) -> Callable[..., object]:
 def _named(
     order: str | tuple[str, ...], first_view: int | None, frustum_share: float | None
 ) -> tuple[str, ...]:
-    """Return the names of the orders, with the rule that the options ask of a single one."""
+    """Return the names of the orders; a single one gets the rule that the options imply."""
     names = (order,) if isinstance(order, str) else order
     rules = [split_name(name)[1] for name in names]
     if first_view is None:
@@ -246,7 +246,7 @@ def _named(
 def _with_parameters(
     command: Callable[..., object], naming: Callable[[Callable[..., object]], Callable[..., object]]
 ) -> Callable[..., object]:
-    """Add an option that names orders and those that say more of them."""
+    """Add an option that names orders, and the options of their parameters."""
 
     @functools.wraps(command)
     def chosen(

@@ -1,4 +1,4 @@
-"""What is done to a scene on its way: rows left out, SH cut, cropped, moved; and the options."""
+"""Edits of a scene before it is written: drop rows, cut SH, crop, scale, rotate, translate."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class SceneEdits:
 
     @property
     def moves(self) -> bool:
-        """Whether splats change place."""
+        """Whether the edits move splats."""
         return (self.scale, self.rotate, self.translate) != (1.0, _STILL, _STILL)
 
     @property
@@ -95,7 +95,7 @@ class SceneEdits:
         return moved
 
     def camera(self, camera: Camera) -> Camera:
-        """Return the camera that sees the edited scene as `camera` saw the given one."""
+        """Return the camera that sees the edited scene as `camera` sees the original."""
         if not self.moves:
             return camera
         turn = None if self.rotate == _STILL else self.rotation
@@ -103,7 +103,7 @@ class SceneEdits:
 
 
 def edit_options(command: Callable[..., object]) -> Callable[..., object]:
-    """Add ``--drop-invalid --sh --crop --scale --rotate --translate``, given on as ``edits``."""
+    """Add ``--drop-invalid --sh --crop --scale --rotate --translate``, passed on as ``edits``."""
 
     @functools.wraps(command)
     def edited(

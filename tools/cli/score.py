@@ -1,4 +1,4 @@
-"""``cogsplat score``: what each splat adds to the picture."""
+"""``cogsplat score``: the contribution of each splat to the pictures of its cameras."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def score(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Measure what each splat of SCENE adds to the picture.
+    """Measure the contribution of each splat of SCENE.
 
     OUT.npy holds a float64 for each splat, in the order of the file: the sum of its weights over
     a view's pixels, averaged over the cameras, plus the same over their jittered copies.
@@ -105,7 +105,7 @@ def score(
 
 
 def _share_holding(contribution: NDArray[np.float64], goal: float) -> float:
-    """Return the least share of the splats that holds a share of the whole contribution."""
+    """Return the smallest share of the splats that has a given share of the contribution."""
     so_far = np.cumsum(np.sort(contribution)[::-1])
     return round((int(np.searchsorted(so_far, goal * so_far[-1])) + 1) / len(so_far), 5)
 

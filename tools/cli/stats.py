@@ -1,4 +1,4 @@
-"""``cogsplat stats``: a scene in numbers."""
+"""``cogsplat stats``: statistics of a scene's values."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_jso
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import ByteCount, ChunkRange
 
-from .inputs import Part, Scene, read_any
+from .inputs import LoadedScene, Selection, read_any
 
 # Lower block elements, U+2581 to U+2588; a space stands for an empty bin.
 _BARS: Final = "▁▂▃▄▅▆▇█"
@@ -49,14 +49,14 @@ def stats(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Show a scene, or a part of it, in numbers.
+    """Show statistics of a scene, or of a part of it.
 
     Per attribute the range, mean, deviation, a histogram from the 0.5 % to the 99.5 % quantile, and
     how many values are not finite. Scales are natural logarithms, opacities logits; linear and
     unit ones follow. The fill ratio tells how many splats a ray through the scene crosses, about:
     their one-sigma areas over the mean face of the box that holds nearly all centres.
     """
-    part = Part(chunks, least_splats, size, sh_degree, objects)
+    part = Selection(chunks, least_splats, size, sh_degree, objects)
     with Stages(shown=not (quiet or as_json)) as stages:
         scene = read_any(path, part, threads=threads, progress=stages)
         stages("read", 1, 1)
@@ -70,7 +70,7 @@ def stats(
         facts(("time", stages.line()))
 
 
-def _report(path: Path, scene: Scene, found: SceneStatistics) -> dict[str, object]:
+def _report(path: Path, scene: LoadedScene, found: SceneStatistics) -> dict[str, object]:
     return {
         "path": name_of(path),
         "file_bytes": scene.file_bytes,
@@ -101,7 +101,7 @@ def _values_report(values: ValueStatistics) -> dict[str, object]:
     }
 
 
-def _tell(path: Path, scene: Scene, found: SceneStatistics) -> None:
+def _tell(path: Path, scene: LoadedScene, found: SceneStatistics) -> None:
     of = "" if found.splats == scene.file_splats else f" of {scene.file_splats:,}"
     say(f"{path}: {found.splats:,}{of} splats at SH degree {found.sh_degree}")
     opaque = "" if found.opaque_share is None else f"{found.opaque_share:.1%} above one half"
@@ -133,7 +133,7 @@ def _tell(path: Path, scene: Scene, found: SceneStatistics) -> None:
 
 
 def bars(histogram: NDArray[np.int64]) -> str:
-    """Return a histogram as a row of bars, the highest bin in full; empty bins are blank.
+    """Return a histogram as one line of block characters, scaled to its highest bin.
 
     Parameters
     ----------

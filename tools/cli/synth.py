@@ -1,4 +1,4 @@
-"""``cogsplat synth`` and ``demo``: a scene to play with, and the whole way in one go."""
+"""``cogsplat synth`` and ``demo``: the synthetic test scene, and a demonstration on it."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def synth(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Make a scene to play with, and its cameras.
+    """Make a synthetic test scene, and its cameras.
 
     Objects on a terrace, with gloss and clutter, seen from 48 cameras of its own. The same options
     give the same bytes.
@@ -185,7 +185,7 @@ def _mask_path(folder: Path, camera: Camera) -> Path:
 @quiet_option
 @json_option
 def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json: bool) -> None:
-    """Go the whole way with a scene made for it.
+    """Encode a synthetic scene and decode prefixes of it.
 
     Make it, encode it, decode 2, 5, 10, 25 and 100 % of the bytes, compare each with the original,
     and draw a film-strip of them.

@@ -1,4 +1,4 @@
-"""``cogsplat views``: the views that are planned for a scene without cameras."""
+"""``cogsplat views``: cameras planned for a scene that has none."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Comparison with programs of others."""
+"""Cross-checks: our readers and writers against other people's programs."""

@@ -58,7 +58,7 @@ _HALF_TURNS: Final = np.eye(4)
 
 
 def _half_turned(actual: Splats, expected: Splats) -> Splats:
-    """Return the same Gaussians, named by the quaternions nearest to those expected."""
+    """Return the scene with q or -q for each quaternion, the nearer to the expected one."""
     one, other = unit(actual.quats).astype(np.float64), unit(expected.quats).astype(np.float64)
     turned = multiply(one[:, None], _HALF_TURNS[None])
     best = np.abs((turned * other[:, None]).sum(axis=2)).argmax(axis=1)
@@ -66,7 +66,7 @@ def _half_turned(actual: Splats, expected: Splats) -> Splats:
 
 
 def _matched(scene: Splats, read: Splats, check: str) -> Splats:
-    """Return the rows of the scene in the order in which they were read."""
+    """Return the rows of the scene that match the rows read, one to one."""
     from scipy.spatial import cKDTree
 
     def key(splats: Splats) -> F64:
@@ -79,7 +79,7 @@ def _matched(scene: Splats, read: Splats, check: str) -> Splats:
 
 
 def _chunk_steps(scene: Splats) -> dict[str, float]:
-    """Return the half steps of a compressed PLY: those of its widest chunks, in Morton order."""
+    """Return the largest errors of a compressed PLY: half a step in its widest chunks."""
     ordered = scene.take(morton_order(scene.means))
     starts = np.arange(0, len(ordered), CHUNK_SPLATS)
     widest = {
@@ -103,7 +103,7 @@ def _chunk_steps(scene: Splats) -> dict[str, float]:
 
 
 def _sog_steps(scene: Splats) -> dict[str, float]:
-    """Return what our SOG may cost: half steps, and what codebooks and the palette leave."""
+    """Return the largest errors of our SOG: half steps, and the errors of codebooks and palette."""
     logs = np.log1p(np.abs(scene.means.astype(np.float64)))
     furthest = float(np.expm1(logs.max()))
     return {
@@ -127,7 +127,7 @@ def _both_ways(
     scene: Splats,
     folder: Path,
 ) -> list[Finding]:
-    """Read what both sides wrote, here and there."""
+    """Read both programs' files with both programs."""
     findings = []
     for side, steps in (("ours", allowed), ("theirs", allowed_there)):
         path = folder / f"{side}{suffix}"
@@ -141,7 +141,7 @@ def _both_ways(
 
 
 def check_compressed_ply(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Read each other's compressed PLY, and compare with the scene and with each other."""
+    """Compare both programs' compressed PLY, each read by both, with the scene."""
     source = folder / "scene.ply"
     write_ply(source, scene, force=True)
     write_compressed_ply(folder / "ours.compressed.ply", scene, force=True)
@@ -160,7 +160,7 @@ def check_compressed_ply(modules: Path, scene: Splats, folder: Path) -> list[Fin
 
 
 def check_sog(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Read each other's SOG, and compare with the scene and with each other."""
+    """Compare both programs' SOG, each read by both, with the scene."""
     source = folder / "scene.ply"
     write_ply(source, scene, force=True)
     write_sog(folder / "ours.sog", scene, force=True)
@@ -182,7 +182,7 @@ def check_sog(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
 
 
 def check_gltf(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Read their glTF, which they do not read back, and compare with the scene and with ours."""
+    """Compare the converter's glTF, which only we read, with the scene and with ours."""
     source = folder / "scene.ply"
     write_ply(source, scene, force=True)
     write_gltf(folder / "ours.glb", scene, force=True)
@@ -200,7 +200,7 @@ def check_gltf(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
 @click.option("--splats", default=3000, show_default=True, help="Size of the synthetic scene.")
 @json_option
 def main(modules: Path, splats: int, as_json: bool) -> None:
-    """Print how far our readings are from theirs, and fail where it is further than a step."""
+    """Print the differences between both programs' readings; fail where one exceeds a step."""
     made = synth(splats)
     # Within what every format holds, so that steps bound every error.
     scene = replace(

@@ -109,7 +109,7 @@ _EXTENSION: Final = 0xADBE0003
 
 @dataclass(frozen=True)
 class Finding:
-    """How far two readings of a scene are apart in one attribute.
+    """Largest difference between two readings of a scene in one attribute.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class Finding:
 
     @property
     def passed(self) -> bool:
-        """Whether the greatest difference is no more than allowed, and a number."""
+        """Whether the largest difference is a number and at most the allowed one."""
         return self.greatest <= self.allowed * (1 + 1e-4)
 
 
@@ -173,7 +173,7 @@ def findings_of(
 
 
 def converted(modules: Path, source: Path, target: Path, *options: str) -> Path:
-    """Have PlayCanvas' converter make `target`, and return it."""
+    """Convert a scene to `target` with PlayCanvas' converter, and return `target`."""
     _node(str(modules / _CONVERTER), "-q", "-w", *options, str(source), str(target))
     return target
 
@@ -187,7 +187,7 @@ def _node(*arguments: str) -> None:
 
 
 def _clipped(splats: Splats) -> Splats:
-    """Return the scene within what SPZ and .ksplat hold, so that steps bound every error."""
+    """Return the scene clipped to the ranges of SPZ and .ksplat: steps then bound every error."""
     return Splats(
         means=splats.means,
         scales=np.clip(splats.scales, -9.9, 5.9),
@@ -199,7 +199,7 @@ def _clipped(splats: Splats) -> Splats:
 
 
 def check_spz(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Read each other's SPZ, versions 3 and 4, and compare with the scene and with each other."""
+    """Compare SPZ of versions 3 and 4, written and read by both programs, with the scene."""
     findings = []
     source = folder / "scene.ply"
     write_ply(source, scene, force=True)
@@ -218,7 +218,7 @@ def check_spz(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
 
 
 def check_spz_frames(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Read files of every coordinate system as the format's library does, and its version 2.
+    """Compare readings of SPZ in every coordinate system, and of version 2, with the library's.
 
     Gaussians are compared by their covariances, since axes that change places change quaternions
     and scales, here and there in different ways.
@@ -282,14 +282,14 @@ def _covariances(splats: Splats) -> F64:
 
 
 def _relative(actual: F64, expected: F64) -> F64:
-    """Return the Frobenius norms of differences in terms of those expected, (N,)."""
+    """Return the Frobenius norms of differences relative to the expected matrices, (N,)."""
     out: F64 = np.linalg.norm(actual - expected, axis=(1, 2))
     out /= np.linalg.norm(expected, axis=(1, 2))
     return out
 
 
 def check_splat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Have our .splat read there. It is not written there."""
+    """Compare our .splat, as the converter reads it, with the scene; it writes none."""
     path = folder / "ours.splat"
     with warnings.catch_warnings():
         # That SH is left out is known.
@@ -302,7 +302,7 @@ def check_splat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
 
 
 def check_ksplat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Read .ksplat of every level as its own viewer makes it, and compare with two others.
+    """Compare readings of the viewer's .ksplat, every level, with two other readers'.
 
     Rows are compared with what the converter reads, with level 0, whose rows are in the same order,
     and level 0 with the scene, rows sorted by position.
@@ -343,7 +343,7 @@ def check_ksplat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
 
 
 def report(findings: list[Finding], splats: int, as_json: bool) -> NoReturn:
-    """Print what was found for a scene of so many splats, and exit: 1 where something failed."""
+    """Print the findings for a scene of so many splats; exit with 1 where one failed."""
     failed = sum(not finding.passed for finding in findings)
     if as_json:
         rows = [{**vars(finding), "passed": finding.passed} for finding in findings]
@@ -369,7 +369,7 @@ def report(findings: list[Finding], splats: int, as_json: bool) -> NoReturn:
 @click.option("--splats", default=20_000, show_default=True, help="Size of the synthetic scene.")
 @json_option
 def main(modules: Path, splats: int, as_json: bool) -> None:
-    """Print how far our readings are from others', and fail where it is further than a step."""
+    """Print the differences from other programs' readings; fail where one exceeds a step."""
     scene = _clipped(synth(splats))
     with tempfile.TemporaryDirectory() as name:
         findings = [

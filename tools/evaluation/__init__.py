@@ -1,1 +1,1 @@
-"""How good a file is: pictures, prefixes, bytes."""
+"""Evaluation of scenes and files: PSNR, SSIM, LPIPS, prefixes, bytes, reports."""

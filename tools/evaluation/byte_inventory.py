@@ -1,4 +1,4 @@
-"""Where the bytes of a COGS file go: by chunk, and by stream."""
+"""Byte counts of a COGS file: by chunk, and by kind of stream."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class StoredSize:
 
 @dataclass(frozen=True)
 class ChunkSizes:
-    """One chunk's row of the table.
+    """Sizes, offsets and contribution of one chunk.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def chunk_sizes(file: CogsFile) -> list[ChunkSizes]:
 
 
 def stored_sizes(file: CogsFile) -> list[StoredSize]:
-    """Return the bytes of every kind of stream; they add up to the file.
+    """Return the bytes of every kind of stream; their sum is the size of the file.
 
     Raises
     ------

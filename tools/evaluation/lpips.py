@@ -1,4 +1,4 @@
-"""LPIPS, how different two pictures look to a network (Zhang et al. 2018), with weights of yours.
+"""LPIPS, the perceptual distance of Zhang et al. 2018, with weights that the user provides.
 
 A forward pass in numpy: no framework is needed to read the weights or to use them.
 """
@@ -28,7 +28,7 @@ _TINY: Final = np.float32(1e-10)
 
 @dataclass(frozen=True)
 class _Net:
-    """A network up to its last feature layer.
+    """Layers of a convolutional network up to its last feature layer.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ _LINEAR: Final = re.compile(r"(?:lin|lins\.)(\d)\.model\.1\.weight")
 
 @dataclass(frozen=True, eq=False)
 class Lpips:
-    """A network and what it learnt about likeness.
+    """A feature network with the learnt weights of LPIPS' channels.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class Lpips:
     _linear: tuple[F32, ...]
 
     def features(self, picture: NDArray[np.floating]) -> list[F32]:
-        """Return the layers that are compared, each normalised over its channels.
+        """Return the feature layers of a picture, each normalised over its channels.
 
         Parameters
         ----------
@@ -221,7 +221,7 @@ def _convolve(layer: F32, kernel: F32, bias: F32, stride: int, around: int) -> F
 
 
 def _pool(layer: F32, side: int) -> F32:
-    """Return the maximum over windows that move by 2 px and lie inside the layer."""
+    """Return a layer max-pooled with a stride of 2, without padding."""
     height = (layer.shape[1] - side) // 2 + 1
     width = (layer.shape[2] - side) // 2 + 1
     out = np.full((len(layer), height, width), -np.inf, np.float32)

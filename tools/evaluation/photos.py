@@ -1,4 +1,4 @@
-"""Photos of a scene: how well its renders show what was really there."""
+"""Photos of a scene, and the PSNR of renders against them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FORMATS = ("PNG", "JPEG", "WEBP")
 
 @dataclass(frozen=True, eq=False)
 class Photos:
-    """Pictures of some views, and how well the source shows them.
+    """Photos of some views, and the PSNR of the source against them.
 
     Parameters
     ----------

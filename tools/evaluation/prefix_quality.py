@@ -1,4 +1,4 @@
-"""How good a COGS file is as its bytes arrive, at several lengths and in several kinds of view."""
+"""Quality of prefixes of a COGS file: PSNR and SSIM at several lengths."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class PrefixQuality:
-    """What the first bytes of a file show, against the source's own pictures.
+    """Quality of a prefix of a file against renders of the source.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class PrefixQuality:
         Of the file.
     size_bytes, splats : int
     held_out_db, worst_db, roam_db : float
-        PSNR; the mean over the cameras judged by, the lowest of them, and the mean off their path.
+        PSNR; the mean over the test views, the lowest of them, and the mean over roaming views.
     held_out_ssim, worst_ssim, roam_ssim : float
         Likewise.
     worst_view : str
@@ -57,10 +57,10 @@ class PrefixQuality:
         return asdict(self)
 
 
-def decode_beginning(
+def decode_prefix(
     path: Path, size_bytes: int, *, compensate: bool = False, threads: int = 0
 ) -> Splats:
-    """Decode what is complete in the first bytes of a file, as if its transfer had stopped there.
+    """Decode the complete chunks in the first bytes of a file, as after a broken transfer.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def decode_beginning(
 
 
 def decode_share(path: Path, share: float, *, threads: int = 0) -> Splats:
-    """Decode what is complete in the first bytes of a file, made up for what is not there.
+    """Decode the complete chunks in the first bytes of a file, with prefix compensation.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def decode_share(path: Path, share: float, *, threads: int = 0) -> Splats:
         Without rows where the bytes end inside the root.
     """
     size_bytes = int(share * path.stat().st_size)
-    return decode_beginning(path, size_bytes, compensate=True, threads=threads)
+    return decode_prefix(path, size_bytes, compensate=True, threads=threads)
 
 
 def measure(
@@ -111,7 +111,7 @@ def measure(
     threads: int = 0,
     progress: Progress = silent,
 ) -> list[PrefixQuality]:
-    """Measure a file at `SHARES` of its length.
+    """Measure prefixes of a file at `SHARES` of its length.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def measure(
     source : Splats
         What it was encoded from.
     cameras : sequence of Camera
-        To judge by; at least one.
+        Test views; at least one.
     background : tuple of float
         RGB behind the splats.
     photos : Photos, optional

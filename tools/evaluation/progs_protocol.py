@@ -1,4 +1,4 @@
-"""PRoGS' protocol: how good a scene is as it arrives, by shares of splats and by bytes."""
+"""PRoGS' protocol: quality of prefixes of a scene, by shares of its splats and by bytes."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 
-from .panel import Figures, Panel
-from .prefix_quality import decode_beginning
+from .evaluator import Evaluator, Figures
+from .prefix_quality import decode_prefix
 
 SHARES: Final = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Of the splats (PRoGS, section 4)."""
@@ -28,8 +28,8 @@ BYTES: Final = "bytes"
 
 
 @dataclass(frozen=True)
-class Point:
-    """What a beginning of a scene shows.
+class PrefixPoint:
+    """Quality of one prefix of a scene.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Point:
 
     @property
     def x(self) -> float:
-        """Place on an axis: percent of the splats, or bytes."""
+        """Position on the horizontal axis: percent of the splats, or bytes."""
         return 100 * self.share if self.size_bytes is None else float(self.size_bytes)
 
     def report(self) -> dict[str, object]:
@@ -70,24 +70,24 @@ class Point:
 
 
 def counts(splats: int, shares: Sequence[float]) -> list[int]:
-    """Return how many splats each share is, at least 1."""
+    """Return the number of splats of each share, at least 1."""
     return [max(1, round(share * splats)) for share in shares]
 
 
 def by_splats(
-    panel: Panel,
+    evaluator: Evaluator,
     name: str,
     splats: Splats,
     rows: NDArray[np.int64],
     shares: Sequence[float] = SHARES,
     *,
     progress: Progress = silent,
-) -> list[Point]:
-    """Measure an order at shares of the splats, nothing quantised.
+) -> list[PrefixPoint]:
+    """Measure prefixes of an order at shares of the splats, without quantisation.
 
     Parameters
     ----------
-    panel : Panel
+    evaluator : Evaluator
     name : str
     splats : Splats
     rows : (N,) int64
@@ -100,9 +100,9 @@ def by_splats(
     # What is drawn last is stored first: each version is a view of one array, not a copy.
     ordered = splats.without_extras().take(rows)
     sizes = counts(len(rows), shares)
-    found = panel.measure([ordered.take(slice(0, size)) for size in sizes], progress=progress)
+    found = evaluator.measure([ordered.take(slice(0, size)) for size in sizes], progress=progress)
     return [
-        Point(name, SPLATS, share, None, size, figures)
+        PrefixPoint(name, SPLATS, share, None, size, figures)
         for share, size, figures in zip(shares, sizes, found, strict=True)
     ]
 
@@ -114,7 +114,7 @@ def sizes_of(file_bytes: int) -> list[int]:
 
 
 def by_bytes(
-    panel: Panel,
+    evaluator: Evaluator,
     name: str,
     path: Path,
     sizes: Sequence[int] | None = None,
@@ -122,12 +122,12 @@ def by_bytes(
     compensate: bool = False,
     threads: int = 0,
     progress: Progress = silent,
-) -> list[Point]:
-    """Measure a file at lengths of its beginning, really cut there.
+) -> list[PrefixPoint]:
+    """Measure prefixes of a file, each decoded from its bytes alone.
 
     Parameters
     ----------
-    panel : Panel
+    evaluator : Evaluator
     name : str
     path : Path
     sizes : sequence of int, optional
@@ -142,18 +142,18 @@ def by_bytes(
     whole = path.stat().st_size
     wanted = sizes_of(whole) if sizes is None else sorted({min(size, whole) for size in sizes})
     versions = [
-        decode_beginning(path, size, compensate=compensate, threads=threads).without_extras()
+        decode_prefix(path, size, compensate=compensate, threads=threads).without_extras()
         for size in wanted
     ]
-    found = panel.measure(versions, progress=progress)
+    found = evaluator.measure(versions, progress=progress)
     return [
-        Point(name, BYTES, size / whole, size, len(version), figures)
+        PrefixPoint(name, BYTES, size / whole, size, len(version), figures)
         for size, version, figures in zip(wanted, versions, found, strict=True)
     ]
 
 
 def mean_over_log(points: Sequence[tuple[float, float]], until: float) -> float:
-    """Return the mean of a curve over a logarithmic axis: the area under it by its width.
+    """Return the mean of a curve over a logarithmic axis: its area divided by its width.
 
     Parameters
     ----------
@@ -181,12 +181,12 @@ FIGURES: Final = ("held_out_db", "worst_db", "roam_db")
 """What areas and plots are made of."""
 
 
-def areas(points: Sequence[Point]) -> dict[str, dict[str, float]]:
-    """Return the mean over the logarithm of splats or bytes, by name and figure, dB.
+def areas(points: Sequence[PrefixPoint]) -> dict[str, dict[str, float]]:
+    """Return the mean of each figure over the logarithm of splats or bytes, by order, dB.
 
     Parameters
     ----------
-    points : sequence of Point
+    points : sequence of PrefixPoint
         Counted the same way; by name in rising order. All of the splats do not count where there is
         something before: they are the reference itself, whose 100 dB stand for no distance.
     """

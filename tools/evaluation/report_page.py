@@ -1,4 +1,4 @@
-"""A report on one encode: figures, plots and pictures in one HTML file that needs nothing else."""
+"""Report on one encode: figures, plots and pictures in one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ footer{margin-top:48px;color:var(--soft);font-size:13px}
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
-    """What a report is about.
+class ReportInput:
+    """Input of a report: the source, the file, the test views and the quality of prefixes.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class Subject:
     path : Path
         The COGS file.
     cameras : sequence of Camera
-        Judged by; at least one.
+        Test views; at least one.
     judged_by : str
         What they are, in words.
     background : tuple of float
@@ -111,14 +111,14 @@ class Subject:
 
 
 def write_report(
-    path: Path, subject: Subject, *, force: bool = False, progress: Progress = silent
+    path: Path, given: ReportInput, *, force: bool = False, progress: Progress = silent
 ) -> int:
     """Write a report and return its bytes.
 
     Parameters
     ----------
     path : Path
-    subject : Subject
+    given : ReportInput
     force : bool
         Replace an existing file.
     progress : Progress
@@ -132,66 +132,66 @@ def write_report(
         The COGS file cannot be read.
     """
     progress("report", 0, 1)
-    page = render_page(subject).encode()
+    page = render_page(given).encode()
     with atomic_write(path, force=force) as file:
         file.write(page)
     progress("report", 1, 1)
     return len(page)
 
 
-def render_page(subject: Subject) -> str:
+def render_page(given: ReportInput) -> str:
     """Return the report as an HTML document."""
-    with cogsplat.open(subject.path) as file:
+    with cogsplat.open(given.path) as file:
         chunks, kept, predicted = chunk_sizes(file), file.root.splats, file.chunks.quality
         ends = [chunk.head_offset + chunk.head_bytes for chunk in chunks]
         sizes = stored_sizes(file)
     curve = [(end, float(db)) for end, db in zip(ends, predicted, strict=True) if db]
-    name = escape(subject.scene.name)
+    name = escape(given.scene.name)
     sections = [
-        _tiles(subject, kept, float(predicted[-1]) if len(predicted) else 0.0),
+        _tiles(given, kept, float(predicted[-1]) if len(predicted) else 0.0),
         "<h2>Quality as bytes arrive</h2>"
-        f"<p>PSNR against the source's own pictures in {escape(subject.judged_by)}; roaming views "
+        f"<p>PSNR against the source's own pictures in {escape(given.judged_by)}; roaming views "
         "stand back from those cameras and turn away. The predicted curve is what the encoder "
         "wrote into the file, measured in views that it was given: of every chunk with its tail, "
         "shown here where its head is complete.</p>",
-        f'<div class="plot">{_curves(subject, curve)}</div>',
-        _quality_table(subject.qualities),
+        f'<div class="plot">{_curves(given, curve)}</div>',
+        _quality_table(given.qualities),
         "<h2>Pictures</h2>"
         f"<p>Source, decoded file, and their difference {AMPLIFIED} times enlarged.</p>",
-        *_pictures(subject),
+        *_pictures(given),
         "<h2>Where the bytes are</h2>",
         _attributes(sizes, kept),
         "<h2>Chunks</h2>",
         _chunks(chunks, ends, predicted),
         "<h2>Settings</h2>",
-        _table(["", ""], [[escape(a), escape(b)] for a, b in subject.settings], left=2),
+        _table(["", ""], [[escape(a), escape(b)] for a, b in given.settings], left=2),
         f"<footer>cogsplat {escape(cogsplat.__version__)}</footer>",
     ]
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
         f"<title>{name}: encode report</title><style>{_STYLE}</style></head>\n<body><main>"
-        f"<h1>{name}</h1><p>as {escape(subject.path.name)}</p>\n"
+        f"<h1>{name}</h1><p>as {escape(given.path.name)}</p>\n"
         + "\n".join(sections)
         + "\n</main></body></html>\n"
     )
 
 
-def _tiles(subject: Subject, kept: int, predicted_db: float) -> str:
-    size = subject.path.stat().st_size
-    whole = subject.qualities[-1]
+def _tiles(given: ReportInput, kept: int, predicted_db: float) -> str:
+    size = given.path.stat().st_size
+    whole = given.qualities[-1]
     tiles = [
         (size_text(size), f"{size / max(kept, 1):.2f} bytes a splat"),
-        (f"{subject.source_bytes / size:.1f}×", f"smaller than {size_text(subject.source_bytes)}"),
-        (f"{kept:,}", f"of {len(subject.source):,} splats"),
+        (f"{given.source_bytes / size:.1f}×", f"smaller than {size_text(given.source_bytes)}"),
+        (f"{kept:,}", f"of {len(given.source):,} splats"),
         (f"{whole.held_out_db:.2f} dB", f"judged views, SSIM {whole.held_out_ssim:.4f}"),
         (f"{whole.worst_db:.2f} dB", f"worst view, {whole.worst_view}"),
         (f"{whole.roam_db:.2f} dB", "roaming views"),
     ]
     if predicted_db:
         tiles.append((f"{predicted_db:.2f} dB", "predicted by the encoder"))
-    if subject.photos and whole.photos_db is not None:
-        lost = subject.photos.source_db - whole.photos_db
+    if given.photos and whole.photos_db is not None:
+        lost = given.photos.source_db - whole.photos_db
         tiles.append((f"{whole.photos_db:.2f} dB", f"against photos, {lost:.2f} dB lost"))
     cells = (
         f'<div class="tile"><b>{escape(big)}</b><span>{escape(small)}</span></div>'
@@ -200,9 +200,9 @@ def _tiles(subject: Subject, kept: int, predicted_db: float) -> str:
     return f'<div class="tiles">{"".join(cells)}</div>'
 
 
-def _curves(subject: Subject, predicted: Sequence[tuple[int, float]]) -> str:
+def _curves(given: ReportInput, predicted: Sequence[tuple[int, float]]) -> str:
     def points(of: Callable[[PrefixQuality], float | None]) -> tuple[tuple[float, float], ...]:
-        pairs = ((q.size_bytes, of(q)) for q in subject.qualities if q.splats)
+        pairs = ((q.size_bytes, of(q)) for q in given.qualities if q.splats)
         return tuple((float(max(size, 1)), db) for size, db in pairs if db is not None)
 
     series = [
@@ -212,7 +212,7 @@ def _curves(subject: Subject, predicted: Sequence[tuple[int, float]]) -> str:
     ]
     if predicted:
         series.append(Series("predicted", tuple((float(x), y) for x, y in predicted), look=6))
-    if subject.photos:
+    if given.photos:
         series.append(Series("photos", points(lambda q: q.photos_db), look=3))
     return line_chart(
         "PSNR after the first bytes", "bytes received", "PSNR, dB", series,
@@ -234,25 +234,23 @@ def _quality_table(qualities: Sequence[PrefixQuality]) -> str:
     return _table(heads, rows, left=0)
 
 
-def _pictures(subject: Subject) -> list[str]:
+def _pictures(given: ReportInput) -> list[str]:
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 
-    whole = cogsplat.decode(subject.path, threads=subject.threads)
-    info = subject.source.info
-    config = RenderConfig(
-        info.kernel_px, info.antialiased, subject.background, threads=subject.threads
-    )
+    whole = cogsplat.decode(given.path, threads=given.threads)
+    info = given.source.info
+    config = RenderConfig(info.kernel_px, info.antialiased, given.background, threads=given.threads)
     found = view_quality.view_qualities(
-        subject.source, whole, subject.cameras,
-        background=subject.background, threads=subject.threads,
+        given.source, whole, given.cameras,
+        background=given.background, threads=given.threads,
     )  # fmt: skip
     ranked = np.argsort([quality.psnr_db for quality in found], kind="stable")
     places = np.unique(np.linspace(0, len(ranked) - 1, min(_SHOWN, len(ranked))).round())
     parts = []
     for place in places.astype(int):
         view = int(ranked[place])
-        camera, quality = subject.cameras[view], found[view]
-        source, ours = render(subject.source, camera, config), render(whole, camera, config)
+        camera, quality = given.cameras[view], found[view]
+        source, ours = render(given.source, camera, config), render(whole, camera, config)
         what = {0: "worst view", len(ranked) - 1: "best view"}.get(int(place), "middle view")
         figures = [
             _figure(source, f"{what}, {camera.name}: source"),
@@ -261,10 +259,10 @@ def _pictures(subject: Subject) -> list[str]:
                     f"difference ×{AMPLIFIED}"),
         ]  # fmt: skip
         parts.append(_row(figures))
-    camera = subject.cameras[int(ranked[len(ranked) // 2])]
+    camera = given.cameras[int(ranked[len(ranked) // 2])]
     strip = []
-    for quality_, share in zip(subject.qualities, SHARES, strict=True):
-        part = decode_share(subject.path, share, threads=subject.threads)
+    for quality_, share in zip(given.qualities, SHARES, strict=True):
+        part = decode_share(given.path, share, threads=given.threads)
         text = f"{share:.0%}, {size_text(quality_.size_bytes)}: {len(part):,} splats"
         strip.append(_figure(render(part, camera, config), text))
     parts.append(f"<p>{escape(camera.name)} as the bytes arrive.</p>")
@@ -334,7 +332,7 @@ def _chunks(
 def _table(
     heads: Sequence[str], rows: Sequence[Sequence[str]], *, left: int, meter: bool = False
 ) -> str:
-    """Return a table of cells that are HTML already."""
+    """Return an HTML table of cells that are escaped already."""
 
     def tag(kind: str, column: int, text: str) -> str:
         looks = "l" if column < left else ""

@@ -1,4 +1,4 @@
-"""What the numbers of a scene look like: ranges, moments, histograms, how much it fills."""
+"""Statistics of a scene: ranges, moments, histograms, and how densely splats cover it."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class SceneStatistics:
 
 
 def statistics(splats: Splats, progress: Progress = silent) -> SceneStatistics:
-    """Describe a scene in numbers, whatever its rows hold.
+    """Return the statistics of a scene, non-finite values counted apart.
 
     Parameters
     ----------
@@ -196,13 +196,13 @@ def describe(values: F32) -> ValueStatistics:
 
 
 def _wide(values: F32) -> Iterator[F64]:
-    """Give the values as float64, some at a time: shN of a large scene fills memory once."""
+    """Yield the values as float64 in blocks, so that shN of a large scene is not copied whole."""
     for start in range(0, len(values), _BLOCK):
         yield values[start : start + _BLOCK].astype(np.float64)
 
 
 def fill_ratio(splats: Splats) -> float | None:
-    """Return about how many splats a ray through the scene crosses.
+    """Return an estimate of how many splats a ray through the scene crosses.
 
     The areas of the splats' 1σ ellipses over their two largest scales, summed, divided by the mean
     face area of the box between the 1 % and 99 % quantiles of the means, or by the median ellipse

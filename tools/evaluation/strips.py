@@ -1,4 +1,4 @@
-"""Film-strips of beginnings: one row of pictures for each order or file."""
+"""Film-strips of prefixes: one row of pictures for each order or file."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from cogsplat.codec.splats import Splats
 from cogsplat.tools.pictures.filmstrip import BACKGROUND, filmstrip
 from cogsplat.tools.terminal.output import size_text
 
-from .panel import Panel
-from .prefix_quality import decode_beginning
-from .progs_protocol import Point, counts
+from .evaluator import Evaluator
+from .prefix_quality import decode_prefix
+from .progs_protocol import PrefixPoint, counts
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -32,7 +32,7 @@ _WIDTH_PX: Final = 320
 
 @dataclass(frozen=True, eq=False)
 class Strip:
-    """What one row shows.
+    """Prefixes and captions of one row of pictures.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Strip:
     def of_order(
         name: str, splats: Splats, rows: NDArray[np.int64], shares: Sequence[float]
     ) -> Strip:
-        """Return the beginnings of an order."""
+        """Return the strip of prefixes of an order."""
         sizes = counts(len(rows), shares)
         ordered = splats.without_extras().take(rows[: max(sizes)])
         return Strip(
@@ -63,50 +63,48 @@ class Strip:
     def of_file(
         name: str,
         path: Path,
-        points: Sequence[Point],
+        points: Sequence[PrefixPoint],
         *,
         compensate: bool = False,
         threads: int = 0,
     ) -> Strip:
-        """Return the beginnings of a file, the shortest that were judged."""
+        """Return the strip of prefixes of a file, the shortest that were measured."""
         lengths = [point.size_bytes for point in points if point.size_bytes is not None]
         lengths = lengths[:_MOST_PICTURES]
         return Strip(
             name,
             tuple(size_text(length) for length in lengths),
             tuple(
-                decode_beginning(
-                    path, length, compensate=compensate, threads=threads
-                ).without_extras()
+                decode_prefix(path, length, compensate=compensate, threads=threads).without_extras()
                 for length in lengths
             ),
         )
 
 
-def draw_strips(panel: Panel, strips: Sequence[Strip]) -> Image:
-    """Draw rows of pictures under each other, the full render at the end of each.
+def draw_strips(evaluator: Evaluator, strips: Sequence[Strip]) -> Image:
+    """Draw strips under each other, each with the full render at its end.
 
     Parameters
     ----------
-    panel : Panel
-        The judging camera in the middle of its list is shown.
+    evaluator : Evaluator
+        The test view in the middle of its list is shown.
     strips : sequence of Strip
         At least one.
     """
     from PIL import Image
 
-    camera = _narrow(panel.cameras[len(panel.cameras) // 2])
-    whole = panel.draw(panel.reference, camera)
+    camera = _narrow(evaluator.cameras[len(evaluator.cameras) // 2])
+    whole = evaluator.draw(evaluator.reference, camera)
     rows: list[Image.Image] = []
     for strip in strips:
-        pictures = [panel.draw(version, camera) for version in strip.versions]
+        pictures = [evaluator.draw(version, camera) for version in strip.versions]
         captions = [
             (caption, f"{psnr(whole, picture):.1f} dB, {len(version):,} splats")
             for caption, picture, version in zip(
                 strip.captions, pictures, strip.versions, strict=True
             )
         ]
-        last = ("full render", f"{len(panel.reference):,} splats")
+        last = ("full render", f"{len(evaluator.reference):,} splats")
         title = f"{strip.name}, {camera.name}"
         rows.append(filmstrip([*pictures, whole], [*captions, last], title))
     size = (max(row.width for row in rows), sum(row.height for row in rows))

@@ -1,4 +1,4 @@
-"""What an evaluation says: tables, plots and records of beginnings, orders side by side."""
+"""Tables, plots and records of an evaluation: quality of prefixes by order."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from cogsplat.codec.splats import Splats
 from cogsplat.tools.pictures.svg_charts import Series, line_chart
 from cogsplat.tools.terminal.output import facts, name_of, say, size_text, table
 
-from .panel import Panel
+from .evaluator import Evaluator
 from .photos import Photos
-from .progs_protocol import BYTES, FIGURES, SPLATS, Point, areas
+from .progs_protocol import BYTES, FIGURES, SPLATS, PrefixPoint, areas
 
 if TYPE_CHECKING:
     from cogsplat.codec.scoring.contribution import Scores
@@ -36,8 +36,8 @@ def _charts(by: str) -> dict[str, str]:
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
-    """What is judged, and by what.
+class EvaluationInput:
+    """Input of an evaluation: the scene, its scores and its test views.
 
     Parameters
     ----------
@@ -47,9 +47,9 @@ class Subject:
         Of these splats.
     scored_on : sequence of Camera
     what : str
-        What the judging cameras are.
+        Where the test views come from.
     config : OrderConfig
-    panel : Panel
+    evaluator : Evaluator
     photos : Photos or None
     """
 
@@ -59,7 +59,7 @@ class Subject:
     scored_on: Sequence[Camera]
     what: str
     config: OrderConfig
-    panel: Panel
+    evaluator: Evaluator
     photos: Photos | None
 
 
@@ -68,7 +68,9 @@ def picture_names(by: Sequence[str]) -> list[str]:
     return [name for kind in by for name in (*_charts(kind).values(), STRIPS[kind])]
 
 
-def written_pages(subject: Subject, points: Sequence[Point], by: Sequence[str]) -> dict[str, str]:
+def written_pages(
+    given: EvaluationInput, points: Sequence[PrefixPoint], by: Sequence[str]
+) -> dict[str, str]:
     """Return the plots, the table and the record of an evaluation, by file name."""
     pages: dict[str, str] = {}
     for kind in by:
@@ -89,8 +91,7 @@ def written_pages(subject: Subject, points: Sequence[Point], by: Sequence[str]) 
                 for look, name in enumerate(names)
             ]
             pages[page] = line_chart(
-                f"{subject.path.absolute().parent.name}/{subject.path.name}, "
-                f"{_TITLES[figure]} views",
+                f"{given.path.absolute().parent.name}/{given.path.name}, {_TITLES[figure]} views",
                 "splats, %" if kind == SPLATS else "bytes received",
                 "PSNR against the full render, dB",
                 series,
@@ -103,7 +104,7 @@ def written_pages(subject: Subject, points: Sequence[Point], by: Sequence[str]) 
     writer.writeheader()
     writer.writerows(rows)
     pages["eval.csv"] = table_.getvalue()
-    pages["eval.json"] = json.dumps(report(subject, points, by), indent=2) + "\n"
+    pages["eval.json"] = json.dumps(report(given, points, by), indent=2) + "\n"
     return pages
 
 
@@ -111,7 +112,9 @@ def _share_text(percent: float) -> str:
     return f"{percent:.3g}"
 
 
-def report(subject: Subject, points: Sequence[Point], by: Sequence[str]) -> dict[str, object]:
+def report(
+    given: EvaluationInput, points: Sequence[PrefixPoint], by: Sequence[str]
+) -> dict[str, object]:
     """Return all figures as JSON output has them."""
     means = {
         kind: {
@@ -121,25 +124,25 @@ def report(subject: Subject, points: Sequence[Point], by: Sequence[str]) -> dict
         for kind in by
     }
     return {
-        "scene": name_of(subject.path),
-        "splats": len(subject.splats),
-        "judged_by": subject.what,
-        "views": len(subject.panel.cameras),
-        "scored_on": len(subject.scored_on),
-        "source_photo_db": None if subject.photos is None else subject.photos.source_db,
+        "scene": name_of(given.path),
+        "splats": len(given.splats),
+        "judged_by": given.what,
+        "views": len(given.evaluator.cameras),
+        "scored_on": len(given.scored_on),
+        "source_photo_db": None if given.photos is None else given.photos.source_db,
         "points": [point.report() for point in points],
         "mean_over_log": means,
     }
 
 
-def tell(subject: Subject, points: Sequence[Point], by: Sequence[str]) -> None:
+def tell(given: EvaluationInput, points: Sequence[PrefixPoint], by: Sequence[str]) -> None:
     """Print the tables."""
-    splats = subject.splats
-    say(f"{subject.path}: {len(splats):,} splats, SH degree {splats.sh_degree}")
-    photos = subject.photos
+    splats = given.splats
+    say(f"{given.path}: {len(splats):,} splats, SH degree {splats.sh_degree}")
+    photos = given.photos
     facts(
-        ("judged by", f"{len(subject.panel.cameras)} {subject.what}"),
-        ("scored", f"on {len(subject.scored_on)} views"),
+        ("judged by", f"{len(given.evaluator.cameras)} {given.what}"),
+        ("scored", f"on {len(given.scored_on)} views"),
         ("photos", "" if photos is None else f"{photos.source_db:.2f} dB for the source"),
     )
     for kind in by:
@@ -150,8 +153,8 @@ def tell(subject: Subject, points: Sequence[Point], by: Sequence[str]) -> None:
                 _tell_figure(own, kind, figure)
 
 
-def _tell_figure(points: Sequence[Point], kind: str, figure: str) -> None:
-    """Print one figure, a line for each name."""
+def _tell_figure(points: Sequence[PrefixPoint], kind: str, figure: str) -> None:
+    """Print one figure, a line for each order or file."""
     what, digits = figure.replace("_", " "), 4
     if figure.endswith("_db"):
         what, digits = f"{figure.removesuffix('_db').replace('_', ' ')} dB", 2

@@ -1,6 +1,6 @@
-"""Arrays that PyTorch saved, read without it: a zip of a pickle and of raw storages.
+"""State dicts of PyTorch, read without it: a zip of a pickle and of raw storages.
 
-The pickle builds dictionaries and tensors and nothing else: whatever else it names is refused.
+Only dictionaries and tensors are built: a pickle that names anything else is refused.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _from_torch(archive: zipfile.ZipFile, pickled: str, path: Path) -> dict[str,
 
 
 class _Tensors(pickle.Unpickler):
-    """Builds dictionaries of arrays, and refuses all else that a pickle can name."""
+    """Unpickler that builds dictionaries of arrays and refuses every other class or function."""
 
     def __init__(self, stream: object, read: Callable[[str], bytes]) -> None:
         super().__init__(stream)  # type: ignore[arg-type]

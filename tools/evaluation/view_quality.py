@@ -1,4 +1,4 @@
-"""How far one scene is from another, by what they look like: held-out views, the worst, roaming."""
+"""PSNR and SSIM between renders of two scenes, in held-out and roaming views."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SMALLEST_SIDE = 11
 
 @dataclass(frozen=True)
 class ViewQuality:
-    """How near two scenes are in one view.
+    """PSNR and SSIM between two scenes in one view.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class ViewQuality:
 
 @dataclass(frozen=True)
 class Comparison:
-    """How near two scenes are.
+    """PSNR and SSIM between two scenes in several views.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def view_qualities(
     progress: Progress = silent,
     stage: str = "compare",
 ) -> tuple[ViewQuality, ...]:
-    """Compare two scenes view by view, each drawn with the kernel it states.
+    """Compare two scenes view by view, each rendered with the kernel that it states.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""PNG, SVG and strips of pictures."""
+"""Picture files: PNG, SVG charts, film-strips, contact sheets, object masks."""

@@ -1,4 +1,4 @@
-"""Many pictures on one sheet, small, each with its caption: what a set of views looks like."""
+"""Contact sheets: many small pictures in a grid, each with its caption."""
 
 from __future__ import annotations
 

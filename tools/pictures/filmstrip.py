@@ -1,4 +1,4 @@
-"""Pictures side by side with captions under them: how a scene sharpens as bytes arrive."""
+"""Film-strips: pictures side by side with captions below, such as prefixes of a scene."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TITLE_COLOUR = (236, 237, 238)
 _FIRST_LINE_COLOUR = (236, 237, 238)
 _LINE_COLOUR = (160, 164, 168)
 
-# Shares of a panel's width, so that strips of any size look alike.
+# Shares of a picture's width, so that strips of any size look alike.
 _MARGIN, _GAP = 0.06, 0.03
 _TITLE_SIZE, _FIRST_LINE_SIZE, _LINE_SIZE = 0.065, 0.060, 0.050
 _SMALLEST_FONT_PX = 9
@@ -107,7 +107,7 @@ def _line_height(size: float, width: int) -> int:
 
 
 def _fitting_font(text: str, size: float, width: int, room: int) -> FreeTypeFont | ImageFont:
-    """Return the font for a line, smaller than `size` asks where it would not fit into `room`."""
+    """Return the font for a line of text: of `size`, or smaller where it would exceed `room`."""
     from PIL import ImageFont
 
     pixels = _font_px(size, width)

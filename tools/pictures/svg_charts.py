@@ -1,4 +1,4 @@
-"""Line charts as SVG, by hand: what a bench found, for pages and papers."""
+"""Line and bar charts as SVG, written without a plotting library."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 
 @dataclass(frozen=True)
 class Series:
-    """Points of one name.
+    """Named points of a chart, drawn as one line.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def _look(look: int) -> tuple[str, str]:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Return round numbers from below `low` to above `high`."""
+    """Return tick values: round numbers from below `low` to above `high`."""
     span = max(high - low, 1e-3)
     unit = 10 ** math.floor(math.log10(span / _TARGET_TICKS))
     step = next(s * unit for s in _STEPS if s * unit * _TARGET_TICKS >= span)

@@ -1,1 +1,1 @@
-"""The synthetic test scene."""
+"""The synthetic test scene: shapes, materials, lighting, cameras, labels, masks."""

@@ -57,7 +57,7 @@ def cottage(n: int, rng: np.random.Generator) -> Surfels:
 
 
 def _plaster(patch: Patch, middles: Edges, rng: np.random.Generator) -> Surfels:
-    """Coat a wall with beams; `middles` are their middle lines."""
+    """Return the splats of a plastered wall with beams; `middles` are the beams' middle lines."""
     tone = noise(patch.points, 9.0, 4, 71)
     plaster = mixed((0.66, 0.58, 0.44), (0.84, 0.79, 0.68), tone)
     beam = np.array(_BEAM) * (0.7 + 0.6 * noise(patch.points, 30.0, 2, 72))[:, None]
@@ -68,7 +68,7 @@ def _plaster(patch: Patch, middles: Edges, rng: np.random.Generator) -> Surfels:
 
 
 def _sides(patch: Patch) -> tuple[F64, F64]:
-    """Return the directions to the right and up of a wall, (n, 3) each."""
+    """Return unit vectors to the right and up along a wall, (n, 3) each."""
     return patch.tangents, np.cross(patch.normals, patch.tangents)
 
 

@@ -1,4 +1,4 @@
-"""The land of the synthetic scene: terrace, meadow, hills, sky, and dust in the air."""
+"""Surroundings in the synthetic scene: terrace, meadow, hills, sky, and floaters in mid-air."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _petals(points: F64, size: float, rng: np.random.Generator) -> Surfels:
 
 
 def _height(x: F64, z: F64) -> F64:
-    """Return the height of the land beyond the terrace."""
+    """Return the height of the ground beyond the terrace."""
     radius = np.hypot(x, z)
     flat = np.stack([x, np.zeros_like(x), z], axis=1)
     swell = smoothstep(TERRACE_RADIUS, TERRACE_RADIUS + 2.5, radius)
@@ -89,7 +89,7 @@ def _height(x: F64, z: F64) -> F64:
 
 
 def _land(patch: Patch) -> Patch:
-    """Return a flat ring laid over the land."""
+    """Return a flat ring lifted to the height of the ground."""
     x, z = patch.points[:, 0], patch.points[:, 2]
     y, step = _height(x, z), 0.05
     slope_x, slope_z = (_height(x + step, z) - y) / step, (_height(x, z + step) - y) / step
@@ -153,7 +153,7 @@ def meadow(n: int, rng: np.random.Generator) -> Surfels:
 
 
 def soil(n: int, rng: np.random.Generator) -> Surfels:
-    """Return what lies under terrace and meadow: seen only through gaps, like most of a scene."""
+    """Return the soil under terrace and meadow: hidden, as many splats of real scenes are."""
     patch = annulus(0.0, 5.5, n, rng)
     # Deep enough that a splat nearer to the eye does not reach over the stones behind it.
     depth = max(0.32, 2.8 * float(np.sqrt(patch.areas[0])))
@@ -207,7 +207,7 @@ def sky(n: int, rng: np.random.Generator) -> Surfels:
 
 
 def floaters(n: int, rng: np.random.Generator) -> Surfels:
-    """Return faint splats in mid-air, where training explained away a view or two."""
+    """Return faint splats in mid-air, like the floaters that training leaves."""
     radius, angle = 6.0 * np.sqrt(rng.random(n)), 2.0 * np.pi * rng.random(n)
     height = 0.1 + 2.6 * rng.random(n) ** 1.5
     points = np.stack([radius * np.cos(angle), height, radius * np.sin(angle)], axis=1)

@@ -1,4 +1,4 @@
-"""Light for the synthetic scene: shadows, ambient occlusion and gloss, baked into SH."""
+"""Lighting of the synthetic scene: shadows, ambient occlusion and gloss, baked into SH."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _BLOCK = 8192
 
 @dataclass(frozen=True, eq=False)
 class Occluders:
-    """What casts shadows: rough stand-ins for the objects.
+    """Spheres that cast shadows in place of the objects.
 
     Parameters
     ----------
@@ -57,20 +57,20 @@ class Occluders:
 
 
 def display(linear: F64) -> F64:
-    """Return display colours in [0, 1) of linear light: a soft shoulder, then gamma 2."""
+    """Return display colours in [0, 1) of linear light, tone-mapped by a shoulder and gamma 2."""
     result: F64 = np.sqrt(1.0 - np.exp(-linear))
     return result
 
 
 def bake(surfels: Surfels, occluders: Occluders, rng: np.random.Generator) -> F32:
-    """Light the surfels as seen from everywhere.
+    """Return SH coefficients of the light that the surfels reflect to every direction.
 
     Parameters
     ----------
     surfels : Surfels
         n of them.
     occluders : Occluders
-        What stands in the light.
+        Spheres that cast shadows.
     rng : numpy.random.Generator
         Source of the noise that training leaves in the higher bands.
 
@@ -134,7 +134,7 @@ def _bake_block(
 
 
 def _training_noise(opacities_unit: F64, rng: np.random.Generator) -> F64:
-    """Return noise for bands 1 to 3: the fainter a splat, the less its views pinned it down."""
+    """Return noise for bands 1 to 3, stronger for fainter splats, as training leaves it."""
     n = len(opacities_unit)
     sigma = (0.010 + 0.06 * (1.0 - opacities_unit) ** 2) * np.exp(0.5 * rng.standard_normal(n))
     values = np.zeros((n, 16, 3))

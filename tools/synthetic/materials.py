@@ -1,4 +1,4 @@
-"""Splats laid on surfaces: their sizes, opacities and materials in the synthetic scene."""
+"""Surface splats of the synthetic scene: their sizes, opacities and materials."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COVER = 0.79
 
 @dataclass(frozen=True, eq=False)
 class Surfels:
-    """n bits of coated surface, y up, linear colours.
+    """n surface elements (surfels) with their materials, y up, linear colours.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class Surfels:
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """The nearest edge of tile, stripe or beam, as splats keep to their side of it.
+    """The nearest edge of a tile, stripe or beam for each splat; splats do not reach across it.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Edges:
 
     @classmethod
     def none(cls, patch: Patch) -> Edges:
-        """Return what holds where a patch has no edges."""
+        """Return the edges of a patch that has none."""
         return cls(np.full(len(patch.points), np.inf), patch.tangents)
 
     def nearer(self, distance: F64, along: F64) -> Edges:
@@ -109,7 +109,7 @@ def coated(
     glow: F64 | float = 0.0,
     edges: Edges | None = None,
 ) -> Surfels:
-    """Cover a patch with flat splats as training would leave them.
+    """Return flat splats that cover a patch with sizes and opacities as training leaves them.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def coated(
 
 
 def collected(parts: list[Surfels]) -> Surfels:
-    """Return one batch of all the surfels."""
+    """Return several batches of surfels as one."""
     return Surfels(
         joined([part.patch for part in parts]),
         np.concatenate([part.sizes for part in parts]),

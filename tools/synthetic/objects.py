@@ -1,4 +1,4 @@
-"""The things in the synthetic scene: what they are shaped like, coated with, and where they stand.
+"""Objects of the synthetic scene: their shapes, materials and places.
 
 Lengths are scene units (about a metre), y is up, the terrace's centre is the origin.
 """
@@ -33,7 +33,7 @@ _RING = {"knot": 40.0, "tree": 130.0, "marbles": 220.0, "house": 310.0}
 
 
 def stand(name: str) -> tuple[float, tuple[float, float, float]]:
-    """Return how an object is turned about +y, in radians, and where it stands."""
+    """Return an object's rotation about +y, in radians, and its position."""
     if name not in _RING:
         return 0.5, (0.0, 0.0, 0.0)
     angle = float(np.radians(_RING[name]))
@@ -42,7 +42,7 @@ def stand(name: str) -> tuple[float, tuple[float, float, float]]:
 
 
 def stood(name: str, surfels: Surfels) -> Surfels:
-    """Return an object made at the origin, front towards +z, in its place: front outwards."""
+    """Return an object, made at the origin with its front towards +z, moved to its place."""
     return placed(surfels, *stand(name))
 
 
@@ -270,7 +270,7 @@ def house(n: int, rng: np.random.Generator) -> Surfels:
 
 
 def occluders() -> Occluders:
-    """Return the stand-ins that cast the objects' shadows."""
+    """Return the spheres that cast the objects' shadows."""
     arc = np.linspace(-0.9, 0.9, 8) * np.pi
     spout = [(0.62, 0.57, 0.0, 0.09), (0.72, 0.65, 0.0, 0.08), (0.80, 0.77, 0.0, 0.06)]
     handle = [(-0.64 + 0.21 * np.sin(a), 0.66 + 0.21 * np.cos(a), 0.0, 0.04) for a in arc]
@@ -311,7 +311,7 @@ _INSIDES = {
 
 
 def hidden(name: str, n: int, rng: np.random.Generator) -> Surfels:
-    """Return splats that no view sees: what training leaves inside closed objects."""
+    """Return splats inside closed objects that no view sees, as training leaves them."""
     middle, reach = _INSIDES[name]
     away = unit(rng.standard_normal((n, 3)))
     spot = away * (reach * np.cbrt(rng.random(n)))[:, None] + np.array(middle)

@@ -1,4 +1,4 @@
-"""Even points on the shapes that the synthetic scene is made of, and noise to colour them."""
+"""Shapes of the synthetic scene as evenly spread points, and value noise to colour them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _OUTLINE_STEPS = 24
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """n points spread evenly over a surface, y up.
+    """n points spread evenly over a surface, with normals, y up.
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ def annulus(
 
 
 def joined(patches: list[Patch]) -> Patch:
-    """Return one patch of all the points."""
+    """Return several patches as one."""
     return Patch(
         np.concatenate([patch.points for patch in patches]),
         np.concatenate([patch.normals for patch in patches]),

@@ -1,1 +1,1 @@
-"""What all commands share: options, values, printed output, progress."""
+"""Options, parsed values, printed output and progress bars that commands share."""

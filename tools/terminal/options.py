@@ -1,4 +1,4 @@
-"""Options that several commands have, each written once."""
+"""Command-line options that several commands share."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def threads_option(command: Command) -> Command:
 
 
 def cameras_option(without: str) -> Callable[[Command], Command]:
-    """Add ``--cameras``; `without` says what is done where it is not given."""
+    """Add ``--cameras``; `without` is the help text on what happens without it."""
     return click.option(
         "--cameras",
         type=PATH,
@@ -64,7 +64,7 @@ def cameras_option(without: str) -> Callable[[Command], Command]:
 
 
 def eval_every_option(default: int, verb: str) -> Callable[[Command], Command]:
-    """Add ``--eval-every``; `verb` says what happens to the cameras it names."""
+    """Add ``--eval-every``; `verb` begins its help text."""
     return click.option(
         "--eval-every",
         type=click.IntRange(min=0),
@@ -118,7 +118,7 @@ def compensate_option(command: Command) -> Command:
 
 
 def part_options(command: Command) -> Command:
-    """Add ``--chunks --splats --bytes --object --sh``: what is decoded of a COGS file."""
+    """Add ``--chunks --splats --bytes --object --sh``, which select a part of a COGS file."""
     options = [
         click.option(
             "--chunks", type=chunk_range, metavar="A:B", help="Chunks A to B-1 of a COGS file."

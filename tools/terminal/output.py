@@ -1,4 +1,4 @@
-"""How commands print: JSON, sizes, facts in columns, tables."""
+"""Printed output of commands: JSON, sizes, labelled lines, tables."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _TABLE_WIDTH: Final = 200
 
 
 def say(text: str) -> None:
-    """Print to standard output; characters that its encoding lacks come escaped."""
+    """Print to standard output, with escapes for characters that its encoding lacks."""
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     click.echo(text.encode(encoding, "backslashreplace").decode(encoding))
 
@@ -39,7 +39,7 @@ def say_json(value: Json) -> None:
 
 
 def facts(*rows: tuple[str, str]) -> None:
-    """Print labelled lines under a headline; those with nothing to say are left out."""
+    """Print labelled lines; those with an empty value are left out."""
     for label, text in rows:
         if text:
             say(f"  {label:<{_LABEL_WIDTH}} {text}")
@@ -72,7 +72,7 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 
 
 
 def size_text(size_bytes: int) -> str:
-    """Return a byte count as people read it: 812 B, 64.0 KiB, 1.31 MiB."""
+    """Return a byte count as text: 812 B, 64.0 KiB, 1.31 MiB."""
     if size_bytes < 1 << 10:
         return f"{size_bytes} B"
     for unit, scale in (("KiB", 1 << 10), ("MiB", 1 << 20)):

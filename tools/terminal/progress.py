@@ -1,4 +1,4 @@
-"""How a command shows the stages of long work, and times them."""
+"""Progress of a command: its stages shown on the terminal, and timed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LINE_EVERY: Final = 2.0
 
 
 class Stages(TimedProgress):
-    """A `codec.progress.Progress` for the terminal: bars there, plain lines elsewhere.
+    """A `codec.progress.Progress` that prints: bars on a terminal, plain lines elsewhere.
 
     A context manager, which times the stages as `TimedProgress` says.
 

@@ -1,4 +1,4 @@
-"""What options take beside numbers and names: bytes, ranges, colours, sizes, places."""
+"""Parsers of option values: byte counts, ranges, colours, picture sizes, vectors, boxes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Box = tuple[float, float, float, float, float, float]
 
 @dataclass(frozen=True)
 class ByteCount:
-    """So many bytes, or a share of a file.
+    """A number of bytes, or a share of a file's bytes.
 
     Parameters
     ----------
@@ -52,21 +52,21 @@ class ByteCount:
     is_share: bool
 
     def of(self, file_bytes: int) -> int:
-        """Return the bytes meant of a file of `file_bytes`, rounded down; at most the file's."""
+        """Return the number of bytes for a file of `file_bytes`: at most these, rounded down."""
         wanted = self.amount * file_bytes if self.is_share else self.amount
         return min(int(wanted), file_bytes)
 
 
 @dataclass(frozen=True)
 class ChunkRange:
-    """Half-open range of chunks; None leaves an end open."""
+    """A half-open range of chunks; None leaves an end open."""
 
     first: int | None
     last: int | None
 
 
 def object_labels(text: str) -> tuple[int, ...]:
-    """Read labels of objects such as ``3`` or ``1,4``.
+    """Parse labels of objects such as ``3`` or ``1,4``.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def object_labels(text: str) -> tuple[int, ...]:
 
 
 def byte_count(text: str) -> ByteCount:
-    """Read ``65536``, ``64KiB``, ``1.5MB`` or ``20%``.
+    """Parse ``65536``, ``64KiB``, ``1.5MB`` or ``20%``.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def byte_count(text: str) -> ByteCount:
 
 
 def chunk_range(text: str) -> ChunkRange:
-    """Read ``A:B``, half-open; either end may be left out.
+    """Parse ``A:B``, half-open; either end may be left out.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def chunk_range(text: str) -> ChunkRange:
 
 
 def colour(text: str) -> Colour:
-    """Read ``R,G,B`` in [0, 1], ``black`` or ``white``.
+    """Parse ``R,G,B`` in [0, 1], ``black`` or ``white``.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def colour(text: str) -> Colour:
 
 
 def picture_size(text: str) -> tuple[int, int]:
-    """Read ``WxH`` in pixels.
+    """Parse ``WxH`` in pixels.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def picture_size(text: str) -> tuple[int, int]:
 
 
 def vector(text: str) -> Vector:
-    """Read ``X,Y,Z``, three finite numbers.
+    """Parse ``X,Y,Z``, three finite numbers.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def vector(text: str) -> Vector:
 
 
 def box(text: str) -> Box:
-    """Read ``XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX``, finite and not inside out.
+    """Parse ``XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX``: finite, minima at most the maxima.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The bench: its figures are those of files written and judged apart from it."""
+"""The benchmark: its figures are those of files that are written and measured apart from it."""
 
 import csv
 import json
@@ -180,8 +180,8 @@ def test_names_are_read_by_their_beginnings() -> None:
 def test_a_refusal_is_a_row(scene: Splats, scores: Scores, tmp_path: Path) -> None:
     far = replace(scene, means=scene.means + np.float32(1e5))
     camera = synth_cameras(1, 48, 36)
-    subject = rate_distortion.Subject(scene, scores, 0.0, camera, camera, None, (0, 0, 0), 1)
-    moved = replace(subject, splats=far)
+    given = rate_distortion.BenchInput(scene, scores, 0.0, camera, camera, None, (0, 0, 0), 1)
+    moved = replace(given, splats=far)
     found = rate_distortion.run(
         moved, tmp_path, profiles=(), qualities=None, formats=[rate_distortion.BASELINE]
     )

@@ -30,7 +30,7 @@ def mean_db(whole, part, cameras):
     return [psnr(a, b) for a, b in pairs]
 
 
-def test_orders_are_judged_at_shares_of_the_splats(
+def test_orders_are_measured_at_shares_of_the_splats(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     told = run(
@@ -76,7 +76,7 @@ def test_orders_are_judged_at_shares_of_the_splats(
     assert "sgss" in (tmp_path / "splats-roam.svg").read_text()
 
 
-def test_files_are_judged_where_they_are_cut(run: Run, small: SmallScene) -> None:
+def test_files_are_measured_where_they_are_cut(run: Run, small: SmallScene) -> None:
     size = small.cogs.stat().st_size
     arguments = ["eval", small.ply, "--cameras", small.cameras, "--shares", "none", "--eval-every"]
     told = run(*arguments, 4, "--file", small.cogs, "--sizes", "100,40%,100MB", "--json")
@@ -94,7 +94,7 @@ def test_files_are_judged_where_they_are_cut(run: Run, small: SmallScene) -> Non
     assert points[1]["splats"] == len(part)
 
 
-def test_orders_are_encoded_to_be_judged_by_bytes(
+def test_orders_are_encoded_to_be_measured_by_bytes(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     told = run(
@@ -140,7 +140,7 @@ def test_lpips_and_photos_are_measured_where_given(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--shares", "none", "--sizes", "none"], "nothing to judge"),
+        (["--shares", "none", "--sizes", "none"], "nothing to measure"),
         (["--shares", "0"], "expected percents"),
         (["--sizes", "12 parsecs"], "expected bytes"),
         (["--orders", "contribution,gloss"], "expected one of"),

@@ -189,7 +189,7 @@ def test_compare_takes_parts_and_backgrounds(run: Run, small: SmallScene) -> Non
     assert held_out_db("--splats", "300", "--background", "white") != part
 
 
-def test_compare_judges_by_cameras_beside_the_scene(
+def test_compare_measures_in_cameras_beside_the_scene(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     scene = tmp_path / "scene.ply"

@@ -1,4 +1,4 @@
-"""Views that judge many versions of one scene against its own full render."""
+"""Evaluator: PSNR and SSIM of many versions of a scene against renders of the full scene."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ Picture = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Figures:
-    """How near one version is to the full render.
+    """PSNR and SSIM of one version against the full scene.
 
     Parameters
     ----------
     held_out_db, worst_db, roam_db : float
-        PSNR: the mean over the judging cameras, the lowest of them, the mean off their path.
+        PSNR: the mean over the test views, the lowest of them, the mean off their path.
     held_out_ssim, worst_ssim, roam_ssim : float
         Likewise.
     worst_view : str
-        The judging camera of the lowest PSNR.
+        The test view of the lowest PSNR.
     first_view_db, first_view_ssim : float or None
         At the pose that an order serves first, where there is one.
     held_out_lpips, worst_lpips, roam_lpips : float or None
         Likewise, where weights are given; lower is nearer.
     photos_db : float or None
-        Mean PSNR of the judging cameras against photos, where there are any.
+        Mean PSNR of the test views against photos, where there are any.
     """
 
     held_out_db: float
@@ -63,7 +63,7 @@ class Figures:
     photos_db: float | None = None
 
     def report(self) -> dict[str, object]:
-        """Return what was measured, rounded."""
+        """Return the figures that were measured, rounded."""
         found = {field.name: getattr(self, field.name) for field in fields(self)}
         return {
             name: round(value, 5) if isinstance(value, float) else value
@@ -74,7 +74,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class _Seen:
-    """One version in one view."""
+    """PSNR and SSIM of one version in one view."""
 
     psnr_db: float
     ssim: float
@@ -82,15 +82,15 @@ class _Seen:
     photo_db: float | None
 
 
-class Panel:
-    """The judging views of a scene: its held-out cameras, roaming views, and perhaps a first view.
+class Evaluator:
+    """The test views of a scene: held-out cameras, roaming views, perhaps a first view.
 
     Parameters
     ----------
     reference : Splats
         The whole scene, extra attributes left out.
     cameras : sequence of Camera
-        To judge by; at least one, 11 px a side or more.
+        Test views; at least one, 11 px a side or more.
     first_view : Camera or None
     photos : sequence of (H, W, 3) uint8 or None
         Of the cameras.
@@ -103,7 +103,7 @@ class Panel:
     Raises
     ------
     DataError
-        ``no-cameras``; ``view-too-small``; ``cameras-see-nothing``: no judging camera shows
+        ``no-cameras``; ``view-too-small``; ``cameras-see-nothing``: no test view shows
         anything but background.
     """
 
@@ -119,7 +119,7 @@ class Panel:
         threads: int = 0,
     ) -> None:
         if not cameras:
-            raise DataError("no-cameras", "0 cameras to judge by, expected at least 1")
+            raise DataError("no-cameras", "0 cameras to measure in, expected at least 1")
         self.cameras = list(cameras)
         self._views = [*cameras, *roam(reference, cameras), *([first_view] if first_view else [])]
         self._roaming = slice(len(cameras), len(cameras) * 3)
@@ -145,8 +145,8 @@ class Panel:
             )
         )
         blank = np.array(background, np.float32)
-        judging = range(len(cameras))
-        if not any(bool((self._expected(view) != blank).any()) for view in judging):
+        test_views = range(len(cameras))
+        if not any(bool((self._expected(view) != blank).any()) for view in test_views):
             raise DataError(
                 "cameras-see-nothing",
                 f"{len(cameras)} views of the reference show nothing but background, expected "
@@ -154,7 +154,7 @@ class Panel:
             )
 
     def draw(self, splats: Splats, camera: Camera) -> Picture:
-        """Draw a version with the kernel it states."""
+        """Render a version with the kernel that its `SceneInfo` states."""
         from cogsplat.codec.render.rasteriser import RenderConfig, render
 
         config = RenderConfig(
@@ -168,7 +168,7 @@ class Panel:
     def measure(
         self, versions: Sequence[Splats], *, progress: Progress = silent, stage: str = "judge"
     ) -> list[Figures]:
-        """Judge versions of the scene.
+        """Measure versions of the scene in all test views.
 
         Parameters
         ----------
