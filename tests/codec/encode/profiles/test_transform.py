@@ -90,8 +90,8 @@ def test_streams_are_those_of_the_profile():
     assert [book.attribute for book in whole.codebooks] == ["colour"]
     for chunk in whole.chunks:
         assert kinds(chunk) == {
-            Attribute.SCALES: Kind.LADDER,
-            Attribute.QUATS: Kind.TURN,
+            Attribute.SCALES: Kind.DIFFERENCES,
+            Attribute.QUATS: Kind.SWING_TWIST,
             Attribute.MEANS: Kind.FINE,
             Attribute.OPACITIES: Kind.SCALAR,
             Attribute.SH0: Kind.BASIS,
