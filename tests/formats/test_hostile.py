@@ -88,11 +88,8 @@ def test_damaged_bytes_are_refused(kernels, original, draw):
     assert isinstance(found, CogsplatError) or data == original
 
 
-@quick
-@given(st.sampled_from(FILES), st.data())
-def test_damaged_bytes_give_a_partial_reader_nothing_new(kernels, original, draw):
-    """What it decodes of a damaged file is what it decodes of as many whole bytes."""
-    data = draw.draw(overwritten(original))
+def assert_nothing_new(data, original):
+    """What a partial reader decodes of damaged bytes is what it decodes of as many whole ones."""
     found = first_chunks(data)
     if isinstance(found, CogsplatError):
         return
@@ -103,6 +100,23 @@ def test_damaged_bytes_give_a_partial_reader_nothing_new(kernels, original, draw
     assert list(found.extras) == list(whole.extras)
     for name, values in found.extras.items():
         assert values.tobytes() == whole.extras[name].tobytes(), name
+
+
+@quick
+@given(st.sampled_from(FILES), st.data())
+def test_damaged_bytes_give_a_partial_reader_nothing_new(kernels, original, draw):
+    assert_nothing_new(draw.draw(overwritten(original)), original)
+
+
+@pytest.mark.parametrize("profile", ["transform", "vq", "near-lossless"])
+def test_flipped_bits_of_cut_files_give_nothing_new(kernels, profile):
+    """Damage anywhere in a file of which most bytes are payload, read to anywhere."""
+    original = file_of(profile, 300, 3, 60)
+    rng = random.Random(5)
+    for _ in range(80):
+        data = bytearray(original[: rng.randrange(len(original) // 2, len(original) + 1)])
+        data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+        assert_nothing_new(bytes(data), original)
 
 
 @quick
