@@ -1,4 +1,4 @@
-"""What every splat adds to the pictures of a set of views: the measure that order is made from."""
+"""Contribution: how much each splat weighs in the pixels of a set of views (PRoGS, section 3.1)."""
 
 from __future__ import annotations
 
@@ -33,28 +33,28 @@ from .view_sums import ViewSums
 
 _BASES = sh_coefficients(MAX_SH_DEGREE)
 
-# PRoGS, section 3.1 (Zoomers et al. 2024): a pixel's K largest weights count.
 TOP_K = 20
+"""How many of a pixel's weights count, the largest (PRoGS, section 3.1, Zoomers et al. 2024)."""
 
 
 @dataclass(frozen=True)
 class ScoreConfig:
-    """What counts as contribution.
+    """Settings of `score`.
 
     Parameters
     ----------
     top_k : int
         Weights counted per pixel, the largest ones; 0 for all.
     jitter : bool
-        Also score copies of the cameras that step back and turn (`view_sets.jitter`), so that what
-        the capture path hides is not worth nothing.
+        Also score jittered copies of the cameras (`view_sets.jitter`), so that splats which are
+        hidden from the capture path alone do not score 0.
     near_plane : float
         Means at or before this camera-space depth are not drawn, scene units.
     threads : int
         0 for every core this process may use. The scores do not depend on it.
     sensitivity_every : int
-        Also measure `Sensitivities`, on one of so many views; 0 for none. At 1 they cost about as
-        much again as the rest.
+        Also measure `Sensitivities`, in one of so many views; 0 for none. At 1 this takes about as
+        much time again as the rest.
     """
 
     top_k: int = TOP_K
@@ -103,12 +103,12 @@ class Scores:
         Mean, by energy, over the views that see a splat of the SH bases above DC in their
         directions; zeros where none does.
     basis_spread : (15, 15) float64
-        Covariance of those bases over a splat's views, its mean over the scene by energy: what an
-        error of shN costs that sh0 cannot make up for.
+        Covariance of those bases over a splat's views; mean over the scene, by energy. It gives
+        what an error of shN costs that a change of sh0 cannot make up for.
     num_pixels : int
         Pixels of all views, jittered ones included.
     sensitivities : Sensitivities or None
-        What errors of the stored values cost, where the configuration asks for it.
+        Cost of errors of the stored values; None unless the configuration asks for it.
     """
 
     contribution: NDArray[np.float64]
@@ -139,7 +139,7 @@ class Scores:
 
 
 def unscored(splats: int) -> Scores:
-    """Return scores for a scene that no view was rendered of: nothing known, nothing pruned."""
+    """Return the scores of a scene of which no view was rendered: zeros for every splat."""
     return Scores(
         contribution=np.zeros(splats, np.float64),
         colour_sensitivity=np.zeros(splats, np.float64),
@@ -175,6 +175,7 @@ class _ViewScores:
 def _score_view(
     splats: Splats, camera: Camera, config: ScoreConfig, sensitive: bool, threads: int
 ) -> _ViewScores:
+    """Score one view, with sensitivities where `sensitive`."""
     footprints = project(
         splats,
         camera,
@@ -197,9 +198,10 @@ def _score_view(
 
 
 def _sensitive(count: int, every: int) -> list[bool]:
-    """Choose one of `every` views of a set: one of each run of so many, not the same in each.
+    """Mark one of every `every` views of a set, at another place in each run.
 
-    Jittered sets alternate between two kinds of copy, and both must be met.
+    The jittered copies alternate between two kinds; one fixed place in each run would meet one kind
+    alone.
     """
     if every == 0:
         return [False] * count
@@ -213,7 +215,7 @@ def score(
     *,
     progress: Progress = silent,
 ) -> Scores:
-    """Measure what each splat adds to what the cameras see, in one pass over the views.
+    """Measure how much each splat weighs in the views of some cameras, in one pass over them.
 
     Parameters
     ----------
@@ -236,6 +238,14 @@ def score(
     ------
     DataError
         ``no-cameras`` for an empty list, ``cameras-see-nothing`` when no splat reaches a pixel.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.scoring.contribution import ScoreConfig, score
+    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
+    >>> scores = score(synth(500), synth_cameras(2), ScoreConfig(jitter=False))
+    >>> scores.contribution.shape, int(scores.seen.max())
+    ((500,), 2)
     """
     config = config or ScoreConfig()
     if not cameras:

@@ -1,4 +1,4 @@
-"""The full scene's own pictures, small, from a spread of views: what thinned scenes are held to."""
+"""Reference views: small renders of the full scene, which prefixes of it are compared with."""
 
 from __future__ import annotations
 
@@ -14,19 +14,18 @@ from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render_views
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.low_discrepancy import STEP_1D
 from cogsplat.codec.views.view_sets import jitter
 
-# Bounds of what pictures cost, in time and memory: pixels of one, and views of all.
 PICTURE_PIXELS = 48_000
+"""Most pixels of one reference view. Bounds time and memory, as `MOST_VIEWS` does."""
 MOST_VIEWS = 192
-
-# Weights of the golden ratio: the fractions of its multiples are spread evenly, however many.
-_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+"""Most reference views, jittered copies included."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReferenceViews:
-    """Views of a scene and what it looks like from them.
+    """Views of a scene and its render in each of them.
 
     Parameters
     ----------
@@ -37,9 +36,10 @@ class ReferenceViews:
     pictures : sequence of (H, W, 3) float32
         0 to 1, over black.
     weights : (V,) float64
-        What a view counts; the given views and their jittered copies sum to 1 each.
+        Of each view in means over views. Those of the given views sum to 1, and so do those of
+        their jittered copies.
     given : int
-        Views before the first jittered copy.
+        How many views are given ones; they stand before the jittered copies.
     near_plane : float
         Means at or before this camera-space depth are not drawn, scene units.
     """
@@ -51,20 +51,25 @@ class ReferenceViews:
     given: int
     near_plane: float
 
-    def sample(self, count: int, turn: int) -> list[int]:
-        """Return about `count` views, given and jittered in proportion, others at every turn.
+    def sample(self, count: int, iteration: int) -> list[int]:
+        """Return the numbers of about `count` views, others in every iteration.
 
         Parameters
         ----------
         count : int
             At least 1; all views where there are no more.
-        turn : int
-            Each turn starts elsewhere; over many, all views come equally often.
+        iteration : int
+            From 0. Over many iterations all views come equally often.
+
+        Returns
+        -------
+        list of int
+            Given views and jittered copies in proportion, each spread evenly over its sequence.
         """
         total = len(self.cameras)
         if count >= total:
             return list(range(total))
-        phase = turn * _GOLDEN % 1.0
+        phase = iteration * STEP_1D % 1.0
         chosen: list[int] = []
         for first, size in ((0, self.given), (self.given, total - self.given)):
             if size:
@@ -74,7 +79,7 @@ class ReferenceViews:
 
 
 def _reduced(camera: Camera) -> tuple[Camera, int]:
-    """Return a camera that sees the same in fewer pixels, and by how many each side shrank."""
+    """Return a camera of the same view in at most `PICTURE_PIXELS`, and the reduction factor."""
     factor = math.ceil(math.sqrt(camera.width * camera.height / PICTURE_PIXELS))
     factor = max(1, min(factor, camera.width, camera.height))
     small = replace(
@@ -90,6 +95,7 @@ def _reduced(camera: Camera) -> tuple[Camera, int]:
 
 
 def _thinned(views: Sequence[Camera], most: int) -> list[Camera]:
+    """Return at most `most` views, spread evenly over the sequence."""
     if len(views) <= most:
         return list(views)
     return [views[k * len(views) // most] for k in range(most)]
@@ -104,22 +110,23 @@ def render_references(
     threads: int = 0,
     progress: Progress = silent,
 ) -> ReferenceViews:
-    """Draw the full scene.
+    """Render the full scene in its reference views.
 
     Parameters
     ----------
     splats : Splats
+        Drawn with the kernel and anti-aliasing of ``splats.info``.
     cameras : sequence of Camera
-        In the frame of the means, at least one; of more than `MOST_VIEWS`, copies included, an
-        even choice is drawn.
+        In the frame of the means, at least one. Where they and their copies are more than
+        `MOST_VIEWS`, evenly spread ones are taken.
     jittered : bool
-        Whether the copies that step back and turn (`view_sets.jitter`) are drawn as well.
+        Whether jittered copies of the cameras (`view_sets.jitter`) are drawn as well.
     near_plane : float
-        Scene units.
+        Means at or before this camera-space depth are not drawn, scene units.
     threads : int
         0 for every core this process may use. The pictures do not depend on it.
     progress : Progress
-        Called with ``("reference views", views done, views)``.
+        Called with ``("reference views", views done, views)``; raising from it stops the work.
 
     Returns
     -------
@@ -129,11 +136,19 @@ def render_references(
     ------
     ValueError
         No cameras.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.scoring.reference_views import render_references
+    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
+    >>> references = render_references(synth(500), synth_cameras(2))
+    >>> len(references.pictures), references.given
+    (6, 2)
     """
     if not cameras:
         raise ValueError("0 cameras, expected at least 1")
     if jittered:
-        # A camera has two copies.
+        # Each camera has two jittered copies.
         chosen = _thinned(cameras, MOST_VIEWS // 3)
         copies = jitter(splats, chosen)
     else:
@@ -143,7 +158,7 @@ def render_references(
     views = [camera for camera, _ in reduced]
     kernels = [info.kernel_px / (factor * factor) for _, factor in reduced]
     pictures: list[NDArray[np.float32]] = []
-    # Views of one factor are drawn together; factors come in runs.
+    # Views of one kernel are drawn together, at most 16 at once to bound memory and progress.
     start = 0
     progress("reference views", 0, len(views))
     while start < len(views):

@@ -1,4 +1,4 @@
-"""What a camera would see of a scene, and what stands in the way: first looks, before scoring."""
+"""Occlusion: how far one sees from a point of a scene before splats block the view."""
 
 from __future__ import annotations
 
@@ -17,36 +17,30 @@ from cogsplat.codec.render.jit import kernel
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
+from .low_discrepancy import even_directions
 from .subsample import MAX_LOG_SCALE
 
 F64 = NDArray[np.float64]
 
 _ALPHA_MAX: Final = float(ALPHA_MAX)
 
-# A way is blocked where half of the light is gone.
+# A ray is blocked where the transmittance falls to one half: at this optical depth.
 _BLOCKED: Final = math.log(2.0)
+# Intervals of equal length that a ray's optical depth is summed in.
 _STEPS: Final = 64
-# Splats are at least so thick, as a share of their largest deviation: no division by nothing.
+# Standard deviations are at least this share of a splat's largest one: no division by zero.
 _THINNEST: Final = 1e-4
 _RAYS_AT_ONCE: Final = 16
-_GOLDEN_ANGLE: Final = math.pi * (3.0 - math.sqrt(5.0))
-
-
-def even_directions(count: int) -> F64:
-    """Return (count, 3) unit vectors spread evenly: a Fibonacci lattice on the sphere."""
-    k = np.arange(count)
-    y = 1.0 - (2.0 * k + 1.0) / count
-    ring = np.sqrt(1.0 - y * y)
-    return np.stack([ring * np.cos(_GOLDEN_ANGLE * k), y, ring * np.sin(_GOLDEN_ANGLE * k)], axis=1)
 
 
 @kernel
 def _crossing(
     whiten: F64, opacity: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
 ) -> tuple[float, float]:
-    """Return where a way is deepest in a splat, and the optical depth it meets there.
+    """Return where along a ray a splat is densest, and the optical depth that it adds.
 
-    The way begins at o, relative to the splat's centre, and leads towards the unit vector d.
+    The ray begins at o, relative to the splat's centre, and goes along the unit vector d. The whole
+    splat counts at its densest point: -ln(1 - alpha), as in a pixel that the ray belongs to.
     """
     oo = dd = od = 0.0
     for k in range(3):
@@ -62,22 +56,23 @@ def _crossing(
 
 
 @kernel
-def _free_paths(
+def _free_lengths(
     means: F64,
     whiten: F64,
     opacities_unit: F64,
     radii: F64,
     origins: F64,
-    towards: F64,
+    directions: F64,
     lengths: F64,
     starts: F64,
-    paths: F64,
+    found: F64,
 ) -> None:
+    """Fill `found` with the length of each ray before it is blocked; see `Occluders`."""
     depth = np.empty(_STEPS, np.float64)
     for ray in range(len(origins)):
         depth[:] = 0.0
         length, start = lengths[ray], starts[ray]
-        dx, dy, dz = towards[ray, 0], towards[ray, 1], towards[ray, 2]
+        dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
         for i in range(len(means)):
             ox = origins[ray, 0] - means[i, 0]
             oy = origins[ray, 1] - means[i, 1]
@@ -92,26 +87,27 @@ def _free_paths(
             if added > 0.0 and at > start and at < length:
                 depth[int(at / length * _STEPS)] += added
         total = 0.0
-        paths[ray] = length
+        found[ray] = length
         for step in range(_STEPS):
             total += depth[step]
             if total >= _BLOCKED:
-                paths[ray] = length * step / _STEPS
+                found[ray] = length * step / _STEPS
                 break
 
 
 @kernel
-def _enclosed(
+def _occlusion(
     means: F64,
     whiten: F64,
     opacities_unit: F64,
     radii: F64,
     points: F64,
     reaches: F64,
-    towards: F64,
+    directions: F64,
     shares: F64,
 ) -> None:
-    depth = np.empty(len(towards), np.float64)
+    """Fill `shares` with the share of rays from each point that are blocked; see `Occluders`."""
+    depth = np.empty(len(directions), np.float64)
     for point in range(len(points)):
         depth[:] = 0.0
         reach = reaches[point]
@@ -123,11 +119,12 @@ def _enclosed(
             square = ox * ox + oy * oy + oz * oz
             if square > (reach + radius) * (reach + radius):
                 continue
-            # Above 0 where the point lies outside the splat's sphere; then ways that meet it keep
-            # at least so much (squared) along them, and lead towards it.
+            # Where the point lies outside the sphere of the splat's radius, `least` is the squared
+            # length of the tangent from the point. Rays that meet the sphere lead towards it, and
+            # the foot of the perpendicular from its centre is at least a tangent's length away.
             least = square - radius * radius
-            for k in range(len(towards)):
-                dx, dy, dz = towards[k, 0], towards[k, 1], towards[k, 2]
+            for k in range(len(directions)):
+                dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
                 along = -(ox * dx + oy * dy + oz * dz)
                 if least > 0.0 and (along < 0.0 or along * along < least):
                     continue
@@ -135,13 +132,16 @@ def _enclosed(
                 if added > 0.0 and at > 0.0 and at < reach:
                     depth[k] += added
         blocked = 0
-        for k in range(len(towards)):
+        for k in range(len(directions)):
             blocked += int(depth[k] >= _BLOCKED)
-        shares[point] = blocked / len(towards)
+        shares[point] = blocked / len(directions)
 
 
-class Matter:
-    """Splats as what stands in the way.
+class Occluders:
+    """Splats as what blocks the view along rays.
+
+    A ray is blocked where the transmittance along it, the product of 1 - alpha over the splats that
+    it crosses, falls to one half.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ class Matter:
         deviations = np.exp(log_scales)
         largest = deviations.max(axis=1)
         deviations = np.maximum(deviations, _THINNEST * largest[:, None])
-        # From the world's axes to the splat's, in its deviations.
+        # Takes an offset in scene units to the splat's axes, in its standard deviations.
         axes = matrices(unit(splats.quats)).transpose(0, 2, 1)
         with np.errstate(over="ignore"):
             opacities_unit = 1.0 / (1.0 + np.exp(-splats.opacities.astype(np.float64)))
@@ -168,65 +168,66 @@ class Matter:
         )
         self._threads = thread_count(threads)
 
-    def free_paths(self, origins: F64, towards: F64, lengths: F64, starts: F64) -> F64:
-        """Return how far each way leads before half of the light is gone.
+    def free_lengths(self, origins: F64, directions: F64, lengths: F64, starts: F64) -> F64:
+        """Return how far each ray goes before it is blocked.
 
         Parameters
         ----------
-        origins, towards : (R, 3) float64
+        origins, directions : (R, 3) float64
             Scene units; unit vectors.
         lengths : (R,) float64
-            Where each way ends, scene units.
+            Where each ray ends, scene units.
         starts : (R,) float64
-            Splats met nearer than this do not count, scene units.
+            Splats crossed nearer than this do not count, scene units.
 
         Returns
         -------
         (R,) float64
-            In steps of a 64th of the length; the length where nothing stands in the way.
+            Scene units, in steps of a 64th of the length; the length where nothing blocks the ray.
         """
-        paths = np.empty(len(origins), np.float64)
+        found = np.empty(len(origins), np.float64)
 
-        def walk(part: slice) -> None:
-            _free_paths(
+        def trace(part: slice) -> None:
+            _free_lengths(
                 *self._arrays,
                 origins[part],
-                towards[part],
+                directions[part],
                 lengths[part],
                 starts[part],
-                paths[part],
+                found[part],
             )
 
-        self._in_parts(walk, len(origins))
-        return paths
+        self._in_parts(trace, len(origins))
+        return found
 
-    def enclosed(self, points: F64, reaches: F64, num_directions: int = 32) -> F64:
-        """Return the share of directions in which half of the light is gone within reach.
+    def occlusion(self, points: F64, reaches: F64, num_directions: int = 32) -> F64:
+        """Return the share of all directions in which the view from each point is blocked.
 
         Parameters
         ----------
         points : (P, 3) float64
             Scene units.
         reaches : (P,) float64
-            How far to look, scene units; may be infinite.
+            Length of the rays, scene units; may be infinite.
         num_directions : int
-            Spread evenly over the sphere.
+            How many rays, spread evenly over the sphere.
 
         Returns
         -------
         (P,) float64
-            0 in the open, 1 where there is matter all around.
+            0 in the open, 1 where splats are all around.
         """
         shares = np.empty(len(points), np.float64)
-        towards = even_directions(num_directions)
+        directions = even_directions(num_directions)
 
-        def turn(part: slice) -> None:
-            _enclosed(*self._arrays, points[part], reaches[part], towards, shares[part])
+        def trace(part: slice) -> None:
+            _occlusion(*self._arrays, points[part], reaches[part], directions, shares[part])
 
-        self._in_parts(turn, len(points))
+        self._in_parts(trace, len(points))
         return shares
 
     def _in_parts(self, work: Callable[[slice], None], count: int) -> None:
+        """Call `work` for slices that together cover `count` rows, and wait for all."""
         parts = (slice(i, i + _RAYS_AT_ONCE) for i in range(0, count, _RAYS_AT_ONCE))
         for _ in ordered_map(work, parts, self._threads):
             pass

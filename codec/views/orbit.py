@@ -1,4 +1,4 @@
-"""Orbits: views of a subject that stands free, from where a viewer's controls turn it."""
+"""Orbits: camera poses all around an isolated object, as a viewer's orbit controls reach them."""
 
 from __future__ import annotations
 
@@ -9,41 +9,38 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from .low_discrepancy import STEPS_3D, sequence
 from .pose import Pose
 
 F64 = NDArray[np.float64]
 
-# So much of the scene is the subject; the rest may be what a capture left floating around it.
-_SUBJECT_SHARE: Final = 0.9
-# Distances, in radii of the subject: from where it overflows a picture of 60° to where it is small
-# enough to walk around it.
-_CLOSEST, _FURTHEST = 1.5, 3.0
-# Where it fills the picture without overflowing it.
-_FILLING: Final = 2.0
-# Sine of the height above the subject that controls start from and are mostly left at.
+# This share of the scene is taken to be the object; the rest may be floaters that a capture left
+# around it.
+_OBJECT_SHARE: Final = 0.9
+# Distances of the cameras from the centre, in radii of the object: at 1.5 it overflows a picture of
+# 60°, at 3 it is small in it, at 2 it fills it.
+_CLOSEST, _FURTHEST, _FILLING = 1.5, 3.0, 2.0
+# Sine of the elevation of the cameras above the object: viewers start about level and look rather
+# from above.
 _LOWEST, _HIGHEST = -0.15, 0.6
-# Every other view of an orbit is from where the near plane cuts nothing. The rest, and those of a
-# turntable, may be cut by it as a visitor's are that comes close, but not past the middle.
+# Every other pose of an orbit stands where the near plane cuts nothing off. At the others, and at
+# those of a turntable, it may cut the object, as it does for a visitor who comes close, but only up
+# to this share of the radius in front of the centre.
 _CUT_SHARE: Final = 0.5
-
-# Three-dimensional low-discrepancy sequence: powers of the inverse of the root of x⁴ = x + 1
-# (Roberts 2018).
-_ROOT: Final = 1.2207440846057596
-_SEQUENCE: Final = np.array([1.0 / _ROOT, 1.0 / _ROOT**2, 1.0 / _ROOT**3])
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
-    """What an orbit turns around.
+class OrbitTarget:
+    """The ball that an orbit looks at.
 
     Parameters
     ----------
     centre : (3,) float64
-        Scene units.
+        In the frame of the means, scene units.
     radius : float
-        Of the ball around it that holds nine tenths of the scene.
+        Of the ball around the centre that holds 90 % of the splats, scene units.
     reach : float
-        Of the ball that holds all but a hundredth.
+        Of the ball that holds 99 %, scene units.
     """
 
     centre: F64
@@ -51,83 +48,95 @@ class Subject:
     reach: float
 
 
-def subject_of(means: F64, counts: F64) -> Subject:
-    """Return the subject of a scene.
+def orbit_target(means: F64, counts: F64) -> OrbitTarget:
+    """Return the ball that holds most of a scene.
 
     Parameters
     ----------
     means : (n, 3) float64
         Scene units; at least one.
     counts : (n,) float64
-        Splats that each stands for.
+        How many splats each row stands for.
+
+    Returns
+    -------
+    OrbitTarget
     """
     middle = np.array([_quantile(means[:, axis], counts, 0.5) for axis in range(3)])
     far = np.linalg.norm(means - middle, axis=1)
-    inner = far <= _quantile(far, counts, _SUBJECT_SHARE)
+    inner = far <= _quantile(far, counts, _OBJECT_SHARE)
     centre = counts[inner] @ means[inner] / counts[inner].sum()
     far = np.linalg.norm(means - centre, axis=1)
-    return Subject(centre, _quantile(far, counts, _SUBJECT_SHARE), _quantile(far, counts, 0.99))
+    return OrbitTarget(centre, _quantile(far, counts, _OBJECT_SHARE), _quantile(far, counts, 0.99))
 
 
-def turntable(subject: Subject, count: int, down: F64, near_plane: float) -> list[Pose]:
-    """Return poses all around a subject, from where it fills the picture, that `orbit` has not.
+def turntable(target: OrbitTarget, count: int, down: F64, near_plane: float) -> list[Pose]:
+    """Return poses all around an object at the distance where it fills the picture.
 
     Parameters
     ----------
-    subject, count, down, near
+    target, count, down, near_plane
         As `orbit` takes them.
+
+    Returns
+    -------
+    list of Pose
+        None of them stands where a pose of `orbit` does.
     """
-    return _around(subject, range(-count, 0), down, near_plane, (_FILLING, _FILLING), cut=1)
+    return _around(target, np.arange(-count, 0), down, near_plane, (_FILLING, _FILLING), cut=1)
 
 
-def orbit(subject: Subject, count: int, down: F64, near_plane: float) -> list[Pose]:
-    """Return poses all around a subject, about level and rather from above, that look at it.
+def orbit(target: OrbitTarget, count: int, down: F64, near_plane: float) -> list[Pose]:
+    """Return poses all around an object at several distances, about level or from above.
 
     Parameters
     ----------
-    subject : Subject
+    target : OrbitTarget
         Its radius above 0.
     count : int
     down : (3,) float64
         Unit vector, or zeros where no direction is known to be down.
     near_plane : float
-        Depth up to which nothing is drawn, scene units.
+        Camera-space depth up to which nothing is drawn, scene units.
 
     Returns
     -------
     list of Pose
-        Those of any first part spread as evenly as all of them.
+        All look at the centre. The first n of them cover the directions as evenly as all do.
     """
-    return _around(subject, range(count), down, near_plane, (_CLOSEST, _FURTHEST), cut=2)
+    return _around(target, np.arange(count), down, near_plane, (_CLOSEST, _FURTHEST), cut=2)
 
 
 def _around(
-    subject: Subject,
-    rows: range,
+    target: OrbitTarget,
+    numbers: NDArray[np.int64],
     down: F64,
     near_plane: float,
     radii: tuple[float, float],
     *,
     cut: int,
 ) -> list[Pose]:
+    """Return the poses of these numbers of the sequence; the near plane may cut every `cut`-th."""
     up = -down if down.any() else np.array([0.0, 1.0, 0.0])
     side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     side /= np.linalg.norm(side)
     other = np.cross(up, side)
     poses: list[Pose] = []
-    for row in rows:
-        height, turn, step = (0.5 + row * _SEQUENCE) % 1.0
-        rise = _LOWEST + (_HIGHEST - _LOWEST) * float(height)
-        ring, angle = math.sqrt(1.0 - rise * rise), 2.0 * math.pi * float(turn)
+    for number, (height, azimuth, step) in zip(
+        numbers.tolist(), sequence(numbers, STEPS_3D).tolist(), strict=True
+    ):
+        rise = _LOWEST + (_HIGHEST - _LOWEST) * height
+        ring, angle = math.sqrt(1.0 - rise * rise), 2.0 * math.pi * azimuth
         back = rise * up + ring * (math.cos(angle) * side + math.sin(angle) * other)
-        distance = subject.radius * radii[0] * (radii[1] / radii[0]) ** float(step)
-        clear = near_plane + (subject.reach if row % cut else _CUT_SHARE * subject.radius)
+        distance = target.radius * radii[0] * (radii[1] / radii[0]) ** step
+        clear = near_plane + (target.reach if number % cut else _CUT_SHARE * target.radius)
         zoom = max(1.0, clear / distance)
-        poses.append(Pose(subject.centre + zoom * distance * back, -back, zoom))
+        poses.append(Pose(target.centre + zoom * distance * back, -back, zoom))
     return poses
 
 
 def _quantile(values: F64, weights: F64, share: float) -> float:
+    """Return the smallest value up to which `share` of the weights lies."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     return float(values[order[int(np.searchsorted(total, share * total[-1]))]])

@@ -1,10 +1,11 @@
 """Virtual views: cameras for a scene that came without any, planned from its splats alone.
 
-A view is worth what it shows clearly. Trained splats are small where cameras were near and many
-where cameras looked, so a picture from where the scene was meant to be seen resolves thousands of
-them; one from behind a wall, or from inside matter, resolves a few large ones. So: step back from
-splats to where they would have been seen at their size, look at the scene from there in small
-pictures, refuse places that matter hems in, and choose the views that together show most.
+Trained splats are small where the capturing cameras were near, and many where these cameras looked.
+A picture from a place like theirs resolves thousands of splats; one from behind a wall, or from
+inside a surface, resolves a few large ones. The planner therefore proposes candidate views: from a
+splat it steps back to the distance at which the splat has the size that is typical in a picture,
+unless something blocks the way. It draws each candidate as a small picture, leaves out places that
+splats enclose, and chooses greedily the views that together show most of the scene clearly.
 """
 
 from __future__ import annotations
@@ -26,103 +27,108 @@ from cogsplat.codec.render.peak_weights import peak_weights
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
-from .occlusion import Matter
-from .orbit import Subject, orbit, subject_of, turntable
+from .low_discrepancy import STEPS_2D, sequence
+from .occlusion import Occluders
+from .orbit import OrbitTarget, orbit, orbit_target, turntable
 from .pose import Lens, Pose, down_of
 from .subsample import Subsample, subsample
 
 F64 = NDArray[np.float64]
 
-# What planning looks at, whatever the size of the scene; and what is enough to tell inside from
-# outside.
+# Splats of the subsample that planning works on, and of the coarser one that tells whether a place
+# is enclosed. They bound the time, whatever the size of the scene.
 _SUBSAMPLE_SPLATS: Final = 40_000
 _COARSE_SPLATS: Final = 4_096
-# Pixels of the small pictures.
-_LOOK_PIXELS: Final = 96 * 72
+# Pixels of the small picture of a candidate.
+_CANDIDATE_PIXELS: Final = 96 * 72
 _LEAST_SIDE_PX: Final = 8
 
-# Views looked at for each one chosen: first over the whole scene, then for what is badly shown.
-_FIRST_LOOKS, _SECOND_LOOKS = 4, 2
-# Share of the views that is chosen before the second looks.
-_FIRST_SHARE: Final = _FIRST_LOOKS / (_FIRST_LOOKS + _SECOND_LOOKS)
+# Candidates for each view chosen: in the first round over the whole scene, in the second for what
+# the views chosen so far show badly.
+_FIRST_ROUND, _SECOND_ROUND = 4, 2
+# Share of the views that is chosen after the first round.
+_FIRST_SHARE: Final = _FIRST_ROUND / (_FIRST_ROUND + _SECOND_ROUND)
 
-# A subject fills a view of 60° from about this many of its radii. A splat's subject is the nearest
-# quarter of the scene: in parts of a scene that stand apart, each is its own.
-_STAND_OFF: Final = 2.0
-_SUBJECT_SHARE: Final = 0.25
-_SUBJECT_SAMPLES: Final = 256
-_SUBJECT_NEIGHBOURS: Final = 4_096
-# Backgrounds are coarser than their distance asks for: nobody stands back from a sky.
+# A splat's vicinity is the nearest quarter of the scene, so that each of several things that stand
+# apart has its own. It fills a view of 60° from about this many of its radii. Vicinities are
+# measured for some splats only, and among some.
+_FILLING: Final = 2.0
+_VICINITY_SHARE: Final = 0.25
+_VICINITY_SAMPLES: Final = 256
+_VICINITY_NEIGHBOURS: Final = 4_096
+# Viewing distances are at most so many times the median one: the large splats of a background are
+# not meant to be seen from as far away as their size would ask for.
 _FURTHEST: Final = 3.0
-# Where something stands in the way back, keep to this share of the free path, so that the jittered
-# copy (30 % further back) is still on this side; unless that is this near, compared with where the
-# splat would be seen at its size: then the view is from behind what stands there.
+# Where splats block the way back from a splat, the camera keeps to this share of the free length,
+# so that its jittered copy (30 % further back) stands before them as well. Where that would be
+# nearer than this share of the viewing distance, the camera stands at the viewing distance, behind
+# what blocks the way.
 _FREE_SHARE: Final = 0.7
 _NEAREST: Final = 0.12
-# Of the free path's beginning so much lies in the surface itself: in sizes, and of the way.
+# The first part of the way back lies in the splat's own surface and does not count: so many sizes
+# of the splat, or this share of the way if that is more.
 _SURFACE_SIZES, _SURFACE_SHARE = 3.0, 0.02
 
-# A place is inside matter where, within this share of the distance at which things there would be
-# seen at their size, more than this share of all directions is blocked.
-_HEMMED_REACH: Final = 0.08
-_HEMMED_SHARE: Final = 0.7
+# A place is enclosed by splats, such as one inside a solid object, where within this share of the
+# viewing distance more than this share of all directions is blocked.
+_ENCLOSED_REACH: Final = 0.08
+_ENCLOSED_OCCLUSION: Final = 0.7
 
-# Places with matter in more directions than this are inside of something: a room, or a subject.
-_INSIDE_SHARE: Final = 0.7
-# A side of the walls counts by what only it shows; where that is less than this share of the
-# scene on both, walls without contents are a subject, seen from outside.
+# A place with splats in more than this share of all directions, at any distance, is inside of
+# something: a room, or an object.
+_INSIDE_OCCLUSION: Final = 0.7
+# Views from inside and from outside count by the share of the scene that only they can show. Where
+# that is at most this much on both sides, the walls hold nothing: the scene is an object, seen from
+# outside.
 _SIDE_TIE: Final = 0.03
-# For that, so many splats are looked for from so many places, but for the end of each way that lies
-# in the surface itself: in sizes of coarse splats, and at most so much of the way.
+# Visibility for this is tested for so many splats from so many places. The end of each ray lies in
+# the surface that it aims at and does not count: so many sizes of coarse splats, at most this share
+# of the way.
 _SIDE_SAMPLES, _SIDE_PLACES = 512, 48
 _TARGET_SIZES, _TARGET_SHARE = 4.0, 0.1
-# The other side still counts so much: what it shows is worth some views, few.
+# Views of the other side count at least this much: what only they show deserves a few views.
 _LEAST_SIDE: Final = 0.1
 
-# A splat shown less than this is not shown. Splats shown this much once, or more, are worth little
-# more of the same: the gain is logarithmic, so that views spread over the scene as detail does.
+# A splat whose peak weight is at most _FAINT is not seen. Exposure beyond _SHOWN adds little: the
+# gain is logarithmic, so that views spread over the scene as its detail does.
 _FAINT: Final = 0.02
 _SHOWN: Final = 0.1
-# Visitors look about level, rather down than up; a view at right angles to that counts a tenth.
+# Visitors look about level and rather down than up. A view at right angles to this pitch counts a
+# tenth.
 _LEVEL_DEG: Final = 15.0
 _LEAST_LEVEL: Final = 0.1
 
-# A subject stands free where half of the places of an orbit have matter in no more directions than
-# the subject itself fills there, and is one where it is not so many times as large as the nearest
-# quarter of itself. Then most views are an orbit's: what viewers show first, and mostly.
-_FREE_MATTER: Final = 0.12
+# An object is isolated where, from half of the poses of an orbit, splats block at most this share
+# of the directions (the object itself fills about as much), and its radius is less than so many
+# radii of the median vicinity. Then most views are poses of an orbit: that is what viewers show.
+_ISOLATED_OCCLUSION: Final = 0.12
 _COMPACT: Final = 3.0
 _ORBIT_TRIES: Final = 24
 _ORBIT_SHARE: Final = 7 / 8
-# Views to measure in, and how much larger than those that are scored: errors that a small picture
-# averages away are seen in a visitor's.
+# Number of test views, and how much larger they are than the views to score on: a small picture
+# averages away errors that a visitor sees.
 _TEST_VIEWS: Final = 16
 _TEST_VIEW_SCALE: Final = 1.2
 
-# Less than this share of the splats may lie outside all pictures; up to one view in eight is added
-# for them, from chosen places.
+# At most this share of the splats may lie outside all views. For the others up to one more view for
+# each eight is added, from places that were chosen.
 _UNCOVERED: Final = 0.001
 _EXTRA_SHARE: Final = 1 / 8
 _UNCOVERED_SAMPLES: Final = 32
 
-# In small scenes the near plane, which is absolute, must stay clear of the subject: cameras keep
-# this many near distances and zoom in instead.
-_NEARS: Final = 4.0
-
-# Two-dimensional low-discrepancy sequence: powers of the inverse of the plastic number (Roberts
-# 2018, "The unreasonable effectiveness of quasirandom sequences").
-_PLASTIC: Final = 1.3247179572447460
-_SEQUENCE: Final = np.array([1.0 / _PLASTIC, 1.0 / _PLASTIC**2])
+# The near plane is a fixed distance. In a small scene it would cut the object off: cameras keep
+# this many near-plane distances from the splat they look at, and zoom in instead.
+_NEAR_PLANES: Final = 4.0
 
 
 @dataclass(frozen=True)
 class ViewPlanConfig:
-    """How many virtual views, and of what kind.
+    """Number and image size of virtual views.
 
     Parameters
     ----------
     views : int
-        Number of views, before those added for what they leave out (an eighth at most).
+        Number of views, before those added for splats outside all of them (an eighth at most).
     width, height : int
         Size of each, px.
     fov_deg : float
@@ -152,7 +158,7 @@ class ViewPlanConfig:
         thread_count(self.threads)
 
     def lens(self, scale: float = 1.0) -> Lens:
-        """Return the picture that views are taken with, or a copy of it in another size."""
+        """Return image size and field of view; `scale` multiplies width and height."""
         least = min(_LEAST_SIDE_PX, self.width, self.height)
         return Lens(
             width=max(least, round(scale * self.width)),
@@ -163,15 +169,15 @@ class ViewPlanConfig:
 
 @dataclass(frozen=True, eq=False)
 class ViewPlan:
-    """Views to score on, and views to measure in.
+    """Views to score on, and other views to test in.
 
     Parameters
     ----------
     views : list of Camera
-        Named ``virtual-000`` and on, those that show most first.
+        Named ``virtual-000`` and on; those that show most come first.
     test_views : list of Camera
-        Views of a visitor's that are not among them, to see in how a scene came out: a turntable
-        around a subject that stands free; none of any other scene.
+        Named ``test-00`` and on: a turntable around an isolated object, from places that `views`
+        has none in. Empty for every other scene.
     """
 
     views: list[Camera]
@@ -179,26 +185,59 @@ class ViewPlan:
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
-    """What a pose shows: rows of the subsample, how clearly each, and what that is worth."""
+class _Candidate:
+    """What a view from one pose would show.
+
+    Parameters
+    ----------
+    pose : Pose
+    index : (n,) int32
+        Rows of the subsample that are seen.
+    exposure : (n,) float32
+        How well each is shown: its peak weight, less where it is too small to be resolved and where
+        the view is steep. 0 to 1.
+    """
 
     pose: Pose
     index: NDArray[np.int32]
-    peaks: NDArray[np.float32]
-    worth: NDArray[np.float32]
+    exposure: NDArray[np.float32]
 
 
 def plan_views(
     splats: Splats, config: ViewPlanConfig | None = None, *, progress: Progress = silent
 ) -> list[Camera]:
-    """Return the views of a `plan`."""
+    """Plan the views to score a scene on that came without cameras.
+
+    Parameters
+    ----------
+    splats, config, progress
+        As `plan` takes them.
+
+    Returns
+    -------
+    list of Camera
+        `ViewPlan.views`.
+
+    Raises
+    ------
+    DataError
+        As `plan`.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.views.planner import ViewPlanConfig, plan_views
+    >>> from cogsplat.tools.synthetic.scene import synth
+    >>> cameras = plan_views(synth(500), ViewPlanConfig(views=4, width=64, height=48))
+    >>> cameras[0].name, cameras[0].width, cameras[0].height
+    ('virtual-000', 64, 48)
+    """
     return plan(splats, config, progress=progress).views
 
 
 def plan(
     splats: Splats, config: ViewPlanConfig | None = None, *, progress: Progress = silent
 ) -> ViewPlan:
-    """Plan the views to score a scene on that came without cameras.
+    """Plan the views to score and to test a scene on that came without cameras.
 
     Objects are seen from an orbit, rooms from inside, open ground from above, and what has several
     of these from each in proportion to its detail.
@@ -210,7 +249,8 @@ def plan(
     config : ViewPlanConfig or None
         None for the defaults.
     progress : Progress
-        Called with ``("plan views", looks done, looks)``; raising from it stops the work.
+        Called with ``("plan views", candidates drawn, candidates)``; raising from it stops the
+        work.
 
     Returns
     -------
@@ -235,140 +275,169 @@ def plan(
     found = planner.plan()
     lens, down = config.lens(), planner.down
     views = [pose.camera(lens, down, f"virtual-{row:03d}") for row, pose in enumerate(found)]
-    turned: list[Pose] = []
-    if planner.subject is not None:
-        turned = turntable(planner.subject, _TEST_VIEWS, down, config.near_plane)
+    around: list[Pose] = []
+    if planner.target is not None:
+        around = turntable(planner.target, _TEST_VIEWS, down, config.near_plane)
     large = config.lens(_TEST_VIEW_SCALE)
-    seen = [pose.camera(large, down, f"test-{row:02d}") for row, pose in enumerate(turned)]
-    return ViewPlan(views, seen)
+    tests = [pose.camera(large, down, f"test-{row:02d}") for row, pose in enumerate(around)]
+    return ViewPlan(views, tests)
 
 
 class _Planner:
-    """One run of `plan`."""
+    """One run of `plan`.
+
+    Parameters
+    ----------
+    scene : Subsample
+        M splats.
+    config : ViewPlanConfig
+    progress : Progress
+    """
 
     def __init__(self, scene: Subsample, config: ViewPlanConfig, progress: Progress) -> None:
         self._scene = scene
         self._config = config
         self._progress = progress
         self._means = scene.splats.means.astype(np.float64)
-        self._matter = Matter(scene.splats, config.threads)
-        self._coarse = Matter(subsample(scene.splats, _COARSE_SPLATS).splats, config.threads)
+        self._occluders = Occluders(scene.splats, config.threads)
+        self._coarse = Occluders(subsample(scene.splats, _COARSE_SPLATS).splats, config.threads)
         self.down = down_of(scene.splats.info.axes)
-        # Size over distance at which the scene was meant to be seen.
+        # Size over distance that is typical of the scene's splats in a picture.
         self._detail = self._typical_detail()
-        natural = scene.sizes / self._detail
-        typical = _weighted_median(natural, scene.counts)
-        self._natural: F64 = np.minimum(natural, _FURTHEST * typical)
-        # What stands free, once that is known.
-        self.subject: Subject | None = None
+        distances = scene.sizes / self._detail
+        typical = _weighted_median(distances, scene.counts)
+        # From where each splat has that size.
+        self._viewing_distances: F64 = np.minimum(distances, _FURTHEST * typical)
+        # The isolated object, once one is found.
+        self.target: OrbitTarget | None = None
         self._proposed = 0
-        self._looks: list[_Look] = []
+        self._candidates: list[_Candidate] = []
+        # Whether each candidate's place is inside of something, and what such a view counts.
         self._inside: list[bool] = []
-        # What a look counts, by whether it is from inside.
-        self._side_share = {False: 1.0, True: 1.0}
+        self._side_weight = {False: 1.0, True: 1.0}
+        # How well the chosen views show each splat together.
         self._exposure = np.zeros(len(scene))
-        scale = math.sqrt(_LOOK_PIXELS / (config.width * config.height))
+        scale = math.sqrt(_CANDIDATE_PIXELS / (config.width * config.height))
         self._small = config.lens(min(scale, 1.0))
 
     def plan(self) -> list[Pose]:
-        """Return the poses, most telling first."""
+        """Return the poses; those that show most come first."""
         views, counts = self._config.views, self._scene.counts
-        total = (_FIRST_LOOKS + _SECOND_LOOKS) * views
+        total = (_FIRST_ROUND + _SECOND_ROUND) * views
         self._progress("plan views", 0, total)
         chosen: list[int] = []
-        self._look_from(self._propose(_FIRST_LOOKS * views, counts))
-        self._progress("plan views", _FIRST_LOOKS * views, total)
+        self._draw_candidates(self._propose(_FIRST_ROUND * views, counts))
+        self._progress("plan views", _FIRST_ROUND * views, total)
         self._weigh_sides()
-        around = self._around()
+        around = self._orbit_poses()
         views -= len(around)
         self._choose(chosen, max(1, round(_FIRST_SHARE * views)))
-        wanting = counts / (1.0 + self._exposure / _SHOWN)
-        self._look_from(self._propose(_SECOND_LOOKS * self._config.views, wanting))
+        badly_shown = counts / (1.0 + self._exposure / _SHOWN)
+        self._draw_candidates(self._propose(_SECOND_ROUND * self._config.views, badly_shown))
         self._progress("plan views", total, total)
         self._choose(chosen, views)
-        poses = around + [self._looks[row].pose for row in chosen]
+        poses = around + [self._candidates[row].pose for row in chosen]
         inside = [False] * len(around) + [self._inside[row] for row in chosen]
-        sides = np.array([self._side_share[side] for side in inside])
-        return poses + self._for_uncovered(poses, sides)
+        weights = np.array([self._side_weight[side] for side in inside])
+        return poses + self._for_uncovered(poses, weights)
 
-    def _around(self) -> list[Pose]:
-        """Return an orbit's poses where the scene is one subject that stands free, else none."""
-        subject = subject_of(self._means, self._scene.counts)
-        from_outside = self._side_share[False] > self._side_share[True]
-        if not (from_outside and 0.0 < subject.radius < _COMPACT * self._near_radius):
+    def _orbit_poses(self) -> list[Pose]:
+        """Return the poses of an orbit where the scene is one isolated object, else none."""
+        target = orbit_target(self._means, self._scene.counts)
+        if not self._is_isolated(target):
             return []
-        near_plane, count = self._config.near_plane, round(_ORBIT_SHARE * self._config.views)
-        tries = np.array([p.position for p in orbit(subject, _ORBIT_TRIES, self.down, near_plane)])
-        matter = self._coarse.enclosed(tries, np.full(len(tries), np.inf))
-        if np.median(matter) > _FREE_MATTER:
-            return []
-        self.subject = subject
-        return orbit(subject, count, self.down, near_plane)
+        self.target = target
+        count = round(_ORBIT_SHARE * self._config.views)
+        return orbit(target, count, self.down, self._config.near_plane)
+
+    def _is_isolated(self, target: OrbitTarget) -> bool:
+        """Tell whether a compact object is all there is around the poses of an orbit."""
+        from_outside = self._side_weight[False] > self._side_weight[True]
+        if not (from_outside and 0.0 < target.radius < _COMPACT * self._vicinity_radius):
+            return False
+        tries = orbit(target, _ORBIT_TRIES, self.down, self._config.near_plane)
+        places = np.array([pose.position for pose in tries])
+        occlusion = self._coarse.occlusion(places, np.full(len(places), np.inf))
+        return bool(np.median(occlusion) <= _ISOLATED_OCCLUSION)
 
     def _typical_detail(self) -> float:
-        """Return size over distance where subjects fill the picture, as most of the scene has it.
+        """Return the median, over splats, of size over the distance of a picture of the vicinity.
 
-        The distance is that of a view which frames the nearest quarter of the scene.
+        From that distance the splat's vicinity fills the view.
         """
         counts, sizes = self._scene.counts, self._scene.sizes
-        samples = _systematic(counts, min(_SUBJECT_SAMPLES, len(counts)))
-        others = _systematic(counts, min(_SUBJECT_NEIGHBOURS, len(counts)))
-        nearest = max(1, round(_SUBJECT_SHARE * len(others)))
+        samples = _systematic(counts, min(_VICINITY_SAMPLES, len(counts)))
+        others = _systematic(counts, min(_VICINITY_NEIGHBOURS, len(counts)))
+        nearest = max(1, round(_VICINITY_SHARE * len(others)))
         radii = np.empty(len(samples))
         for row, sample in enumerate(samples):
             squares = np.square(self._means[others] - self._means[sample]).sum(axis=1)
             radii[row] = math.sqrt(np.partition(squares, nearest - 1)[nearest - 1])
         # A scene of one point still has an extent.
         radii = np.maximum(radii, 2.0 * sizes[samples])
-        self._near_radius = float(np.median(radii))
-        return float(np.median(sizes[samples] / (_STAND_OFF * radii)))
+        self._vicinity_radius = float(np.median(radii))
+        return float(np.median(sizes[samples] / (_FILLING * radii)))
 
-    def _propose(self, count: int, wanted: F64) -> list[Pose]:
-        """Return poses that look at splats drawn by `wanted`, from where there is room."""
-        rows = _systematic(wanted, count)
-        serial = self._proposed + np.arange(count)
+    def _propose(self, count: int, weights: F64) -> list[Pose]:
+        """Return poses that look at splats drawn by weight, from viewing distance if that is free.
+
+        Parameters
+        ----------
+        count : int
+        weights : (M,) float64
+            Chance of each splat to be looked at.
+
+        Returns
+        -------
+        list of Pose
+            At most `count`: places that splats enclose are left out.
+        """
+        rows = _systematic(weights, count)
+        points = sequence(self._proposed + np.arange(count), STEPS_2D)
         self._proposed += count
-        spread = np.modf(0.5 + serial[:, None] * _SEQUENCE)[0]
-        z, turn = 2.0 * spread[:, 0] - 1.0, 2.0 * np.pi * spread[:, 1]
-        ring = np.sqrt(1.0 - z * z)
-        back = np.stack([ring * np.cos(turn), z, ring * np.sin(turn)], axis=1)
-        targets, natural = self._means[rows], self._natural[rows]
-        starts = np.maximum(_SURFACE_SIZES * self._scene.sizes[rows], _SURFACE_SHARE * natural)
-        free = self._matter.free_paths(targets, back, natural, starts)
-        blocked = (free < natural) & (_FREE_SHARE * free > _NEAREST * natural)
-        distances = np.where(blocked, _FREE_SHARE * free, natural)
+        height, azimuth = 2.0 * points[:, 0] - 1.0, 2.0 * np.pi * points[:, 1]
+        ring = np.sqrt(1.0 - height * height)
+        back = np.stack([ring * np.cos(azimuth), height, ring * np.sin(azimuth)], axis=1)
+        targets, wanted = self._means[rows], self._viewing_distances[rows]
+        starts = np.maximum(_SURFACE_SIZES * self._scene.sizes[rows], _SURFACE_SHARE * wanted)
+        free = self._occluders.free_lengths(targets, back, wanted, starts)
+        blocked = (free < wanted) & (_FREE_SHARE * free > _NEAREST * wanted)
+        distances = np.where(blocked, _FREE_SHARE * free, wanted)
         places = targets + distances[:, None] * back
-        roomy = self._matter.enclosed(places, _HEMMED_REACH * natural) <= _HEMMED_SHARE
-        if not roomy.any():
-            # Matter everywhere, such as fog: no place is better than another.
-            roomy[:] = True
-        zoom = np.maximum(1.0, _NEARS * self._config.near_plane / distances)
+        occlusion = self._occluders.occlusion(places, _ENCLOSED_REACH * wanted)
+        usable = occlusion <= _ENCLOSED_OCCLUSION
+        if not usable.any():
+            # Splats everywhere, such as fog: no place is better than another.
+            usable[:] = True
+        zoom = np.maximum(1.0, _NEAR_PLANES * self._config.near_plane / distances)
         places = targets + (zoom * distances)[:, None] * back
-        return [Pose(places[row], -back[row], float(zoom[row])) for row in np.flatnonzero(roomy)]
+        return [Pose(places[row], -back[row], float(zoom[row])) for row in np.flatnonzero(usable)]
 
-    def _look_from(self, poses: Sequence[Pose]) -> None:
+    def _draw_candidates(self, poses: Sequence[Pose]) -> None:
+        """Draw a small picture from each pose and add the candidates."""
         threads = thread_count(self._config.threads)
-        total = (_FIRST_LOOKS + _SECOND_LOOKS) * self._config.views
-        for found in ordered_map(self._look, poses, threads):
-            self._looks.append(found)
-            if len(self._looks) % self._config.views == 0:
-                self._progress("plan views", len(self._looks), total)
+        total = (_FIRST_ROUND + _SECOND_ROUND) * self._config.views
+        for found in ordered_map(self._candidate, poses, threads):
+            self._candidates.append(found)
+            if len(self._candidates) % self._config.views == 0:
+                self._progress("plan views", len(self._candidates), total)
         places = np.array([pose.position for pose in poses])
-        around = self._coarse.enclosed(places, np.full(len(poses), np.inf))
-        self._inside += (around > _INSIDE_SHARE).tolist()
+        occlusion = self._coarse.occlusion(places, np.full(len(poses), np.inf))
+        self._inside += (occlusion > _INSIDE_OCCLUSION).tolist()
 
-    def _look(self, pose: Pose) -> _Look:
+    def _candidate(self, pose: Pose) -> _Candidate:
+        """Draw one small picture and measure what it shows."""
         camera = pose.camera(self._small, self.down)
         index, peaks = peak_weights(self._scene.splats, camera, self._config.near_plane)
         clear = peaks > _FAINT
         index, peaks = index[clear], peaks[clear]
         distances = np.linalg.norm(self._means[index] - pose.position, axis=1) / pose.zoom
-        # Too far to be resolved, splats share pixels.
+        # Splats that are too far away to be resolved share pixels.
         resolved = np.minimum(1.0, self._scene.sizes[index] / (distances * self._detail)) ** 2
-        tilt = math.asin(min(1.0, max(-1.0, float(pose.forward @ self.down))))
-        level = math.cos(tilt - math.radians(_LEVEL_DEG)) ** 2
+        pitch = math.asin(min(1.0, max(-1.0, float(pose.forward @ self.down))))
+        level = math.cos(pitch - math.radians(_LEVEL_DEG)) ** 2
         share = _LEAST_LEVEL + (1.0 - _LEAST_LEVEL) * level
-        return _Look(pose, index, peaks, (share * peaks * resolved).astype(np.float32))
+        return _Candidate(pose, index, (share * peaks * resolved).astype(np.float32))
 
     def _weigh_sides(self) -> None:
         """Decide how much views from inside and from outside of walls count."""
@@ -379,43 +448,67 @@ class _Planner:
         most = max(only.values())
         for side in only:
             share = float(not side) if most <= _SIDE_TIE else (only[side] / most) ** 2
-            self._side_share[side] = max(share, _LEAST_SIDE)
+            self._side_weight[side] = max(share, _LEAST_SIDE)
 
     def _visible_from(self, side: bool, samples: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Mark the samples that some place on a side has in sight, whichever way it looked."""
+        """Mark the samples that some candidate's place on a side sees, in any direction.
+
+        Parameters
+        ----------
+        side : bool
+            True for places inside, False for those outside.
+        samples : (n,) intp
+            Rows of the subsample.
+
+        Returns
+        -------
+        (n,) bool
+        """
         rows = [row for row, inside in enumerate(self._inside) if inside == side]
         visible = np.zeros(len(samples), np.bool_)
         coarser = math.sqrt(max(1.0, self._scene.counts.sum() / _COARSE_SPLATS))
         ends = _TARGET_SIZES * coarser * self._scene.sizes[samples]
         for row in rows[:_SIDE_PLACES]:
             hidden = np.flatnonzero(~visible)
-            ways = self._means[samples[hidden]] - self._looks[row].pose.position
-            distances = np.maximum(np.linalg.norm(ways, axis=1), np.finfo(np.float64).tiny)
+            position = self._candidates[row].pose.position
+            offsets = self._means[samples[hidden]] - position
+            distances = np.maximum(np.linalg.norm(offsets, axis=1), np.finfo(np.float64).tiny)
             lengths = distances - np.minimum(ends[hidden], _TARGET_SHARE * distances)
-            origins = np.broadcast_to(self._looks[row].pose.position, ways.shape)
-            free = self._coarse.free_paths(
-                origins, ways / distances[:, None], lengths, np.zeros(len(ways))
+            origins = np.broadcast_to(position, offsets.shape)
+            free = self._coarse.free_lengths(
+                origins, offsets / distances[:, None], lengths, np.zeros(len(offsets))
             )
             visible[hidden] = free >= lengths
         return visible
 
     def _choose(self, chosen: list[int], views: int) -> None:
-        """Add the looks that show most of what the chosen ones do not yet, one after the other.
+        """Add the candidates that show most of what the chosen ones do not show yet, one by one.
 
-        Gains only shrink as views are added, so a look is weighed anew only when its last known
-        gain is the largest (Minoux 1978).
+        Parameters
+        ----------
+        chosen : list of int
+            Rows of the candidates; extended in place.
+        views : int
+            How many there are to be in the end.
+
+        Notes
+        -----
+        Marginal gains only shrink as views are added, so a candidate is evaluated anew only when
+        its last known gain is the largest (lazy greedy, Minoux 1978).
         """
         counts = self._scene.counts
 
         def gain(row: int) -> float:
-            found = self._looks[row]
-            worth = self._side_share[self._inside[row]] * found.worth
-            more = np.log1p(worth / (self._exposure[found.index] + _SHOWN))
+            found = self._candidates[row]
+            added = self._side_weight[self._inside[row]] * found.exposure
+            more = np.log1p(added / (self._exposure[found.index] + _SHOWN))
             return float((counts[found.index] * more).sum())
 
         taken = set(chosen)
         queue = [
-            (-gain(row), row, len(chosen)) for row in range(len(self._looks)) if row not in taken
+            (-gain(row), row, len(chosen))
+            for row in range(len(self._candidates))
+            if row not in taken
         ]
         heapq.heapify(queue)
         while queue and len(chosen) < views:
@@ -423,12 +516,24 @@ class _Planner:
             if known < len(chosen):
                 heapq.heappush(queue, (-gain(row), row, len(chosen)))
                 continue
-            found = self._looks[row]
-            self._exposure[found.index] += self._side_share[self._inside[row]] * found.worth
+            found = self._candidates[row]
+            self._exposure[found.index] += self._side_weight[self._inside[row]] * found.exposure
             chosen.append(row)
 
-    def _for_uncovered(self, poses: Sequence[Pose], sides: F64) -> list[Pose]:
-        """Return poses from where others stand, turned to splats that lie outside all pictures."""
+    def _for_uncovered(self, poses: Sequence[Pose], weights: F64) -> list[Pose]:
+        """Return poses in places of given ones that look at splats outside all their pictures.
+
+        Parameters
+        ----------
+        poses : sequence of Pose
+        weights : (len(poses),) float64
+            What a view from each place counts.
+
+        Returns
+        -------
+        list of Pose
+            At most one for each eight views.
+        """
         counts = self._scene.counts
         uncovered = np.ones(len(counts), np.bool_)
         lens, near_plane = self._config.lens(), self._config.near_plane
@@ -442,11 +547,12 @@ class _Planner:
                 break
             targets = left[_systematic(counts[left], min(_UNCOVERED_SAMPLES, len(left)))]
             best, best_pose = 0.0, None
-            for pose, side in zip(poses, sides, strict=True):
-                ways = self._means[left] - pose.position
-                ways /= np.maximum(np.linalg.norm(ways, axis=1), np.finfo(np.float64).tiny)[:, None]
-                aims = ways[np.searchsorted(left, targets)]
-                found = side * ((aims @ ways.T > cosine) @ counts[left])
+            for pose, weight in zip(poses, weights, strict=True):
+                offsets = self._means[left] - pose.position
+                distances = np.maximum(np.linalg.norm(offsets, axis=1), np.finfo(np.float64).tiny)
+                directions = offsets / distances[:, None]
+                aims = directions[np.searchsorted(left, targets)]
+                found = weight * ((aims @ directions.T > cosine) @ counts[left])
                 if found.max() > best:
                     best = float(found.max())
                     best_pose = Pose(pose.position, aims[int(found.argmax())], 1.0)
@@ -458,7 +564,7 @@ class _Planner:
 
 
 def _systematic(weights: F64, count: int) -> NDArray[np.intp]:
-    """Return `count` rows drawn at even steps of the weights' running sum."""
+    """Return `count` rows by systematic sampling: at even steps of the weights' running sum."""
     total = np.cumsum(weights)
     places = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])
     rows: NDArray[np.intp] = np.minimum(places, len(weights) - 1)
@@ -466,6 +572,7 @@ def _systematic(weights: F64, count: int) -> NDArray[np.intp]:
 
 
 def _weighted_median(values: F64, weights: F64) -> float:
+    """Return the smallest value up to which half of the weights lies."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     return float(values[order[int(np.searchsorted(total, 0.5 * total[-1]))]])

@@ -1,4 +1,4 @@
-"""Where a view stands and where it looks, before its picture has a size."""
+"""Poses: where a camera stands and where it looks, before its image has a size."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from cogsplat.codec.cameras import Camera
 
 F64 = NDArray[np.float64]
 
-# Forward and down within about 2.6° of each other leave the roll to chance.
+# Cosine of about 2.6°: a camera that looks up or down more steeply takes its roll from an axis of
+# the scene instead of from `down`, which would leave it to rounding.
 _PARALLEL = 0.999
 
 
 @dataclass(frozen=True)
 class Lens:
-    """The picture that poses are taken with.
+    """Image size and field of view that poses become cameras with.
 
     Parameters
     ----------
     width, height : int
-        Px.
+        Of the image, px.
     slope : float
-        Half the width of the picture at depth 1, unzoomed.
+        Half the width of the view at depth 1 without zoom: tan(fov / 2).
     """
 
     width: int
@@ -34,16 +35,16 @@ class Lens:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A place and a direction.
+    """Position and viewing direction of a camera.
 
     Parameters
     ----------
     position : (3,) float64
-        Scene units.
+        In the frame of the means, scene units.
     forward : (3,) float64
-        Unit vector.
+        Unit vector, the camera's z axis.
     zoom : float
-        Focal length over the lens' own.
+        Factor on the focal length of the lens.
     """
 
     position: F64
@@ -51,7 +52,21 @@ class Pose:
     zoom: float
 
     def camera(self, lens: Lens, down: F64, name: str = "") -> Camera:
-        """Return the camera of a pose, its y axis as near to `down` as it goes."""
+        """Return the camera of a pose.
+
+        Parameters
+        ----------
+        lens : Lens
+        down : (3,) float64
+            Unit vector that the camera's y axis comes as near to as `forward` allows; zeros where
+            no direction is known to be down.
+        name : str
+
+        Returns
+        -------
+        Camera
+            Its principal point in the middle of the image.
+        """
         forward = self.forward
         if not down.any() or abs(float(forward @ down)) > _PARALLEL:
             down = np.eye(3)[np.abs(forward).argmin()]
@@ -73,7 +88,24 @@ class Pose:
 
 
 def down_of(axes: str) -> F64:
-    """Return the unit vector that points down in a frame named as `SceneInfo.axes` is."""
+    """Return the direction that a frame calls down.
+
+    Parameters
+    ----------
+    axes : str
+        As `SceneInfo.axes`: where x, y and z point, such as ``"RDF"``.
+
+    Returns
+    -------
+    (3,) float64
+        Unit vector; zeros where no axis points up or down.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.views.pose import down_of
+    >>> down_of("RUB").tolist()
+    [0.0, -1.0, 0.0]
+    """
     down = np.zeros(3)
     for axis, letter in enumerate(axes):
         if letter in "DU":

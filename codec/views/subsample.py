@@ -1,4 +1,4 @@
-"""A scene thinned until many looks at it are cheap, its surfaces still closed."""
+"""Subsamples: a few thousand splats that stand for a scene, its surfaces still closed."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ F64 = NDArray[np.float64]
 MAX_LOG_SCALE: Final = 40.0
 """Log scales are taken as within ± this, so that squares of distances stay finite."""
 
-# Share of a subsample that its largest splats may take: few, and they close the big surfaces.
+# Share of a subsample that the scene's largest splats may take. They are few and cover the large
+# surfaces.
 _LARGEST_SHARE: Final = 0.125
-# Neighbours along the order, itself included, over which a splat's size is averaged: single
-# splats are needles and specks, what tells how near the capture was is the company they keep.
+# Splats along the spatial order, the middle one included, over which the size is averaged. A single
+# splat may be a needle or a speck; the mean of its neighbourhood tells how close the capture was.
 _NEIGHBOURS: Final = 33
 
 
 @dataclass(frozen=True, eq=False)
 class Subsample:
-    """A thinned scene.
+    """A scene thinned to M splats.
 
     Parameters
     ----------
@@ -34,8 +35,8 @@ class Subsample:
     counts : (M,) float64
         How many of the scene's splats each stands for.
     sizes : (M,) float64
-        Size of the scene's splats thereabouts, scene units: geometric mean, over neighbours, of the
-        two larger standard deviations.
+        Typical size of the scene's splats around each, scene units: the geometric mean, over 33
+        neighbours, of the two larger standard deviations.
     """
 
     splats: Splats
@@ -54,13 +55,13 @@ def subsample(splats: Splats, most: int) -> Subsample:
     splats : Splats
         At least one row, all finite.
     most : int
-        The largest splats stay as they are. Of the others every k-th along `spatial_order` stays,
-        with k times its area.
+        At least 8 where the scene has more splats.
 
     Returns
     -------
     Subsample
-        The same for the same scene.
+        The largest splats, an eighth of `most`, unchanged. Of the others every k-th along
+        `spatial_order`, enlarged to k times its area. The same for the same scene.
     """
     bare = splats.without_extras().with_sh_degree(0)
     bare = bare.take(spatial_order(bare.means))
@@ -84,13 +85,14 @@ def subsample(splats: Splats, most: int) -> Subsample:
 
 
 def _log_sizes(scales: NDArray[np.float32]) -> F64:
+    """Return the mean of the two larger log scales of each splat: (N,)."""
     ordered = np.sort(scales.astype(np.float64), axis=1)
     sizes: F64 = np.clip(0.5 * (ordered[:, 1] + ordered[:, 2]), -MAX_LOG_SCALE, MAX_LOG_SCALE)
     return sizes
 
 
 def _moving_mean(values: F64) -> F64:
-    """Return means over windows of `_NEIGHBOURS`, shorter at both ends."""
+    """Return means over windows of `_NEIGHBOURS`, which are shorter at both ends: (N,)."""
     total = np.concatenate([[0.0], np.cumsum(values)])
     place = np.arange(len(values))
     first = np.maximum(place - _NEIGHBOURS // 2, 0)

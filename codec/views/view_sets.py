@@ -1,11 +1,10 @@
-"""Sets of views: held out for judging, or roaming off the capture path."""
+"""Sets of cameras made from given ones: held out for testing, thinned, or moved off the path."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -13,28 +12,38 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.geometry.frustum import visible_depth
 from cogsplat.codec.splats import Splats
 
-# Multiples of it, less their whole part, spread evenly over 0 to 1.
-_GOLDEN: Final = 0.6180339887498949
+from .low_discrepancy import STEP_1D
+
+STEP_BACK = 0.3
+"""How far `roam` moves a camera back, as a share of the median visible depth."""
+ROTATION_DEG = 20.0
+"""By what angle `roam` rotates a camera, degrees."""
 
 
 def evenly(cameras: Sequence[Camera], count: int) -> list[Camera]:
     """Return at most `count` cameras, one from each of so many equal runs of a sequence.
 
-    Not the same place in each run: shells and capture rigs alternate between kinds of view.
+    Parameters
+    ----------
+    cameras : sequence of Camera
+    count : int
+        At least 1.
+
+    Returns
+    -------
+    list of Camera
+        In the order of the sequence. Which of its run is taken differs from run to run: captures
+        with several cameras on a rig alternate between kinds of view, and one fixed place would
+        meet one kind alone.
     """
     if len(cameras) <= count:
         return list(cameras)
     run = len(cameras) / count
-    return [cameras[int((k + (k + 0.5) * _GOLDEN % 1.0) * run)] for k in range(count)]
-
-
-# Roam views: the share of the median visible depth to move back by, and the turn.
-STEP_BACK = 0.3
-TURN_DEG = 20.0
+    return [cameras[int((k + (k + 0.5) * STEP_1D % 1.0) * run)] for k in range(count)]
 
 
 def hold_out(cameras: Sequence[Camera], every: int) -> tuple[list[Camera], list[Camera]]:
-    """Split cameras into those to score on and those to judge by.
+    """Split cameras into training views and held-out test views, as Mip-NeRF 360 does.
 
     Parameters
     ----------
@@ -51,6 +60,12 @@ def hold_out(cameras: Sequence[Camera], every: int) -> tuple[list[Camera], list[
     ------
     ValueError
         A negative `every`.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.views.view_sets import hold_out
+    >>> hold_out(["a", "b", "c", "d", "e"], 2)
+    (['b', 'd'], ['a', 'c', 'e'])
     """
     if every < 0:
         raise ValueError(f"every {every}, expected 0 (none) or more")
@@ -61,7 +76,7 @@ def hold_out(cameras: Sequence[Camera], every: int) -> tuple[list[Camera], list[
 
 
 def roam(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
-    """Return views off the capture path: every camera moved back, and every camera turned.
+    """Return views off the capture path: for every camera one moved back and one rotated.
 
     Parameters
     ----------
@@ -73,23 +88,30 @@ def roam(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
     Returns
     -------
     list of Camera
-        Two for each: moved back along its own z axis by 30 % of its `visible_depth`, and, where it
-        stood, turned about its own y axis by 20°, to the right for cameras of even index and to
-        the left for odd.
+        Two for each: one moved back along its own z axis by 30 % of its `visible_depth`; and one in
+        the camera's own place, rotated about its own y axis by 20°, to the right for cameras of
+        even index and to the left for odd.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.views.view_sets import roam
+    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
+    >>> [camera.name for camera in roam(synth(500), synth_cameras(2))][:2]
+    ['view_00-back', 'view_00-turned']
     """
     views: list[Camera] = []
     for index, camera in enumerate(cameras):
         depth = visible_depth(splats, camera)
         moved = camera.translation + np.array([0.0, 0.0, STEP_BACK * depth])
         views.append(replace(camera, translation=moved, name=f"{camera.name}-back"))
-        angle = math.radians(TURN_DEG if index % 2 == 0 else -TURN_DEG)
+        angle = math.radians(ROTATION_DEG if index % 2 == 0 else -ROTATION_DEG)
         cos, sin = math.cos(angle), math.sin(angle)
-        turn = np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
+        rotation = np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
         views.append(
             replace(
                 camera,
-                rotation=turn @ camera.rotation,
-                translation=turn @ camera.translation,
+                rotation=rotation @ camera.rotation,
+                translation=rotation @ camera.translation,
                 name=f"{camera.name}-turned",
             )
         )
@@ -97,5 +119,5 @@ def roam(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
 
 
 def jitter(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
-    """Return the copies of scoring cameras that are scored too: the rule of `roam`."""
+    """Return the jittered copies of cameras that scoring adds to them: those of `roam`."""
     return roam(splats, cameras)

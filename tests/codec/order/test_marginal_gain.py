@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import oracle
 import pytest
@@ -18,7 +16,7 @@ from cogsplat.codec.order.marginal_gain import (
 from cogsplat.codec.order.orders import Unordered, order_rows
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring.contribution import ScoreConfig, score, unscored
-from cogsplat.codec.scoring.reference_views import MOST_VIEWS, PICTURE_PIXELS, render_references
+from cogsplat.codec.scoring.reference_views import render_references
 from cogsplat.codec.splats import concatenate
 
 
@@ -130,72 +128,6 @@ def test_progress_can_cancel(scene):
     with pytest.raises(Cancelled):
         gain_rows(splats, scores, references, progress=stop)
     assert calls[0] == ("gain", 0, 480)
-
-
-def test_reference_views_show_the_scene_small(scene):
-    splats, cameras, _ = scene
-    large = [replace(c, width=4 * 310, height=4 * 200, fx=900.0, fy=900.0) for c in cameras]
-    references = render_references(splats, large)
-    assert len(references.cameras) == len(references.pictures) == len(references.weights) == 9
-    assert references.given == 3
-    np.testing.assert_allclose(references.weights, [1 / 3] * 3 + [1 / 6] * 6)
-    for camera, picture, kernel_px in zip(
-        references.cameras, references.pictures, references.kernels, strict=True
-    ):
-        assert picture.shape == (camera.height, camera.width, 3)
-        assert PICTURE_PIXELS / 2 < camera.width * camera.height <= PICTURE_PIXELS
-        assert kernel_px == pytest.approx(0.3 / 25)
-        assert picture.min() >= 0
-        assert picture.max() <= 1
-
-
-def test_reference_views_bound_their_views(scene):
-    splats, cameras, _ = scene
-    references = render_references(splats.take(np.arange(3)), cameras * 100)
-    assert len(references.cameras) == MOST_VIEWS
-    assert references.given == MOST_VIEWS // 3
-
-
-def test_samples_reach_every_view_equally(scene):
-    splats, cameras, _ = scene
-    references = render_references(splats.take(np.arange(3)), cameras * 5)
-    seen = np.zeros(len(references.cameras), int)
-    for turn in range(90):
-        views = references.sample(9, turn)
-        assert len(set(views)) == len(views) == 9
-        assert sum(view < references.given for view in views) == 3
-        seen[views] += 1
-    assert seen.min() >= 14
-    assert seen.max() <= 22
-    assert references.sample(100, 3) == list(range(45))
-
-
-def test_no_cameras_are_refused_as_references(scene):
-    with pytest.raises(ValueError, match="0 cameras"):
-        render_references(scene[0], [])
-
-
-def test_typical_inflation_falls_to_nothing():
-    assert prefix_inflation.typical(2.0) == prefix_inflation.Inflation(0.0, 0.0)
-    few, some = prefix_inflation.typical(0.0), prefix_inflation.typical(0.1)
-    assert few == prefix_inflation.typical(0.001)
-    assert few.scales > some.scales > 0
-    assert few.opacities > some.opacities > 0
-
-
-def test_effective_splats_bring_most_of_the_contribution():
-    assert prefix_inflation.effective_splats(np.array([1.0, 90.0, 6.0, 3.0])) == 2
-    assert prefix_inflation.effective_splats(np.ones(100)) == 95
-    assert prefix_inflation.effective_splats(np.zeros(7)) == 7
-    assert prefix_inflation.effective_splats(np.zeros(0)) == 1
-
-
-def test_inflated_splats_are_larger_and_more_opaque():
-    splats = oracle.scene(1, n=4)
-    thick = prefix_inflation.inflate(splats, prefix_inflation.Inflation(0.25, 1.5))
-    np.testing.assert_allclose(thick.scales - splats.scales, 0.25, rtol=1e-5)
-    np.testing.assert_allclose(thick.opacities - splats.opacities, 1.5, rtol=1e-5)
-    assert thick.scales.dtype == thick.opacities.dtype == np.float32
 
 
 def test_reference_views_at_hand_are_not_drawn_again(several_chunks, monkeypatch):

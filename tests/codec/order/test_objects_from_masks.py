@@ -37,8 +37,8 @@ def test_unseen_splats_go_with_their_neighbours():
     assert 0 < (~seen).sum() < 200
     means = splats.means.astype(np.float64)
     for row in np.flatnonzero(~seen):
-        near_plane = np.argsort(np.linalg.norm(means[seen] - means[row], axis=1))[:5]
-        around = labels[seen][near_plane].tolist()
+        nearest = np.argsort(np.linalg.norm(means[seen] - means[row], axis=1))[:5]
+        around = labels[seen][nearest].tolist()
         assert labels[row] == max(set(around), key=around.count)
 
 

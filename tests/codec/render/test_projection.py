@@ -4,7 +4,6 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.geometry import frustum
 from cogsplat.codec.render.projection import (
     FLAT,
     HALF_HEIGHT,
@@ -87,8 +86,3 @@ def test_without_a_kernel_flat_splats_vanish_instead_of_dividing_by_zero():
     splats.scales[1] = -2.0
     footprints = project(splats, oracle.camera(), kernel_px=0.0, antialiased=False)
     assert footprints.index.tolist() == [1]
-
-
-def test_views_use_the_same_near_plane():
-
-    assert frustum.NEAR == frustum.NEAR

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.views.orbit import Subject, orbit, subject_of, turntable
+from cogsplat.codec.views.orbit import OrbitTarget, orbit, orbit_target, turntable
 
 DOWN = np.array([0.0, 1.0, 0.0])
-BALL = Subject(np.array([3.0, -1.0, 2.0]), 1.0, 1.2)
+BALL = OrbitTarget(np.array([3.0, -1.0, 2.0]), 1.0, 1.2)
 
 
 def test_a_subject_is_where_most_of_the_scene_is() -> None:
@@ -14,7 +14,7 @@ def test_a_subject_is_where_most_of_the_scene_is() -> None:
     means = rng.normal(size=(2000, 3))
     means *= rng.uniform(0, 1, (2000, 1)) ** (1 / 3) / np.linalg.norm(means, axis=1, keepdims=True)
     means[:100] *= 1e4
-    found = subject_of(means + np.array([5.0, 0.0, -5.0]), np.ones(2000))
+    found = orbit_target(means + np.array([5.0, 0.0, -5.0]), np.ones(2000))
     np.testing.assert_allclose(found.centre, [5.0, 0.0, -5.0], atol=0.05)
     assert 0.9 < found.radius < 1.05
     assert found.reach > 100.0
@@ -22,7 +22,7 @@ def test_a_subject_is_where_most_of_the_scene_is() -> None:
 
 def test_rows_count_as_often_as_they_say() -> None:
     means = np.array([[0.0, 0, 0], [1.0, 0, 0], [9.0, 0, 0]])
-    found = subject_of(means, np.array([50.0, 49.0, 1.0]))
+    found = orbit_target(means, np.array([50.0, 49.0, 1.0]))
     np.testing.assert_allclose(found.centre, [49 / 99, 0.0, 0.0])
 
 
@@ -47,7 +47,7 @@ def test_poses_look_at_the_middle_from_rather_above(down: np.ndarray) -> None:
 
 
 def test_small_subjects_stay_in_front_of_the_near_plane() -> None:
-    small = Subject(np.zeros(3), 0.01, 0.02)
+    small = OrbitTarget(np.zeros(3), 0.01, 0.02)
     for row, pose in enumerate(orbit(small, 64, DOWN, 0.2)):
         distance = float(np.linalg.norm(pose.position))
         assert distance >= 0.2 + (0.02 if row % 2 else 0.005) - 1e-12
@@ -60,7 +60,7 @@ def test_a_turntable_has_places_of_its_own_at_one_distance() -> None:
     np.testing.assert_allclose(np.linalg.norm(turned - BALL.centre, axis=1), 2.0)
     apart = np.linalg.norm(turned[:, None] - around[None], axis=2)
     assert apart.min() > 0.02
-    small = turntable(Subject(np.zeros(3), 0.01, 0.02), 16, DOWN, 0.2)
+    small = turntable(OrbitTarget(np.zeros(3), 0.01, 0.02), 16, DOWN, 0.2)
     np.testing.assert_allclose([np.linalg.norm(pose.position) for pose in small], 0.205)
     rise = (turned - BALL.centre) @ -DOWN / 2.0
     assert ((rise >= -0.15) & (rise <= 0.6)).all()

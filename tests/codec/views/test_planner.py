@@ -52,9 +52,9 @@ def places(cameras: list[Camera]) -> NDArray[np.float64]:
 
 def gaze(cameras: list[Camera], point: Sequence[float]) -> NDArray[np.float64]:
     """Return the cosines between where cameras look and where a point is."""
-    ways = np.asarray(point, float) - places(cameras)
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    return (ways * np.array([camera.rotation[2] for camera in cameras])).sum(axis=1)
+    offsets = np.asarray(point, float) - places(cameras)
+    offsets /= np.linalg.norm(offsets, axis=1, keepdims=True)
+    return (offsets * np.array([camera.rotation[2] for camera in cameras])).sum(axis=1)
 
 
 def covered(splats: Splats, cameras: list[Camera]) -> NDArray[np.bool_]:
@@ -101,7 +101,7 @@ def test_an_object_is_seen_from_all_around_and_close(size: float) -> None:
     assert covered(splats, cameras).all()
 
 
-def test_only_a_subject_that_stands_free_has_test_views() -> None:
+def test_only_an_isolated_object_has_test_views() -> None:
     ball = plan(sphere(1.0), SMALL)
     assert len(ball.test_views) == 16
     same(ball.views, plan_views(sphere(1.0), SMALL))
@@ -139,11 +139,9 @@ def test_open_ground_is_seen_from_above() -> None:
 def test_things_far_apart_are_each_looked_at() -> None:
     first, second = sphere(1.0, 800, (-10.0, 0.0, 0.0)), sphere(1.0, 800, (10.0, 0.0, 0.0))
     cameras = plan_views(concatenate([first, second]), SMALL)
-    near_plane = [
-        np.linalg.norm(places(cameras) - [x, 0.0, 0.0], axis=1) < 8.0 for x in (-10.0, 10.0)
-    ]
-    assert near_plane[0].sum() >= 6
-    assert near_plane[1].sum() >= 6
+    close = [np.linalg.norm(places(cameras) - [x, 0.0, 0.0], axis=1) < 8.0 for x in (-10.0, 10.0)]
+    assert close[0].sum() >= 6
+    assert close[1].sum() >= 6
 
 
 def test_cameras_keep_upright() -> None:

@@ -1,0 +1,69 @@
+"""Low-discrepancy sequences: points that cover a range evenly, whatever number of them is taken."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+
+# The multiples of these steps, less their whole parts, cover the unit interval, square and cube
+# evenly: powers of the inverse of the root of x^(d+1) = x + 1 in d dimensions (Roberts 2018, "The
+# unreasonable effectiveness of quasirandom sequences"). The roots are the golden ratio (d = 1), the
+# plastic number (d = 2) and its sibling in three dimensions.
+STEP_1D: Final = (math.sqrt(5.0) - 1.0) / 2.0
+_PLASTIC: Final = 1.3247179572447460
+_ROOT_3D: Final = 1.2207440846057596
+STEPS_2D: Final = np.array([1.0 / _PLASTIC, 1.0 / _PLASTIC**2])
+STEPS_3D: Final = np.array([1.0 / _ROOT_3D, 1.0 / _ROOT_3D**2, 1.0 / _ROOT_3D**3])
+
+# The smaller part of a full turn cut by the golden ratio, radians.
+_GOLDEN_ANGLE: Final = math.pi * (3.0 - math.sqrt(5.0))
+
+
+def sequence(numbers: NDArray[np.integer], steps: F64) -> F64:
+    """Return points of a low-discrepancy sequence.
+
+    Parameters
+    ----------
+    numbers : (n,) integer
+        Which points; any run of consecutive ones covers the space evenly. May be negative.
+    steps : (d,) float64
+        `STEPS_2D` or `STEPS_3D`.
+
+    Returns
+    -------
+    (n, d) float64
+        0 to 1, 1 excluded.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.views.low_discrepancy import STEPS_2D, sequence
+    >>> sequence(np.arange(3), STEPS_2D).round(2).tolist()
+    [[0.5, 0.5], [0.25, 0.07], [0.01, 0.64]]
+    """
+    points: F64 = (0.5 + numbers[:, None] * steps) % 1.0
+    return points
+
+
+def even_directions(count: int) -> F64:
+    """Return unit vectors spread evenly over the sphere: a Fibonacci lattice.
+
+    Parameters
+    ----------
+    count : int
+        At least 1.
+
+    Returns
+    -------
+    (count, 3) float64
+        From the y axis' positive end to its negative one.
+    """
+    k = np.arange(count)
+    y = 1.0 - (2.0 * k + 1.0) / count
+    ring = np.sqrt(1.0 - y * y)
+    return np.stack([ring * np.cos(_GOLDEN_ANGLE * k), y, ring * np.sin(_GOLDEN_ANGLE * k)], axis=1)
