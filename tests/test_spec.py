@@ -291,6 +291,7 @@ def test_decoded_bytes_are_counted_as_stated():
     for number in (
         reader._HEAD_ROW_BYTES,
         reader._SCRATCH_ROW_BYTES,
+        reader._SCRATCH_COORDINATE_BYTES,
         reader._COMPENSATION_ROW_BYTES,
         canonical_msgpack.VALUE_BYTES,
     ):

@@ -19,6 +19,8 @@ from cogsplat.codec.segments.codebooks import Codebook
 from cogsplat.codec.segments.compensation import Compensation, Layer
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, empty, sh_coefficients
 from cogsplat.codec.streams import compiled
+from cogsplat.codec.streams.limits import MAX_PLANE_BYTES
+from cogsplat.codec.streams.shn_transform import MAX_BASIS_ROWS
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import PrefixSource, Source
@@ -35,6 +37,11 @@ _HEAD_ROW_BYTES: Final = 4 * (3 + 3 + 4 + 1 + 3)
 # Working memory of one chunk while it is decoded, for each of its rows (measured: 30 to 130 bytes,
 # planes, codes and copies of one attribute at a time).
 _SCRATCH_ROW_BYTES: Final = 128
+
+# Beside it of one coordinate of a row's shN on a basis: its code, byte by byte, and its value
+# (measured: 6 bytes).
+_SCRATCH_COORDINATE_BYTES: Final = 8
+_FIRST_COORDINATES: Final = 26
 
 # Of one splat while compensation is applied: shifts of two layers and the codes' entries.
 _COMPENSATION_ROW_BYTES: Final = 96
@@ -351,7 +358,8 @@ class CogsFile:
         kinds = self.root.attributes if extras and all(map(self.has_extras, wanted)) else ()
         row_bytes = _row_bytes(degree) + sum(kind.row_bytes for kind in kinds)
         row_bytes += _COMPENSATION_ROW_BYTES if compensate else 0
-        size = _size(counts, row_bytes)
+        scratch = self._scratch_bytes(max(counts, default=0), degree)
+        size = sum(counts) * row_bytes + scratch
         # Before codebooks are read, so that a file that is too large is refused at once.
         self._check_size(size, f"{sum(counts)} splats")
         # Codebooks first, on this thread, so that the workers only read them.
@@ -369,7 +377,9 @@ class CogsFile:
         def decode_one(task: tuple[int, Splats]) -> None:
             self._decode_chunk(*task, refine=refine)
 
-        workers = thread_count(threads or _workers(sum(counts)))
+        # More workers take the working memory of a chunk each: as many as the limit has room for.
+        room = 1 + (self._allowed - size) // max(scratch, 1)
+        workers = min(thread_count(threads or _workers(sum(counts))), room)
         for done, _ in enumerate(ordered_map(decode_one, tasks, workers), start=1):
             progress("decode", done, len(tasks))
         return self.compensation().apply(out, len(wanted)) if compensate else out
@@ -416,7 +426,8 @@ class CogsFile:
         row_bytes = _row_bytes(self.root.sh_degree)
         row_bytes += sum(kind.row_bytes for kind in self.root.attributes)
         counts = self.chunks.splats.tolist()
-        self._check_size(_size(counts, row_bytes), f"{sum(counts)} splats")
+        scratch = self._scratch_bytes(max(counts, default=0), self.root.sh_degree)
+        self._check_size(sum(counts) * row_bytes + scratch, f"{sum(counts)} splats")
 
     def rows_of(self, chunk: int) -> ChunkRows:
         """Return where a chunk's segments stand in the segment table."""
@@ -481,6 +492,16 @@ class CogsFile:
                 f"{self.name}: {what} and codebooks take {size} bytes, expected at most "
                 f"{self._allowed} from {self._source.size} bytes (SPEC 9.2)",
             )
+
+    def _scratch_bytes(self, rows: int, degree: int) -> int:
+        """Return the most working memory that decoding a chunk of so many splats takes, bytes."""
+        books = [book.rows for book in self.root.codebooks if book.attribute == "colour"]
+        width = min(max(books, default=0), MAX_BASIS_ROWS) if degree else 0
+        # A plane holds the codes of a group of coordinates (SPEC 6.14), so that its largest length
+        # bounds how many there are; the first groups have 26 coordinates together.
+        coordinates = rows * width
+        coordinates = min(coordinates, rows * _FIRST_COORDINATES + MAX_PLANE_BYTES)
+        return rows * _SCRATCH_ROW_BYTES + coordinates * _SCRATCH_COORDINATE_BYTES
 
     def _load_codebooks(self, chunk: int, degree: int) -> None:
         rows = [int(self._index.heads[chunk])]
@@ -583,11 +604,6 @@ def _workers(splats: int) -> int:
 def _row_bytes(degree: int) -> int:
     """Return the bytes of one decoded splat, extra attributes left out."""
     return _HEAD_ROW_BYTES + 12 * (sh_coefficients(degree) - 1)
-
-
-def _size(counts: Sequence[int], row_bytes: int) -> int:
-    """Return the bytes that chunks of so many splats take, and decoding the largest of them."""
-    return sum(counts) * row_bytes + max(counts, default=0) * _SCRATCH_ROW_BYTES
 
 
 def _allocate(rows: int, degree: int, root: Root, kinds: Sequence[AttributeType]) -> Splats:

@@ -113,7 +113,8 @@ def test_extras_count_for_the_limit():
     data = file_of(splats)
     with opened(data) as file:
         # Beside its arrays the largest chunk takes its working memory.
-        drawn = file.decode(extras=False).nbytes + 128 * int(file.chunks.splats.max())
+        without = file.decode(extras=False)
+        drawn = without.nbytes + file._scratch_bytes(int(file.chunks.splats.max()), 3)
         drawn += sum(book.nbytes for book in file._codebooks.values())
     limits = Limits(decoded_bytes=drawn + N * 128 - 1)
     with opened(data, limits=limits) as file:
