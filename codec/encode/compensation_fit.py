@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.clustering import few_rows
 from cogsplat.codec.order import prefix_inflation
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.gradients import gradient
@@ -54,7 +55,6 @@ _STRENGTH_RATES: Final = np.array([0.02, 0.02])
 _QUANTISED_FROM: Final = 0.6
 # Added to a view's mean squared error before the logarithm that is minimised.
 _ERROR_FLOOR: Final = 3e-4
-_BOOK_ROUNDS: Final = 12
 # Views that the errors of prefixes are measured in.
 _MEASURED_VIEWS: Final = 12
 
@@ -100,41 +100,6 @@ def plan_layers(chunk_splats: Sequence[int], effective_splats: int) -> list[int]
             layers.append(chunk)
             last = splats
     return layers
-
-
-def _book(values: F64, rows: int) -> F64:
-    """Return rows that values are near to, by k-means from a grid of quantiles: (rows, 2)."""
-    scaled = values / _SPREAD
-    # Begin with values far from one another: each next is the furthest from those before.
-    centres = [np.zeros(2)]
-    sample = scaled[:: max(1, len(scaled) // 4096)]
-    nearest = np.full(len(sample), np.inf)
-    for _ in range(rows - 1):
-        nearest = np.minimum(nearest, ((sample - centres[-1]) ** 2).sum(axis=1))
-        # Not the very furthest, which are strays.
-        place = np.argsort(nearest, kind="stable")[int(0.97 * (len(nearest) - 1))]
-        centres.append(sample[place])
-    book = np.array(centres)
-    for _ in range(_BOOK_ROUNDS):
-        labels = _nearest(sample, book)
-        counts = np.bincount(labels, minlength=rows)
-        for axis in range(2):
-            sums = np.bincount(labels, sample[:, axis], minlength=rows)
-            book[:, axis] = np.where(counts > 0, sums / np.maximum(counts, 1), book[:, axis])
-    found: F64 = book * _SPREAD
-    return found
-
-
-def _nearest(scaled: F64, book: F64) -> I64:
-    """Return the nearest row of a book for each value, both in `_SPREAD`."""
-    far = np.full(len(scaled), np.inf)
-    labels = np.zeros(len(scaled), np.int64)
-    for row, centre in enumerate(book):
-        distance = ((scaled - centre) ** 2).sum(axis=1)
-        closer = distance < far
-        far[closer] = distance[closer]
-        labels[closer] = row
-    return labels
 
 
 def _by_chunk(chunk: I64, values: F64, chunks: int) -> F64:
@@ -210,7 +175,7 @@ class _Fit:
             part = slice(first, min(self.sizes[number], size))
             first = part.stop
             exact = book * [SCALE_STEP, OPACITY_STEP]
-            labels[part] = _nearest(self.own[part] / _SPREAD, exact / _SPREAD)
+            labels[part] = few_rows.nearest(self.own[part] / _SPREAD, exact / _SPREAD)
             said[part] = exact[labels[part]]
             if first == size:
                 break
@@ -224,7 +189,7 @@ class _Fit:
                 break
             rows = _book_rows(self.config.code_bits, size - first)
             values = np.clip(self.own[first:size], -_LIMITS, _LIMITS)
-            self.books.append(_rounded_book(_book(values, rows)))
+            self.books.append(_rounded_book(few_rows.train(values / _SPREAD, rows) * _SPREAD))
             first = size
 
     def shade(self, views: Sequence[int], references: ReferenceViews) -> list[NDArray[np.float32]]:

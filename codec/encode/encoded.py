@@ -49,8 +49,8 @@ class EncodedChunk:
         Predicted PSNR of a scene that ends with this chunk; 0 where nothing was predicted.
     object : int
         Label of the object it holds; 0 in scenes without.
-    tail_gain : float
-        Squared error of the pictures without its tail.
+    tail_drop : float
+        Squared error of the pictures that its tail removes.
     """
 
     splats: int
@@ -60,16 +60,16 @@ class EncodedChunk:
     attributes: bytes | None = None
     quality_db: float = 0.0
     object: int = 0
-    tail_gain: float = 0.0
+    tail_drop: float = 0.0
 
     @property
     def parts(self) -> ChunkParts:
-        """Sizes and gains of its segments."""
+        """Sizes of its segments and the squared error that they remove."""
         head, refinement, tail = self.payloads.head, self.payloads.refinement, self.payloads.tail
         return ChunkParts(
             len(head),
-            None if refinement is None else Part(len(refinement), self.payloads.refinement_gain),
-            None if tail is None else Part(len(tail), self.tail_gain),
+            None if refinement is None else Part(len(refinement), self.payloads.refinement_drop),
+            None if tail is None else Part(len(tail), self.tail_drop),
         )
 
 

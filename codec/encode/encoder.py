@@ -108,7 +108,7 @@ def _chunk(
         contribution=float(scene.scores.contribution[part].sum()),
         attributes=attributes,
         object=int(scene.objects[number]),
-        tail_gain=segment_order.tail_gain(
+        tail_drop=segment_order.tail_drop(
             scene.ordered.shN[run], scene.scores.energy[part], scene.scores.basis_spread
         ),
     )

@@ -1,4 +1,4 @@
-"""How coarse every chunk may be: steps of equal λ from the energies of its splats."""
+"""λ from the nominal quality, and the quantisation steps of equal λ that follow from costs."""
 
 from __future__ import annotations
 
@@ -9,10 +9,6 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.scoring.contribution import Scores
 
-from .costs import (
-    MEAN_COST,
-)
-
 F64 = NDArray[np.float64]
 
 # What shares the error of a nominal quality: the attributes of a splat, and more than one splat in
@@ -22,7 +18,7 @@ _SHARES: Final = 22
 
 
 def lagrangian(scores: Scores, quality_db: float) -> float:
-    """Return the squared colour step times energy that a nominal quality allows.
+    """Return λ, the cost times squared step of every stored value, of a nominal quality.
 
     Parameters
     ----------
@@ -33,50 +29,32 @@ def lagrangian(scores: Scores, quality_db: float) -> float:
     Returns
     -------
     float
-        λ, so that a step Δ with ``cost · energy · Δ² = λ`` spends the same error on every bit.
+        With steps Δ of ``cost · Δ² = λ`` one more bit of any value removes the same error.
     """
     seen = max(int((scores.energy > 0).sum()), 1)
     return float(12 * 10 ** (-quality_db / 10) / (_SHARES * seen))
 
 
-def step(lagrangian: float, cost: float, energy: F64) -> float:
-    """Return the step of a chunk: λ over the cost and the mean energy of its splats."""
-    return float(np.sqrt(lagrangian / (cost * energy.mean())))
-
-
-def mean_step(lagrangian: float, energy: F64, scales: NDArray[np.float32]) -> float:
-    """Return the step of a chunk's means, scene units: relative to its splats' sizes.
-
-    Parameters
-    ----------
-    lagrangian : float
-    energy : (n,) float64
-    scales : (n, 3) float32
-        Log.
-    """
-    # exp(-2·mean log): a small splat moved by the same step changes more of its pixels.
-    inverse_size = np.exp(-2 * np.clip(scales.astype(np.float64).mean(axis=1), -40, 40))
-    return float(np.sqrt(lagrangian / (MEAN_COST * (energy * inverse_size).mean())))
-
-
+# What renders of trained scenes found the cost of shN to be, relative to its energy.
 _SHN_WEIGHT: Final = 0.7
 
 
-# What no view weighs could be as coarse as one likes; the format ends at 2^32 (SPEC 6.14).
+# The cost of what no view shows may be 0, which allows any step; the format ends at 2^32
+# (SPEC 6.14).
 _COARSEST_STEP: Final = 2.0**30
 
 
 def equal_step(lagrangian: float, cost: F64) -> float:
-    """Return the step of a chunk whose mean cost is what counts."""
+    """Return one step for values of these costs, (n,) float64: λ over their mean."""
     return min(float(np.sqrt(lagrangian / cost.mean())), _COARSEST_STEP)
 
 
 def own_steps(lagrangian: float, cost: F64) -> F64:
-    """Return the step of every splat."""
+    """Return a step for each value of these costs, (n,) float64."""
     steps: F64 = np.sqrt(lagrangian / cost)
     return steps
 
 
 def shn_step(lagrangian: float, energy: F64) -> float:
-    """Return the step of a chunk's coordinates on the basis of shN."""
+    """Return the step of a chunk's coordinates on the basis of shN, from (n,) energies."""
     return equal_step(lagrangian, _SHN_WEIGHT * energy)

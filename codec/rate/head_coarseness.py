@@ -66,7 +66,7 @@ def head_coarseness(
         λ of the refined values.
     chunks : sequence of slice
     missing_all : float
-        Squared error of pictures of nothing, as `segment_order.head_gains` takes it.
+        Squared error of pictures of nothing, as `segment_order.head_drops` takes it.
 
     Returns
     -------
@@ -76,8 +76,8 @@ def head_coarseness(
     sums = np.array([contribution[run].sum() for run in chunks])
     counts = np.array([run.stop - run.start for run in chunks])
     missing = segment_order.unsent_shares(sums)
-    per_bit = segment_order.head_gains(missing, missing_all) / (_HEAD_BITS * counts)
-    per_bit /= segment_order.refined_gain(missing[1:])
+    per_bit = segment_order.head_drops(missing, missing_all) / (_HEAD_BITS * counts)
+    per_bit /= segment_order.refinement_weight(missing[1:])
     # A bit more of a value whose error costs λ/12 gains 2·ln 2 times that.
     ratio = 12 / (2 * np.log(2)) * per_bit / lagrangian
     bits = 0.5 * np.log2(np.maximum(ratio, _LEAST_RATIO))

@@ -17,8 +17,8 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 U32 = NDArray[np.uint32]
 
-WORTH: Final = 0.06
-"""What a bit that can wait is worth, in bits of the file."""
+WAITING_BIT_VALUE: Final = 0.06
+"""Bits of the file that one more bit in the refinement, and out of the head, may cost."""
 
 # Bits of what a plane of digits takes beside its content: its word and a frame's header.
 _PLANE_BITS: Final = 8 * 8
@@ -113,8 +113,8 @@ def _radix(codes: U32, levels: int, limit: int) -> tuple[int, int]:
             grouped = padded.reshape(cells, radix)
             below = bits(grouped.sum(axis=0))
             loss = bits(grouped.sum(axis=1)) + below - whole + _PLANE_BITS
-            if WORTH * below - loss > gain:
-                best, gain = (radix, shift), WORTH * below - loss
+            if WAITING_BIT_VALUE * below - loss > gain:
+                best, gain = (radix, shift), WAITING_BIT_VALUE * below - loss
     return best
 
 

@@ -1,9 +1,10 @@
-"""The order of a file's segments: what shows most for its bytes comes first (SPEC 5.1, 10)."""
+"""The order of a file's segments: those that remove most error per byte first (SPEC 5.1, 10)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum, auto
 from heapq import heappop, heappush
 from typing import Final
 
@@ -13,45 +14,54 @@ from numpy.typing import NDArray
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-# Squared error of pictures that miss splats of all the contribution there is; with a share R of it
-# missing it is about this times R². Three trained scenes lie between 0.02 and 0.2.
+# While a share R of the contribution is missing, the squared error of the pictures is about this
+# times R². Three trained scenes lie between 0.02 and 0.2.
 MISSING_ALL: Final = 0.15
 """Squared error of pictures of nothing."""
 
-# Compensated pictures are measured to miss a tenth of that; a third of a tenth served them best,
-# for what is fitted to refined splats does not fit coarse ones as well.
+# Compensated pictures are measured to have a tenth of that error; a third of a tenth served them
+# best, for what is fitted to refined splats does not fit coarse ones as well.
 MISSING_COMPENSATED: Final = 0.005
-"""The same of pictures that make up for what is missing."""
+"""The same of pictures that are compensated for what is missing."""
 
-# What removing an error gains while splats are missing, relative to the whole scene: less stands
-# before what is there. Of refinements, the first plus the second times the share that is missing;
-# measured on a trained scene.
-_REFINED: Final = (2.0, 8.0)
-_GLOSSED: Final = 5.0
+# How much more an error counts while splats are missing than in the whole scene, for fewer splats
+# stand in front of those that are there. Of refinements, the first plus the second times the share
+# that is missing; of tails, one factor. Measured on a trained scene.
+_REFINEMENT_WEIGHT: Final = (2.0, 8.0)
+_TAIL_WEIGHT: Final = 5.0
 
-# Chunks that one that gains little may wait to be taken with.
+# Heads must keep their order, so one that removes little error is taken with up to so many behind.
 _LOOK_AHEAD: Final = 16
+
+
+class Placed(Enum):
+    """The kinds of segments that `order` places."""
+
+    HEAD = auto()
+    REFINEMENT = auto()
+    TAIL = auto()
+    CODEBOOKS = auto()
+    """The colour codebooks, which all tails need."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A segment, or several that stand together, that may be placed.
+    """A segment that may be placed.
 
     Parameters
     ----------
-    size : int
-        Bytes.
-    gain : float
+    size_bytes : int
+    distortion_drop : float
         Squared error of the pictures that it removes.
     """
 
-    size: int
-    gain: float
+    size_bytes: int
+    distortion_drop: float
 
     @property
-    def worth(self) -> float:
-        """Gain per byte."""
-        return max(self.gain, 0.0) / max(self.size, 1)
+    def drop_per_byte(self) -> float:
+        """Squared error that a byte of it removes; 0 where it removes none."""
+        return max(self.distortion_drop, 0.0) / max(self.size_bytes, 1)
 
 
 @dataclass(frozen=True)
@@ -60,12 +70,12 @@ class ChunkParts:
 
     Parameters
     ----------
-    head : int
-        Bytes.
+    head_bytes : int
+        Bytes of the head; the squared error that it removes follows from the contribution.
     refinement, tail : Part or None
     """
 
-    head: int
+    head_bytes: int
     refinement: Part | None
     tail: Part | None
 
@@ -76,17 +86,16 @@ class Place:
 
     Parameters
     ----------
-    what : str
-        ``head``, ``refinement``, ``tail`` or ``books``: all that tails share.
+    what : Placed
     chunk : int
-        -1 for books.
+        -1 for the codebooks.
     """
 
-    what: str
+    what: Placed
     chunk: int
 
 
-def tail_gain(coefficients: F32, energy: F64, basis_spread: F64) -> float:
+def tail_drop(coefficients: F32, energy: F64, basis_spread: F64) -> float:
     """Return the squared error of pictures without the SH coefficients above DC.
 
     Parameters
@@ -141,82 +150,95 @@ def measured_shares(prefix_mse: F64) -> F64:
     return np.minimum(shares, 1.0)
 
 
-def head_gains(missing: F64, missing_all: float = MISSING_ALL) -> F64:
-    """Return what each chunk's head removes of a picture's error, (c,) float64."""
-    gains: F64 = -missing_all * np.diff(np.square(missing))
-    return gains
+def head_drops(missing: F64, missing_all: float = MISSING_ALL) -> F64:
+    """Return the squared error of the pictures that each chunk's head removes.
+
+    Parameters
+    ----------
+    missing : (c + 1,) float64
+        `unsent_shares`.
+    missing_all : float
+        Squared error of pictures of nothing.
+
+    Returns
+    -------
+    (c,) float64
+    """
+    drops: F64 = -missing_all * np.diff(np.square(missing))
+    return drops
 
 
-def refined_gain(missing: F64) -> F64:
-    """Return how much more a refinement gains while a share of the contribution is missing."""
-    first, more = _REFINED
+def refinement_weight(missing: F64) -> F64:
+    """Return how much more a refinement's error counts while shares of contribution are missing."""
+    first, more = _REFINEMENT_WEIGHT
     return first + more * missing
 
 
-def order(chunks: Sequence[ChunkParts], missing: F64, books: int) -> list[Place]:
-    """Return all segments, each time what removes most error for its bytes.
+def order(chunks: Sequence[ChunkParts], missing: F64, codebook_bytes: int) -> list[Place]:
+    """Return all segments, at each place the one that removes most error per byte.
 
-    Heads stay in the order of their chunks, refinements and tails behind their heads, and the
-    books before the first tail.
+    Heads stay in the order of their chunks, refinements and tails stand behind their heads, and the
+    codebooks before the first tail.
 
     Parameters
     ----------
     chunks : sequence of ChunkParts
     missing : (c + 1,) float64
         `unsent_shares`.
-    books : int
-        Bytes of what tails share; 0 where there is none.
+    codebook_bytes : int
+        Bytes of the codebooks that tails need; 0 where there are none.
     """
     out: list[Place] = []
-    gains = head_gains(missing)
-    heads = _runs([c.head for c in chunks], gains)
-    # Largest worth first, then the earliest chunk.
+    heads = _head_drops_per_byte([c.head_bytes for c in chunks], head_drops(missing))
+    # Heaps of (minus the drop per byte, chunk): the largest first, then the earliest chunk.
     refinements: list[tuple[float, int]] = []
     tails: list[tuple[float, int]] = []
-    opened = not books
-    book_worth = -1.0
+    has_codebooks = not codebook_bytes
+    codebooks = -1.0
     head = 0
-    while head < len(chunks) or refinements or tails or not opened:
-        amplified = float(refined_gain(missing[head]))
-        worths = {
-            "head": heads[head] if head < len(chunks) else -1.0,
-            "refinement": -refinements[0][0] * amplified if refinements else -1.0,
-            "books": book_worth if not opened else -1.0,
-            "tail": -tails[0][0] * _GLOSSED if tails and opened else -1.0,
+    while head < len(chunks) or refinements or tails or not has_codebooks:
+        weight = float(refinement_weight(missing[head]))
+        drops_per_byte = {
+            Placed.HEAD: heads[head] if head < len(chunks) else -1.0,
+            Placed.REFINEMENT: -refinements[0][0] * weight if refinements else -1.0,
+            Placed.CODEBOOKS: codebooks if not has_codebooks else -1.0,
+            Placed.TAIL: -tails[0][0] * _TAIL_WEIGHT if tails and has_codebooks else -1.0,
         }
-        what = max(worths, key=lambda name: worths[name])
-        if what == "head" and head < len(chunks):
-            out.append(Place("head", head))
+        what = max(drops_per_byte, key=lambda name: drops_per_byte[name])
+        if what is Placed.HEAD and head < len(chunks):
+            out.append(Place(Placed.HEAD, head))
             chunk = chunks[head]
             if chunk.refinement is not None:
-                heappush(refinements, (-chunk.refinement.worth, head))
+                heappush(refinements, (-chunk.refinement.drop_per_byte, head))
             if chunk.tail is not None:
-                heappush(tails, (-chunk.tail.worth, head))
-            if not opened:
-                book_worth = _opened(books, [chunks[n].tail for _, n in tails])
+                heappush(tails, (-chunk.tail.drop_per_byte, head))
+            if not has_codebooks:
+                waiting = [chunks[n].tail for _, n in tails]
+                codebooks = _codebooks_drop_per_byte(codebook_bytes, waiting)
             head += 1
-        elif not opened and (what == "books" or worths[what] < 0):
-            out.append(Place("books", -1))
-            opened = True
+        elif not has_codebooks and (what is Placed.CODEBOOKS or drops_per_byte[what] < 0):
+            out.append(Place(Placed.CODEBOOKS, -1))
+            has_codebooks = True
         else:
-            out.append(Place(what, heappop(refinements if what == "refinement" else tails)[1]))
+            heap = refinements if what is Placed.REFINEMENT else tails
+            out.append(Place(what, heappop(heap)[1]))
     return out
 
 
-def _runs(parts: Sequence[int], gains: F64) -> list[float]:
-    """Return for each head the most gain per byte of a run of heads that starts with it."""
+def _head_drops_per_byte(sizes: Sequence[int], drops: F64) -> list[float]:
+    """Return for each head the most that a byte removes of any run of heads that begins with it."""
     out = []
-    for first in range(len(parts)):
+    for first in range(len(sizes)):
         run = slice(first, first + _LOOK_AHEAD)
-        sums = np.cumsum(gains[run]) / np.maximum(np.cumsum(parts[run]), 1)
-        out.append(float(sums.max()))
+        per_byte = np.cumsum(drops[run]) / np.maximum(np.cumsum(sizes[run]), 1)
+        out.append(float(per_byte.max()))
     return out
 
 
-def _opened(books: int, tails: Sequence[Part | None]) -> float:
-    """Return the most gain per byte of the books together with tails that are waiting for them."""
-    size, gain, best = books, 0.0, -1.0
-    for part in sorted((t for t in tails if t is not None), key=lambda t: -t.worth):
-        size, gain = size + part.size, gain + part.gain * _GLOSSED
-        best = max(best, gain / max(size, 1))
+def _codebooks_drop_per_byte(codebook_bytes: int, tails: Sequence[Part | None]) -> float:
+    """Return the most that a byte of the codebooks removes, together with tails behind them."""
+    size, drop, best = codebook_bytes, 0.0, -1.0
+    for part in sorted((t for t in tails if t is not None), key=lambda t: -t.drop_per_byte):
+        size, drop = size + part.size_bytes, drop + part.distortion_drop * _TAIL_WEIGHT
+        best = max(best, drop / max(size, 1))
     return best

@@ -22,7 +22,7 @@ class Payloads:
         Which of the chunk's rows, as it was given, stands in each place as it is stored.
     refinement : bytes or None
         What makes the head's values fine; None where they are.
-    refinement_gain : float
+    refinement_drop : float
         Squared error of the picture that it removes.
     """
 
@@ -32,4 +32,4 @@ class Payloads:
     tail_needs: tuple[int, ...]
     order: NDArray[np.int64] = field(compare=False)
     refinement: bytes | None = None
-    refinement_gain: float = 0.0
+    refinement_drop: float = 0.0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.encoded import EncodedChunk, EncodedScene
 from cogsplat.codec.rate import segment_order
-from cogsplat.codec.rate.segment_order import Place
+from cogsplat.codec.rate.segment_order import Place, Placed
 from cogsplat.codec.segments.attributes import types_of
 from cogsplat.codec.segments.payloads import Payloads
 
@@ -121,22 +121,22 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
     """
     out: list[Segment] = []
     layers = _layers(scene)
-    books: list[Segment] = []
+    codebooks: list[Segment] = []
     for number, book in enumerate(scene.codebooks):
         if book.attribute == "shape":
             out.append(Segment(SegmentKind.SHAPE_CODEBOOK, number, book.payloads[0]))
         else:
             for kind, payload in zip(layout.COLOUR_BANDS, book.payloads, strict=False):
-                books.append(Segment(kind, number, payload))
+                codebooks.append(Segment(kind, number, payload))
     for place in segment_order.order(
         [chunk.parts for chunk in scene.chunks],
         _missing(scene),
-        sum(len(book.payload) for book in books),
+        sum(len(book.payload) for book in codebooks),
     ):
-        if place.what == "books":
-            out += books
+        if place.what is Placed.CODEBOOKS:
+            out += codebooks
         else:
-            if place.what == "head":
+            if place.what is Placed.HEAD:
                 out += layers.get(place.chunk, [])
             out.append(_segment(place, scene.chunks[place.chunk].payloads))
     if cameras:
@@ -164,8 +164,8 @@ def _layers(scene: EncodedScene) -> dict[int, list[Segment]]:
 
 
 def _segment(place: Place, parts: Payloads) -> Segment:
-    if place.what == "refinement" and parts.refinement is not None:
+    if place.what is Placed.REFINEMENT and parts.refinement is not None:
         return Segment(SegmentKind.REFINEMENT, place.chunk, parts.refinement)
-    if place.what == "tail" and parts.tail is not None:
+    if place.what is Placed.TAIL and parts.tail is not None:
         return Segment(SegmentKind.TAIL, place.chunk, parts.tail, parts.tail_needs)
     return Segment(SegmentKind.HEAD, place.chunk, parts.head, parts.head_needs)

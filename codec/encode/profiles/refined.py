@@ -26,12 +26,12 @@ class Refined:
     ----------
     stream : Stream or None
         None where the head holds the attribute in full.
-    gain : float
+    distortion_drop : float
         Squared error of the pictures that the stream removes.
     """
 
     stream: Stream | None
-    gain: float = 0.0
+    distortion_drop: float = 0.0
 
 
 NOTHING: Final = Refined(None)
@@ -80,7 +80,7 @@ def affordable(quantise: Callable[[int], Quantised], most_bits: int) -> Quantise
         tried = quantise(bits)
         waiting = _entropy_bits(tried[2].stream)
         extra = _entropy_bits(tried[1]) + waiting - whole_bits
-        if extra <= refinement_split.WORTH * waiting:
+        if extra <= refinement_split.WAITING_BIT_VALUE * waiting:
             return tried
     return whole
 

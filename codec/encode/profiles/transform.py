@@ -208,7 +208,7 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
         (BASIS,) if tail is not None else (),
         inside,
         records.pack(streams, digits=used.digits) if streams else None,
-        sum(part.gain for part in refined),
+        sum(part.distortion_drop for part in refined),
     )
 
 

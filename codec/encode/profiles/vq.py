@@ -12,7 +12,8 @@ from cogsplat.codec.clustering import kmeans
 from cogsplat.codec.clustering.kmeans import TrainingConfig
 from cogsplat.codec.geometry import covariance, rotations
 from cogsplat.codec.progress import Progress
-from cogsplat.codec.rate import allocation, costs
+from cogsplat.codec.rate.costs import limited_energy
+from cogsplat.codec.rate.energy_costs import SHN_COST, EnergyCosts
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams import codebook_index, kinds, quaternion, records, scalar
@@ -32,8 +33,6 @@ _ESCAPE_COLOUR_BITS_PER_VALUE: Final = 1.6
 # Squared error of the picture per energy and squared distance of shape vectors, as the costs of
 # `allocation`: measured with codebooks of 1024 and 4096 rows on trained scenes.
 _SHAPE_COST: Final = 0.25
-# Mean of Y² over directions, 1/4π: squared error of colour per squared error of a coefficient.
-_SH_COST: Final = 0.0796
 
 _SPLATS_PER_SHAPE_ROW: Final = 16
 _SPLATS_PER_COLOUR_ROW: Final = 32
@@ -42,19 +41,33 @@ MAX_ROWS: Final = 4096  # Niedermayr et al., section 3.2
 
 @dataclass(frozen=True, eq=False)
 class VqPlan:
-    """Trained codebooks and every splat's place in them.
+    """Trained codebooks and the row of every splat in them.
 
     Parameters
     ----------
+    costs : EnergyCosts
+        Of every splat.
+    quats : (N, 4) float32
+        Unit, axes renamed so that w is the largest component.
+    scales : (N, 3) float32
+        Log, of the renamed axes.
+    factors : (N,) float32
+        Log of the size that the shape vectors leave out.
     shape_payload : bytes
     shape_rows : int
+    shape_indices : (N,) uint32
+        Row of the shape codebook.
+    shape_escape : (N,) bool
+        Splats that the chunk stores as escape rows, beside the codebook.
     colour_payloads : tuple of bytes
         One per SH band; empty where the scene has none.
     colour_rows : int
+    colour_indices : (N,) uint32
+    colour_escape : (N,) bool
+        As of shapes.
     """
 
-    lagrangian: float
-    energy: F64
+    costs: EnergyCosts
     quats: F32
     scales: F32
     factors: F32
@@ -126,6 +139,7 @@ def plan(
     progress : Progress
     """
     progress("codebooks", 0, 2)
+    costs = EnergyCosts(lagrangian, energy)
     quats, scales = rotations.largest_w(rotations.unit(splats.quats), splats.scales)
     factors = covariance.scale_factor(scales)
     vectors = covariance.vectors(quats, scales)
@@ -133,7 +147,7 @@ def plan(
         vectors, energy, codebook_rows(len(splats), _SPLATS_PER_SHAPE_ROW), training
     )
     indices, _ = kmeans.nearest(vectors, rows, threads)
-    payload, rows = _store_shapes(rows, indices, energy, lagrangian)
+    payload, rows = _store_shapes(rows, indices, costs)
     indices, errors = kmeans.nearest(vectors, rows, threads)
     # Equal λ: an error is worth the bits that would remove it at dD/dR = 2·ln2·λ/12.
     per_bit = 2 * np.log(2) * lagrangian / 12
@@ -148,15 +162,14 @@ def plan(
             coefficients, energy, codebook_rows(len(splats), _SPLATS_PER_COLOUR_ROW), training
         )
         colour_indices, _ = kmeans.nearest(coefficients, values, threads)
-        colour_payloads, values = _store_colours(values, colour_indices, energy, lagrangian)
+        colour_payloads, values = _store_colours(values, colour_indices, costs)
         colour_indices, colour_errors = kmeans.nearest(coefficients, values, threads)
         colour_rows = len(values)
         bits = _ESCAPE_COLOUR_BITS_PER_VALUE * coefficients.shape[1]
-        colour_escape = energy * colour_errors * _SH_COST > bits * per_bit
+        colour_escape = energy * colour_errors * SHN_COST > bits * per_bit
     progress("codebooks", 2, 2)
     return VqPlan(
-        lagrangian=lagrangian,
-        energy=costs.limited_energy(energy, lagrangian),
+        costs=EnergyCosts(lagrangian, limited_energy(energy, lagrangian)),
         quats=quats,
         scales=scales,
         factors=factors,
@@ -173,33 +186,30 @@ def plan(
 
 def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton: bool) -> Payloads:
     """Return the head and the tail of the chunk that holds `rows` of a planned scene."""
-    energy = plan_.energy[rows]
-    lagrangian = plan_.lagrangian
-    step = allocation.mean_step(lagrangian, energy, plan_.scales[rows])
+    costs = plan_.costs.take(rows)
+    step = costs.mean_step(plan_.scales[rows])
     inside, means = chunk_means(splats.means[rows], step, morton)
-    rows, energy = rows[inside], energy[inside]
+    rows, costs = rows[inside], costs.take(inside)
     factors = plan_.factors[rows][:, None]
-    factor_step = allocation.step(lagrangian, costs.SCALE_FACTOR_COST, energy)
-    sh0_step = allocation.step(lagrangian, costs.SH0_COST, energy)
+    factor_step = costs.step(Attribute.SCALE_FACTOR)
+    sh0_step = costs.step(Attribute.SH0)
     head: list[Stream] = []
     escape = plan_.shape_escape[rows]
     if escape.any():
-        own = energy[escape]
+        own = costs.take(escape)
         scales = plan_.scales[rows[escape]] - factors[escape]
-        scale_step = allocation.step(lagrangian, costs.SCALE_COST, own)
+        scale_step = own.step(Attribute.SCALES)
         head.append(
             scalar.write(Attribute.SCALES, scales, grids.fit(scales, scale_step), escape=True)
         )
-        turn = allocation.step(lagrangian, costs.ROTATION_COST, own)
-        head.append(quaternion.write(plan_.quats[rows[escape]], turn, escape=True))
+        quat_step = own.step(Attribute.QUATS)
+        head.append(quaternion.write(plan_.quats[rows[escape]], quat_step, escape=True))
     indices = plan_.shape_indices[rows]
     head += [
         _indices(Attribute.SHAPE, SHAPE_CODEBOOK, plan_.shape_rows, indices, escape),
         scalar.write(Attribute.SCALE_FACTOR, factors, grids.fit(factors, factor_step)),
         means,
-        chunk_opacities(
-            splats.opacities[rows], allocation.step(lagrangian, costs.OPACITY_COST, energy)
-        ),
+        chunk_opacities(splats.opacities[rows], costs.step(Attribute.OPACITIES)),
         scalar.write(Attribute.SH0, splats.sh0[rows], grids.fit(splats.sh0[rows], sh0_step)),
     ]
     if not plan_.colour_rows:
@@ -207,7 +217,7 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
     escape = plan_.colour_escape[rows]
     tail: list[Stream] = []
     if escape.any():
-        sh_step = allocation.step(lagrangian, _SH_COST, energy[escape])
+        sh_step = costs.take(escape).step(Attribute.SHN)
         tail += _bands(splats.shN[rows[escape]], sh_step, escape=True)
     indices = plan_.colour_indices[rows]
     tail.append(_indices(Attribute.SHN, COLOUR_CODEBOOK, plan_.colour_rows, indices, escape))
@@ -237,23 +247,25 @@ def _bands(coefficients: F32, step: float, *, escape: bool = False) -> list[Stre
     return out
 
 
-def _row_step(lagrangian: float, cost: float, indices: U32, energy: F64, rows: int) -> float:
-    """Return the step of codebook rows: a row's error is that of all splats that use it."""
-    weight = np.bincount(indices, weights=energy, minlength=rows)
-    return allocation.step(lagrangian, cost, np.maximum(weight, energy.min()))
+def _row_costs(costs: EnergyCosts, indices: U32, rows: int) -> EnergyCosts:
+    """Return the costs of codebook rows: a row's error is that of all splats that use it."""
+    weight = np.bincount(indices, weights=costs.energy, minlength=rows)
+    return replace(costs, energy=np.maximum(weight, costs.energy.min()))
 
 
-def _store_shapes(rows: F32, indices: U32, energy: F64, lagrangian: float) -> tuple[bytes, F32]:
+def _store_shapes(rows: F32, indices: U32, costs: EnergyCosts) -> tuple[bytes, F32]:
     """Return a shape codebook's payload and the vectors that its decoded rows stand for."""
     quats, scales = covariance.decompose(rows)
     # Similar rows together: their planes compress.
     order = np.lexsort((quats[:, 2], quats[:, 1], np.rint(scales.min(axis=1))))
     quats, scales = quats[order], scales[order]
     place = np.argsort(order).astype(np.uint32)
-    scale_step = _row_step(lagrangian, costs.SCALE_COST, place[indices], energy, len(rows))
-    grid = grids.fit(scales, scale_step)
-    turn = _row_step(lagrangian, costs.ROTATION_COST, place[indices], energy, len(rows))
-    body = [scalar.write(Attribute.SCALES, scales, grid), quaternion.write(quats, turn)]
+    row_costs = _row_costs(costs, place[indices], len(rows))
+    grid = grids.fit(scales, row_costs.step(Attribute.SCALES))
+    body = [
+        scalar.write(Attribute.SCALES, scales, grid),
+        quaternion.write(quats, row_costs.step(Attribute.QUATS)),
+    ]
     payload = records.pack(body)
     stored = records.unpack(memoryview(payload), "shape codebook", len(rows))
     kinds.read(stored[0], scales)
@@ -261,15 +273,13 @@ def _store_shapes(rows: F32, indices: U32, energy: F64, lagrangian: float) -> tu
     return payload, covariance.vectors(quats, scales)
 
 
-def _store_colours(
-    rows: F32, indices: U32, energy: F64, lagrangian: float
-) -> tuple[tuple[bytes, ...], F32]:
+def _store_colours(rows: F32, indices: U32, costs: EnergyCosts) -> tuple[tuple[bytes, ...], F32]:
     """Return a colour codebook's payloads by band and its decoded rows."""
-    used = np.bincount(indices, weights=energy, minlength=len(rows))
+    used = np.bincount(indices, weights=costs.energy, minlength=len(rows))
     order = np.argsort(-used, kind="stable")
     rows = np.ascontiguousarray(rows[order])
     place = np.argsort(order).astype(np.uint32)
-    step = _row_step(lagrangian, _SH_COST, place[indices], energy, len(rows))
+    step = _row_costs(costs, place[indices], len(rows)).step(Attribute.SHN)
     bands = _bands(rows.reshape(len(rows), -1, 3), step)
     payloads = tuple(records.pack([band]) for band in bands)
     decoded: list[F32] = []

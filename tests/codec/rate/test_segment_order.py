@@ -12,7 +12,7 @@ def shares(*contribution):
 
 
 def names(places):
-    return [f"{place.what}{'' if place.chunk < 0 else place.chunk}" for place in places]
+    return [f"{p.what.name.lower()}{'' if p.chunk < 0 else p.chunk}" for p in places]
 
 
 def test_missing_shares_fall_to_nothing():
@@ -22,9 +22,9 @@ def test_missing_shares_fall_to_nothing():
 
 
 def test_gains_of_heads_are_all_there_is_to_gain():
-    gains = segment_order.head_gains(shares(6, 3, 1))
+    gains = segment_order.head_drops(shares(6, 3, 1))
     assert (np.diff(gains) < 0).all()
-    assert gains.sum() == pytest.approx(segment_order.head_gains(shares(1)).sum())
+    assert gains.sum() == pytest.approx(segment_order.head_drops(shares(1)).sum())
 
 
 def test_what_gains_more_for_its_bytes_comes_first():
@@ -33,21 +33,21 @@ def test_what_gains_more_for_its_bytes_comes_first():
         ChunkParts(100, Part(1000, 1e-8), Part(100, 1e-12)),
     ]
     found = names(segment_order.order(chunks, shares(1, 1), 50))
-    assert found == ["head0", "books", "tail0", "head1", "refinement1", "refinement0", "tail1"]
+    assert found == ["head0", "codebooks", "tail0", "head1", "refinement1", "refinement0", "tail1"]
 
 
-def test_books_wait_until_tails_pay_for_them():
+def test_codebooks_wait_until_tails_pay_for_them():
     chunks = [ChunkParts(10, None, Part(10, 1e-4)) for _ in range(5)]
     assert names(segment_order.order(chunks, shares(*[1] * 5), 10**9))[:6] == [
-        "head0", "head1", "head2", "head3", "head4", "books",
+        "head0", "head1", "head2", "head3", "head4", "codebooks",
     ]  # fmt: skip
     assert names(segment_order.order(chunks, shares(*[1] * 5), 0))[-1].startswith("tail")
 
 
-def test_books_of_no_tails_are_not_forgotten():
+def test_codebooks_of_no_tails_are_not_forgotten():
     found = names(segment_order.order([ChunkParts(10, None, None)], shares(1), 7))
-    assert found == ["head0", "books"]
-    assert names(segment_order.order([], shares(), 7)) == ["books"]
+    assert found == ["head0", "codebooks"]
+    assert names(segment_order.order([], shares(), 7)) == ["codebooks"]
     assert segment_order.order([], shares(), 0) == []
 
 
@@ -68,11 +68,11 @@ PARTS = st.builds(
     st.lists(st.tuples(st.integers(1, 10**6), PARTS, PARTS, st.floats(0, 1e6)), max_size=12),
     st.integers(0, 10**5),
 )
-def test_every_segment_has_one_place_behind_what_it_needs(rows, books):
+def test_every_segment_has_one_place_behind_what_it_needs(rows, codebooks):
     chunks = [ChunkParts(head, refinement, tail) for head, refinement, tail, _ in rows]
     missing = shares(*(contribution for *_, contribution in rows))
-    found = names(segment_order.order(chunks, missing, books))
-    expected = [f"head{n}" for n in range(len(chunks))] + ["books"] * bool(books)
+    found = names(segment_order.order(chunks, missing, codebooks))
+    expected = [f"head{n}" for n in range(len(chunks))] + ["codebooks"] * bool(codebooks)
     expected += [f"refinement{n}" for n, c in enumerate(chunks) if c.refinement]
     expected += [f"tail{n}" for n, c in enumerate(chunks) if c.tail]
     assert sorted(found) == sorted(expected)
@@ -81,8 +81,8 @@ def test_every_segment_has_one_place_behind_what_it_needs(rows, books):
         if name.startswith(("refinement", "tail")):
             number = name.removeprefix("refinement").removeprefix("tail")
             assert found.index(f"head{number}") < place
-        if books and name.startswith("tail"):
-            assert found.index("books") < place
+        if codebooks and name.startswith("tail"):
+            assert found.index("codebooks") < place
 
 
 def test_what_tails_gain_is_their_energy():
@@ -92,18 +92,18 @@ def test_what_tails_gain_is_their_energy():
     spread = np.zeros((15, 15))
     root = rng.normal(size=(15, 15))
     expected = energy @ np.square(coefficients.astype(float)).sum(axis=(1, 2)) / (4 * np.pi)
-    assert segment_order.tail_gain(coefficients, energy, spread) == pytest.approx(expected)
+    assert segment_order.tail_drop(coefficients, energy, spread) == pytest.approx(expected)
     spread = root @ root.T
     expected = np.einsum(
         "n,nkc,kl,nlc->", energy, coefficients.astype(float), spread[:8, :8], coefficients
     )
-    assert segment_order.tail_gain(coefficients, energy, spread) == pytest.approx(expected)
-    assert segment_order.tail_gain(coefficients[:, :0], energy, spread) == 0
+    assert segment_order.tail_drop(coefficients, energy, spread) == pytest.approx(expected)
+    assert segment_order.tail_drop(coefficients[:, :0], energy, spread) == 0
 
 
 def test_measured_errors_stand_for_missing_shares():
     # Nothing, one chunk, two that make it worse, and the whole, which is off by its coding alone.
     shares = segment_order.measured_shares(np.array([0.16, 0.06, 0.065, 0.01]))
     np.testing.assert_allclose(np.diff(shares) <= 0, True)
-    np.testing.assert_allclose(segment_order.head_gains(shares), [0.1, 0.0, 0.05])
+    np.testing.assert_allclose(segment_order.head_drops(shares), [0.1, 0.0, 0.05])
     assert segment_order.measured_shares(np.array([3.0, 0.0])).tolist() == [1.0, 0.0]

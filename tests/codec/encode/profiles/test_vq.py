@@ -17,8 +17,9 @@ from cogsplat.codec.encode.profiles.vq import (
 )
 from cogsplat.codec.geometry import covariance
 from cogsplat.codec.progress import silent
-from cogsplat.codec.rate import allocation, costs
+from cogsplat.codec.rate.energy_costs import EnergyCosts
 from cogsplat.codec.segments.codebooks import decode_colour_codebook, decode_shape_codebook
+from cogsplat.codec.streams.records import Attribute
 
 N = 600
 
@@ -91,7 +92,7 @@ def test_a_plan_places_every_splat(degree):
     splats = oracle.scene(degree, n=N, degree=degree)
     plan = planned(splats)
     assert 1 <= plan.shape_rows <= codebook_rows(N, 16)
-    assert plan.shape_indices.shape == plan.shape_kept.shape == (N,)
+    assert plan.shape_indices.shape == plan.shape_escape.shape == (N,)
     assert plan.shape_indices.max() < plan.shape_rows
     assert len(plan.colour_payloads) == degree
     if degree:
@@ -99,7 +100,7 @@ def test_a_plan_places_every_splat(degree):
         assert plan.colour_indices.max() < plan.colour_rows
     else:
         assert plan.colour_rows == 0
-        assert not plan.colour_kept.any()
+        assert not plan.colour_escape.any()
 
 
 def test_every_splat_has_the_nearest_row_as_it_is_stored():
@@ -132,51 +133,53 @@ def test_numbers_stay_within_half_the_steps_of_equal_slope(morton):
     source = splats.take(rows)
     ulp = 1 + 1e-5
 
-    def half(cost):
-        return allocation.step(1e-7, cost, energy) / 2 * ulp
+    costs = EnergyCosts(1e-7, energy)
 
-    step = allocation.mean_step(1e-7, energy, plan.scales)
+    def half(attribute):
+        return costs.step(attribute) / 2 * ulp
+
+    step = costs.mean_step(plan.scales)
     assert np.abs(out.means - source.means).max() <= step / 2 * ulp
-    assert np.abs(out.opacities - source.opacities).max() <= half(costs.OPACITY_COST) + 1e-5
-    assert np.abs(out.sh0 - source.sh0).max() <= half(costs.SH0_COST) + 1e-4
+    assert np.abs(out.opacities - source.opacities).max() <= half(Attribute.OPACITIES) + 1e-5
+    assert np.abs(out.sh0 - source.sh0).max() <= half(Attribute.SH0) + 1e-4
     # Codebook rows are off norm one by their own steps only.
     norms = covariance.scale_factor(out.scales) - covariance.scale_factor(source.scales)
-    own = half(costs.SCALE_FACTOR_COST) + half(costs.SCALE_COST)
+    own = half(Attribute.SCALE_FACTOR) + half(Attribute.SCALES)
     assert np.abs(norms).max() <= own * 1.01 + 1e-5
 
 
-def test_what_the_codebook_fits_badly_is_kept_in_the_chunk():
+def test_what_the_codebook_fits_badly_is_an_escape_row():
     splats = oracle.scene(8, n=N)
     energy = np.full(N, 1e-6)
     energy[::5] = 1e2
     plan = planned(splats, energy, lagrangian=1e-6)
-    assert plan.shape_kept[::5].mean() > 0.9
-    assert plan.shape_kept[1::5].mean() < 0.1
-    assert plan.colour_kept[::5].mean() > 0.9
-    assert not plan.colour_kept[1::5].any()
+    assert plan.shape_escape[::5].mean() > 0.9
+    assert plan.shape_escape[1::5].mean() < 0.1
+    assert plan.colour_escape[::5].mean() > 0.9
+    assert not plan.colour_escape[1::5].any()
     payloads, out = decoded(splats, plan)
-    own = np.flatnonzero(plan.colour_kept)
-    step = allocation.step(1e-6, 0.0796, energy[own])
+    own = np.flatnonzero(plan.colour_escape)
+    step = EnergyCosts(1e-6, energy[own]).step(Attribute.SHN)
     assert np.abs(out.shN[own] - splats.shN[own]).max() <= step / 2 * 1.001 + 1e-6
     shapes = np.array(shape_distance(out, splats))
-    assert shapes[plan.shape_kept].max() < 0.02
-    assert shapes[~plan.shape_kept].mean() > shapes[plan.shape_kept].mean()
+    assert shapes[plan.shape_escape].max() < 0.02
+    assert shapes[~plan.shape_escape].mean() > shapes[plan.shape_escape].mean()
     assert payloads.head_needs == (0,)
     assert payloads.tail_needs == (1,)
 
 
-@pytest.mark.parametrize(("lagrangian", "kept"), [(1e-14, True), (1e3, False)])
-def test_all_or_none_may_be_kept(lagrangian, kept):
+@pytest.mark.parametrize(("lagrangian", "escape"), [(1e-14, True), (1e3, False)])
+def test_all_or_none_may_be_escape_rows(lagrangian, escape):
     splats = oracle.scene(9, n=N)
     plan = planned(splats, lagrangian=lagrangian)
-    assert (plan.colour_kept == kept).all()
-    if kept:
-        assert plan.shape_kept.mean() > 0.95
+    assert (plan.colour_escape == escape).all()
+    if escape:
+        assert plan.shape_escape.mean() > 0.95
     else:
-        assert not plan.shape_kept.any()
+        assert not plan.shape_escape.any()
     _, out = decoded(splats, plan)
     assert len(out) == N
-    if kept:
+    if escape:
         np.testing.assert_allclose(out.shN, splats.shN, atol=1e-4)
         assert max(shape_distance(out, splats)) < 1e-3
 
@@ -217,7 +220,7 @@ def test_a_chunk_holds_the_rows_it_is_asked_for():
     _, out = decoded(splats, plan, rows)
     np.testing.assert_allclose(out.means, whole.means[rows], atol=0.05)
     np.testing.assert_array_equal(
-        out.shN[~plan.colour_kept[rows]], whole.shN[rows][~plan.colour_kept[rows]]
+        out.shN[~plan.colour_escape[rows]], whole.shN[rows][~plan.colour_escape[rows]]
     )
 
 

@@ -1,0 +1,80 @@
+"""Steps of equal λ where only the energies of splats are known: one constant cost per attribute."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.streams.records import Attribute
+
+from .costs import (
+    MEAN_COST,
+    OPACITY_COST,
+    ROTATION_COST,
+    SCALE_COST,
+    SCALE_FACTOR_COST,
+    SH0_COST,
+)
+
+F64 = NDArray[np.float64]
+
+SHN_COST: Final = 0.0796
+"""Mean of Y² over directions, 1/4π: squared error of colour per squared error of a coefficient."""
+
+_COSTS: Final[Mapping[Attribute, float]] = MappingProxyType(
+    {
+        Attribute.SCALES: SCALE_COST,
+        Attribute.QUATS: ROTATION_COST,
+        Attribute.OPACITIES: OPACITY_COST,
+        Attribute.SCALE_FACTOR: SCALE_FACTOR_COST,
+        Attribute.SH0: SH0_COST,
+        Attribute.SHN: SHN_COST,
+    }
+)
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyCosts:
+    """Squared error of the pictures per squared error of a value: a constant times the energy.
+
+    Parameters
+    ----------
+    lagrangian : float
+        λ of `allocation.lagrangian`.
+    energy : (n,) float64
+        Positive; of every splat or of every row of a codebook.
+    """
+
+    lagrangian: float
+    energy: F64
+
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> EnergyCosts:
+        """Return the costs of some rows."""
+        return EnergyCosts(self.lagrangian, self.energy[rows])
+
+    def step(self, attribute: Attribute) -> float:
+        """Return the step of an attribute for all rows: λ over the mean of their costs.
+
+        Parameters
+        ----------
+        attribute : Attribute
+            Any but means, whose cost depends on sizes too (`mean_step`).
+        """
+        return float(np.sqrt(self.lagrangian / (_COSTS[attribute] * self.energy.mean())))
+
+    def mean_step(self, scales: NDArray[np.float32]) -> float:
+        """Return the step of means for all rows, scene units, by the sizes of the splats.
+
+        Parameters
+        ----------
+        scales : (n, 3) float32
+            Log.
+        """
+        # exp(-2·mean log): a small splat moved by the same step changes more of its pixels.
+        inverse_size = np.exp(-2 * np.clip(scales.astype(np.float64).mean(axis=1), -40, 40))
+        return float(np.sqrt(self.lagrangian / (MEAN_COST * (self.energy * inverse_size).mean())))
