@@ -2,6 +2,33 @@
 
 from __future__ import annotations
 
+import re
+from typing import Final
+
+# What a terminal obeys rather than shows: control characters of both sets, and marks that turn the
+# direction of text (Unicode 15, 3.9 and 23.2); surrogates are halves of characters.
+_NOT_SHOWN: Final = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]"
+)
+
+
+def printable(text: str) -> str:
+    r"""Return text on one line in which what a terminal would obey is written as an escape.
+
+    Names and comments of a file may hold such characters, and messages quote them.
+
+    Examples
+    --------
+    >>> printable("red\x1b[31m")
+    'red\\x1b[31m'
+    """
+    return _NOT_SHOWN.sub(_escaped, text)
+
+
+def _escaped(match: re.Match[str]) -> str:
+    number = ord(match[0])
+    return f"\\x{number:02x}" if number < 0x100 else f"\\u{number:04x}"
+
 
 class CogsplatError(Exception):
     """Base of every refusal.
@@ -11,7 +38,7 @@ class CogsplatError(Exception):
     code : str
         Stable reason code (lower case, hyphens); the same in every implementation of the format.
     message : str
-        What was found, where, and what was expected.
+        What was found, where, and what was expected; kept as `printable` gives it.
 
     Attributes
     ----------
@@ -22,6 +49,7 @@ class CogsplatError(Exception):
     exit_code = 3
 
     def __init__(self, code: str, message: str) -> None:
+        message = printable(message)
         super().__init__(message)
         self.code = code
         self.message = message
@@ -38,6 +66,9 @@ class CogsplatWarning(UserWarning):
     Issued through `warnings.warn`, one line that says where, what and why; the command line prints
     each once.
     """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
 
 
 class FormatError(CogsplatError):

@@ -271,7 +271,8 @@ def encode(
     chosen = PRESETS[preset]
     config = config or EncodeConfig(order=chosen.order, compensate=chosen.compensate)
     # Before minutes of work, not after.
-    check_output(path, force=force)
+    given = [x for x in (scene, cameras) if isinstance(x, str | os.PathLike)]
+    check_output(path, force=force, inputs=given)
     splats = scene if isinstance(scene, Splats) else read(scene)
     views = read_cameras(cameras) if isinstance(cameras, str | os.PathLike) else cameras
     writer = f"cogsplat {__version__}"
@@ -335,7 +336,9 @@ def read(path: _Path, *, limits: Limits | None = None) -> Splats:
     return decode(path, limits=limits) if is_cogs(path) else read_scene(path, limits=limits)
 
 
-def write(splats: Splats, path: _Path, *, force: bool = False) -> None:
+def write(
+    splats: Splats, path: _Path, *, force: bool = False, format_name: str | None = None
+) -> None:
     """Write a scene in the format that the extension of `path` names; `encode` writes COGS.
 
     Parameters
@@ -344,6 +347,9 @@ def write(splats: Splats, path: _Path, *, force: bool = False) -> None:
     path : path
     force : bool
         Replace an existing file.
+    format_name : str, optional
+        One of `formats.scenes.registry.WRITABLE`, such as ``"ply"``: write this format whatever
+        the extension.
 
     Raises
     ------
@@ -360,7 +366,7 @@ def write(splats: Splats, path: _Path, *, force: bool = False) -> None:
     """
     from .formats.scenes.registry import write_scene
 
-    write_scene(path, splats, force=force)
+    write_scene(path, splats, force=force, format_name=format_name)
 
 
 def read_cameras(path: _Path, *, limits: Limits | None = None) -> list[Camera]:

@@ -92,6 +92,7 @@ class CogsFile:
     def __init__(self, source: Source, index: Index, limits: Limits) -> None:
         self._source = source
         self._index = index
+        self._limits = limits
         self._allowed = limits.allowed(source.size)
         self.root = index.root
         self.file_length = index.file_length
@@ -342,7 +343,7 @@ class CogsFile:
         TruncatedError
             A chunk asked for by number is not there.
         LimitError
-            ``decoded-size``: more than `Limits` allow.
+            ``decoded-size``, ``too-many-splats``: more than `Limits` allow.
         """
         if sh_degree is not None and not 0 <= sh_degree <= MAX_SH_DEGREE:
             raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
@@ -361,6 +362,7 @@ class CogsFile:
         scratch = self._scratch_bytes(max(counts, default=0), degree)
         size = sum(counts) * row_bytes + scratch
         # Before codebooks are read, so that a file that is too large is refused at once.
+        self._limits.require_splats(sum(counts), self.name)
         self._check_size(size, f"{sum(counts)} splats")
         # Codebooks first, on this thread, so that the workers only read them.
         for chunk in wanted:

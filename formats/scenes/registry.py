@@ -95,6 +95,9 @@ FORMATS: tuple[Format, ...] = (
     Format("ksplat", (".ksplat",), no_magic, read_ksplat, None),
 )
 
+WRITABLE: tuple[str, ...] = tuple(format_.name for format_ in FORMATS if format_.write)
+"""Names of the formats that can be written."""
+
 
 def is_cogs(path: StrPath) -> bool:
     """Tell whether a file is a COGS container, which is not read here.
@@ -145,12 +148,23 @@ def scene_bytes(path: StrPath) -> int:
     CogsplatError
         As `read_scene`.
     """
-    files = format_of(path).files
     total = 0
-    for part in files(path) if files else [Path(path)]:
+    for part in scene_files(path):
         with storage_errors(part):
             total += part.stat().st_size if part.exists() else 0
     return total
+
+
+def scene_files(path: StrPath) -> list[Path]:
+    """Return the file of a foreign scene and those that it names beside it, there or not.
+
+    Raises
+    ------
+    CogsplatError
+        As `read_scene`.
+    """
+    files = format_of(path).files
+    return files(path) if files else [Path(path)]
 
 
 def format_of(path: StrPath) -> Format:
@@ -178,8 +192,19 @@ def format_of(path: StrPath) -> Format:
     return format_
 
 
-def write_scene(path: StrPath, splats: Splats, *, force: bool = False) -> None:
-    """Write a scene in the foreign format that the extension names.
+def write_scene(
+    path: StrPath, splats: Splats, *, force: bool = False, format_name: str | None = None
+) -> None:
+    """Write a scene in a foreign format.
+
+    Parameters
+    ----------
+    path : path
+    splats : Splats
+    force : bool
+        Whether an existing file may be replaced.
+    format_name : str, optional
+        One of `WRITABLE`; by default the format that the extension names.
 
     Raises
     ------
@@ -188,27 +213,30 @@ def write_scene(path: StrPath, splats: Splats, *, force: bool = False) -> None:
     StorageError
         As `atomic_write`, ``exists`` among them.
     """
-    write = format_to_write(path).write
+    write = format_to_write(path, format_name).write
     assert write is not None
     write(path, splats, force=force)
 
 
-def format_to_write(path: StrPath) -> Format:
-    """Return the foreign format that the extension names, one that can be written.
+def format_to_write(path: StrPath, format_name: str | None = None) -> Format:
+    """Return the foreign format of this name or else extension, one that can be written.
 
     Raises
     ------
     FormatError
-        ``unknown-format``: no format has this extension.
+        ``unknown-format``: no format has this name or extension.
     UnsupportedError
         ``read-only-format``: it can be read but not written.
     """
     writable = tuple(format_ for format_ in FORMATS if format_.write)
     format_ = _by_extension(path)
+    if format_name is not None:
+        format_ = next((known for known in FORMATS if known.name == format_name), None)
     if format_ is None:
+        what = "has this extension" if format_name is None else f"is called {format_name!r}"
         raise FormatError(
             "unknown-format",
-            f"{os.fspath(path)}: no format has this extension, expected {_known(writable)}",
+            f"{os.fspath(path)}: no format {what}, expected {_known(writable)}",
         )
     if format_.write is None:
         raise UnsupportedError(

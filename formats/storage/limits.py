@@ -97,14 +97,24 @@ class Limits:
         LimitError
             ``too-many-splats``; ``decoded-size``.
         """
-        if splats > self.splats:
-            raise LimitError(
-                "too-many-splats",
-                f"{where}: {splats} splats, expected at most {self.splats} (limit splats)",
-            )
+        self.require_splats(splats, where)
         row_bytes = _ROW_BYTES + 12 * (sh_coefficients(sh_degree) - 1)
         needed = copies * splats * row_bytes + beside_bytes
         self.require_memory(needed, source_bytes, f"{where}: {splats} splats")
+
+    def require_splats(self, count: int, where: str) -> None:
+        """Refuse more splats than may be read from one file.
+
+        Raises
+        ------
+        LimitError
+            ``too-many-splats``.
+        """
+        if count > self.splats:
+            raise LimitError(
+                "too-many-splats",
+                f"{where}: {count} splats, expected at most {self.splats} (limit splats)",
+            )
 
     def require_memory(self, needed: int, source_bytes: int, what: str) -> None:
         """Refuse to unpack a foreign file into more bytes than it may cost.

@@ -23,6 +23,7 @@ from cogsplat.tools.benchmark.ablation import AblationTable
 from cogsplat.tools.benchmark.rate_distortion import Bench, BenchInput, Row
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.pictures.svg_charts import Series, bar_chart, line_chart
+from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
     background_option,
@@ -37,7 +38,14 @@ from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_t
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import Colour
 
-from .inputs import evaluation_cameras, read_any, scoring_cameras, usable_rows, virtual_views
+from .inputs import (
+    evaluation_cameras,
+    given_files,
+    read_any,
+    scoring_cameras,
+    usable_rows,
+    virtual_views,
+)
 
 _PROFILES: Final = ("transform", "vq", "near-lossless")
 
@@ -158,6 +166,7 @@ def decibels(text: str) -> tuple[float, ...]:
     help="In place of all that: what each technique of the transform profile buys.",
 )
 @background_option
+@limits_option
 @threads_option
 @force_option
 @quiet_option
@@ -193,7 +202,7 @@ def bench(
         with storage_errors(out):
             out.mkdir(parents=True, exist_ok=True)
         for name in _ABLATION_FILES if ablation else _FILES:
-            check_output(out / name, force=force)
+            check_output(out / name, force=force, inputs=given_files(scene, cameras, images))
     with Stages(shown=not (quiet or as_json)) as stages:
         given, what = _gather(
             scene, cameras, eval_every, images, background, threads=threads, stages=stages

@@ -10,6 +10,7 @@ import click
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.formats.storage.atomic import check_output
+from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
     background_option,
@@ -23,6 +24,7 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.output_names import PNG, check_name, format_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import ByteCount, ChunkRange, Colour, picture_size
 
@@ -31,6 +33,7 @@ from .inputs import (
     Selection,
     evaluation_cameras,
     given_cameras,
+    given_files,
     read_any,
     virtual_views,
 )
@@ -58,9 +61,11 @@ from .inputs import (
     metavar="WxH",
     help="Picture size; nothing of the camera's view is cut off.  [default: the camera's]",
 )
+@format_option(["png"], "Without it, a name that says another format is refused.")
 @background_option
 @part_options
 @compensate_option
+@limits_option
 @threads_option
 @force_option
 @quiet_option
@@ -71,6 +76,7 @@ def render(
     cameras: Path | None,
     index: int | None,
     picture: tuple[int, int] | None,
+    format_name: str | None,
     background: Colour,
     chunks: ChunkRange | None,
     least_splats: int | None,
@@ -88,7 +94,8 @@ def render(
     from cogsplat.codec.render.rasteriser import render as draw
     from cogsplat.tools.pictures.png import to_image, write_png
 
-    check_output(out, force=force)
+    check_name(out, PNG, insisted=format_name is not None)
+    check_output(out, force=force, inputs=given_files(path, cameras))
     part = Selection(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
@@ -172,6 +179,7 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
 @background_option
 @part_options
 @compensate_option
+@limits_option
 @threads_option
 @quiet_option
 @json_option

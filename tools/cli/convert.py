@@ -10,8 +10,9 @@ import click
 
 import cogsplat
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.scenes.registry import format_to_write
+from cogsplat.formats.scenes.registry import WRITABLE, format_to_write
 from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
     cameras_option,
@@ -21,12 +22,13 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output_names import format_option
 from cogsplat.tools.terminal.progress import Stages
 
-from .inputs import LoadedScene, read_any, scoring_cameras
+from .inputs import LoadedScene, given_files, read_any, scoring_cameras
 from .scene_edits import SceneEdits, edit_options
 
-_COGS: Final = ".cogs"
+_COGS: Final = "cogs"
 
 
 @click.command(
@@ -36,8 +38,10 @@ _COGS: Final = ".cogs"
 )
 @click.argument("source", type=PATH, metavar="A")
 @click.argument("out", type=PATH, metavar="B")
+@format_option([_COGS, *WRITABLE], "Without it, B's extension says which.")
 @edit_options
 @cameras_option("For a .cogs only; without it, views are made up around the scene.")
+@limits_option
 @threads_option
 @force_option
 @quiet_option
@@ -45,6 +49,7 @@ _COGS: Final = ".cogs"
 def convert(
     source: Path,
     out: Path,
+    format_name: str | None,
     edits: SceneEdits,
     cameras: Path | None,
     threads: int,
@@ -57,11 +62,11 @@ def convert(
     B's extension names it. COGS files are read and written too; `encode` has all options of
     writing one. What a format cannot hold is said in a warning.
     """
-    to_cogs = out.name.lower().endswith(_COGS)
-    name = "cogs" if to_cogs else format_to_write(out).name
+    to_cogs = format_name == _COGS if format_name else out.name.lower().endswith(f".{_COGS}")
+    name = _COGS if to_cogs else format_to_write(out, format_name).name
     if cameras is not None and not to_cogs:
-        raise click.UsageError(f"--cameras with {out}, expected an output that ends in {_COGS}")
-    check_output(out, force=force)
+        raise click.UsageError(f"--cameras with {out}, expected an output that ends in .{_COGS}")
+    check_output(out, force=force, inputs=given_files(source, cameras))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             views = scoring_cameras(cameras, 0)
@@ -82,7 +87,7 @@ def convert(
             stages("write", 1, 1)
         else:
             with stages.stage("write"):
-                cogsplat.write(splats, out, force=force)
+                cogsplat.write(splats, out, force=force, format_name=format_name)
     with storage_errors(out):
         written = out.stat().st_size
     done = _Done(source, out, name, given, splats, written)

@@ -10,7 +10,9 @@ import click
 
 import cogsplat
 from cogsplat.codec.errors import CogsplatWarning
+from cogsplat.formats.scenes.registry import WRITABLE, format_to_write
 from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
     compensate_option,
@@ -21,6 +23,7 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output_names import format_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import ByteCount, ChunkRange
 
@@ -37,7 +40,9 @@ from .inputs import LoadedScene, Selection, decode_part
 @click.argument("out", type=PATH, metavar="OUT.ply")
 @part_options
 @compensate_option
+@format_option(WRITABLE, "Without it, the extension says which.")
 @click.option("--no-refine", is_flag=True, help="The coarse values of the heads alone.")
+@limits_option
 @threads_option
 @force_option
 @quiet_option
@@ -51,6 +56,7 @@ def decode(
     objects: tuple[int, ...] | None,
     sh_degree: int | None,
     compensate: bool,
+    format_name: str | None,
     no_refine: bool,
     threads: int,
     force: bool,
@@ -59,17 +65,18 @@ def decode(
 ) -> None:
     """Decode a COGS file, or a part of it, to a PLY.
 
-    With --bytes the file is taken as if its transfer had stopped there: what is complete is
-    decoded. With --compensate the splats of a beginning are not as stored, but as they look most
-    like the whole.
+    OUT's extension may name another format. With --bytes the file is taken as if its transfer had
+    stopped there: what is complete is decoded. With --compensate the splats of a beginning are not
+    as stored, but as they look most like the whole.
     """
-    check_output(out, force=force)
+    format_to_write(out, format_name)
+    check_output(out, force=force, inputs=[cogs])
     refine = not no_refine
     part = Selection(chunks, least_splats, size, sh_degree, objects, refine, compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         scene = decode_part(cogs, part, threads=threads, progress=stages)
         with stages.stage("write"):
-            cogsplat.write(scene.splats, out, force=force)
+            cogsplat.write(scene.splats, out, force=force, format_name=format_name)
     if not scene.chunks and scene.file_chunks and part.size is not None:
         warnings.warn(
             f"{cogs}: no chunk is complete in the first {scene.bytes_read} bytes",

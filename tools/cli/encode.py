@@ -15,6 +15,7 @@ from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.evaluation.byte_inventory import stored_sizes
 from cogsplat.tools.evaluation.prefix_quality import PrefixQuality
 from cogsplat.tools.evaluation.report_page import write_report
+from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
     background_option,
@@ -28,11 +29,19 @@ from cogsplat.tools.terminal.options import (
     top_k_option,
 )
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output_names import COGS, HTML, check_name, format_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import ByteCount, Colour, byte_count
 
 from .info import tell_attributes
-from .inputs import given_cameras, measured_in, read_any, scoring_cameras, virtual_views
+from .inputs import (
+    given_cameras,
+    given_files,
+    measured_in,
+    read_any,
+    scoring_cameras,
+    virtual_views,
+)
 from .measure import FileEvaluation, settings_of
 from .order_options import OrderChoice, order_options
 from .scene_edits import SceneEdits, edit_options
@@ -143,8 +152,10 @@ if TYPE_CHECKING:
     metavar="DIR",
     help="Photos named as the cameras are: measure against them, too.",
 )
+@format_option(["cogs"], "Without it, a name that says another format is refused.")
 @background_option
 @edit_options
+@limits_option
 @threads_option
 @force_option
 @quiet_option
@@ -173,6 +184,7 @@ def encode(
     measure: bool,
     report: Path | None,
     images: Path | None,
+    format_name: str | None,
     background: Colour,
     edits: SceneEdits,
     threads: int,
@@ -212,9 +224,12 @@ def encode(
         prune=None if no_prune else bound,
         threads=threads,
     )
-    check_output(out, force=force)
+    check_name(out, COGS, insisted=format_name is not None)
+    check_output(out, force=force, inputs=given_files(scene, cameras, images, choice.masks))
     if report is not None:
-        check_output(report, force=force)
+        check_name(report, HTML)
+        inputs = given_files(scene, cameras, images, choice.masks)
+        check_output(report, force=force, inputs=inputs)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)

@@ -36,6 +36,7 @@ from cogsplat.tools.evaluation.tables import (
     tell,
     written_pages,
 )
+from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
     background_option,
@@ -55,6 +56,7 @@ from cogsplat.tools.terminal.values import ByteCount, Colour, byte_count
 from .inputs import (
     evaluation_cameras,
     given_cameras,
+    given_files,
     read_any,
     scoring_cameras,
     usable_rows,
@@ -172,6 +174,7 @@ def sizes(text: str) -> tuple[ByteCount, ...]:
 @jitter_option
 @top_k_option
 @background_option
+@limits_option
 @threads_option
 @force_option
 @quiet_option
@@ -213,7 +216,8 @@ def evaluate(
         with storage_errors(out):
             out.mkdir(parents=True, exist_ok=True)
         for name in ("eval.csv", "eval.json", *picture_names(by)):
-            check_output(out / name, force=force)
+            inputs = given_files(scene, cameras, images, lpips_weights)
+            check_output(out / name, force=force, inputs=inputs)
     points: list[PrefixPoint] = []
     strips: dict[str, list[Strip]] = {name: [] for name in by}
     with Stages(shown=not (quiet or as_json)) as stages:

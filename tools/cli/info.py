@@ -22,6 +22,7 @@ from cogsplat.tools.evaluation.byte_inventory import (
     format_version,
     stored_sizes,
 )
+from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import PATH, json_option, quiet_option
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
 from cogsplat.tools.terminal.progress import Stages
@@ -43,6 +44,7 @@ _ATTRIBUTES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 @click.argument("path", type=PATH, metavar="IN")
 @click.option("--verify", is_flag=True, help="Check every hash and decode every chunk of it.")
 @click.option("--all", "all_chunks", is_flag=True, help="List every chunk, however many.")
+@limits_option
 @quiet_option
 @json_option
 def info(path: Path, verify: bool, all_chunks: bool, quiet: bool, as_json: bool) -> None:
@@ -62,7 +64,7 @@ def info(path: Path, verify: bool, all_chunks: bool, quiet: bool, as_json: bool)
             _tell_scene(path, scene.splats, scene.file_bytes)
         return
     with (
-        cogsplat.open(path) as file,
+        cogsplat.open(path, limits=current_limits()) as file,
         Stages(shown=verify and not (quiet or as_json)) as stages,
     ):
         if verify:

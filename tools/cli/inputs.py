@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -16,8 +16,9 @@ from cogsplat.codec.errors import CogsplatWarning, DataError, LimitError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
-from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes
+from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes, scene_files
 from cogsplat.formats.storage.source import FileSource
+from cogsplat.tools.terminal.limits import current_limits
 from cogsplat.tools.terminal.values import ByteCount, ChunkRange
 
 EVAL_CAMERAS: Final = "eval_cameras.json"
@@ -133,7 +134,7 @@ def read_any(
             f"{path}: is no COGS file, expected one with --chunks, --splats, --bytes, --object "
             "or --compensate"
         )
-    splats = read_scene(path)
+    splats = read_scene(path, limits=current_limits())
     size = scene_bytes(path)
     rows = len(splats)
     if part.sh_degree is not None:
@@ -155,7 +156,7 @@ def decode_part(
     """
     source = FileSource(path)
     size_bytes = None if part.size is None else part.size.of(source.size)
-    with cogsplat.open(source, size_bytes=size_bytes) as file:
+    with cogsplat.open(source, size_bytes=size_bytes, limits=current_limits()) as file:
         try:
             chunks = file.select(
                 chunks=None if part.chunks is None else (part.chunks.first, part.chunks.last),
@@ -188,6 +189,26 @@ def decode_part(
             ),
             unrefined=tuple(chunk for chunk in chunks if not file.has_refinement(chunk)),
         )
+
+
+def given_files(scene: Path, *others: Path | None) -> Iterator[Path]:
+    """Yield the files that a command reads, which its outputs may not be.
+
+    Parameters
+    ----------
+    scene : Path
+        The files that it names beside it are yielded as well.
+    others : Path or None
+        Files, and folders of which all files are yielded: cameras, photos, masks.
+    """
+    yield scene
+    if not is_cogs(scene):
+        yield from scene_files(scene)
+    for path in others:
+        if path is not None and path.is_dir():
+            yield from (inner for inner in path.rglob("*") if inner.is_file())
+        elif path is not None:
+            yield path
 
 
 def usable_rows(splats: Splats, where: Path) -> Splats:
@@ -225,7 +246,7 @@ def given_cameras(path: Path) -> list[Camera]:
     CogsplatError
         They cannot be read.
     """
-    cameras = cogsplat.read_cameras(path)
+    cameras = cogsplat.read_cameras(path, limits=current_limits())
     for camera in cameras:
         if camera.width * camera.height > _MAX_VIEW_PIXELS:
             raise LimitError(

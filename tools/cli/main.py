@@ -22,6 +22,7 @@ from cogsplat.codec.errors import (
     LimitError,
     StorageError,
     UnsupportedError,
+    printable,
 )
 from cogsplat.formats.cogs import layout
 from cogsplat.formats.storage.atomic import storage_error
@@ -172,9 +173,9 @@ def _tell(code: str, message: str, exit_code: int, as_json: bool, hint: str = ""
             say_json({"error": {"code": code, "message": message, "exit_code": exit_code}})
             _flush()
             return
-        click.echo(f"error: {message} [{code}]", err=True)
+        click.echo(f"error: {printable(message)} [{code}]", err=True)
         if hint:
-            click.echo(hint, err=True)
+            click.echo(printable(hint), err=True)
         return
     _drop_output()
 

@@ -15,6 +15,7 @@ from cogsplat.codec.order import objects
 from cogsplat.codec.order.chunks import DEFAULT_LARGEST
 from cogsplat.codec.order.orders import Unordered, order_rows
 from cogsplat.formats.storage.atomic import atomic_write, check_output
+from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
     cameras_option,
@@ -27,9 +28,10 @@ from cogsplat.tools.terminal.options import (
     top_k_option,
 )
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, table
+from cogsplat.tools.terminal.output_names import NPY, check_name
 from cogsplat.tools.terminal.progress import Stages
 
-from .inputs import given_cameras, read_any, scoring_cameras, virtual_views
+from .inputs import given_cameras, given_files, read_any, scoring_cameras, virtual_views
 from .order_options import OrderChoice, order_options
 
 
@@ -45,6 +47,7 @@ from .order_options import OrderChoice, order_options
 @jitter_option
 @top_k_option
 @eval_every_option(0, "Keep from scoring the")
+@limits_option
 @threads_option
 @force_option
 @quiet_option
@@ -68,7 +71,8 @@ def order(
     """
     from cogsplat.codec.scoring.contribution import ScoreConfig, score
 
-    check_output(out, force=force)
+    check_name(out, NPY)
+    check_output(out, force=force, inputs=given_files(path, cameras, choice.masks))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             given = read_any(path, threads=threads).splats

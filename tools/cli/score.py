@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.formats.storage.atomic import atomic_write, check_output
+from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
     cameras_option,
@@ -24,9 +25,10 @@ from cogsplat.tools.terminal.options import (
     top_k_option,
 )
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json
+from cogsplat.tools.terminal.output_names import NPY, check_name
 from cogsplat.tools.terminal.progress import Stages
 
-from .inputs import read_any, scoring_cameras, virtual_views
+from .inputs import given_files, read_any, scoring_cameras, virtual_views
 
 
 @click.command(
@@ -38,6 +40,7 @@ from .inputs import read_any, scoring_cameras, virtual_views
 @jitter_option
 @top_k_option
 @eval_every_option(0, "Keep from scoring the")
+@limits_option
 @threads_option
 @force_option
 @quiet_option
@@ -62,7 +65,8 @@ def score(
     from cogsplat.codec.scoring.contribution import ScoreConfig
     from cogsplat.codec.scoring.contribution import score as score_splats
 
-    check_output(out, force=force)
+    check_name(out, NPY)
+    check_output(out, force=force, inputs=given_files(path, cameras))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.tools.evaluation.scene_statistics import SceneStatistics, ValueStatistics, statistics
+from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
     json_option,
@@ -35,6 +36,7 @@ _BARS: Final = "▁▂▃▄▅▆▇█"
 )
 @click.argument("path", type=PATH, metavar="SCENE")
 @part_options
+@limits_option
 @threads_option
 @quiet_option
 @json_option

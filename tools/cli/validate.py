@@ -9,6 +9,7 @@ import click
 
 from cogsplat.formats.cogs.verification import Finding, findings
 from cogsplat.formats.storage.source import FileSource
+from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import PATH, json_option, quiet_option
 from cogsplat.tools.terminal.output import counted, name_of, say, say_json
 from cogsplat.tools.terminal.progress import Stages
@@ -22,6 +23,7 @@ _INVALID = 3
     "  cogsplat validate scene.cogs --json | jq '.findings[].code'"
 )
 @click.argument("path", type=PATH, metavar="IN.cogs")
+@limits_option
 @quiet_option
 @json_option
 def validate(path: Path, quiet: bool, as_json: bool) -> None:
@@ -33,7 +35,7 @@ def validate(path: Path, quiet: bool, as_json: bool) -> None:
     source = FileSource(path)
     try:
         with Stages(shown=not (quiet or as_json)) as stages:
-            found = findings(source, progress=stages)
+            found = findings(source, limits=current_limits(), progress=stages)
     finally:
         source.close()
     if as_json:
@@ -47,6 +49,7 @@ def validate(path: Path, quiet: bool, as_json: bool) -> None:
     else:
         for finding in found:
             say(_line(finding))
+            say(f"    {finding.message}")
         if not found and not quiet:
             say(f"{name_of(path)}: conforms to SPEC.md")
         elif found:
@@ -58,4 +61,4 @@ def validate(path: Path, quiet: bool, as_json: bool) -> None:
 def _line(finding: Finding) -> str:
     where = "" if finding.offset is None else f" at byte {finding.offset:,}"
     clause = f"SPEC {finding.clause}" if finding.clause else "SPEC"
-    return f"{finding.code:<24} {clause:<10}{where}\n    {finding.message}"
+    return f"{finding.code:<24} {clause:<10}{where}"

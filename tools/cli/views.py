@@ -16,6 +16,7 @@ from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.atomic import check_output, storage_errors
 from cogsplat.tools.pictures.contact_sheet import THUMBNAIL, contact_sheet
 from cogsplat.tools.pictures.png import write_png
+from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
     force_option,
@@ -27,7 +28,7 @@ from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_jso
 from cogsplat.tools.terminal.progress import Stages
 
 from .compare import fitted
-from .inputs import read_any
+from .inputs import given_files, read_any
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -50,6 +51,7 @@ _MOST_VIEWS: Final = 1024
     metavar="N",
     help="Views; a few more may be added for what they leave out.  [default: 64]",
 )
+@limits_option
 @threads_option
 @force_option
 @quiet_option
@@ -74,7 +76,7 @@ def views(
     kind = out.suffix.lower()
     if kind not in (".json", ".png"):
         raise click.UsageError(f"{out}, expected an output that ends in .json or .png")
-    check_output(out, force=force)
+    check_output(out, force=force, inputs=given_files(path))
     config = ViewPlanConfig(threads=threads)
     if count is not None:
         config = replace(config, views=count)

@@ -15,6 +15,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from cogsplat.codec.errors import printable
+
 Json = Mapping[str, object]
 
 WARNINGS: Final = "cogsplat.warnings"
@@ -25,7 +27,14 @@ _TABLE_WIDTH: Final = 200
 
 
 def say(text: str) -> None:
-    """Print to standard output, with escapes for characters that its encoding lacks."""
+    """Print a line to standard output.
+
+    What a terminal would obey, and characters that its encoding lacks, come escaped.
+    """
+    _print(printable(text))
+
+
+def _print(text: str) -> None:
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     click.echo(text.encode(encoding, "backslashreplace").decode(encoding))
 
@@ -61,14 +70,15 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 
     for index, column in enumerate(columns):
         grid.add_column(column, justify="left" if index < left else "right", no_wrap=True)
     for row in rows:
-        grid.add_row(*(Text(cell) for cell in row))
+        grid.add_row(*(Text(printable(cell)) for cell in row))
     terminal = sys.stdout is not None and sys.stdout.isatty()
     # Into a string, so that all output goes through one place and meets a closed pipe there.
     page = io.StringIO()
     # Wider than any table here: a narrow terminal wraps lines, which loses no digit.
     Console(file=page, force_terminal=terminal, width=_TABLE_WIDTH, highlight=False).print(grid)
     for line in page.getvalue().splitlines():
-        say(f" {line.rstrip()}")
+        # The escapes in it are our own.
+        _print(f" {line.rstrip()}")
 
 
 def size_text(size_bytes: int) -> str:

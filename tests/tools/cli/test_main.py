@@ -295,7 +295,8 @@ def test_full_disk_leaves_nothing(
 ) -> None:
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))"
     source = small.cogs if command == "decode" else small.ply
-    arguments: list[object] = [command, source, tmp_path / "out.ply"]
+    suffix = {"decode": "ply", "score": "npy", "render": "png", "encode": "cogs"}[command]
+    arguments: list[object] = [command, source, tmp_path / f"out.{suffix}"]
     if command != "decode":
         arguments += ["--cameras", small.cameras]
     done = run_apart(*arguments, before=limit)

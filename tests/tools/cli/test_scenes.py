@@ -17,6 +17,16 @@ from cogsplat.tools.synthetic.scene import synth, synth_cameras
 
 ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 
+# A name that fits what each command writes.
+OUTPUTS = {
+    "encode": "out.cogs",
+    "decode": "out.ply",
+    "synth": "out.ply",
+    "score": "out.npy",
+    "render": "out.png",
+    "info": "",
+}
+
 
 def assert_same(first: Splats, second: Splats) -> None:
     for name in ARRAYS:
@@ -229,7 +239,7 @@ def test_parts_that_are_not_there_are_misuse(run: Run, small: SmallScene, tmp_pa
 def test_what_exists_is_replaced_with_force_alone(
     run: Run, small: SmallScene, tmp_path: Path, command: str
 ) -> None:
-    out = tmp_path / "there.ply"
+    out = tmp_path / OUTPUTS[command]
     out.write_text("mine")
     source = small.cogs if command == "decode" else small.ply
     arguments: list[object] = [command, source, out]
@@ -272,7 +282,7 @@ def test_hostile_files_are_refused(
     for name, data in files.items():
         path = folder / name
         path.write_bytes(data)
-        arguments = [command, path] + ([] if command == "info" else [outs / "out.ply"])
+        arguments = [command, path] + ([] if command == "info" else [outs / OUTPUTS[command]])
         told = run(*arguments)
         assert told.code == 3, (name, told)
         assert told.err.startswith("error: ")

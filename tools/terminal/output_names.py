@@ -1,0 +1,70 @@
+"""Names of outputs: one that says another format than what is written is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final, TypeVar
+
+import click
+
+from cogsplat.formats.scenes.registry import FORMATS
+
+Command = TypeVar("Command", bound=Callable[..., object])
+
+COGS: Final = (".cogs",)
+PNG: Final = (".png",)
+NPY: Final = (".npy",)
+HTML: Final = (".html", ".htm")
+
+# Extensions that mean something else to other programs; a name with none of them says nothing.
+_DOCUMENTS: Final = (
+    *(".jpg", ".jpeg", ".webp", ".gif", ".bmp", ".tif", ".tiff", ".exr", ".svg", ".pdf", ".mp4"),
+    *(".json", ".csv", ".txt", ".md", ".npz", ".zip", ".gz", ".rad", ".usd", ".usda", ".usdz"),
+)
+_MEANINGFUL: Final = (
+    *COGS,
+    *PNG,
+    *NPY,
+    *HTML,
+    *_DOCUMENTS,
+    *(extension for format_ in FORMATS for extension in format_.extensions),
+)
+
+
+def format_option(names: Sequence[str], what: str) -> Callable[[Command], Command]:
+    """Add ``--format``; `what` says what the name of the output decides without it."""
+    return click.option(
+        "--format",
+        "format_name",
+        type=click.Choice(tuple(names)),
+        help=f"Write this format whatever the output is called. {what}",
+    )
+
+
+def check_name(path: Path, extensions: Sequence[str], *, insisted: bool = False) -> None:
+    """Refuse an output whose extension names another format than the one to be written.
+
+    Parameters
+    ----------
+    path : Path
+        The output.
+    extensions : sequence of str
+        Of the format, in lower case with their dots.
+    insisted : bool
+        Whether the user named the format, too.
+
+    Raises
+    ------
+    click.UsageError
+        It does; a name that says nothing is taken.
+    """
+    name = path.name.lower()
+    if insisted or name.endswith(tuple(extensions)):
+        return
+    said = [extension for extension in _MEANINGFUL if name.endswith(extension)]
+    if said:
+        raise click.UsageError(
+            f"{path}: its name says {max(said, key=len)}, expected a name that ends in "
+            f"{' or '.join(extensions)}"
+        )
