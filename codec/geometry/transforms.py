@@ -145,11 +145,14 @@ def convert_axes(splats: Splats, axes: str) -> Splats:
         return splats
     signs = np.array(change.signs, np.float32)
     quats = np.take(splats.quats, [0, *(1 + k for k in change.order)], axis=1)
-    quats[:, 1:] *= np.array(change.quat_signs, np.float32)
+    # Signalling NaN, which files may hold, passes through.
+    with np.errstate(invalid="ignore"):
+        quats[:, 1:] *= np.array(change.quat_signs, np.float32)
+        means = np.take(splats.means, change.order, axis=1) * signs
     origin = [s * splats.info.origin[k] for s, k in zip(change.signs, change.order, strict=True)]
     return replace(
         splats,
-        means=np.take(splats.means, change.order, axis=1) * signs,
+        means=means,
         scales=np.take(splats.scales, change.order, axis=1),
         quats=quats,
         shN=rotate_sh(splats.shN, change.matrix),
@@ -228,7 +231,9 @@ def rotate_sh(shN: F32, rotation: F64) -> F32:
     degree = next(d for d in range(MAX_SH_DEGREE + 1) if sh_coefficients(d) - 1 == count)
     matrix = sh_rotation(rotation, degree)
     if np.array_equal(matrix, np.diag(np.diagonal(matrix))):
-        return shN * np.diagonal(matrix).astype(np.float32)[:, None]
+        # Signalling NaN, which files may hold, passes through as well.
+        with np.errstate(invalid="ignore"):
+            return shN * np.diagonal(matrix).astype(np.float32)[:, None]
     # One product for all bands and channels: rows of 45 numbers suit a matrix product better than
     # many small blocks.
     whole = np.kron(matrix, np.eye(channels)).astype(np.float32)

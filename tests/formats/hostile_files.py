@@ -144,7 +144,14 @@ def spz_of_zeros(
     folder: Path, *, version: int, splats: int, degree: int = 3, padding: int = 0
 ) -> Path:
     """An SPZ of splats that are all the same, and of version 4 an extension that nobody reads."""
-    rows = [9, 1, 3, 3, 4 if version >= 3 else 3, 3 * ((degree + 1) ** 2 - 1)]
+    rows = [
+        6 if version == 1 else 9,
+        1,
+        3,
+        3,
+        4 if version >= 3 else 3,
+        3 * ((degree + 1) ** 2 - 1),
+    ]
     flags = 2 if padding else 0
     head = struct.pack("<4sIIBBB", b"NGSP", version, splats, degree, 12, flags)
     extensions = struct.pack("<II", 1, padding) + bytes(padding) if padding else b""

@@ -1,0 +1,123 @@
+"""Write the corpus of the fuzz targets: a small file of each kind, and those that once did harm.
+
+Run as ``python tests/fuzz/make_corpus.py``; the bytes are the same every time. A file that a fuzzer
+finds is added to the folder of its target by hand, under a name that says what it does.
+"""
+
+import json
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+CORPUS = Path(__file__).parent / "corpus"
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "formats"), str(ROOT / "tests" / "fuzz")]
+
+import hostile_files as hostile  # noqa: E402
+from targets import joined  # noqa: E402
+
+from cogsplat.codec.splats import Splats  # noqa: E402
+from cogsplat.formats.scenes.registry import write_scene  # noqa: E402
+
+
+def scene(count: int, degree: int) -> Splats:
+    rng = np.random.default_rng(count + degree)
+
+    def draw(*shape: int) -> np.ndarray:
+        return rng.standard_normal(shape).astype(np.float32)
+
+    rest = (degree + 1) ** 2 - 1
+    return Splats(
+        draw(count, 3), draw(count, 3) - 4, draw(count, 4), draw(count), draw(count, 3),
+        draw(count, rest, 3) / 8,
+    )  # fmt: skip
+
+
+def scenes(folder: Path) -> Iterator[tuple[str, str, bytes]]:
+    """Yield target, name and bytes of scenes that are well."""
+    for extension in (".ply", ".compressed.ply", ".glb", ".sog", ".spz", ".splat"):
+        for count, degree in ((1, 0), (9, 1), (5, 3)):
+            path = folder / f"a{extension}"
+            write_scene(path, scene(count, degree), force=True)
+            yield extension[1:].replace(".", "_"), f"scene_{count}_{degree}", path.read_bytes()
+    path = folder / "a.gltf"
+    write_scene(path, scene(3, 1))
+    yield "gltf", "scene", joined(path.read_bytes(), b"")
+    root, binary = hostile.gltf_root(2, 1)
+    root["buffers"] = [{"byteLength": len(binary), "uri": "side.bin"}]
+    yield "gltf", "buffer_beside", joined(json.dumps(root).encode(), binary)
+    names = [*"xyz", "opacity", *(f"f_dc_{k}" for k in range(3))]
+    names += [*(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
+    lines = ["ply", "format ascii 1.0", "comment cogsplat axes RUB", "element vertex 2"]
+    lines += [*(f"property float {name}" for name in names), "property uchar object", "end_header"]
+    rows = [" ".join(str(k + row) for k in range(15)) for row in range(2)]
+    yield "ply", "text", "\n".join([*lines, *rows, ""]).encode()
+    head = bytearray(4096 + 1024)
+    head[1] = 1
+    head[4:8] = head[8:12] = head[12:16] = head[16:20] = (1).to_bytes(4, "little")
+    head[4096:4104] = (1).to_bytes(4, "little") * 2
+    yield "ksplat", "one_splat", bytes(head) + np.ones(11, "<f4").tobytes()
+
+
+def harm(folder: Path) -> Iterator[tuple[str, str, bytes]]:
+    """Yield files that took too much, or failed in a way that no file may."""
+    mib = 1 << 20
+    path = hostile.sog_of_one_entry(folder, side=16, count=9, inflated=8 * mib)
+    yield "sog", "one_entry_inflated_for_every_image", path.read_bytes()
+    path = hostile.sog_of_one_entry(folder, side=1024, count=mib, inflated=mib)
+    yield "sog", "a_million_splats_in_one_colour", path.read_bytes()
+    path = hostile.sog_of_many_entries(folder, entries=400)
+    yield "sog", "many_entries", path.read_bytes()
+    path = hostile.gltf_of_shared_accessors(folder, splats=100, primitives=40)
+    yield "glb", "shared_accessors", path.read_bytes()
+    for name, node in {
+        "matrix_1e308": {"matrix": [1e308] * 16},
+        "scale_-1e-110": {"scale": [-1e-110] * 3},
+        "scale_0": {"scale": [0, 0, 0]},
+        "rotation_1e200": {"rotation": [1e200] * 4},
+    }.items():
+        yield "glb", name, hostile.gltf_with_node(folder, node).read_bytes()
+    root, binary = hostile.gltf_root(2, 1)
+    root["extensionsRequired"] = ["\x1b]0;title\x07\x1b[2J"]
+    yield "glb", "escape_sequences", hostile.glb(root, binary)
+    path = hostile.gltf_of_empty_arrays(folder, arrays=5000)
+    yield "gltf", "empty_arrays", joined(path.read_bytes(), b"")
+    for version in (1, 2, 3, 4):
+        path = hostile.spz_of_zeros(folder, version=version, splats=60_000)
+        yield "spz", f"zeros_{version}", path.read_bytes()
+    path = hostile.ply_of_empty_lists(folder, lists=2000)
+    yield "ply", "empty_lists", path.read_bytes()
+    path = hostile.cameras_json_of_empty_arrays(folder, size=6000)
+    yield "cameras_json", "empty_arrays", path.read_bytes()
+    path = hostile.cameras_json_of_many(folder, cameras=12)
+    yield "cameras_json", "many", path.read_bytes()
+    path = hostile.transforms_json_of_one_picture(folder, frames=20)
+    picture = (folder / "p.png").read_bytes()[:100]
+    yield "transforms_json", "one_picture", joined(path.read_bytes(), picture)
+    hostile.colmap(folder, images=3)
+    parts = [(folder / f"{name}.bin").read_bytes() for name in ("cameras", "images")]
+    yield "colmap_bin", "model", joined(*parts)
+    hostile.colmap_with_long_line(folder, size=66_000)
+    parts = [(folder / f"{name}.txt").read_bytes() for name in ("cameras", "images")]
+    yield "colmap_txt", "long_line", joined(*parts)
+    yield "colmap_txt", "model", joined(parts[0], b"1 1 0 0 0 0 0 0 1 a b.png\n1 2 3\n")
+    path = hostile.png_with_text_bomb(folder / "v.png", side=4, inflated=8 * mib)
+    yield "mask", "text_that_inflates", path.read_bytes()
+    yield "mask", "eps", hostile.eps(path, side=4).read_bytes()
+
+
+def main() -> None:
+    """Write all files; those of the COGS target are the conformance vectors."""
+    for made in (scenes, harm):
+        with tempfile.TemporaryDirectory() as folder:
+            for target, name, data in made(Path(folder)):
+                path = CORPUS / target / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(data)
+
+
+if __name__ == "__main__":
+    main()

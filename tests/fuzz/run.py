@@ -1,0 +1,89 @@
+"""Fuzz a target for as long as you like: ``python tests/fuzz/run.py spz --seconds 3600``.
+
+Takes atheris (``pip install atheris``; Linux, CPython 3.11 to 3.13), which follows what of our code
+each input reaches. What it finds is written to ``--findings`` with the command that repeats it;
+without atheris, ``--mutations N`` runs so many of our own mutations of the corpus.
+"""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "formats"), str(ROOT / "tests" / "fuzz")]
+
+_MAX_INPUT_BYTES = 1 << 16
+_MEMORY_MIB = 1024
+_SECONDS_PER_INPUT = 10
+
+
+def main() -> None:
+    """Parse the command line and fuzz."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("target", help="a folder of tests/fuzz/corpus, or all with --mutations")
+    parser.add_argument("--seconds", type=int, default=60, help="how long (default 60)")
+    parser.add_argument("--mutations", type=int, help="so many mutations of every file instead")
+    parser.add_argument("--findings", type=Path, default=Path("fuzz-findings"))
+    options = parser.parse_args()
+    if options.mutations is not None:
+        _mutate(options.target, options.mutations, options.findings)
+        return
+    import atheris
+
+    # Before our modules are first imported, so that atheris sees what they reach.
+    with atheris.instrument_imports(include=["cogsplat"]):
+        from targets import TARGETS, run_once
+    import mutations
+    from seeds import corpus
+
+    target = TARGETS[options.target]
+    options.findings.mkdir(parents=True, exist_ok=True)
+    grown = options.findings / f"{target.name}-corpus"
+    grown.mkdir(exist_ok=True)
+    for name, data in corpus(target.name).items():
+        (grown / name).write_bytes(data)
+
+    def mutate(data: bytes, max_size: int, seed: int) -> bytes:
+        # Half by structure, half as libFuzzer does it.
+        if seed & 1:
+            return mutations.mutated(data, seed, max_size)
+        return bytes(atheris.Mutate(data, max_size))
+
+    arguments = [
+        sys.argv[0],
+        f"-max_total_time={options.seconds}",
+        f"-max_len={_MAX_INPUT_BYTES}",
+        f"-rss_limit_mb={_MEMORY_MIB}",
+        f"-timeout={_SECONDS_PER_INPUT}",
+        f"-artifact_prefix={options.findings}{os.sep}{target.name}-",
+        str(grown),
+    ]
+    atheris.Setup(arguments, lambda data: run_once(target, data) and None, custom_mutator=mutate)
+    atheris.Fuzz()
+
+
+def _mutate(name: str, count: int, findings: Path) -> None:
+    from mutations import mutated
+    from seeds import corpus
+    from targets import TARGETS, run_once
+
+    for target in TARGETS.values() if name == "all" else [TARGETS[name]]:
+        refused = runs = 0
+        for seed_name, data in corpus(target.name).items():
+            for seed in range(count):
+                changed = mutated(data, seed)
+                runs += 1
+                try:
+                    refused += run_once(target, changed) is not None
+                except Exception:
+                    findings.mkdir(parents=True, exist_ok=True)
+                    path = findings / f"{target.name}-{seed_name}-{seed}"
+                    path.write_bytes(changed)
+                    print(f"{path}: not a refusal")
+                    raise
+        print(f"{target.name}: {runs} mutations, {refused} refused")
+
+
+if __name__ == "__main__":
+    main()

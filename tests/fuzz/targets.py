@@ -1,0 +1,200 @@
+"""What is fuzzed: every reader of files of unknown origin, as a function of bytes.
+
+A target writes what it is given to a file, reads it as a program would, and lets no exception pass
+but the refusals that are documented. Limits are low, so that an input that costs much is found by
+what it costs.
+"""
+
+import struct
+import tempfile
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import CogsplatError, CogsplatWarning
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.streams import compiled
+from cogsplat.formats.cameras.files import read_cameras
+from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.scenes.registry import FORMATS, read_scene, scene_bytes
+from cogsplat.formats.storage.limits import Limits
+from cogsplat.formats.storage.source import BytesSource
+from cogsplat.tools.conformance import reference_decoder
+from cogsplat.tools.pictures.masks import read_masks
+
+LIMITS = Limits(decoded_bytes=32 << 20, small_bytes=16 << 20, splats=200_000, cameras=5000)
+
+ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
+
+# More splats than this take the reference decoder, which is plain Python, too long.
+_REFERENCE_SPLATS = 400
+
+
+@dataclass(frozen=True)
+class Target:
+    """A reader, and what its files are called.
+
+    Parameters
+    ----------
+    name : str
+        Names the target, and its folder in the corpus.
+    files : tuple of str
+        Files that an input is cut into, in the folder that is read; the first is the one opened.
+        Inputs of several files have the lengths of all but the last before them, 4 bytes each.
+    read : callable
+        Reads the first file, or its folder.
+    """
+
+    name: str
+    files: tuple[str, ...]
+    read: Callable[[Path], object]
+
+    def run(self, data: bytes, folder: Path) -> CogsplatError | None:
+        """Read an input, and return the refusal."""
+        for name, part in zip(self.files, split(data, len(self.files)), strict=True):
+            (folder / name).write_bytes(part)
+        with warnings.catch_warnings():
+            # What numpy warns of was foreseen nowhere.
+            warnings.simplefilter("error")
+            warnings.simplefilter("ignore", CogsplatWarning)
+            try:
+                self.read(folder / self.files[0])
+            except CogsplatError as error:
+                check_refusal(error)
+                return error
+        return None
+
+
+def split(data: bytes, count: int) -> list[bytes]:
+    """Cut an input into its files."""
+    parts = []
+    for _ in range(count - 1):
+        length = struct.unpack("<I", data[:4].ljust(4, b"\0"))[0]
+        parts.append(data[4 : 4 + length])
+        data = data[4 + length :]
+    return [*parts, data]
+
+
+def joined(*parts: bytes) -> bytes:
+    """Make one input of several files."""
+    lengths = [struct.pack("<I", len(part)) for part in parts[:-1]]
+    return b"".join([*(a + b for a, b in zip(lengths, parts, strict=False)), parts[-1]])
+
+
+def check_refusal(error: CogsplatError) -> None:
+    """A refusal has a stable code, and a message of one line that no terminal obeys."""
+    assert error.code == error.code.lower()
+    assert error.code.replace("-", "").replace("0", "").isalnum(), error.code
+    assert error.message.isprintable(), error.message
+
+
+def check_splats(splats: Splats) -> None:
+    """What a reader returns has the arrays it promises."""
+    count = len(splats)
+    assert count <= LIMITS.splats
+    for name in ARRAYS:
+        values = getattr(splats, name)
+        assert values.dtype == np.float32
+        assert len(values) == count
+    for name, extra in splats.extras.items():
+        assert name
+        assert len(extra) == count
+
+
+def _scene(path: Path) -> None:
+    check_splats(read_scene(path, limits=LIMITS))
+    scene_bytes(path)
+
+
+def _cameras(path: Path) -> None:
+    found = read_cameras(path, limits=LIMITS)
+    assert 0 < len(found) <= LIMITS.cameras
+
+
+def _model(path: Path) -> None:
+    _cameras(path.parent)
+
+
+def _mask(path: Path) -> None:
+    view = Camera(4, 3, 4.0, 4.0, 2.0, 1.5, np.eye(3), np.zeros(3), path.stem)
+    _, masks = read_masks(path.parent, [view])
+    assert masks[0].shape == (3, 4)
+
+
+def decoded(data: bytes, *, kernels: bool) -> Splats | CogsplatError:
+    """Decode a COGS file and check all of it, with numpy alone or with compiled kernels."""
+    was = compiled.ready()
+    compiled.use(kernels)
+    try:
+        with open_cogs(BytesSource(data, "a.cogs"), limits=LIMITS) as file:
+            splats = file.decode(threads=1)
+            file.verify()
+            file.cameras()
+            file.compensation()
+            return splats
+    except CogsplatError as error:
+        check_refusal(error)
+        return error
+    finally:
+        compiled.use(was)
+
+
+def same_bits(found: Splats, expected: Splats) -> bool:
+    """Tell whether two scenes are equal to the bit, NaN included."""
+    return all(
+        getattr(found, name).tobytes() == getattr(expected, name).tobytes() for name in ARRAYS
+    )
+
+
+def _cogs(path: Path) -> None:
+    """Numpy and kernels agree on the verdict, its code and the bits; so does the second decoder."""
+    data = path.read_bytes()
+    plain, fast = decoded(data, kernels=False), decoded(data, kernels=True)
+    if isinstance(plain, CogsplatError) or isinstance(fast, CogsplatError):
+        codes = [getattr(found, "code", "accepted") for found in (plain, fast)]
+        assert codes[0] == codes[1], codes
+        assert isinstance(plain, CogsplatError)
+        raise plain
+    assert same_bits(plain, fast)
+    check_splats(plain)
+    if len(plain) <= _REFERENCE_SPLATS:
+        rows = reference_decoder.decode(data).rows
+        for name in ARRAYS:
+            values = getattr(plain, name)
+            expected = np.array(rows[name], np.float32).reshape(values.shape)
+            assert values.tobytes() == expected.tobytes(), name
+
+
+_SCENES = tuple(
+    Target(
+        extension[1:].replace(".", "_"),
+        ("a" + extension, "side.bin") if extension == ".gltf" else ("a" + extension,),
+        _scene,
+    )
+    for format_ in FORMATS
+    for extension in format_.extensions
+)
+
+TARGETS: dict[str, Target] = {
+    target.name: target
+    for target in (
+        *_SCENES,
+        Target("cogs", ("a.cogs",), _cogs),
+        Target("cameras_json", ("cameras.json",), _cameras),
+        Target("transforms_json", ("transforms.json", "p.png"), _cameras),
+        Target("colmap_bin", ("cameras.bin", "images.bin"), _model),
+        Target("colmap_txt", ("cameras.txt", "images.txt"), _model),
+        Target("mask", ("v.png",), _mask),
+    )
+}
+"""By name; a folder of the corpus each."""
+
+
+def run_once(target: Target, data: bytes) -> CogsplatError | None:
+    """Read an input in a folder of its own."""
+    with tempfile.TemporaryDirectory(prefix="cogsplat-fuzz-") as folder:
+        return target.run(data, Path(folder))
