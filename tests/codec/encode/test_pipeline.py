@@ -6,13 +6,10 @@ import pytest
 from encoding import UNSEEN, encode, unseen
 
 from cogsplat.codec.encode import pipeline
-from cogsplat.codec.encode.config import PROFILE_NAMES, EncodeConfig
-from cogsplat.codec.encode.prepared import prepare
+from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.presets import PRESETS
-from cogsplat.codec.encode.profiles.dispatch import PROFILES
 from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.scoring.contribution import ScoreConfig, score, unscored
 
 FAST = PRESETS["fast"]
@@ -40,10 +37,6 @@ def payload_bytes(encoded):
 
 def encoded(scene, views, config=LITTLE, **options):
     return pipeline.encode(scene, config, cameras=views, score_config=ONCE, **options)
-
-
-def test_the_table_of_profiles_has_those_that_a_configuration_names():
-    assert tuple(PROFILES) == PROFILE_NAMES
 
 
 def test_a_scene_with_cameras_is_compensated_and_predicted(scene, views):
@@ -135,23 +128,3 @@ def test_a_size_is_kept_by_the_finished_scene(scene, views):
     assert made.compensation is not None
     assert 1 < made.report.trials < len(calls)
     assert made.report.quality_db < 40.0
-
-
-def test_a_scene_is_laid_out_once_while_the_same_splats_stay(scene):
-    rng = np.random.default_rng(3)
-    scores = replace(
-        unscored(len(scene)),
-        energy=rng.lognormal(-9, 2, len(scene)),
-        peak=rng.uniform(0, 0.1, len(scene)).astype(np.float32),
-        covered=np.full(len(scene), 9, np.int32),
-    )
-    kept = prepare(scene, scores, unseen(prune=None))
-    assert kept.laid_out(30.0) is kept.laid_out(50.0)
-    pruned = prepare(scene, scores, unseen(prune=PruneConfig()))
-    few, more = pruned.laid_out(12.0), pruned.laid_out(40.0)
-    assert 0 < len(few.rows) < len(more.rows) < len(scene)
-    assert pruned.laid_out(40.0) is more
-    np.testing.assert_array_equal(pruned.laid_out(12.0).rows, few.rows)
-    for layout in (few, more):
-        np.testing.assert_array_equal(layout.ordered.means, scene.means[layout.rows])
-        assert layout.slices[-1].stop == len(layout.rows)

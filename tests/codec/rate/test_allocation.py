@@ -7,10 +7,8 @@ import pytest
 
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.rate import costs as rate_costs
-from cogsplat.codec.rate.energy_costs import EnergyCosts
 from cogsplat.codec.render.sensitivities import Sensitivities
 from cogsplat.codec.scoring.contribution import unscored
-from cogsplat.codec.streams.records import Attribute
 
 
 def with_energy(values):
@@ -52,36 +50,6 @@ def test_no_energy_is_zero():
     assert (rate_costs.floor_energy(unscored(5)) == 1).all()
     assert rate_costs.floor_energy(unscored(0)).shape == (0,)
     assert (rate_costs.floor_energy(with_energy([0.0, 5e-324])) > 0).all()
-
-
-def test_steps_spend_the_same_slope():
-    rng = np.random.default_rng(2)
-    for attribute, cost in (
-        (Attribute.OPACITIES, rate_costs.OPACITY_COST),
-        (Attribute.SH0, rate_costs.SH0_COST),
-        (Attribute.QUATS, rate_costs.ROTATION_COST),
-    ):
-        energy = rng.lognormal(-10, 3, 100)
-        step = EnergyCosts(1e-6, energy).step(attribute)
-        assert cost * energy.mean() * step**2 == pytest.approx(1e-6)
-
-
-def test_mean_steps_follow_the_size_of_the_splats():
-    energy = np.full(50, 1e-4)
-    scales = np.random.default_rng(3).normal(-4, 0.5, (50, 3)).astype(np.float32)
-    step = EnergyCosts(1e-6, energy).mean_step(scales)
-    larger = EnergyCosts(1e-6, energy).mean_step(scales + np.float32(math.log(2)))
-    assert larger == pytest.approx(2 * step, rel=1e-5)
-    tenth = np.full((1, 3), math.log(0.1), np.float32)
-    one = EnergyCosts(1e-6, energy[:1]).mean_step(tenth)
-    assert rate_costs.MEAN_COST * 1e-4 * (one / 0.1) ** 2 == pytest.approx(1e-6, rel=1e-5)
-
-
-@pytest.mark.parametrize("scale", [-1e30, -200.0, 200.0, 1e30])
-def test_mean_steps_of_extreme_scales_are_numbers_above_zero(scale):
-    scales = np.full((3, 3), scale, np.float32)
-    step = EnergyCosts(1e-9, np.full(3, 1e-3)).mean_step(scales)
-    assert 0 < step < math.inf
 
 
 # Costs.

@@ -1,0 +1,53 @@
+from dataclasses import replace
+
+import numpy as np
+import oracle
+from encoding import unseen
+
+from cogsplat.codec.encode.prepared import prepare
+from cogsplat.codec.order.chunks import plan_chunks
+from cogsplat.codec.rate.pruning import PruneConfig
+from cogsplat.codec.scoring.contribution import unscored
+
+
+def test_a_scene_is_laid_out_once_while_the_same_splats_stay():
+    scene = oracle.scene(4, n=600)
+    rng = np.random.default_rng(3)
+    scores = replace(
+        unscored(len(scene)),
+        energy=rng.lognormal(-9, 2, len(scene)),
+        peak=rng.uniform(0, 0.1, len(scene)).astype(np.float32),
+        covered=np.full(len(scene), 9, np.int32),
+    )
+    kept = prepare(scene, scores, unseen(prune=None))
+    assert kept.laid_out(30.0) is kept.laid_out(50.0)
+    pruned = prepare(scene, scores, unseen(prune=PruneConfig()))
+    few, more = pruned.laid_out(12.0), pruned.laid_out(40.0)
+    assert 0 < len(few.rows) < len(more.rows) < len(scene)
+    assert pruned.laid_out(40.0) is more
+    np.testing.assert_array_equal(pruned.laid_out(12.0).rows, few.rows)
+    for layout in (few, more):
+        np.testing.assert_array_equal(layout.ordered.means, scene.means[layout.rows])
+        assert layout.slices[-1].stop == len(layout.rows)
+
+
+def test_another_configuration_of_the_same_order_is_laid_out_anew():
+    scene = oracle.scene(4, n=600)
+    prepared = prepare(scene, unscored(600), unseen(prune=None, chunk_splats=100))
+    layout = prepared.laid_out(40.0)
+    other = replace(prepared, config=unseen(prune=None, chunk_splats=60)).laid_out(40.0)
+    assert layout.slices == plan_chunks(600, 100)
+    assert other.slices == plan_chunks(600, 60)
+    np.testing.assert_array_equal(layout.rows, other.rows)
+    assert prepared.laid_out(40.0) is layout
+
+
+def test_objects_have_chunks_of_their_own():
+    labels = np.random.default_rng(5).integers(0, 3, 600).astype(np.uint8)
+    scene = replace(oracle.scene(4, n=600), extras={"object": labels})
+    config = unseen(prune=None, chunk_splats=80)
+    config = replace(config, ordering=replace(config.ordering, by_object=True))
+    layout = prepare(scene, unscored(600), config).laid_out(40.0)
+    assert sorted(layout.rows.tolist()) == list(range(600))
+    for run, label in zip(layout.slices, layout.objects, strict=True):
+        assert (labels[layout.rows[run]] == label).all()
