@@ -24,6 +24,7 @@ from cogsplat.tools.conformance import (
     boxes,
     extras,
     msgpack_faults,
+    order_of_refusals,
     reference_decoder,
     zstd_headers,
 )
@@ -72,6 +73,7 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     compensations.compensation,
     boxes.boxes,
     boxes.sizes,
+    order_of_refusals.orders,
 )
 
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
