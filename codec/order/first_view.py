@@ -76,3 +76,13 @@ def keep_share(
     out[places] = without
     out[~taken] = within
     return out
+
+
+def halved_outside(inside: NDArray[np.bool_]) -> float:
+    """Return the share for `keep_share` that halves what lies outside of the average prefix.
+
+    Parameters
+    ----------
+    inside : (N,) bool
+    """
+    return 1.0 - 0.5 * float(np.count_nonzero(~inside)) / max(len(inside), 1)

@@ -143,9 +143,21 @@ def arrange(
     Arrangement
         First what is within budgets, object by object as `ranked`. Then the other chunks by the
         mean place of their splats in `rows`, so that the whole scene sharpens as if it had none.
+
+    Raises
+    ------
+    DataError
+        ``object-missing``: a budget for an object that the scene does not have.
     """
     shares = dict(budgets)
     others = shares.pop(None, 0.0)
+    known = set(np.unique(labels).tolist())
+    absent = sorted(label for label in shares if label is not None and label not in known)
+    if absent:
+        raise DataError(
+            "object-missing",
+            f"a budget for object {absent[0]}, expected one of {sorted(known)[:16]}",
+        )
     places = np.arange(len(rows))
     of_rows = labels[rows]
     first: list[NDArray[np.int64]] = []

@@ -1,7 +1,7 @@
 """Octree orders: every part of space gets its share of the first splats (PRoGS, section 3.2).
 
-The paper sorts by contribution inside the leaves and leaves open how their tops make one order: two
-readings.
+The paper sorts by contribution inside the leaves and leaves open how their tops make one order, of
+which there are two readings, and how deep the tree is where there are many splats.
 """
 
 from __future__ import annotations
@@ -44,6 +44,52 @@ def leaves(means: NDArray[np.float32], depth: int) -> NDArray[np.int64]:
     cells = np.minimum(cells, (1 << depth) - 1)
     numbers[finite] = (cells[:, 0] << 2 * depth) | (cells[:, 1] << depth) | cells[:, 2]
     return numbers
+
+
+def adaptive_leaves(means: NDArray[np.float32], capacity: int) -> NDArray[np.int64]:
+    """Return the leaf that each mean lies in, where dense nodes are subdivided further.
+
+    PRoGS (section 3.2) subdivides "based on the density of splats": a node with more than
+    `capacity` means has eight children, others are leaves.
+
+    Parameters
+    ----------
+    means : (N, 3) float32
+        Scene units; what is not finite lies in the first leaf of the first node.
+    capacity : int
+        Most means in a leaf, 1 or more; a leaf at depth `MAX_DEPTH` may hold more.
+
+    Returns
+    -------
+    (N,) int64
+        Numbers that tell leaves apart.
+
+    Examples
+    --------
+    >>> means = np.array([[0, 0, 0], [0.1, 0, 0], [8, 8, 8]], np.float32)
+    >>> leaf = adaptive_leaves(means, 1)
+    >>> len(set(leaf.tolist()))
+    3
+    """
+    if capacity < 1:
+        raise ValueError(f"octree capacity {capacity}, expected 1 or more")
+    finest = leaves(means, MAX_DEPTH)
+    coordinates = [(finest >> MAX_DEPTH * axis) & ((1 << MAX_DEPTH) - 1) for axis in (2, 1, 0)]
+    out = np.zeros(len(means), np.int64)
+    rest = np.arange(len(means))
+    used = 0
+    for depth in range(MAX_DEPTH + 1):
+        node = np.zeros(len(rest), np.int64)
+        for axis in coordinates:
+            node = (node << depth) | (axis[rest] >> (MAX_DEPTH - depth))
+        _, number, counts = np.unique(node, return_inverse=True, return_counts=True)
+        small = counts[number] <= capacity
+        if depth == MAX_DEPTH:
+            small[:] = True
+        out[rest[small]] = used + number[small]
+        used += len(counts)
+        rest = rest[~small]
+    return out
 
 
 def round_robin(leaf: NDArray[np.int64], contribution: NDArray[np.float64]) -> NDArray[np.int64]:

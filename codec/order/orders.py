@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.geometry import frustum
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
@@ -26,11 +28,14 @@ FRUSTUM: Final = "frustum"
 POSE_RULES: Final = (FIRST_VIEW, FRUSTUM)
 """What may follow an order's name, after a ``+``: the same order with one pose served first."""
 
-# PRoGS, section 3.2 (Zoomers et al. 2024): leaves at depth 3, images widened by 30 %.
+# PRoGS, section 3.2 (Zoomers et al. 2024): leaves at depth 3.
 _OCTREE_DEPTH: Final = 3
-_FRUSTUM_MARGIN: Final = 0.3
-# The paper gives no share. Most of a chunk, with something left for who turns around.
-_FRUSTUM_SHARE: Final = 0.8
+# The paper gives no capacity. At a thousand splats a leaf, a captured room of 80,796 splats has
+# about as many leaves as a grid of depth 3.
+_OCTREE_CAPACITY: Final = 1000
+# PRoGS, section 3.3: image bounds increased by 30 %, as 3DGS does: ±1.3 in normalised device
+# coordinates, 15 % of the image's size at each side.
+_FRUSTUM_MARGIN: Final = 0.15
 # On a captured room 10 % by one view costs the others 0.2 to 0.4 dB at 20 % of the splats, and 15 %
 # would cost them 1 dB. Unmixed they would lose 4 dB at 10 %.
 _FIRST_VIEW_SHARE: Final = 0.1
@@ -44,17 +49,21 @@ class OrderConfig:
     Parameters
     ----------
     octree_depth : int
-        Halvings of the scene's box for the octree orders, 0 to 20.
+        Halvings of the scene's box for ``octree-round-robin`` and ``octree-quota``, 0 to 20.
+    octree_capacity : int
+        Most splats in a leaf of ``octree-adaptive``.
     first_view : Camera or None
         The pose that ``+first-view`` and ``+frustum`` serve, in the frame of the means.
     first_view_share : float
         Share of all splats that ``+first-view`` takes in the order of that view, 0 to 1.
     first_view_mix : float
         Of any beginning, how much is of those while they last, 0 to 1; the rest is for the others.
-    frustum_share : float
-        Share of the splats inside the frustum that ``+frustum`` keeps up, 0 to 1.
+    frustum_share : float or None
+        Share of the splats inside the frustum that ``+frustum`` keeps up, 0 to 1; None for the
+        share that halves what lies outside (the paper states none).
     frustum_margin : float
-        What the frustum is wider than the image at each side, as a share of its size.
+        What the frustum is wider than the image at each side, as a share of its size; 0.15 is
+        ±1.3 in normalised device coordinates.
     seed : int
         Of ``random``.
     inflated : bool
@@ -67,10 +76,11 @@ class OrderConfig:
     """
 
     octree_depth: int = _OCTREE_DEPTH
+    octree_capacity: int = _OCTREE_CAPACITY
     first_view: Camera | None = None
     first_view_share: float = _FIRST_VIEW_SHARE
     first_view_mix: float = _FIRST_VIEW_MIX
-    frustum_share: float = _FRUSTUM_SHARE
+    frustum_share: float | None = None
     frustum_margin: float = _FRUSTUM_MARGIN
     seed: int = 0
     inflated: bool = True
@@ -80,9 +90,12 @@ class OrderConfig:
     def __post_init__(self) -> None:
         if not 0 <= self.octree_depth <= octree.MAX_DEPTH:
             raise ValueError(f"octree depth {self.octree_depth}, expected 0 to {octree.MAX_DEPTH}")
+        if self.octree_capacity < 1:
+            raise ValueError(f"octree capacity {self.octree_capacity}, expected 1 or more")
         for name in ("first_view_share", "first_view_mix", "frustum_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} {getattr(self, name)}, expected 0 to 1")
+            share = getattr(self, name)
+            if share is not None and not 0 <= share <= 1:
+                raise ValueError(f"{name} {share}, expected 0 to 1")
         if not 0 <= self.frustum_margin < np.inf:
             raise ValueError(f"frustum_margin {self.frustum_margin}, expected 0 or more")
         if self.seed < 0:
@@ -142,6 +155,11 @@ def _octree_quota(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
     return octree.quota(leaves, scene.scores.contribution)
 
 
+def _octree_adaptive(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+    leaves = octree.adaptive_leaves(scene.splats.means, config.octree_capacity)
+    return octree.round_robin(leaves, scene.scores.contribution)
+
+
 def _by_gain(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
     from .marginal_gain import GainConfig, gain_order
 
@@ -174,6 +192,7 @@ _ORDERS: Final[Mapping[str, Order]] = {
     "gain": _by_gain,
     "octree-round-robin": _octree_round_robin,
     "octree-quota": _octree_quota,
+    "octree-adaptive": _octree_adaptive,
     "antimatter": _baseline(baselines.antimatter),
     "sgss": _baseline(baselines.sgss),
     "opacity": _baseline(baselines.opacity),
@@ -182,6 +201,10 @@ _ORDERS: Final[Mapping[str, Order]] = {
     "source": _source,
     "random": _random,
 }
+
+_SCORED: Final = frozenset(
+    {"contribution", "gain", "octree-round-robin", "octree-quota", "octree-adaptive"}
+)
 
 ORDERS: Final = tuple(_ORDERS)
 """Names of the orders; each may be followed by one of `POSE_RULES`."""
@@ -213,6 +236,17 @@ def split_name(name: str) -> tuple[str, str]:
     return base, rule
 
 
+def needs_scores(name: str) -> bool:
+    """Tell whether an order depends on scores; the others need neither cameras nor a renderer.
+
+    Examples
+    --------
+    >>> needs_scores("gain"), needs_scores("source+frustum")
+    (True, False)
+    """
+    return split_name(name)[0] in _SCORED
+
+
 def require_order(name: str, config: OrderConfig) -> None:
     """Check that an order is known and has the parameters it needs.
 
@@ -234,8 +268,8 @@ def order_rows(name: str, scene: Unordered, config: OrderConfig | None = None) -
     name : str
         ``contribution``: descending contribution, ties in file order (PRoGS, section 3.1);
         ``gain``: what the picture so far needs most (`gain`), by contribution where no views are
-        known; ``octree-round-robin``, ``octree-quota``: every leaf of an octree gets its share
-        early;
+        known; ``octree-round-robin``, ``octree-quota``, ``octree-adaptive``: every leaf of an
+        octree gets its share early;
         ``antimatter``, ``sgss``, ``opacity``, ``scale``, ``distance``: what others sort by
         (`order_baselines`); ``source``: as in the file; ``random``. Followed by ``+first-view`` or
         ``+frustum`` (`order_views`), the same with one pose served first.
@@ -262,7 +296,18 @@ def order_rows(name: str, scene: Unordered, config: OrderConfig | None = None) -
         return rows
     if rule == FRUSTUM:
         inside = frustum.in_frustum(scene.splats, config.first_view, config.frustum_margin)
-        return order_views.keep_share(rows, inside, config.frustum_share)
+        share = config.frustum_share
+        if share is None:
+            share = order_views.halved_outside(inside)
+        served = order_views.keep_share(rows, inside, share)
+        if np.array_equal(served, rows):
+            warnings.warn(
+                f"order {name}: {inside.mean():.1%} of the splats lie in the frustum of the first "
+                f"view, so that keeping {share:.1%} inside changes nothing",
+                CogsplatWarning,
+                stacklevel=2,
+            )
+        return served
     in_view = _seen_from(scene, config.first_view)
     ahead = _ORDERS[base](in_view, config)
     ahead = ahead[in_view.scores.contribution[ahead] > 0]

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import convolve2d
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from cogsplat.codec.metrics import psnr, ssim
@@ -39,6 +40,28 @@ def test_ssim_equals_skimage_with_an_11x11_window(noise):
         channel_axis=2,
     )
     assert ssim(first, second) == pytest.approx(expected, abs=1e-9)
+
+
+def test_ssim_padded_with_zeros_equals_a_plain_convolution():
+    # As the evaluation of 3DGS: torch's conv2d with padding 5 is this sum over a padded picture.
+    first, second = (p.astype(np.float64) for p in _pictures(4, shape=(21, 18, 3)))
+    axis = np.exp(-np.square(np.arange(-5, 6)) / (2 * 1.5**2))
+    window = np.outer(axis, axis) / axis.sum() ** 2
+
+    def blurred(image):
+        return np.stack(
+            [convolve2d(image[..., c], window, mode="same", boundary="fill") for c in range(3)], 2
+        )
+
+    a, b = blurred(first), blurred(second)
+    var_a, var_b = blurred(first**2) - a * a, blurred(second**2) - b * b
+    cov = blurred(first * second) - a * b
+    likeness = (2 * a * b + 1e-4) * (2 * cov + 9e-4)
+    likeness /= (a * a + b * b + 1e-4) * (var_a + var_b + 9e-4)
+    assert ssim(first, second, border="zero") == pytest.approx(likeness.mean(), abs=1e-12)
+    assert abs(ssim(first, second) - likeness.mean()) > 1e-4
+    with pytest.raises(ValueError, match="border 'mirror'"):
+        ssim(first, second, border="mirror")
 
 
 def test_identical_pictures_are_at_the_cap():

@@ -21,6 +21,7 @@ from cogsplat.tools.terminal.options import (
     json_option,
     part_options,
     quiet_option,
+    ssim_border_option,
     threads_option,
 )
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
@@ -177,6 +178,7 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
 @cameras_option("Without it, eval_cameras.json beside A, all of it; else views made up.")
 @eval_every_option(8, "Compare on the")
 @background_option
+@ssim_border_option
 @part_options
 @compensate_option
 @limits_option
@@ -189,6 +191,7 @@ def compare(
     cameras: Path | None,
     eval_every: int,
     background: Colour,
+    ssim_border: str,
     chunks: ChunkRange | None,
     least_splats: int | None,
     size: ByteCount | None,
@@ -217,6 +220,7 @@ def compare(
             second.splats,
             views,
             background=background,
+            ssim_border=ssim_border,
             threads=threads,
             progress=stages,
         )
@@ -236,6 +240,7 @@ def compare(
                 "other": _side(other, second),
                 "cameras": what,
                 "background": list(background),
+                "ssim_border": ssim_border,
                 "held_out": {**figures["held-out"], "views": len(found.held_out)},
                 "worst": {**figures["worst"], "view": found.worst.view},
                 "roam": {**figures["roam"], "views": len(found.roaming)},

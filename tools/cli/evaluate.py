@@ -46,6 +46,7 @@ from cogsplat.tools.terminal.options import (
     jitter_option,
     json_option,
     quiet_option,
+    ssim_border_option,
     threads_option,
     top_k_option,
 )
@@ -174,6 +175,7 @@ def sizes(text: str) -> tuple[ByteCount, ...]:
 @jitter_option
 @top_k_option
 @background_option
+@ssim_border_option
 @limits_option
 @threads_option
 @force_option
@@ -196,6 +198,7 @@ def evaluate(
     no_jitter: bool,
     top_k: int,
     background: Colour,
+    ssim_border: str,
     threads: int,
     force: bool,
     quiet: bool,
@@ -231,6 +234,7 @@ def evaluate(
             no_jitter,
             top_k,
             background,
+            ssim_border,
             threads=threads,
             stages=stages,
         )
@@ -302,6 +306,7 @@ def _gather(
     no_jitter: bool,
     top_k: int,
     background: Colour,
+    ssim_border: str,
     *,
     threads: int,
     stages: Stages,
@@ -333,6 +338,7 @@ def _gather(
             photos=None if photos is None else photos.pictures,
             lpips=lpips,
             background=background,
+            ssim_border=ssim_border,
             threads=threads,
         )
     preset = PRESETS[DEFAULT_PRESET]

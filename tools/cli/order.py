@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.order import objects
 from cogsplat.codec.order.chunks import DEFAULT_LARGEST
-from cogsplat.codec.order.orders import Unordered, order_rows
+from cogsplat.codec.order.orders import Unordered, needs_scores, order_rows
 from cogsplat.formats.storage.atomic import atomic_write, check_output
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
@@ -69,7 +69,7 @@ def order(
 
     OUT.npy holds an int64 for each splat: the rows of the file, first to last. Nothing is pruned.
     """
-    from cogsplat.codec.scoring.contribution import ScoreConfig, score
+    from cogsplat.codec.scoring.contribution import ScoreConfig, score, unscored
 
     check_name(out, NPY)
     check_output(out, force=force, inputs=given_files(path, cameras, choice.masks))
@@ -79,13 +79,17 @@ def order(
             views = scoring_cameras(cameras, eval_every)
             numbered = given_cameras(cameras) if cameras else []
         splats = choice.labelled(given, cameras, threads=threads, progress=stages)
-        if views is None:
+        # Objects are ranked by their contribution.
+        scored = needs_scores(choice.name) or choice.by_object
+        if views is None and (scored or choice.first_view is not None):
             views = numbered = virtual_views(splats, threads=threads, progress=stages)
         config = choice.config(numbered)
-        settings = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads)
-        scores = score(splats, views, settings, progress=stages)
+        scores = unscored(len(splats))
+        if scored:
+            settings = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads)
+            scores = score(splats, views or (), settings, progress=stages)
         with stages.stage("order"):
-            scene = Unordered(splats, scores, views, threads, stages, jitter=not no_jitter)
+            scene = Unordered(splats, scores, views or (), threads, stages, jitter=not no_jitter)
             rows = order_rows(choice.name, scene, config)
             labels: NDArray[np.uint32] | None = None
             if choice.by_object:
@@ -109,7 +113,7 @@ def order(
                 "output": name_of(out),
                 "splats": len(splats),
                 "order": choice.name,
-                "scored_views": stages.totals["score"],
+                "scored_views": stages.totals.get("score", 0),
                 "objects": [
                     {"object": label, "splats": count, "share_of_contribution": round(share, 6)}
                     for label, count, share in held
@@ -119,8 +123,11 @@ def order(
         )
     elif not quiet:
         say(f"{out}: {choice.name} order of {counted(len(splats), 'splat')}, int64")
-        seen = "" if no_jitter else ", jittered included"
-        facts(("views", f"{stages.totals['score']}{seen}"), ("time", stages.line()))
+        jittered = "" if no_jitter else ", jittered included"
+        seen = (
+            f"{stages.totals['score']}{jittered}" if scored else "none: this order needs no scores"
+        )
+        facts(("views", seen), ("time", stages.line()))
         if held:
             say("")
             cells = [(f"{label}", f"{count:,}", f"{share:.1%}") for label, count, share in held]

@@ -42,8 +42,9 @@ class OrderChoice:
         Orders, each alone or with a rule for a pose; all commands but one take one.
     first_view : int or None
         Index of a camera.
-    first_view_share, first_view_mix, frustum_share : float
-    octree_depth, seed : int
+    first_view_share, first_view_mix, frustum_margin : float
+    frustum_share : float or None
+    octree_depth, octree_capacity, seed : int
     by_object : bool
     budgets : Budgets
     masks : Path or None
@@ -54,8 +55,10 @@ class OrderChoice:
     first_view: int | None
     first_view_share: float
     first_view_mix: float
-    frustum_share: float
+    frustum_share: float | None
+    frustum_margin: float
     octree_depth: int
+    octree_capacity: int
     seed: int
     by_object: bool
     budgets: Budgets
@@ -102,6 +105,8 @@ class OrderChoice:
             first_view_share=self.first_view_share,
             first_view_mix=self.first_view_mix,
             frustum_share=self.frustum_share,
+            frustum_margin=self.frustum_margin,
+            octree_capacity=self.octree_capacity,
             seed=self.seed,
             by_object=self.by_object,
             object_budgets=self.budgets,
@@ -256,7 +261,9 @@ def _with_parameters(
         first_view_share: float,
         first_view_mix: float,
         frustum_share: float | None,
+        frustum_margin: float,
         octree_depth: int,
+        octree_capacity: int,
         seed: int,
         objects: bool,
         object_budgets: Budgets | None,
@@ -268,8 +275,10 @@ def _with_parameters(
             first_view=first_view,
             first_view_share=first_view_share,
             first_view_mix=first_view_mix,
-            frustum_share=_DEFAULTS.frustum_share if frustum_share is None else frustum_share,
+            frustum_share=frustum_share,
+            frustum_margin=frustum_margin,
             octree_depth=octree_depth,
+            octree_capacity=octree_capacity,
             seed=seed,
             by_object=objects or masks is not None or object_budgets is not None,
             budgets=object_budgets or (),
@@ -311,12 +320,28 @@ def _with_parameters(
             "inside, while that lasts.",
         ),
         click.option(
+            "--frustum-margin",
+            type=click.FloatRange(0, 100),
+            default=_DEFAULTS.frustum_margin,
+            show_default=True,
+            metavar="SHARE",
+            help="What the frustum is wider than the image at each side, as a share of its size.",
+        ),
+        click.option(
             "--octree-depth",
             type=click.IntRange(0, MAX_DEPTH),
             default=_DEFAULTS.octree_depth,
             show_default=True,
             metavar="N",
-            help="Of the octree orders.",
+            help="Of octree-round-robin and octree-quota.",
+        ),
+        click.option(
+            "--octree-capacity",
+            type=click.IntRange(min=1),
+            default=_DEFAULTS.octree_capacity,
+            show_default=True,
+            metavar="N",
+            help="Most splats in a leaf of octree-adaptive.",
         ),
         click.option(
             "--seed",

@@ -97,6 +97,8 @@ class Evaluator:
     lpips : Lpips or None
     background : tuple of float
         RGB behind the splats.
+    ssim_border : str
+        One of `metrics.SSIM_BORDERS`.
     threads : int
         0 for all cores; the figures do not depend on it.
 
@@ -116,6 +118,7 @@ class Evaluator:
         photos: Sequence[NDArray[np.uint8]] | None = None,
         lpips: Lpips | None = None,
         background: Colour = (0.0, 0.0, 0.0),
+        ssim_border: str = "valid",
         threads: int = 0,
     ) -> None:
         if not cameras:
@@ -127,6 +130,7 @@ class Evaluator:
         self._photos = photos
         self._lpips = lpips
         self._background = background
+        self._ssim_border = ssim_border
         self._threads = thread_count(threads)
         self.reference = reference.without_extras()
         for camera in self._views:
@@ -211,7 +215,7 @@ class Evaluator:
             found.append(
                 _Seen(
                     psnr(expected, picture),
-                    ssim(expected, picture),
+                    ssim(expected, picture, border=self._ssim_border),
                     distance,
                     None if photo is None else psnr(photo, picture),
                 )

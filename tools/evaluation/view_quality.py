@@ -72,6 +72,7 @@ def view_qualities(
     cameras: Sequence[Camera],
     *,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ssim_border: str = "valid",
     threads: int = 0,
     progress: Progress = silent,
     stage: str = "compare",
@@ -85,6 +86,8 @@ def view_qualities(
         In the frame of the means; at least one, of 11 px a side or more.
     background : tuple of float
         RGB behind the splats.
+    ssim_border : str
+        One of `metrics.SSIM_BORDERS`.
     threads : int
         0 for all cores; the figures do not depend on it.
     progress : Progress
@@ -126,7 +129,8 @@ def view_qualities(
         expected = render(reference, camera, configs[0])
         found = render(other, camera, configs[1])
         shows = bool((expected != np.array(background, np.float32)).any())
-        return ViewQuality(camera.name, psnr(expected, found), ssim(expected, found)), shows
+        likeness = ssim(expected, found, border=ssim_border)
+        return ViewQuality(camera.name, psnr(expected, found), likeness), shows
 
     qualities: list[ViewQuality] = []
     seen = False
@@ -150,6 +154,7 @@ def compare(
     cameras: Sequence[Camera],
     *,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ssim_border: str = "valid",
     threads: int = 0,
     progress: Progress = silent,
 ) -> Comparison:
@@ -157,7 +162,7 @@ def compare(
 
     Parameters
     ----------
-    reference, other, cameras, background, threads
+    reference, other, cameras, background, ssim_border, threads
         As in `view_qualities`.
     progress : Progress
         Called with the stages ``held-out`` and ``roam``.
@@ -178,6 +183,7 @@ def compare(
             other,
             views,
             background=background,
+            ssim_border=ssim_border,
             threads=threads,
             progress=progress,
             stage=stage,

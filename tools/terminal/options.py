@@ -8,6 +8,7 @@ from typing import Final, TypeVar
 
 import click
 
+from cogsplat.codec.metrics import SSIM_BORDERS
 from cogsplat.codec.splats import MAX_SH_DEGREE
 
 from .values import byte_count, chunk_range, colour, object_labels
@@ -73,6 +74,18 @@ def eval_every_option(default: int, verb: str) -> Callable[[Command], Command]:
         show_default=True,
         help=f"{verb} cameras with index % N == 0.",
     )
+
+
+def ssim_border_option(command: Command) -> Command:
+    """Add ``--ssim-border``."""
+    return click.option(
+        "--ssim-border",
+        type=click.Choice(SSIM_BORDERS),
+        default=SSIM_BORDERS[0],
+        show_default=True,
+        help="SSIM over the pixels whose window lies inside the picture (Wang et al. 2004), or "
+        "over all, padded with zeros, as 3DGS measures it.",
+    )(command)
 
 
 def background_option(command: Command) -> Command:

@@ -106,6 +106,13 @@ def test_budgets_come_first_object_by_object():
     assert sorted(found.rows.tolist()) == list(range(3000))
 
 
+def test_a_budget_for_an_object_that_is_not_there_is_refused():
+    rows, labels, values = mixed()
+    with pytest.raises(DataError, match="a budget for object 77, expected one of") as caught:
+        objects.arrange(rows, labels, values, 500, [(None, 0.25), (77, 0.5)])
+    assert caught.value.code == "object-missing"
+
+
 def test_no_rows_make_no_chunks():
     nothing = np.zeros(0, np.int64)
     found = objects.arrange(nothing, np.zeros(5, np.uint32), np.zeros(5), 10)

@@ -89,3 +89,40 @@ def test_flat_scenes_single_splats_and_lost_means_have_leaves():
     assert octree.leaves(flat, 3)[1] == 0
     with pytest.raises(ValueError, match="expected 0 to"):
         octree.leaves(flat, 21)
+
+
+def split_by_capacity(points, rows, low, high, capacity):
+    """Halve boxes with more than `capacity` points, and only those."""
+    if len(rows) <= capacity:
+        return [rows] if rows else []
+    middle = (low + high) / 2
+    found = []
+    for octant in range(8):
+        upper = np.array([bool(octant >> axis & 1) for axis in range(3)])
+        inside = [row for row in rows if ((points[row] >= middle) == upper).all()]
+        found += split_by_capacity(
+            points, inside, np.where(upper, middle, low), np.where(upper, high, middle), capacity
+        )
+    return found
+
+
+@pytest.mark.parametrize("capacity", [1, 7, 50, 1000])
+def test_adaptive_leaves_are_those_of_a_recursive_octree(capacity):
+    means, _ = scene()
+    points = means.astype(np.float64)
+    numbers = octree.adaptive_leaves(means, capacity)
+    expected = split_by_capacity(
+        points, list(range(len(points))), points.min(0), points.max(0), capacity
+    )
+    assert len(expected) == len(set(numbers.tolist()))
+    for rows in expected:
+        assert len(set(numbers[rows].tolist())) == 1
+
+
+def test_equal_means_share_an_adaptive_leaf():
+    means = np.array([[1, 2, 3]] * 5 + [[4, 4, 4]], np.float32)
+    numbers = octree.adaptive_leaves(means, 2)
+    assert len(set(numbers[:5].tolist())) == 1
+    assert numbers[5] != numbers[0]
+    with pytest.raises(ValueError, match="capacity 0"):
+        octree.adaptive_leaves(means, 0)

@@ -4,7 +4,8 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.errors import DataError
+from cogsplat.codec.errors import CogsplatWarning, DataError
+from cogsplat.codec.geometry import frustum
 from cogsplat.codec.order.orders import (
     FIRST_VIEW,
     FRUSTUM,
@@ -12,6 +13,7 @@ from cogsplat.codec.order.orders import (
     POSE_RULES,
     OrderConfig,
     Unordered,
+    needs_scores,
     order_rows,
     split_name,
 )
@@ -24,6 +26,8 @@ def scored(contribution, seed=1):
     return Unordered(oracle.scene(seed, n=len(contribution), degree=0), scores)
 
 
+# Of few splats a frustum may hold all.
+@pytest.mark.filterwarnings("ignore:.*changes nothing")
 @pytest.mark.parametrize("rule", ["", *POSE_RULES])
 @pytest.mark.parametrize("name", ORDERS)
 @pytest.mark.parametrize("n", [0, 1, 2, 300])
@@ -133,13 +137,41 @@ def test_frustum_holds_means_within_the_widened_image():
     for mean in scene.splats.means.astype(np.float64):
         x, y, z = camera.rotation @ mean + camera.translation
         u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-        inside.append(z > 0.2 and -6 < u < 26 and -9 < v < 39)
+        # ±1.3 in normalised device coordinates.
+        inside.append(z > 0.2 and -3 < u < 23 and -4.5 < v < 34.5)
     config = OrderConfig(first_view=camera, frustum_share=1.0)
     rows = order_rows(f"contribution+{FRUSTUM}", scene, config)
     count = sum(inside)
     assert 20 < count < 280
     assert [inside[row] for row in rows] == [True] * count + [False] * (300 - count)
     assert (np.diff(rows[:count]) < 0).all()
+
+
+def test_the_usual_frustum_share_halves_what_lies_outside():
+    scene = replace(scored(np.arange(300.0)), splats=oracle.scene(6, n=300))
+    camera = oracle.camera(width=20, height=30)
+    inside = frustum.in_frustum(scene.splats, camera, 0.15)
+    share = inside.mean()
+    assert 0.1 < share < 0.9
+    rows = order_rows(f"contribution+{FRUSTUM}", scene, OrderConfig(first_view=camera))
+    for prefix in (20, 40, 60):
+        if inside[rows[:prefix]].sum() == inside.sum():
+            break
+        assert 1 - inside[rows[:prefix]].mean() <= 0.5 * (1 - share) + 1e-9
+
+
+def test_a_frustum_that_changes_nothing_is_said():
+    scene = replace(scored(np.arange(300.0)), splats=oracle.scene(6, n=300))
+    config = OrderConfig(first_view=oracle.camera(), frustum_share=0.0)
+    with pytest.warns(CogsplatWarning, match="changes nothing"):
+        rows = order_rows(f"contribution+{FRUSTUM}", scene, config)
+    np.testing.assert_array_equal(rows, order_rows("contribution", scene))
+
+
+@pytest.mark.parametrize("name", [name for name in ORDERS if not needs_scores(name)])
+def test_orders_that_need_no_scores_do_not_look_at_them(name):
+    one, other = (scored(values) for values in (np.arange(60.0), np.zeros(60)))
+    np.testing.assert_array_equal(order_rows(name, one), order_rows(name, other))
 
 
 @pytest.mark.parametrize(

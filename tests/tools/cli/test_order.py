@@ -9,7 +9,7 @@ from running import SPLATS, VIEWS, Run, SmallScene
 
 import cogsplat
 from cogsplat.codec.order.objects import with_labels
-from cogsplat.codec.order.orders import ORDERS, OrderConfig, Unordered, order_rows
+from cogsplat.codec.order.orders import ORDERS, OrderConfig, Unordered, needs_scores, order_rows
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.tools.cli.order_options import budgets, order_name
 from cogsplat.tools.synthetic.masks import synth_masks
@@ -24,7 +24,9 @@ def labelled(small: SmallScene, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return path
 
 
-@pytest.mark.parametrize("name", ["contribution", "octree-quota", "sgss", "random"])
+@pytest.mark.parametrize(
+    "name", ["contribution", "octree-quota", "octree-adaptive", "sgss", "source", "random"]
+)
 def test_order_writes_a_permutation(run: Run, small: SmallScene, tmp_path: Path, name: str) -> None:
     out = tmp_path / "rows.npy"
     told = run("order", small.ply, out, "--cameras", small.cameras, "--order", name, "--json")
@@ -35,7 +37,7 @@ def test_order_writes_a_permutation(run: Run, small: SmallScene, tmp_path: Path,
     scene = Unordered(splats, score(splats, cameras), cameras)
     np.testing.assert_array_equal(rows, order_rows(name, scene))
     assert told.json["order"] == name
-    assert told.json["scored_views"] == 3 * VIEWS
+    assert told.json["scored_views"] == (3 * VIEWS if needs_scores(name) else 0)
     assert run("order", small.ply, out, "--cameras", small.cameras).code == 2, "is there already"
 
 
