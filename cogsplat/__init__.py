@@ -366,7 +366,7 @@ def write(
     """
     from .formats.scenes.registry import write_scene
 
-    write_scene(path, splats, force=force, format_name=format_name)
+    write_scene(splats, path, force=force, format_name=format_name)
 
 
 def read_cameras(path: _Path, *, limits: Limits | None = None) -> list[Camera]:

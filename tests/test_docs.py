@@ -183,7 +183,7 @@ def small_scene(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("examples")
     splats, cameras = synthetic.synth(1000), synthetic.synth_cameras(9, 64, 48)
     cogsplat.write(splats, folder / "scene.ply")
-    write_cameras_json(folder / "cameras.json", cameras)
+    write_cameras_json(cameras, folder / "cameras.json")
     config = EncodeConfig(chunk_splats=300, prune=PruneConfig(peak=0.001))
     cogsplat.encode(splats, folder / "scene.cogs", cameras=cameras, config=config)
     return {path.name: path.read_bytes() for path in folder.iterdir()}

@@ -110,7 +110,7 @@ def test_given_scores_are_not_measured_again(tmp_path, made):
 def test_cameras_and_scenes_may_be_files(tmp_path):
     splats, cameras = scene(120), ring()
     cogsplat.write(splats, tmp_path / "scene.ply")
-    write_cameras_json(tmp_path / "cameras.json", cameras)
+    write_cameras_json(cameras, tmp_path / "cameras.json")
     a, b = tmp_path / "a.cogs", tmp_path / "b.cogs"
     config = replace(KEEP, profile="near-lossless")
     cogsplat.encode(str(tmp_path / "scene.ply"), str(a), cameras=str(tmp_path / "cameras.json"),

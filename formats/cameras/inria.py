@@ -166,16 +166,16 @@ def _kind(value: object) -> str:
     return json.dumps(value)[:40]
 
 
-def write_cameras_json(path: StrPath, cameras: Sequence[Camera], force: bool = False) -> None:
+def write_cameras_json(cameras: Sequence[Camera], path: StrPath, force: bool = False) -> None:
     """Write cameras as an INRIA ``cameras.json`` that `read_cameras_json` gives back exactly.
 
     Parameters
     ----------
-    path : path
-        The output.
     cameras : sequence of Camera
         ``cx``, ``cy`` and ``translation`` are written beside what INRIA's training writes: its
         position alone does not give the translation back to the last bit.
+    path : path
+        The output.
     force : bool
         Whether an existing file may be replaced.
 

@@ -60,7 +60,7 @@ def save(
         ``root-size``, ``bad-scene-info``, ``too-many-cameras`` or ``bad-camera``.
     """
     root = build_root(scene, writer, first_view)
-    return write_cogs(path, root, segments(scene, cameras), force=force)
+    return write_cogs(root, segments(scene, cameras), path, force=force)
 
 
 def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = None) -> Root:

@@ -45,16 +45,16 @@ class Segment:
     needs: tuple[int, ...] = ()
 
 
-def write_cogs(path: Path, root: Root, segments: Sequence[Segment], *, force: bool = False) -> int:
+def write_cogs(root: Root, segments: Sequence[Segment], path: Path, *, force: bool = False) -> int:
     """Write a file beside `path` and rename it.
 
     Parameters
     ----------
-    path : Path
     root : Root
         Its segment table and pages are made here and replace what it holds.
     segments : sequence of Segment
         In file order.
+    path : Path
     force : bool
         Replace an existing file.
 

@@ -289,17 +289,17 @@ def _unpack_quats(words: U32) -> F32:
     return from_smallest_three(words >> np.uint32(30), others.astype(np.float32))
 
 
-def write_compressed_ply(path: StrPath, splats: Splats, *, force: bool = False) -> None:
+def write_compressed_ply(splats: Splats, path: StrPath, *, force: bool = False) -> None:
     """Write a scene as a compressed PLY, whole or not at all.
 
     Parameters
     ----------
-    path : path
-        The output.
     splats : Splats
         Rows come out in Morton order; log scales are clipped to ±20, SH coefficients above DC to
         ±4, opacities to the nearest of 256 linear ones. What `splats.info` says beside the
         defaults goes into comments that `read_compressed_ply` reads back.
+    path : path
+        The output.
     force : bool
         Whether an existing file may be replaced.
 

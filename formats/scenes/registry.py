@@ -44,7 +44,7 @@ class Reader(Protocol):
 class Writer(Protocol):
     """What writes a scene, whole or not at all."""
 
-    def __call__(self, path: StrPath, splats: Splats, *, force: bool = False) -> None:
+    def __call__(self, splats: Splats, path: StrPath, *, force: bool = False) -> None:
         """Write `splats` to `path`, replacing an existing file only with `force`."""
 
 
@@ -193,7 +193,7 @@ def format_of(path: StrPath) -> Format:
 
 
 def write_scene(
-    path: StrPath, splats: Splats, *, force: bool = False, format_name: str | None = None
+    splats: Splats, path: StrPath, *, force: bool = False, format_name: str | None = None
 ) -> None:
     """Write a scene in a foreign format.
 
@@ -215,7 +215,7 @@ def write_scene(
     """
     write = format_to_write(path, format_name).write
     assert write is not None
-    write(path, splats, force=force)
+    write(splats, path, force=force)
 
 
 def format_to_write(path: StrPath, format_name: str | None = None) -> Format:

@@ -124,16 +124,16 @@ def _unpack_quats(stored: U8) -> F32:
     return unit(quats)
 
 
-def write_splat(path: StrPath, splats: Splats, *, force: bool = False) -> None:
+def write_splat(splats: Splats, path: StrPath, *, force: bool = False) -> None:
     """Write a scene as .splat, whole or not at all.
 
     Parameters
     ----------
-    path : path
-        The output.
     splats : Splats
         In any axes; stored in RDF, by falling product of standard deviations and opacity, so that
         readers of a part see the large opaque splats (antimatter15/splat's order).
+    path : path
+        The output.
     force : bool
         Whether an existing file may be replaced.
 

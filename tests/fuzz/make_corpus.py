@@ -41,10 +41,10 @@ def scenes(folder: Path) -> Iterator[tuple[str, str, bytes]]:
     for extension in (".ply", ".compressed.ply", ".glb", ".sog", ".spz", ".splat"):
         for count, degree in ((1, 0), (9, 1), (5, 3)):
             path = folder / f"a{extension}"
-            write_scene(path, scene(count, degree), force=True)
+            write_scene(scene(count, degree), path, force=True)
             yield extension[1:].replace(".", "_"), f"scene_{count}_{degree}", path.read_bytes()
     path = folder / "a.gltf"
-    write_scene(path, scene(3, 1))
+    write_scene(scene(3, 1), path)
     yield "gltf", "scene", joined(path.read_bytes(), b"")
     root, binary = hostile.gltf_root(2, 1)
     root["buffers"] = [{"byteLength": len(binary), "uri": "side.bin"}]

@@ -21,7 +21,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> SmallScene:
     scene = SmallScene(folder / "scene.ply", folder / "scene.cogs", folder / "cameras.json")
     splats, cameras = synth(SPLATS), synth_cameras(VIEWS, 64, 48)
     cogsplat.write(splats, scene.ply)
-    write_cameras_json(scene.cameras, cameras)
+    write_cameras_json(cameras, scene.cameras)
     config = EncodeConfig(chunk_splats=300, prune=PruneConfig(peak=0.001))
     cogsplat.encode(splats, scene.cogs, cameras=cameras, config=config)
     return scene

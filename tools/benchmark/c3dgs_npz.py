@@ -38,18 +38,18 @@ _HALF_MAX: Final = 65504.0
 _TRAINING: Final = TrainingConfig(iterations=8)
 
 
-def write(path: Path, splats: Splats, scores: Scores, *, threads: int = 0) -> None:
+def write(splats: Splats, scores: Scores, path: Path, *, threads: int = 0) -> None:
     """Write a scene as an npz archive, replacing what is there.
 
     Parameters
     ----------
-    path : Path
     splats : Splats
         Valid rows, at least one.
     scores : Scores
         Of these splats: codebooks are trained by sensitivity, and what contributes to no view is
         dropped. The sensitivity of shapes is taken from `Scores.sensitivities`, as the change of
         the picture with the logarithms of the scales; of shapes as many are kept as of colours.
+    path : Path
     threads : int
         0 for all cores; the bytes do not depend on it.
 

@@ -294,7 +294,7 @@ def _foreign(given: BenchInput, names: Sequence[str]) -> list[_Method]:
         if name == BASELINE:
 
             def write_npz(path: Path) -> None:
-                c3dgs_npz.write(path, given.splats, given.scores, threads=given.threads)
+                c3dgs_npz.write(given.splats, given.scores, path, threads=given.threads)
 
             def read_npz(path: Path) -> Splats:
                 return c3dgs_npz.read(path, given.splats.info)
@@ -313,7 +313,7 @@ def _writer(given: BenchInput, format_: Format) -> Callable[[Path], None]:
         raise ValueError(f"format {format_.name!r} is not written, expected one of {FOREIGN}")
 
     def write(path: Path) -> None:
-        write_scene(path, given.splats, force=True)
+        write_scene(given.splats, path, force=True)
 
     return write
 

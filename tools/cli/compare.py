@@ -114,7 +114,7 @@ def render(
         with stages.stage("render"):
             image = to_image(draw(scene.splats, camera, config))
         with stages.stage("write"):
-            written = write_png(out, image, force=force)
+            written = write_png(image, out, force=force)
     if as_json:
         say_json(
             {

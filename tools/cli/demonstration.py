@@ -151,7 +151,7 @@ def run(
     progress("synth", 0, 1)
     scene, cameras = synth(splats), synth_cameras()
     cogsplat.write(scene, files.scene, force=force)
-    write_cameras_json(files.cameras, cameras, force=force)
+    write_cameras_json(cameras, files.cameras, force=force)
     progress("synth", 1, 1)
 
     train, held = hold_out(cameras, EVERY)
@@ -185,7 +185,7 @@ def run(
         title=f"One .cogs file of {_size(size)} as its bytes arrive, compensated; a view never "
         "given to the encoder",
     )
-    write_png(files.strip, strip, force=force)
+    write_png(strip, files.strip, force=force)
     progress("film-strip", 1, 1)
     return Demo(files, splats, scene_bytes, size, tuple(prefixes))
 

@@ -273,7 +273,7 @@ def encode(
             qualities = evaluation.measure(out, threads=threads, progress=stages)
             if report is not None:
                 shown = evaluation.report_input(scene, given.file_bytes, out, qualities, settings)
-                write_report(report, shown, force=force, progress=stages)
+                write_report(shown, report, force=force, progress=stages)
     if quiet and not as_json:
         return
     with cogsplat.open(out) as file:

@@ -391,4 +391,4 @@ def _write(
             file.write(text.encode())
     with stages.stage("strips"):
         for kind, rows in strips.items():
-            write_png(out / STRIPS[kind], draw_strips(given.evaluator, rows), force=force)
+            write_png(draw_strips(given.evaluator, rows), out / STRIPS[kind], force=force)

@@ -97,7 +97,7 @@ def order(
                 rows = objects.arrange(
                     rows, labels, scores.contribution, DEFAULT_LARGEST, config.object_budgets
                 ).rows
-        write_rows(out, rows, force=force)
+        write_rows(rows, out, force=force)
         stages("write", 1, 1)
     invalid = int(splats.invalid_rows().sum())
     if invalid:
@@ -134,7 +134,7 @@ def order(
             table(("object", "splats", "of contribution"), cells, left=0)
 
 
-def write_rows(path: Path, rows: NDArray[np.int64], *, force: bool = False) -> None:
+def write_rows(rows: NDArray[np.int64], path: Path, *, force: bool = False) -> None:
     """Write a permutation as a .npy file.
 
     Raises

@@ -74,7 +74,7 @@ def score(
         views = views or virtual_views(splats, threads=threads, progress=stages)
         config = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads)
         scores = score_splats(splats, views, config, progress=stages)
-        _write_npy(out, scores.contribution, force=force)
+        _write_npy(scores.contribution, out, force=force)
         stages("write", 1, 1)
     invalid = int(splats.invalid_rows().sum())
     if invalid:
@@ -114,7 +114,7 @@ def _share_holding(contribution: NDArray[np.float64], goal: float) -> float:
     return round((int(np.searchsorted(so_far, goal * so_far[-1])) + 1) / len(so_far), 5)
 
 
-def _write_npy(path: Path, values: NDArray[np.float64], *, force: bool) -> None:
+def _write_npy(values: NDArray[np.float64], path: Path, *, force: bool) -> None:
     # In memory first: numpy's own writing to files loses the reason of a failure.
     page = io.BytesIO()
     np.save(page, values)

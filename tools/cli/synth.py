@@ -115,7 +115,7 @@ def synth(
         written = with_labels(scene, labels) if objects else scene
         with stages.stage("write"):
             cogsplat.write(written, out, force=force)
-            write_cameras_json(cameras, views, force=force)
+            write_cameras_json(views, cameras, force=force)
         if masks is not None:
             with stages.stage("masks"):
                 _write_masks(masks, scene, labels, views, force=force)
@@ -161,7 +161,7 @@ def _write_masks(
     from cogsplat.tools.synthetic.masks import synth_masks
 
     for camera, mask in zip(views, synth_masks(scene, labels, views), strict=True):
-        write_png(_mask_path(folder, camera), Image.fromarray(mask), force=force)
+        write_png(Image.fromarray(mask), _mask_path(folder, camera), force=force)
 
 
 def _mask_path(folder: Path, camera: Camera) -> Path:

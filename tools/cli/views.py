@@ -88,9 +88,9 @@ def views(
             sheet = _sheet(splats, cameras, threads, stages)
         with stages.stage("write"):
             if kind == ".png":
-                write_png(out, sheet, force=force)
+                write_png(sheet, out, force=force)
             else:
-                write_cameras_json(out, cameras, force=force)
+                write_cameras_json(cameras, out, force=force)
     with storage_errors(out):
         written = out.stat().st_size
     if as_json:

@@ -143,8 +143,8 @@ def _both_ways(
 def check_compressed_ply(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
     """Compare both programs' compressed PLY, each read by both, with the scene."""
     source = folder / "scene.ply"
-    write_ply(source, scene, force=True)
-    write_compressed_ply(folder / "ours.compressed.ply", scene, force=True)
+    write_ply(scene, source, force=True)
+    write_compressed_ply(scene, folder / "ours.compressed.ply", force=True)
     converted(modules, source, folder / "theirs.compressed.ply")
     steps = _chunk_steps(scene)
     return _both_ways(
@@ -162,8 +162,8 @@ def check_compressed_ply(modules: Path, scene: Splats, folder: Path) -> list[Fin
 def check_sog(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
     """Compare both programs' SOG, each read by both, with the scene."""
     source = folder / "scene.ply"
-    write_ply(source, scene, force=True)
-    write_sog(folder / "ours.sog", scene, force=True)
+    write_ply(scene, source, force=True)
+    write_sog(scene, folder / "ours.sog", force=True)
     # Without a graphics card it takes seconds for a thousand splats.
     converted(modules, source, folder / "theirs.sog", "-g", "cpu")
     steps = _sog_steps(scene)
@@ -184,8 +184,8 @@ def check_sog(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
 def check_gltf(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
     """Compare the converter's glTF, which only we read, with the scene and with ours."""
     source = folder / "scene.ply"
-    write_ply(source, scene, force=True)
-    write_gltf(folder / "ours.glb", scene, force=True)
+    write_ply(scene, source, force=True)
+    write_gltf(scene, folder / "ours.glb", force=True)
     converted(modules, source, folder / "theirs.glb")
     ours, theirs = read_gltf(folder / "ours.glb"), read_gltf(folder / "theirs.glb")
     theirs = _half_turned(theirs, scene)

@@ -202,10 +202,10 @@ def check_spz(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
     """Compare SPZ of versions 3 and 4, written and read by both programs, with the scene."""
     findings = []
     source = folder / "scene.ply"
-    write_ply(source, scene, force=True)
+    write_ply(scene, source, force=True)
     for version in (3, 4):
         ours, theirs = folder / f"ours{version}.spz", folder / f"theirs{version}.spz"
-        write_spz(ours, scene, force=True, version=version)
+        write_spz(scene, ours, force=True, version=version)
         converted(modules, source, theirs, "--spz-version", str(version))
         for name, path in (("ours", ours), ("theirs", theirs)):
             check = f"SPZ {version}, {name}"
@@ -224,7 +224,7 @@ def check_spz_frames(modules: Path, scene: Splats, folder: Path) -> list[Finding
     and scales, here and there in different ways.
     """
     plain = folder / "plain.spz"
-    write_spz(plain, scene, force=True, sh1_bits=8, sh_rest_bits=8)
+    write_spz(scene, plain, force=True, sh1_bits=8, sh_rest_bits=8)
     data = plain.read_bytes()
     paths = []
     for number in range(1, 17):
@@ -294,7 +294,7 @@ def check_splat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
     with warnings.catch_warnings():
         # That SH is left out is known.
         warnings.simplefilter("ignore", CogsplatWarning)
-        write_splat(path, scene, force=True)
+        write_splat(scene, path, force=True)
     there = read_ply(converted(modules, path, folder / "splat.ply"))
     # There, bytes of quaternions are read with 127.5 as zero.
     allowed = {**_ROUNDING, "quats": 1.5 / 128}
@@ -308,7 +308,7 @@ def check_ksplat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
     and level 0 with the scene, rows sorted by position.
     """
     source, script = folder / "scene.ply", folder / "make_ksplat.mjs"
-    write_ply(source, scene, force=True)
+    write_ply(scene, source, force=True)
     script.write_text(_MAKE_KSPLAT, encoding="utf-8")
     findings: list[Finding] = []
     for degree in range(3):

@@ -111,14 +111,14 @@ class ReportInput:
 
 
 def write_report(
-    path: Path, given: ReportInput, *, force: bool = False, progress: Progress = silent
+    given: ReportInput, path: Path, *, force: bool = False, progress: Progress = silent
 ) -> int:
     """Write a report and return its bytes.
 
     Parameters
     ----------
-    path : Path
     given : ReportInput
+    path : Path
     force : bool
         Replace an existing file.
     progress : Progress

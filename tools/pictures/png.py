@@ -34,7 +34,7 @@ def to_image(pixels: NDArray[np.floating]) -> Image:
     return Image.fromarray(levels.astype(np.uint8))
 
 
-def write_png(path: Path, image: Image, *, force: bool = False) -> int:
+def write_png(image: Image, path: Path, *, force: bool = False) -> int:
     """Write a picture and return its bytes.
 
     Raises

@@ -371,16 +371,16 @@ def _place(splats: Splats, matrix: F64, where: str) -> Splats:
     return transform(splats, scale, left @ right, (x, y, z))
 
 
-def write_gltf(path: StrPath, splats: Splats, *, force: bool = False) -> None:
+def write_gltf(splats: Splats, path: StrPath, *, force: bool = False) -> None:
     """Write a scene as glTF with KHR_gaussian_splatting, whole or not at all.
 
     Parameters
     ----------
-    path : path
-        The output: a GLB, or JSON with its buffer inside where the name ends in ``.gltf``.
     splats : Splats
         At least one. Written as floats in file order; colours for viewers that know points only
         go along as ``COLOR_0``.
+    path : path
+        The output: a GLB, or JSON with its buffer inside where the name ends in ``.gltf``.
     force : bool
         Whether an existing file may be replaced.
 

@@ -189,17 +189,17 @@ def _columns(names: list[str], fields: dict[str, list[str]]) -> dict[str, NDArra
     }
 
 
-def write_ply(path: StrPath, splats: Splats, *, force: bool = False) -> None:
+def write_ply(splats: Splats, path: StrPath, *, force: bool = False) -> None:
     """Write a scene as a canonical PLY, as 3DGS training writes it, whole or not at all.
 
     Parameters
     ----------
-    path : path
-        The output.
     splats : Splats
         Written as they are; extras become properties of their types, those of several components
         one for each, ``name_0`` and on. Without normals among them normals are zeros. What
         `splats.info` says beside the defaults goes into comments that `read_ply` reads back.
+    path : path
+        The output.
     force : bool
         Whether an existing file may be replaced.
 

@@ -333,16 +333,16 @@ def _unpack_palette(data: bytes, sh: _Sh, where: str) -> F32:
     return _look_up(sh.codebook, codes, name)
 
 
-def write_sog(path: StrPath, splats: Splats, *, force: bool = False) -> None:
+def write_sog(splats: Splats, path: StrPath, *, force: bool = False) -> None:
     """Write a scene as a bundled SOG, whole or not at all.
 
     Parameters
     ----------
-    path : path
-        The output.
     splats : Splats
         Rows come out in Morton order, in the axes of PLY. SH above DC becomes a palette of as many
         entries as the largest power of two of splats, at most 65536.
+    path : path
+        The output.
     force : bool
         Whether an existing file may be replaced.
 

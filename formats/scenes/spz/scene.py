@@ -128,8 +128,8 @@ def _warn(message: str) -> None:
 
 
 def write_spz(
-    path: StrPath,
     splats: Splats,
+    path: StrPath,
     *,
     force: bool = False,
     version: int = 4,
@@ -140,10 +140,10 @@ def write_spz(
 
     Parameters
     ----------
-    path : path
-        The output.
     splats : Splats
         In any axes; stored in RUB. The order of rows is kept.
+    path : path
+        The output.
     force : bool
         Whether an existing file may be replaced.
     version : int

@@ -93,7 +93,7 @@ def test_keeps_the_order_of_the_file(tmp_path: Path) -> None:
 def test_written_cameras_come_back_exactly(tmp_path: Path) -> None:
     expected = cameras(50)
     path = tmp_path / "cameras.json"
-    write_cameras_json(path, expected)
+    write_cameras_json(expected, path)
     actual = read_cameras(path)
     assert len(actual) == len(expected)
     for a, b in zip(actual, expected, strict=True):
@@ -102,13 +102,13 @@ def test_written_cameras_come_back_exactly(tmp_path: Path) -> None:
         np.testing.assert_array_equal(a.rotation, b.rotation)
         np.testing.assert_array_equal(a.translation, b.translation)
     first = path.read_bytes()
-    write_cameras_json(path, actual, force=True)
+    write_cameras_json(actual, path, force=True)
     assert path.read_bytes() == first
 
 
 def test_written_cameras_are_what_others_expect(tmp_path: Path) -> None:
     path = tmp_path / "cameras.json"
-    write_cameras_json(path, cameras(2))
+    write_cameras_json(cameras(2), path)
     for entry, camera in zip(json.loads(path.read_bytes()), cameras(2), strict=True):
         assert set(ENTRY) <= set(entry)
         np.testing.assert_allclose(entry["position"], camera.position)
@@ -124,7 +124,7 @@ def test_a_rounded_rotation_comes_back_exactly_too(tmp_path: Path) -> None:
         saved(tmp_path, [{**ENTRY, "rotation": np.round(cameras(1)[0].rotation, 4).tolist()}])
     )
     path = tmp_path / "again.json"
-    write_cameras_json(path, [camera])
+    write_cameras_json([camera], path)
     (again,) = read_cameras(path)
     np.testing.assert_array_equal(again.translation, camera.translation)
 
@@ -256,9 +256,9 @@ def test_storage_failures(tmp_path: Path) -> None:
     with pytest.raises(StorageError) as caught:
         read_cameras(tmp_path / "none.json")
     assert caught.value.code == "not-found"
-    write_cameras_json(tmp_path / "a.json", cameras(1))
+    write_cameras_json(cameras(1), tmp_path / "a.json")
     with pytest.raises(StorageError) as caught:
-        write_cameras_json(tmp_path / "a.json", cameras(1))
+        write_cameras_json(cameras(1), tmp_path / "a.json")
     assert caught.value.code == "exists"
 
 

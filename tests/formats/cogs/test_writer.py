@@ -150,7 +150,7 @@ def test_segments_of_unknown_kinds_can_be_written():
 )
 def test_what_no_reader_accepts_is_not_written(tmp_path, changes):
     with pytest.raises(DataError) as caught:
-        write_cogs(tmp_path / "a.cogs", root(2, **changes), parts(2))
+        write_cogs(root(2, **changes), parts(2), tmp_path / "a.cogs")
     assert caught.value.code == "bad-scene-info"
     assert list(tmp_path.iterdir()) == []
 
@@ -163,14 +163,14 @@ def test_too_many_segments_are_misuse(monkeypatch):
 
 def test_files_are_written_whole_and_replaced_only_when_told(tmp_path):
     path = tmp_path / "a.cogs"
-    size = write_cogs(path, root(3), parts(3))
+    size = write_cogs(root(3), parts(3), path)
     data = path.read_bytes()
     assert size == len(data)
     assert data == b"".join(lay_out(root(3), parts(3)))
     with pytest.raises(StorageError) as caught:
-        write_cogs(path, root(4), parts(4))
+        write_cogs(root(4), parts(4), path)
     assert caught.value.code == "exists"
     assert path.read_bytes() == data
-    write_cogs(path, root(4), parts(4), force=True)
+    write_cogs(root(4), parts(4), path, force=True)
     assert path.read_bytes() != data
     assert [p.name for p in tmp_path.iterdir()] == ["a.cogs"]

@@ -164,7 +164,7 @@ def test_elements_and_properties_in_any_order(tmp_path: Path) -> None:
 def test_round_trip_within_the_steps(tmp_path: Path, count: int, rest: int) -> None:
     splats = scene(count, rest)
     path = tmp_path / "a.compressed.ply"
-    write_scene(path, splats)
+    write_scene(splats, path)
     read = read_scene(path)
     assert (len(read), read.shN.shape[1]) == (count, rest)
     if not count:
@@ -189,7 +189,7 @@ def test_round_trip_within_the_steps(tmp_path: Path, count: int, rest: int) -> N
 
 def test_every_row_is_there_once(tmp_path: Path) -> None:
     splats = replace(scene(1000, 0), sh0=np.arange(3000, dtype=np.float32).reshape(1000, 3) / 1000)
-    write_compressed_ply(tmp_path / "a.compressed.ply", splats)
+    write_compressed_ply(splats, tmp_path / "a.compressed.ply")
     read = read_compressed_ply(tmp_path / "a.compressed.ply")
     for name in ("means", "scales", "sh0"):
         actual, expected = np.sort(getattr(read, name), 0), np.sort(getattr(splats, name), 0)
@@ -198,13 +198,13 @@ def test_every_row_is_there_once(tmp_path: Path) -> None:
 
 def test_written_again_the_file_stays_the_same(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        write_compressed_ply(tmp_path / name, scene(700))
+        write_compressed_ply(scene(700), tmp_path / name)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 @pytest.mark.parametrize("rest", RESTS)
 def test_plyfile_reads_what_we_write(tmp_path: Path, rest: int) -> None:
-    write_compressed_ply(tmp_path / "a.ply", scene(300, rest))
+    write_compressed_ply(scene(300, rest), tmp_path / "a.ply")
     data = plyfile.PlyData.read(tmp_path / "a.ply")
     assert [e.name for e in data.elements] == ["chunk", "vertex"] + ["sh"] * bool(rest)
     assert [p.name for p in data["chunk"].properties] == RANGES + COLOURS
@@ -224,7 +224,7 @@ def test_extremes(tmp_path: Path) -> None:
         quats=np.array([[1e-30, 0, 0, 0], [0, -3e20, 0, 0], *[[1, 1, -1, 1]] * 4], np.float32),
         shN=np.array([[[-9, 9, 0]] * 3] * 6, np.float32),
     )
-    write_compressed_ply(tmp_path / "a.ply", splats)
+    write_compressed_ply(splats, tmp_path / "a.ply")
     read = read_compressed_ply(tmp_path / "a.ply")
     np.testing.assert_array_equal(read.means, splats.means)
     np.testing.assert_array_equal(read.scales, [[-20, 0, 20]] * 6)
@@ -237,7 +237,7 @@ def test_extremes(tmp_path: Path) -> None:
 
 def test_carries_what_the_scene_says_of_itself(tmp_path: Path) -> None:
     info = SceneInfo((1.5, 2.0, -3.0), "RUB", "linear", 0.1, True)
-    write_compressed_ply(tmp_path / "a.ply", scene(5, info=info))
+    write_compressed_ply(scene(5, info=info), tmp_path / "a.ply")
     assert read_compressed_ply(tmp_path / "a.ply").info == info
     assert b"comment SplatRenderMode: mip\n" in (tmp_path / "a.ply").read_bytes()
     foreign = saved(
@@ -247,7 +247,7 @@ def test_carries_what_the_scene_says_of_itself(tmp_path: Path) -> None:
 
 
 def test_sniffs(tmp_path: Path) -> None:
-    write_compressed_ply(tmp_path / "a.ply", scene(5))
+    write_compressed_ply(scene(5), tmp_path / "a.ply")
     data = (tmp_path / "a.ply").read_bytes()
     assert is_compressed_ply(data)
     assert is_compressed_ply(data.replace(b"\n", b"\r\n"))
@@ -259,7 +259,7 @@ def test_sniffs(tmp_path: Path) -> None:
 def test_rows_that_cannot_be_drawn_are_not_written(tmp_path: Path) -> None:
     splats = replace(scene(3), means=np.full((3, 3), np.nan, np.float32))
     with pytest.raises(DataError) as caught:
-        write_compressed_ply(tmp_path / "a.ply", splats)
+        write_compressed_ply(splats, tmp_path / "a.ply")
     assert caught.value.code == "invalid-rows"
     assert list(tmp_path.iterdir()) == []
 
@@ -386,7 +386,7 @@ def test_damaged_files_raise_nothing_else(tmp_path: Path, data: st.DataObject) -
 
 
 def test_an_empty_scene(tmp_path: Path) -> None:
-    write_compressed_ply(tmp_path / "a.ply", empty(2))
+    write_compressed_ply(empty(2), tmp_path / "a.ply")
     read = read_compressed_ply(tmp_path / "a.ply")
     assert (len(read), read.sh_degree) == (0, 2)
 

@@ -220,7 +220,7 @@ def test_found_by_extension_and_not_written(tmp_path: Path) -> None:
     splats = read_scene(tmp_path / "a.KSPLAT")
     assert len(splats) == 3
     with pytest.raises(UnsupportedError) as caught:
-        write_scene(tmp_path / "b.ksplat", splats)
+        write_scene(splats, tmp_path / "b.ksplat")
     assert caught.value.code == "read-only-format"
 
 

@@ -45,17 +45,17 @@ def test_every_format_is_named_once_and_has_extensions_of_its_own() -> None:
 
 def test_writes_by_extension_and_reads_back(tmp_path: Path) -> None:
     path = tmp_path / "Scene.PLY"
-    write_scene(path, empty(1, 5))
+    write_scene(empty(1, 5), path)
     assert len(read_scene(str(path))) == 5
     with pytest.raises(StorageError) as caught:
-        write_scene(path, empty(1, 6))
+        write_scene(empty(1, 6), path)
     assert caught.value.code == "exists"
-    write_scene(path, empty(1, 6), force=True)
+    write_scene(empty(1, 6), path, force=True)
     assert len(read_scene(path)) == 6
 
 
 def test_first_bytes_go_before_the_extension(tmp_path: Path) -> None:
-    write_scene(tmp_path / "a.ply", empty(0, 2))
+    write_scene(empty(0, 2), tmp_path / "a.ply")
     (tmp_path / "a.ply").rename(tmp_path / "a.splat")
     assert len(read_scene(tmp_path / "a.splat")) == 2
 
@@ -76,7 +76,7 @@ def test_a_narrower_format_in_front_of_a_wider(
     (tmp_path / "b.narrow.ply").write_bytes(b"?")
     assert len(read_scene(tmp_path / "b.narrow.ply")) == 3
     with pytest.raises(UnsupportedError, match=r"expected .* ply \(\.ply\)") as caught:
-        write_scene(tmp_path / "c.narrow.ply", empty(0))
+        write_scene(empty(0), tmp_path / "c.narrow.ply")
     assert caught.value.code == "read-only-format"
 
 
@@ -106,7 +106,7 @@ def test_names_what_it_does_not_know(tmp_path: Path, head: bytes, said: str) -> 
 
 def test_unknown_extension_for_writing(tmp_path: Path) -> None:
     with pytest.raises(FormatError) as caught:
-        write_scene(tmp_path / "a.xyz", empty(0))
+        write_scene(empty(0), tmp_path / "a.xyz")
     assert caught.value.code == "unknown-format"
     assert list(tmp_path.iterdir()) == []
 
@@ -115,7 +115,7 @@ def test_tells_a_cogs_file_apart(tmp_path: Path) -> None:
     ours, damaged, theirs = tmp_path / "a.bin", tmp_path / "b.COGS", tmp_path / "c.cogs"
     ours.write_bytes(MAGIC + bytes(60))
     damaged.write_bytes(MAGIC.replace(b"\r\n", b"\n"))
-    write_scene(tmp_path / "c.ply", empty(0))
+    write_scene(empty(0), tmp_path / "c.ply")
     (tmp_path / "c.ply").rename(theirs)
     assert [is_cogs(path) for path in (ours, damaged, theirs)] == [True, True, False]
     with pytest.raises(FormatError) as caught:
@@ -132,21 +132,21 @@ def test_missing_files(tmp_path: Path) -> None:
 
 def test_splats_pass_through_unchanged(tmp_path: Path) -> None:
     splats = replace(empty(0, 4), means=np.arange(12, dtype=np.float32).reshape(4, 3))
-    write_scene(tmp_path / "a.ply", splats)
+    write_scene(splats, tmp_path / "a.ply")
     np.testing.assert_array_equal(read_scene(tmp_path / "a.ply").means, splats.means)
 
 
 def test_the_bytes_of_a_scene_are_those_of_all_its_files(tmp_path: Path) -> None:
     splats = synth(1500)
-    write_scene(tmp_path / "a.ply", splats)
+    write_scene(splats, tmp_path / "a.ply")
     assert scene_bytes(tmp_path / "a.ply") == (tmp_path / "a.ply").stat().st_size
-    write_scene(tmp_path / "a.sog", splats)
+    write_scene(splats, tmp_path / "a.sog")
     assert scene_bytes(tmp_path / "a.sog") == (tmp_path / "a.sog").stat().st_size
     with zipfile.ZipFile(tmp_path / "a.sog") as archive:
         archive.extractall(tmp_path / "sog")
         unpacked = sum(entry.file_size for entry in archive.infolist())
     assert scene_bytes(tmp_path / "sog" / "meta.json") == unpacked
-    write_scene(tmp_path / "a.gltf", splats)
+    write_scene(splats, tmp_path / "a.gltf")
     inside = (tmp_path / "a.gltf").stat().st_size
     assert scene_bytes(tmp_path / "a.gltf") == inside
     text = json.loads((tmp_path / "a.gltf").read_text())

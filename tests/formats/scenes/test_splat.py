@@ -79,7 +79,7 @@ def test_bad_numbers_pass_through(tmp_path: Path) -> None:
 @pytest.mark.parametrize("count", [0, 1, 300, 40_000])
 def test_written_within_the_steps_in_order(tmp_path: Path, count: int) -> None:
     splats = scene(count)
-    write_splat(tmp_path / "a.splat", splats)
+    write_splat(splats, tmp_path / "a.splat")
     assert (tmp_path / "a.splat").stat().st_size == 32 * count
     back = read_splat(tmp_path / "a.splat")
     weight = np.exp(splats.scales.astype(float).sum(axis=1)) * alphas(splats)
@@ -97,22 +97,22 @@ def test_written_within_the_steps_in_order(tmp_path: Path, count: int) -> None:
 def test_colours_out_of_range_are_clipped(tmp_path: Path) -> None:
     splats = scene(3)
     splats.sh0[:] = [-9.0, 9.0, 0.0]
-    write_splat(tmp_path / "a.splat", splats)
+    write_splat(splats, tmp_path / "a.splat")
     seen = colours(read_splat(tmp_path / "a.splat").sh0, np.zeros((3, 0, 3)), np.eye(3))
     np.testing.assert_allclose(seen[0], [0, 1, 128 / 255], atol=1e-6)
 
 
 def test_same_bytes_every_time_and_from_any_axes(tmp_path: Path) -> None:
     a, b = tmp_path / "a.splat", tmp_path / "b.splat"
-    write_splat(a, scene())
-    write_splat(b, convert_axes(scene(), "LUF"))
+    write_splat(scene(), a)
+    write_splat(convert_axes(scene(), "LUF"), b)
     assert a.read_bytes() == b.read_bytes()
 
 
 def test_what_is_lost_is_said_in_one_line(tmp_path: Path) -> None:
     info = SceneInfo(origin=(1.0, 0.0, 0.0), antialiased=True)
     with pytest.warns(CogsplatWarning) as caught:
-        write_splat(tmp_path / "a.splat", replace(scene(5, 8), info=info))
+        write_splat(replace(scene(5, 8), info=info), tmp_path / "a.splat")
     assert [str(warning.message) for warning in caught] == [
         f"{tmp_path / 'a.splat'}: .splat cannot hold SH of degree 2, the origin (1.0, 0.0, 0.0), "
         "the anti-aliasing flag"
@@ -123,7 +123,7 @@ def test_rows_that_cannot_be_drawn_are_not_written(tmp_path: Path) -> None:
     splats = scene(10)
     splats.quats[4] = 0
     with pytest.raises(DataError) as caught:
-        write_splat(tmp_path / "a.splat", splats)
+        write_splat(splats, tmp_path / "a.splat")
     assert caught.value.code == "invalid-rows"
     assert list(tmp_path.iterdir()) == []
 
@@ -144,10 +144,10 @@ def test_says_what_else_it_may_be(tmp_path: Path) -> None:
 
 
 def test_found_by_extension(tmp_path: Path) -> None:
-    write_scene(tmp_path / "a.SPLAT", scene(7))
+    write_scene(scene(7), tmp_path / "a.SPLAT")
     assert len(read_scene(tmp_path / "a.SPLAT")) == 7
     with pytest.raises(StorageError) as caught:
-        write_splat(tmp_path / "a.SPLAT", scene(1))
+        write_splat(scene(1), tmp_path / "a.SPLAT")
     assert caught.value.code == "exists"
 
 

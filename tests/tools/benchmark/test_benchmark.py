@@ -135,7 +135,7 @@ def test_the_terminal_gets_a_table_that_fits(run: Run, small: SmallScene) -> Non
 
 def test_ablation_tells_every_technique(run: Run, tmp_path: Path) -> None:
     cogsplat.write(synth(400), tmp_path / "few.ply")
-    write_cameras_json(tmp_path / "cameras.json", synth_cameras(4, 32, 24))
+    write_cameras_json(synth_cameras(4, 32, 24), tmp_path / "cameras.json")
     arguments = ["--cameras", tmp_path / "cameras.json", "--eval-every", 3, "--qualities", 34]
     arguments += ["--ablation", "--out", tmp_path, "--json"]
     told = run("bench", tmp_path / "few.ply", *arguments)
@@ -218,7 +218,7 @@ def test_one_quality_is_taken_as_it_is() -> None:
 
 def test_baseline_keeps_to_its_grids(scene: Splats, scores: Scores, tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
-    c3dgs_npz.write(path, scene, scores)
+    c3dgs_npz.write(scene, scores, path)
     with np.load(path, allow_pickle=False) as stored:
         assert {name: stored[name].dtype.name for name in stored.files if "_" not in name} == {
             "xyz": "float16", "opacity": "int8", "scaling": "int8", "rotation": "int8",
@@ -242,14 +242,14 @@ def test_baseline_writes_the_same_whatever_the_threads(
     scene: Splats, scores: Scores, tmp_path: Path
 ) -> None:
     for threads in (1, 3):
-        c3dgs_npz.write(tmp_path / f"{threads}.npz", scene, scores, threads=threads)
+        c3dgs_npz.write(scene, scores, tmp_path / f"{threads}.npz", threads=threads)
     assert (tmp_path / "1.npz").read_bytes() == (tmp_path / "3.npz").read_bytes()
 
 
 def test_baseline_of_nothing_seen_is_refused(scene: Splats, scores: Scores, tmp_path: Path) -> None:
     blind = replace(scores, colour_sensitivity=np.zeros(len(scene)))
     with pytest.raises(DataError) as caught:
-        c3dgs_npz.write(tmp_path / "a.npz", scene, blind)
+        c3dgs_npz.write(scene, blind, tmp_path / "a.npz")
     assert caught.value.code == "no-scores"
 
 

@@ -124,7 +124,7 @@ def test_lpips_and_photos_are_measured_where_given(
         levels = (np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)
         Image.fromarray(levels).save(tmp_path / f"{camera.name}.png")
     renamed = [replace(camera, name=f"{camera.name}.png") for camera in cameras]
-    write_cameras_json(tmp_path / "cameras.json", renamed)
+    write_cameras_json(renamed, tmp_path / "cameras.json")
     told = run(
         "eval", small.ply, "--cameras", tmp_path / "cameras.json", "--orders", "contribution",
         "--shares", "10,100", "--sizes", "none", "--lpips-weights", tmp_path / "weights.npz",

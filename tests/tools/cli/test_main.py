@@ -227,7 +227,7 @@ def test_what_takes_the_extra_says_so(
 def test_stopping_an_encode_leaves_nothing(small: SmallScene, tmp_path: Path, number: str) -> None:
     cameras = tmp_path / "cameras.json"
     # Seconds of scoring, of which the first tenth is enough.
-    write_cameras_json(cameras, synth_cameras(400, 480, 360))
+    write_cameras_json(synth_cameras(400, 480, 360), cameras)
     arguments = ["encode", small.ply, tmp_path / "out.cogs", "--cameras", cameras]
     with subprocess.Popen(
         program(arguments), stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True

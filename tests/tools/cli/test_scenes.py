@@ -131,7 +131,7 @@ def test_rows_that_cannot_be_drawn_are_refused_or_left_out(run: Run, tmp_path: P
     means[[3, 50]] = np.nan
     scene_file, cameras = tmp_path / "scene.ply", tmp_path / "cameras.json"
     cogsplat.write(replace(scene, means=means), scene_file)
-    write_cameras_json(cameras, synth_cameras(3, 64, 48))
+    write_cameras_json(synth_cameras(3, 64, 48), cameras)
     arguments = ["encode", scene_file, tmp_path / "out.cogs", "--cameras", cameras, "--no-prune"]
     told = run(*arguments)
     assert told.code == 3
@@ -162,7 +162,7 @@ def test_holding_out_every_camera_is_misuse(run: Run, small: SmallScene, tmp_pat
 
 def test_cameras_too_large_to_draw_are_a_limit(run: Run, small: SmallScene, tmp_path: Path) -> None:
     cameras = tmp_path / "cameras.json"
-    write_cameras_json(cameras, [replace(synth_cameras(1)[0], width=60000, height=60000)])
+    write_cameras_json([replace(synth_cameras(1)[0], width=60000, height=60000)], cameras)
     told = run("render", small.ply, tmp_path / "out.png", "--cameras", cameras)
     assert told.code == 5
     assert "[view-size]" in told.err

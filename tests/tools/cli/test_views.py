@@ -66,7 +66,7 @@ def test_rows_that_cannot_be_drawn_score_nothing(run: Run, tmp_path: Path) -> No
     means = scene.means.copy()
     means[7] = np.nan
     cogsplat.write(replace(scene, means=means), tmp_path / "scene.ply")
-    write_cameras_json(tmp_path / "cameras.json", synth_cameras(3, 64, 48))
+    write_cameras_json(synth_cameras(3, 64, 48), tmp_path / "cameras.json")
     out = tmp_path / "out.npy"
     told = run("score", tmp_path / "scene.ply", out, "--cameras", tmp_path / "cameras.json", "-q")
     assert (told.code, told.out) == (0, "")
@@ -77,7 +77,7 @@ def test_rows_that_cannot_be_drawn_score_nothing(run: Run, tmp_path: Path) -> No
 def test_cameras_that_see_nothing_are_refused(run: Run, small: SmallScene, tmp_path: Path) -> None:
     away = replace(synth_cameras(1, 64, 48)[0], translation=np.array([0.0, 0.0, -1e6]))
     cameras = tmp_path / "cameras.json"
-    write_cameras_json(cameras, [away])
+    write_cameras_json([away], cameras)
     for command, first, second in (
         ("encode", small.ply, tmp_path / "out.cogs"),
         ("score", small.ply, tmp_path / "out.npy"),
@@ -196,7 +196,7 @@ def test_compare_measures_in_cameras_beside_the_scene(
     scene.write_bytes(small.ply.read_bytes())
     made_up = run("compare", scene, small.cogs, "--eval-every", 24, "--json").json
     assert made_up["cameras"] == "virtual views"
-    write_cameras_json(tmp_path / "eval_cameras.json", synth_cameras(3, 64, 48))
+    write_cameras_json(synth_cameras(3, 64, 48), tmp_path / "eval_cameras.json")
     told = run("compare", scene, small.cogs, "--json").json
     assert "eval_cameras.json" in str(told["cameras"])
     held = told["held_out"]
@@ -208,7 +208,7 @@ def test_views_too_small_to_compare_are_refused(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     cameras = tmp_path / "cameras.json"
-    write_cameras_json(cameras, synth_cameras(2, 64, 8))
+    write_cameras_json(synth_cameras(2, 64, 8), cameras)
     told = run("compare", small.ply, small.cogs, "--cameras", cameras)
     assert told.code == 3
     assert "[view-too-small]" in told.err

@@ -50,7 +50,7 @@ def photos(small: SmallScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for camera in cogsplat.read_cameras(small.cameras):
         path = folder / camera.name
         # Names of cameras made up here have no extension: PNG all the same.
-        write_png(path, to_image(render(scene, camera, config)))
+        write_png(to_image(render(scene, camera, config)), path)
     return folder
 
 

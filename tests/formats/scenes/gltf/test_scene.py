@@ -189,7 +189,7 @@ def test_reads_floats(tmp_path: Path, rest: int) -> None:
 @pytest.mark.parametrize("name", ["a.glb", "a.gltf"])
 def test_round_trip(tmp_path: Path, name: str, rest: int) -> None:
     splats = scene(100, rest, SceneInfo(colour_space="linear"))
-    write_scene(tmp_path / name, splats)
+    write_scene(splats, tmp_path / name)
     read = read_scene(tmp_path / name)
     for field in ("means", "sh0", "shN"):
         np.testing.assert_array_equal(getattr(read, field), getattr(splats, field), field)
@@ -201,7 +201,7 @@ def test_round_trip(tmp_path: Path, name: str, rest: int) -> None:
     )
     assert read.info == splats.info
     first = (tmp_path / name).read_bytes()
-    write_scene(tmp_path / name, splats, force=True)
+    write_scene(splats, tmp_path / name, force=True)
     assert (tmp_path / name).read_bytes() == first
 
 
@@ -211,7 +211,7 @@ def test_extremes(tmp_path: Path) -> None:
         scales=np.array([[-200, 0, 200]] * 4, np.float32),
         opacities=np.array([-np.inf, -90, 40, np.inf], np.float32),
     )
-    write_gltf(tmp_path / "a.glb", splats)
+    write_gltf(splats, tmp_path / "a.glb")
     read = read_gltf(tmp_path / "a.glb")
     np.testing.assert_allclose(read.scales, [[-87.33654, 0, 88.72284]] * 4, rtol=1e-6)
     np.testing.assert_array_equal(read.opacities, [-np.inf, -np.inf, np.inf, np.inf])
@@ -219,7 +219,7 @@ def test_extremes(tmp_path: Path) -> None:
 
 def test_what_a_glb_holds(tmp_path: Path) -> None:
     splats = scene(5, 3)
-    write_gltf(tmp_path / "a.glb", splats)
+    write_gltf(splats, tmp_path / "a.glb")
     data = (tmp_path / "a.glb").read_bytes()
     magic, version, total, length, kind = struct.unpack_from("<4sIII4s", data)
     assert (magic, version, total, kind) == (b"glTF", 2, len(data), b"JSON")
@@ -380,7 +380,7 @@ def test_flat_splats_and_rows_that_are_no_numbers(tmp_path: Path) -> None:
 def test_what_gltf_has_no_place_for_is_said(tmp_path: Path) -> None:
     info = SceneInfo((1.0, 2.0, 3.0), "RUB", "srgb", 0.1, True)
     with pytest.warns(CogsplatWarning, match="origin.*kernel.*anti-aliasing") as caught:
-        write_gltf(tmp_path / "a.glb", scene(3, 3, info))
+        write_gltf(scene(3, 3, info), tmp_path / "a.glb")
     assert len(caught) == 1
     assert read_gltf(tmp_path / "a.glb").info == SceneInfo()
 
@@ -389,7 +389,7 @@ def test_scenes_that_are_not_written(tmp_path: Path) -> None:
     bad = replace(scene(3), means=np.full((3, 3), np.nan, np.float32))
     for splats, code in ((bad, "invalid-rows"), (empty(1), "no-splats")):
         with pytest.raises(DataError) as caught:
-            write_gltf(tmp_path / "a.glb", splats)
+            write_gltf(splats, tmp_path / "a.glb")
         assert caught.value.code == code
     assert list(tmp_path.iterdir()) == []
 
@@ -399,7 +399,7 @@ def test_beyond_the_sizes_of_files(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(gltf, "MAX_TEXT_BYTES", 1000)
     for name in ("a.glb", "a.gltf"):
         with pytest.raises(LimitError) as caught:
-            write_gltf(tmp_path / name, scene(30, 0))
+            write_gltf(scene(30, 0), tmp_path / name)
         assert caught.value.code == "gltf-too-large"
     assert list(tmp_path.iterdir()) == []
 

@@ -47,7 +47,7 @@ def table_of(path):
 @pytest.mark.parametrize("degree", [0, 3])
 def test_every_type_round_trips(tmp_path, count, degree):
     splats = replace(scene(count, degree), extras=extras_of(count))
-    write_ply(tmp_path / "a.ply", splats)
+    write_ply(splats, tmp_path / "a.ply")
     read = read_ply(tmp_path / "a.ply")
     same_extras(read.extras, splats.extras)
     for name in ARRAYS:
@@ -60,7 +60,7 @@ def test_every_type_round_trips(tmp_path, count, degree):
 
 def test_floats_alone_round_trip(tmp_path):
     extras = {"curvature": np.linspace(-1, 1, N, dtype=np.float32)}
-    write_ply(tmp_path / "a.ply", replace(scene(N, 1), extras=extras))
+    write_ply(replace(scene(N, 1), extras=extras), tmp_path / "a.ply")
     same_extras(read_ply(tmp_path / "a.ply").extras, extras)
 
 
@@ -69,20 +69,20 @@ def test_floats_alone_round_trip(tmp_path):
 )
 def test_other_layouts_bring_them_too(tmp_path, how):
     splats = replace(scene(50, 1), extras=extras_of(50))
-    write_ply(tmp_path / "a.ply", splats)
+    write_ply(splats, tmp_path / "a.ply")
     as_plyfile(tmp_path / "b.ply", np.array(table_of(tmp_path / "a.ply")), **how)
     same_extras(read_ply(tmp_path / "b.ply").extras, splats.extras)
 
 
 def test_normals_that_are_zero_are_padding(tmp_path):
-    write_ply(tmp_path / "a.ply", scene(9))
+    write_ply(scene(9), tmp_path / "a.ply")
     assert not read_ply(tmp_path / "a.ply").extras
     normals = {
         "nx": np.zeros(9, np.float32),
         "ny": np.zeros(9, np.float32),
         "nz": np.arange(9, dtype=np.float32),
     }
-    write_ply(tmp_path / "b.ply", replace(scene(9), extras=normals))
+    write_ply(replace(scene(9), extras=normals), tmp_path / "b.ply")
     same_extras(read_ply(tmp_path / "b.ply").extras, normals)
     names = table_of(tmp_path / "b.ply").dtype.names
     assert names[:7] == ("x", "y", "z", "nx", "ny", "nz", "f_dc_0")
@@ -91,7 +91,7 @@ def test_normals_that_are_zero_are_padding(tmp_path):
 
 def test_normals_of_another_type_keep_their_place(tmp_path):
     normals = {name: np.full(4, 7, np.int16) for name in ("nz", "nx", "ny")}
-    write_ply(tmp_path / "a.ply", replace(scene(4), extras=normals))
+    write_ply(replace(scene(4), extras=normals), tmp_path / "a.ply")
     found = read_ply(tmp_path / "a.ply").extras
     assert list(found) == ["nx", "ny", "nz"]
     assert all(values.dtype == np.int16 and (values == 7).all() for values in found.values())
@@ -99,7 +99,7 @@ def test_normals_of_another_type_keep_their_place(tmp_path):
 
 def test_components_become_columns(tmp_path):
     wide = np.arange(12, dtype=np.uint16).reshape(4, 3)
-    write_ply(tmp_path / "a.ply", replace(scene(4), extras={"class": wide}))
+    write_ply(replace(scene(4), extras={"class": wide}), tmp_path / "a.ply")
     same_extras(
         read_ply(tmp_path / "a.ply").extras, {f"class_{k}": wide[:, k].copy() for k in range(3)}
     )
@@ -116,12 +116,12 @@ def test_names_that_no_property_can_have_are_said(tmp_path):
         "a": numbers.reshape(4, 1),
     }
     with pytest.warns(CogsplatWarning, match=r"ply cannot hold .*'two words', .*'größe', .*'op"):
-        write_ply(tmp_path / "a.ply", replace(scene(4), extras=extras))
+        write_ply(replace(scene(4), extras=extras), tmp_path / "a.ply")
     same_extras(read_ply(tmp_path / "a.ply").extras, {"kept": numbers, "a_0": numbers})
 
 
 def test_more_than_a_scene_can_hold_is_said(tmp_path):
-    write_ply(tmp_path / "a.ply", scene(3))
+    write_ply(scene(3), tmp_path / "a.ply")
     table = np.array(table_of(tmp_path / "a.ply"))
     more = np.zeros(
         3, [*table.dtype.descr, *((f"p{k}", "u1") for k in range(300)), ("n" * 300, "u1")]
@@ -143,13 +143,13 @@ def test_values_of_any_bits_survive(tmp_path_factory, data):
     width = int(dtype[1])
     octets = data.draw(hnp.arrays(np.uint8, (5, width)))
     values = octets.view(dtype).reshape(5)
-    write_ply(path, replace(scene(5, 0), extras={"any": values}))
+    write_ply(replace(scene(5, 0), extras={"any": values}), path)
     assert read_ply(path).extras["any"].tobytes() == values.tobytes()
 
 
 def as_doubles(path, shift, name="x"):
     splats = scene(N, 0)
-    write_ply(path, splats)
+    write_ply(splats, path)
     table = table_of(path)
     kinds = [(n, "f8" if n in "xyz" else "f4") for n in table.dtype.names]
     wide = np.zeros(N, kinds)
@@ -169,7 +169,7 @@ def test_doubles_far_off_become_an_origin(tmp_path):
     expected[:, 0] += 0.25
     np.testing.assert_allclose(read.means, expected, rtol=0, atol=3e-7)
     # What is written is read back the same, without a second move.
-    write_ply(tmp_path / "b.ply", read)
+    write_ply(read, tmp_path / "b.ply")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         again = read_ply(tmp_path / "b.ply")

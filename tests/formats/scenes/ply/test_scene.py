@@ -115,16 +115,16 @@ def refused(path: Path, data: bytes) -> CogsplatError:
 @pytest.mark.parametrize("count", [0, 1, 7, 3000])
 def test_round_trip(tmp_path: Path, count: int, rest: int) -> None:
     splats = scene(count, rest)
-    write_ply(tmp_path / "a.ply", splats)
+    write_ply(splats, tmp_path / "a.ply")
     assert_same(read_ply(tmp_path / "a.ply"), splats)
-    write_ply(tmp_path / "b.ply", splats)
+    write_ply(splats, tmp_path / "b.ply")
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
 
 
 @pytest.mark.parametrize("rest", RESTS)
 def test_plyfile_reads_what_we_write(tmp_path: Path, rest: int) -> None:
     splats = scene(2500, rest)
-    write_ply(tmp_path / "a.ply", splats)
+    write_ply(splats, tmp_path / "a.ply")
     table = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"].data
     expected = rows(splats)
     for name in expected.dtype.names:
@@ -192,7 +192,7 @@ def test_doubles_beyond_float32_become_infinite(tmp_path: Path) -> None:
 
 def test_carriage_returns_in_the_header(tmp_path: Path) -> None:
     splats = scene(9, 3)
-    write_ply(tmp_path / "a.ply", splats)
+    write_ply(splats, tmp_path / "a.ply")
     data = (tmp_path / "a.ply").read_bytes()
     end = data.index(b"end_header\n") + len(b"end_header\n")
     (tmp_path / "b.ply").write_bytes(data[:end].replace(b"\n", b"\r\n") + data[end:])
@@ -213,7 +213,7 @@ def test_rows_that_cannot_be_drawn_are_read_as_they_are(tmp_path: Path) -> None:
     splats.opacities[1] = np.inf
     splats.scales[2, 2] = -np.inf
     splats.quats[3] = 1e-45
-    write_ply(tmp_path / "a.ply", splats)
+    write_ply(splats, tmp_path / "a.ply")
     read = read_ply(tmp_path / "a.ply")
     assert_same(read, splats)
     assert read.invalid_rows().tolist() == [True, False, True, False, False]
@@ -228,7 +228,7 @@ INFO = SceneInfo((1.5, -2e300, 0.1), "LUF", "linear", 0.1, True)
 @pytest.mark.parametrize("rest", [0, 15])
 def test_what_the_scene_says_of_itself_survives(tmp_path: Path, rest: int) -> None:
     splats = scene(4, rest, INFO)
-    write_ply(tmp_path / "a.ply", splats)
+    write_ply(splats, tmp_path / "a.ply")
     assert_same(read_ply(tmp_path / "a.ply"), splats)
     assert plyfile.PlyData.read(tmp_path / "a.ply").comments == [
         "cogsplat origin 1.5 -2e+300 0.1",
@@ -259,7 +259,7 @@ def test_scenes_that_others_mark_as_antialiased(
 
 
 def test_a_default_scene_writes_no_comments(tmp_path: Path) -> None:
-    write_ply(tmp_path / "a.ply", scene(1))
+    write_ply(scene(1), tmp_path / "a.ply")
     assert b"comment" not in (tmp_path / "a.ply").read_bytes()[:2000]
 
 
@@ -277,7 +277,7 @@ def test_a_scene_info_that_could_not_be_read_back_is_not_written(
     tmp_path: Path, info: SceneInfo
 ) -> None:
     with pytest.raises(DataError) as caught:
-        write_ply(tmp_path / "a.ply", scene(1, 0, info))
+        write_ply(scene(1, 0, info), tmp_path / "a.ply")
     assert caught.value.code == "bad-scene-info"
     assert list(tmp_path.iterdir()) == []
 
@@ -367,7 +367,7 @@ def test_names_what_is_missing_and_what_is_there(tmp_path: Path) -> None:
 
 
 def test_a_truncated_file_says_how_long_it_should_be(tmp_path: Path) -> None:
-    write_ply(tmp_path / "a.ply", scene(100))
+    write_ply(scene(100), tmp_path / "a.ply")
     data = (tmp_path / "a.ply").read_bytes()
     error = refused(tmp_path / "a.ply", data[: len(data) // 5])
     assert isinstance(error, TruncatedError)
@@ -452,7 +452,7 @@ def test_without_plyfile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         return real(name, package)
 
     monkeypatch.setattr(importlib, "import_module", absent)
-    write_ply(tmp_path / "a.ply", scene(3))
+    write_ply(scene(3), tmp_path / "a.ply")
     assert_same(read_ply(tmp_path / "a.ply"), scene(3))
     (tmp_path / "b.ply").write_bytes(text_scene(tmp_path))
     with pytest.raises(UnsupportedError, match="ascii") as caught:
@@ -470,7 +470,7 @@ def test_a_file_that_shrinks_or_changes_while_it_is_read(
         check(*arguments)  # type: ignore[arg-type]
         path.write_bytes(path.read_bytes()[:-2000])
 
-    write_ply(path, scene(3000))
+    write_ply(scene(3000), path)
     with monkeypatch.context() as patch:
         patch.setattr(ply, "check_size", shrink)
         with pytest.raises(TruncatedError) as short:
@@ -482,7 +482,7 @@ def test_a_file_that_shrinks_or_changes_while_it_is_read(
         with path.open("ab") as file:
             file.write(b"more")
 
-    write_ply(path, scene(3000), force=True)
+    write_ply(scene(3000), path, force=True)
     with monkeypatch.context() as patch:
         patch.setattr(ply, "check_size", grow)
         with pytest.raises(StorageError) as changed:
@@ -495,11 +495,11 @@ def test_storage_failures(tmp_path: Path) -> None:
         with pytest.raises(StorageError) as caught:
             read_ply(path)
         assert caught.value.code == code
-    write_ply(tmp_path / "a.ply", scene(1))
+    write_ply(scene(1), tmp_path / "a.ply")
     with pytest.raises(StorageError) as caught:
-        write_ply(tmp_path / "a.ply", scene(2))
+        write_ply(scene(2), tmp_path / "a.ply")
     assert caught.value.code == "exists"
-    write_ply(tmp_path / "a.ply", scene(2), force=True)
+    write_ply(scene(2), tmp_path / "a.ply", force=True)
     assert len(read_ply(tmp_path / "a.ply")) == 2
 
 
@@ -577,7 +577,7 @@ def test_real_scenes(tmp_path: Path, name: str) -> None:
     expected = rows(splats)
     for column in expected.dtype.names:
         np.testing.assert_array_equal(table[column], expected[column], column)
-    write_ply(tmp_path / "a.ply", splats)
+    write_ply(splats, tmp_path / "a.ply")
     ours, theirs = (tmp_path / "a.ply").read_bytes(), path.read_bytes()
     assert ours[ours.index(b"end_header") :] == theirs[theirs.index(b"end_header") :]
     assert_same(read_ply(tmp_path / "a.ply"), replace(splats, info=SceneInfo()))

@@ -188,7 +188,7 @@ def test_a_folder_is_read_by_its_meta_json(tmp_path: Path) -> None:
 @pytest.mark.parametrize("count", [1, 16, 17, 1000, 3000])
 def test_round_trip(tmp_path: Path, count: int, rest: int) -> None:
     splats = scene(count, rest)
-    write_scene(tmp_path / "a.sog", splats)
+    write_scene(splats, tmp_path / "a.sog")
     read = read_scene(tmp_path / "a.sog")
     expected = splats.take(morton_order(splats.means))
     assert read.shN.shape == expected.shN.shape
@@ -221,7 +221,7 @@ def test_few_values_come_back_exactly(tmp_path: Path) -> None:
         shN=rng.choice(np.float32([0, 0.5]), (2000, 1, 1)).repeat(9, axis=1).reshape(2000, 3, 3),
         opacities=rng.choice(np.float32([-np.inf, np.inf]), 2000),
     )
-    write_sog(tmp_path / "a.sog", splats)
+    write_sog(splats, tmp_path / "a.sog")
     read = read_sog(tmp_path / "a.sog")
     expected = splats.take(morton_order(splats.means))
     for name in ("scales", "sh0", "shN", "opacities"):
@@ -230,12 +230,12 @@ def test_few_values_come_back_exactly(tmp_path: Path) -> None:
 
 def test_written_again_the_file_stays_the_same(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        write_sog(tmp_path / name, scene(1500))
+        write_sog(scene(1500), tmp_path / name)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 def test_what_a_bundle_holds(tmp_path: Path) -> None:
-    write_sog(tmp_path / "a.sog", scene(1500, 3))
+    write_sog(scene(1500, 3), tmp_path / "a.sog")
     with zipfile.ZipFile(tmp_path / "a.sog") as archive:
         assert archive.testzip() is None
         meta = json.loads(archive.read("meta.json"))
@@ -258,13 +258,13 @@ def test_what_a_bundle_holds(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("degree", [0, 2])
 def test_an_empty_scene(tmp_path: Path, degree: int) -> None:
-    write_sog(tmp_path / "a.sog", empty(degree))
+    write_sog(empty(degree), tmp_path / "a.sog")
     read = read_sog(tmp_path / "a.sog")
     assert (len(read), read.sh_degree) == (0, degree)
 
 
 def test_antialiasing_is_carried_and_the_rest_said(tmp_path: Path) -> None:
-    write_sog(tmp_path / "a.sog", scene(5, 3, SceneInfo(antialiased=True)))
+    write_sog(scene(5, 3, SceneInfo(antialiased=True)), tmp_path / "a.sog")
     assert read_sog(tmp_path / "a.sog").info == SceneInfo(antialiased=True)
     meta, images = parts(0)
     for keys, flag in (({"antialias": True}, True), ({"model": "antialiased"}, True), ({}, False)):
@@ -272,7 +272,7 @@ def test_antialiasing_is_carried_and_the_rest_said(tmp_path: Path) -> None:
     info = SceneInfo((1.0, 2.0, 3.0), "RUB", "linear", 0.1)
     turned = replace(scene(50, 3), info=info)
     with pytest.warns(CogsplatWarning, match="origin.*linear.*kernel"):
-        write_sog(tmp_path / "c.sog", turned)
+        write_sog(turned, tmp_path / "c.sog")
     read = read_sog(tmp_path / "c.sog")
     assert read.info == SceneInfo()
     expected = convert_axes(turned, "RDF")
@@ -294,7 +294,7 @@ def test_a_lost_first_entry_is_continued(tmp_path: Path) -> None:
 def test_rows_that_cannot_be_drawn_are_not_written(tmp_path: Path) -> None:
     splats = replace(scene(3), scales=np.full((3, 3), np.inf, np.float32))
     with pytest.raises(DataError) as caught:
-        write_sog(tmp_path / "a.sog", splats)
+        write_sog(splats, tmp_path / "a.sog")
     assert caught.value.code == "invalid-rows"
     assert list(tmp_path.iterdir()) == []
 

@@ -308,7 +308,7 @@ def test_written_within_the_steps(
 ) -> None:
     splats = scene(degree=degree)
     first, rest = sh_bits
-    write_spz(tmp_path / "a.spz", splats, version=version, sh1_bits=first, sh_rest_bits=rest)
+    write_spz(splats, tmp_path / "a.spz", version=version, sh1_bits=first, sh_rest_bits=rest)
     back = read_spz(tmp_path / "a.spz")
     assert back.info == splats.info
 
@@ -335,7 +335,7 @@ def test_written_within_the_steps(
 def test_versions_3_and_4_hold_the_same(tmp_path: Path) -> None:
     splats = replace(scene(), info=SceneInfo(antialiased=True))
     for version in (3, 4):
-        write_spz(tmp_path / f"{version}.spz", splats, version=version)
+        write_spz(splats, tmp_path / f"{version}.spz", version=version)
     assert (tmp_path / "3.spz").read_bytes()[:2] == b"\x1f\x8b"
     assert (tmp_path / "4.spz").read_bytes()[:8] == b"NGSP\4\0\0\0"
     three, four = (read_spz(tmp_path / f"{version}.spz") for version in (3, 4))
@@ -347,15 +347,15 @@ def test_versions_3_and_4_hold_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize("version", [3, 4])
 def test_same_bytes_every_time(tmp_path: Path, version: int) -> None:
     a, b = tmp_path / "a.spz", tmp_path / "b.spz"
-    write_spz(a, scene(), version=version)
-    write_spz(b, scene(), version=version)
+    write_spz(scene(), a, version=version)
+    write_spz(scene(), b, version=version)
     assert a.read_bytes() == b.read_bytes()
 
 
 def test_written_again_nothing_more_is_lost(tmp_path: Path) -> None:
-    write_spz(tmp_path / "a.spz", scene())
+    write_spz(scene(), tmp_path / "a.spz")
     once = read_spz(tmp_path / "a.spz")
-    write_spz(tmp_path / "b.spz", once)
+    write_spz(once, tmp_path / "b.spz")
     twice = read_spz(tmp_path / "b.spz")
     for name in ("means", "scales", "opacities", "sh0", "shN"):
         np.testing.assert_array_equal(getattr(twice, name), getattr(once, name), name)
@@ -368,15 +368,15 @@ def test_written_again_nothing_more_is_lost(tmp_path: Path) -> None:
 @pytest.mark.parametrize("version", [3, 4])
 @pytest.mark.parametrize("count", [0, 1])
 def test_small_scenes(tmp_path: Path, count: int, version: int, degree: int) -> None:
-    write_spz(tmp_path / "a.spz", scene(count, degree), version=version)
+    write_spz(scene(count, degree), tmp_path / "a.spz", version=version)
     back = read_spz(tmp_path / "a.spz")
     assert (len(back), back.sh_degree) == (count, degree)
 
 
 def test_other_axes_are_stored_alike(tmp_path: Path) -> None:
     splats = scene()
-    write_spz(tmp_path / "a.spz", splats)
-    write_spz(tmp_path / "b.spz", convert_axes(splats, "LUF"))
+    write_spz(splats, tmp_path / "a.spz")
+    write_spz(convert_axes(splats, "LUF"), tmp_path / "b.spz")
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
 
 
@@ -387,7 +387,7 @@ def test_fractional_bits_follow_the_extent(tmp_path: Path, spread: float, bits: 
     splats = scene(1000, 0)
     means = np.random.default_rng(0).uniform(-spread, spread, (1000, 3)).astype(np.float32)
     means[0] = spread
-    write_spz(tmp_path / "a.spz", replace(splats, means=means))
+    write_spz(replace(splats, means=means), tmp_path / "a.spz")
     chosen = (tmp_path / "a.spz").read_bytes()[13]
     assert chosen == bits
     error = np.abs(read_spz(tmp_path / "a.spz").means - means).max()
@@ -400,7 +400,7 @@ def test_what_is_lost_is_said_in_one_line(tmp_path: Path) -> None:
     splats.means[3] = 1e9
     splats.scales[:5, 0] = -20.0
     with pytest.warns(CogsplatWarning) as caught:
-        write_spz(tmp_path / "a.spz", splats)
+        write_spz(splats, tmp_path / "a.spz")
     assert [str(warning.message) for warning in caught] == [
         f"{tmp_path / 'a.spz'}: SPZ cannot hold the origin (1.0, 2.0, 3.0), the colour space "
         "linear, the kernel of 0.1 px², 1 % of the means (out of range, clipped), 1.7 % of the "
@@ -413,7 +413,7 @@ def test_rows_that_cannot_be_drawn_are_not_written(tmp_path: Path) -> None:
     splats = scene(10)
     splats.scales[4, 1] = np.nan
     with pytest.raises(DataError) as caught:
-        write_spz(tmp_path / "a.spz", splats)
+        write_spz(splats, tmp_path / "a.spz")
     assert caught.value.code == "invalid-rows"
     assert list(tmp_path.iterdir()) == []
 
@@ -421,21 +421,21 @@ def test_rows_that_cannot_be_drawn_are_not_written(tmp_path: Path) -> None:
 def test_misuse(tmp_path: Path) -> None:
     for version in (1, 2, 5):
         with pytest.raises(ValueError, match="expected 3 or 4"):
-            write_spz(tmp_path / "a.spz", scene(1), version=version)
+            write_spz(scene(1), tmp_path / "a.spz", version=version)
     for bits in (0, 9):
         with pytest.raises(ValueError, match="expected 1 to 8"):
-            write_spz(tmp_path / "a.spz", scene(1), sh1_bits=bits)
+            write_spz(scene(1), tmp_path / "a.spz", sh1_bits=bits)
         with pytest.raises(ValueError, match="expected 1 to 8"):
-            write_spz(tmp_path / "a.spz", scene(1), sh_rest_bits=bits)
+            write_spz(scene(1), tmp_path / "a.spz", sh_rest_bits=bits)
 
 
 def test_found_by_first_bytes(tmp_path: Path) -> None:
-    write_scene(tmp_path / "a.spz", scene(3))
-    write_spz(tmp_path / "b.ply", scene(4), version=3)
+    write_scene(scene(3), tmp_path / "a.spz")
+    write_spz(scene(4), tmp_path / "b.ply", version=3)
     assert len(read_scene(tmp_path / "a.spz")) == 3
     assert len(read_scene(tmp_path / "b.ply")) == 4
     with pytest.raises(StorageError) as caught:
-        write_spz(tmp_path / "a.spz", scene(1))
+        write_spz(scene(1), tmp_path / "a.spz")
     assert caught.value.code == "exists"
     assert not is_spz(b"")
     assert not is_spz(gzip.compress(b"something else entirely"))
@@ -630,7 +630,7 @@ def test_biker_equals_its_ply(tmp_path: Path) -> None:
     quats = unit(expected.quats)
     quats *= np.sign((splats.quats * quats).sum(axis=1, keepdims=True))
     np.testing.assert_allclose(splats.quats, quats, rtol=0, atol=1e-6)
-    write_spz(tmp_path / "a.spz", splats)
+    write_spz(splats, tmp_path / "a.spz")
     again = read_spz(tmp_path / "a.spz")
     for name in ("means", "scales", "opacities", "sh0"):
         np.testing.assert_array_equal(getattr(again, name), getattr(splats, name), name)
@@ -644,9 +644,9 @@ def test_threads_change_nothing(
     for name in ("container", "values"):
         monkeypatch.setattr(f"{module}{name}.thread_count", lambda _: int(threads))
     splats = scene(40_000, 1)
-    write_spz(tmp_path / "a.spz", splats)
+    write_spz(splats, tmp_path / "a.spz")
     monkeypatch.undo()
-    write_spz(tmp_path / "b.spz", splats)
+    write_spz(splats, tmp_path / "b.spz")
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
 
 
