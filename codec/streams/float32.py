@@ -16,7 +16,8 @@ F32 = NDArray[np.float32]
 
 def write(attribute: Attribute, values: F32) -> Stream:
     """Return a float stream of (n, c) float32 values: four planes for each component."""
-    octets = np.ascontiguousarray(values).view(np.uint8).reshape(len(values), -1)
+    # Little-endian in the file, whatever the machine's own order or that of the array.
+    octets = np.ascontiguousarray(values, "<f4").view(np.uint8).reshape(len(values), -1)
     planes = [np.ascontiguousarray(octets[:, column]) for column in range(octets.shape[1])]
     return Stream(attribute, Kind.FLOAT, len(values), b"", planes)
 
