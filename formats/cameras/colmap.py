@@ -5,7 +5,6 @@ Layout after COLMAP's documentation, "Output format": little-endian, no padding.
 
 from __future__ import annotations
 
-import math
 import os
 import struct
 from collections.abc import Iterator
@@ -23,8 +22,11 @@ from cogsplat.codec.errors import (
     TruncatedError,
     UnsupportedError,
 )
+from cogsplat.codec.geometry.rotations import matrices
 from cogsplat.formats.storage.atomic import open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
+
+F64 = NDArray[np.float64]
 
 # COLMAP, camera models: number in binary files, name, parameters.
 _MODELS: dict[int, tuple[str, tuple[str, ...]]] = {
@@ -52,6 +54,7 @@ _POSE = struct.Struct("<I7dI")  # id, qw qx qy qz, tx ty tz, camera; a zero-ende
 _POINT_BYTES = 24  # x, y as doubles, then the point's 64-bit number
 
 _MAX_NAME_BYTES = 4096
+_BLOCK_BYTES = 1 << 16
 _MAX_LINE_BYTES = 65536
 
 
@@ -148,10 +151,17 @@ def read_colmap(folder: Path, *, limits: Limits | None = None) -> list[Camera]:
     images.sort(key=lambda image: (image.name, image.number))
     # Absurd magnitudes overflow on the way to `Camera`, which refuses what comes of them.
     with np.errstate(over="ignore", invalid="ignore"):
-        return [_camera(image, lenses, str(path)) for image in images]
+        rotations = _rotations(images, str(path))
+        translations = np.array([image.translation for image in images], np.float64)
+        return [
+            _camera(image, lenses, rotation, translation, str(path))
+            for image, rotation, translation in zip(images, rotations, translations, strict=True)
+        ]
 
 
-def _camera(image: _Image, lenses: dict[int, _Lens], where: str) -> Camera:
+def _camera(
+    image: _Image, lenses: dict[int, _Lens], rotation: F64, translation: F64, where: str
+) -> Camera:
     lens = lenses.get(image.lens)
     if lens is None:
         raise FormatError(
@@ -167,30 +177,28 @@ def _camera(image: _Image, lenses: dict[int, _Lens], where: str) -> Camera:
             fy=lens.fy,
             cx=lens.cx,
             cy=lens.cy,
-            rotation=_rotation(image),
-            translation=np.array(image.translation),
+            rotation=rotation,
+            translation=translation,
             name=image.name,
         )
     except DataError as error:
         raise DataError(error.code, f"{where}: image {image.number}: {error.message}") from error
 
 
-def _rotation(image: _Image) -> NDArray[np.float64]:
-    """Return the rotation matrix of a wxyz quaternion, normalised."""
-    w, x, y, z = image.quaternion
-    norm = math.sqrt(w * w + x * x + y * y + z * z)
-    if not 0.0 < norm < math.inf:
+def _rotations(images: list[_Image], where: str) -> F64:
+    """Return the (N, 3, 3) rotation matrices of wxyz quaternions, normalised."""
+    quaternions = np.array([image.quaternion for image in images], np.float64)
+    norms = np.sqrt(np.square(quaternions).sum(axis=1))
+    usable = (norms > 0.0) & (norms < np.inf)
+    if not usable.all():
+        image, norm = images[int(usable.argmin())], norms[int(usable.argmin())]
         raise DataError(
-            "bad-camera", f"camera {image.name!r}: quaternion of norm {norm}, expected about 1"
+            "bad-camera",
+            f"{where}: image {image.number}: camera {image.name!r}: quaternion of norm {norm}, "
+            "expected about 1",
         )
-    w, x, y, z = w / norm, x / norm, y / norm, z / norm
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    # One row after the other in memory, so that no camera copies its own.
+    return np.ascontiguousarray(matrices(quaternions / norms[:, None]))
 
 
 def _lens(name: str, width: int, height: int, values: list[float], where: str) -> _Lens:
@@ -222,19 +230,31 @@ class _Reader:
         self.where = where
         self.size = os.fstat(file.fileno()).st_size
         self.offset = 0
+        # Records are short and many: they are cut from blocks, not read one by one.
+        self._block = b""
+        self._block_offset = 0
 
     def take(self, length: int, what: str) -> bytes:
         self.require(length, what)
-        data = self.file.read(length)
+        data = self._next(length)
         if len(data) != length:
             raise self.truncated(length, what)
         self.offset += length
         return data
 
+    def _next(self, length: int) -> bytes:
+        """Return the next bytes, fewer where the file ends, without going on."""
+        at = self.offset - self._block_offset
+        if at + length > len(self._block):
+            self.file.seek(self.offset)
+            self._block = self.file.read(max(length, _BLOCK_BYTES))
+            self._block_offset = self.offset
+            at = 0
+        return self._block[at : at + length]
+
     def skip(self, length: int, what: str) -> None:
         self.require(length, what)
         self.offset += length
-        self.file.seek(self.offset)
 
     def require(self, length: int, what: str) -> None:
         if length > self.size - self.offset:
@@ -256,7 +276,7 @@ class _Reader:
         return count
 
     def name(self, what: str) -> str:
-        data = self.file.read(_MAX_NAME_BYTES)
+        data = self._next(min(_MAX_NAME_BYTES, max(self.size - self.offset, 0)))
         end = data.find(b"\0")
         if end < 0 and len(data) < _MAX_NAME_BYTES:
             raise self.truncated(len(data) + 1, f"the name of {what}")
@@ -268,7 +288,6 @@ class _Reader:
                 offset=self.offset,
             )
         self.offset += end + 1
-        self.file.seek(self.offset)
         return data[:end].decode("utf-8", "replace")
 
     def finish(self) -> None:

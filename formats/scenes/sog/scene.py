@@ -50,8 +50,10 @@ _MAX_IMAGE_BYTES: Final = 1 << 30
 _CODEBOOK: Final = 256
 _CODE: Final = "sog-bad-meta"
 
-# An image while it is decoded: Pillow's own copy, its conversion to RGBA, and our array.
-_PIXEL_BYTES: Final = 4 + 4 + 4
+# A pixel while its image is decoded, measured: two canvases of libwebp's, Pillow's copy, its
+# conversion to RGBA, and our array, which is what is left of it.
+_DECODING_BYTES: Final = 24
+_PIXEL_BYTES: Final = 4
 
 # Images hold about one pixel a splat, in textures of powers of two up to four.
 _PIXELS_PER_SPLAT: Final = 4
@@ -151,7 +153,9 @@ def read_sog(path: StrPath, *, limits: Limits | None = None) -> Splats:
         sh_degree=meta.sh.bands if meta.sh else 0,
         source_bytes=source_bytes,
         where=where,
-        beside_bytes=_PIXEL_BYTES * max(2 * pixels_each, palette_pixels),
+        # The means take two images, of which one is there while the other is decoded.
+        beside_bytes=_DECODING_BYTES * max(pixels_each, palette_pixels)
+        + _PIXEL_BYTES * pixels_each,
     )
     pixels = (
         decode_image(image, f"{where}: {name!r}").reshape(-1, 4)[: meta.count]

@@ -4,11 +4,13 @@ import json
 import os
 from pathlib import Path
 
+import click
 import hostile_files as hostile
 import pytest
 from running import Run, SmallScene
 
 from cogsplat.codec.errors import CogsplatWarning, FormatError, printable
+from cogsplat.tools.cli.main import cli
 
 ESCAPES = "red\x1b[31m \x9b2J \x07 \u202eback\x1b]0;title\x07"
 
@@ -46,6 +48,17 @@ def test_limits_are_exit_status_5(
     assert ran.code == 5, ran.err
     assert "[too-many-splats]" in ran.err or "[decoded-size]" in ran.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_every_command_that_reads_takes_limits() -> None:
+    without = [
+        name
+        for name, command in cli.commands.items()
+        if not isinstance(command, click.Group)
+        and all("--limits" not in option.opts for option in command.params)
+    ]
+    # These make what they read.
+    assert without == ["synth", "demo"]
 
 
 def test_limits_of_cameras(run: Run, small: SmallScene, tmp_path: Path) -> None:
