@@ -1,4 +1,4 @@
-"""Blend weights: what each splat adds to the pixels of one view."""
+"""Blend weights: how much each splat weighs in the pixels of one view, summed by splat."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def add_weights(
     threads: int,
     sums: NDArray[np.float64],
 ) -> None:
-    """Add what the tiles of `lists` show of each footprint's weights.
+    """Add the weights of each footprint in the pixels of the tiles of `lists`.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def add_weights(
     footprints : Footprints
         M of them.
     camera : Camera
-        That the footprints are seen by.
+        The camera of the footprints.
     top_k : int
         The largest weights of a pixel that count in Σw (PRoGS, section 3.1); 0 for all. Of equal
         weights the nearest count.

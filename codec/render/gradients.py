@@ -1,4 +1,4 @@
-"""How the error of a picture changes with the opacity and size of every splat in it."""
+"""Gradients of a picture's squared error by the opacity and the size of every splat in it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 
-# Sums of a footprint: by ln alpha, by ln scale.
+# Derivatives of a footprint by ln alpha and by ln scale, and their rows in a tile's lanes.
 _SUMS = 2
 _BY_ALPHA, _BY_SCALE = (np.uintp(k * TILE) for k in range(_SUMS))
 
@@ -58,7 +58,9 @@ def _differentiate(
 ) -> float:
     """Fill the derivatives of every pair of a tile and a splat; return the sum of squared errors.
 
-    Two walks over each tile, as in `gain_probe`: the second knows at each splat the colour behind.
+    Each tile is walked twice. `blend_tile` draws it; the second walk, from the front again, takes
+    each splat's colour off and so knows what lies behind it, on which the derivative by its alpha
+    depends (Kerbl et al. 2023, appendix C).
     """
     height, width = target.shape[0], target.shape[1]
     state = np.empty(PLANES_COMPARED * PIXELS, np.float32)
@@ -120,11 +122,11 @@ def _differentiate(
                         + off_green * (weight * green - behind_green * odds)
                         + off_blue * (weight * blue - behind_blue * odds)
                     )
-                    # A capped alpha does not move.
+                    # A capped alpha has derivative 0.
                     moves = drawn & (raw <= ALPHA_MAX)
                     slope = slope if moves else _ZERO
-                    # The exponent's gradient in the image, px^-1: the widening of the covariance
-                    # by the kernel does not scale with the splat.
+                    # The exponent's gradient in the image, 1/px. It corrects for the kernel, the
+                    # part of the projected covariance that does not scale with the splat.
                     along = _TWO * narrow * u
                     across = _TWO * flat * dy - shear * along
                     wider = _TWO * (u * u - row_exponent)
@@ -148,13 +150,13 @@ class Gradient:
     Parameters
     ----------
     rows : (M,) int32
-        Splats whose footprint reaches the image.
+        Rows of the scene whose footprint reaches the image, nearest first.
     opacities : (M,) float64
-        By the logit.
+        Derivative by the opacity's logit.
     scales : (M,) float64
-        By a number added to all three log scales.
+        Derivative by a number added to all three log scales.
     error : float
-        The sum of squared errors.
+        The sum of squared errors itself.
     """
 
     rows: NDArray[np.int32]
@@ -186,19 +188,19 @@ def gradient(
     kernel_px: float,
     near_plane: float = NEAR,
 ) -> Gradient:
-    """Differentiate the error of a picture by what compensation may change.
+    """Differentiate the squared error of a picture by the opacities and sizes of its splats.
 
     Parameters
     ----------
     splats : Splats
-        N of them, in the picture. Anti-aliased where ``splats.info`` says so; their SH coefficients
-        do not count.
+        N of them, all in the picture. Anti-aliased where ``splats.info`` says so. Their SH
+        coefficients are not read.
     colours : (n, 3) float32
-        What they show to the camera; of n at least N rows the first N count.
+        Colours that they show to the camera (`shading.row_colours`); rows beyond N are not read.
     camera : Camera
         In the frame of the means.
     target : (H, W, 3) float32
-        What the picture should be, over black.
+        What the picture should be, over black, in the scene's colour space.
     kernel_px : float
         Variance added to projected covariances, px².
     near_plane : float

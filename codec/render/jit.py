@@ -1,4 +1,4 @@
-"""How hot loops over arrays are compiled: one set of options for all of them."""
+"""`kernel`: the numba options that every loop over splats or pixels is compiled with."""
 
 from __future__ import annotations
 
@@ -13,10 +13,26 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def kernel(function: Function) -> Function:
     """Compile a function over arrays and scalars on its first call.
 
-    It runs without the interpreter's lock, so that several threads can run kernels at once, and
-    divides as numpy does (no ZeroDivisionError). Products and sums may fuse, so kernels built here
-    agree between runs and thread counts on one machine, not bit for bit between machines: decode
-    arithmetic must not use it.
+    Parameters
+    ----------
+    function : callable
+        Python that numba compiles (nopython mode).
+
+    Returns
+    -------
+    callable
+        Takes the same arguments. It runs without the interpreter's lock, so that several threads
+        can run kernels at once, and divides as numpy does (no ZeroDivisionError).
+
+    Notes
+    -----
+    A product and a sum may fuse into one instruction. Kernels therefore give the same bits between
+    runs and thread counts on one machine, but not between machines: decode arithmetic must not use
+    them.
+
+    Compiled code is cached beside the module that defines the kernel, and is built anew when that
+    module changes. numba does not see changes in kernels that it calls from other modules: while
+    such a module is being edited, set ``NUMBA_CACHE_DIR`` to a fresh folder.
     """
     compiled = njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})(function)
     return cast(Function, compiled)

@@ -1,4 +1,4 @@
-"""What each splat would change in the error of a thinned picture, from one walk over its pixels."""
+"""Marginal gains: how the error of a picture changes when one splat is added or taken out."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def _measure(
 ) -> float:
     """Fill the gain of every pair of a tile and a splat; return the sum of squared errors.
 
-    Two walks over each tile. The first blends what is present, over black.
-    The second goes front to back again and knows, at each splat, the transmittance before it and
-    the colour still to come from behind: all that adding it (or taking it out) would change.
+    Each tile is walked twice. `blend_tile` draws the splats that are present. The second walk, from
+    the front again over all splats, knows at each one the transmittance before it and the colour
+    that lies behind it: adding or taking out the splat changes nothing else.
     """
     height, width = target.shape[0], target.shape[1]
     state = np.empty(PLANES_COMPARED * PIXELS, np.float32)
@@ -87,8 +87,8 @@ def _measure(
                 row_x = centre_x + shear * dy
                 row_exponent = -flat * dy * dy
                 base = np.uintp(y * TILE)
-                # Columns and rows beyond the image have transmittance 0, nothing behind and no
-                # error: they add nothing.
+                # Pixels outside the image have transmittance 0, nothing behind and no error: they
+                # add nothing.
                 if present[i]:
                     for lane in range(LANES):
                         at = base + lane
@@ -96,7 +96,7 @@ def _measure(
                         _, alpha, weight, drawn, after, _ = blend_pixel(
                             state[at], opacity, row_exponent - u * u
                         )
-                        # Without it, what lies behind shines through undimmed.
+                        # Without the splat, what lies behind it is 1 / (1 - alpha) as bright.
                         odds = alpha / (_ONE - alpha) if drawn else _ZERO
                         state[at] = after
                         behind_red = state[at + RED] - weight * red
@@ -119,7 +119,7 @@ def _measure(
                         u = narrow * (np.float32(lane) - row_x)
                         live = state[at]
                         _, alpha, _, drawn, _, _ = blend_pixel(live, opacity, row_exponent - u * u)
-                        # Where it would end the pixel it is not blended.
+                        # A splat that would end the pixel is not blended.
                         alpha = alpha if drawn else _ZERO
                         change_red = alpha * (live * red - state[at + RED])
                         change_green = alpha * (live * green - state[at + GREEN])

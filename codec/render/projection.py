@@ -1,4 +1,4 @@
-"""Splats seen by a camera: the ellipses on the image within which they reach alpha 1/255."""
+"""EWA projection: splats as ellipses on a camera's image, cut where alpha falls below 1/255."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from .jit import kernel
 # 3DGS, computeCov2D: the Jacobian is taken inside the image widened by this share of its half size
 # (1.3 tan(fov / 2) for a centred principal point).
 GUARD = 0.3
-# Bounds of an ellipse are widened by this, in px and relative to its place and size, because the
-# footprint is rounded to float32; the test of alpha decides.
+# Bounds of an ellipse are widened by so many px, and by this share of its place and size, because
+# the ellipse is rounded to float32. Which pixels a splat reaches is decided by its alpha there.
 _SLACK_PX = 0.01
 _SLACK = 1e-6
 # Footprints beyond this, in px or its powers, are left out: their squares would leave float32.
@@ -30,7 +30,7 @@ X, Y, NARROW, SHEAR, FLAT, OPACITY, HALF_WIDTH, HALF_HEIGHT = range(8)
 
 @dataclass(frozen=True, eq=False)
 class Footprints:
-    """What M visible splats cover, nearest first (camera-space z of the mean, ties by row).
+    """Projected ellipses of M visible splats, nearest first (camera-space z, ties by row).
 
     Alpha at an offset (dx, dy) from the centre is
     ``opacity · exp(-(narrow · (dx - shear · dy))² - flat · dy²)``, which is the projected Gaussian
@@ -57,7 +57,7 @@ class Footprints:
 
 @kernel
 def slack(centre: float, extent: float) -> float:
-    """Return how far bounds of a footprint are widened, px."""
+    """Return by how much the bounds of an ellipse are widened, px."""
     return _SLACK_PX + _SLACK * (abs(centre) + extent)
 
 

@@ -1,4 +1,4 @@
-"""Pictures of a scene: footprints blended front to back in 16x16 px tiles, as 3DGS does."""
+"""Rasteriser: renders of a scene, blended front to back in 16x16 px tiles as 3DGS does."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .tiles import TILE, tile_lists
 
 @dataclass(frozen=True)
 class RenderConfig:
-    """How a scene is drawn.
+    """Settings of `render` and `render_views`.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def _draw_tiles(
     first: int,
     last: int,
 ) -> None:
-    """Draw the tiles ``first`` to ``last`` of an image."""
+    """Draw the tiles ``first`` to ``last`` of an image, half-open."""
     height, width = image.shape[0], image.shape[1]
     state = np.empty(PLANES * PIXELS, np.float32)
     for tile in range(first, last):
@@ -104,6 +104,7 @@ def _draw_tiles(
 def _draw(
     splats: Splats, camera: Camera, config: RenderConfig, threads: int
 ) -> NDArray[np.float32]:
+    """Render one view on so many threads."""
     footprints = project(
         splats,
         camera,
@@ -133,13 +134,14 @@ def _draw(
 
 
 def _config_of(splats: Splats) -> RenderConfig:
+    """Return the kernel and anti-aliasing that the scene states, over black."""
     return RenderConfig(kernel_px=splats.info.kernel_px, antialiased=splats.info.antialiased)
 
 
 def render(
     splats: Splats, camera: Camera, config: RenderConfig | None = None
 ) -> NDArray[np.float32]:
-    """Draw a scene from one camera.
+    """Render a scene from one camera.
 
     Parameters
     ----------
@@ -153,7 +155,7 @@ def render(
     Returns
     -------
     (H, W, 3) float32
-        The blend as it comes, in the scene's colour space, not clipped.
+        In the scene's colour space, not clipped.
 
     Notes
     -----
@@ -161,6 +163,15 @@ def render(
     projection, alpha capped at 0.99 and cut below 1/255, a pixel ends before its transmittance
     falls below 1e-4, order by camera-space z of the mean. A splat reaches exactly the pixels where
     its alpha is 1/255 or more.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.render.rasteriser import RenderConfig, render
+    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
+    >>> splats, camera = synth(500), synth_cameras(1, 64, 48)[0]
+    >>> image = render(splats, camera, RenderConfig(background=(1.0, 1.0, 1.0)))
+    >>> image.shape, image.dtype.name
+    ((48, 64, 3), 'float32')
     """
     config = config or _config_of(splats)
     return _draw(splats, camera, config, thread_count(config.threads))
@@ -173,7 +184,7 @@ def render_views(
     *,
     progress: Progress = silent,
 ) -> list[NDArray[np.float32]]:
-    """Draw a scene from several cameras, views in parallel.
+    """Render a scene from several cameras, views in parallel.
 
     Parameters
     ----------
@@ -188,6 +199,13 @@ def render_views(
     -------
     list of (H, W, 3) float32
         In the order of the cameras, not clipped; each equals what `render` gives, bit for bit.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.render.rasteriser import render_views
+    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
+    >>> [image.shape for image in render_views(synth(500), synth_cameras(2, 64, 48))]
+    [(48, 64, 3), (48, 64, 3)]
     """
     config = config or _config_of(splats)
     threads = thread_count(config.threads)

@@ -1,4 +1,7 @@
-"""How much error of the picture a small error of each stored value costs: the slopes of rates."""
+"""Sensitivities: what a small error of each stored value costs in error of the pictures.
+
+Rate allocation takes quantiser steps from them.
+"""
 
 from __future__ import annotations
 
@@ -35,10 +38,10 @@ from .tiles import TILE, TileLists, gather
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 
-# A tile and its neighbours list at most this many pairs at once, 36 bytes of moments each.
 PAIRS_AT_ONCE = 1 << 22
+"""Most pairs of a tile and a splat to list at once: each takes 36 bytes of moments."""
 
-# Moments Σ g·u^p·v^q, named by p and q; their rows in a tile's lanes.
+# Moments Σ g·u^p·v^q (see `_moments`), named by p and q, and their rows in a tile's lanes.
 M00, M20, M11, M02, M40, M31, M22, M13, M04 = range(9)
 MOMENTS = 9
 _L20, _L11, _L02, _L40, _L31, _L22, _L13, _L04 = (np.uintp(k * TILE) for k in range(1, MOMENTS))
@@ -65,15 +68,16 @@ class Sensitivities:
     scales : (N, 3) float64
         Of the logarithms.
     rotations : (N, 3) float64
-        Of small turns about the splat's own axes, per squared radian: ``q ← q · (1, δ / 2)``.
+        Of small rotations about the splat's own axes, per squared radian: ``q ← q · (1, δ / 2)``.
     sh0 : (N, 3) float64
         Of the DC coefficients, each channel for itself; nothing where its colour is clamped at 0.
 
     Notes
     -----
-    Exact derivatives of the blend, but for what changes by jumps (the cut at alpha 1/255, where a
-    pixel ends, the order in depth) and the shape and colour that a shift of the mean changes
-    through its new direction, which is smaller by the splat's size over its distance.
+    Exact derivatives of the blend, with two exceptions. What changes by jumps is left out: the cut
+    at alpha 1/255, where a pixel ends, the order in depth. So is the change of shape and colour
+    that follows from the new direction of a shifted mean; it is smaller by the factor of the
+    splat's size over its distance.
     """
 
     opacities: NDArray[np.float64]
@@ -117,9 +121,9 @@ def _moments(
 
     With (u, v) the offset from the centre in which alpha is ``opacity · exp(-u² - v²)``, and
     g = Σ over channels of (∂C/∂alpha · alpha)², the moments are Σ over pixels of g·u^p·v^q.
-    A pixel's ∂C/∂alpha is T·c less what lies behind, over 1 - alpha (Kerbl et al. 2023, appendix
-    C), so that the tile is walked twice as in `rasteriser.blend_tile`: to blend its colours, and to
-    take them off again from the front.
+    A pixel's ∂C/∂alpha is T·c less the colour behind the splat over 1 - alpha (Kerbl et al. 2023,
+    appendix C). The tile is therefore walked twice: `blend_tile` blends its colours, and the second
+    walk takes them off again from the front.
     """
     state = np.empty(PLANES * PIXELS, np.float32)
     lanes = np.empty(MOMENTS * TILE, np.float32)
@@ -181,7 +185,7 @@ def _moments(
                     slope_green = weighted_green - behind_green * odds
                     slope_blue = weighted_blue - behind_blue * odds
                     g = slope_red * slope_red + slope_green * slope_green + slope_blue * slope_blue
-                    # A capped alpha does not move.
+                    # A capped alpha has derivative 0.
                     g = g if drawn & (raw <= ALPHA_MAX) else _ZERO
                     # Where nothing is drawn, u may be too large for its powers.
                     u = u if drawn else _ZERO
@@ -214,7 +218,7 @@ def add_moments(
     threads: int,
     moments: NDArray[np.float64],
 ) -> None:
-    """Add what the tiles of `lists` show of each footprint's moments.
+    """Add the moments of each footprint in the tiles of `lists`.
 
     Parameters
     ----------
@@ -225,7 +229,7 @@ def add_moments(
     colours : (M, 3) float32
         Of the footprints.
     camera : Camera
-        That the footprints are seen by.
+        The camera of the footprints.
     threads : int
         At least 1. The sums do not depend on it.
     moments : (M, 9) float64
@@ -289,8 +293,8 @@ def _map(
     low_x, high_x = -cx / fx - guard_x, (width - cx) / fx + guard_x
     low_y, high_y = -cy / fy - guard_y, (height - cy) / fy + guard_y
     local = np.empty(3, np.float64)
-    turn = np.empty((3, 3), np.float64)
-    # Image vectors (px) of the splat's three axes, of unit length in the scene, bare and in (u, v).
+    splat_rotation = np.empty((3, 3), np.float64)
+    # The splat's three axes, of unit length in the scene, projected: in px, and in (u, v).
     bare = np.empty((3, 2), np.float64)
     axes = np.empty((3, 2), np.float64)
     variances = np.empty(3, np.float64)
@@ -330,15 +334,15 @@ def _map(
             float(quats[i, 3]),
         )
         norm = 2.0 / (qw * qw + qx * qx + qy * qy + qz * qz)
-        turn[0, 0] = 1.0 - norm * (qy * qy + qz * qz)
-        turn[0, 1] = norm * (qx * qy - qw * qz)
-        turn[0, 2] = norm * (qx * qz + qw * qy)
-        turn[1, 0] = norm * (qx * qy + qw * qz)
-        turn[1, 1] = 1.0 - norm * (qx * qx + qz * qz)
-        turn[1, 2] = norm * (qy * qz - qw * qx)
-        turn[2, 0] = norm * (qx * qz - qw * qy)
-        turn[2, 1] = norm * (qy * qz + qw * qx)
-        turn[2, 2] = 1.0 - norm * (qx * qx + qy * qy)
+        splat_rotation[0, 0] = 1.0 - norm * (qy * qy + qz * qz)
+        splat_rotation[0, 1] = norm * (qx * qy - qw * qz)
+        splat_rotation[0, 2] = norm * (qx * qz + qw * qy)
+        splat_rotation[1, 0] = norm * (qx * qy + qw * qz)
+        splat_rotation[1, 1] = 1.0 - norm * (qx * qx + qz * qz)
+        splat_rotation[1, 2] = norm * (qy * qz - qw * qx)
+        splat_rotation[2, 0] = norm * (qx * qz - qw * qy)
+        splat_rotation[2, 1] = norm * (qy * qz + qw * qx)
+        splat_rotation[2, 2] = 1.0 - norm * (qx * qx + qy * qy)
         slope_x = min(max(x, low_x), high_x)
         slope_y = min(max(y, low_y), high_y)
         var_x, var_y, cov, det = 0.0, 0.0, 0.0, 0.0
@@ -347,7 +351,7 @@ def _map(
             for k in range(3):
                 local[k] = 0.0
                 for axis in range(3):
-                    local[k] += rotation[k, axis] * turn[axis, j]
+                    local[k] += rotation[k, axis] * splat_rotation[axis, j]
             right = fx / z * (local[0] - slope_x * local[2])
             down = fy / z * (local[1] - slope_y * local[2])
             bare[j, 0], bare[j, 1] = right, down
@@ -361,13 +365,13 @@ def _map(
                 det += variances[j] * variances[k] * area * area
         for j in range(3):
             for k in range(j + 1):
-                # d(covariance) = strength · (a bᵀ + b aᵀ), of axis j scaled or turned against k.
+                # d(covariance) = strength · (a bᵀ + b aᵀ): axis j scaled, or rotated against k.
                 if j == k:
                     strength = variances[j]
                     column = _SCALES + j
                 else:
                     strength = variances[j] - variances[k]
-                    # Axes 1 and 2 turn about 0, 2 and 0 about 1, 0 and 1 about 2.
+                    # Axes 1 and 2 rotate about axis 0, axes 2 and 0 about 1, axes 0 and 1 about 2.
                     column = _ROTATIONS + 3 - j - k
                 constant = 0.0
                 if antialiased and det > 0.0:
@@ -400,7 +404,7 @@ def view_sensitivities(
     Parameters
     ----------
     splats, camera, footprints, colours
-        As the moments were made from.
+        What the moments were measured on.
     moments : (M, 9) float64
         From `add_moments`, over all tiles.
     squares : (M,) float64

@@ -1,4 +1,4 @@
-"""Colours that splats show to a camera, read in the order in which a scene holds them."""
+"""Shading: the colours that splats show to a camera, from their SH coefficients."""
 
 from __future__ import annotations
 
@@ -58,7 +58,19 @@ def _rank(
     ranks: NDArray[np.int32],
     ascending: NDArray[np.int32],
 ) -> None:
-    """List the rows of what is indexed in their order, and where each stands in the list."""
+    """List the visible rows in ascending order, and each one's place in that list.
+
+    Parameters
+    ----------
+    index : (M,) int32
+        Places in `rows` of the visible splats, in any order.
+    rows : (n,) int32
+        Ascending rows of the scene.
+    ranks : (n,) int32
+        Below 0; filled at the visible splats with their place in `ascending`.
+    ascending : (M,) int32
+        Filled with the visible rows.
+    """
     for place in range(len(index)):
         ranks[index[place]] = 0
     count = 0
@@ -70,12 +82,13 @@ def _rank(
 
 
 @kernel
-def _spread(
+def _reorder(
     index: NDArray[np.int32],
     ranks: NDArray[np.int32],
     shaded: NDArray[np.float32],
     colours: NDArray[np.float32],
 ) -> None:
+    """Copy colours from ascending rows (`_rank`) to the order of the index."""
     for place in range(len(index)):
         rank = ranks[index[place]]
         for channel in range(3):
@@ -112,20 +125,21 @@ def row_colours(
 def footprint_colours(
     splats: Splats, rows: NDArray[np.int32], camera: Camera, footprints: Footprints
 ) -> NDArray[np.float32]:
-    """Return the colours that footprints show to their camera, clamped at 0.
+    """Return the colours of footprints in the order of the footprints, clamped at 0.
 
-    SH coefficients are most of a scene's bytes. Read row by row, not nearest first, a million
-    splats are shaded in a seventh of the time.
+    The same as `row_colours` of ``rows[footprints.index]``. SH coefficients are most of a scene's
+    bytes: read in ascending rows instead of nearest first, a million splats are shaded in a seventh
+    of the time.
 
     Parameters
     ----------
     splats : Splats
     rows : (n,) int32
-        Ascending: those that were projected.
+        Ascending rows of the scene: the splats that were projected.
     camera : Camera
         In the frame of the means.
     footprints : Footprints
-        M of them, whose `index` counts in `rows`.
+        M of them; their `index` holds places in `rows`.
 
     Returns
     -------
@@ -135,5 +149,5 @@ def footprint_colours(
     ascending = np.empty(len(footprints), np.int32)
     _rank(footprints.index, rows, ranks, ascending)
     colours = np.empty((len(footprints), 3), np.float32)
-    _spread(footprints.index, ranks, row_colours(splats, ascending, camera), colours)
+    _reorder(footprints.index, ranks, row_colours(splats, ascending, camera), colours)
     return colours

@@ -1,4 +1,4 @@
-"""Which footprints touch which 16x16 px tile of an image, nearest first."""
+"""Tile lists: which footprints reach which 16x16 px tile of an image, nearest first."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .projection import HALF_HEIGHT, HALF_WIDTH, SHEAR, Footprints, X, Y, slack
 
 TILE = 16
 
-# Pairs of a tile and a splat listed at once: bounds memory (4 bytes here, 12 more while scoring)
-# where huge splats cover every tile.
+# Most pairs of a tile and a splat that are listed at once. Bounds memory (4 bytes a pair here, 12
+# more while scoring) where huge splats cover every tile.
 _PAIRS_AT_ONCE = 1 << 24
 # Tiles differ in cost: with so many ranges per thread, no thread waits long for the last range.
 _RANGES_PER_THREAD = 4
@@ -25,12 +25,12 @@ _RANGES_PER_THREAD = 4
 
 @dataclass(frozen=True, eq=False)
 class TileLists:
-    """Splats of the tiles ``first`` to ``last``, half-open, numbered row by row.
+    """Footprints that reach the tiles ``first`` to ``last``, half-open, numbered row by row.
 
     Parameters
     ----------
     first, last : int
-        Tiles covered.
+        Range of tiles.
     starts : (last - first + 1,) int64
         Where each tile's run in `members` begins.
     members : (P,) int32
