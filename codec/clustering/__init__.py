@@ -1,1 +1,1 @@
-"""k-means of vectors and of scalars."""
+"""Codebooks by k-means, of vectors and of single values."""

@@ -1,7 +1,7 @@
-"""Palettes: codebooks of tens of thousands of rows in near-linear time, by k-means on two levels.
+"""Palettes: codebooks of tens of thousands of rows, by hierarchical k-means in near-linear time.
 
-Plain k-means looks at every row for every vector. Here coarse clusters split the vectors first and
-share out the rows, and a vector looks only at the rows of the clusters around its own.
+Plain k-means compares every vector with every row. Here coarse clusters divide the vectors and the
+rows first, and a vector is compared only with the rows of the clusters nearest to its own.
 """
 
 from __future__ import annotations
@@ -19,32 +19,46 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-# A cluster with more rows than this is split again, so that no search in one takes long.
+# A cluster that is to have more rows than this is divided again, so that no search inside one takes
+# long: into one part for so many rows, at most `_SPLIT` parts.
 _LEAF_ROWS: Final = 512
 _SPLIT: Final = 256
 _ROWS_PER_PART: Final = 128
-# Data that hardly splits stops here, with fewer rows than asked for.
+# Most levels of division. Vectors that hardly divide get fewer rows than asked for.
 _DEEPEST: Final = 4
 
-# Coarse clusters come from a sample: they need not be good, only small.
+# Vectors that coarse clusters are trained on (these need not be good, only small), and vectors that
+# seeds are drawn from: so many per row, and at least so many.
 _SPLIT_SAMPLE: Final = 40_000
 _SEED_SAMPLE_PER_ROW: Final = 32
 _SMALLEST_SAMPLE: Final = 8192
 
+# Lloyd iterations inside one cluster, and then over all clusters.
 _LOCAL_ITERATIONS: Final = 3
 _ROUNDS: Final = 2
-# Vectors times rows that a round compares at most, about, and the clusters it looks into for it.
+# About how many pairs of a vector and a row are compared in one iteration over all clusters. The
+# number of neighbouring clusters that a vector is compared with follows from it.
 _ROUND_COMPARISONS: Final = 1 << 31
 _FEWEST_NEIGHBOURS: Final = 4
 _MOST_NEIGHBOURS: Final = 16
 
-# Vectors per product with the rows: the distances stay in the cache.
+# Vectors per matrix product with the rows: their distances stay in the cache.
 _BLOCK: Final = 1024
 
 
 @dataclass(frozen=True)
 class _Leaf:
-    """Vectors that lie together, by their indices, their middle, and the rows made for them."""
+    """A cluster that is not divided further.
+
+    Parameters
+    ----------
+    members : (m,) intp
+        Its vectors.
+    centre : (d,) float32
+        Mean of its first rows.
+    rows : (r, d) float32
+        Rows of the palette that were trained on its vectors.
+    """
 
     members: Index
     centre: F32
@@ -52,7 +66,7 @@ class _Leaf:
 
 
 def train_palette(vectors: F32, rows: int, threads: int = 0) -> tuple[F32, NDArray[np.uint32]]:
-    """Return the rows that stand for many vectors, and which row stands for each.
+    """Train a palette on vectors and return it with the palette row of each vector.
 
     Parameters
     ----------
@@ -68,14 +82,22 @@ def train_palette(vectors: F32, rows: int, threads: int = 0) -> tuple[F32, NDArr
     palette : (C, d) float32
         C ≤ `rows`; every row is used. Ordered by first use.
     labels : (n,) uint32
-        Index of a row near each vector, the nearest but for a few.
+        Row of each vector: the nearest one for all but a few, a near one for the others.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.clustering.hierarchical_kmeans import train_palette
+    >>> palette, labels = train_palette(np.array([[1], [5], [1]], np.float32), rows=4)
+    >>> palette.tolist(), labels.tolist()
+    ([[1.0], [5.0]], [0, 1, 0])
     """
     from threadpoolctl import threadpool_limits
 
     if not len(vectors):
         return np.empty((0, vectors.shape[1]), np.float32), np.empty(0, np.uint32)
     vectors = np.ascontiguousarray(vectors)
-    # One BLAS thread: its sums depend on how many it has.
+    # One BLAS thread: the order of its sums depends on their number.
     with threadpool_limits(limits=1):
         everything = np.arange(len(vectors))
         leaves = list(_leaves(vectors, everything, rows, 0, thread_count(threads)))
@@ -120,10 +142,10 @@ def _leaves(vectors: F32, members: Index, rows: int, depth: int, threads: int) -
 
 
 def _shares(counts: Index, errors: F64, rows: int) -> Index:
-    """Return how many rows each cluster gets: by count and error, at most a row per vector."""
+    """Divide the rows among clusters by √(vectors · squared error), at most one per vector."""
     weights = np.sqrt(counts * errors)
     shares = np.minimum(counts, 1)
-    # What clusters have too much of goes to the others, a few times over.
+    # Rows that a cluster has too few vectors for are divided among the others, a few times.
     for _ in range(8):
         left = rows - int(shares.sum())
         open_ = np.where(shares < counts, weights, 0.0)
@@ -137,7 +159,7 @@ def _shares(counts: Index, errors: F64, rows: int) -> Index:
 
 
 def _local(vectors: F32, rows: int, seed: int) -> F32:
-    """Return k-means rows of a few vectors, fewer than `rows` where there are not as many."""
+    """Return the k-means rows of one cluster, fewer than `rows` where it has fewer vectors."""
     centres = _seeds(vectors, rows, seed)
     if len(centres) == len(vectors):
         return centres
@@ -162,7 +184,7 @@ def _seeds(vectors: F32, rows: int, seed: int) -> F32:
         last = vectors[chosen[-1]]
         latest = norms - 2 * (vectors @ last) + norms[chosen[-1]]
         np.minimum(distances, latest.clip(0), out=distances)
-        # Where rounding leaves a little, it would be drawn again.
+        # Exactly 0: a rest that rounding leaves could be drawn again.
         distances[chosen[-1]] = 0
         total = np.cumsum(distances, dtype=np.float64)
         if total[-1] <= 0:
@@ -202,7 +224,7 @@ def _means(vectors: F32, labels: Index, count: int) -> tuple[F32, NDArray[np.boo
     used = counts > 0
     starts = (np.cumsum(counts) - counts)[used]
     means = np.empty((len(starts), vectors.shape[1]), np.float32)
-    # Column by column: a float64 copy of everything would be the largest array of all.
+    # Column by column: a float64 copy of all vectors would be the largest array in use.
     for column in range(vectors.shape[1]):
         values = vectors[order, column].astype(np.float64)
         means[:, column] = np.add.reduceat(values, starts) / counts[used]
@@ -214,7 +236,7 @@ def _assign(vectors: F32, leaves: list[_Leaf], threads: int) -> Index:
     sizes = np.array([len(leaf.rows) for leaf in leaves])
     bases = np.cumsum(sizes) - sizes
     centres = np.stack([leaf.centre for leaf in leaves])
-    # A leaf may have lost its rows to those around it.
+    # A leaf none of whose rows is used any more is no neighbour.
     centres[sizes == 0] = np.inf
     comparisons = len(vectors) * int(sizes.sum()) / len(leaves)
     neighbours = int(_ROUND_COMPARISONS / comparisons)

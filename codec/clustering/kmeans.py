@@ -1,4 +1,4 @@
-"""Codebooks: weighted k-means without dead rows, the same rows for any number of threads."""
+"""Codebooks of vectors by weighted k-means: no unused rows, the same for any number of threads."""
 
 from __future__ import annotations
 
@@ -15,26 +15,27 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U32 = NDArray[np.uint32]
 
-# Vectors per block of the nearest-row search: its distances to 4096 rows take 4 MiB and stay in
-# the cache, which is 1.7 times as fast as blocks of 2048.
+# Vectors per block of the nearest-row search. The distances of a block to 4096 rows take 4 MiB and
+# stay in the cache; that is 1.7 times as fast as blocks of 2048.
 _BLOCK: Final = 256
 
-# Vectors of less than this share of the largest weight are left out: scikit-learn weighs in
-# float32, where less is nothing.
+# Vectors whose weight is less than this share of the largest one are left out: scikit-learn holds
+# weights in float32, in which they would be 0.
 _LEAST_WEIGHT: Final = 1e-30
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """How codebooks are trained.
+    """Settings of codebook training.
 
     Parameters
     ----------
     iterations : int
         Lloyd iterations at most.
     samples : int
-        Vectors trained on at most, so that the time does not grow with the scene; drawn by weight.
+        Most vectors to train on, drawn by weight, so that the time does not grow with the scene.
     seed : int
+        Of all random choices.
     """
 
     iterations: int = 12
@@ -43,28 +44,36 @@ class TrainingConfig:
 
 
 def train(vectors: F32, weights: F64, rows: int, config: TrainingConfig | None = None) -> F32:
-    """Return codebook rows for weighted vectors.
+    """Train the codebook of weighted vectors.
 
     Parameters
     ----------
     vectors : (n, d) float32
         Magnitudes below 1e15: distances are summed in float32.
     weights : (n,) float64
-        What a squared error of each costs, finite and not negative; all count the same where all
-        are zero.
+        Cost of a squared error of each vector, finite and not negative. Where all are zero, all
+        vectors count the same.
     rows : int
-        Most rows; fewer come back where fewer distinct vectors carry weight.
+        Most rows of the codebook; it has fewer where fewer distinct vectors have weight.
     config : TrainingConfig, optional
 
     Returns
     -------
     (C, d) float32
-        C ≤ `rows`, every row used by at least one training vector; ascending, none twice.
+        C ≤ `rows`; each row is the nearest of at least one training vector. Ascending, distinct.
 
     Notes
     -----
-    scikit-learn's Lloyd k-means under one BLAS and OpenMP thread: its centres differ with the
-    number of threads. Seeded by k-means++ on a sample, refilled where rows died.
+    scikit-learn's Lloyd iterations, seeded by k-means++ on a sample. They run on one BLAS and
+    OpenMP thread, since the centres would differ with the number of threads.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.clustering.kmeans import train
+    >>> vectors = np.array([[0, 0], [0, 1], [9, 9], [9, 9]], np.float32)
+    >>> train(vectors, np.ones(4), rows=2).tolist()
+    [[0.0, 0.5], [9.0, 9.0]]
     """
     # scikit-learn costs a second to import and is needed by encoders only.
     from sklearn.cluster import KMeans, kmeans_plusplus
@@ -76,7 +85,8 @@ def train(vectors: F32, weights: F64, rows: int, config: TrainingConfig | None =
     if len(vectors) <= rows:
         return np.unique(vectors, axis=0)
     with threadpool_limits(limits=1):
-        # Seeding is quadratic in rows times vectors: a sample a few times the rows is as good.
+        # Seeding takes time in proportion to rows times vectors; a sample of a few times the rows
+        # gives seeds that are as good.
         seeds = min(len(vectors), max(8 * rows, 4096))
         chosen = rng.choice(len(vectors), seeds, replace=False, p=weights / weights.sum())
         centres, _ = kmeans_plusplus(
@@ -101,7 +111,7 @@ def train(vectors: F32, weights: F64, rows: int, config: TrainingConfig | None =
 
 
 def _without_warnings(work: Callable[[], object]) -> None:
-    """Run `work`; of duplicate vectors scikit-learn warns, and the caller drops their rows."""
+    """Run `work` without the warning that rows coincide: `train` drops such rows itself."""
     import warnings
 
     from sklearn.exceptions import ConvergenceWarning
@@ -112,12 +122,13 @@ def _without_warnings(work: Callable[[], object]) -> None:
 
 
 def _sample(vectors: F32, weights: F64, samples: int, rng: np.random.Generator) -> tuple[F32, F64]:
+    """Draw at most `samples` vectors; return them and weights that make up for the choice."""
     top = float(weights.max(initial=0.0))
     weights = weights / top if top > 0 else np.ones(len(vectors))
     keep = np.flatnonzero(weights >= _LEAST_WEIGHT)
     if len(keep) <= samples:
         return vectors[keep], weights[keep]
-    # Half by weight, half evenly: heavy vectors shape the rows, light ones still have some.
+    # Half by weight, half evenly: heavy vectors shape most rows, light ones still get a few.
     share = weights[keep] / weights[keep].sum()
     probability = 0.5 * share + 0.5 / len(keep)
     chosen = np.sort(rng.choice(len(keep), samples, replace=False, p=probability))

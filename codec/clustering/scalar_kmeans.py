@@ -1,4 +1,4 @@
-"""Codebooks of single values, close to the best: a dynamic programme, then Lloyd's steps."""
+"""Codebooks of single values by k-means: near the optimum, found by dynamic programming."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-# The programme merges this many times as many cells as it leaves.
+# A cell is a run of sorted values that one codebook value stands for. Dynamic programming merges
+# this many times as many fine cells as it leaves, at most `_WIDEST` of them into one.
 _FINER: Final = 4
-# Most fine cells that one final cell is made of; the average is `_FINER`.
 _WIDEST: Final = 64
 
+# Lloyd iterations at most, and bins of the histogram that the first cells come from.
 _ITERATIONS: Final = 200
 _BINS: Final = 4096
 
 
 def train_scalars(values: F32, levels: int) -> F32:
-    """Return the values that stand for many with little squared error.
+    """Train the codebook of single values that gives little squared error.
 
     Parameters
     ----------
@@ -35,6 +36,13 @@ def train_scalars(values: F32, levels: int) -> F32:
     (C,) float32
         Ascending and distinct; the distinct `values` themselves where they are no more than
         `levels`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.clustering.scalar_kmeans import train_scalars
+    >>> train_scalars(np.array([1, 1, 2, 8, 9, 10], np.float32), 2).round(2).tolist()
+    [1.33, 9.0]
     """
     ordered = np.sort(values)
     first = np.ones(len(ordered), np.bool_)
@@ -49,13 +57,29 @@ def train_scalars(values: F32, levels: int) -> F32:
 
 
 def nearest_scalars(values: F32, codebook: F32) -> NDArray[np.intp]:
-    """Return the index of the nearest of ascending codebook values for each value, any shape."""
+    """Return the index of the nearest codebook value of each value.
+
+    Parameters
+    ----------
+    values : any shape, float32
+    codebook : (C,) float32
+        Ascending.
+
+    Returns
+    -------
+    intp, of the shape of `values`
+        Of two values equally near the lower one.
+    """
     between = (codebook[:-1].astype(np.float64) + codebook[1:]) / 2
     return np.searchsorted(between, values)
 
 
 class _Sorted:
-    """Ascending values with sums over any run of them; cells are the places where runs begin."""
+    """Sorted values with the sums of any run of them.
+
+    Cells are given by their edges: C + 1 ascending places in the values, where the cells begin, and
+    the end.
+    """
 
     def __init__(self, ordered: F32) -> None:
         self.values = ordered.astype(np.float64)
@@ -66,10 +90,10 @@ class _Sorted:
         self.squares = np.concatenate([[0.0], np.cumsum(np.square(moved))])
 
     def start(self, levels: int) -> NDArray[np.intp]:
-        """Cut where centres spaced with the cube root of the density meet, best for many levels.
+        """Return cells whose centres are as dense as the cube root of the values' density.
 
-        Panter and Dite, "Quantization distortion in pulse-count modulation with nonuniform spacing
-        of levels" (1951).
+        That is the optimum for many levels: Panter and Dite, "Quantization distortion in
+        pulse-count modulation with nonuniform spacing of levels" (1951).
         """
         counts, edges = np.histogram(self.values, _BINS)
         shares = np.concatenate([[0.0], np.cumsum(np.cbrt(counts))])
@@ -82,7 +106,7 @@ class _Sorted:
         return means
 
     def lloyd(self, cells: NDArray[np.intp], iterations: int) -> NDArray[np.intp]:
-        """Return better cells, where no value is nearer to another cell's mean."""
+        """Return cells after Lloyd iterations: until no value is nearer to another cell's mean."""
         for _ in range(iterations):
             better = self._cut(self.centres(cells))
             if np.array_equal(better, cells):
@@ -91,18 +115,21 @@ class _Sorted:
         return cells
 
     def split(self, cells: NDArray[np.intp], levels: int) -> NDArray[np.intp]:
-        """Return `levels` cells, or as many as there are, by halving those of the largest error."""
+        """Return `levels` cells, by cutting those of the largest error at their means.
+
+        Fewer, where all cells hold equal values.
+        """
         while len(cells) - 1 < levels:
             sums, counts = np.diff(self.sums[cells]), np.diff(cells)
             errors = np.diff(self.squares[cells]) - sums**2 / counts
             errors[self.values[cells[:-1]] == self.values[cells[1:] - 1]] = 0
-            # A third at a time, so that halves take part soon.
+            # A third of the cells at a time, so that new cells are soon compared with the others.
             most = min(levels - len(counts), len(counts) // 3 + 1)
             worst = np.argsort(-errors, kind="stable")[:most]
             worst = worst[errors[worst] > 0]
             middles = sums[worst] / counts[worst] + self.middle
             cuts = np.searchsorted(self.values, middles, side="right")
-            # A mean rounded up to the last value would cut nothing off.
+            # A mean that is rounded up to the cell's last value would cut nothing off.
             cuts = np.minimum(cuts, np.searchsorted(self.values, self.values[cells[worst + 1] - 1]))
             finer = np.union1d(cells, cuts)
             if len(finer) == len(cells):
@@ -111,12 +138,15 @@ class _Sorted:
         return cells
 
     def merge(self, cells: NDArray[np.intp], levels: int) -> NDArray[np.intp]:
-        """Return the best `levels` cells that whole given cells make (Bruce, 1965)."""
+        """Return the `levels` cells of least squared error that unions of given ones make.
+
+        By dynamic programming over the edges (Bruce, 1965).
+        """
         fine = len(cells) - 1
         if fine <= levels:
             return cells
         width = min(_WIDEST, fine)
-        # cost[j, t]: the error of one cell made of the fine cells from j - 1 - t to before j.
+        # cost[j, t]: the squared error of one cell that joins the fine cells j - 1 - t to j - 1.
         ends = np.arange(fine + 1)[:, None]
         begins = ends - 1 - np.arange(width)
         legal = begins >= 0
@@ -139,5 +169,6 @@ class _Sorted:
         return cells[places[::-1]]
 
     def _cut(self, centres: F64) -> NDArray[np.intp]:
+        """Return the cells of the values nearest to each centre."""
         inner = np.searchsorted(self.values, (centres[:-1] + centres[1:]) / 2, side="right")
         return np.unique(np.concatenate([[0], inner, [len(self.values)]]))

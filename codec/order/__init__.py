@@ -1,1 +1,1 @@
-"""Which splats come first, and how that order is cut into chunks."""
+"""Orders: which splats come first in a file, and how an order is cut into chunks."""

@@ -1,6 +1,6 @@
-"""Orders that look at nothing but a splat's own values: what others sort by, to be compared with.
+"""Baseline orders of other programs and papers, from a splat's own values, to compare with.
 
-All return priorities, higher first.
+Each function returns priorities, (N,) float64: splats of higher priority come first.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from cogsplat.codec.splats import Splats
 
 F64 = NDArray[np.float64]
 
-# SGSS (Zhu et al. 2025), importance score: the power of the volume.
+# SGSS (Zhu et al. 2025), importance score: the exponent of the volume.
 _SGSS_POWER = 0.1
 
 
 def descending(priority: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Return rows by descending priority, ties in file order, NaN last."""
+    """Return rows by descending priority: (N,) int64, ties in file order, NaN last."""
     return np.argsort(-priority, kind="stable").astype(np.int64)
 
 
 def antimatter(splats: Splats) -> F64:
-    """Return the logarithm of volume times opacity, exp(Σs)·σ(o): what web viewers sort by."""
+    """Return the logarithm of volume times opacity, exp(Σs)·σ(o), as antimatter15/splat sorts."""
     return scale(splats) + _log_opacity(splats)
 
 
@@ -46,11 +46,12 @@ def scale(splats: Splats) -> F64:
 
 
 def nearness(splats: Splats) -> F64:
-    """Return the negated distance of the mean from the origin, scene units."""
+    """Return the negated distance of each mean from the origin, scene units."""
     squares: F64 = np.square(splats.means.astype(np.float64)).sum(axis=1)
     return -np.sqrt(squares)
 
 
 def _log_opacity(splats: Splats) -> F64:
+    """Return the logarithm of each opacity, ln σ(o)."""
     logs: F64 = -np.logaddexp(0.0, -splats.opacities.astype(np.float64))
     return logs

@@ -1,4 +1,4 @@
-"""Cut an order into chunks: small ones first, so that the first picture is soon there."""
+"""Chunk sizes: an order is cut into growing chunks, so that the first picture comes soon."""
 
 from __future__ import annotations
 
@@ -11,22 +11,24 @@ from numpy.typing import NDArray
 from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
 
 DEFAULT_LARGEST: Final = 16384
-# Small chunks cost bytes, large ones waiting. Swept on fox (73,780 splats at 35.4 dB, by
-# contribution): first, growth, largest; bytes; dB of the first 32, 64, 128 and 256 KiB.
+# Small chunks cost bytes, large ones make the viewer wait. Swept on a captured scene (73,780 splats
+# at 35.4 dB, by contribution). Columns: splats of the first chunk, growth, splats of the largest;
+# bytes of the file; PSNR in dB of its first 32, 64, 128 and 256 KiB.
 #    256 1.75 16384  482,312  15.5 19.5 20.4 24.6      256 1.75  4096  519,805  15.5 19.1 21.6 25.7
 #    512 1.5   8192  496,905  16.3 17.9 22.2 25.4      512 1.3   8192  505,218  16.2 18.5 21.4 26.2
 #   1024 1.5  16384  483,226  17.4 19.0 21.7 25.7     1024 1.25  8192  502,746  16.1 18.3 21.2 25.8
 #   2048 1.5  16384  478,711  15.8 19.5 22.4 27.1     1024 1.75 16384  481,114  15.9 18.2 21.6 26.1
-# How a chunk's end happens to fall decides as much; a first chunk of 1,024 takes about 6 KiB.
-# Rows that are not sorted by Morton code inside their chunks take 35 % more, and 256 KiB of them
-# show 3.6 dB less.
+# Where a chunk happens to end matters as much as these settings. A first chunk of 1,024 splats
+# takes about 6 KiB. Without sorting by Morton code inside chunks the file is 35 % larger, and its
+# first 256 KiB show 3.6 dB less.
 FIRST_SPLATS: Final = 1024
-# Each chunk so much larger than the one before: the wait for the next stays in proportion.
+# Each chunk is so much larger than the one before: the wait for the next one stays in proportion to
+# what is already there.
 _GROWTH: Final = 1.5
 
 
 def plan_chunks(splats: int, largest: int = DEFAULT_LARGEST) -> list[slice]:
-    """Return consecutive runs that cover `splats` rows.
+    """Return the row ranges of the chunks that an order of `splats` rows is cut into.
 
     Parameters
     ----------
@@ -38,8 +40,19 @@ def plan_chunks(splats: int, largest: int = DEFAULT_LARGEST) -> list[slice]:
     Returns
     -------
     list of slice
-        Growing from at most `FIRST_SPLATS` rows until one would be `largest`; the rest in even runs
-        of at most that.
+        Consecutive; the sizes grow from at most `FIRST_SPLATS` rows until one would reach
+        `largest`; the rest is cut into even chunks of at most that.
+
+    Raises
+    ------
+    ValueError
+        `largest` out of range.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.order.chunks import plan_chunks
+    >>> [chunk.stop - chunk.start for chunk in plan_chunks(10_000, largest=3000)]
+    [1024, 1536, 2304, 2568, 2568]
     """
     if not 1 <= largest <= MAX_CHUNK_SPLATS:
         raise ValueError(f"chunks of {largest} splats, expected 1 to {MAX_CHUNK_SPLATS}")
@@ -48,12 +61,13 @@ def plan_chunks(splats: int, largest: int = DEFAULT_LARGEST) -> list[slice]:
     while start < splats:
         rest = splats - start
         if size >= largest:
-            # As few chunks as hold the rest, and even ones: a tiny last chunk costs its framing.
+            # As few chunks as hold the rest, of even size: a tiny last chunk would still cost a
+            # head and an index entry.
             count = -(-rest // largest)
             bounds = [start + rest * number // count for number in range(count + 1)]
             return chunks + [slice(a, b) for a, b in pairwise(bounds)]
         stop = start + int(size)
-        # A rest smaller than half a chunk joins this one where it may.
+        # Rows that would make less than half of the next chunk join this one, if it may hold them.
         if splats - stop < size / 2 and rest <= largest:
             stop = splats
         stop = min(stop, splats)
@@ -62,33 +76,33 @@ def plan_chunks(splats: int, largest: int = DEFAULT_LARGEST) -> list[slice]:
     return chunks
 
 
-# Chunks behind the first that are sorted together. Of a captured room's bytes an order by gain
-# takes 16 % more than one by contribution, and 4, sorted by threes; by fours, 20 % of the splats
-# show 0.6 dB less.
+# How many chunks behind the first are sorted together. A captured room ordered by marginal gain
+# takes 16 % more bytes than one ordered by contribution, and 4 % more once sorted in runs of three
+# chunks. In runs of four, 20 % of the splats show 0.6 dB less.
 _SORT_RUN_CHUNKS: Final = 3
 
 
 def sort_runs(
     rows: NDArray[np.int64], priority: NDArray[np.float64], largest: int = DEFAULT_LARGEST
 ) -> NDArray[np.int64]:
-    """Return an order in which splats of equal weight share chunks, and soon the same prefixes.
+    """Sort an order by priority inside runs of three chunks, so that chunks hold similar splats.
 
-    The steps of a chunk are one for all its splats: they are finer than they need be for most
-    where a few weigh more. So, of every three chunks but the first, the heaviest splats come first.
+    All splats of a chunk share its quantiser steps. Where a few splats weigh more than the others,
+    the steps are finer than most of the chunk needs.
 
     Parameters
     ----------
     rows : (n,) int64
         An order of a scene or of some of it.
     priority : (N,) float64
-        Of the scene.
+        Of the scene's rows, such as their contribution.
     largest : int
-        As `plan_chunks`.
+        As in `plan_chunks`.
 
     Returns
     -------
     (n,) int64
-        Ties as they were.
+        The first chunk unchanged, then the runs, each by descending priority; ties stay in order.
     """
     chunks = plan_chunks(len(rows), largest)
     parts = [rows[run] for run in chunks[:1]]

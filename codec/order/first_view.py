@@ -1,4 +1,4 @@
-"""Orders that serve one known pose first: what an order becomes for who starts there."""
+"""Orders for a known first view: what its camera sees moves to the front of another order."""
 
 from __future__ import annotations
 
@@ -11,24 +11,25 @@ from numpy.typing import NDArray
 def lead(
     rows: NDArray[np.int64], ahead: NDArray[np.int64], share: float, mix: float = 1.0
 ) -> NDArray[np.int64]:
-    """Return an order with the first of another before it, or mixed into its beginning.
+    """Return an order with the first rows of another one mixed into its beginning.
 
     Parameters
     ----------
     rows : (N,) int64
         The order of all rows.
     ahead : (M,) int64
-        The order by one view: some of the rows, none twice.
+        The order of the first view: some of the rows, none twice.
     share : float
-        Of all rows, how many of `ahead` come early at most, 0 to 1.
+        Most rows that are taken from `ahead`, as a share of all rows, 0 to 1.
     mix : float
-        Of any beginning, how much is of those, as long as they last, 0 to 1.
+        Share of every prefix that is taken from `ahead`, until these rows are used up, 0 to 1.
 
     Returns
     -------
     (N,) int64
-        The first `mix` of any beginning are of `ahead`, the rest of `rows`, where a row that is
-        among both counts for both; when `share` is reached, the others as they stand in `rows`.
+        Every prefix of n rows holds the first ``mix · n`` rows of `ahead`, up to `share`, and the
+        first ``(1 - mix) · n`` of `rows`; a row that is among both counts for both. The other rows
+        follow as they stand in `rows`.
     """
     first = ahead[: math.ceil(share * len(rows))]
     rank = np.empty(len(rows), np.int64)
@@ -43,27 +44,27 @@ def lead(
 def keep_share(
     rows: NDArray[np.int64], inside: NDArray[np.bool_], share: float
 ) -> NDArray[np.int64]:
-    """Return an order of which every prefix lies inside to at least a share, as long as that lasts.
+    """Return an order of whose prefixes at least a share lies inside, such as inside a frustum.
 
     Parameters
     ----------
     rows : (N,) int64
         The order of all rows.
     inside : (N,) bool
-        By row.
+        Of the scene's rows.
     share : float
-        0 to 1. Where the order has more inside of its own accord, it stays as it is.
+        0 to 1. Where the order itself has a larger share inside, it stays as it is.
 
     Returns
     -------
     (N,) int64
-        Those inside and those outside each as they stand in `rows`; who is outside waits until the
-        share allows it, or nobody is left inside.
+        The rows inside and the rows outside each as they stand in `rows`. A row outside waits until
+        the share is kept with it, or no row inside is left.
     """
     marks = inside[rows]
     within, without = rows[marks], rows[~marks]
-    # Before the outsider of number k come at least k·share/(1 - share) insiders, or those that
-    # stand before it in the order.
+    # Before the k-th row outside come at least k · share / (1 - share) rows inside, or as many as
+    # stand before it in the order, if those are more.
     numbers = np.arange(1, len(without) + 1)
     natural = np.cumsum(marks)[~marks]
     with np.errstate(divide="ignore"):
@@ -84,5 +85,11 @@ def halved_outside(inside: NDArray[np.bool_]) -> float:
     Parameters
     ----------
     inside : (N,) bool
+        Of the scene's rows.
+
+    Returns
+    -------
+    float
+        0.5 to 1.
     """
     return 1.0 - 0.5 * float(np.count_nonzero(~inside)) / max(len(inside), 1)

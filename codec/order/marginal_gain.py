@@ -1,4 +1,4 @@
-"""The order by marginal gain: at every moment, the splats that the picture so far needs most."""
+"""The order by marginal gain: each stage adds the splats that lower the prefix's error most."""
 
 from __future__ import annotations
 
@@ -22,41 +22,45 @@ from cogsplat.codec.threads import ordered_map, thread_count
 
 from . import prefix_inflation
 
-# By how much a prefix grows in one stage, and what it begins with, as a share of the scene: the
-# fewer splats at once, the less they are redundant among themselves. From the sweep on a captured
-# room; finer stages are worth 0.2 dB and cost in proportion.
+# Growth of the prefix in one stage, and its first size as a share of the scene. The fewer splats
+# join at once, the less redundant they are among themselves. From a sweep on a captured room; finer
+# stages give 0.2 dB more and take time in proportion.
 _GROWTH: Final = 0.16
 _FIRST: Final = 1 / 8000
 _MOST_FIRST: Final = 16
-# Views looked at in one stage; the next looks at others.
+# Views in which gains are measured in one stage; each stage samples others.
 _VIEWS: Final = 24
-# Only so many times the prefix, the best by contribution or by contribution and size, are
-# candidates: what is further back is not worth looking at yet.
+# Candidates of a stage, in multiples of the prefix, and at least so many: the best by contribution,
+# or by contribution times a power of the volume. Splats further down gain too little to be measured
+# yet.
 _POOL: Final = 8
 _LEAST_POOL: Final = 4000
-# Splats picked at once for the same hole are redundant. A stage picks from a random part of the
-# candidates only, so that it takes fewer of each hole; the next sees what is still missing. It is
-# worth 0.5 dB at 10 to 20 % of a scene and costs as much where nearly all are needed.
-_THINNED: Final = 0.45
-_THIN_FROM: Final = 4
-_THIN_UNTIL: Final = 0.25
-# Beyond this share the rest are in order of contribution: nothing is left to choose.
+# Splats that are picked in one stage because the same part of the picture is missing are redundant.
+# A stage therefore picks from a random share of the candidates only, so that it takes fewer for
+# each such part, and the next stage measures what is still missing. This gives 0.5 dB at 10 to 20 %
+# of a scene, and costs as much where nearly all splats are needed: it begins after so many stages
+# and ends at this share of the scene.
+_RANDOM_SHARE: Final = 0.45
+_RANDOM_FROM: Final = 4
+_RANDOM_UNTIL: Final = 0.25
+# Beyond this share of the scene the rest follows by contribution: gains no longer differ.
 _UNTIL: Final = 0.8
-# Big splats first (antimatter, SGSS): the exponent of volume in the second choice of candidates.
+# Exponent of the volume in the second choice of candidates, which favours large splats as the
+# orders antimatter and sgss do.
 _VOLUME: Final = 0.2
 
 
 @dataclass(frozen=True)
 class GainConfig:
-    """How the order by gain is made.
+    """Settings of the order by marginal gain.
 
     Parameters
     ----------
     inflated : bool
-        Whether prefixes are made for being drawn with compensation (`prefix_inflation.typical`),
-        which shows far more in few splats, or as they are.
+        Whether gains are measured with prefixes inflated as compensation will draw them
+        (`prefix_inflation.typical`), which shows far more with few splats, or as they are.
     jitter : bool
-        Also look from copies of the cameras that step back and turn.
+        Also measure gains in jittered copies of the cameras (`view_sets.jitter`).
     threads : int
         0 for every core this process may use. The order does not depend on it.
     """
@@ -71,7 +75,7 @@ class GainConfig:
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """Some splats of a scene as they are drawn while gains are measured, colours not copied.
+    """Rows of a scene as they are drawn while gains are measured, without a copy of their colours.
 
     Parameters
     ----------
@@ -144,7 +148,7 @@ def view_gains(
 
 
 def _places(priority: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the place of every row in descending order, ties in file order."""
+    """Return each row's place in the order of descending priority, ties in file order: (N,)."""
     places = np.empty(len(priority), np.int64)
     places[np.argsort(-priority, kind="stable")] = np.arange(len(priority))
     return places
@@ -157,23 +161,24 @@ def gains(
     views: Sequence[int],
     threads: int,
 ) -> NDArray[np.float64]:
-    """Return by how much each splat would lower the mean squared error, summed over views.
+    """Return the marginal gain of every splat of a pool: by how much it lowers the squared error.
 
     Parameters
     ----------
     pool : Pool
         n splats.
     present : (n,) bool
+        Those in the prefix.
     references : ReferenceViews
     views : sequence of int
-        Of the reference views.
+        Numbers of the reference views to measure in.
     threads : int
         At least 1. The gains do not depend on it.
 
     Returns
     -------
     (n,) float64
-        Weighted as the reference views are; per pixel, summed over channels.
+        Weighted sum over the views of the gain per pixel, summed over channels.
     """
     total = np.zeros(len(pool.rows), np.float64)
     found = ordered_map(
@@ -202,7 +207,7 @@ def gain_rows(
     *,
     progress: Progress = silent,
 ) -> NDArray[np.int64]:
-    """Order a scene by marginal gain.
+    """Order a scene by marginal gain, measured in given reference views.
 
     Parameters
     ----------
@@ -210,7 +215,6 @@ def gain_rows(
     scores : Scores
         Of these splats.
     references : ReferenceViews
-        What prefixes are compared with.
     config : GainConfig, optional
     progress : Progress
         Called with ``("gain", splats placed, splats to place)``.
@@ -222,10 +226,10 @@ def gain_rows(
 
     Notes
     -----
-    In stages of growing size. One walk over the pixels of a few views tells for every candidate
-    what adding it alone would do for the picture (`view_gains`); the best of a random
-    part of them join. Contribution (PRoGS, section 3.1) measures what a splat adds to the *full*
-    picture, where others stand before it and share its work; a prefix is another picture.
+    The prefix grows in stages. In each, the gain of every candidate is measured in a few views
+    (`gains`), and the best of a random share of the candidates join. Contribution (PRoGS, section
+    3.1) measures how much a splat weighs in a render of the *full* scene. In a prefix most of the
+    splats that hide or overlap it are missing, so that it may matter more, or less.
     """
     config = config or GainConfig()
     threads = thread_count(config.threads)
@@ -244,11 +248,11 @@ def gain_rows(
     while placed < until:
         wanted = min(max(first, int(placed * _GROWTH)), until - placed)
         candidates = ~chosen & (place < max(_POOL * (placed + wanted), _LEAST_POOL))
-        if len(stages) >= _THIN_FROM and placed + wanted < _THIN_UNTIL * count:
-            part = candidates & (rng.random(count) < _THINNED)
+        if len(stages) >= _RANDOM_FROM and placed + wanted < _RANDOM_UNTIL * count:
+            part = candidates & (rng.random(count) < _RANDOM_SHARE)
             if part.sum() >= wanted:
                 candidates = part
-        # In file order, in which memory is read fastest.
+        # In file order: that is how memory is read fastest.
         rows = np.flatnonzero(chosen | candidates)
         present = chosen[rows]
         by = (
@@ -259,7 +263,7 @@ def gain_rows(
         views = references.sample(_VIEWS, len(stages))
         gain = gains(pool_of(splats, rows, by), present, references, views, threads)
         gain[present] = -np.inf
-        # Ties, such as splats that these views do not show, are in order of contribution.
+        # Ties, such as splats that these views do not show, come by contribution.
         picked = rows[np.lexsort((by_contribution[rows], -gain))[:wanted]]
         stages.append(picked)
         chosen[picked] = True
@@ -279,17 +283,17 @@ def gain_order(
     references: ReferenceViews | None = None,
     progress: Progress = silent,
 ) -> NDArray[np.int64]:
-    """Order a scene by marginal gain, drawing it from some cameras first unless that was done.
+    """Order a scene by marginal gain in the views of some cameras.
 
     Parameters
     ----------
     splats, scores, config, progress
-        As `gain_rows`; progress also of `reference_views.render_references`.
+        As in `gain_rows`; progress also that of `reference_views.render_references`.
     cameras : sequence of Camera
         In the frame of the means. Without any, or without splats, the order is by contribution.
     references : ReferenceViews, optional
-        The scene in views of these cameras, where it has been drawn; then `GainConfig.jitter` does
-        not count.
+        Reference views of these cameras, if they have been rendered already; then
+        `GainConfig.jitter` has no effect.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Objects of a scene: labels per splat, and chunks of one object each (PRoGS, section 3.4)."""
+"""Objects of a scene: one label per splat, and chunks of one object each (PRoGS, section 3.4)."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from cogsplat.codec.splats import Splats
 from . import chunks as chunking
 
 ATTRIBUTE: Final = "object"
-"""Name of the extra attribute that holds labels: one integer per splat, 0 for what is no object."""
+"""Name of the extra attribute with labels: one integer per splat, 0 for splats of no object."""
 
 _MOST_LABEL: Final = (1 << 32) - 1
 
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """Rows cut into chunks.
+    """An order cut into chunks of one object each.
 
     Parameters
     ----------
     rows : (n,) int64
-        First to last.
+        Rows of the scene, first to last.
     slices : sequence of slice
         The chunks, consecutive runs of `rows`.
     objects : (chunks,) uint32
-        What each chunk holds.
+        Label of the object that each chunk holds.
     """
 
     rows: NDArray[np.int64]
@@ -50,8 +50,8 @@ def labels_of(splats: Splats) -> NDArray[np.uint32]:
     Raises
     ------
     DataError
-        ``no-objects``: there is no such attribute. ``bad-objects``: it is no single integer from 0
-        to 2³² - 1 per splat.
+        ``no-objects``: the scene has no such attribute. ``bad-objects``: the attribute is not one
+        integer from 0 to 2³² - 1 per splat.
     """
     if ATTRIBUTE not in splats.extras:
         raise DataError(
@@ -64,7 +64,7 @@ def labels_of(splats: Splats) -> NDArray[np.uint32]:
         raise DataError(
             "bad-objects", f"{ATTRIBUTE!r} of shape {labels.shape}, expected one label per splat"
         )
-    # Text formats and old tools hold labels as floats; whole ones lose nothing.
+    # Text formats and some programs store labels as floats; whole numbers are taken.
     if len(labels) and not (
         np.isfinite(labels).all()
         and (labels == np.floor(labels)).all()
@@ -87,6 +87,19 @@ def with_labels(splats: Splats, labels: NDArray[np.integer]) -> Splats:
     splats : Splats
     labels : (N,) integer
         0 to 2³² - 1.
+
+    Returns
+    -------
+    Splats
+        Shares its other arrays with `splats`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.order.objects import labels_of, with_labels
+    >>> from cogsplat.codec.splats import empty
+    >>> labels_of(with_labels(empty(0, 3), np.array([0, 2, 2]))).tolist()
+    [0, 2, 2]
     """
     most = int(labels.max()) if len(labels) else 0
     narrow = labels.astype(np.min_scalar_type(most))
@@ -96,18 +109,20 @@ def with_labels(splats: Splats, labels: NDArray[np.integer]) -> Splats:
 def ranked(
     labels: NDArray[np.uint32], contribution: NDArray[np.float64]
 ) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
-    """Return the objects by descending contribution, and those contributions.
+    """Return the labels of the objects by descending contribution, and these contributions.
 
     Parameters
     ----------
     labels : (N,) uint32
     contribution : (N,) float64
+        Of the splats.
 
     Returns
     -------
     objects : (n,) uint32
-        Ties by label.
+        Each label once, ties by label.
     total : (n,) float64
+        Sum of the contributions of each object's splats.
     """
     objects, member = np.unique(labels, return_inverse=True)
     total: NDArray[np.float64] = np.bincount(member, contribution, len(objects)).astype(np.float64)
@@ -127,7 +142,7 @@ def arrange(
     Parameters
     ----------
     rows : (n,) int64
-        The order over all objects; inside an object it stays.
+        The order over all objects; it is kept inside each object.
     labels : (N,) uint32
         Of the scene.
     contribution : (N,) float64
@@ -135,14 +150,15 @@ def arrange(
     largest : int
         Most splats in a chunk.
     budgets : sequence of (int, float)
-        Share of an object's splats that comes before all that is beyond budgets; None for all
-        objects that are not named.
+        Label, and the share of that object's splats that comes before all splats beyond budgets;
+        None stands for all objects that are not named.
 
     Returns
     -------
     Arrangement
-        First what is within budgets, object by object as `ranked`. Then the other chunks by the
-        mean place of their splats in `rows`, so that the whole scene sharpens as if it had none.
+        First the splats within budgets, object by object in the order of `ranked`. Then the other
+        chunks by the mean place of their splats in `rows`, so that the rest of the scene sharpens
+        as without budgets.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Labels for splats from masks of a few views: whose pixels a splat shows in, it belongs to."""
+"""Object labels from masks: each splat gets the label of the pixels in which it weighs most."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from cogsplat.codec.render.label_votes import label_votes
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
-# Votes are a float64 per splat and label.
+# Most splats times labels: each pair takes a float64.
 _MOST_VOTES: Final = 1 << 30
 
-# Splats that no mask sees go with most of so many neighbours that some mask does.
+# Splats that are seen in no mask take the commonest label of so many nearest splats that are.
 _NEIGHBOURS: Final = 5
 
 
@@ -30,7 +30,7 @@ def assign(
     threads: int = 0,
     progress: Progress = silent,
 ) -> NDArray[np.uint32]:
-    """Give every splat the label whose mask collects most of its weight (PRoGS, section 3.4).
+    """Give every splat the label in whose pixels its weights sum to most (PRoGS, section 3.4).
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def assign(
     cameras : sequence of Camera
         In the frame of the means, at least one.
     masks : sequence of (H, W) integer
-        Of each camera, in its size: labels from 0 to 2³² - 1, 0 for what is no object.
+        One for each camera, of its image size: labels from 0 to 2³² - 1, 0 for pixels of no object.
     threads : int
         0 for all cores; the labels do not depend on it.
     progress : Progress
@@ -47,15 +47,15 @@ def assign(
     Returns
     -------
     (N,) uint32
-        Of equal votes the smallest label. A splat that shows in no pixel goes with most of its five
-        nearest neighbours that do, of equally many with the nearest.
+        Of equal sums the smallest label. A splat that is seen in no pixel takes the commonest label
+        of the five nearest splats that are; of equally common ones that of the nearest.
 
     Raises
     ------
     DataError
-        ``no-cameras``; ``cameras-see-nothing``: no splat shows in any pixel.
+        ``no-cameras``: no camera. ``cameras-see-nothing``: no splat is seen in any pixel.
     LimitError
-        ``mask-labels``: more splats times labels than fit into memory.
+        ``mask-labels``: more than 2³⁰ splats times labels.
     ValueError
         Masks of another number or size than the cameras.
     """
@@ -106,7 +106,7 @@ def _from_neighbours(
     seen: NDArray[np.bool_],
     count: int,
 ) -> NDArray[np.intp]:
-    """Return what most of the neighbours of those not seen are, among those seen."""
+    """Return, for each splat not seen, the commonest label of its nearest splats that are seen."""
     from scipy.spatial import KDTree
 
     finite = np.nan_to_num(means.astype(np.float64), posinf=0.0, neginf=0.0)
@@ -115,7 +115,7 @@ def _from_neighbours(
     around = winners[seen][found]
     tally = np.zeros((len(around), count), np.float64)
     for rank in range(nearest):
-        # The nearest counts a little more, which decides ties and nothing else.
+        # The nearest counts half a vote more, which decides ties and nothing else.
         weight = 1.5 if rank == 0 else 1.0
         tally[np.arange(len(around)), around[:, rank]] += weight
     chosen: NDArray[np.intp] = tally.argmax(axis=1)

@@ -1,7 +1,8 @@
 """Octree orders: every part of space gets its share of the first splats (PRoGS, section 3.2).
 
-The paper sorts by contribution inside the leaves and leaves open how their tops make one order, of
-which there are two readings, and how deep the tree is where there are many splats.
+The paper sorts by contribution inside each leaf of the octree. It leaves open how the leaves are
+merged into one order, for which there are two functions here (`round_robin` and `quota`), and how
+deep the octree is where splats are dense (`leaves` and `adaptive_leaves`).
 """
 
 from __future__ import annotations
@@ -12,23 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_DEPTH: Final = 20
-"""Three coordinates of so many bits fit an int64."""
+"""Deepest octree: three coordinates of so many bits fit an int64."""
 
 
 def leaves(means: NDArray[np.float32], depth: int) -> NDArray[np.int64]:
-    """Return the leaf that each mean lies in: the box of the means, halved `depth` times.
+    """Return the octree leaf that each mean lies in.
 
     Parameters
     ----------
     means : (N, 3) float32
-        Scene units; what is not finite lies in the first leaf.
+        Scene units; those that are not finite are put into the first leaf.
     depth : int
-        0 to `MAX_DEPTH`. Leaves have the proportions of the scene's box.
+        How often the bounding box of the means is halved along each axis, 0 to `MAX_DEPTH`. Leaves
+        have the proportions of that box.
 
     Returns
     -------
     (N,) int64
-        Numbers that tell leaves apart.
+        A number of its own for each leaf.
+
+    Raises
+    ------
+    ValueError
+        `depth` out of range.
     """
     if not 0 <= depth <= MAX_DEPTH:
         raise ValueError(f"octree depth {depth}, expected 0 to {MAX_DEPTH}")
@@ -47,7 +54,7 @@ def leaves(means: NDArray[np.float32], depth: int) -> NDArray[np.int64]:
 
 
 def adaptive_leaves(means: NDArray[np.float32], capacity: int) -> NDArray[np.int64]:
-    """Return the leaf that each mean lies in, where dense nodes are subdivided further.
+    """Return the leaf that each mean lies in, in an octree that is deeper where splats are dense.
 
     PRoGS (section 3.2) subdivides "based on the density of splats": a node with more than
     `capacity` means has eight children, others are leaves.
@@ -55,14 +62,19 @@ def adaptive_leaves(means: NDArray[np.float32], capacity: int) -> NDArray[np.int
     Parameters
     ----------
     means : (N, 3) float32
-        Scene units; what is not finite lies in the first leaf of the first node.
+        Scene units; those that are not finite are put into the first leaf.
     capacity : int
         Most means in a leaf, 1 or more; a leaf at depth `MAX_DEPTH` may hold more.
 
     Returns
     -------
     (N,) int64
-        Numbers that tell leaves apart.
+        A number of its own for each leaf.
+
+    Raises
+    ------
+    ValueError
+        A capacity below 1.
 
     Examples
     --------
@@ -93,7 +105,7 @@ def adaptive_leaves(means: NDArray[np.float32], capacity: int) -> NDArray[np.int
 
 
 def round_robin(leaf: NDArray[np.int64], contribution: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return rows so that the best of every leaf come first, then the second best, and so on.
+    """Return an order that takes the best splat of every leaf, then the second best, and so on.
 
     Parameters
     ----------
@@ -104,13 +116,14 @@ def round_robin(leaf: NDArray[np.int64], contribution: NDArray[np.float64]) -> N
     Returns
     -------
     (N,) int64
+        Rows, first to last.
     """
     rank, _, total = _ranked(leaf, contribution)
     return np.lexsort((leaf, -total, rank)).astype(np.int64)
 
 
 def quota(leaf: NDArray[np.int64], contribution: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return rows so that any prefix holds about the same share of every leaf.
+    """Return an order whose every prefix holds about the same share of every leaf.
 
     Parameters
     ----------
@@ -121,7 +134,7 @@ def quota(leaf: NDArray[np.int64], contribution: NDArray[np.float64]) -> NDArray
     Returns
     -------
     (N,) int64
-        By (rank in the leaf + ½) / splats in the leaf, of equal ones by contribution.
+        Rows by ascending (rank in the leaf + ½) / (splats in the leaf), ties by contribution.
     """
     rank, size, _ = _ranked(leaf, contribution)
     return np.lexsort((-contribution, (rank + 0.5) / size)).astype(np.int64)

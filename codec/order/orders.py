@@ -1,4 +1,4 @@
-"""Orders: which splats come first."""
+"""Orders by name: contribution, marginal gain, octree, baselines; with or without a first view."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 
 from . import baselines, chunks, octree
-from . import first_view as order_views
+from . import first_view as view_rules
 
 if TYPE_CHECKING:
     from cogsplat.codec.scoring.contribution import Scores
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 FIRST_VIEW: Final = "first-view"
 FRUSTUM: Final = "frustum"
 POSE_RULES: Final = (FIRST_VIEW, FRUSTUM)
-"""What may follow an order's name, after a ``+``: the same order with one pose served first."""
+"""Rules that may follow an order's name after a ``+``: the same order, one view's splats first."""
 
 # PRoGS, section 3.2 (Zoomers et al. 2024): leaves at depth 3.
 _OCTREE_DEPTH: Final = 3
@@ -36,43 +36,46 @@ _OCTREE_CAPACITY: Final = 1000
 # PRoGS, section 3.3: image bounds increased by 30 %, as 3DGS does: ±1.3 in normalised device
 # coordinates, 15 % of the image's size at each side.
 _FRUSTUM_MARGIN: Final = 0.15
-# On a captured room 10 % by one view costs the others 0.2 to 0.4 dB at 20 % of the splats, and 15 %
-# would cost them 1 dB. Unmixed they would lose 4 dB at 10 %.
+# On a captured room, 10 % of the splats by one view cost the other views 0.2 to 0.4 dB at 20 % of
+# the splats, and 15 % would cost them 1 dB. Not mixed, they would lose 4 dB at 10 %.
 _FIRST_VIEW_SHARE: Final = 0.1
 _FIRST_VIEW_MIX: Final = 0.8
 
 
 @dataclass(frozen=True)
 class OrderConfig:
-    """Parameters of the orders that have some.
+    """Settings of the orders that have some.
 
     Parameters
     ----------
     octree_depth : int
-        Halvings of the scene's box for ``octree-round-robin`` and ``octree-quota``, 0 to 20.
+        How often ``octree-round-robin`` and ``octree-quota`` halve the scene's box along each axis,
+        0 to 20.
     octree_capacity : int
         Most splats in a leaf of ``octree-adaptive``.
     first_view : Camera or None
-        The pose that ``+first-view`` and ``+frustum`` serve, in the frame of the means.
+        The view whose splats ``+first-view`` and ``+frustum`` bring forward, in the frame of the
+        means.
     first_view_share : float
         Share of all splats that ``+first-view`` takes in the order of that view, 0 to 1.
     first_view_mix : float
-        Of any beginning, how much is of those while they last, 0 to 1; the rest is for the others.
+        Share of every prefix that consists of these splats until they are used up, 0 to 1; the
+        other splats of the prefix come in the order of the whole scene.
     frustum_share : float or None
-        Share of the splats inside the frustum that ``+frustum`` keeps up, 0 to 1; None for the
-        share that halves what lies outside (the paper states none).
+        Share of every prefix that ``+frustum`` keeps inside the frustum, 0 to 1; None for the share
+        that halves what lies outside (the paper states none).
     frustum_margin : float
-        What the frustum is wider than the image at each side, as a share of its size; 0.15 is
-        ±1.3 in normalised device coordinates.
+        By how much the frustum is wider than the image at each side, as a share of its size; 0.15
+        is ±1.3 in normalised device coordinates.
     seed : int
         Of ``random``.
     inflated : bool
-        Whether ``gain`` makes prefixes for being drawn with compensation, or as they are.
+        Whether ``gain`` measures prefixes inflated as compensation will draw them, or as they are.
     by_object : bool
         Whether chunks hold one object each (`objects`); needs the attribute ``object``.
     object_budgets : tuple of (int, float)
-        Objects that come before the rest, each with the share of its splats that does; None as
-        object stands for all that are not named. Only with `by_object`.
+        Objects that come before the rest: label, and the share of the object's splats that does.
+        None as label stands for all objects that are not named. Only with `by_object`.
     """
 
     octree_depth: int = _OCTREE_DEPTH
@@ -109,7 +112,7 @@ class OrderConfig:
 
 @dataclass(frozen=True, eq=False)
 class Unordered:
-    """What an order may look at.
+    """A scene that is to be ordered, and what is known about it.
 
     Parameters
     ----------
@@ -117,15 +120,14 @@ class Unordered:
     scores : Scores
         Of these splats, row by row; zeros where nothing was scored.
     views : sequence of Camera
-        Those the scores are of, without jittered copies; empty where they are not known.
+        The cameras that were scored, without jittered copies; empty where they are not known.
     threads : int
         0 for all cores; no order depends on it.
     progress : Progress
     jitter : bool
-        Whether orders that render look from jittered copies of the views as well.
+        Whether orders that render also use jittered copies of the views.
     references : ReferenceViews or None
-        The scene in these views, and their copies where `jitter` says so; None where it has not
-        been drawn.
+        Reference views of these cameras; None where they have not been rendered.
     """
 
     splats: Splats
@@ -146,21 +148,25 @@ def by_contribution(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
 
 
 def _octree_round_robin(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+    """Return rows by `octree.round_robin`."""
     leaves = octree.leaves(scene.splats.means, config.octree_depth)
     return octree.round_robin(leaves, scene.scores.contribution)
 
 
 def _octree_quota(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+    """Return rows by `octree.quota`."""
     leaves = octree.leaves(scene.splats.means, config.octree_depth)
     return octree.quota(leaves, scene.scores.contribution)
 
 
 def _octree_adaptive(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+    """Return rows by `octree.round_robin` over leaves of bounded size."""
     leaves = octree.adaptive_leaves(scene.splats.means, config.octree_capacity)
     return octree.round_robin(leaves, scene.scores.contribution)
 
 
 def _by_gain(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+    """Return rows by marginal gain, sorted by contribution in runs of chunks."""
     from .marginal_gain import GainConfig, gain_order
 
     rows = gain_order(
@@ -175,18 +181,22 @@ def _by_gain(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
 
 
 def _baseline(priority: Callable[[Splats], NDArray[np.float64]]) -> Order:
+    """Return the order by descending priority."""
     return lambda scene, config: baselines.descending(priority(scene.splats))
 
 
 def _source(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+    """Return rows in file order."""
     return np.arange(len(scene.splats), dtype=np.int64)
 
 
 def _random(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+    """Return a random permutation of the rows."""
     return np.random.default_rng(config.seed).permutation(len(scene.splats)).astype(np.int64)
 
 
-# What renders belongs in a module of its own, imported when it is asked for.
+# Orders that render live in modules of their own, which are imported when they are asked for: this
+# module must not need numba.
 _ORDERS: Final[Mapping[str, Order]] = {
     "contribution": by_contribution,
     "gain": _by_gain,
@@ -211,7 +221,7 @@ ORDERS: Final = tuple(_ORDERS)
 
 
 def split_name(name: str) -> tuple[str, str]:
-    """Return the order and the rule for a pose that a name such as ``contribution+frustum`` names.
+    """Split a name such as ``contribution+frustum`` into the order and the rule for a first view.
 
     Parameters
     ----------
@@ -239,6 +249,20 @@ def split_name(name: str) -> tuple[str, str]:
 def needs_scores(name: str) -> bool:
     """Tell whether an order depends on scores; the others need neither cameras nor a renderer.
 
+    Parameters
+    ----------
+    name : str
+        As `order_rows` takes it.
+
+    Returns
+    -------
+    bool
+
+    Raises
+    ------
+    ValueError
+        As `split_name`.
+
     Examples
     --------
     >>> needs_scores("gain"), needs_scores("source+frustum")
@@ -248,12 +272,12 @@ def needs_scores(name: str) -> bool:
 
 
 def require_order(name: str, config: OrderConfig) -> None:
-    """Check that an order is known and has the parameters it needs.
+    """Check that an order is known and has the settings that it needs.
 
     Raises
     ------
     ValueError
-        An unknown name, or a rule for a pose and no `OrderConfig.first_view`.
+        An unknown name, or a rule for a first view without `OrderConfig.first_view`.
     """
     rule = split_name(name)[1]
     if rule and config.first_view is None:
@@ -266,13 +290,15 @@ def order_rows(name: str, scene: Unordered, config: OrderConfig | None = None) -
     Parameters
     ----------
     name : str
-        ``contribution``: descending contribution, ties in file order (PRoGS, section 3.1);
-        ``gain``: what the picture so far needs most (`gain`), by contribution where no views are
-        known; ``octree-round-robin``, ``octree-quota``, ``octree-adaptive``: every leaf of an
-        octree gets its share early;
-        ``antimatter``, ``sgss``, ``opacity``, ``scale``, ``distance``: what others sort by
-        (`order_baselines`); ``source``: as in the file; ``random``. Followed by ``+first-view`` or
-        ``+frustum`` (`order_views`), the same with one pose served first.
+        ``contribution``: descending contribution, ties in file order (PRoGS, section 3.1).
+        ``gain``: by marginal gain (`marginal_gain`), or by contribution where no views are known.
+        ``octree-round-robin``, ``octree-quota``, ``octree-adaptive``: every leaf of an octree gets
+        its share early (`octree`).
+        ``antimatter``, ``sgss``, ``opacity``, ``scale``, ``distance``: the baselines of other
+        programs and papers (`baselines`).
+        ``source``: as in the file. ``random``: a random permutation.
+        Any of them may be followed by ``+first-view`` or ``+frustum`` (`first_view`): the same
+        order with the splats of one view brought forward.
     scene : Unordered
     config : OrderConfig, optional
 
@@ -287,6 +313,17 @@ def order_rows(name: str, scene: Unordered, config: OrderConfig | None = None) -
         ``cameras-see-nothing``: the first view shows no splat.
     ValueError
         As `require_order`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.order.orders import Unordered, order_rows
+    >>> from cogsplat.codec.scoring.contribution import unscored
+    >>> from cogsplat.codec.splats import empty
+    >>> splats = empty(0, 3)
+    >>> splats.opacities[:] = [0.5, 2.0, -1.0]
+    >>> order_rows("opacity", Unordered(splats, unscored(3))).tolist()
+    [1, 0, 2]
     """
     config = config or OrderConfig()
     require_order(name, config)
@@ -298,28 +335,28 @@ def order_rows(name: str, scene: Unordered, config: OrderConfig | None = None) -
         inside = frustum.in_frustum(scene.splats, config.first_view, config.frustum_margin)
         share = config.frustum_share
         if share is None:
-            share = order_views.halved_outside(inside)
-        served = order_views.keep_share(rows, inside, share)
-        if np.array_equal(served, rows):
+            share = view_rules.halved_outside(inside)
+        brought_forward = view_rules.keep_share(rows, inside, share)
+        if np.array_equal(brought_forward, rows):
             warnings.warn(
                 f"order {name}: {inside.mean():.1%} of the splats lie in the frustum of the first "
                 f"view, so that keeping {share:.1%} inside changes nothing",
                 CogsplatWarning,
                 stacklevel=2,
             )
-        return served
+        return brought_forward
     in_view = _seen_from(scene, config.first_view)
     ahead = _ORDERS[base](in_view, config)
     ahead = ahead[in_view.scores.contribution[ahead] > 0]
-    return order_views.lead(rows, ahead, config.first_view_share, config.first_view_mix)
+    return view_rules.lead(rows, ahead, config.first_view_share, config.first_view_mix)
 
 
 def _seen_from(scene: Unordered, camera: Camera) -> Unordered:
     """Return the scene scored from one camera alone."""
     from cogsplat.codec.scoring.contribution import ScoreConfig, score
 
-    # All weights count: a splat that others hide in part of one view has no other view to make up
-    # for it, and in a short prefix the others are not there.
+    # All weights count, not a pixel's K largest alone: a splat that others cover has no other view
+    # to make up for it, and in a short prefix these others are missing.
     config = ScoreConfig(top_k=0, jitter=False, threads=scene.threads)
     scores = score(scene.splats, [camera], config)
     return replace(scene, scores=scores, views=[camera], references=None)

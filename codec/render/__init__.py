@@ -1,1 +1,1 @@
-"""Pictures of splats, and everything that is measured by blending them (numba)."""
+"""Rasteriser, and all that is measured by blending splats tile by tile (numba)."""

@@ -1,1 +1,1 @@
-"""What each splat adds to a set of views, and the pictures that others are compared with."""
+"""Scores: how much each splat weighs in a set of views; and reference views of the scene."""

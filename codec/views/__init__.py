@@ -1,1 +1,1 @@
-"""Which cameras a scene is looked at from: given, held out, roaming, planned."""
+"""Cameras to score and to test with: held out, jittered, or planned from the splats."""
