@@ -41,8 +41,8 @@ def train_scalars(values: F32, levels: int) -> F32:
     --------
     >>> import numpy as np
     >>> from cogsplat.codec.clustering.scalar_kmeans import train_scalars
-    >>> train_scalars(np.array([1, 1, 2, 8, 9, 10], np.float32), 2).round(2).tolist()
-    [1.33, 9.0]
+    >>> train_scalars(np.array([1, 1, 4, 8, 9, 10], np.float32), 2).tolist()
+    [2.0, 9.0]
     """
     ordered = np.sort(values)
     first = np.ones(len(ordered), np.bool_)
