@@ -131,7 +131,6 @@ TESTED_IN = {
     "codec/encode/encoded.py": "encode/test_encoder.py",
     "codec/encode/presets.py": "encode/test_pipeline.py",
     "codec/encode/profiles/means.py": "encode/profiles/test_transform.py",
-    "codec/geometry/frustum.py": "views/test_view_sets.py",
     "codec/rate/costs.py": "rate/test_allocation.py",
     "codec/segments/bands.py": "segments/test_heads.py",
     "codec/segments/codebooks.py": "segments/test_heads.py",
@@ -166,19 +165,13 @@ TESTED_IN = {
     "formats/cogs/msgpack_map.py": "cogs/test_root.py",
     "formats/scenes/gltf/embedded_buffers.py": "scenes/gltf/test_scene.py",
     "formats/scenes/gltf/file.py": "scenes/gltf/test_scene.py",
-    "formats/scenes/losses.py": "scenes/test_registry.py",
-    "formats/scenes/ply/comments.py": "scenes/ply/test_scene.py",
     "formats/scenes/ply/foreign_layouts.py": "scenes/ply/test_scene.py",
     "formats/scenes/ply/header.py": "scenes/ply/test_scene.py",
-    "formats/scenes/quantised_values.py": "scenes/test_splat.py",
     "formats/scenes/sog/files.py": "scenes/sog/test_scene.py",
     "formats/scenes/spz/container.py": "scenes/spz/test_scene.py",
     "formats/scenes/spz/values.py": "scenes/spz/test_scene.py",
     "formats/storage/images.py": "scenes/sog/test_scene.py",
-    "formats/storage/magic.py": "scenes/test_registry.py",
     "formats/storage/pictures.py": "test_hostile.py",
-    "formats/storage/siblings.py": "scenes/gltf/test_scene.py",
-    "formats/storage/strict_json.py": "cameras/test_nerfstudio.py",
 }
 
 
