@@ -1,4 +1,4 @@
-"""How far splats reach: boxes of chunks and scenes."""
+"""Axis-aligned boxes around splats and their footprints, for chunks and scenes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CUT_SIGMA: Final = 3.33
 
 
 def box(splats: Splats) -> NDArray[np.float64]:
-    """Return the box of what splats reach at the 1/255 cut.
+    """Return the box around all splats, each up to where its density falls to 1/255.
 
     Parameters
     ----------

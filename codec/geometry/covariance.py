@@ -1,4 +1,4 @@
-"""Shapes as trace-normalised covariances, and back to scales and rotations (Niedermayr, 3.2)."""
+"""Trace-normalised covariances of splats, and back to scales and quats (Niedermayr, 3.2)."""
 
 from __future__ import annotations
 

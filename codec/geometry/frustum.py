@@ -1,4 +1,4 @@
-"""What a camera can see: its near plane, its image bounds, the depths of what is visible."""
+"""Camera frusta: which means lie beyond the near plane and project into the image, how deep."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def in_frustum(splats: Splats, camera: Camera, margin: float) -> NDArray[np.bool
 
 
 def in_picture(means: F64, camera: Camera, near_plane: float) -> NDArray[np.bool_]:
-    """Mark the (N, 3) means that lie in the picture of a camera, hidden or not: (N,) bool."""
+    """Mark the (N, 3) means that project into a camera's image, occluded or not: (N,) bool."""
     local = means @ camera.rotation.T + camera.translation
     z = local[:, 2]
     x, y = camera.fx * local[:, 0] + camera.cx * z, camera.fy * local[:, 1] + camera.cy * z

@@ -1,4 +1,4 @@
-"""Morton codes: three axis codes interleaved bit by bit, and rows in their order."""
+"""Morton codes: three axis codes interleaved bit by bit, and orders of means by them."""
 
 from __future__ import annotations
 

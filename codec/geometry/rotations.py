@@ -1,4 +1,4 @@
-"""Quaternions: unit form, matrices, and the 24 equivalent ways to name a Gaussian's axes."""
+"""Unit quaternions, rotation matrices, and the 24 permutations of a Gaussian's axes."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def multiply(a: F64, b: F64) -> F64:
 
 
 def _cube_group() -> tuple[F64, NDArray[np.int64]]:
-    """Return the 24 rotations of a cube and, for each, where its axes take the scales from."""
+    """Return the 24 rotations of a cube and the permutation of the scales that goes with each."""
     half = np.sqrt(0.5)
     found: list[F64] = []
     generators = np.array([[half, half, 0, 0], [half, 0, half, 0], [half, 0, 0, half]])
@@ -93,7 +93,7 @@ _CUBE_QUATS, _CUBE_AXES = _cube_group()
 
 
 def largest_w(quats: F32, scales: F32) -> tuple[F32, F32]:
-    """Rename a Gaussian's axes so that w is the largest component of its quaternion.
+    """Permute a Gaussian's axes so that w is the largest component of its quaternion.
 
     Permuting the axes together with their scales, or flipping two of them, leaves the Gaussian
     unchanged. Of the 24 proper ways the one with the largest w leaves the other three components

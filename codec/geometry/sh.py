@@ -88,7 +88,7 @@ def basis(directions: NDArray[np.floating], degree: int) -> NDArray[np.float64]:
 def colours(
     sh0: NDArray[np.floating], shN: NDArray[np.floating], directions: NDArray[np.floating]
 ) -> NDArray[np.float32]:
-    """Return what each splat looks like from its direction.
+    """Return the colour of each splat seen along its direction.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Scenes in another frame: axes renamed or mirrored, similarity transforms, SH turned to match."""
+"""Changes of a scene's frame: axes, similarity transforms, and the rotation of SH that follows."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _DIRECTIONS = 64
 
 @dataclass(frozen=True)
 class AxesChange:
-    """One frame's axes in terms of another's: ``new[i] = signs[i] * old[order[i]]``.
+    """A signed permutation of axes between two frames: ``new[i] = signs[i] * old[order[i]]``.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class AxesChange:
 
     @property
     def matrix(self) -> F64:
-        """The same as an orthogonal matrix, (3, 3) float64: ``new = matrix @ old``."""
+        """The change of axes as an orthogonal matrix, (3, 3) float64: ``new = matrix @ old``."""
         out = np.zeros((3, 3))
         out[range(3), self.order] = self.signs
         return out
@@ -63,12 +63,12 @@ class AxesChange:
 
     @property
     def only_flips(self) -> bool:
-        """Whether every axis stays where it is, along its old direction or against it."""
+        """Whether axes are flipped only, none of them permuted."""
         return self.order == (0, 1, 2)
 
     @property
     def quat_signs(self) -> tuple[int, int, int]:
-        """What x, y, z of quaternions are multiplied by once they are in the new order.
+        """Signs that x, y, z of quaternions are multiplied by after they are permuted.
 
         With R the rotation and S the scales of a splat, ``M R S² R' M'`` is also
         ``(M R M') (M S² M') (M R' M')``: the axes of the Gaussian are renamed with those of the
@@ -78,12 +78,12 @@ class AxesChange:
         return x, y, z
 
     def sh_signs(self, degree: int) -> F32:
-        """Return what flips multiply SH coefficients by, (K-1,) float32; for `only_flips`."""
+        """Return signs of SH coefficients above DC, (K-1,) float32, where axes are only flipped."""
         return np.diagonal(sh_rotation(self.matrix, degree)).astype(np.float32)
 
 
 def axes_change(source: str, target: str) -> AxesChange:
-    """Return how coordinates in one frame become coordinates in another.
+    """Return the change of axes from one frame to another.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def is_axes(name: str) -> bool:
 
 
 def convert_axes(splats: Splats, axes: str) -> Splats:
-    """Return the same scene described along other axes, which may mirror it into the other hand.
+    """Return a scene in a frame with other axes, which may have the other handedness.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ _NORMALS: Final = ("nx", "ny", "nz")
 
 
 def _turned_normals(extras: Mapping[str, Extra], turn: F64) -> dict[str, Extra]:
-    """Return extras, those that PLY calls normals turned: they point somewhere in the scene."""
+    """Return extras with normals (PLY's ``nx ny nz``) rotated as the scene is."""
     turned = dict(extras)
     if all(
         name in extras and extras[name].ndim == 1 and extras[name].dtype.kind == "f"
@@ -181,7 +181,7 @@ def _turned_normals(extras: Mapping[str, Extra], turn: F64) -> dict[str, Extra]:
 
 
 def sh_rotation(rotation: F64, degree: int) -> F64:
-    """Return the matrix that turns SH coefficients as `rotation` turns directions.
+    """Return the matrix that rotates SH coefficients as `rotation` rotates directions.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def sh_rotation(rotation: F64, degree: int) -> F64:
 
 
 def rotate_sh(shN: F32, rotation: F64) -> F32:
-    """Return SH coefficients turned with a scene.
+    """Return SH coefficients after a rotation of their scene.
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ def transform(
     rotation: F64 | None = None,
     translation: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Splats:
-    """Return a scene scaled, then rotated, then moved.
+    """Return a scene scaled, then rotated, then translated.
 
     Parameters
     ----------

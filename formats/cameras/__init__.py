@@ -1,1 +1,1 @@
-"""Camera files."""
+"""Camera files: COLMAP, nerfstudio's transforms.json, cameras.json of 3DGS training."""

@@ -1,4 +1,4 @@
-"""Cameras from whatever holds them: INRIA's or nerfstudio's JSON, COLMAP folders, COGS files."""
+"""Cameras of any known file: cameras.json, transforms.json, COLMAP folders, COGS files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``cameras.json`` as the 3DGS reference training writes it, in and out."""
+"""``cameras.json`` of the 3DGS reference training, read and written."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ _ENDINGS: Final = ("", ".png", ".jpg", ".jpeg")
 
 @dataclass(frozen=True)
 class _Frames:
-    """What holds for every frame of a file."""
+    """Values that hold for every frame of a file."""
 
     root: JsonObject
     folder: Path
@@ -177,7 +177,7 @@ def _scan(data: bytes, where: str, limits: Limits) -> tuple[JsonObject, int, int
 
 
 def _applied(root: JsonObject) -> tuple[F64, float]:
-    """Return the (4, 4) inverse of what was applied to the original poses, and the scale."""
+    """Return the (4, 4) inverse of the transform applied to the original poses, and its scale."""
     applied = np.eye(4)
     if "applied_transform" in root:
         applied = _matrix(root, "applied_transform")

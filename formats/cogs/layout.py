@@ -38,7 +38,7 @@ MAX_CAMERA_VALUES: Final = 1 << 17
 
 
 class SegmentKind(IntEnum):
-    """What a segment holds (SPEC 5.2); 128 and above may be skipped."""
+    """Kinds of segments (SPEC 5.2); readers may skip those from 128 on."""
 
     HEAD = 1
     TAIL = 2

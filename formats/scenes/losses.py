@@ -1,4 +1,4 @@
-"""What a target format cannot hold, said in one warning line per file."""
+"""Values of a scene that a format cannot store, and one warning per file that names them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MOST_NAMED: Final = 6
 
 
 def info_losses(info: SceneInfo, *, antialiased: bool = False) -> list[str]:
-    """Return what of a scene's information a format loses that has no place for it.
+    """Return the values of `SceneInfo` that a format without fields for them loses, in words.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def info_losses(info: SceneInfo, *, antialiased: bool = False) -> list[str]:
 
 
 def extra_losses(splats: Splats) -> list[str]:
-    """Return what a format loses that has no place for extra attributes."""
+    """Return the extra attributes that a format without them loses, in words."""
     names = list(splats.extras)
     if not names:
         return []

@@ -1,4 +1,4 @@
-"""What quantised formats share: opacities in bytes, smallest-three quaternions, row order."""
+"""Values that quantised formats share: byte opacities, smallest-three quats, Morton order."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def opacity_bytes(opacities: F32) -> U8:
 
 
 def to_smallest_three(quats: F32) -> tuple[NDArray[np.intp], F32]:
-    """Return which component of each quaternion is largest, and the other three.
+    """Return the index of each quaternion's largest component, and the other three components.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def to_smallest_three(quats: F32) -> tuple[NDArray[np.intp], F32]:
 
 
 def from_smallest_three(largest: NDArray[np.integer], others: F32) -> F32:
-    """Return (N, 4) wxyz quaternions from what `to_smallest_three` gives, unit where `others` fit.
+    """Return (N, 4) wxyz quaternions from their smallest three components, unit where these fit.
 
     Parameters
     ----------

@@ -42,7 +42,7 @@ class Reader(Protocol):
 
 
 class Writer(Protocol):
-    """What writes a scene, whole or not at all."""
+    """A function that writes a scene, whole or not at all."""
 
     def __call__(self, splats: Splats, path: StrPath, *, force: bool = False) -> None:
         """Write `splats` to `path`, replacing an existing file only with `force`."""

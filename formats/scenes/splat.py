@@ -44,7 +44,7 @@ _FLAT: Final = np.float32(np.log(2.0**-150))
 
 
 def no_magic(head: bytes) -> bool:
-    """Say no: any bytes could be the first of this format, so its extension decides."""
+    """Return False: .splat has no magic bytes, so its extension decides."""
     return False
 
 

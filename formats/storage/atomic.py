@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and the failures of the file system as `StorageError`."""
+"""Atomic writes of files, and errors of the file system as `StorageError`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Images that carry numbers: 8-bit WebP and PNG without loss, sized before they are decoded."""
+"""Lossless 8-bit images (WebP, PNG) that store numbers; sizes are checked before decoding."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a file is that is not what was asked for, by its first bytes, for messages."""
+"""Magic bytes of known file types, to say in messages what an unexpected file is."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MAGICS: Final = (
 
 
 def describe(head: bytes) -> str:
-    """Say what a file is that starts with these bytes, as in "is ..., expected ..."."""
+    """Return a phrase for the type of a file with these first bytes, for "is ..., expected ..."."""
     if not head:
         return "an empty file"
     for magic, name in _MAGICS:

@@ -1,4 +1,4 @@
-"""Files that a file names beside it: inside its own folder, or refused."""
+"""Files that another file refers to by name, refused outside its own folder."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cogsplat.codec.errors import FormatError
 
 
 def sibling(folder: Path, name: str, where: str, code: str) -> Path:
-    """Return the path of a file that another one names.
+    """Return the path of a file that another file in `folder` refers to by name.
 
     Parameters
     ----------

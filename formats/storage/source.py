@@ -1,4 +1,4 @@
-"""Where bytes come from: anything that reads a range."""
+"""Byte sources: local files, memory, prefixes, and whatever else reads ranges."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .atomic import open_for_read
 
 
 class Source(Protocol):
-    """Bytes by range; the seam for files, memory, HTTP and object stores."""
+    """A protocol for reading byte ranges, from files, memory, HTTP or object stores."""
 
     @property
     def name(self) -> str:
@@ -112,7 +112,7 @@ class FileSource:
 
 
 class PrefixSource:
-    """The first bytes of another source, as a transfer that stopped leaves them."""
+    """A prefix of another source, like a file whose transfer stopped early."""
 
     def __init__(self, source: Source, size: int) -> None:
         self._source = source

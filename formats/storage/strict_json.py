@@ -1,4 +1,4 @@
-"""JSON of unknown origin: parsed within limits, read key by key, and what is wrong said where."""
+"""Strict JSON parsing within limits; each error names the file, the key and what was expected."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MAX_SHOWN: Final = 40
 
 @dataclass(frozen=True)
 class JsonObject:
-    """A JSON object and the place it has in its file.
+    """A JSON object, and its place in the file for messages.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""glTF with KHR_gaussian_splatting."""
+"""glTF and GLB files with KHR_gaussian_splatting."""

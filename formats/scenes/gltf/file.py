@@ -1,4 +1,4 @@
-"""glTF 2.0 files: their JSON, their buffers and accessors, and where their nodes stand.
+"""glTF 2.0 files: JSON, buffers, accessors, and the transforms of nodes.
 
 Section numbers are those of the glTF 2.0 specification (Khronos, 2.0.1).
 """
@@ -238,7 +238,7 @@ class Gltf:
 
 
 def gltf_files(path: StrPath) -> list[Path]:
-    """Return the files that a scene lies in: a ``.glb`` or ``.gltf``, and buffers beside it.
+    """Return the files that a scene consists of: a ``.glb`` or ``.gltf``, and buffers beside it.
 
     Raises
     ------
@@ -365,7 +365,7 @@ def _check_extensions(root: JsonObject, where: str) -> None:
 
 
 def instances(gltf: Gltf) -> Iterator[tuple[int, F64]]:
-    """Yield every mesh that the scene shows, and how its node stands in the world.
+    """Yield every mesh of the scene with the transform from its node to the world.
 
     The default scene counts, the first where none is named, all nodes where there is no scene.
 

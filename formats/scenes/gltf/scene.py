@@ -187,7 +187,7 @@ def _check_cost(gltf: Gltf, placed: list[JsonObject], limits: Limits) -> None:
 
 
 def _placed_primitives(gltf: Gltf) -> list[tuple[JsonObject, F64]]:
-    """Return every primitive of splats in the scene, and how its node stands in the world."""
+    """Return every primitive of splats in the scene with its node's transform to the world."""
     meshes = gltf.items("meshes")
     primitives: dict[int, list[JsonObject]] = {}
     placed: list[tuple[JsonObject, F64]] = []
@@ -239,7 +239,7 @@ def _read_primitive(gltf: Gltf, node: JsonObject) -> Splats:
 
 
 def _check_extension(node: JsonObject) -> str:
-    """Return the colour space, or raise where splats are meant otherwise than ours."""
+    """Return the colour space, or raise where the extension asks for another kind of splat."""
     extension = node.child("extensions").child(_EXTENSION)
     inner = list(extension.child("extensions").values) if "extensions" in extension else []
     if inner:
@@ -269,7 +269,7 @@ def _sh_name(band: int, order: int) -> str:
 
 
 def _sh_orders(degree: int) -> Iterator[tuple[int, int]]:
-    """Yield band and place within it of each coefficient above DC."""
+    """Yield SH band and index within the band of each coefficient above DC."""
     for band in range(1, degree + 1):
         for order in range(2 * band + 1):
             yield band, order

@@ -1,4 +1,4 @@
-"""What a scene says of itself, as PLY comments: our own, and the one for anti-aliasing."""
+"""`SceneInfo` as PLY comments: our own, and the one other programs use for anti-aliasing."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MIP_COMMENT: Final = "SplatRenderMode: mip"
 
 
 def scene_comments(info: SceneInfo) -> list[str]:
-    """Return the comments that say what differs from a default `SceneInfo`.
+    """Return the comments for the values that differ from a default `SceneInfo`.
 
     Anti-aliasing is said twice, in our own words and in those of other programs.
 
@@ -47,7 +47,7 @@ def scene_comments(info: SceneInfo) -> list[str]:
 
 
 def parse_scene_info(comments: Sequence[str], where: str) -> SceneInfo:
-    """Return what the comments that start with ``cogsplat`` say; unknown keys are skipped.
+    """Return the `SceneInfo` of the comments that start with ``cogsplat``; skip unknown keys.
 
     ``SplatRenderMode: mip`` says that a scene is anti-aliased, whatever ours say; other modes say
     nothing.

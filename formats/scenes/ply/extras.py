@@ -1,4 +1,4 @@
-"""Properties of a PLY's vertices that no splat is drawn from, and far-off doubles as an origin."""
+"""Extra properties of a PLY's vertices, and doubles far from zero as offsets from an origin."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FAR_EXTENTS: Final = 4.0
 def extra_properties(
     vertex: Element, fields: Mapping[str, Collection[str]], where: str
 ) -> list[Property]:
-    """Return the properties that become extras: scalars that no array of a splat is made of.
+    """Return the properties that become extras: scalars other than a splat's own values.
 
     More than `Splats` can hold, or names too long for it, are left out with a warning.
     """
@@ -60,7 +60,7 @@ def without_padding(extras: dict[str, Extra]) -> dict[str, Extra]:
 def extra_columns(
     extras: Mapping[str, Extra], taken: Collection[str]
 ) -> tuple[dict[str, Extra], list[str]]:
-    """Return the columns to write, and what no PLY can hold.
+    """Return the columns to write, and the names of extras that no PLY can hold.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def extra_columns(
 def as_origin(
     means: NDArray[np.float64], where: str
 ) -> tuple[NDArray[np.float64], tuple[float, float, float]]:
-    """Return doubles relative to a whole-numbered centre where they lie too far off for float32.
+    """Return means relative to a whole-numbered origin where float32 would lose their digits.
 
     Parameters
     ----------

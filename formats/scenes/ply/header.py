@@ -1,4 +1,4 @@
-"""The header of a PLY file: its elements, their properties, and those that make up a splat."""
+"""PLY headers: elements, their properties, and the properties that make up a splat."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _FORMATS = ("binary_little_endian", "binary_big_endian", "ascii")
 
 @dataclass(frozen=True)
 class Property:
-    """One property of an element.
+    """A property of an element: its name and type.
 
     Parameters
     ----------
@@ -57,13 +57,13 @@ class Property:
 
     @property
     def min_bytes(self) -> int:
-        """Least bytes a value takes in a binary file: its size, or that of an empty list."""
+        """Smallest size of a value in a binary file, in bytes: a scalar, or an empty list."""
         return int((self.length_dtype or self.dtype)[1:])
 
 
 @dataclass(frozen=True)
 class Element:
-    """One element: `count` rows of its properties."""
+    """An element of a PLY: `count` rows of its properties."""
 
     name: str
     count: int
@@ -76,13 +76,13 @@ class Element:
 
     @property
     def min_stride(self) -> int:
-        """Least bytes of a row in a binary file; exact where there are no lists."""
+        """Smallest size of a row in a binary file, in bytes; exact where there are no lists."""
         return sum(prop.min_bytes for prop in self.properties)
 
 
 @dataclass(frozen=True)
 class PlyHeader:
-    """What the header says.
+    """The header of a PLY: format, comments, elements.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""PlayCanvas SOG."""
+"""PlayCanvas' SOG: splats as lossless images."""

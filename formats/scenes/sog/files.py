@@ -1,4 +1,4 @@
-"""Where the files of a SOG scene lie: a ZIP bundle, or the folder of a ``meta.json``."""
+"""Files of a SOG scene: in a ZIP bundle, or in the folder of a ``meta.json``."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ def _zip_errors(where: str) -> Iterator[None]:
 
 
 def write_bundle(file: BinaryIO, files: Mapping[str, bytes]) -> None:
-    """Write files as a ZIP in which nothing is packed again, the same bytes every time."""
+    """Write files as a ZIP without compression; equal files give equal bytes."""
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         for name, data in files.items():
             entry = zipfile.ZipInfo(name, _DATE)

@@ -81,7 +81,7 @@ def is_sog(head: bytes) -> bool:
 
 @dataclass(frozen=True)
 class _Sh:
-    """What ``meta.json`` says of SH above DC: bands, and palette entries."""
+    """SH above DC as ``meta.json`` states it: bands, and palette entries."""
 
     bands: int
     count: int
@@ -91,7 +91,7 @@ class _Sh:
 
 @dataclass(frozen=True)
 class _Meta:
-    """What ``meta.json`` says, checked but for the images."""
+    """The values of ``meta.json``, checked; images are checked when they are read."""
 
     count: int
     antialiased: bool
@@ -180,7 +180,7 @@ def read_sog(path: StrPath, *, limits: Limits | None = None) -> Splats:
 
 
 def sog_files(path: StrPath) -> list[Path]:
-    """Return the files that a scene lies in: the bundle, or ``meta.json`` and its images.
+    """Return the files that a scene consists of: the bundle, or ``meta.json`` and its images.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""Niantic SPZ."""
+"""Niantic's SPZ, versions 1 to 4."""

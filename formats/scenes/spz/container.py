@@ -63,7 +63,7 @@ _ZLIB_LEVEL: Final = 6
 
 @dataclass(frozen=True)
 class SpzHeader:
-    """What an SPZ file says of itself.
+    """The header of an SPZ file.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class SpzHeader:
 
 @dataclass(frozen=True, eq=False)
 class SpzFile:
-    """A file taken apart.
+    """The parts of an SPZ file: header, streams, extensions.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def is_spz(head: bytes) -> bool:
 
 
 def unpack(data: bytes, where: str, limits: Limits) -> SpzFile:
-    """Take a file apart.
+    """Split an SPZ file into header, streams and extensions.
 
     Parameters
     ----------

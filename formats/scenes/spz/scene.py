@@ -98,7 +98,7 @@ def read_spz(path: StrPath, *, limits: Limits | None = None) -> Splats:
 
 
 def _read_extensions(spz: SpzFile, where: str) -> str:
-    """Return the frame of the stored values; warn of what is not understood."""
+    """Return the axes of the stored values; warn of extensions that are not understood."""
     axes = SPZ_AXES
     skipped = []
     for kind, payload in spz.extensions:
