@@ -30,7 +30,7 @@ def in_frustum(splats: Splats, camera: Camera, margin: float) -> NDArray[np.bool
     Returns
     -------
     (N,) bool
-        Whatever hides a splat, and whatever its footprint reaches.
+        True where the mean is inside, occluded or not; footprints do not count.
     """
     with np.errstate(all="ignore"):  # means behind the camera, or not finite, fail the tests below
         local = splats.means @ camera.rotation.T + camera.translation
@@ -60,7 +60,7 @@ def visible_depth(splats: Splats, camera: Camera) -> float:
     Parameters
     ----------
     splats : Splats
-        Every mean counts once, whatever its opacity and whatever hides it.
+        Every mean counts once, whatever its opacity, occluded or not.
     camera : Camera
         Means nearer than 0.2 (`NEAR`) do not count.
 

@@ -123,7 +123,7 @@ def run(given: BenchInput, *, quality_db: float, progress: Progress = silent) ->
     Parameters
     ----------
     given : BenchInput
-        Its background is not used: all is judged on black.
+        Its background is not used: all is measured on black.
     quality_db : float
         Nominal; the whole encoder's PSNR there is what all are compared at.
     progress : Progress

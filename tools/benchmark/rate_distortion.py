@@ -57,7 +57,7 @@ class BenchInput:
     cameras : sequence of Camera
         Test views, to measure in.
     scored_on : sequence of Camera
-        Given or made up.
+        Given or planned.
     photos : Photos or None
         Of the test views.
     background : tuple of float
@@ -92,7 +92,7 @@ class Row:
         Reason code, where the format cannot hold the scene; the figures are zeros then.
     file_bytes : int
     bytes_per_splat : float
-        Per splat of the source, whatever was pruned.
+        Per splat of the source, pruned ones included.
     held_out_db, worst_db, roam_db : float
         PSNR against the source's own renders, at most 100.
     held_out_ssim, worst_ssim, roam_ssim : float

@@ -287,7 +287,7 @@ def _about(scene: Path, given: BenchInput, what: str) -> dict[str, object]:
         "scene": name_of(scene),
         "splats": len(given.splats),
         "sh_degree": given.splats.sh_degree,
-        "judged_by": what,
+        "test_views": what,
         "views": len(given.cameras),
         "scored_on": len(given.scored_on),
         "score_s": round(given.score_s, 3),
@@ -307,7 +307,7 @@ def _tell_about(scene: Path, given: BenchInput, what: str) -> None:
     say(f"{scene}: {len(splats):,} splats, SH degree {splats.sh_degree}")
     photo = "" if given.photos is None else f"{given.photos.source_db:.2f} dB for the source"
     facts(
-        ("judged by", f"{len(given.cameras)} {what}"),
+        ("test views", f"{len(given.cameras)} {what}"),
         ("scored", f"on {len(given.scored_on)} views, {given.score_s:.1f} s"),
         ("photos", photo),
     )

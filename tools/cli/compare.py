@@ -47,13 +47,13 @@ from .inputs import (
 )
 @click.argument("path", type=PATH, metavar="IN")
 @click.argument("out", type=PATH, metavar="OUT.png")
-@cameras_option("Without it, the file's first view, else a view made up around the scene.")
+@cameras_option("Without it, the file's first view, else a planned view.")
 @click.option(
     "--camera",
     "index",
     type=click.IntRange(min=0),
     metavar="INDEX",
-    help="Which camera, from 0; without --cameras, of the views made up.",
+    help="Which camera, from 0; without --cameras, of the planned views.",
 )
 @click.option(
     "--size",
@@ -175,7 +175,7 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
 )
 @click.argument("reference", type=PATH, metavar="A")
 @click.argument("other", type=PATH, metavar="B")
-@cameras_option("Without it, eval_cameras.json beside A, all of it; else views made up.")
+@cameras_option("Without it, eval_cameras.json beside A, all of it; else planned views.")
 @eval_every_option(8, "Compare on the")
 @background_option
 @ssim_border_option

@@ -40,7 +40,7 @@ _COGS: Final = "cogs"
 @click.argument("out", type=PATH, metavar="B")
 @format_option([_COGS, *WRITABLE], "Without it, B's extension says which.")
 @edit_options
-@cameras_option("For a .cogs only; without it, views are made up around the scene.")
+@cameras_option("For a .cogs only; without it, views are planned around the scene.")
 @limits_option
 @threads_option
 @force_option

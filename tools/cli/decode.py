@@ -66,8 +66,8 @@ def decode(
     """Decode a COGS file, or a part of it, to a PLY.
 
     OUT's extension may name another format. With --bytes the file is taken as if its transfer had
-    stopped there: what is complete is decoded. With --compensate the splats of a beginning are not
-    as stored, but as they look most like the whole.
+    stopped there: what is complete is decoded. With --compensate, splats of a prefix are
+    enlarged and made more opaque in place of those that are missing.
     """
     format_to_write(out, format_name)
     check_output(out, force=force, inputs=[cogs])

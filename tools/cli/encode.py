@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 )
 @click.argument("scene", type=PATH)
 @click.argument("out", type=PATH, metavar="OUT.cogs")
-@cameras_option("Without it, views are made up around the scene.")
+@cameras_option("Without it, views are planned around the scene.")
 @click.option(
     "--profile",
     type=click.Choice(["transform", "vq", "near-lossless"]),
@@ -113,7 +113,7 @@ if TYPE_CHECKING:
 @click.option(
     "--no-compensation",
     is_flag=True,
-    help="Say nothing of how prefixes make up for what they lack; order for prefixes drawn as is.",
+    help="Store no prefix compensation; order for prefixes that are drawn without it.",
 )
 @click.option(
     "--prune",

@@ -50,7 +50,7 @@ class Selection:
     refine : bool
         Whether refinements are read.
     compensate : bool
-        Whether the first chunks make up for what is missing.
+        Whether prefix compensation is applied.
     """
 
     chunks: ChunkRange | None = None

@@ -122,7 +122,7 @@ class FileEvaluation:
             source=self.source,
             path=path,
             cameras=self.cameras,
-            judged_by=self.what,
+            test_views=self.what,
             background=self.background,
             photos=self.photos,
             qualities=found,

@@ -42,7 +42,7 @@ from .order_options import OrderChoice, order_options
 )
 @click.argument("path", type=PATH, metavar="SCENE")
 @click.argument("out", type=PATH, metavar="OUT.npy")
-@cameras_option("Without it, views are made up around the scene.")
+@cameras_option("Without it, views are planned around the scene.")
 @order_options
 @jitter_option
 @top_k_option

@@ -293,7 +293,7 @@ def _with_parameters(
             type=click.IntRange(min=0),
             metavar="INDEX",
             help="Serve this camera first, from 0: by what each splat adds to its picture. "
-            "Without --cameras, of the views made up.",
+            "Without --cameras, of the planned views.",
         ),
         click.option(
             "--first-view-share",

@@ -36,7 +36,7 @@ from .inputs import given_files, read_any, scoring_cameras, virtual_views
 )
 @click.argument("path", type=PATH, metavar="SCENE")
 @click.argument("out", type=PATH, metavar="OUT.npy")
-@cameras_option("Without it, views are made up around the scene.")
+@cameras_option("Without it, views are planned around the scene.")
 @jitter_option
 @top_k_option
 @eval_every_option(0, "Keep from scoring the")

@@ -143,7 +143,7 @@ def bars(histogram: NDArray[np.int64]) -> str:
         Counts.
     """
     top = int(histogram.max(initial=0))
-    # Rounded up, so that whatever is there is seen.
+    # Rounded up, so that every bin that is not empty shows.
     heights = [-(-int(count) * len(_BARS) // top) if top else 0 for count in histogram]
     return "".join(_BARS[height - 1] if height else " " for height in heights)
 

@@ -2,7 +2,7 @@
 
 Run ``python -m cogsplat.tools.crosscheck.splat_transform NODE_MODULES`` after, in that folder's
 parent, ``npm install @playcanvas/splat-transform@2``. What each side writes is read by both, and
-compared with the scene. Version 3 wants a ``node`` of 22 or later first on the path, and fails the
+compared with the scene. Version 3 needs ``node`` 22 or later first on the path, and fails the
 checks of SPZ: it takes that for PLY's axes where SPZ's own library has RUB.
 """
 

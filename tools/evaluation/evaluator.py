@@ -170,7 +170,7 @@ class Evaluator:
         return render(splats, camera, config)
 
     def measure(
-        self, versions: Sequence[Splats], *, progress: Progress = silent, stage: str = "judge"
+        self, versions: Sequence[Splats], *, progress: Progress = silent, stage: str = "measure"
     ) -> list[Figures]:
         """Measure versions of the scene in all test views.
 

@@ -67,7 +67,7 @@ def decode_prefix(
     path : Path
     size_bytes : int
     compensate : bool
-        Whether the splats make up for what is missing (SPEC 8.5).
+        Whether prefix compensation is applied (SPEC 8.5).
     threads : int
 
     Returns

@@ -21,7 +21,7 @@ SHARES: Final = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Of the splats (PRoGS, section 4)."""
 
 FIRST_BYTES: Final = 32 << 10
-"""The shortest beginning of a file that is measured; the others are twice the one before."""
+"""The shortest prefix of a file that is measured, in bytes; each next one is twice as long."""
 
 SPLATS: Final = "splats"
 BYTES: Final = "bytes"
@@ -40,7 +40,7 @@ class PrefixPoint:
     share : float
         Of the splats or of the file's bytes.
     size_bytes : int or None
-        Of the beginning of the file.
+        Of the prefix of the file.
     splats : int
     figures : Figures
     """
@@ -95,7 +95,7 @@ def by_splats(
     shares : sequence of float
         Above 0 to 1.
     progress : Progress
-        Called with the stage ``judge``.
+        Called with the stage ``measure``.
     """
     # What is drawn last is stored first: each version is a view of one array, not a copy.
     ordered = splats.without_extras().take(rows)
@@ -134,10 +134,10 @@ def by_bytes(
         Bytes; `sizes_of` the file where none are given. What is longer than the file is left out,
         and the whole file measured.
     compensate : bool
-        Whether beginnings make up for what they lack.
+        Whether prefixes are decoded with compensation (SPEC 8.5).
     threads : int
     progress : Progress
-        Called with the stage ``judge``.
+        Called with the stage ``measure``.
     """
     whole = path.stat().st_size
     wanted = sizes_of(whole) if sizes is None else sorted({min(size, whole) for size in sizes})

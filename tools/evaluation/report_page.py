@@ -84,7 +84,7 @@ class ReportInput:
         The COGS file.
     cameras : sequence of Camera
         Test views; at least one.
-    judged_by : str
+    test_views : str
         What they are, in words.
     background : tuple of float
         RGB behind the splats.
@@ -102,7 +102,7 @@ class ReportInput:
     source: Splats
     path: Path
     cameras: Sequence[Camera]
-    judged_by: str
+    test_views: str
     background: Colour
     photos: Photos | None
     qualities: Sequence[PrefixQuality]
@@ -150,7 +150,7 @@ def render_page(given: ReportInput) -> str:
     sections = [
         _tiles(given, kept, float(predicted[-1]) if len(predicted) else 0.0),
         "<h2>Quality as bytes arrive</h2>"
-        f"<p>PSNR against the source's own pictures in {escape(given.judged_by)}; roaming views "
+        f"<p>PSNR against the source's own pictures in {escape(given.test_views)}; roaming views "
         "stand back from those cameras and turn away. The predicted curve is what the encoder "
         "wrote into the file, measured in views that it was given: of every chunk with its tail, "
         "shown here where its head is complete.</p>",
@@ -184,7 +184,7 @@ def _tiles(given: ReportInput, kept: int, predicted_db: float) -> str:
         (size_text(size), f"{size / max(kept, 1):.2f} bytes a splat"),
         (f"{given.source_bytes / size:.1f}×", f"smaller than {size_text(given.source_bytes)}"),
         (f"{kept:,}", f"of {len(given.source):,} splats"),
-        (f"{whole.held_out_db:.2f} dB", f"judged views, SSIM {whole.held_out_ssim:.4f}"),
+        (f"{whole.held_out_db:.2f} dB", f"test views, SSIM {whole.held_out_ssim:.4f}"),
         (f"{whole.worst_db:.2f} dB", f"worst view, {whole.worst_view}"),
         (f"{whole.roam_db:.2f} dB", "roaming views"),
     ]
@@ -206,7 +206,7 @@ def _curves(given: ReportInput, predicted: Sequence[tuple[int, float]]) -> str:
         return tuple((float(max(size, 1)), db) for size, db in pairs if db is not None)
 
     series = [
-        Series("judged views", points(lambda q: q.held_out_db)),
+        Series("test views", points(lambda q: q.held_out_db)),
         Series("roaming", points(lambda q: q.roam_db), look=2),
         Series("worst view", points(lambda q: q.worst_db), look=1),
     ]

@@ -126,7 +126,7 @@ def report(
     return {
         "scene": name_of(given.path),
         "splats": len(given.splats),
-        "judged_by": given.what,
+        "test_views": given.what,
         "views": len(given.evaluator.cameras),
         "scored_on": len(given.scored_on),
         "source_photo_db": None if given.photos is None else given.photos.source_db,
@@ -141,7 +141,7 @@ def tell(given: EvaluationInput, points: Sequence[PrefixPoint], by: Sequence[str
     say(f"{given.path}: {len(splats):,} splats, SH degree {splats.sh_degree}")
     photos = given.photos
     facts(
-        ("judged by", f"{len(given.evaluator.cameras)} {given.what}"),
+        ("test views", f"{len(given.evaluator.cameras)} {given.what}"),
         ("scored", f"on {len(given.scored_on)} views"),
         ("photos", "" if photos is None else f"{photos.source_db:.2f} dB for the source"),
     )

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .materials import Colour, Edges, Surfels, coated, collected, mixed, shares
+from .materials import Colour, Edges, Surfels, collected, covered, mixed, shares
 from .shapes import Patch, any_tangents, joined, noise, quad, smoothstep, unit
 
 F64 = NDArray[np.float64]
@@ -64,7 +64,7 @@ def _plaster(patch: Patch, middles: Edges, rng: np.random.Generator) -> Surfels:
     from_beam = middles.distance - _BEAM_HALF_WIDTH
     albedo = mixed(beam, plaster, smoothstep(-0.003, 0.003, from_beam))
     edges = Edges(np.abs(from_beam), middles.along)
-    return coated(patch, rng, albedo, 0.03, 0.4, edges=edges)
+    return covered(patch, rng, albedo, 0.03, 0.4, edges=edges)
 
 
 def _sides(patch: Patch) -> tuple[F64, F64]:
@@ -98,34 +98,34 @@ def _wall(patch: Patch, width: float, front: bool, rng: np.random.Generator) -> 
     for start, side in ((x, 1.0), (width - x, -1.0)):
         distance = np.abs(start * height - y * bay) / diagonal
         middles = middles.nearer(distance, (side * bay * right + height * up) / diagonal)
-    coat = _plaster(patch, middles, rng)
+    wall = _plaster(patch, middles, rng)
     openings = [(bay * (i + 0.5), 0.37, 0.085, 0.125) for i in range(1, bays - 1)]
     for i, (centre, middle, half, tall) in enumerate(openings):
         if front and i == 1:
-            coat = _door(coat, np.abs(x - centre), y, rng)
+            wall = _door(wall, np.abs(x - centre), y, rng)
         else:
-            coat = _window(coat, np.abs(x - centre), y - middle, half, tall)
-    return coat
+            wall = _window(wall, np.abs(x - centre), y - middle, half, tall)
+    return wall
 
 
-def _door(coat: Surfels, dx: F64, y: F64, rng: np.random.Generator) -> Surfels:
+def _door(wall: Surfels, dx: F64, y: F64, rng: np.random.Generator) -> Surfels:
     inside = (dx < 0.105) & (y < 0.45)
     planks = np.array([0.05, 0.17, 0.11]) * (0.75 + 0.25 * np.sign(np.sin(dx * 150.0)))[:, None]
-    albedo = np.where(inside[:, None], planks * (0.9 + 0.2 * rng.random((len(y), 1))), coat.albedo)
-    return replace(coat, albedo=albedo, gloss=np.where(inside[:, None], 0.25, coat.gloss))
+    albedo = np.where(inside[:, None], planks * (0.9 + 0.2 * rng.random((len(y), 1))), wall.albedo)
+    return replace(wall, albedo=albedo, gloss=np.where(inside[:, None], 0.25, wall.gloss))
 
 
-def _window(coat: Surfels, dx: F64, dy: F64, half: float, tall: float) -> Surfels:
+def _window(wall: Surfels, dx: F64, dy: F64, half: float, tall: float) -> Surfels:
     frame = ((dx < half) & (np.abs(dy) < tall))[:, None]
     pane = (dx < half - 0.016) & (np.abs(dy) < tall - 0.016)
     pane &= (dx > 0.007) & (np.abs(dy - 0.03) > 0.007)
     light = np.array([1.10, 0.62, 0.16]) * (1.0 - 1.6 * np.abs(dy))[:, None]
-    albedo = np.where(frame, np.array([0.80, 0.76, 0.68]), coat.albedo)
+    albedo = np.where(frame, np.array([0.80, 0.76, 0.68]), wall.albedo)
     return replace(
-        coat,
+        wall,
         albedo=np.where(pane[:, None], light, albedo),
-        gloss=np.where(pane[:, None], 0.5, coat.gloss),
-        glow=np.where(pane, 1.0, coat.glow),
+        gloss=np.where(pane[:, None], 0.5, wall.gloss),
+        glow=np.where(pane, 1.0, wall.glow),
     )
 
 
@@ -147,7 +147,7 @@ def _tiles(patch: Patch, width: float, rng: np.random.Generator) -> Surfels:
     )
     patch = Patch(raised, bent, any_tangents(bent), patch.areas, patch.uv)
     edges = Edges(width / columns * 0.5 * (1.0 - across), uphill)
-    return coated(patch, rng, albedo, 0.16, 0.22, edges=edges)
+    return covered(patch, rng, albedo, 0.16, 0.22, edges=edges)
 
 
 def _chimney(n: int, rng: np.random.Generator) -> Surfels:
@@ -168,4 +168,4 @@ def _chimney(n: int, rng: np.random.Generator) -> Surfels:
     albedo = mixed((0.45, 0.42, 0.38), (0.36, 0.11, 0.06), mortar)
     top = patch.normals[:, 1] > 0.5
     albedo[top] = (0.02, 0.02, 0.02)
-    return coated(patch, rng, albedo * (0.7 + 0.6 * noise(patch.points, 20.0, 2, 75))[:, None])
+    return covered(patch, rng, albedo * (0.7 + 0.6 * noise(patch.points, 20.0, 2, 75))[:, None])

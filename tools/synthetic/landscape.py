@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .lighting import facing_sky
-from .materials import COVER, Edges, Surfels, coated, collected, mixed, shares
+from .materials import COVER, Edges, Surfels, collected, covered, mixed, shares
 from .objects import stand
 from .shapes import Patch, annulus, any_tangents, lattice, noise, smoothstep, unit
 
@@ -47,7 +47,7 @@ def terrace(n: int, rng: np.random.Generator) -> Surfels:
     albedo = mixed(albedo, (0.12, 0.10, 0.08), joint)
     shine = (0.10 + 0.30 * dark) * (1.0 - joint) * (0.6 + 0.8 * grain)
     tinted = shine[:, None] * np.array([1.0, 0.97, 0.92])
-    parts = [coated(patch, rng, albedo, tinted, 0.14, edges=edges)]
+    parts = [covered(patch, rng, albedo, tinted, 0.14, edges=edges)]
 
     patch = annulus(TERRACE_RADIUS - 0.3, TERRACE_RADIUS, kerb, rng)
     block = patch.uv[:, 1] * (48.0 / (2.0 * np.pi))
@@ -62,7 +62,7 @@ def terrace(n: int, rng: np.random.Generator) -> Surfels:
     albedo = mixed((0.12, 0.10, 0.08), albedo, smoothstep(0.0, 0.02, edge))
     points = patch.points + np.array([0.0, 0.03, 0.0]) * smoothstep(0.0, 0.04, edge)[:, None]
     patch = Patch(points, patch.normals, patch.tangents, patch.areas, patch.uv)
-    parts.append(coated(patch, rng, albedo, 0.06, 0.3, edges=edges))
+    parts.append(covered(patch, rng, albedo, 0.06, 0.3, edges=edges))
 
     spot = rng.standard_normal((petals, 3)) * np.array([0.5, 0.0, 0.5]) + np.array(stand("tree")[1])
     spot *= np.minimum(1.0, (TERRACE_RADIUS - 0.1) / np.hypot(spot[:, 0], spot[:, 2]))[:, None]
@@ -76,7 +76,7 @@ def _petals(points: F64, size: float, rng: np.random.Generator) -> Surfels:
     n = len(points)
     normals = unit(rng.standard_normal((n, 3)) * 0.35 + np.array([0.0, 1.0, 0.0]))
     patch = Patch(points, normals, any_tangents(normals), np.full(n, size**2), points[:, :2])
-    return coated(patch, rng, mixed((0.80, 0.30, 0.42), (0.95, 0.72, 0.78), rng.random(n)))
+    return covered(patch, rng, mixed((0.80, 0.30, 0.42), (0.95, 0.72, 0.78), rng.random(n)))
 
 
 def _height(x: F64, z: F64) -> F64:
@@ -107,7 +107,7 @@ def meadow(n: int, rng: np.random.Generator) -> Surfels:
     tone = noise(patch.points, 0.8, 4, 21)
     albedo = mixed((0.055, 0.115, 0.02), (0.20, 0.27, 0.055), tone)
     albedo *= (0.75 + 0.5 * rng.random(turf))[:, None]
-    parts = [coated(patch, rng, albedo, 0.05, 0.35)]
+    parts = [covered(patch, rng, albedo, 0.05, 0.35)]
 
     patch = _land(annulus(TERRACE_RADIUS + 0.02, 8.0, blades, rng, 0.95))
     length = 0.055 * (12000.0 / max(blades, 1)) ** 0.25 * np.exp(0.35 * rng.standard_normal(blades))
@@ -121,7 +121,7 @@ def meadow(n: int, rng: np.random.Generator) -> Surfels:
     standing = Patch(
         patch.points + lean * (0.8 * length)[:, None], upright, lean, patch.areas, patch.uv
     )
-    grass = coated(standing, rng, albedo, 0.08, 0.3)
+    grass = covered(standing, rng, albedo, 0.08, 0.3)
     width = length * 0.13 * np.exp(0.3 * rng.standard_normal(blades))
     parts.append(
         Surfels(
@@ -148,7 +148,7 @@ def meadow(n: int, rng: np.random.Generator) -> Surfels:
     patch = Patch(
         spot, normals, any_tangents(normals), np.full(flowers, (size / COVER) ** 2), patch.uv
     )
-    parts.append(coated(patch, rng, palette[kind] * (0.7 + 0.3 * angle)[:, None], 0.05, 0.3))
+    parts.append(covered(patch, rng, palette[kind] * (0.7 + 0.3 * angle)[:, None], 0.05, 0.3))
     return collected(parts)
 
 
@@ -160,7 +160,7 @@ def soil(n: int, rng: np.random.Generator) -> Surfels:
     points = patch.points - np.array([0.0, depth, 0.0])
     points[:, 1] += np.minimum(_height(points[:, 0], points[:, 2]), 0.0)
     earth = mixed((0.09, 0.07, 0.045), (0.20, 0.16, 0.11), noise(points, 2.0, 2, 7))
-    return coated(replace(patch, points=points, areas=1.2 * patch.areas), rng, earth)
+    return covered(replace(patch, points=points, areas=1.2 * patch.areas), rng, earth)
 
 
 def hills(n: int, rng: np.random.Generator) -> Surfels:
@@ -173,7 +173,7 @@ def hills(n: int, rng: np.random.Generator) -> Surfels:
     albedo = mixed(albedo, (0.035, 0.075, 0.025), wood) * leaves[:, None]
     haze = 0.75 * smoothstep(9.0, 30.0, patch.uv[:, 0])
     albedo = mixed(albedo, (0.42, 0.50, 0.60), haze)
-    return coated(patch, rng, albedo)
+    return covered(patch, rng, albedo)
 
 
 def sky(n: int, rng: np.random.Generator) -> Surfels:
@@ -194,13 +194,13 @@ def sky(n: int, rng: np.random.Generator) -> Surfels:
         patch = Patch(points, -away, any_tangents(away), np.full(count, area), uv)
         light = facing_sky(away)
         if radius == _SKY_RADIUS:
-            parts.append(coated(patch, rng, light, glow=1.0))
+            parts.append(covered(patch, rng, light, glow=1.0))
             continue
         # Clouds lie in a flat layer, so they crowd towards the horizon.
         layer = away / (0.25 + y)[:, None] * np.array([1.0, 0.0, 1.0])
         density = smoothstep(0.47, 0.70, noise(layer, 0.9, 4, 84))
         white = mixed(light, (2.0, 1.95, 1.9), 0.5 + 0.5 * density)
-        faint = coated(patch, rng, white, glow=1.0)
+        faint = covered(patch, rng, white, glow=1.0)
         opacities_unit = np.clip(faint.opacities_unit * density * 0.6, 0.012, 0.99)
         parts.append(replace(faint, opacities_unit=opacities_unit))
     return collected(parts)
@@ -215,5 +215,5 @@ def floaters(n: int, rng: np.random.Generator) -> Surfels:
     areas = (0.08 * np.exp(0.8 * rng.standard_normal(n))) ** 2
     patch = Patch(points, normals, any_tangents(normals), areas, points[:, :2])
     albedo = 0.2 + 0.5 * rng.random((n, 1)) + 0.1 * rng.standard_normal((n, 3))
-    dust = coated(patch, rng, np.clip(albedo, 0.02, 1.0), 0.05, 0.3)
+    dust = covered(patch, rng, np.clip(albedo, 0.02, 1.0), 0.05, 0.3)
     return replace(dust, opacities_unit=0.006 + 0.05 * rng.random(n) ** 3)

@@ -100,7 +100,7 @@ def shares(n: int, weights: Sequence[float]) -> list[int]:
     return [int(count) for count in counts]
 
 
-def coated(
+def covered(
     patch: Patch,
     rng: np.random.Generator,
     albedo: F64 | Colour,

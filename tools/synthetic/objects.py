@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .house import ROOF_RISE, WALLS, cottage
 from .lighting import Occluders
-from .materials import COVER, Colour, Edges, Surfels, coated, collected, mixed, placed, shares
+from .materials import COVER, Colour, Edges, Surfels, collected, covered, mixed, placed, shares
 from .shapes import (
     Patch,
     annulus,
@@ -68,7 +68,7 @@ def _plinth(radius: float, height: float, n: int, rng: np.random.Generator) -> S
     lengths = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
     along = patch.uv[:, 0] * lengths[-1]
     edge = np.abs(along[:, None] - lengths[1:-1]).min(axis=1)
-    return coated(patch, rng, albedo, 0.28, 0.14, edges=Edges(edge, patch.tangents))
+    return covered(patch, rng, albedo, 0.28, 0.14, edges=Edges(edge, patch.tangents))
 
 
 def teapot(n: int, rng: np.random.Generator) -> Surfels:
@@ -103,7 +103,7 @@ def teapot(n: int, rng: np.random.Generator) -> Surfels:
     edges = Edges.none(patch)
     for line in (np.abs(y - 0.33) - 0.125, y - 0.637):
         edges = edges.nearer(np.abs(line), patch.tangents)
-    parts = [coated(patch, rng, albedo, shine, 0.075, edges=edges)]
+    parts = [covered(patch, rng, albedo, shine, 0.075, edges=edges)]
 
     path = smooth_curve(
         [(0.44, 0.24, 0.0), (0.66, 0.30, 0.0), (0.78, 0.47, 0.0), (0.93, 0.62, 0.0)]
@@ -113,13 +113,13 @@ def teapot(n: int, rng: np.random.Generator) -> Surfels:
     patch = tube(path, radii, spout, rng)
     lip = smoothstep(0.93, 0.95, patch.uv[:, 0])
     glaze = mixed((0.012, 0.16, 0.19), (0.035, 0.33, 0.34), noise(patch.points, 5.0, 3, 41))
-    parts.append(coated(patch, rng, mixed(glaze, (0.55, 0.33, 0.08), lip), 0.75, 0.075))
+    parts.append(covered(patch, rng, mixed(glaze, (0.55, 0.33, 0.08), lip), 0.75, 0.075))
 
     loop = [(-0.43, 0.50, 0.0), (-0.66, 0.60, 0.0), (-0.84, 0.52, 0.0), (-0.84, 0.32, 0.0)]
     path = smooth_curve([*loop, (-0.68, 0.18, 0.0), (-0.46, 0.16, 0.0)])
     patch = tube(path, np.full(len(path), 0.042), handle, rng)
     glaze = mixed((0.012, 0.16, 0.19), (0.035, 0.33, 0.34), noise(patch.points, 5.0, 3, 41))
-    parts.append(coated(patch, rng, glaze, 0.75, 0.075))
+    parts.append(covered(patch, rng, glaze, 0.75, 0.075))
 
     raised = [placed(part, 0.0, (0.0, 0.28, 0.0)) for part in parts]
     return stood("teapot", collected([_plinth(0.62, 0.28, plinth, rng), *raised]))
@@ -141,8 +141,8 @@ def knot(n: int, rng: np.random.Generator) -> Surfels:
     # Anodised: violet where it faces the eye, its highlights run to cyan.
     stain = noise(patch.points, 2.5, 3, 45)
     albedo = mixed((0.05, 0.010, 0.17), (0.30, 0.020, 0.22), smoothstep(0.3, 0.7, stain))
-    metal_coat = coated(patch, rng, albedo, (0.62, 0.85, 0.95), 0.075)
-    parts = [_plinth(0.46, 0.34, plinth, rng), metal_coat]
+    tubing = covered(patch, rng, albedo, (0.62, 0.85, 0.95), 0.075)
+    parts = [_plinth(0.46, 0.34, plinth, rng), tubing]
     return stood("knot", collected(parts))
 
 
@@ -183,7 +183,7 @@ def marbles(n: int, rng: np.random.Generator) -> Surfels:
             )
         else:
             albedo, gloss, spread = (0.30, 0.19, 0.06), (0.8, 0.68, 0.4), 0.12
-        parts.append(coated(patch, rng, albedo, gloss, spread))
+        parts.append(covered(patch, rng, albedo, gloss, spread))
     return stood("marbles", collected(parts))
 
 
@@ -206,10 +206,10 @@ def tree(n: int, rng: np.random.Generator) -> Surfels:
     edges = Edges(np.abs(patch.points[:, 1] - 0.33), patch.tangents)
     albedo = np.where(ring[:, None], [0.75, 0.66, 0.50], [0.10, 0.19, 0.42])
     albedo = albedo * (0.75 + 0.5 * noise(patch.points, 8.0, 3, 61))[:, None]
-    parts = [coated(patch, rng, albedo, 0.45, 0.14, edges=edges)]
+    parts = [covered(patch, rng, albedo, 0.45, 0.14, edges=edges)]
     patch = annulus(0.0, 0.35, soil, rng).moved(0.0, (0.0, 0.32, 0.0))
     parts.append(
-        coated(patch, rng, mixed((0.03, 0.02, 0.01), (0.10, 0.06, 0.03), rng.random(soil)))
+        covered(patch, rng, mixed((0.03, 0.02, 0.01), (0.10, 0.06, 0.03), rng.random(soil)))
     )
 
     stem = [(0.0, 0.30, 0.0), (0.03, 0.60, 0.02), (-0.04, 0.90, 0.0), (0.02, 1.25, -0.02)]
@@ -243,7 +243,7 @@ def tree(n: int, rng: np.random.Generator) -> Surfels:
     )
     green = mixed((0.10, 0.20, 0.03), (0.28, 0.36, 0.06), rng.random(leaves))
     kind = rng.random(leaves) < 0.20
-    leaf = coated(patch, rng, np.where(kind[:, None], green, petal), 0.10, 0.25)
+    leaf = covered(patch, rng, np.where(kind[:, None], green, petal), 0.10, 0.25)
     longer = np.where(kind, 1.7, 1.15)[:, None] ** np.array([1.0, -1.0, 0.0])
     parts.append(
         Surfels(
@@ -261,7 +261,7 @@ def tree(n: int, rng: np.random.Generator) -> Surfels:
 
 def _bark(patch: Patch, rng: np.random.Generator) -> Surfels:
     tone = noise(patch.points * np.array([1.0, 0.35, 1.0]), 28.0, 2, 62)
-    return coated(patch, rng, mixed((0.05, 0.028, 0.016), (0.20, 0.13, 0.085), tone))
+    return covered(patch, rng, mixed((0.05, 0.028, 0.016), (0.20, 0.13, 0.085), tone))
 
 
 def house(n: int, rng: np.random.Generator) -> Surfels:
@@ -318,4 +318,4 @@ def hidden(name: str, n: int, rng: np.random.Generator) -> Surfels:
     normals = unit(rng.standard_normal((n, 3)))
     areas = np.minimum(0.04 * np.exp(0.6 * rng.standard_normal(n)), 0.07) ** 2
     patch = Patch(spot, normals, any_tangents(normals), areas, spot[:, :2])
-    return stood(name, coated(patch, rng, rng.random((n, 3)) * 0.25))
+    return stood(name, covered(patch, rng, rng.random((n, 3)) * 0.25))

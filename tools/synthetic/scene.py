@@ -1,4 +1,4 @@
-"""A procedural scene with its cameras and labels, made to be judged by eye.
+"""A procedural scene with its cameras and labels, with known ground truth.
 
 Objects on a stone terrace in a meadow, hills and sky around. What makes trained scenes hard is in
 it: splats of very different sizes and opacities, gloss that moves with the view, noise in the

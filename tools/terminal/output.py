@@ -29,7 +29,7 @@ _TABLE_WIDTH: Final = 200
 def say(text: str) -> None:
     """Print a line to standard output.
 
-    What a terminal would obey, and characters that its encoding lacks, come escaped.
+    Control characters, and characters that the encoding lacks, are escaped.
     """
     _print(printable(text))
 

@@ -131,7 +131,7 @@ def read_gltf(path: StrPath, *, limits: Limits | None = None) -> Splats:
 
     Notes
     -----
-    Nothing is allocated for a count that the buffers do not bear out.
+    No array is allocated before its count is checked against the buffers.
     """
     limits = limits or Limits()
     gltf = open_gltf(path, limits=limits)

@@ -77,7 +77,7 @@ def read_spz(path: StrPath, *, limits: Limits | None = None) -> Splats:
 
     Notes
     -----
-    Nothing is allocated for a count that the file's size does not bear out.
+    No array is allocated before its count is checked against the size of the file.
     """
     where = os.fspath(path)
     with storage_errors(path), open_for_read(path) as file:

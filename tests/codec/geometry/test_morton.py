@@ -26,3 +26,9 @@ def test_spatial_order_keeps_neighbours_together_beside_outliers() -> None:
     inner = np.abs(ordered).max(axis=1) <= 1.0
     steps = np.linalg.norm(np.diff(ordered[inner], axis=0), axis=1)
     assert np.median(steps) < 0.25, "shuffled, it would be about 1.3"
+
+
+def test_spatial_order_tells_thousands_of_neighbours_apart() -> None:
+    along = np.random.default_rng(3).permutation(5000).astype(np.float32)
+    diagonal = np.stack([along, along, along], axis=1)
+    np.testing.assert_array_equal(spatial_order(diagonal), np.argsort(along))

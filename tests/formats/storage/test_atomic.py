@@ -311,6 +311,22 @@ def arrive_late(target: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(atomic.os, "fsync", sync)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="folders are synced on POSIX alone")
+def test_the_file_is_synced_before_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[bool] = []
+    real = os.fsync
+
+    def sync(descriptor: int) -> None:
+        synced.append(stat.S_ISDIR(os.fstat(descriptor).st_mode))
+        real(descriptor)
+
+    monkeypatch.setattr(atomic.os, "fsync", sync)
+    write(tmp_path / "a.bin", b"here")
+    assert synced == [False, True]
+
+
 def without_links(source: Path, target: Path) -> None:
     raise OSError(errno.EPERM, os.strerror(errno.EPERM))
 

@@ -1,0 +1,28 @@
+"""Printed sizes and counts."""
+
+import pytest
+
+from cogsplat.tools.terminal.output import counted, size_text
+
+
+@pytest.mark.parametrize(
+    ("size", "text"),
+    [
+        (0, "0 B"),
+        (1023, "1,023 B"),
+        (1024, "1.0 KiB"),
+        (65536, "64.0 KiB"),
+        ((1 << 20) - 1024, "1,023.0 KiB"),
+        (1 << 20, "1.00 MiB"),
+        (3 << 19, "1.50 MiB"),
+    ],
+)
+def test_sizes_are_told_in_binary_units(size: int, text: str) -> None:
+    assert size_text(size).replace(",", "") == text.replace(",", "")
+
+
+@pytest.mark.parametrize(
+    ("number", "text"), [(0, "0 chunks"), (1, "1 chunk"), (12_000, "12,000 chunks")]
+)
+def test_numbers_come_with_their_noun(number: int, text: str) -> None:
+    assert counted(number, "chunk") == text
