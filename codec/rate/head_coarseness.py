@@ -21,7 +21,7 @@ _HEAD_BITS: Final = 24.0
 # Bits of each value that the refinement holds, less than what equal λ asks for: sensitivities hold
 # for small errors, and a prefix gains less from coarse splats than their costs say (measured on two
 # trained scenes).
-_LATER: Final = {"scales": 0.25, "opacities": -0.25, "means": -0.75, "turns": -1.5, "sh0": -0.75}
+_LATER: Final = {"scales": 0.25, "opacities": -0.25, "means": -0.75, "sh0": -0.75}
 _MOST_LATER: Final = 5.0
 
 # Keeps the logarithm finite where a head gains nothing: far below a ratio that asks for one bit.
@@ -36,7 +36,7 @@ class HeadCoarseness:
     ----------
     scales : tuple of int
         Largest radix of the refinement digits of each scale difference; 1 keeps the head fine.
-    means, turns : int
+    means : int
         Bits of each value that the refinement holds.
     opacities, sh0 : tuple of int
         Largest radices, as of `scales`.
@@ -44,12 +44,11 @@ class HeadCoarseness:
 
     scales: tuple[int, ...]
     means: int
-    turns: int
     opacities: tuple[int, ...]
     sh0: tuple[int, ...]
 
 
-FINE: Final = HeadCoarseness((1, 1, 1), 0, 0, (1,), (1, 1, 1))
+FINE: Final = HeadCoarseness((1, 1, 1), 0, (1,), (1, 1, 1))
 """Of a head that holds all values in full."""
 
 
@@ -93,7 +92,6 @@ def _with_bits(bits: float) -> HeadCoarseness:
     return HeadCoarseness(
         scales=(radices["scales"],) * 3,
         means=round(later["means"]),
-        turns=round(later["turns"]),
         opacities=(radices["opacities"],),
         sh0=(radices["sh0"],) * 3,
     )

@@ -51,10 +51,10 @@ def decode_head(
         scales = _read_shapes(found, codebooks, out)
     else:
         scales = _read_scales(found, finer, out)
-        _read(found, finer, Attribute.QUATS, out.quats, scales, out)
-    _read(found, finer, Attribute.MEANS, out.means, scales, out)
-    _read(found, finer, Attribute.OPACITIES, out.opacities[:, None], scales, out)
-    _read(found, finer, Attribute.SH0, out.sh0, scales, out)
+        _read(found, finer, Attribute.QUATS, out.quats, scales)
+    _read(found, finer, Attribute.MEANS, out.means, scales)
+    _read(found, finer, Attribute.OPACITIES, out.opacities[:, None], scales)
+    _read(found, finer, Attribute.SH0, out.sh0, scales)
     found.finish()
     finer.finish()
 
@@ -63,14 +63,13 @@ def _read(
     found: StreamSet,
     finer: RefinementSet,
     attribute: Attribute,
-    values: F32,
+    out: F32,
     scales: F32,
-    out: Splats,
 ) -> None:
     """Read an attribute, refined where there is a refinement; `scales` are the head's alone."""
     stream = found.take(attribute)
-    inputs = Inputs(scales=scales, refined_scales=out.scales, refinement=finer.take(stream))
-    kinds.read(stream, values, inputs)
+    inputs = Inputs(scales=scales, refinement=finer.take(stream))
+    kinds.read(stream, out, inputs)
 
 
 def _read_scales(found: StreamSet, finer: RefinementSet, out: Splats) -> F32:

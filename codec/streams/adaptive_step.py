@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError
 
+from .inputs import Inputs
+
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -51,6 +53,11 @@ class StepModel:
 
     coefficients: tuple[float, ...]
 
+    @classmethod
+    def constant(cls, bits: int) -> StepModel:
+        """Return the model that gives every row the same number of extra bits."""
+        return cls((float(bits), 0.0, 0.0, 0.0, 0.0, 0.0))
+
     def extra_bits(self, scales: F32) -> U8:
         """Return the (n,) extra bits of rows of (n, 3) float32 decoded log scales (SPEC 6.10)."""
         c = np.array(self.coefficients, np.float32)
@@ -70,16 +77,29 @@ def unpack(data: memoryview, where: str) -> StepModel:
     Raises
     ------
     FormatError
-        ``resolution-value``: a coefficient that is not finite or above `MAX_COEFFICIENT`.
+        ``step-model``: a coefficient that is not finite or above `MAX_COEFFICIENT`.
     """
     coefficients = _COEFFICIENTS.unpack(data)
     if not all(abs(c) <= MAX_COEFFICIENT for c in coefficients):
         raise FormatError(
-            "resolution-value",
+            "step-model",
             f"{where}: coefficients {coefficients}, expected magnitudes to {MAX_COEFFICIENT:g}",
             clause="6.10",
         )
     return StepModel(coefficients)
+
+
+def scales_of(inputs: Inputs) -> F32:
+    """Return the (rows, 3) float32 log scales from which the extra bits of a stream follow.
+
+    Raises
+    ------
+    ValueError
+        None are given.
+    """
+    if inputs.scales is None:
+        raise ValueError("no scales for a stream with an adaptive step")
+    return inputs.scales
 
 
 def fit(scales: F32, sensitivity: F64, lagrangian: float, base_step: float) -> StepModel:
@@ -105,30 +125,6 @@ def fit(scales: F32, sensitivity: F64, lagrangian: float, base_step: float) -> S
     # floor() loses half a bit on average.
     solution[0] += 0.5
     return _calibrated(solution, scales, sensitivity, lagrangian, base_step)
-
-
-def with_more_bits(
-    model: StepModel,
-    bits: int,
-    scales: F32,
-    sensitivity: F64,
-    lagrangian: float,
-    base_step: float,
-) -> float:
-    """Return the first coefficient with which quantisation costs what another λ allows.
-
-    Parameters
-    ----------
-    model : StepModel
-        Whose other coefficients stay.
-    bits : int
-        About how many more extra bits there will be.
-    scales, sensitivity, lagrangian, base_step
-        As `fit` takes them.
-    """
-    start = np.array(model.coefficients)
-    start[0] += bits
-    return _calibrated(start, scales, sensitivity, lagrangian, base_step).coefficients[0]
 
 
 def _calibrated(

@@ -22,8 +22,6 @@ class Inputs:
     scales : (rows, 3) float32, optional
         Log scales of the same rows as the head alone gives them: the adaptive step of means and
         rotations follows from these (SPEC 6.10).
-    refined_scales : (rows, 3) float32, optional
-        The same, with the chunk's refinement.
     refinement : StoredStream, optional
         The stream of the chunk's refinement that refines this one (SPEC 7.4).
     coarse : (rows, c) float32, optional
@@ -35,7 +33,6 @@ class Inputs:
     """
 
     scales: F32 | None = None
-    refined_scales: F32 | None = None
     refinement: StoredStream | None = None
     coarse: F32 | None = None
     codebook: F32 | None = None

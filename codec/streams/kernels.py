@@ -20,8 +20,7 @@ from .records import SH_BANDS, Attribute, Kind
 
 READERS: Final[Mapping[tuple[Attribute, Kind], CompiledReader]] = {
     (Attribute.MEANS, Kind.SCALAR): kernels_grid.read_scalar,
-    (Attribute.MEANS, Kind.MORTON): kernels_sorted_means.read_cells,
-    (Attribute.MEANS, Kind.FINE): kernels_sorted_means.read,
+    (Attribute.MEANS, Kind.SORTED): kernels_sorted_means.read,
     (Attribute.OPACITIES, Kind.SCALAR): kernels_grid.read_scalar,
     (Attribute.SH0, Kind.SCALAR): kernels_grid.read_scalar,
     (Attribute.SH0, Kind.BASIS): kernels_grid.read_sh0,

@@ -44,11 +44,3 @@ def count_extra_bits(scales: F32, coefficients: F32, knees: F32, most: int, extr
         rows[row & 1, extra[row]] += 1
     total_rows: I64 = rows[0] + rows[1]
     return total_rows
-
-
-@exact
-def gained(scales: F32, coefficients: F32, knees: F32, most: int, extra: U8, out: U8) -> None:
-    """Write how many extra bits more than `extra` rows have (SPEC 6.17)."""
-    write_extra_bits(scales, coefficients, knees, most, out)
-    for row in range(len(out)):
-        out[row] = out[row] - extra[row] if out[row] > extra[row] else 0

@@ -1,4 +1,4 @@
-"""Compiled reading of sorted means (SPEC 6.5, 6.15, 6.17)."""
+"""Compiled reading of sorted means (SPEC 6.5, 6.17)."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.geometry import morton
 
-from . import sorted_means
+from . import adaptive_step, refinement_bits, sorted_means
 from .adaptive_step import KNEES, MAX_EXTRA_BITS
-from .grid import Grid
 from .inputs import Inputs
-from .kernels_adaptive_step import count_extra_bits, gained
+from .kernels_adaptive_step import count_extra_bits
 from .kernels_bits import exact, window, words, zeros_behind
 from .records import StoredStream
 
@@ -24,6 +23,9 @@ U64 = NDArray[np.uint64]
 
 _AXIS_BITS: Final = 21
 _AXIS_MASK: Final = (1 << _AXIS_BITS) - 1
+_MORTON_BITS: Final = sorted_means.MORTON_BITS
+# Parts of nine bits that a Morton code has.
+_PARTS: Final = -(-_MORTON_BITS // 9)
 
 
 def _axes_of_bits() -> U64:
@@ -37,76 +39,90 @@ AXES_OF_BITS: Final = _axes_of_bits()
 
 
 @exact
-def _delta_bits(classes: U8) -> int:
-    """Return how many bits the differences of these classes take, -1 for a class above 63."""
+def _plan(
+    classes: U8, scales: F32, coefficients: F32, knees: F32, most: int, extra: U8
+) -> tuple[int, int]:
+    """Write the extra bits of rows; return the bits of the differences and of the plane below.
+
+    The first is -1 where a class is above 51.
+    """
+    rows = count_extra_bits(scales, coefficients, knees, most, extra)
+    fields = 0
+    for bits in range(most + 1):
+        fields += 3 * bits * rows[bits]
     total = 0
     top = 0
     for row in range(len(classes)):
         top = max(top, int(classes[row]))
         total += max(int(classes[row]), 1) - 1
-    return total if top <= 3 * _AXIS_BITS else -1
-
-
-@exact
-def _plan(
-    classes: U8, scales: F32, coefficients: F32, knees: F32, most: int, wide_of: U8
-) -> tuple[int, int]:
-    """Write the extra bits of rows; return the bits of the deltas and of the planes below."""
-    rows = count_extra_bits(scales, coefficients, knees, most, wide_of)
-    fields = 0
-    for wide in range(most + 1):
-        fields += 3 * wide * rows[wide]
-    return _delta_bits(classes), fields
+    return total if top <= _MORTON_BITS else -1, fields
 
 
 @exact
 def _means(
     classes: U8,
-    deltas: U64,
-    wide_of: U8,
+    differences: U64,
+    extra: U8,
     fields: U64,
     axes_of_bits: U64,
     levels: I64,
-    factors: F32,
+    steps: F32,
     minimum: F32,
-    extra: U8,
-    extra_fields: U64,
+    more: int,
+    more_fields: U64,
     out: F32,
 ) -> bool:
-    """Write means from Morton deltas and the bits below their cells (SPEC 6.5, 6.15, 6.17).
+    """Write means from Morton differences and the bits below their cells (SPEC 6.5, 6.17).
 
-    `factors` (extra bits, 3) is the step at each number of extra bits, `extra` how many more bits a
-    refinement adds to each row, with no rows where there is none, and `extra_fields` these bits.
+    Parameters
+    ----------
+    classes : (n,) uint8
+    differences, fields, more_fields : uint64
+        The packed planes, as `words` gives them; the last is the refinement's.
+    extra : (n,) uint8
+        Extra bits.
+    axes_of_bits : (512,) uint64
+    levels : (3,) int64
+        Of the cells.
+    steps : (bits, 3) float32
+        Distance between levels at each number of bits below the cell.
+    minimum : (3,) float32
+    more : int
+        Bits that the refinement adds, 0 without one.
+    out : (n, 3) float32
+
+    Returns
+    -------
+    bool
+        False where a code is out of range.
     """
     mask = np.uint64(_AXIS_MASK)
     code = np.uint64(0)
     at = 0
     position = 0
-    finer = len(extra) > 0
-    extra_position = 0
+    more_position = 0
+    under = (np.uint64(1) << np.uint64(more)) - np.uint64(1)
+    half = (np.int64(1) << np.int64(more)) >> np.int64(1)
     for row in range(len(out)):
         bits = int(classes[row])
         if bits:
             leading = np.uint64(1) << np.uint64(bits - 1)
-            code += (window(deltas, at) & (leading - np.uint64(1))) | leading
+            code += (window(differences, at) & (leading - np.uint64(1))) | leading
             at += bits - 1
-            if code >> np.uint64(63):
+            if code >> np.uint64(_MORTON_BITS):
                 return False
         cells = np.uint64(0)
-        for part in range(7):
+        for part in range(_PARTS):
             nine = (code >> np.uint64(9 * part)) & np.uint64(511)
             cells |= axes_of_bits[nine] << np.uint64(3 * part)
-        wide = int(wide_of[row])
+        wide = int(extra[row])
         low = window(fields, position)
         position += 3 * wide
         below = (np.uint64(1) << np.uint64(wide)) - np.uint64(1)
-        more = int(extra[row]) if finer else 0
         lower = np.uint64(0)
         if more:
-            lower = window(extra_fields, extra_position)
-            extra_position += 3 * more
-        under = (np.uint64(1) << np.uint64(more)) - np.uint64(1)
-        half = (np.int64(1) << np.int64(more)) >> np.int64(1)
+            lower = window(more_fields, more_position)
+            more_position += 3 * more
         for axis in range(3):
             cell = (cells >> np.uint64(_AXIS_BITS * axis)) & mask
             if np.int64(cell) >= levels[axis]:
@@ -116,47 +132,9 @@ def _means(
             level = np.int64((fine << np.uint64(more)) + field) - half
             if level < 0:
                 return False
-            value = np.float32(level) * factors[wide + more, axis]
+            value = np.float32(level) * steps[wide + more, axis]
             out[row, axis] = value + minimum[axis]
     return True
-
-
-def _write(
-    planes: tuple[U8, U8, U8, U8],
-    used: tuple[int, int],
-    extra: tuple[U8, U8],
-    grid: Grid,
-    out: F32,
-) -> bool:
-    classes, deltas, fields, below = planes
-    if not zeros_behind(deltas, used[0]) or not zeros_behind(fields, used[1]):
-        return False
-    return _means(
-        classes,
-        words(deltas),
-        extra[0],
-        words(fields),
-        AXES_OF_BITS,
-        grid.levels.astype(np.int64),
-        sorted_means.POWERS[:, None] * grid.step,
-        grid.minimum,
-        extra[1],
-        words(below),
-        out,
-    )
-
-
-def read_cells(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
-    """Read as `sorted_means.read_cells` does; False where something is out of range."""
-    grid = sorted_means.parse_cells(stream)
-    classes = stream.plane(0, stream.rows)
-    bits = _delta_bits(classes)
-    if bits < 0:
-        return False
-    deltas = stream.plane(1, bits + 7 >> 3)
-    none = np.zeros(stream.rows, np.uint8)
-    empty = none[:0]
-    return _write((classes, deltas, empty, empty), (bits, 0), (none, empty), grid, out)
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
@@ -165,19 +143,28 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
     classes = stream.plane(0, stream.rows)
     coefficients = np.array(model.coefficients, np.float32)
     extra = np.empty(stream.rows, np.uint8)
-    scales = sorted_means.scales_of(inputs)
+    scales = adaptive_step.scales_of(inputs)
     used = _plan(classes, scales, coefficients, KNEES, MAX_EXTRA_BITS, extra)
     if used[0] < 0:
         return False
-    deltas = stream.plane(1, used[0] + 7 >> 3)
+    differences = stream.plane(1, used[0] + 7 >> 3)
     fields = stream.plane(2, used[1] + 7 >> 3)
-    finer = sorted_means.finer_of(inputs)
-    more = below = extra[:0]
-    if finer is not None:
-        (fine,) = finer.step_models([model])
-        more = np.empty_like(extra)
-        constants = np.array(fine.coefficients, np.float32)
-        gained(finer.scales, constants, KNEES, MAX_EXTRA_BITS, extra, more)
-        finer.stream.require_planes(1)
-        below = finer.plane(0, more * np.uint8(3))
-    return _write((classes, deltas, fields, below), used, (extra, more), grid, out)
+    if not zeros_behind(differences, used[0]) or not zeros_behind(fields, used[1]):
+        return False
+    more, below = 0, extra[:0]
+    if inputs.refinement is not None:
+        more = refinement_bits.parse(inputs.refinement)
+        below = refinement_bits.read_plane(inputs.refinement, more)
+    return _means(
+        classes,
+        words(differences),
+        extra,
+        words(fields),
+        AXES_OF_BITS,
+        grid.levels.astype(np.int64),
+        sorted_means.POWERS[:, None] * grid.step,
+        grid.minimum,
+        more,
+        words(below),
+        out,
+    )

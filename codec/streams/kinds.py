@@ -63,8 +63,7 @@ _INDEX: Final = {Kind.VQ: StreamCodec(codebook_index.read, codebook=codebook_ind
 KINDS: Final[Mapping[Attribute, Mapping[Kind, StreamCodec]]] = {
     Attribute.MEANS: {
         **_PLAIN,
-        Kind.MORTON: StreamCodec(sorted_means.read_cells),
-        Kind.FINE: StreamCodec(sorted_means.read, refined_by=Kind.BITS),
+        Kind.SORTED: StreamCodec(sorted_means.read, refined_by=Kind.BITS),
     },
     Attribute.OPACITIES: _REFINABLE,
     Attribute.SH0: {
@@ -79,7 +78,7 @@ KINDS: Final[Mapping[Attribute, Mapping[Kind, StreamCodec]]] = {
     },
     Attribute.QUATS: {
         Kind.QUAT: StreamCodec(quaternion.read),
-        Kind.SWING_TWIST: StreamCodec(swing_twist.read, refined_by=Kind.BITS, heads_only=True),
+        Kind.SWING_TWIST: StreamCodec(swing_twist.read, heads_only=True),
     },
     Attribute.SCALE_FACTOR: _PLAIN,
     Attribute.SHAPE: _INDEX,

@@ -58,16 +58,15 @@ class Kind(IntEnum):
     """How a stream stores its attribute (SPEC 6.2, table of kinds)."""
 
     SCALAR = 1
-    MORTON = 2
+    FLOAT = 2
     QUAT = 3
     VQ = 4
-    FLOAT = 5
+    SORTED = 5
     DIFFERENCES = 6
     SWING_TWIST = 7
-    FINE = 8
-    BASIS = 9
-    DIGITS = 10
-    BITS = 11
+    BASIS = 8
+    DIGITS = 9
+    BITS = 10
 
 
 ESCAPE: Final = 1

@@ -1,10 +1,8 @@
-"""Bits streams: more bits of the values of a stream with an adaptive step (SPEC 6.17)."""
+"""Bits streams: the same number of further bits for every row of sorted means (SPEC 6.17)."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -13,111 +11,107 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import FormatError
 
 from . import bit_fields
-from .adaptive_step import MAX_COEFFICIENT, StepModel
 from .records import Attribute, Kind, StoredStream, Stream
 
-F32 = NDArray[np.float32]
-U8 = NDArray[np.uint8]
-U32 = NDArray[np.uint32]
-U64 = NDArray[np.uint64]
 I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
 
-_CONSTANT: Final = struct.Struct("<f")
+MAX_BITS: Final = 15
+"""Most bits that a refinement adds to an axis (SPEC 6.17)."""
+
+_PARAMS: Final = struct.Struct("<B3s")
 
 
-@dataclass(frozen=True, eq=False)
-class Finer:
-    """A bits stream, which adds extra_bits to the rows of a stream that has some (SPEC 6.17).
+def half_of(bits: int) -> int:
+    """Return half a level of the head in levels of the refinement, 0 where nothing is refined."""
+    return 1 << bits >> 1
+
+
+def coarse_codes(codes: I64, bits: int) -> I64:
+    """Return the codes of the head that are nearest to refined codes."""
+    coarse: I64 = (codes + half_of(bits)) >> bits
+    return coarse
+
+
+def write(codes: I64, bits: int) -> Stream:
+    """Return the bits stream of means.
+
+    Parameters
+    ----------
+    codes : (n, 3) int64
+        Refined codes, in the order of the head; the head has their `coarse_codes`.
+    bits : int
+        1 to `MAX_BITS`.
+    """
+    low = (codes + half_of(bits) - (coarse_codes(codes, bits) << bits)).astype(np.uint64)
+    fields = low[:, 0] | (low[:, 1] << np.uint64(bits)) | (low[:, 2] << np.uint64(2 * bits))
+    plane = bit_fields.pack(fields, _widths(len(codes), bits))
+    return Stream(Attribute.MEANS, Kind.BITS, len(codes), _PARAMS.pack(bits, bytes(3)), [plane])
+
+
+def _widths(rows: int, bits: int) -> U8:
+    return np.full(rows, 3 * bits, np.uint8)
+
+
+def parse(stream: StoredStream) -> int:
+    """Return the number of bits that each axis gains; the number of planes is checked.
+
+    Raises
+    ------
+    FormatError
+        ``stream-params``, ``refinement-bits``, ``stream-planes``.
+    """
+    bits, reserved = _PARAMS.unpack(stream.require_params(_PARAMS.size))
+    if not 1 <= bits <= MAX_BITS or any(reserved):
+        raise FormatError(
+            "refinement-bits",
+            f"{stream.where}: {bits} bits and reserved bytes {reserved.hex()}, "
+            f"expected 1 to {MAX_BITS}, and zeros",
+            clause="6.17",
+        )
+    stream.require_planes(1)
+    return int(bits)
+
+
+def read_plane(stream: StoredStream, bits: int) -> U8:
+    """Return the plane of a bits stream, its padding checked.
+
+    Raises
+    ------
+    FormatError
+        ``bits-padding``, or what is wrong with the plane.
+    """
+    widths = _widths(stream.rows, bits)
+    plane = stream.plane(0, bit_fields.packed_bytes(widths))
+    bit_fields.require_padding(plane, widths, stream.where)
+    return plane
+
+
+def read(stream: StoredStream, codes: I64) -> tuple[I64, int]:
+    """Return refined codes, and how many bits they have gained.
 
     Parameters
     ----------
     stream : StoredStream
-    scales : (rows, 3) float32
-        The same rows' scales, refined.
+    codes : (rows, 3) int64
+        Of the head.
+
+    Raises
+    ------
+    FormatError
+        As `parse` and `read_plane`; ``code-range``: a refined code below 0.
     """
-
-    stream: StoredStream
-    scales: F32
-
-    def step_models(self, coarse: Sequence[StepModel]) -> list[StepModel]:
-        """Return the finer step_models that belong to those of the head."""
-        params = self.stream.require_params(len(coarse) * _CONSTANT.size)
-        constants = [value for (value,) in _CONSTANT.iter_unpack(params)]
-        if not all(abs(value) <= MAX_COEFFICIENT for value in constants):
-            raise FormatError(
-                "resolution-value",
-                f"{self.stream.where}: constants {constants}, "
-                f"expected magnitudes to {MAX_COEFFICIENT:g}",
-                clause="6.17",
-            )
-        return [with_constant(one, c) for one, c in zip(coarse, constants, strict=True)]
-
-    def extra(self, coarse: Sequence[StepModel], extra_bits: Sequence[U8]) -> list[U8]:
-        """Return how many extra_bits the rows gain, for each model of the head."""
-        finer = self.step_models(coarse)
-        return [gained(f, self.scales, h) for f, h in zip(finer, extra_bits, strict=True)]
-
-    def plane(self, index: int, widths: U8) -> U8:
-        """Return a plane of the rows' bits, its padding checked."""
-        plane = self.stream.plane(index, bit_fields.packed_bytes(widths))
-        bit_fields.require_padding(plane, widths, self.stream.where)
-        return plane
-
-    def fields(self, index: int, widths: U8) -> U64:
-        """Return the rows' bits in a plane."""
-        return bit_fields.unpack(self.plane(index, widths), widths, self.stream.where)
-
-    def refuse(self) -> FormatError:
-        """Return what to raise for a code that a row does not have."""
-        return FormatError(
+    bits = parse(stream)
+    fields = bit_fields.unpack(read_plane(stream, bits), _widths(stream.rows, bits), stream.where)
+    refined = codes << bits
+    mask = np.uint64((1 << bits) - 1)
+    for axis in range(3):
+        low = (fields >> np.uint64(bits * axis)) & mask
+        refined[:, axis] += low.astype(np.int64) - half_of(bits)
+    if int(refined.min(initial=0)) < 0:
+        raise FormatError(
             "code-range",
-            f"{self.stream.where}: a code beyond what the extra_bits of its row allow",
+            f"{stream.where}: refined code {int(refined.min())}, expected at least 0",
             clause="6.17",
         )
-
-
-def with_constant(model: StepModel, constant: float) -> StepModel:
-    """Return a model with another first coefficient."""
-    return replace(model, coefficients=(constant, *model.coefficients[1:]))
-
-
-def gained(finer: StepModel, scales: F32, extra_bits: U8) -> U8:
-    """Return how many extra_bits a finer model adds to those that rows have."""
-    wanted = finer.extra_bits(scales)
-    return np.maximum(wanted, extra_bits) - extra_bits
-
-
-def coarse_of(codes: U32, extra: U8) -> tuple[U32, U64]:
-    """Split codes at finer extra_bits into the nearest codes at coarser ones and what is below.
-
-    Parameters
-    ----------
-    codes : uint32
-    extra : uint8
-        Halvings between the two, broadcast against the codes.
-
-    Returns
-    -------
-    coarse : uint32
-    fields : uint64
-        In `extra` bits.
-    """
-    wide = codes.astype(np.int64)
-    half = half_of(extra)
-    shift = extra.astype(np.int64)
-    coarse = (wide + half) >> shift
-    return coarse.astype(np.uint32), (wide + half - (coarse << shift)).astype(np.uint64)
-
-
-def half_of(extra: U8) -> I64:
-    """Return half of what one coarse level is worth in fine ones, 0 without extra extra_bits."""
-    half: I64 = (np.int64(1) << extra.astype(np.int64)) >> 1
-    return half
-
-
-def bits_stream(
-    attribute: Attribute, constants: Sequence[float], planes: Sequence[U8], rows: int
-) -> Stream:
-    """Return a bits stream of planes as SPEC 6.17 has them."""
-    params = b"".join(_CONSTANT.pack(value) for value in constants)
-    return Stream(attribute, Kind.BITS, rows, params, planes)
+    return refined, bits

@@ -56,7 +56,7 @@ def parse(stream: StoredStream, components: int) -> Grid:
         ``stream-params``, ``grid-value``, ``grid-levels``.
     """
     params = stream.require_params(components * ENTRY_BYTES)
-    return grids.unpack(params, components, stream.where)
+    return grids.unpack(params, components, stream.where, grids.MAX_LEVELS - extra_codes(stream))
 
 
 def extra_codes(stream: StoredStream) -> int:

@@ -7,10 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.geometry import morton
 from cogsplat.codec.streams import grid as grids
 from cogsplat.codec.streams import scalar, sorted_means
-from cogsplat.codec.streams.grid import Grid
+from cogsplat.codec.streams.adaptive_step import StepModel
 from cogsplat.codec.streams.records import Attribute, Stream
 
 F32 = NDArray[np.float32]
@@ -19,8 +18,8 @@ MAX_LOGIT: Final = 12.0
 """Opacities beyond ± this are stored as this: σ(12) differs from 1 by 6e-6, far below 1/255."""
 
 
-def chunk_means(means: F32, step: float, sort: bool) -> tuple[NDArray[np.int64], Stream]:
-    """Return the order inside a chunk and its means in that order.
+def chunk_means(means: F32, step: float, sort: bool) -> tuple[NDArray[np.int64], Stream, F32]:
+    """Return the order inside a chunk and its means in that order, all with the same step.
 
     Parameters
     ----------
@@ -36,20 +35,21 @@ def chunk_means(means: F32, step: float, sort: bool) -> tuple[NDArray[np.int64],
     rows : (n,) int64
         Permutation of the chunk's rows.
     stream : Stream
+        Sorted or scalar.
+    decoded : (n, 3) float32
+        What the stream decodes to.
     """
-    grid = _cap(grids.fit(means, step))
-    codes = grid.quantise(means)
+    grid = grids.fit(means, step)
     if not sort:
         rows = np.arange(len(means), dtype=np.int64)
-        return rows, scalar.write(Attribute.MEANS, means, grid)
-    keys = morton.interleave(codes)
-    rows = np.argsort(keys, kind="stable").astype(np.int64)
-    return rows, sorted_means.write_cells(codes[rows], grid)
-
-
-def _cap(grid: Grid) -> Grid:
-    levels = np.minimum(grid.levels, np.uint32(morton.MAX_LEVELS))
-    return Grid(grid.minimum, grid.maximum, levels)
+        decoded = grid.dequantise(grid.quantise(means))
+        return rows, scalar.write(Attribute.MEANS, means, grid), decoded
+    cells, bits = sorted_means.cells_of(grid)
+    extra = np.full(len(means), bits, np.uint8)
+    codes = sorted_means.codes_of(means, cells, extra)
+    rows = sorted_means.morton_order(codes, extra)
+    stream = sorted_means.write(codes[rows], cells, extra, StepModel.constant(bits))
+    return rows, stream, sorted_means.values(codes[rows], cells, extra)
 
 
 def chunk_opacities(opacities: F32, step: float) -> Stream:

@@ -7,10 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.geometry import morton
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.streams import adaptive_step, refinement_bits, sorted_means
-from cogsplat.codec.streams import grid as grids
 from cogsplat.codec.streams.grid import Grid
 
 from .chunk_streams import chunk_means
@@ -27,22 +25,16 @@ _COARSEST: Final = 0.02
 
 
 def quantise_means(
-    means: F32,
-    scales: tuple[F32, F32],
-    costs: F64,
-    lagrangian: float,
-    later_bits: int,
-    sort: bool,
+    means: F32, scales: F32, costs: F64, lagrangian: float, later_bits: int, sort: bool
 ) -> Quantised:
-    """Return the means of a chunk, each with a step of its own where the grid can hold that.
+    """Return the means of a chunk, each with a step of its own.
 
     Parameters
     ----------
     means : (n, 3) float32
         Scene units.
-    scales : tuple of two (n, 3) float32
-        Log scales that the head gives and that the refinement gives: each row's number of bits
-        follows from them.
+    scales : (n, 3) float32
+        Log scales that the head alone gives: each row's number of bits follows from them.
     costs : (n,) float64
         `Costs.mean`.
     lagrangian : float
@@ -52,35 +44,28 @@ def quantise_means(
     sort : bool
         Whether to sort by Morton code; otherwise all means have one step.
     """
-    head, fine = scales
+    if not sort:
+        rows, stream, _ = chunk_means(means, allocation.equal_step(lagrangian, costs), sort)
+        return rows, stream, NOTHING
     head_lagrangian = lagrangian * 4.0**later_bits
     log_steps = np.log2(allocation.own_steps(head_lagrangian, costs))
     # A power of two below which only the coarsest splats' steps lie: they have no extra bits.
     base = float(2.0 ** np.floor(np.quantile(log_steps, 1 - _COARSEST)))
-    base = min(base, _widest(means))
-    model = adaptive_step.fit(head, costs, head_lagrangian, base)
-    head_bits = model.extra_bits(head)
-    refined_bits = np.zeros_like(head_bits)
-    constant = 0.0
-    if later_bits:
-        constant = adaptive_step.with_more_bits(model, later_bits, fine, costs, lagrangian, base)
-        refined_bits = refinement_bits.gained(
-            refinement_bits.with_constant(model, constant), fine, head_bits
-        )
-    total = head_bits + refined_bits
+    widest = _widest(means)
+    base = min(max(base, widest * 2 / sorted_means.MAX_CELLS), widest)
+    model = adaptive_step.fit(scales, costs, head_lagrangian, base)
+    extra = model.extra_bits(scales)
     grid = _grid(means, base)
-    top = grid.levels.astype(np.float64) * 2.0 ** int(total.max())
-    if not sort or int(grid.levels.max()) > morton.MAX_LEVELS or top.max() >= 2.0**31:
-        return *chunk_means(means, allocation.equal_step(lagrangian, costs), sort), NOTHING
-    codes = sorted_means.codes_of(means, grid, total)
-    kept, _ = refinement_bits.coarse_of(codes, refined_bits[:, None])
-    order = sorted_means.morton_order(kept, head_bits)
-    stored, below = sorted_means.refine(codes[order], refined_bits[order], constant)
-    stream = sorted_means.write(stored, grid, head_bits[order], model)
+    refined = sorted_means.codes_of(means, grid, extra, later_bits)
+    codes = refinement_bits.coarse_codes(refined, later_bits)
+    order = sorted_means.morton_order(codes, extra)
+    codes, refined, extra = codes[order], refined[order], extra[order]
+    stream = sorted_means.write(codes, grid, extra, model)
     if not later_bits:
         return order, stream, NOTHING
-    missed = np.square(means[order] - sorted_means.values(stored, grid, head_bits[order]))
-    return order, stream, Refined(below, float(costs[order] @ missed.sum(axis=1)))
+    missed = np.square(means[order] - sorted_means.values(codes, grid, extra))
+    drop = float(costs[order] @ missed.sum(axis=1))
+    return order, stream, Refined(refinement_bits.write(refined, later_bits), drop)
 
 
 def _widest(means: F32) -> float:
@@ -93,6 +78,6 @@ def _grid(means: F32, step: float) -> Grid:
     """Return a grid of exactly `step`, the step that the extra bits of the step model halve."""
     minimum = means.min(axis=0)
     span = means.max(axis=0).astype(np.float64) - minimum
-    levels = np.minimum(np.ceil(span / step) + 1, float(grids.MAX_LEVELS))
+    levels = np.ceil(span / step) + 1
     maximum = minimum.astype(np.float64) + (levels - 1) * step
     return Grid(minimum, maximum.astype(np.float32), levels.astype(np.uint32))

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.geometry import morton, rotations
+from cogsplat.codec.geometry import rotations
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams import float32, quaternion, records, scalar
@@ -78,7 +78,7 @@ def encode_chunk(
         The chunk's rows.
     means_bound : float
         Scene units.
-    bounds : NearBounds
+    bounds : NearLosslessBounds
     sort : bool
         Whether to sort by Morton code inside the chunk.
     """
@@ -106,11 +106,9 @@ def _quat_step(bound: float) -> float:
 
 
 def _means(means: F32, bound: float, sort: bool) -> tuple[NDArray[np.int64], Stream]:
-    step = 2 * bound * _SLACK
-    grid = grids.fit(means, step)
-    within = int(grid.levels.max()) <= morton.MAX_LEVELS and _error(means, grid) <= bound
-    if within:
-        return chunk_means(means, step, sort)
+    rows, stream, decoded = chunk_means(means, 2 * bound * _SLACK, sort)
+    if _largest(decoded, means[rows]) <= bound:
+        return rows, stream
     # Coordinates too large for the bound on any grid: as they are.
     rows = np.arange(len(means), dtype=np.int64)
     return rows, float32.write(Attribute.MEANS, means)
@@ -137,5 +135,9 @@ def _opacities(values: F32, bound: float) -> Stream:
 
 
 def _error(values: F32, grid: grids.Grid) -> float:
-    decoded = grid.dequantise(grid.quantise(values))
+    return _largest(grid.dequantise(grid.quantise(values)), values)
+
+
+def _largest(decoded: F32, values: F32) -> float:
+    """Return the largest difference of two arrays."""
     return float(np.abs(decoded.astype(np.float64) - values).max(initial=0))

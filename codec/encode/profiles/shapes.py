@@ -16,13 +16,10 @@ from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.records import Stream
 
 from .chunk_streams import MAX_LOGIT
-from .refined import NOTHING, Refined, squared_error_drop
+from .refined import Refined, squared_error_drop
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-
-# The step of a rotation without extra bits: its values lie in ±1.
-_ROTATION_STEP: Final = 2.0
 
 # Share of a change of area that opacity makes up for, and the least 1 - α it counts with. Half
 # was best of 0, a half and all in renders of three trained scenes: overlapping splats share.
@@ -92,36 +89,22 @@ def opacities_to_store(opacities: F32, scales: F32, stored: F32) -> F32:
     return (logits - shift).astype(np.float32)[:, None]
 
 
-def quantise_rotations(
-    values: F64, scales: tuple[F32, F32], costs: Costs, lagrangian: float, later_bits: int
-) -> tuple[Stream, Refined]:
+def quantise_rotations(values: F64, scales: F32, costs: Costs, lagrangian: float) -> Stream:
     """Return the rotations of a chunk, each as fine as its shape asks for.
 
     Parameters
     ----------
     values : (n, 3) float64
-        Swing and twist of each rotation (`swing_twist.canonical`).
-    scales : tuple of two (n, 3) float32
-        Log scales that the head gives and that the refinement gives: each row's number of bits
-        follows from them. Where all are equal, so are the numbers.
+        Swing and twist of each rotation (`swing_twist.decompose`).
+    scales : (n, 3) float32
+        Log scales that the head alone gives: each row's number of bits follows from them. Where
+        all are equal, so are the numbers.
     costs : Costs
         Of these rows.
     lagrangian : float
-        λ of the refined values.
-    later_bits : int
-        Bits of every value that the refinement holds.
     """
-    head, fine = scales
-    head_lagrangian = lagrangian * 4.0**later_bits
-    tilt = adaptive_step.fit(head, costs.tilt, head_lagrangian, _ROTATION_STEP)
-    spin = adaptive_step.fit(head, costs.spin, head_lagrangian, _ROTATION_STEP)
-    if not later_bits:
-        return swing_twist.turns(values, head, tilt, spin)[0], NOTHING
-    constants = [
-        adaptive_step.with_more_bits(model, later_bits, fine, cost, lagrangian, _ROTATION_STEP)
-        for model, cost in ((tilt, costs.tilt), (spin, costs.spin))
-    ]
-    stream, below, coarse = swing_twist.refined_turns(values, head, tilt, spin, fine, constants)
-    missed = np.square(values - coarse)
-    gain = float(costs.tilt @ (missed[:, 0] + missed[:, 1]) + costs.spin @ missed[:, 2])
-    return stream, Refined(below, gain)
+    swing, twist = (
+        adaptive_step.fit(scales, cost, lagrangian, swing_twist.BASE_STEP)
+        for cost in (costs.tilt, costs.spin)
+    )
+    return swing_twist.write(values, scales, swing, twist)

@@ -101,7 +101,7 @@ def plan(
     if contribution is not None:
         coarseness = head_coarseness(contribution, lagrangian, chunks, missing_all)
     costs = rate_costs.limited(costs, splats.scales, lagrangian)
-    turns, scales = swing_twist.canonical(rotations.unit(splats.quats), splats.scales)
+    turns, scales = swing_twist.decompose(rotations.unit(splats.quats), splats.scales)
     basis: ColourBasis | None = None
     payloads: tuple[bytes, ...] = ()
     if splats.sh_degree:
@@ -145,28 +145,20 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     if used.fine_means:
         inside, means, refined_means = affordable(
             lambda bits: quantise_means(
-                splats.means[rows], (head_scales, scales), costs.mean, lagrangian, bits, sort
+                splats.means[rows], head_scales, costs.mean, lagrangian, bits, sort
             ),
             coarseness.means,
         )
     else:
         step = allocation.equal_step(lagrangian, costs.mean)
-        inside, means = chunk_means(splats.means[rows], step, sort)
+        inside, means, _ = chunk_means(splats.means[rows], step, sort)
         refined_means = NOTHING
     # From here on in the order that the chunk is stored in.
     rows, head_scales, scales = rows[inside], head_scales[inside], scales[inside]
     sizes, differences, costs = sizes.take(inside), differences[inside], plan_.costs.take(rows)
     # Of shapes that are all alike, every rotation gets the same step.
-    step_scales = (head_scales, scales)
-    if not used.fine_turns:
-        step_scales = (np.zeros_like(head_scales), np.zeros_like(scales))
-    _, rotations_, refined_rotations = affordable(
-        lambda bits: (
-            inside,
-            *shapes.quantise_rotations(plan_.turns[rows], step_scales, costs, lagrangian, bits),
-        ),
-        coarseness.turns,
-    )
+    step_scales = head_scales if used.fine_turns else np.zeros_like(head_scales)
+    quats = shapes.quantise_rotations(plan_.turns[rows], step_scales, costs, lagrangian)
     sh0 = splats.sh0[rows].astype(np.float64)
     tail: bytes | None = None
     if plan_.basis is not None:
@@ -188,14 +180,13 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     colours, refined_colours = _sh0(sh0, costs.energy, lagrangian, coarseness.sh0)
     head = [
         scale_differences.write(sizes.coarse, sizes.grid),
-        rotations_,
+        quats,
         means,
         scalar.write(Attribute.OPACITIES, opacities.coarse, opacities.grid),
         colours,
     ]
     refined = [
         shapes.refined_scales(sizes, differences, costs),
-        refined_rotations,
         refined_means,
         Refined(opacities.digits, opacity_drop),
         refined_colours,

@@ -188,7 +188,7 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
     """Return the head and the tail of the chunk that holds `rows` of a planned scene."""
     costs = plan_.costs.take(rows)
     step = costs.mean_step(plan_.scales[rows])
-    inside, means = chunk_means(splats.means[rows], step, morton)
+    inside, means, _ = chunk_means(splats.means[rows], step, morton)
     rows, costs = rows[inside], costs.take(inside)
     factors = plan_.factors[rows][:, None]
     factor_step = costs.step(Attribute.SCALE_FACTOR)
