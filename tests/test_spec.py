@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from cogsplat.codec.geometry import morton
 from cogsplat.codec.splats import MAX_EXTRA_COMPONENTS, MAX_EXTRAS, MAX_SH_DEGREE
 from cogsplat.codec.streams import (
     adaptive_step,
@@ -18,7 +17,9 @@ from cogsplat.codec.streams import (
     grid,
     limits,
     records,
+    refinement_bits,
     shn_transform,
+    sorted_means,
 )
 from cogsplat.codec.streams.kinds import KINDS
 from cogsplat.formats.cogs import cameras, canonical_msgpack, layout, reader, root
@@ -255,9 +256,10 @@ def test_limits_are_the_constants():
         "bytes of a decoded plane": limits.MAX_PLANE_BYTES,
         "zstd window, bytes": limits.MAX_WINDOW_BYTES,
         "levels of a grid": grid.MAX_LEVELS,
-        "levels of a Morton grid": morton.MAX_LEVELS,
+        "levels of the cells of sorted means": sorted_means.MAX_CELLS,
         "coordinates of a basis stream": shn_transform.MAX_BASIS_ROWS,
         "extra bits of a row": adaptive_step.MAX_EXTRA_BITS,
+        "bits of a refinement, an axis": refinement_bits.MAX_BITS,
         "SH degree": MAX_SH_DEGREE,
     }
 

@@ -51,7 +51,7 @@ def decode_head(
         scales = _read_shapes(found, codebooks, out)
     else:
         scales = _read_scales(found, finer, out)
-        _read(found, finer, Attribute.QUATS, out.quats, scales)
+        kinds.read(found.take(Attribute.QUATS), out.quats, Inputs(scales=scales))
     _read(found, finer, Attribute.MEANS, out.means, scales)
     _read(found, finer, Attribute.OPACITIES, out.opacities[:, None], scales)
     _read(found, finer, Attribute.SH0, out.sh0, scales)

@@ -1,4 +1,4 @@
-"""Fields of differing width, packed without gaps, lowest bit first (SPEC 6.5)."""
+"""Fields of differing width, packed without gaps, lowest bit first (SPEC 6.15)."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def require_padding(data: U8, widths: U8, where: str) -> None:
     total = int(widths.sum(dtype=np.int64))
     if total & 7 and int(data[-1]) >> (total & 7):
         raise FormatError(
-            "bits-padding", f"{where}: padding bits are set, expected zeros", clause="6.5"
+            "bits-padding", f"{where}: padding bits are set, expected zeros", clause="6.15"
         )
 
 

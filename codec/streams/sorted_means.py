@@ -14,7 +14,6 @@ from . import adaptive_step as step_models
 from . import bit_fields, refinement_bits
 from . import grid as grids
 from .adaptive_step import MAX_EXTRA_BITS, MODEL_BYTES, StepModel
-from .bit_fields import windows
 from .grid import ENTRY_BYTES, Grid
 from .inputs import Inputs
 from .records import Attribute, Kind, StoredStream, Stream
@@ -149,14 +148,7 @@ def pack_differences(codes: U64) -> tuple[U8, U8]:
     """
     deltas = np.diff(codes, prepend=np.uint64(0))
     classes = _bit_length(deltas)
-    lengths = np.maximum(classes.astype(np.int64) - 1, 0)
-    starts = np.cumsum(lengths) - lengths
-    total = int(lengths.sum())
-    # One row per bit: which difference it belongs to, and which bit of it.
-    owner = np.repeat(np.arange(len(deltas)), lengths)
-    bit = np.arange(total) - starts[owner]
-    values = (deltas[owner] >> bit.astype(np.uint64)) & np.uint64(1)
-    return classes, np.packbits(values.astype(np.uint8), bitorder="little")
+    return classes, bit_fields.pack(deltas, np.maximum(classes, 1) - np.uint8(1))
 
 
 def _bit_length(values: U64) -> U8:
@@ -169,8 +161,8 @@ def _bit_length(values: U64) -> U8:
     return length + (values > 0).astype(np.uint8)
 
 
-def difference_bytes(classes: U8, where: str) -> int:
-    """Return the bytes of the plane of differences that belongs to a plane of classes.
+def difference_widths(classes: U8, where: str) -> U8:
+    """Return the bits that each row has in the plane of differences.
 
     Raises
     ------
@@ -183,7 +175,8 @@ def difference_bytes(classes: U8, where: str) -> int:
             f"{where}: class {int(classes.max())}, expected at most {MORTON_BITS}",
             clause="6.5",
         )
-    return int((np.maximum(classes, 1).astype(np.int64) - 1).sum()) + 7 >> 3
+    widths: U8 = np.maximum(classes, 1) - np.uint8(1)
+    return widths
 
 
 def unpack_differences(classes: U8, differences: U8, where: str) -> U64:
@@ -192,28 +185,18 @@ def unpack_differences(classes: U8, differences: U8, where: str) -> U64:
     Raises
     ------
     FormatError
-        ``morton-padding``: bits behind the last difference are not zero; ``morton-range``: a code
-        of 2^51 or more.
+        ``morton-class``; ``bits-padding``; ``morton-range``: a code of 2^51 or more.
     """
-    lengths = np.maximum(classes, 1).astype(np.int64) - 1
-    ends = np.cumsum(lengths)
-    starts = ends - lengths
-    total = int(ends[-1]) if len(ends) else 0
-    if total & 7 and int(differences[-1]) >> (total & 7):
-        raise FormatError(
-            "morton-padding", f"{where}: padding bits are set, expected zeros", clause="6.5"
-        )
-    low = windows(differences, starts)
-    width = lengths.astype(np.uint64)
-    deltas = (low & ((np.uint64(1) << width) - np.uint64(1))) | (np.uint64(1) << width)
+    widths = difference_widths(classes, where)
+    deltas = bit_fields.unpack(differences, widths, where)
+    deltas |= np.uint64(1) << widths.astype(np.uint64)
     deltas[classes == 0] = 0
-    # At most 2^18 rows of differences below 2^51: the sums need 69 bits, but the first one out of
-    # range is below 2^52, and none after it matters.
+    # The first sum out of range is below 2^52, and shows; those after it do not matter.
     codes = np.cumsum(deltas, dtype=np.uint64)
     if len(codes) and bool((codes >> np.uint64(MORTON_BITS)).any()):
         raise FormatError(
             "morton-range",
-            f"{where}: a Morton code of more than {MORTON_BITS} bits, expected at most as many",
+            f"{where}: a Morton code of more than {MORTON_BITS} bits, expected no more",
             clause="6.5",
         )
     return codes
@@ -242,14 +225,15 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     Raises
     ------
     FormatError
-        As `parse`, `difference_bytes`, `unpack_differences` and `refinement_bits.read`;
+        As `parse`, `unpack_differences` and `refinement_bits.read`;
         ``bits-padding``; ``code-range``: a cell or a refined code that the grid does not have.
     ValueError
         No scales are given.
     """
     grid, model = parse(stream)
     classes = stream.plane(0, stream.rows)
-    differences = stream.plane(1, difference_bytes(classes, stream.where))
+    widths = difference_widths(classes, stream.where)
+    differences = stream.plane(1, bit_fields.packed_bytes(widths))
     cells = morton.deinterleave(unpack_differences(classes, differences, stream.where))
     top = cells.max(axis=0, initial=0)
     if bool((top >= grid.levels).any()):

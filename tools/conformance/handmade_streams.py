@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.geometry import morton
-from cogsplat.codec.streams import grid_planes, sorted_means
+from cogsplat.codec.streams import bit_fields, grid_planes
+from cogsplat.codec.streams import sorted_means as sorted_streams
+from cogsplat.codec.streams.adaptive_step import StepModel
 from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.quaternion import PER_ROW
 from cogsplat.codec.streams.records import (
@@ -28,6 +31,9 @@ U32 = NDArray[np.uint32]
 
 GridRow = tuple[float, float, int]
 """Minimum, maximum and levels of one component."""
+
+NO_EXTRA_BITS: Final = StepModel.constant(0)
+"""The step model of means that are cells alone."""
 
 
 def numbers(count: int, below: int, seed: int) -> list[int]:
@@ -126,12 +132,36 @@ def quats(
     return Stream(Attribute.QUATS, Kind.QUAT, rows, params, [*first, *body.planes], flags)
 
 
-def morton_means(axis_codes: Sequence[Sequence[int]], rows: Sequence[GridRow]) -> Stream:
-    """Return a morton stream of axis codes, sorted here."""
-    codes = np.array(axis_codes, np.uint32)
-    order = np.argsort(morton.interleave(codes), kind="stable")
-    classes, bits = sorted_means.pack_deltas(morton.interleave(codes[order]))
-    return Stream(Attribute.MEANS, Kind.MORTON, len(codes), grid(rows).pack(), [classes, bits])
+def sorted_means(
+    cells: Sequence[Sequence[int]],
+    rows: Sequence[GridRow],
+    model: StepModel = NO_EXTRA_BITS,
+    extra_bits: Sequence[int] | None = None,
+    seed: int = 1,
+) -> Stream:
+    """Return a sorted stream of means.
+
+    Parameters
+    ----------
+    cells : sequence of sequence of int
+        In any order.
+    rows : sequence of (float, float, int)
+        The grid of the cells.
+    model : StepModel
+    extra_bits : sequence of int, optional
+        What the model gives the rows of the stream; none by default. Their bits are
+        pseudo-random.
+    seed : int
+    """
+    codes = np.array(cells, np.uint32)
+    keys = np.sort(morton.interleave(codes), kind="stable")
+    classes, differences = sorted_streams.pack_differences(keys)
+    wide = np.array(extra_bits if extra_bits is not None else [0] * len(codes), np.uint8)
+    fields = [numbers(1, 1 << 3 * int(h), seed + 5 * i)[0] for i, h in enumerate(wide)]
+    below = bit_fields.pack(np.array(fields, np.uint64), wide * np.uint8(3))
+    params = grid(rows).pack() + model.pack()
+    planes = [classes, differences, below]
+    return Stream(Attribute.MEANS, Kind.SORTED, len(codes), params, planes)
 
 
 def indices(

@@ -186,6 +186,11 @@ def grids() -> list[Invalid]:
     rows = scenes.quats(3, 1, largest=[0, 1, 2])
     past = scenes.coded(Attribute.MEANS, means, [[0, 1, 4], [0] * 3, [0] * 3])
     opacities = scenes.coded(Attribute.OPACITIES, [(0.0, 1.0, 4)], [[0, 5, 6]], flags=INFINITIES)
+    infinite = replace(
+        scenes.coded(Attribute.OPACITIES, [(0.0, 1.0, 9)], [[0, 1, 2]], flags=INFINITIES),
+        params=struct.pack("<ffI", 0.0, 1.0, (1 << 24) - 1),
+        planes=[np.zeros(3, np.uint8)] * 3,
+    )
     return [
         grid("grid-nan", math.nan, 1.0, 4, "grid-value", "a minimum of NaN"),
         grid("grid-infinite", -1.0, math.inf, 4, "grid-value", "an infinite maximum"),
@@ -193,6 +198,8 @@ def grids() -> list[Invalid]:
         grid("grid-turned", 1.0, -1.0, 4, "grid-value", "minimum above maximum"),
         grid("grid-0-levels", -1.0, 1.0, 0, "grid-levels", "no level"),
         grid("grid-many-levels", -1.0, 1.0, (1 << 24) + 1, "grid-levels", "2^24 + 1 levels"),
+        bad("infinities-levels", infinite, "grid-levels", "6.4",
+            "2^24 - 1 levels and two codes more"),
         bad("code-past", past, "code-range", "6.4", "code 4 of 4 levels"),
         bad("code-past-infinity", opacities, "code-range", "6.4", "code 6 of 4 levels and two"),
         bad("quats-wide", scenes.quats(3, 1, ranges=[(-1.5, 1.0, 4)] * 3), "grid-value", "6.6",
@@ -218,11 +225,11 @@ def grids() -> list[Invalid]:
     ]  # fmt: skip
 
 
-def mortons() -> list[Invalid]:
+def sorted_means() -> list[Invalid]:
     """Return the vectors of SPEC 6.5."""
     ranges = [(-1.0, 1.0, 8)] * 3
-    wide = [(-1.0, 1.0, 1 << 21)] * 3
-    good = scenes.morton_means([[1, 2, 3], [4, 5, 6], [7, 7, 7]], ranges)
+    wide = [(-1.0, 1.0, 1 << 17)] * 3
+    good = scenes.sorted_means([[1, 2, 3], [4, 5, 6], [7, 7, 7]], ranges)
 
     def bad(
         name: str,
@@ -232,32 +239,30 @@ def mortons() -> list[Invalid]:
         bits: bytes = b"",
         clause: str = "6.5",
     ) -> Invalid:
-        stream = replace(
-            good,
-            params=scenes.grid(wide).pack(),
-            planes=[np.array(classes, np.uint8), np.frombuffer(bits, np.uint8)],
-        )
+        planes = [np.array(classes, np.uint8), np.frombuffer(bits, np.uint8), good.planes[2]]
+        stream = replace(good, params=scenes.grid(wide).pack() + good.params[36:], planes=planes)
         return _refused(name, _head(stream), code, clause, note)
 
-    third = replace(good, planes=[*good.planes, np.zeros(1, np.uint8)])
-    many = replace(good, params=scenes.grid([(-1.0, 1.0, (1 << 21) + 1)] * 3).pack())
-    past = scenes.morton_means([[0, 0, 0], [0, 0, 1], [0, 0, 9]], ranges)
+    many = replace(
+        good, params=scenes.grid([(-1.0, 1.0, (1 << 17) + 1)] * 3).pack() + good.params[36:]
+    )
+    past = scenes.sorted_means([[0, 0, 0], [0, 0, 1], [0, 0, 9]], ranges)
+    no_model = replace(good, params=good.params[:36])
     return [
-        bad("morton-class-64", "morton-class", "a difference of 64 bits", [0, 64, 0], bytes(8)),
-        bad("morton-padding", "morton-padding", "a padding bit set", [2, 0, 0], b"\x80"),
-        bad("morton-range", "morton-range", "differences that sum to 2^63", [63, 63, 0], bytes(16)),
-        bad(
-            "morton-bits-short",
-            "plane-length",
-            "a bits plane one byte short",
-            [9, 9, 0],
-            b"\0",
-            "6.3",
-        ),
-        _refused("morton-3-planes", _head(third), "stream-planes", "6.2", "three planes, not two"),
-        _refused("morton-levels", _head(many), "grid-levels", "6.4", "2^21 + 1 levels"),
-        _refused("morton-past", _head(past), "code-range", "6.5", "code 9 of 8 levels"),
-    ]
+        bad("morton-class-52", "morton-class", "a difference of 52 bits", [0, 52, 0], bytes(7)),
+        bad("morton-padding", "bits-padding", "a padding bit set", [2, 0, 0], b"\x80",
+            clause="6.15"),
+        bad("morton-range", "morton-range", "differences that sum to 2^51", [51, 51, 0],
+            bytes(13)),
+        bad("morton-bits-short", "plane-length", "differences one byte short", [9, 9, 0], b"\0",
+            "6.3"),
+        _refused("sorted-2-planes", _head(replace(good, planes=good.planes[:2])), "stream-planes",
+                 "6.2", "two planes, not three"),
+        _refused("sorted-levels", _head(many), "grid-levels", "6.4", "2^17 + 1 levels"),
+        _refused("sorted-past", _head(past), "code-range", "6.5", "cell 9 of 8 levels"),
+        _refused("sorted-grid-alone", _head(no_model), "stream-params", "6.2",
+                 "36 bytes of parameters, not 60"),
+    ]  # fmt: skip
 
 
 def _books(
@@ -265,10 +270,10 @@ def _books(
 ) -> bytes:
     """Return the file with codebooks of 5 shapes and 4 colours with another head and tail."""
     draft: Draft = books()
-    kept = list(draft.groups[0].segments[:3])
-    kept.append(Segment(SegmentKind.HEAD, 0, pack_streams(head), needs))
-    kept.append(Segment(SegmentKind.TAIL, 0, pack_streams(tail), needs))
-    return build(with_segments(draft, kept))
+    segments = list(draft.groups[0].segments[:3])
+    segments.append(Segment(SegmentKind.HEAD, 0, pack_streams(head), needs))
+    segments.append(Segment(SegmentKind.TAIL, 0, pack_streams(tail), needs))
+    return build(with_segments(draft, segments))
 
 
 def codebooks() -> list[Invalid]:
@@ -289,26 +294,26 @@ def codebooks() -> list[Invalid]:
         note: str,
         *,
         shape: Stream = shape,
-        kept: Sequence[Stream] = (),
+        escape: Sequence[Stream] = (),
         tail: Sequence[Stream] = (colour,),
         needs: tuple[int, ...] = (0, 1),
     ) -> Invalid:
-        data = _books(scenes.vq_head(3, 1, shape, *kept, still=True), tail, needs)
+        data = _books(scenes.vq_head(3, 1, shape, *escape, still=True), tail, needs)
         return _refused(name, data, code, clause, note)
 
-    def index(attribute: Attribute, codes: Sequence[int], book: int, kept: int = 0) -> Stream:
-        return scenes.indices(attribute, codes, book, 5, kept)
+    def index(attribute: Attribute, codes: Sequence[int], book: int, escape: int = 0) -> Stream:
+        return scenes.indices(attribute, codes, book, 5, escape)
 
     scalar_shape = scenes.spread(Attribute.SHAPE, 3, 1)
-    many_kept = index(Attribute.SHAPE, [0, 1, 2], 0, 4)
+    many_escape = index(Attribute.SHAPE, [0, 1, 2], 0, 4)
     short = replace(shape, params=shape.params[:7])
     mixed = [*head, scenes.spread(Attribute.SCALES, 3, 1)]
     lone = [stream for stream in head if stream.attribute != Attribute.SCALE_FACTOR]
     return [
         bad("index-past", "index-range", "6.7", "row 5 of 5",
             shape=index(Attribute.SHAPE, [0, 5, 2], 0)),
-        bad("index-past-kept", "index-range", "6.7", "row 6 of 5 and one of its own",
-            shape=index(Attribute.SHAPE, [0, 6, 2], 0, 1), kept=own),
+        bad("index-past-escape", "index-range", "6.7", "row 6 of 5 and one escape row",
+            shape=index(Attribute.SHAPE, [0, 6, 2], 0, 1), escape=own),
         bad("book-not-needed", "codebook-missing", "6.7", "a codebook used but not in needs",
             needs=(1,)),
         bad("book-of-colours", "codebook-missing", "6.7", "shapes from a codebook of colours",
@@ -317,12 +322,13 @@ def codebooks() -> list[Invalid]:
             tail=[index(Attribute.SHN, [0, 1, 2], 0)]),
         bad("book-99", "codebook-missing", "6.7", "codebook 99",
             shape=index(Attribute.SHAPE, [0, 1, 2], 99)),
-        bad("kept-more-than-rows", "stream-rows", "6.7", "4 kept rows in a chunk of 3",
-            shape=many_kept, kept=own),
-        bad("kept-none", "stream-missing", "7.2", "a kept row stated, none there", shape=with_own),
-        bad("kept-two", "stream-rows", "6.2", "one kept row stated, two there", shape=with_own,
-            kept=[scenes.spread(Attribute.SCALES, 2, 3, escape=True), own[1]]),
-        bad("kept-unstated", "stream-unexpected", "7.2", "kept rows not stated", kept=own),
+        bad("escape-more-than-rows", "stream-rows", "6.7", "4 escape rows in a chunk of 3",
+            shape=many_escape, escape=own),
+        bad("escape-none", "stream-missing", "7.2", "an escape row stated, none there",
+            shape=with_own),
+        bad("escape-two", "stream-rows", "6.2", "one escape row stated, two there", shape=with_own,
+            escape=[scenes.spread(Attribute.SCALES, 2, 3, escape=True), own[1]]),
+        bad("escape-unstated", "stream-unexpected", "7.2", "escape rows not stated", escape=own),
         bad("vq-params", "stream-params", "6.2", "7 bytes of parameters, not 8", shape=short),
         bad("shape-scalar", "stream-kind", "6.2", "shapes as a scalar stream", shape=scalar_shape),
         bad("tail-mixed", "stream-unexpected", "7.3", "a codebook's colours and a band beside them",
@@ -344,11 +350,12 @@ def heads_and_tails() -> list[Invalid]:
     def kind(name: str, stream: Stream, note: str) -> Invalid:
         return _refused(name, _head(stream), "stream-kind", "6.2", note)
 
+    flagged = [replace(head[0], flags=head[0].flags | ESCAPE), *head[1:]]
     three = scenes.bands(2, 3, 5)
     still = scenes.spread(Attribute.QUATS, 3, 1, span=0.2)
     codes = scenes.indices(Attribute.OPACITIES, [0, 1, 2], 0, 5, 0)
-    morton = replace(
-        scenes.morton_means([[0, 1, 2]] * 3, [(-1.0, 1.0, 8)] * 3), attribute=Attribute.SH0
+    cells = replace(
+        scenes.sorted_means([[0, 1, 2]] * 3, [(-1.0, 1.0, 8)] * 3), attribute=Attribute.SH0
     )
     turned = replace(scenes.quats(3, 1), attribute=Attribute.SCALES)
     return [
@@ -358,18 +365,17 @@ def heads_and_tails() -> list[Invalid]:
         _refused("no-streams", _raw(pack_streams([])), "stream-missing", "7.2", "an empty head"),
         _refused("head-band", _raw(pack_streams([*head, scenes.band(1, 3, 1)])),
                  "stream-unexpected", "7.2", "an SH band in a head"),
-        _refused("head-kept", _raw(pack_streams([replace(s, flags=s.flags | ESCAPE) if i == 0 else s
-                                                 for i, s in enumerate(head)])),
-                 "stream-missing", "7.2", "means that say they are kept rows"),
+        _refused("head-escape", _raw(pack_streams(flagged)), "stream-missing", "7.2",
+                 "scales that say they are escape rows"),
         _refused("tail-band-above", _tail([*three, scenes.band(3, 3, 5)]), "stream-unexpected",
                  "7.3", "a third band at SH degree 2"),
         _refused("tail-sh0", _tail([*three, head[-1]]), "stream-unexpected", "7.3",
                  "sh0 in a tail"),
-        _refused("tail-kept", _tail([scenes.band(1, 3, 5, escape=True)]),
-                 "stream-unexpected", "7.3", "kept rows without indices"),
+        _refused("tail-escape", _tail([scenes.band(1, 3, 5, escape=True)]),
+                 "stream-unexpected", "7.3", "escape rows without indices"),
         kind("quats-scalar", still, "quats as a scalar stream"),
         kind("opacities-vq", codes, "opacities as indices"),
-        kind("sh0-morton", morton, "sh0 as a morton stream"),
+        kind("sh0-sorted", cells, "sh0 as a sorted stream"),
         kind("scales-quat", turned, "scales as a quat stream"),
         _refused("shn-scalar", _tail([replace(scenes.band(1, 3, 1), attribute=Attribute.SHN,
                                               kind=Kind.SCALAR)]),

@@ -1,4 +1,4 @@
-"""Must-reject vectors of packed planes and of the kinds turn, fine and basis (SPEC 6.9 on)."""
+"""Must-reject vectors of packed planes, swing-twist, sorted means and bases (SPEC 6)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import zstandard
 
-from cogsplat.codec.streams.records import Attribute, Kind, Stream
+from cogsplat.codec.streams.records import ESCAPE, Attribute, Kind, Stream
 
 from . import handmade_streams as scenes
-from . import valid_transform as fine
+from . import valid_transform as good_streams
 from .file_builder import build, one_chunk, pack_streams, packed_plane, payload, record
 from .invalid import Invalid
 
@@ -62,13 +62,12 @@ def packings() -> list[Invalid]:
 
 
 def kinds() -> list[Invalid]:
-    """Return the vectors of SPEC 6.10 to 6.13 and 6.15."""
+    """Return the vectors of SPEC 6.10 to 6.13, and of adaptive steps in 6.5."""
     rows = 24
-    scales = fine.ladder(rows, 1)
-    turns = fine.turns(scales, 2)
-    means = fine.fine_means(scales, 3)
-    sh0 = fine.sh0_basis(rows, 4)
-    halved = fine.halvings(scales)
+    scales = good_streams.differences(rows, 1)
+    rotations = good_streams.rotations(scales, 2)
+    means = good_streams.sorted_means(scales, 3)
+    sh0 = good_streams.sh0_basis(rows, 4)
 
     def bad(name: str, changed: Sequence[Stream], code: str, clause: str, note: str) -> Invalid:
         head = pack_streams(scenes.still_head(rows, scales, *changed))
@@ -84,55 +83,115 @@ def kinds() -> list[Invalid]:
         planes[index] = np.frombuffer(content, np.uint8)
         return replace(stream, planes=planes)
 
-    groups = len({min(int(h), 6) for h in halved if h})
-    beyond = bytes([200]) * len(turns.planes[0])
-    padded = turns.planes[groups].tobytes()
-    spare = sum(max(int(h) - 6, 0) for h in halved) % 8
-    filled = padded[:-1] + bytes([padded[-1] | 128]) if spare else padded + b"\x80"
+    # Planes 0 to 5 are the symbols of the first component, plane 6 its low bits.
+    extra = good_streams.extra_bits(scales)
+    first = next(m for m in range(1, 7) if len(rotations.planes[m - 1]))
+    beyond = bytes([200]) * len(rotations.planes[first - 1])
+    padded = rotations.planes[6].tobytes()
+    low = sum(max(int(h) - 6, 0) for h in extra) % 8
+    filled = padded[:-1] + bytes([padded[-1] | 128]) if low else padded + b"\x80"
+    # The last row with 15 extra bits has the last low bits: a symbol of 64 and a bit set.
+    top = bytearray(rotations.planes[5].tobytes())
+    top[:] = bytes([64]) * len(top)
     rest = means.planes[2].tobytes()
-    past = fine.fine_means(scales, 3, levels=12)
-    short = replace(past, params=scenes.grid([(-1.0, 1.0, 5)] * 3).pack() + past.params[36:])
-    wide = replace(means, params=scenes.grid([(-1.0, 1.0, (1 << 21) + 1)] * 3).pack()
-                   + means.params[36:])  # fmt: skip
+    bits = sum(3 * int(h) for h in extra) % 8
+    spoilt = rest[:-1] + bytes([rest[-1] | 128]) if bits else rest + b"\x80"
     return [
-        bad("turn-params", [replace(turns, params=turns.params[:-4])], "stream-params", "6.2",
-            "44 bytes of parameters, not 48"),
-        bad("turn-coefficient", [params(turns, 8, 1.1e6)], "resolution-value", "6.10",
+        bad("swing-twist-params", [replace(rotations, params=rotations.params[:-4])],
+            "stream-params", "6.2", "44 bytes of parameters, not 48"),
+        bad("swing-twist-coefficient", [params(rotations, 8, 1.1e6)], "step-model", "6.10",
             "a coefficient above 10^6"),
-        bad("turn-coefficient-nan", [params(turns, 24, float("nan"))], "resolution-value", "6.10",
-            "a coefficient of NaN"),
-        bad("turn-planes", [replace(turns, planes=turns.planes[:-1])], "stream-planes", "6.11",
-            "a plane less than the scales imply"),
-        bad("turn-code", [plane(turns, 0, beyond)], "code-range", "6.11",
-            "codes of 200 where there is one halving"),
-        bad("turn-padding", [plane(turns, groups, filled)], "bits-padding", "6.5",
+        bad("swing-twist-coefficient-nan", [params(rotations, 24, float("nan"))], "step-model",
+            "6.10", "a coefficient of NaN"),
+        bad("swing-twist-20-planes", [replace(rotations, planes=rotations.planes[:-1])],
+            "stream-planes", "6.2", "20 planes, not 21"),
+        bad("swing-twist-code", [plane(rotations, first - 1, beyond)], "code-range", "6.11",
+            "symbols of 200"),
+        bad("swing-twist-low-bits", [plane(rotations, 5, bytes(top))], "code-range", "6.11",
+            "codes above 2^h by their low bits"),
+        bad("swing-twist-symbols-more", [plane(rotations, first - 1, beyond + b"\0")],
+            "plane-length", "6.3", "a symbol more than rows"),
+        bad("swing-twist-padding", [plane(rotations, 6, filled)], "bits-padding", "6.15",
             "a padding bit set"),
-        bad("turn-on-scales", [replace(turns, attribute=Attribute.SH0)], "stream-kind", "6.2",
-            "sh0 as turns"),
-        bad("ladder-on-means", [replace(scales, attribute=Attribute.MEANS)], "stream-kind", "6.2",
-            "means as a ladder"),
-        bad("fine-planes", [replace(means, planes=means.planes[:2])], "stream-planes", "6.15",
-            "two planes, not three"),
-        bad("fine-coefficient", [params(means, 36, float("inf"))], "resolution-value", "6.10",
+        bad("swing-twist-on-sh0", [replace(rotations, attribute=Attribute.SH0)], "stream-kind",
+            "6.2", "sh0 as swing and twist"),
+        bad("differences-on-means", [replace(scales, attribute=Attribute.MEANS)], "stream-kind",
+            "6.2", "means as differences"),
+        bad("sorted-coefficient", [params(means, 36, float("inf"))], "step-model", "6.10",
             "an infinite coefficient"),
-        bad("fine-code", [short], "code-range", "6.15", "coarse codes past 5 levels"),
-        bad("fine-levels", [wide], "grid-levels", "6.4", "2^21 + 1 coarse levels"),
-        bad("fine-rest-short", [plane(means, 2, rest[:-1])], "plane-length", "6.3",
+        bad("sorted-low-short", [plane(means, 2, rest[:-1])], "plane-length", "6.3",
             "low bits one byte short"),
-        bad("fine-params", [replace(means, params=means.params[:-1])], "stream-params", "6.2",
+        bad("sorted-padding", [plane(means, 2, spoilt)], "bits-padding", "6.15",
+            "a bit set behind the low bits"),
+        bad("sorted-params", [replace(means, params=means.params[:-1])], "stream-params", "6.2",
             "59 bytes of parameters, not 60"),
         bad("sh0-axes", [params(sh0, 36, 1.5)], "basis-value", "6.13", "an axis of 1.5"),
         bad("sh0-axes-nan", [params(sh0, 68, float("nan"))], "basis-value", "6.13",
             "an axis of NaN"),
-        bad("basis-on-scales", [replace(sh0, attribute=Attribute.OPACITIES)], "stream-kind", "6.2",
-            "opacities on axes"),
+        bad("basis-on-opacities", [replace(sh0, attribute=Attribute.OPACITIES)], "stream-kind",
+            "6.2", "opacities on axes"),
+        *_heads_only(),
     ]  # fmt: skip
+
+
+def _heads_only() -> list[Invalid]:
+    """Return files in which escape rows or a codebook have kinds that only heads have."""
+    scales = good_streams.differences(3, 1)
+    rotations = good_streams.rotations(scales, 2)
+    shape = scenes.indices(Attribute.SHAPE, [5, 6, 7], 0, 5, 3)
+    plain = [scenes.spread(Attribute.SCALES, 3, 3), scenes.quats(3, 4)]
+
+    def escape(name: str, own: Sequence[Stream], note: str) -> Invalid:
+        own = [replace(stream, flags=ESCAPE) for stream in own]
+        head = pack_streams(scenes.vq_head(3, 1, shape, *own))
+        books = {"shape": (5, [pack_streams(scenes.shape_book(5, 1))])}
+        data = build(one_chunk(head, 3, books=books, needs=(0,)))
+        return Invalid(name, data, "stream-kind", "6.2", note, "decode")
+
+    def book(name: str, body: Sequence[Stream], note: str) -> Invalid:
+        head = pack_streams(scenes.vq_head(3, 1, replace(shape, params=struct.pack("<II", 0, 0))))
+        books = {"shape": (3, [pack_streams(body)])}
+        data = build(one_chunk(head, 3, books=books, needs=(0,)))
+        return Invalid(name, data, "stream-kind", "6.2", note, "decode")
+
+    return [
+        escape("escape-differences", [scales, plain[1]], "escape rows of scales as differences"),
+        escape("escape-swing-twist", [plain[0], rotations], "escape rows as swing and twist"),
+        book("book-differences", [scales, plain[1]], "scales of a codebook as differences"),
+        book("book-swing-twist", [plain[0], rotations], "quats of a codebook as swing and twist"),
+    ]
+
+
+def large_planes() -> list[Invalid]:
+    """Return the vector of a plane of more than 8 MiB (SPEC 9.1)."""
+    rows, width = 1 << 18, 60
+    ends = bytes([width]) * rows
+    frame: bytes = zstandard.ZstdCompressor(level=19).compress(ends)
+    # Codes of the last group, coordinates 26 to 59, are one byte: 33 · 2^18 bytes in a plane.
+    sizes = bytearray(2 * 12)
+    sizes[22] = 1
+    params = struct.pack("<IffHH", 0, 1.0, 0.0, width, 0) + bytes(sizes)
+    stored: bytes = zstandard.ZstdCompressor(level=19).compress(bytes((width - 27) * rows))
+    stream = Stream(Attribute.SHN, Kind.BASIS, rows, params, [])
+    entry = record(stream)
+    entry.planes = [(len(data) | 1 << 31, data) for data in (frame, stored)]
+    book = scenes.constant(Attribute.SH1, width, *[0.5] * 9)
+    draft = one_chunk(
+        pack_streams(scenes.still_head(rows)),
+        rows,
+        tail=payload([entry]),
+        sh_degree=1,
+        books={"colour": (width, [pack_streams([book])])},
+        needs=(0,),
+    )
+    note = "a plane of 33 · 2^18 bytes"
+    return [Invalid("plane-large", build(draft), "plane-length", "9.1", note, "decode")]
 
 
 def bases() -> list[Invalid]:
     """Return the vectors of SPEC 6.14."""
     codes = [[1, 0, -2], [0, 3, 0], [300, 0, 1]]
-    good = fine.shn_basis(codes, 0, 0.1, 0.2)
+    good = good_streams.shn_basis(codes, 0, 0.1, 0.2)
     book = scenes.band(1, 4, 2)
 
     def file(
@@ -150,7 +209,7 @@ def bases() -> list[Invalid]:
         clause = {"codebook-missing": "6.7", "stream-params": "6.2"}.get(code, "6.14")
         return file(name, replace(good, params=bytes(changed)), code, note, clause)
 
-    wide = fine.shn_basis([[1] * 5] * 3, 0, 0.1, 0.2)
+    wide = good_streams.shn_basis([[1] * 5] * 3, 0, 0.1, 0.2)
     ends = replace(good, planes=[np.array([3, 4, 3], np.uint8), *good.planes[1:]])
     high = scenes.coded(Attribute.SH1, [(0.0, 2.0**33, 2)] * 9, [[0, 1, 0, 1]] * 9)
     return [
@@ -168,6 +227,10 @@ def bases() -> list[Invalid]:
         file("shn-planes", replace(good, planes=good.planes[:-1]), "stream-planes", "one missing"),
         file("shn-basis-high", good, "basis-value", "a basis that reaches 2^33", book=high),
         file(
-            "shn-kind", replace(good, kind=Kind.SWING_TWIST), "stream-kind", "shN as turns", "6.2"
+            "shn-kind",
+            replace(good, kind=Kind.SWING_TWIST),
+            "stream-kind",
+            "shN as swing and twist",
+            "6.2",
         ),
     ]

@@ -16,7 +16,7 @@ from . import reference_streams as streams
 from .reference_streams import (
     BANDS,
     BASIS,
-    KEPT,
+    ESCAPE,
     MEANS,
     OPACITIES,
     QUATS,
@@ -182,19 +182,14 @@ def _head(payload: Payload, books: dict[int, list[Row]], finer: Payload) -> dict
 
     `finer` are the streams of its refinement (SPEC 7.4), none where there is none.
     """
-
-    def finer_of(attribute: int) -> streams.Finer | None:
-        found = finer.get((attribute, 0))
-        return None if found is None else streams.Finer(found, scales)
-
     shape = payload.get((SHAPE, 0))
     if shape is None:
         coarse = streams.numbers(payload[SCALES, 0])
         scales = streams.numbers(payload[SCALES, 0], None, finer.get((SCALES, 0)))
-        quats = streams.quats(payload[QUATS, 0], coarse, finer_of(QUATS))
+        quats = streams.quats(payload[QUATS, 0], coarse)
     else:
-        number, kept = struct.unpack("<II", shape.params)
-        book = books[number] + (_shapes(payload, KEPT) if kept else [])
+        number, escape = struct.unpack("<II", shape.params)
+        book = books[number] + (_shapes(payload, ESCAPE) if escape else [])
         shapes = [book[i] for i in streams.indices(shape, len(books[number]))]
         factors = streams.numbers(payload[SCALE_FACTOR, 0])
         scales = [
@@ -205,7 +200,7 @@ def _head(payload: Payload, books: dict[int, list[Row]], finer: Payload) -> dict
     return {
         "scales": scales,
         "quats": quats,
-        "means": streams.numbers(payload[MEANS, 0], coarse, None, finer_of(MEANS)),
+        "means": streams.numbers(payload[MEANS, 0], coarse, finer.get((MEANS, 0))),
         "opacities": streams.numbers(payload[OPACITIES, 0], None, finer.get((OPACITIES, 0))),
         "sh0": streams.numbers(payload[SH0, 0], None, finer.get((SH0, 0))),
     }
@@ -218,8 +213,8 @@ def _tail(payload: Payload, books: dict[int, list[Row]], degree: int, rows: int)
         return _bands(payload, degree, rows)
     if colour.kind == BASIS:
         return streams.shn_basis(colour, books[struct.unpack_from("<I", colour.params)[0]])
-    number, kept = struct.unpack("<II", colour.params)
-    book = books[number] + _bands(payload, degree, kept, KEPT)
+    number, escape = struct.unpack("<II", colour.params)
+    book = books[number] + _bands(payload, degree, escape, ESCAPE)
     return [book[i] for i in streams.indices(colour, len(books[number]))]
 
 

@@ -1,4 +1,4 @@
-"""Streams as SPEC 6 has them, decoded value by value: the lower half of `vectors_reference`.
+"""Streams as SPEC 6 has them, decoded value by value: the lower half of `reference_decoder`.
 
 It shares no code with the codec, and rounds to float32 after every operation as a decoder in a
 browser does. Slow, and for valid files only.
@@ -18,8 +18,8 @@ Row = list[float]
 # SPEC 6.2, by number.
 MEANS, OPACITIES, SH0, SCALES, QUATS, SCALE_FACTOR, SHAPE, SHN = range(1, 9)
 BANDS: Final = (9, 10, 11)
-SCALAR, MORTON, QUAT, VQ, FLOAT, LADDER, TURN, FINE, BASIS, DIGITS, BITS = range(1, 12)
-KEPT, INFINITIES = 1, 2
+SCALAR, FLOAT, QUAT, VQ, SORTED, DIFFERENCES, SWING_TWIST, BASIS, DIGITS, BITS = range(1, 11)
+ESCAPE, INFINITIES = 1, 2
 
 
 def f32(value: float) -> float:
@@ -58,7 +58,7 @@ Payload = dict[tuple[int, int], Record]
 
 
 def parse(payload: bytes) -> Payload:
-    """Return the records of a payload by attribute and the flag kept (SPEC 6.1)."""
+    """Return the records of a payload by attribute and the flag escape (SPEC 6.1)."""
     records: list[Record] = []
     words: list[tuple[int, ...]] = []
     (count,) = struct.unpack_from("<H", payload)
@@ -74,7 +74,7 @@ def parse(payload: bytes) -> Payload:
             end = position + (word & 0x3FFFFFFF)
             record.stored.append((word, payload[position:end]))
             position = end
-    return {(r.attribute, r.flags & KEPT): r for r in records}
+    return {(r.attribute, r.flags & ESCAPE): r for r in records}
 
 
 def _entries(params: bytes) -> list[tuple[float, float, int]]:
@@ -166,20 +166,20 @@ def _bytes_for(bits: int) -> int:
     return (bits + 7) // 8
 
 
-def _morton_codes(record: Record) -> list[list[int]]:
-    """Return axis codes from Morton differences in planes 0 and 1 (SPEC 6.5)."""
+def _cells(record: Record) -> list[list[int]]:
+    """Return the cells of a sorted stream from its planes 0 and 1 (SPEC 6.5)."""
     classes = record.plane(0, record.rows)
     bits = _Bits(record.plane(1, _bytes_for(sum(max(c - 1, 0) for c in classes))))
     code, out = 0, []
     for length in classes:
         if length:
             code += bits.take(length - 1) | 1 << length - 1
-        out.append([sum((code >> 3 * b + axis & 1) << b for b in range(21)) for axis in range(3)])
+        out.append([sum((code >> 3 * b + axis & 1) << b for b in range(17)) for axis in range(3)])
     return out
 
 
-def _halvings(params: bytes, scales: Row) -> int:
-    """Return how often a row's step is halved (SPEC 6.10)."""
+def _extra_bits(params: bytes, scales: Row) -> int:
+    """Return the extra bits of a row (SPEC 6.10)."""
     c = struct.unpack("<6f", params)
     middle, thin, long = scales
     p, q = f32(long - middle), f32(middle - thin)
@@ -191,54 +191,27 @@ def _halvings(params: bytes, scales: Row) -> int:
     return int(min(max(math.floor(total), 0), 15))
 
 
-class Finer:
-    """A bits stream and the scales it goes by (SPEC 6.17).
-
-    Parameters
-    ----------
-    record : Record
-    scales : list of list of float
-        Refined, where the refinement has scales.
-    """
-
-    def __init__(self, record: Record, scales: list[Row]) -> None:
-        self.record = record
-        self._scales = scales
-        self._constants = [value for (value,) in struct.iter_unpack("<f", record.params)]
-
-    def gains(self, which: int, params: bytes, halved: list[int]) -> list[int]:
-        """Return the halvings that rows gain, by the resolution of that number."""
-        changed = struct.pack("<f", self._constants[which]) + params[4:]
-        wanted = [_halvings(changed, row) for row in self._scales]
-        return [max(w, h) - h for w, h in zip(wanted, halved, strict=True)]
-
-
-def _finer_code(code: int, gain: int, low: int) -> int:
-    return (code << gain) + low - (1 << gain) // 2
-
-
-def _fine(record: Record, scales: list[Row], finer: Finer | None = None) -> list[Row]:
-    """Return means on halved grids (SPEC 6.15, 6.17)."""
-    grid, resolution = _entries(record.params[:36]), record.params[36:]
-    coarse = _morton_codes(record)
-    halved = [_halvings(resolution, row) for row in scales]
-    bits = _Bits(record.plane(2, _bytes_for(sum(3 * h for h in halved))))
-    gains, lows = [0] * record.rows, _Bits(b"")
-    if finer is not None:
-        gains = finer.gains(0, resolution, halved)
-        lows = _Bits(finer.record.plane(0, _bytes_for(sum(3 * e for e in gains))))
+def _sorted(record: Record, scales: list[Row], refinement: Record | None) -> list[Row]:
+    """Return means from cells, extra bits and those of a refinement (SPEC 6.5, 6.17)."""
+    grid, model = _entries(record.params[:36]), record.params[36:]
+    cells = _cells(record)
+    extra = [_extra_bits(model, row) for row in scales]
+    low = _Bits(record.plane(2, _bytes_for(sum(3 * h for h in extra))))
+    more, digits = 0, _Bits(b"")
+    if refinement is not None:
+        more = refinement.params[0]
+        digits = _Bits(refinement.plane(0, _bytes_for(3 * more * record.rows)))
     rows = []
-    for cell, h, e in zip(coarse, halved, gains, strict=True):
-        codes = [axis << h | bits.take(h) for axis in cell]
-        codes = [_finer_code(code, e, lows.take(e)) for code in codes]
-        h += e
-        steps = [f32(step / (1 << h)) for _, step, _ in grid]
+    for cell, h in zip(cells, extra, strict=True):
+        codes = [axis << h | low.take(h) for axis in cell]
+        codes = [(code << more) + digits.take(more) - (1 << more) // 2 for code in codes]
+        steps = [f32(step * 2.0 ** -(h + more)) for _, step, _ in grid]
         rows.append([_on_grid(codes[i], grid[i][0], steps[i]) for i in range(3)])
     return rows
 
 
-def _ladder(record: Record, digits: Record | None) -> list[Row]:
-    """Return scales from the longest down (SPEC 6.12)."""
+def _differences(record: Record, digits: Record | None) -> list[Row]:
+    """Return scales from their differences (SPEC 6.12)."""
     rows = []
     for long, first, second in _scalar(record, record.params, 0, digits):
         middle = f32(long - first)
@@ -260,10 +233,7 @@ def _sh0_basis(record: Record, digits: Record | None) -> list[Row]:
 
 
 def numbers(
-    record: Record,
-    scales: list[Row] | None = None,
-    digits: Record | None = None,
-    finer: Finer | None = None,
+    record: Record, scales: list[Row] | None = None, refinement: Record | None = None
 ) -> list[Row]:
     """Return the rows of any stream but of quats and vq.
 
@@ -271,27 +241,19 @@ def numbers(
     ----------
     record : Record
     scales : list of list of float, optional
-        Of the same rows, for fine means.
-    digits : Record, optional
-        What refines a stream on a grid.
-    finer : Finer, optional
-        What refines fine means.
+        Of the same rows, for sorted means: those that the head alone gives.
+    refinement : Record, optional
+        The digits or the bits that refine the stream.
     """
     if record.kind == FLOAT:
         return _floats(record)
-    if record.kind == MORTON:
-        grid = _entries(record.params)
-        return [
-            [_on_grid(code, *grid[axis][:2]) for axis, code in enumerate(cell)]
-            for cell in _morton_codes(record)
-        ]
-    if record.kind == FINE and scales is not None:
-        return _fine(record, scales, finer)
-    if record.kind == LADDER:
-        return _ladder(record, digits)
+    if record.kind == SORTED and scales is not None:
+        return _sorted(record, scales, refinement)
+    if record.kind == DIFFERENCES:
+        return _differences(record, refinement)
     if record.kind == BASIS:
-        return _sh0_basis(record, digits)
-    return _scalar(record, record.params, 0, digits)
+        return _sh0_basis(record, refinement)
+    return _scalar(record, record.params, 0, refinement)
 
 
 def _unit(row: Row) -> Row:
@@ -302,78 +264,36 @@ def _unit(row: Row) -> Row:
     return [-value for value in row] if row[0] < 0 else row
 
 
-def _turn_codes(record: Record, halved: list[int], plane: int) -> tuple[list[int], int]:
-    """Return the codes of one component of turns and the number of the plane behind (SPEC 6.11)."""
-    symbols: dict[int, list[int]] = {}
-    for group in range(1, 7):
-        rows = [row for row, h in enumerate(halved) if min(h, 6) == group]
-        if rows:
-            symbols[group] = list(record.plane(plane, len(rows)))
-            plane += 1
-    bits = _Bits(record.plane(plane, _bytes_for(sum(max(h - 6, 0) for h in halved))))
-    codes = []
-    for h in halved:
-        spare = max(h - 6, 0)
-        low = bits.take(spare)
-        codes.append(symbols[min(h, 6)].pop(0) << spare | low if h else 0)
-    return codes, plane + 1
+def _component(record: Record, extra: list[int], first: int) -> Row:
+    """Return a component of swing and twist, whose seven planes start at `first` (SPEC 6.11)."""
+    symbols = {
+        m: list(record.plane(first + m - 1, sum(min(h, 6) == m for h in extra)))
+        for m in range(1, 7)
+    }
+    bits = _Bits(record.plane(first + 6, _bytes_for(sum(max(h - 6, 0) for h in extra))))
+    out = []
+    for h in extra:
+        low = max(h - 6, 0)
+        code = symbols[min(h, 6)].pop(0) << low | bits.take(low) if h else 0
+        out.append(f32(f32(code * 2.0 ** (1 - h)) - 1) if h else 0.0)
+    return out
 
 
-def _refine_turns(
-    codes: list[list[int]], halved: list[list[int]], gains: list[list[int]], record: Record
-) -> None:
-    """Make the codes of turns finer (SPEC 6.17)."""
-    alone, plane = [], 0
-    for h_column, e_column in zip(halved, gains, strict=True):
-        own = [0 if h else e for h, e in zip(h_column, e_column, strict=True)]
-        found, plane = _turn_codes(record, own, plane)
-        alone.append(found)
-    widths = [
-        e if h else 0
-        for hs, es in zip(halved, gains, strict=True)
-        for h, e in zip(hs, es, strict=True)
-    ]
-    bits = _Bits(record.plane(plane, _bytes_for(sum(widths))))
-    for row in range(record.rows):
-        for i in range(3):
-            if halved[i][row]:
-                e = gains[i][row]
-                codes[i][row] = _finer_code(codes[i][row], e, bits.take(e))
-            else:
-                codes[i][row] = alone[i][row]
-
-
-def _turns(record: Record, scales: list[Row], finer: Finer | None = None) -> list[Row]:
-    """Return quaternions from tilt and spin (SPEC 6.11, 6.17)."""
-    tilt = [_halvings(record.params[:24], row) for row in scales]
-    spin = [_halvings(record.params[24:], row) for row in scales]
-    halved = [tilt, tilt, spin]
-    codes, plane = [], 0
-    for column in halved:
-        found, plane = _turn_codes(record, column, plane)
-        codes.append(found)
-    if finer is not None:
-        tilts = finer.gains(0, record.params[:24], tilt)
-        gains = [tilts, tilts, finer.gains(1, record.params[24:], spin)]
-        _refine_turns(codes, halved, gains, finer.record)
-        halved = [
-            [h + e for h, e in zip(hs, es, strict=True)]
-            for hs, es in zip(halved, gains, strict=True)
-        ]
-    columns = [
-        [f32(f32(code * 2.0 ** (1 - h)) - 1) if h else 0.0 for code, h in zip(cs, hs, strict=True)]
-        for cs, hs in zip(codes, halved, strict=True)
-    ]
+def _swing_twist(record: Record, scales: list[Row]) -> list[Row]:
+    """Return quaternions from swing and twist (SPEC 6.11)."""
+    swing = [_extra_bits(record.params[:24], row) for row in scales]
+    twist = [_extra_bits(record.params[24:], row) for row in scales]
+    columns = [_component(record, extra, 7 * i) for i, extra in enumerate((swing, swing, twist))]
     rows = []
     for a, b, c in zip(*columns, strict=True):
         rows.append(_unit([1.0, f32(a + f32(b * c)), f32(b - f32(a * c)), c]))
     return rows
 
 
-def quats(record: Record, scales: list[Row] | None = None, finer: Finer | None = None) -> list[Row]:
-    """Return unit quaternions, w at least 0 (SPEC 6.6, 6.11); turns need the rows' scales."""
-    if record.kind == TURN and scales is not None:
-        return _turns(record, scales, finer)
+def quats(record: Record, scales: list[Row] | None = None) -> list[Row]:
+    """Return unit quaternions, w at least 0; swing-twist needs the scales of the head alone."""
+    if record.kind == SWING_TWIST and scales is not None:
+        return _swing_twist(record, scales)
     largest = record.params[0]
     each = largest == 255
     which = record.plane(0, record.rows) if each else bytes([largest]) * record.rows
@@ -388,9 +308,9 @@ def quats(record: Record, scales: list[Row] | None = None, finer: Finer | None =
 
 
 def indices(record: Record, size: int) -> list[int]:
-    """Return the indices into a codebook of `size` rows and the kept rows behind (SPEC 6.7)."""
-    kept = struct.unpack("<II", record.params)[1]
-    return _codes(record, 0, _planes_for(size + kept), record.rows)
+    """Return the indices into a codebook of `size` rows and the escape rows behind (SPEC 6.7)."""
+    escape = struct.unpack("<II", record.params)[1]
+    return _codes(record, 0, _planes_for(size + escape), record.rows)
 
 
 def shn_basis(record: Record, basis: list[Row]) -> list[Row]:

@@ -124,28 +124,6 @@ def _negative_zero() -> Valid:
     return Valid("negative-zero", data, ("6.4", "6.6"), "a minimum of -0 decodes as +0 everywhere")
 
 
-def _morton() -> Valid:
-    codes = [[scenes.numbers(1, 500, 3 * i + axis)[0] for axis in range(3)] for i in range(60)]
-    codes[7] = codes[8] = codes[9]
-    means = scenes.morton_means(codes, [(-3.0, 3.1, 500), (-2.0, 2.2, 500), (0.3, 0.9, 500)])
-    data = build(one_chunk(pack_streams(scenes.head(60, 6, means)), 60))
-    return Valid("morton", data, ("6.5",), "means by Morton differences, three of them equal")
-
-
-def _morton_wide() -> Valid:
-    top = (1 << 21) - 1
-    codes = [[0, 0, 0], [1, 0, 0], [0, 0, 1], [top, top, top], [0, 0, 1 << 20], [7, 1 << 19, 0]]
-    means = scenes.morton_means(codes, [(-1.0, 1.0, 1 << 21)] * 3)
-    data = build(one_chunk(pack_streams(scenes.head(6, 6, means)), 6))
-    return Valid("morton-wide", data, ("6.5",), "21 bits an axis: differences of up to 63 bits")
-
-
-def _morton_flat() -> Valid:
-    means = scenes.morton_means([[0, 0, 0]] * 3, [(-0.0, -0.0, 1), (2.5, 2.5, 1), (0.1, 0.1, 1)])
-    data = build(one_chunk(pack_streams(scenes.head(3, 6, means)), 3))
-    return Valid("morton-flat", data, ("6.5",), "equal means: a bits plane of no bytes")
-
-
 def _quats() -> Valid:
     left_out: list[int | list[int]] = [0, 1, 2, 3, [row % 4 for row in range(12)]]
     segments = []
@@ -209,8 +187,8 @@ def _vq() -> Valid:
     return Valid("vq", build(draft), ("5.5", "6.7", "7.1"), note)
 
 
-def _vq_kept() -> Valid:
-    # 250 rows and 10 kept ones: indices need a second plane only because of the kept.
+def _vq_escape() -> Valid:
+    # 250 rows and 10 escape rows, only because of which indices need a second plane.
     index = [scenes.numbers(1, 260, i)[0] for i in range(30)]
     index[:10] = range(250, 260)
     shape = scenes.indices(Attribute.SHAPE, index, 0, 250, 10)
@@ -227,11 +205,11 @@ def _vq_kept() -> Valid:
     head = pack_streams(scenes.vq_head(30, 4, shape, *own))
     tail = pack_streams([colour, *own_bands])
     draft = one_chunk(head, 30, tail=tail, sh_degree=2, books=books, needs=(0, 1))
-    note = "rows of the chunk's own behind the codebook's, one of their bands absent"
-    return Valid("vq-kept", build(draft), ("6.7", "7.2", "7.3"), note)
+    note = "escape rows behind the codebook's, one of their bands absent"
+    return Valid("vq-escape", build(draft), ("6.7", "7.2", "7.3"), note)
 
 
-def _vq_all_kept() -> Valid:
+def _vq_all_escape() -> Valid:
     shape = scenes.indices(Attribute.SHAPE, [1, 2, 3], 0, 1, 3)
     scales = [[-1.0, -2.0, -3.0], [0.1, 0.2, 0.3], [0.0, -0.0, 1.0]]
     own = [
@@ -240,9 +218,9 @@ def _vq_all_kept() -> Valid:
     ]
     books = {"shape": (1, [pack_streams(scenes.shape_book(1, 1))])}
     head = pack_streams(scenes.vq_head(3, 4, shape, *own))
-    note = "a codebook of one row that no splat uses; kept rows stored as floats"
+    note = "a codebook of one row that no splat uses; escape rows stored as floats"
     return Valid(
-        "vq-all-kept", build(one_chunk(head, 3, books=books, needs=(0,))), ("6.7", "6.8"), note
+        "vq-all-escape", build(one_chunk(head, 3, books=books, needs=(0,))), ("6.7", "6.8"), note
     )
 
 
@@ -467,9 +445,6 @@ def valid() -> list[Valid]:
         _plane_counts(),
         _grid_ends(),
         _negative_zero(),
-        _morton(),
-        _morton_wide(),
-        _morton_flat(),
         _quats(),
         _quats_over_one(),
         _infinities(),
@@ -478,8 +453,8 @@ def valid() -> list[Valid]:
         _compressed(),
         _frame_of_blocks(),
         _vq(),
-        _vq_kept(),
-        _vq_all_kept(),
+        _vq_escape(),
+        _vq_all_escape(),
         _two_books(),
         _late_book(),
         _chunks(),

@@ -1,4 +1,4 @@
-"""Valid vectors of packed planes and of the kinds ladder, turn, fine and basis (SPEC 6.9 on)."""
+"""Valid vectors of packed planes, sorted means, differences, swing-twist and bases (SPEC 6)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from cogsplat.codec.geometry import morton
-from cogsplat.codec.streams import bit_fields, shn_transform, sorted_means, swing_twist
+from cogsplat.codec.streams import shn_transform, swing_twist
 from cogsplat.codec.streams.adaptive_step import StepModel
 from cogsplat.codec.streams.records import COMPONENTS, SH_BANDS, Attribute, Kind, Stream
 from cogsplat.formats.cogs.layout import SegmentKind
@@ -31,55 +30,46 @@ from .file_builder import (
     record,
     root_keys,
 )
-from .reference_streams import SCALES, numbers, parse
+from .reference_streams import SCALE_FACTOR, SCALES, f32, numbers, parse
 from .valid import Valid
 
-_RESOLUTION: Final = StepModel((3.25, 1.5, 0.75, -0.25, 2.0, 0.5))
-"""Halvings from 0 to 15 over the scales of `ladder`."""
+_MODEL: Final = StepModel((3.25, 1.5, 0.75, -0.25, 2.0, 0.5))
+"""Gives from 0 to 15 extra bits over the scales of `differences`."""
 
 
-def ladder(rows: int, seed: int) -> Stream:
-    """Return a ladder stream of scales."""
+def differences(rows: int, seed: int) -> Stream:
+    """Return a differences stream of scales."""
     ranges = [(-5.0, 6.0, 40), (0.0, 4.1, 30), (-0.5, 3.3, 300)]
     codes = [scenes.numbers(rows, count, seed + i) for i, (_, _, count) in enumerate(ranges)]
     return replace(scenes.coded(Attribute.SCALES, ranges, codes), kind=Kind.DIFFERENCES)
 
 
-def halvings(scales: Stream, resolution: StepModel = _RESOLUTION) -> NDArray[np.uint8]:
-    """Return the halvings of each row of a scales stream."""
+def extra_bits(scales: Stream, model: StepModel = _MODEL) -> NDArray[np.uint8]:
+    """Return the extra bits of each row of a scales stream."""
     stored = parse(pack_streams([scales]))[SCALES, 0]
-    rows = np.array(numbers(stored), np.float32)
-    return resolution.extra_bits(rows)
+    return model.extra_bits(np.array(numbers(stored), np.float32))
 
 
-def turns(scales: Stream, seed: int, spin: StepModel = _RESOLUTION) -> Stream:
-    """Return a turn stream of pseudo-random codes, with the first and the last among them."""
+def rotations(scales: Stream, seed: int, twist: StepModel = _MODEL) -> Stream:
+    """Return a swing_twist stream of pseudo-random codes, the first and the last among them."""
     planes = []
-    for column, resolution in enumerate((_RESOLUTION, _RESOLUTION, spin)):
-        halved = halvings(scales, resolution)
+    for column, model in enumerate((_MODEL, _MODEL, twist)):
+        extra = extra_bits(scales, model)
         codes = [
             scenes.numbers(1, (1 << int(h)) + 1, seed + 7 * row + column)[0] if h else 0
-            for row, h in enumerate(halved)
+            for row, h in enumerate(extra)
         ]
-        codes[:2] = [0, (1 << int(halved[1])) if halved[1] else 0]
-        symbols, rest = swing_twist.split(np.array(codes, np.uint32), halved)
-        planes += [*symbols, rest]
-    params = _RESOLUTION.pack() + spin.pack()
+        codes[:2] = [0, (1 << int(extra[1])) if extra[1] else 0]
+        planes += swing_twist.split(np.array(codes, np.uint32), extra)
+    params = _MODEL.pack() + twist.pack()
     return Stream(Attribute.QUATS, Kind.SWING_TWIST, scales.rows, params, planes)
 
 
-def fine_means(scales: Stream, seed: int, levels: int = 9) -> Stream:
-    """Return a fine stream of means."""
-    halved = halvings(scales)
-    count = scales.rows
-    cells = np.array([scenes.numbers(3, levels, seed + row) for row in range(count)], np.uint32)
-    cells = cells[np.argsort(morton.interleave(cells), kind="stable")]
-    classes, deltas = sorted_means.pack_deltas(morton.interleave(cells))
-    fields = [scenes.numbers(1, 1 << 3 * int(h), seed + 5 * i)[0] for i, h in enumerate(halved)]
-    rest = bit_fields.pack(np.array(fields, np.uint64), halved * np.uint8(3))
+def sorted_means(scales: Stream, seed: int, levels: int = 9) -> Stream:
+    """Return a sorted stream of means with extra bits that follow from a scales stream."""
+    cells = [scenes.numbers(3, levels, seed + row) for row in range(scales.rows)]
     ranges = [(-3.0, 3.1, levels), (-2.0, 2.2, levels), (0.3, 0.9, levels)]
-    params = scenes.grid(ranges).pack() + _RESOLUTION.pack()
-    return Stream(Attribute.MEANS, Kind.FINE, count, params, [classes, deltas, rest])
+    return scenes.sorted_means(cells, ranges, _MODEL, extra_bits(scales).tolist(), seed)
 
 
 def sh0_basis(rows: int, seed: int) -> Stream:
@@ -183,13 +173,69 @@ def _shn() -> list[Valid]:
     ]
 
 
+def _sorted() -> Valid:
+    codes = [[scenes.numbers(1, 500, 3 * i + axis)[0] for axis in range(3)] for i in range(60)]
+    codes[7] = codes[8] = codes[9]
+    means = scenes.sorted_means(codes, [(-3.0, 3.1, 500), (-2.0, 2.2, 500), (0.3, 0.9, 500)])
+    data = build(one_chunk(pack_streams(scenes.head(60, 6, means)), 60))
+    return Valid("sorted", data, ("6.5",), "means without extra bits, three of them equal")
+
+
+def _sorted_wide() -> Valid:
+    top = (1 << 17) - 1
+    codes = [[0, 0, 0], [1, 0, 0], [0, 0, 1], [top, top, top], [0, 0, 1 << 16], [7, 1 << 15, 0]]
+    ranges = [(-1.0, 1.0, 1 << 17)] * 3
+    means = scenes.sorted_means(codes, ranges, StepModel.constant(15), [15] * 6)
+    data = build(one_chunk(pack_streams(scenes.head(6, 6, means)), 6))
+    note = "17 bits an axis and 15 below: differences of up to 51 bits, codes above 2^24 rounded"
+    return Valid("sorted-wide", data, ("6.5",), note)
+
+
+def _sorted_flat() -> Valid:
+    ranges = [(-0.0, -0.0, 1), (2.5, 2.5, 1), (0.1, 0.1, 1)]
+    means = scenes.sorted_means([[0, 0, 0]] * 3, ranges)
+    data = build(one_chunk(pack_streams(scenes.head(3, 6, means)), 3))
+    return Valid("sorted-flat", data, ("6.5",), "equal means: planes of no bytes")
+
+
+def _sorted_shapes() -> Valid:
+    """Return a file whose extra bits follow from shapes of a codebook and their scale factors."""
+    rows = 12
+    shape = scenes.indices(Attribute.SHAPE, [i % 5 for i in range(rows)], 0, 5, 0)
+    factor = scenes.spread(Attribute.SCALE_FACTOR, rows, 9, span=4.0, levels=50)
+    model = StepModel((5.5, 1.5, 0.25, 0.5, -0.5, 0.25))
+    book = scenes.shape_book(5, 3)
+    base = numbers(parse(pack_streams(book))[SCALES, 0])
+    added = numbers(parse(pack_streams([factor]))[SCALE_FACTOR, 0])
+    scales = [[f32(s + added[row][0]) for s in base[row % 5]] for row in range(rows)]
+    extra = model.extra_bits(np.array(scales, np.float32)).tolist()
+    cells = [scenes.numbers(3, 9, row) for row in range(rows)]
+    means = scenes.sorted_means(cells, [(-3.0, 3.1, 9)] * 3, model, extra)
+    head = [factor if s.attribute == factor.attribute else s
+            for s in scenes.vq_head(rows, 4, shape)]  # fmt: skip
+    head = [means if s.attribute == means.attribute else s for s in head]
+    books = {"shape": (5, [pack_streams(book)])}
+    data = build(one_chunk(pack_streams(head), rows, books=books, needs=(0,)))
+    note = "extra bits of means by scales from a codebook and a scale factor"
+    return Valid("sorted-shapes", data, ("6.5", "6.10", "7.2"), note)
+
+
+def _sorted_underflow(scales: Stream) -> Valid:
+    """Return a file of steps so small that halving them leaves float32's denormals."""
+    cells = [scenes.numbers(3, 9, 60 + row) for row in range(scales.rows)]
+    ranges = [(0.0, 1e-40, 9), (-1e-41, 1e-41, 9), (1e-45, 3e-45, 9)]
+    means = scenes.sorted_means(cells, ranges, _MODEL, extra_bits(scales).tolist(), 7)
+    note = "steps that underflow when they are halved"
+    return _one_stream("sorted-underflow", [scales, means], ("6.5",), note)
+
+
 def _all_of_it() -> Valid:
     rows = 24
-    scales = ladder(rows, 2)
+    scales = differences(rows, 2)
     head = [
         scales,
-        turns(scales, 3),
-        fine_means(scales, 4),
+        rotations(scales, 3),
+        sorted_means(scales, 4),
         scenes.spread(Attribute.OPACITIES, rows, 5, span=5.0, levels=30),
         sh0_basis(rows, 6),
     ]
@@ -204,7 +250,7 @@ def _all_of_it() -> Valid:
         books=books,
         needs=(0,),
     )
-    clauses = ("6.9", "6.10", "6.11", "6.12", "6.13", "6.14", "6.15")
+    clauses = ("6.5", "6.9", "6.10", "6.11", "6.12", "6.13", "6.14")
     return Valid(
         "transform", build(draft), clauses, "all kinds of a transform-coded chunk, digits packed"
     )
@@ -212,27 +258,28 @@ def _all_of_it() -> Valid:
 
 def valid() -> list[Valid]:
     """Return the vectors, in the order of the manifest."""
-    scales = ladder(24, 1)
+    scales = differences(24, 1)
     plain = scenes.spread(Attribute.SCALES, 24, 8, span=6.0)
-    never = StepModel((-9.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    always = StepModel((1e6, 0.0, 0.0, 0.0, 0.0, 0.0))
+    never, always = StepModel.constant(-9), StepModel.constant(1_000_000)
+    clauses = ("6.10", "6.11")
     return [
         *_packed(),
         _packed_ends(),
-        _one_stream("ladder", [scales], ("6.12",), "scales from the longest axis down"),
-        _one_stream(
-            "turn", [scales, turns(scales, 2)], ("6.10", "6.11"), "turns of 0 to 15 halvings"
-        ),
-        _one_stream(
-            "turn-coarse", [scales, turns(scales, 2, never)], ("6.10", "6.11"), "no spin at all"
-        ),
-        _one_stream(
-            "turn-fine", [plain, turns(plain, 2, always)], ("6.10", "6.11"), "15 halvings of spin"
-        ),
-        _one_stream(
-            "fine", [scales, fine_means(scales, 3)], ("6.10", "6.15"), "means, 0 to 45 bits"
-        ),
+        _sorted(),
+        _sorted_wide(),
+        _sorted_flat(),
+        _one_stream("sorted-bits", [scales, sorted_means(scales, 3)], ("6.5", "6.10"),
+                    "means of 0 to 15 extra bits an axis"),
+        _sorted_shapes(),
+        _sorted_underflow(scales),
+        _one_stream("differences", [scales], ("6.12",), "scales from the longest axis down"),
+        _one_stream("swing-twist", [scales, rotations(scales, 2)], clauses,
+                    "rotations of 0 to 15 extra bits"),
+        _one_stream("swing-twist-coarse", [scales, rotations(scales, 2, never)], clauses,
+                    "no twist at all"),
+        _one_stream("swing-twist-fine", [plain, rotations(plain, 2, always)], clauses,
+                    "15 extra bits of twist"),
         _one_stream("sh0-basis", [sh0_basis(24, 4)], ("6.13",), "sh0 on three axes"),
         *_shn(),
         _all_of_it(),
-    ]
+    ]  # fmt: skip

@@ -87,7 +87,7 @@ def test_coefficients_out_of_range_are_refused(value, place):
     coefficients[place] = value
     with pytest.raises(FormatError, match="chunk 2") as caught:
         adaptive_step.unpack(memoryview(struct.pack("<6f", *coefficients)), "chunk 2")
-    assert (caught.value.code, caught.value.clause) == ("resolution-value", "6.10")
+    assert (caught.value.code, caught.value.clause) == ("step-model", "6.10")
 
 
 def spent(found, scales, sensitivity, base):

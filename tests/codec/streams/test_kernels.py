@@ -11,9 +11,19 @@ from encoding import encode, unseen
 
 import cogsplat.codec.streams as streams
 from cogsplat.codec.errors import CogsplatError
-from cogsplat.codec.streams import compiled, kinds, records, scalar
-from cogsplat.codec.streams.adaptive_step import MAX_EXTRA_BITS
+from cogsplat.codec.geometry import rotations
+from cogsplat.codec.streams import (
+    compiled,
+    kinds,
+    records,
+    refinement_bits,
+    scalar,
+    sorted_means,
+    swing_twist,
+)
+from cogsplat.codec.streams.adaptive_step import MAX_EXTRA_BITS, StepModel
 from cogsplat.codec.streams.byte_planes import DIGITS, pack_plane, unpack_plane
+from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.inputs import Inputs
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
@@ -93,8 +103,6 @@ def test_digits(radix, length, both):
 
 @pytest.mark.parametrize("levels", [(1, 2, 256), (257, 70_000, 1 << 24), (255, 65_536, 65_537)])
 def test_grids_of_every_width(levels, both):
-    from cogsplat.codec.streams.grid import Grid
-
     rng = np.random.default_rng(levels[1])
     minimum = np.array([-0.0, -3.7, 1e-3], np.float32)
     grid = Grid(minimum, minimum + np.float32(2.3), np.array(levels, np.uint32))
@@ -112,32 +120,32 @@ def test_grids_of_every_width(levels, both):
 
 
 @pytest.mark.parametrize("offset", [-6.0, -1.0, 0.0, 9.0])
-def test_fine_streams_at_every_halving(offset, both):
-    from cogsplat.codec.geometry import rotations
-    from cogsplat.codec.streams import sorted_means, swing_twist
-    from cogsplat.codec.streams.adaptive_step import StepModel
-    from cogsplat.codec.streams.grid import Grid
-
+def test_adaptive_steps_at_every_number_of_extra_bits(offset, both):
     rng = np.random.default_rng(11)
     rows = 700
-    resolution = StepModel((float(offset), -1.25, 0.5, 0.25, -0.75, 0.125))
+    model = StepModel((float(offset), -1.25, 0.5, 0.25, -0.75, 0.125))
     quats = rotations.unit(rng.normal(size=(rows, 4)).astype(np.float32))
-    values, scales = swing_twist.canonical(quats, rng.normal(-4, 4, (rows, 3)).astype(np.float32))
-    turned, _ = swing_twist.turns(values, scales, resolution, resolution)
-    halvings = resolution.extra_bits(scales)
-    assert (halvings.max() == MAX_EXTRA_BITS) == (offset > 0)
+    values, scales = swing_twist.decompose(quats, rng.normal(-4, 4, (rows, 3)).astype(np.float32))
+    turned = swing_twist.write(values, scales, model, model)
+    extra = model.extra_bits(scales)
+    assert (extra.max() == MAX_EXTRA_BITS) == (offset > 0)
     grid = Grid(np.full(3, -1, np.float32), np.full(3, 1, np.float32), np.full(3, 99, np.uint32))
-    codes = sorted_means.codes_of(rng.uniform(-1, 1, (rows, 3)).astype(np.float32), grid, halvings)
+    fine = sorted_means.codes_of(
+        rng.uniform(-1, 1, (rows, 3)).astype(np.float32), grid, extra, refined_by=3
+    )
+    codes = refinement_bits.coarse_codes(fine, 3)
     # The rows' scales go where the Morton order takes the rows.
-    order = sorted_means.morton_order(codes, halvings)
-    means = sorted_means.write(codes[order], grid, halvings[order], resolution)
-    payloads = [records.pack([turned]), records.pack([means])]
+    order = sorted_means.morton_order(codes, extra)
+    means = sorted_means.write(codes[order], grid, extra[order], model)
+    below = refinement_bits.write(fine[order], 3)
+    payloads = [records.pack([stream]) for stream in (turned, means, below)]
 
     def read():
-        out = np.empty((rows, 4), np.float32), np.empty((rows, 3), np.float32)
+        out = [np.empty((rows, width), np.float32) for width in (4, 3, 3)]
         stored = [records.unpack(memoryview(payload), "here", rows)[0] for payload in payloads]
         kinds.read(stored[0], out[0], Inputs(scales=scales))
         kinds.read(stored[1], out[1], Inputs(scales=scales[order]))
+        kinds.read(stored[1], out[2], Inputs(scales=scales[order], refinement=stored[2]))
         return out
 
     for plain, fast in zip(*both(read), strict=True):

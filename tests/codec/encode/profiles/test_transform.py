@@ -92,7 +92,7 @@ def test_streams_are_those_of_the_profile():
         assert kinds(chunk) == {
             Attribute.SCALES: Kind.DIFFERENCES,
             Attribute.QUATS: Kind.SWING_TWIST,
-            Attribute.MEANS: Kind.FINE,
+            Attribute.MEANS: Kind.SORTED,
             Attribute.OPACITIES: Kind.SCALAR,
             Attribute.SH0: Kind.BASIS,
             Attribute.SHN: Kind.BASIS,
