@@ -164,27 +164,29 @@ def _heads_only() -> list[Invalid]:
 
 def large_planes() -> list[Invalid]:
     """Return the vector of a plane of more than 8 MiB (SPEC 9.1)."""
-    rows, width = 1 << 18, 60
+    rows, width = 36_800, 255
     ends = bytes([width]) * rows
-    frame: bytes = zstandard.ZstdCompressor(level=19).compress(ends)
-    # Codes of the last group, coordinates 26 to 59, are one byte: 33 · 2^18 bytes in a plane.
+    # Planes that do not compress: a limit on decoded bytes grows with those of the file (9.2).
+    codes = scenes.numbers(rows, 256, 1)
+    opacities = scenes.coded(Attribute.OPACITIES, [(-4.0, 4.0, 256)], [codes])
+    # The inner codes of the last group, coordinates 26 to 254, are one byte: 228 a row.
     sizes = bytearray(2 * 12)
     sizes[22] = 1
     params = struct.pack("<IffHH", 0, 1.0, 0.0, width, 0) + bytes(sizes)
     stored: bytes = zstandard.ZstdCompressor(level=19).compress(bytes((width - 27) * rows))
     stream = Stream(Attribute.SHN, Kind.BASIS, rows, params, [])
     entry = record(stream)
-    entry.planes = [(len(data) | 1 << 31, data) for data in (frame, stored)]
+    entry.planes = [(rows, ends), (len(stored) | 1 << 31, stored)]
     book = scenes.constant(Attribute.SH1, width, *[0.5] * 9)
     draft = one_chunk(
-        pack_streams(scenes.still_head(rows)),
+        pack_streams(scenes.still_head(rows, opacities)),
         rows,
         tail=payload([entry]),
         sh_degree=1,
         books={"colour": (width, [pack_streams([book])])},
         needs=(0,),
     )
-    note = "a plane of 33 · 2^18 bytes"
+    note = "a plane of 8,390,400 bytes"
     return [Invalid("plane-large", build(draft), "plane-length", "9.1", note, "decode")]
 
 
