@@ -26,6 +26,7 @@ from cogsplat.tools.conformance import (
     msgpack_faults,
     order_of_refusals,
     reference_decoder,
+    worked_example,
     zstd_headers,
 )
 from cogsplat.tools.conformance import compensation as compensations
@@ -85,6 +86,7 @@ def valid() -> list[Valid]:
     return [
         *plain_valid(),
         *transform_valid(),
+        worked_example.valid(),
         *refinements.valid(),
         *extras.valid(),
         *compensations.valid(),
@@ -244,6 +246,7 @@ def spec_blocks() -> dict[str, str]:
         refused.append(f"| `{code}` | {', '.join(names)} |")
     return {
         "dump": "\n".join(["```text", *dump(smallest.data), "```"]),
+        "worked": "\n".join(["```text", *worked_example.lines(), "```"]),
         "valid": "\n".join(listed),
         "invalid": "\n".join(refused),
     }

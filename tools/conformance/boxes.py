@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from cogsplat.formats.cogs.canonical_msgpack import Value, pack, unpack
 
 from . import handmade_streams as scenes
-from . import reference_decoder
+from . import reference_decoder, worked_example
 from .extras import labelled, stored
 from .file_builder import build, one_chunk, pack_streams, root_bytes, table, with_root
 from .invalid import Invalid
@@ -36,7 +36,7 @@ def boxes() -> list[Invalid]:
 
         It is made of the first vector of one chunk whose other means go beyond.
         """
-        for vector in refinements():
+        for vector in (*refinements(), worked_example.valid()):
             decoded = reference_decoder.decode(vector.data, refine=refine)
             held = _bounds(decoded.rows["means"])
             others = _bounds(reference_decoder.decode(vector.data, refine=not refine).rows["means"])
@@ -46,7 +46,10 @@ def boxes() -> list[Invalid]:
                 return Invalid(name, _boxed(vector.data, held), "chunk-box", "5.4", note, "verify")
         raise ValueError(f"no valid vector of refined means from which to make {name}")
 
-    return [bad("chunk-box-refined", "a box of the coarse means alone", refine=False)]
+    return [
+        bad("chunk-box-coarse", "a box of the refined means alone", refine=True),
+        bad("chunk-box-refined", "a box of the coarse means alone", refine=False),
+    ]
 
 
 def sizes() -> list[Invalid]:

@@ -178,7 +178,7 @@ def _cells(record: Record) -> list[list[int]]:
     return out
 
 
-def _extra_bits(params: bytes, scales: Row) -> int:
+def extra_bits(params: bytes, scales: Row) -> int:
     """Return the extra bits of a row (SPEC 6.10)."""
     c = struct.unpack("<6f", params)
     middle, thin, long = scales
@@ -195,7 +195,7 @@ def _sorted(record: Record, scales: list[Row], refinement: Record | None) -> lis
     """Return means from cells, extra bits and those of a refinement (SPEC 6.5, 6.17)."""
     grid, model = _entries(record.params[:36]), record.params[36:]
     cells = _cells(record)
-    extra = [_extra_bits(model, row) for row in scales]
+    extra = [extra_bits(model, row) for row in scales]
     low = _Bits(record.plane(2, _bytes_for(sum(3 * h for h in extra))))
     more, digits = 0, _Bits(b"")
     if refinement is not None:
@@ -281,8 +281,8 @@ def _component(record: Record, extra: list[int], first: int) -> Row:
 
 def _swing_twist(record: Record, scales: list[Row]) -> list[Row]:
     """Return quaternions from swing and twist (SPEC 6.11)."""
-    swing = [_extra_bits(record.params[:24], row) for row in scales]
-    twist = [_extra_bits(record.params[24:], row) for row in scales]
+    swing = [extra_bits(record.params[:24], row) for row in scales]
+    twist = [extra_bits(record.params[24:], row) for row in scales]
     columns = [_component(record, extra, 7 * i) for i, extra in enumerate((swing, swing, twist))]
     rows = []
     for a, b, c in zip(*columns, strict=True):

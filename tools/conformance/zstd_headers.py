@@ -7,6 +7,7 @@ from typing import Final
 from cogsplat.codec.streams.records import Attribute
 
 from . import handmade_streams as scenes
+from . import worked_example
 from .file_builder import build, one_chunk, payload, record
 from .invalid import Invalid
 from .valid import Valid
@@ -36,6 +37,20 @@ def _file(frame: bytes) -> bytes:
     return build(one_chunk(payload(records), _ROWS))
 
 
+# RFC 8878, 3.1.1.2: the last block, raw and of 0 bytes, and an RLE block of 3.
+_EMPTY: Final = _MAGIC + bytes([_SINGLE_SEGMENT, 0])
+_NO_BYTES: Final = b"\x01\0\0"
+_THREE_BYTES: Final = (1 | 1 << 1 | 3 << 3).to_bytes(3, "little") + b"\0"
+
+
+def _file_of_empty(frame: bytes) -> bytes:
+    """Return a file in which the first plane of 0 bytes is one zstd frame."""
+    quats = worked_example.swing_twist_record()
+    place = next(i for i, (_, stored) in enumerate(quats.planes) if not stored)
+    quats.planes[place] = (len(frame) | 1 << 31, frame)
+    return worked_example.with_quats(quats)
+
+
 def valid() -> list[Valid]:
     """Return the valid vectors: headers that encoders seldom write."""
 
@@ -50,6 +65,8 @@ def valid() -> list[Valid]:
              "the unused bit of a frame header set: decoders ignore it"),
         good("frame-window-8m", _MAGIC + bytes([_SIZE_IN_2]) + window + _SIZE + _BLOCK,
              "the largest window that is allowed"),
+        Valid("frame-empty", _file_of_empty(_EMPTY + _NO_BYTES), ("6.3",),
+              "a plane of 0 bytes in a zstd frame"),
     ]  # fmt: skip
 
 
@@ -62,11 +79,19 @@ def headers() -> list[Invalid]:
     def frame(descriptor: int, fields: bytes) -> bytes:
         return _MAGIC + bytes([_SIZE_IN_2 | descriptor]) + fields + _BLOCK
 
+    def bad_empty(name: str, frame: bytes, note: str) -> Invalid:
+        return Invalid(name, _file_of_empty(frame), "zstd-frame", "6.3", note, "decode")
+
     one_window = bytes([13 << 3 | 1])
     whole = frame(0, _SMALLEST_WINDOW + _SIZE)
     return [
         bad("zstd-magic-only", whole[:4], "frame", "the magic number alone"),
         bad("zstd-header-cut", whole[:7], "frame", "ends inside the content size"),
+        bad_empty("zstd-empty-header", _EMPTY, "a plane of 0 bytes, its frame cut to the header"),
+        bad_empty("zstd-empty-behind", _EMPTY + _NO_BYTES + b"\0",
+                  "a plane of 0 bytes, and a byte behind its frame"),
+        bad_empty("zstd-empty-more", _EMPTY + _THREE_BYTES,
+                  "a frame that states 0 bytes and holds 3"),
         bad("zstd-reserved-bit", frame(_RESERVED_BIT, _SMALLEST_WINDOW + _SIZE), "frame",
             "the reserved bit of the descriptor set"),
         bad("zstd-window-8m", frame(0, one_window + _SIZE), "window", "a window of 9 MiB"),
