@@ -19,7 +19,11 @@ from cogsplat.codec.streams import zstd_frames
 from cogsplat.formats.cogs import canonical_msgpack, index, layout, reader, verification
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
-from cogsplat.tools.conformance import reference_compensation, reference_decoder
+from cogsplat.tools.conformance import (
+    reference_compensation,
+    reference_decoder,
+    reference_streams,
+)
 
 VECTORS = Path(__file__).resolve().parents[2] / "vectors"
 MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))
@@ -134,6 +138,27 @@ REFERENCE = [
         ("8.2",),
     ),
     Mutant(
+        "codes above 2^24 are not rounded to float32",
+        reference_streams._on_grid,
+        "f32(f32(f32(code) * step) + minimum)",
+        "f32(f32(code * step) + minimum)",
+        ("6.5", "6.17"),
+    ),
+    Mutant(
+        "steps below the least denormal do not become 0",
+        reference_streams._sorted,
+        "f32(step * 2.0 ** -(h + more))",
+        "step * 2.0 ** -(h + more)",
+        ("6.5", "6.17"),
+    ),
+    Mutant(
+        "extra bits follow from refined scales",
+        reference_decoder._head,
+        "coarse = streams.numbers(payload[SCALES, 0])",
+        "coarse = streams.numbers(payload[SCALES, 0], None, finer.get((SCALES, 0)))",
+        ("7.4",),
+    ),
+    Mutant(
         "bytes of an attribute are taken the highest first",
         reference_decoder._attributes,
         "for row in range(rows) for plane in own)",
@@ -236,6 +261,13 @@ READER = [
         ("6.3",),
     ),
     Mutant(
+        "blocks of a frame that states 0 bytes are not looked at",
+        zstd_frames._whole,
+        "if length:",
+        "if True:",
+        ("6.3",),
+    ),
+    Mutant(
         "the CRC of segments is not checked",
         reader.CogsFile.read_segment,
         "if zlib.crc32(data) != int(self.segments.crc[row]):",
@@ -261,6 +293,14 @@ READER = [
         verification._chunk_checks,
         "if rows.refinement is not None:",
         "if False:",
+        ("5.4",),
+    ),
+    Mutant(
+        "boxes are compared with refined means alone",
+        verification._require_inside,
+        "if not ((means >= box[:3]) & (means <= box[3:])).all():",
+        "if offset == file.offsets[file.rows_of(chunk).refinement or 0] and not "
+        "((means >= box[:3]) & (means <= box[3:])).all():",
         ("5.4",),
     ),
     Mutant(
