@@ -131,6 +131,7 @@ TESTED_IN = {
     "codec/encode/encoded.py": "encode/test_encoder.py",
     "codec/encode/presets.py": "encode/test_pipeline.py",
     "codec/encode/profiles/means.py": "encode/profiles/test_transform.py",
+    "codec/encode/shift_optimiser.py": "encode/test_compensation_fit.py",
     "codec/rate/costs.py": "rate/test_allocation.py",
     "codec/segments/bands.py": "segments/test_heads.py",
     "codec/segments/codebooks.py": "segments/test_heads.py",

@@ -13,7 +13,15 @@ _SQUARE_MEMORY: Final = 0.97
 
 
 class Adam:
-    """Moments of an array's gradient, and the steps they make."""
+    """The steps of gradient descent on an array, from running moments of its gradient.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Of the array; all values along its last axis have one count of steps.
+    rates : (c,) float64
+        Learning rates along the last axis.
+    """
 
     def __init__(self, shape: tuple[int, ...], rates: F64) -> None:
         self._rates = rates
@@ -21,14 +29,14 @@ class Adam:
         self._square = np.zeros(shape)
         self._count = np.zeros(shape[:-1])
 
-    def step(self, part: slice | int, lagrangian: F64) -> F64:
-        """Return what to subtract from a part of the array."""
+    def step(self, part: slice | int, gradient: F64) -> F64:
+        """Return what to subtract from a part of the array whose gradient is given."""
         self._count[part] += 1
         mean, square = self._mean[part], self._square[part]
         mean *= _MEMORY
-        mean += (1 - _MEMORY) * lagrangian
+        mean += (1 - _MEMORY) * gradient
         square *= _SQUARE_MEMORY
-        square += (1 - _SQUARE_MEMORY) * lagrangian * lagrangian
+        square += (1 - _SQUARE_MEMORY) * gradient * gradient
         count = np.asarray(self._count[part])[..., None]
         size = np.sqrt(square / (1 - _SQUARE_MEMORY**count)) + 1e-12
         moved: F64 = self._rates * (mean / (1 - _MEMORY**count)) / size

@@ -17,7 +17,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.planner import ViewPlanConfig, plan
 from cogsplat.codec.views.view_sets import evenly
 
-from .compensation_fit import FitConfig, blank, compensated
+from .compensation_fit import blank, compensated
 from .config import EncodeConfig
 from .encoded import EncodedScene, EncodeReport
 from .encoder import encode_chunks
@@ -25,6 +25,7 @@ from .prefix_quality import PrefixEvaluator, predicted
 from .prepared import PreparedScene, prepare
 from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .rate_control import TARGET_VIEWS, Hit, Target, to_finished_size, to_psnr
+from .shift_optimiser import FitConfig
 
 SizeOf = Callable[[EncodedScene], int]
 """Returns the bytes of the whole file that an encoded scene makes."""

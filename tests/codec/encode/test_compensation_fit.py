@@ -2,7 +2,8 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.encode.compensation_fit import FitConfig, blank, errors, fit, plan_layers
+from cogsplat.codec.encode.compensation_fit import blank, errors, fit, plan_layers
+from cogsplat.codec.encode.shift_optimiser import FitConfig
 from cogsplat.codec.errors import Cancelled
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.order import prefix_inflation

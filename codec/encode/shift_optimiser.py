@@ -1,0 +1,311 @@
+"""Gradient descent on what is added to the scales and opacities of a scene's prefixes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.clustering import few_rows
+from cogsplat.codec.order import prefix_inflation
+from cogsplat.codec.render.gradients import gradient
+from cogsplat.codec.render.shading import row_colours
+from cogsplat.codec.scoring.reference_views import ReferenceViews
+from cogsplat.codec.segments.compensation import (
+    OPACITY_STEP,
+    SCALE_STEP,
+    STRENGTH_STEP,
+    Layer,
+)
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.threads import ordered_map, thread_count
+
+from .adam import Adam
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+# Splats behind this, times `prefix_inflation.effective_splats`, get no codes: their prefixes are
+# nearly whole.
+_CODED: Final = 0.65
+# Largest shift of a code, either way: of the log scale, and of the logit.
+_LIMITS: Final = np.array([0.9, 6.0])
+# Shifts of scales and of opacities that change pictures about equally: the unit of distances
+# between shifts.
+_SPREAD: Final = np.array([0.3, 1.8])
+# The shifts of an older chunk's splats were fitted to shorter prefixes; in each layer behind its
+# own they begin with so much less strength.
+_FADE: Final = 0.57
+# Learning rates of Adam (Kingma and Ba 2015), each of scales and of opacities.
+_SPLAT_RATES: Final = np.array([0.04, 0.2])
+_CHUNK_RATES: Final = np.array([0.02, 0.1])
+_STRENGTH_RATES: Final = np.array([0.02, 0.02])
+# Added to a view's mean squared error before the logarithm that is minimised.
+_ERROR_FLOOR: Final = 3e-4
+
+# Units of stored shifts (SPEC 8.5).
+_STEPS: Final = np.array([SCALE_STEP, OPACITY_STEP])
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """How compensation is fitted.
+
+    Parameters
+    ----------
+    code_bits : int
+        Of every splat's code, 0 to 8; at 0 only whole chunks are shifted.
+    iterations : int
+        For each layer.
+    views : int
+        Views that each iteration renders.
+    threads : int
+        0 for every core this process may use. The result does not depend on it.
+    """
+
+    code_bits: int = 3
+    iterations: int = 48
+    views: int = 4
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.code_bits <= 8:
+            raise ValueError(f"code_bits {self.code_bits}, expected 0 to 8")
+        if self.iterations < 1 or self.views < 1:
+            raise ValueError(f"{self}, expected at least 1 iteration and 1 view")
+        thread_count(self.threads)
+
+
+def coded_splats(sizes: Sequence[int], effective_splats: int, code_bits: int) -> int:
+    """Return how many splats, from the first, have codes: those of the layers that end early.
+
+    Parameters
+    ----------
+    sizes : sequence of int
+        Splats of each layer's prefix, ascending.
+    effective_splats : int
+    code_bits : int
+    """
+    coded = [size for size in sizes if size <= _CODED * effective_splats]
+    return coded[-1] if coded and code_bits else 0
+
+
+def codebook_rows(code_bits: int, splats: int) -> int:
+    """Return the rows of the codebook that so many splats of one layer share."""
+    return min(1 << code_bits, max(splats, 1))
+
+
+class ShiftOptimiser:
+    """The shifts of one scene while they are fitted.
+
+    A layer is a prefix of whole chunks. In a layer, what is added to the log scale and to the logit
+    of a splat is the shift of its chunk plus the splat's own shift times a strength of the chunk.
+    A splat's own shift is the same in all layers.
+
+    Parameters
+    ----------
+    splats : Splats
+        Of the last layer's prefix, as they are decoded.
+    chunk_splats : sequence of int
+        Splats of each chunk of the scene.
+    layers : sequence of int
+        Chunks of each layer's prefix, ascending.
+    effective_splats : int
+        Of the source (`prefix_inflation.effective_splats`).
+    config : FitConfig
+    """
+
+    def __init__(
+        self,
+        splats: Splats,
+        chunk_splats: Sequence[int],
+        layers: Sequence[int],
+        effective_splats: int,
+        config: FitConfig,
+    ) -> None:
+        self._splats = splats
+        self._bare = splats.without_extras().with_sh_degree(0)
+        self._layers = list(layers)
+        self._config = config
+        ends = np.cumsum(chunk_splats)
+        self._sizes = [int(ends[chunks - 1]) for chunks in layers]
+        chunks = self._layers[-1]
+        self._chunk_of = np.repeat(np.arange(chunks), chunk_splats[:chunks])
+        # The first layer that each chunk is in.
+        self._first_layer = np.searchsorted(self._sizes, ends[:chunks], side="left")
+        self._coded = coded_splats(self._sizes, effective_splats, config.code_bits)
+        self._splat_shifts = np.zeros((len(splats), 2))
+        self._chunk_shifts = np.zeros((len(layers), chunks, 2))
+        self._strengths = np.zeros((len(layers), chunks, 2))
+        for number, (count, size) in enumerate(zip(layers, self._sizes, strict=True)):
+            usual = prefix_inflation.typical(size / effective_splats)
+            self._chunk_shifts[number, :count] = usual.scales, usual.opacities
+            self._strengths[number, :count] = _FADE ** (number - self._first_layer[:count])[:, None]
+        self._splat_steps = Adam(self._splat_shifts.shape, _SPLAT_RATES)
+        self._chunk_steps = Adam(self._chunk_shifts.shape, _CHUNK_RATES)
+        self._strength_steps = Adam(self._strengths.shape, _STRENGTH_RATES)
+        # In units of `_STEPS`, one for each layer with codes; empty until they are trained.
+        self._codebooks: list[NDArray[np.int8]] = []
+
+    @property
+    def is_quantised(self) -> bool:
+        """Whether splats have the shifts of codebook rows."""
+        return bool(self._codebooks)
+
+    def quantise(self) -> None:
+        """Train a codebook for each layer; from here on splats have the shifts of their rows."""
+        first = 0
+        for size in self._sizes:
+            if size > self._coded:
+                break
+            rows = codebook_rows(self._config.code_bits, size - first)
+            shifts = np.clip(self._splat_shifts[first:size], -_LIMITS, _LIMITS)
+            book = few_rows.train(shifts / _SPREAD, rows) * _SPREAD
+            self._codebooks.append(_in_steps(book))
+            first = size
+
+    def shade(self, views: Sequence[int], references: ReferenceViews) -> list[NDArray[np.float32]]:
+        """Return the colours of all splats in some views; no shift changes them."""
+        rows = np.arange(len(self._splats), dtype=np.int32)
+        cameras = [references.cameras[view] for view in views]
+        threads = thread_count(self._config.threads)
+        return list(ordered_map(partial(row_colours, self._splats, rows), cameras, threads))
+
+    def step(
+        self,
+        number: int,
+        rate: float,
+        references: ReferenceViews,
+        views: Sequence[int],
+        colours: Sequence[NDArray[np.float32]],
+    ) -> None:
+        """Move the shifts of one layer against the gradient of its pictures' errors.
+
+        Parameters
+        ----------
+        number : int
+            Of the layer.
+        rate : float
+            Factor on all learning rates.
+        references : ReferenceViews
+        views : sequence of int
+            Reference views that are rendered.
+        colours : sequence of (n, 3) float32
+            `shade` in each of them.
+        """
+        size, count = self._sizes[number], self._layers[number]
+        chunk_of = self._chunk_of[:size]
+        chunk_shifts, strengths = self._chunk_shifts[number], self._strengths[number]
+        splat_shifts = self._current_splat_shifts(size)
+        shifts = (chunk_shifts[chunk_of] + strengths[chunk_of] * splat_shifts).astype(np.float32)
+        gradients = self._gradients(shifts, references, views, colours)
+        if self._coded:
+            coded = slice(0, min(size, self._coded))
+            own = (gradients * strengths[chunk_of])[coded]
+            self._splat_shifts[coded] -= rate * self._splat_steps.step(coded, own)
+        of_chunks = _sums_by_chunk(chunk_of, gradients, len(chunk_shifts))
+        of_strengths = _sums_by_chunk(chunk_of, gradients * splat_shifts, len(chunk_shifts))
+        chunk_shifts[:count] -= rate * self._chunk_steps.step(number, of_chunks)[:count]
+        # In its first layer a chunk's strength stays 1: that is the unit of its splats' shifts.
+        older = self._first_layer[:count] < number
+        moved = self._strength_steps.step(number, of_strengths)[:count]
+        strengths[:count][older] -= rate * moved[older]
+        np.clip(strengths, 0.0, 255 * STRENGTH_STEP, out=strengths)
+
+    def layers(self) -> list[Layer]:
+        """Return the layers as they are stored."""
+        codes = np.zeros(0, np.int64)
+        if self._codebooks:
+            codes = self._nearest_rows(self._coded)[0]
+        stored = []
+        first = 0
+        for number, (count, size) in enumerate(zip(self._layers, self._sizes, strict=True)):
+            shifts = _in_steps(self._chunk_shifts[number, :count])
+            strengths = np.rint(self._strengths[number, :count] / STRENGTH_STEP)
+            book = np.zeros((0, 2), np.int8)
+            if number < len(self._codebooks):
+                book = self._codebooks[number]
+            stored.append(
+                Layer(
+                    scales=shifts[:, 0].copy(),
+                    opacities=shifts[:, 1].copy(),
+                    strengths=strengths.astype(np.uint8),
+                    book=book,
+                    codes=(codes[first:size] if len(book) else codes[:0]).astype(np.uint8),
+                )
+            )
+            first = size
+        return stored
+
+    def _gradients(
+        self,
+        shifts: NDArray[np.float32],
+        references: ReferenceViews,
+        views: Sequence[int],
+        colours: Sequence[NDArray[np.float32]],
+    ) -> F64:
+        """Return the gradient of the views' mean log error by the shifts of a prefix, (n, 2)."""
+        prefix = self._bare.take(slice(0, len(shifts)))
+        drawn = replace(
+            prefix,
+            scales=prefix.scales + shifts[:, :1],
+            opacities=prefix.opacities + shifts[:, 1],
+        )
+        found = ordered_map(
+            lambda seen: gradient(
+                drawn,
+                seen[1],
+                references.cameras[seen[0]],
+                references.pictures[seen[0]],
+                kernel_px=references.kernels[seen[0]],
+                near_plane=references.near_plane,
+            ),
+            zip(views, colours, strict=True),
+            thread_count(self._config.threads),
+        )
+        gradients = np.zeros((len(shifts), 2))
+        for view, result in zip(views, found, strict=True):
+            # PSNR is a logarithm: a view with little error counts as one with much.
+            floor = _ERROR_FLOOR * references.pictures[view].size
+            weight = float(references.weights[view]) / (result.error + floor)
+            gradients[result.rows, 0] += weight * result.scales
+            gradients[result.rows, 1] += weight * result.opacities
+        return gradients
+
+    def _current_splat_shifts(self, size: int) -> F64:
+        """Return the first splats' own shifts: those of codebook rows once these are trained."""
+        shifts = self._splat_shifts[:size].copy()
+        if self._codebooks:
+            shifts = self._nearest_rows(size)[1]
+        shifts[self._coded :] = 0.0
+        return shifts
+
+    def _nearest_rows(self, size: int) -> tuple[I64, F64]:
+        """Return the first splats' codes and the shifts of these codebook rows."""
+        codes = np.zeros(size, np.int64)
+        shifts = np.zeros((size, 2))
+        first = 0
+        for number, book in enumerate(self._codebooks):
+            part = slice(first, min(self._sizes[number], size))
+            first = part.stop
+            rows = book * _STEPS
+            codes[part] = few_rows.nearest(self._splat_shifts[part] / _SPREAD, rows / _SPREAD)
+            shifts[part] = rows[codes[part]]
+            if first == size:
+                break
+        return codes, shifts
+
+
+def _sums_by_chunk(chunk_of: I64, values: F64, chunks: int) -> F64:
+    """Return the sums of (n, 2) values over chunks, (chunks, 2)."""
+    sums = [np.bincount(chunk_of, values[:, axis], minlength=chunks) for axis in range(2)]
+    return np.stack(sums, axis=1)
+
+
+def _in_steps(shifts: F64) -> NDArray[np.int8]:
+    stored: NDArray[np.int8] = np.clip(np.rint(shifts / _STEPS), -127, 127).astype(np.int8)
+    return stored
