@@ -81,7 +81,7 @@ export function readRoot(bytes: Uint8Array): Root {
   const firstView = fields.has("first_view") ? readFirstView(fields.fields("first_view")) : undefined;
   const attributes = fields.has("attributes") ? readAttributeEntries(fields) : [];
   const pages = fields.has("pages") ? fields.maps("pages", 128).map(readPageEntry) : [];
-  const segments = readSegmentTable(fields.fields("segments"), codebooks.length);
+  const segments = readSegmentTable(fields.fields("segments"));
   const chunks = readChunkTable(fields.fields("chunks"));
   fields.finish();
   const scene = {

@@ -30,7 +30,8 @@ export interface ChunkSegments {
 /**
  * The index of a file: the root and as many pages as were read (SPEC 3 to 5).
  *
- * Everything that a segment's place and owner can break is checked as soon as the table that says so is read.
+ * Files are refused in the order of SPEC 8.1: `open` and `addPage` check each index by itself, `settle` what the
+ * segments of all of them say together. Chunks are known once they are settled.
  */
 export class SceneIndex {
   readonly scene: SceneInfo;
@@ -57,6 +58,8 @@ export class SceneIndex {
   private readonly codebookSegments: Map<number, number>[];
   /** Where what was read last ends. */
   private end: number;
+  /** Segments whose owners were noted. */
+  private settled = 0;
 
   private constructor(bytes: Uint8Array) {
     const preamble = readPreamble(bytes);
@@ -98,14 +101,18 @@ export class SceneIndex {
   static open(bytes: Uint8Array, sourceLength?: number, partial = false): SceneIndex {
     const index = new SceneIndex(bytes);
     if (sourceLength !== undefined) index.checkSource(sourceLength, partial);
-    index.enter(0, 0);
+    index.enterSegments(0, index.chunks.splats.length);
     return index;
   }
 
   /** Where the next page that was not read is, or undefined where all were. */
   nextPage(): ByteRange | undefined {
     const page = this.pages[this.pagesRead];
-    return page && { offset: this.end, length: page.length };
+    if (page === undefined) return undefined;
+    if (this.end + page.length > this.fileLength) {
+      throw new CogsplatError("segments-length", `page ${this.pagesRead} leaves the file`, this.end);
+    }
+    return { offset: this.end, length: page.length };
   }
 
   /** Read the page that `nextPage` tells of. */
@@ -115,7 +122,7 @@ export class SceneIndex {
     const offset = this.end;
     if (crc32(bytes) !== entry.crc) throw new CogsplatError("page-crc", `the CRC of page ${number} does not match`, offset);
     const fields = new Fields(parseMap(bytes), `page ${number}`);
-    const segments = readSegmentTable(fields.fields("segments"), this.codebooks.length);
+    const segments = readSegmentTable(fields.fields("segments"));
     const chunks = readChunkTable(fields.fields("chunks"));
     fields.finish();
     const span = segments.length.reduce((sum, length) => sum + length, 0);
@@ -123,17 +130,16 @@ export class SceneIndex {
       throw new CogsplatError("page-entry", `page ${number} differs from its entry in the root`, offset);
     }
     const firstSegment = this.segments.kind.length;
-    const firstChunk = this.chunks.splats.length;
     this.segments = joinSegments(this.segments, segments);
     this.chunks = joinChunks(this.chunks, chunks);
     this.end += entry.length;
     this.pagesRead++;
-    this.enter(firstSegment, firstChunk);
+    this.enterSegments(firstSegment, chunks.splats.length);
   }
 
-  /** Number of chunks whose index is known. */
+  /** Number of chunks that are known. */
   get chunkCount(): number {
-    return this.chunks.splats.length;
+    return this.heads.length;
   }
 
   /** Number of chunks of the whole file. */
@@ -197,117 +203,129 @@ export class SceneIndex {
     }
   }
 
-  /** Check and note the segments and chunks from a row on, those of one index. */
-  private enter(firstSegment: number, firstChunk: number): void {
+  /**
+   * Check what the segments that were read since the last call say together, and note whose they are.
+   *
+   * What depends on the whole file is checked once all pages were read.
+   */
+  settle(): void {
+    const first = this.settled;
+    this.settled = this.segments.kind.length;
+    if (this.end > this.fileLength || (this.complete && this.end !== this.fileLength)) {
+      throw new CogsplatError("segments-length", `index and segments end at ${this.end}, the file at ${this.fileLength}`);
+    }
+    this.enterHeads(first);
+    this.enterOnce(first, SegmentKind.tail, this.tails, "chunk-tails");
+    this.enterOnce(first, SegmentKind.refinement, this.refinements, "chunk-refinements");
+    if (this.complete) this.checkSplats();
+    this.checkNeeds(first);
+    this.enterCodebooks(first);
+    this.enterOnce(first, SegmentKind.attributes, this.attributes, "attribute-segments");
+    this.enterCameras(first);
+    this.enterCompensation(first);
+  }
+
+  /** Give the segments of one index their places, and compare the number of its heads with that of its chunks. */
+  private enterSegments(first: number, chunks: number): void {
     const { kind, length } = this.segments;
     const offsets = new Float64Array(kind.length);
     offsets.set(this.offsets);
-    for (let i = firstSegment; i < kind.length; i++) {
+    let heads = 0;
+    for (let i = first; i < kind.length; i++) {
       offsets[i] = this.end;
       this.end += length[i]!;
+      if (kind[i] === SegmentKind.head) heads++;
     }
     this.offsets = offsets;
-    this.enterHeads(firstSegment, this.chunkCount - firstChunk);
-    const next = this.nextPage();
-    const end = next === undefined ? this.end : next.offset + next.length;
-    if (end > this.fileLength || (next === undefined && end !== this.fileLength)) {
-      throw new CogsplatError("segments-length", `index and segments end at ${end}, the file at ${this.fileLength}`);
-    }
-    this.enterOthers(firstSegment);
-    if (next === undefined) this.finish();
+    if (heads !== chunks) throw new CogsplatError("chunk-heads", `an index of ${heads} heads and ${chunks} chunks`);
   }
 
-  private enterHeads(first: number, chunks: number): void {
-    const { kind, owner } = this.segments;
-    const before = this.heads.length;
-    for (let i = first; i < kind.length; i++) {
-      if (kind[i] !== SegmentKind.head) continue;
-      if (owner[i] !== this.heads.length) {
-        throw new CogsplatError("chunk-heads", `a head of chunk ${owner[i]} in the place of ${this.heads.length}`);
+  private enterHeads(first: number): void {
+    for (const [segment, owner] of this.ofKind(SegmentKind.head, first)) {
+      if (owner !== this.heads.length) {
+        throw new CogsplatError("chunk-heads", `a head of chunk ${owner} in the place of ${this.heads.length}`);
       }
-      this.heads.push(i);
-    }
-    if (this.heads.length - before !== chunks) {
-      throw new CogsplatError("chunk-heads", `an index of ${this.heads.length - before} heads and ${chunks} chunks`);
+      this.heads.push(segment);
     }
   }
 
-  private enterOthers(first: number): void {
-    const { kind, owner } = this.segments;
-    for (let i = first; i < kind.length; i++) {
-      const to = owner[i]!;
-      switch (kind[i]) {
-        case SegmentKind.tail:
-          if (this.scene.shDegree === 0) throw new CogsplatError("chunk-tails", `a tail of chunk ${to} at SH degree 0`);
-          this.enterOnce(this.tails, i, to, "chunk-tails");
-          break;
-        case SegmentKind.refinement:
-          this.enterOnce(this.refinements, i, to, "chunk-refinements");
-          break;
-        case SegmentKind.attributes:
-          if (this.scene.attributes.length === 0) {
-            throw new CogsplatError("attribute-segments", `attributes of chunk ${to}, and none in the root`);
-          }
-          this.enterOnce(this.attributes, i, to, "attribute-segments");
-          break;
-        case SegmentKind.cameras:
-          if (to !== 0 || this.cameras.length > 0) {
-            throw new CogsplatError("camera-segments", `a segment of cameras of owner ${to}, or a second one`);
-          }
-          this.cameras.push(i);
-          break;
-        case SegmentKind.compensation:
-          if (to !== this.compensation.length) {
-            throw new CogsplatError("compensation-segments", `layer ${to} in the place of ${this.compensation.length}`);
-          }
-          this.compensation.push(i);
-          break;
-        case SegmentKind.shapeCodebook:
-        case SegmentKind.colourBand1:
-        case SegmentKind.colourBand2:
-        case SegmentKind.colourBand3:
-          this.enterCodebook(i, to);
-      }
-    }
-  }
-
-  /** Note a segment that a chunk has at most once, behind its head. */
+  /** Note the segments that a chunk has at most once, behind its head. */
   private enterOnce(
-    table: Int32Array, segment: number, chunk: number, code: "chunk-tails" | "chunk-refinements" | "attribute-segments",
+    first: number, kind: number, table: Int32Array, code: "chunk-tails" | "chunk-refinements" | "attribute-segments",
   ): void {
-    const head = this.heads[chunk];
-    if (head === undefined || head > segment || table[chunk] !== NONE) {
-      throw new CogsplatError(code, `segment ${segment} of chunk ${chunk} is its second, before its head, or of no chunk`);
+    const isAllowed =
+      code === "chunk-tails" ? this.scene.shDegree > 0 : code !== "attribute-segments" || this.scene.attributes.length > 0;
+    for (const [segment, chunk] of this.ofKind(kind, first)) {
+      const head = this.heads[chunk];
+      if (!isAllowed) throw new CogsplatError(code, `segment ${segment} has no place in this scene`);
+      if (head === undefined || head > segment || table[chunk] !== NONE) {
+        throw new CogsplatError(code, `segment ${segment} of chunk ${chunk} is its second, before its head, or of no chunk`);
+      }
+      table[chunk] = segment;
     }
-    table[chunk] = segment;
   }
 
-  private enterCodebook(segment: number, codebook: number): void {
-    const kind = this.segments.kind[segment]!;
-    const segments = this.codebookSegments[codebook];
-    if (segments === undefined || segments.has(kind) || !this.kindsOf(codebook, this.scene.shDegree).includes(kind)) {
-      throw new CogsplatError("codebook-segments", `segment ${segment} of kind ${kind} has no place in codebook ${codebook}`);
-    }
-    segments.set(kind, segment);
-  }
-
-  /** Kinds of the segments that a codebook has up to a degree. */
-  private kindsOf(codebook: number, degree: number): readonly number[] {
-    if (this.codebooks[codebook]!.attribute === "shape") return [SegmentKind.shapeCodebook];
-    return [SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentKind.colourBand3].slice(0, degree);
-  }
-
-  /** Check what depends on all pages. */
-  private finish(): void {
+  private checkSplats(): void {
     const splats = this.chunks.splats.reduce((sum, rows) => sum + rows, 0);
     if (splats !== this.scene.splats) {
       throw new CogsplatError("splat-count", `chunks of ${splats} splats, the root says ${this.scene.splats}`);
     }
+  }
+
+  private checkNeeds(first: number): void {
+    const count = this.codebooks.length;
+    const wrong = count < 32 ? this.segments.needs.subarray(first).findIndex((needs) => needs >>> count !== 0) : -1;
+    if (wrong >= 0) {
+      throw new CogsplatError("needs-range", `segment ${first + wrong} needs a codebook that is not listed`);
+    }
+  }
+
+  private enterCodebooks(first: number): void {
+    for (const kind of [SegmentKind.shapeCodebook, SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentKind.colourBand3]) {
+      for (const [segment, codebook] of this.ofKind(kind, first)) {
+        const segments = this.codebookSegments[codebook];
+        if (segments === undefined || segments.has(kind) || !this.kindsOf(codebook, this.scene.shDegree).includes(kind)) {
+          throw new CogsplatError("codebook-segments", `segment ${segment} of kind ${kind} has no place in codebook ${codebook}`);
+        }
+        segments.set(kind, segment);
+      }
+    }
+    if (!this.complete) return;
     this.codebooks.forEach((_, codebook) => {
       const missing = this.kindsOf(codebook, this.scene.shDegree).find((kind) => !this.codebookSegments[codebook]!.has(kind));
       if (missing !== undefined) {
         throw new CogsplatError("codebook-segments", `codebook ${codebook} has no segment of kind ${missing}`);
       }
     });
+  }
+
+  private enterCameras(first: number): void {
+    for (const [segment, owner] of this.ofKind(SegmentKind.cameras, first)) {
+      if (owner !== 0 || this.cameras.length > 0) {
+        throw new CogsplatError("camera-segments", `a segment of cameras of owner ${owner}, or a second one`);
+      }
+      this.cameras.push(segment);
+    }
+  }
+
+  private enterCompensation(first: number): void {
+    for (const [segment, layer] of this.ofKind(SegmentKind.compensation, first)) {
+      if (layer !== this.compensation.length) {
+        throw new CogsplatError("compensation-segments", `layer ${layer} in the place of ${this.compensation.length}`);
+      }
+      this.compensation.push(segment);
+    }
+  }
+
+  /** Segments of a kind from a row on, each with its owner. */
+  private *ofKind(wanted: number, first: number): Generator<readonly [number, number]> {
+    const { kind, owner } = this.segments;
+    for (let i = first; i < kind.length; i++) if (kind[i] === wanted) yield [i, owner[i]!];
+  }
+
+  /** Kinds of the segments that a codebook has up to a degree. */
+  private kindsOf(codebook: number, degree: number): readonly number[] {
+    if (this.codebooks[codebook]!.attribute === "shape") return [SegmentKind.shapeCodebook];
+    return [SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentKind.colourBand3].slice(0, degree);
   }
 }

@@ -44,7 +44,7 @@ export interface ChunkTable {
 }
 
 /** Read `segments` of a root or a page. */
-export function readSegmentTable(fields: Fields, codebooks: number): SegmentTable {
+export function readSegmentTable(fields: Fields): SegmentTable {
   const kind = Uint8Array.from(bytesOf(fields.column("kind", 1)));
   const rows = kind.length;
   const table: SegmentTable = {
@@ -61,9 +61,6 @@ export function readSegmentTable(fields: Fields, codebooks: number): SegmentTabl
     if (table.length[i] === 0) throw fields.outOfRange("length", `segment ${i} has no bytes`);
     if (kind[i]! < FIRST_SKIPPABLE_KIND && !known.has(kind[i]!)) {
       throw new CogsplatError("segment-kind-unknown", `${fields.where}: segment ${i} is of kind ${kind[i]}`);
-    }
-    if (codebooks < 32 && table.needs[i]! >>> codebooks !== 0) {
-      throw new CogsplatError("needs-range", `${fields.where}: segment ${i} needs a codebook that is not listed`);
     }
   }
   return table;

@@ -58,6 +58,7 @@ export class StreamedScene {
     const { bytes, answer } = await reader.beginning(FIRST_BYTES, options.signal);
     const known = answer.total ?? (bytes.length < FIRST_BYTES ? bytes.length : undefined);
     const index = SceneIndex.open(bytes, known);
+    index.settle();
     return new StreamedScene(index, reader, bytes, answer.whole, options.service);
   }
 
@@ -99,6 +100,7 @@ export class StreamedScene {
         const end = page.offset + page.length;
         const isHere = end <= this.beginning.length;
         this.index.addPage(isHere ? this.beginning.slice(page.offset, end) : await this.reader.all(page, undefined));
+        this.index.settle();
       }
     };
     // A page that failed for one caller is tried again for the next.

@@ -46,6 +46,7 @@ export class SceneFile {
       if (page.offset + page.length > bytes.length) break;
       this.index.addPage(bytes.slice(page.offset, page.offset + page.length));
     }
+    this.index.settle();
     this.decoder = new ChunkDecoder(k, this.index);
     this.maxDecodedBytes = options.maxDecodedBytes ?? defaultLimit(bytes.length);
   }
