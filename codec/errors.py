@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-import re
-from typing import Final
-
-# What a terminal obeys rather than shows: control characters of both sets, and marks that turn the
-# direction of text (Unicode 15, 3.9 and 23.2); surrogates are halves of characters.
-_NOT_SHOWN: Final = re.compile(
-    "[\x00-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]"
-)
-
 
 def printable(text: str) -> str:
     r"""Return text on one line in which what a terminal would obey is written as an escape.
 
-    Names and comments of a file may hold such characters, and messages quote them.
+    Names and comments of a file may hold such characters, and messages quote them: controls, marks
+    that turn the direction of text, halves of characters, separators of lines (what
+    `str.isprintable` says no to).
 
     Examples
     --------
     >>> printable("red\x1b[31m")
     'red\\x1b[31m'
     """
-    return _NOT_SHOWN.sub(_escaped, text)
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else _escaped(ord(c)) for c in text)
 
 
-def _escaped(match: re.Match[str]) -> str:
-    number = ord(match[0])
-    return f"\\x{number:02x}" if number < 0x100 else f"\\u{number:04x}"
+def _escaped(number: int) -> str:
+    if number < 0x100:
+        return f"\\x{number:02x}"
+    return f"\\u{number:04x}" if number < 0x10000 else f"\\U{number:08x}"
 
 
 class CogsplatError(Exception):

@@ -199,6 +199,8 @@ def _in_json(data: bytes, rng: random.Random) -> bytes:
         value = json.loads(data)
     except (ValueError, RecursionError):
         return _bytes(data, rng)
+    if not isinstance(value, dict | list):
+        return _bytes(data, rng)
     place, key = value, None
     for _ in range(rng.randint(1, 8)):
         keys = list(place) if isinstance(place, dict) else list(range(len(place)))

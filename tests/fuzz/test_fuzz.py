@@ -44,6 +44,7 @@ REFUSALS = {
     ("cameras_json", "many"): "",
     ("transforms_json", "one_picture"): "",
     ("colmap_txt", "long_line"): "colmap-malformed",
+    ("colmap_txt", "format_characters_in_a_name"): "camera-model",
     ("mask", "text_that_inflates"): "mask",
     ("mask", "eps"): "mask",
 }
