@@ -23,7 +23,7 @@ def zipped() -> bytes:
     [
         (MAGIC, "a COGS file"),
         (MAGIC[::-1], "reverse byte order"),
-        (gzip.compress(b"x"), "gzip"),
+        (gzip.compress(b"x", mtime=0), "gzip"),
         (zipped(), "a ZIP file"),
         (zstandard.compress(b"x"), "zstd"),
         (b"ply\nformat ascii 1.0\n", "a PLY file"),
