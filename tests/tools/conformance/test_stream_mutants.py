@@ -32,7 +32,7 @@ REFERENCE = [
     ),
     Mutant(
         "a step model adds in float64",
-        reference_streams._extra_bits,
+        reference_streams.extra_bits,
         "total = f32(total + f32(factor * feature))",
         "total = math.ceil(total + factor * feature)",
         ("6.10",),
