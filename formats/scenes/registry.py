@@ -1,7 +1,7 @@
-"""Foreign scene formats: one row each, found by their first bytes, then by their extension.
+"""The table of foreign scene formats, found by their first bytes, then by their extension.
 
-A format joins with one file of its own, ``formats/<name>.py``, holding a sniffer, a reader and,
-where it can be written, a writer, and with one row in `FORMATS`.
+To add a format, write one file ``formats/scenes/<name>.py`` with a sniffer, a reader and, where
+it can be written, a writer, and add one row to `FORMATS`.
 """
 
 from __future__ import annotations
