@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .errors import DataError
+from .trained_arrays import TRAINED_NAMES, as_floats, log_scales, logits, wxyz
 
 F32 = NDArray[np.float32]
 
@@ -105,6 +106,8 @@ class Splats:
     extras: Mapping[str, Extra] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        _require_array("means", self.means)
+        _require_array("shN", self.shN)
         n = len(self.means)
         expected: dict[str, tuple[int, ...]] = {
             "means": (n, 3),
@@ -115,6 +118,7 @@ class Splats:
         }
         for name, shape in expected.items():
             array = getattr(self, name)
+            _require_array(name, array)
             if array.shape != shape:
                 raise DataError("bad-shape", f"{name} has shape {array.shape}, expected {shape}")
         rest = self.shN.shape
@@ -142,6 +146,172 @@ class Splats:
         """Bytes of all arrays."""
         arrays = (self.means, self.scales, self.quats, self.opacities, self.sh0, self.shN)
         return sum(array.nbytes for array in (*arrays, *self.extras.values()))
+
+    def __getitem__(
+        self, rows: int | slice | Sequence[int] | NDArray[np.integer] | NDArray[np.bool_]
+    ) -> Splats:
+        """Return the chosen rows: a slice gives views, an index one row, anything else copies.
+
+        Examples
+        --------
+        >>> scene = empty(degree=1, n=10)
+        >>> len(scene[2:5]), len(scene[scene.opacities > 1]), len(scene[-1])
+        (3, 0, 1)
+        """
+        if isinstance(rows, int | np.integer):
+            index = range(len(self))[rows]
+            return self.take(slice(index, index + 1))
+        return self.take(rows if isinstance(rows, slice) else np.asarray(rows))
+
+    def __repr__(self) -> str:
+        extras = f", extras {', '.join(self.extras)}" if self.extras else ""
+        return f"<Splats: {len(self):,} of SH degree {self.sh_degree}{extras}>"
+
+    @classmethod
+    def from_arrays(
+        cls,
+        means: ArrayLike,
+        scales: ArrayLike,
+        quats: ArrayLike,
+        opacities: ArrayLike,
+        sh0: ArrayLike,
+        shN: ArrayLike | None = None,
+        *,
+        scale_space: str = "log",
+        opacity_space: str = "logit",
+        quat_order: str = "wxyz",
+        info: SceneInfo | None = None,
+        extras: Mapping[str, Extra] | None = None,
+    ) -> Splats:
+        """Return a scene of arrays of any float type, or of anything numpy makes arrays of.
+
+        Parameters
+        ----------
+        means : (N, 3)
+        scales : (N, 3)
+            In `scale_space`.
+        quats : (N, 4)
+            In `quat_order`, any non-zero norm.
+        opacities : (N,) or (N, 1)
+            In `opacity_space`.
+        sh0 : (N, 3), (N, 1, 3), or (N, K, 3) with all coefficients where `shN` is not given
+        shN : (N, K-1, 3), optional
+            Coefficients above DC, channels last.
+        scale_space : str
+            ``log`` (natural logarithm, as trained) or ``linear`` (standard deviations).
+        opacity_space : str
+            ``logit`` (as trained) or ``unit`` (0 to 1).
+        quat_order : str
+            ``wxyz`` or ``xyzw``.
+        info : SceneInfo, optional
+        extras : mapping of str to array, optional
+
+        Returns
+        -------
+        Splats
+
+        Raises
+        ------
+        DataError
+            ``bad-shape``, ``bad-dtype``, or ``bad-value`` for a linear scale that is not above 0 or
+            a unit opacity outside 0 to 1.
+        ValueError
+            An unknown space or order.
+
+        Examples
+        --------
+        >>> scene = Splats.from_arrays(
+        ...     np.zeros((2, 3)), np.full((2, 3), 0.1), [[0, 0, 0, 1]] * 2, [[0.5], [1.0]],
+        ...     np.zeros((2, 4, 3)), scale_space="linear", opacity_space="unit", quat_order="xyzw",
+        ... )
+        >>> scene
+        <Splats: 2 of SH degree 1>
+        """
+        arrays = {
+            name: as_floats(name, values)
+            for name, values in (
+                ("means", means), ("scales", scales), ("quats", quats),
+                ("opacities", opacities), ("sh0", sh0),
+            )
+        }  # fmt: skip
+        colour = arrays["sh0"]
+        if shN is None:
+            whole = colour[:, None] if colour.ndim == 2 else colour
+            if whole.ndim != 3 or whole.shape[1] < 1:
+                raise DataError(
+                    "bad-shape", f"sh0 has shape {colour.shape}, expected (N, 3) or (N, K, 3)"
+                )
+            colour, rest = whole[:, 0], whole[:, 1:]
+        else:
+            rest = as_floats("shN", shN)
+            if colour.ndim == 3 and colour.shape[1] == 1:
+                colour = colour[:, 0]
+        opacity = arrays["opacities"]
+        if opacity.ndim == 2 and opacity.shape[1] == 1:
+            opacity = opacity[:, 0]
+        return cls(
+            means=np.ascontiguousarray(arrays["means"]),
+            scales=np.ascontiguousarray(log_scales(arrays["scales"], scale_space)),
+            quats=np.ascontiguousarray(wxyz(arrays["quats"], quat_order)),
+            opacities=np.ascontiguousarray(logits(opacity, opacity_space)),
+            sh0=np.ascontiguousarray(colour),
+            shN=np.ascontiguousarray(rest),
+            info=info or SceneInfo(),
+            extras=extras or {},
+        )
+
+    @classmethod
+    def from_gsplat(cls, state: Mapping[str, object], *, info: SceneInfo | None = None) -> Splats:
+        """Return a scene of the parameters that gsplat or nerfstudio train.
+
+        Parameters
+        ----------
+        state : mapping of str to tensor or array
+            gsplat's ``means scales quats opacities sh0 shN``, or nerfstudio's, which call the last
+            two ``features_dc`` and ``features_rest``, with or without a prefix such as
+            ``_model.gauss_params.``. Torch tensors are taken from whatever device they are on.
+            Values are as they are trained: log scales, wxyz quaternions, logit opacities.
+        info : SceneInfo, optional
+
+        Raises
+        ------
+        DataError
+            ``missing-array``: one of them is not there; otherwise as `from_arrays`.
+
+        Examples
+        --------
+        >>> state = {
+        ...     "means": np.zeros((2, 3)), "scales": np.zeros((2, 3)), "quats": np.ones((2, 4)),
+        ...     "opacities": np.zeros(2), "sh0": np.zeros((2, 1, 3)), "shN": np.zeros((2, 15, 3)),
+        ... }
+        >>> Splats.from_gsplat(state)
+        <Splats: 2 of SH degree 3>
+        """
+        found: dict[str, NDArray[np.float32]] = {}
+        for name, others in TRAINED_NAMES.items():
+            keys = [
+                key for key in state for other in others
+                if key == other or key.endswith("." + other)
+            ]  # fmt: skip
+            if not keys:
+                raise DataError(
+                    "missing-array",
+                    f"no {name} among {sorted(map(str, state))[:12]}, expected one of {others}",
+                )
+            found[name] = as_floats(name, state[keys[0]])
+        return cls.from_arrays(
+            found["means"],
+            found["scales"],
+            found["quats"],
+            found["opacities"],
+            found["sh0"],
+            found["shN"],
+            info=info,
+        )
+
+    def drop_invalid(self) -> Splats:
+        """Return the scene without the rows that `invalid_rows` marks."""
+        return self.take(~self.invalid_rows())
 
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_] | slice) -> Splats:
         """Return the chosen rows, copied (a slice gives views)."""
@@ -199,9 +369,17 @@ class Splats:
                 "invalid-rows",
                 f"{count} of {len(self)} splats hold NaN, infinite values or a zero quaternion, "
                 f"the first is row {int(bad.argmax())}; expected finite rows "
-                "(--drop-invalid leaves them out)",
+                "(`Splats.drop_invalid` leaves the others out)",
             )
         return self
+
+
+def _require_array(name: str, value: object) -> None:
+    if not isinstance(value, np.ndarray):
+        raise TypeError(
+            f"{name} is a {type(value).__name__}, expected a numpy array; Splats.from_arrays takes "
+            "lists and tensors as well"
+        )
 
 
 def empty(degree: int, n: int = 0, info: SceneInfo | None = None) -> Splats:

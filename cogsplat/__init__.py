@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,12 +30,13 @@ from .codec.progress import Progress, silent
 from .codec.splats import SceneInfo, Splats
 from .formats.cogs.reader import CogsFile, open_cogs
 from .formats.storage.limits import Limits
-from .formats.storage.source import FileSource, Source
+from .formats.storage.source import Readable, source_of
 
 if TYPE_CHECKING:
-    from .codec.encode.config import EncodeConfig
-    from .codec.encode.encoded import EncodedScene, EncodeReport
-    from .codec.encode.rate_control import Target
+    from .codec.encode.config import EncodeConfig as EncodeConfig
+    from .codec.encode.encoded import EncodedScene
+    from .codec.encode.encoded import EncodeReport as EncodeReport
+    from .codec.encode.rate_control import Target as Target
     from .codec.scoring.contribution import ScoreConfig, Scores
 
 __all__ = [
@@ -43,12 +45,15 @@ __all__ = [
     "CogsFile",
     "CogsplatError",
     "DataError",
+    "EncodeConfig",
+    "EncodeReport",
     "FormatError",
     "LimitError",
     "Limits",
     "SceneInfo",
     "Splats",
     "StorageError",
+    "Target",
     "TruncatedError",
     "UnsupportedError",
     "decode",
@@ -64,11 +69,25 @@ try:
 except PackageNotFoundError:  # a bare checkout on the path, never installed
     __version__ = "0+unknown"
 
+# What only encoding needs is imported when it is asked for: decoding takes the core alone.
+_LATE = {
+    "EncodeConfig": ".codec.encode.config",
+    "EncodeReport": ".codec.encode.encoded",
+    "Target": ".codec.encode.rate_control",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name in _LATE:
+        return getattr(import_module(_LATE[name], __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
 _Path = str | os.PathLike[str]
 
 
 def open(
-    path: _Path | Source,
+    path: Readable,
     *,
     partial: bool = False,
     size_bytes: int | None = None,
@@ -78,8 +97,9 @@ def open(
 
     Parameters
     ----------
-    path : path or Source
-        A local file, or anything that reads ranges of bytes.
+    path : path, bytes, binary file object or Source
+        A local file, a file in memory, an open file that can seek, or anything with `name`, `size`,
+        `read(offset, length)` and `close`.
     partial : bool
         Accept a file that is still being received.
     size_bytes : int, optional
@@ -108,7 +128,7 @@ def open(
     >>> len(preview) >= 100
     True
     """
-    source = FileSource(Path(path)) if isinstance(path, str | os.PathLike) else path
+    source = source_of(path)
     try:
         return open_cogs(source, partial=partial, size_bytes=size_bytes, limits=limits)
     except BaseException:
@@ -117,7 +137,7 @@ def open(
 
 
 def decode(
-    path: _Path | Source,
+    path: Readable,
     *,
     chunks: tuple[int | None, int | None] | None = None,
     splats: int | None = None,
@@ -134,7 +154,8 @@ def decode(
 
     Parameters
     ----------
-    path : path or Source
+    path : path, bytes, binary file object or Source
+        As in `open`.
     chunks : tuple of (int or None, int or None), optional
         Half-open range of chunks; None leaves an end open.
     splats : int, optional
@@ -200,6 +221,9 @@ def encode(
     scores: Scores | None = None,
     config: EncodeConfig | None = None,
     score_config: ScoreConfig | None = None,
+    quality: float | None = None,
+    target_psnr: float | None = None,
+    target_size: int | str | None = None,
     target: Target | None = None,
     preset: str = "balanced",
     stored_cameras: Sequence[Camera] = (),
@@ -223,8 +247,15 @@ def encode(
     config : EncodeConfig, optional
     score_config : ScoreConfig, optional
         In place of the preset's.
+    quality : float, optional
+        Nominal PSNR, dB, in place of `EncodeConfig.quality_db`.
+    target_psnr : float, optional
+        Search for the nominal quality that gives this PSNR, dB, in the test views.
+    target_size : int or str, optional
+        Search for the best quality in a file of at most so many bytes; as text such as
+        ``"500KiB"``, ``"12MB"`` or ``"20%"`` of the file, or of the arrays, that is encoded.
     target : Target, optional
-        A PSNR or a size to hit; then `EncodeConfig.quality_db` does not count.
+        Either of these as one value.
     preset : str
         One of `codec.encode.presets.PRESETS`: how many views are looked at and, where no `config`
         is given, the order and whether compensation is fitted.
@@ -250,7 +281,8 @@ def encode(
         The scene or the cameras cannot be used, the target is out of reach, or the file cannot be
         written.
     ValueError
-        An unknown preset; a target for the profile `near-lossless`; a PSNR as target with no views
+        An unknown preset; more than one of quality, PSNR and size; a target for the profile
+        `near-lossless`; a PSNR as target with no views
         to measure it in; `scores` without cameras for an order that renders.
 
     Examples
@@ -268,8 +300,14 @@ def encode(
 
     if preset not in PRESETS:
         raise ValueError(f"preset {preset!r}, expected one of {tuple(PRESETS)}")
+    if sum(x is not None for x in (quality, target_psnr, target_size, target)) > 1:
+        raise ValueError("more than one of quality, target_psnr, target_size and target")
+    if not isinstance(scene, Splats | str | os.PathLike):
+        raise TypeError(f"a {type(scene).__name__}, expected Splats or the path of a scene")
     chosen = PRESETS[preset]
     config = config or EncodeConfig(order=chosen.order, compensate=chosen.compensate)
+    if quality is not None:
+        config = replace(config, quality_db=quality)
     # Before minutes of work, not after.
     given = [x for x in (scene, cameras) if isinstance(x, str | os.PathLike)]
     check_output(path, force=force, inputs=given)
@@ -290,7 +328,7 @@ def encode(
         scores=scores,
         score_config=score_config,
         preset=chosen,
-        target=target,
+        target=target or _target(target_psnr, target_size, scene),
         test_views=test_views or (),
         size_of=size_of,
         progress=progress,
@@ -304,6 +342,20 @@ def encode(
         force=force,
     )
     return replace(encoded.report, size_bytes=size_bytes)
+
+
+def _target(psnr_db: float | None, size: int | str | None, scene: Splats | _Path) -> Target | None:
+    from .codec.encode.rate_control import Target
+    from .formats.scenes.registry import scene_bytes
+    from .formats.storage.byte_counts import parse_byte_count
+
+    if psnr_db is not None:
+        return Target(psnr_db=psnr_db)
+    if isinstance(size, str):
+        count = parse_byte_count(size)
+        whole = scene.nbytes if isinstance(scene, Splats) else scene_bytes(scene)
+        size = int(count.amount * whole) if count.is_share else int(count.amount)
+    return None if size is None else Target(size_bytes=size)
 
 
 def read(path: _Path, *, limits: Limits | None = None) -> Splats:

@@ -1,4 +1,5 @@
 import hashlib
+import io
 import math
 import os
 import subprocess
@@ -414,3 +415,54 @@ def test_an_archive_may_show_nothing(tmp_path):
             cogsplat.encode(dark, tmp_path / "other.cogs", config=EncodeConfig(profile=profile))
         assert caught.value.code == "empty-scene"
     assert not (tmp_path / "other.cogs").exists()
+
+
+def test_files_in_memory_and_open_files_decode(made):
+    path, _, _ = made
+    whole = cogsplat.decode(path)
+    data = path.read_bytes()
+    with path.open("rb") as stream:
+        for given in (data, memoryview(data), io.BytesIO(data), stream):
+            again = cogsplat.decode(given)
+            np.testing.assert_array_equal(again.means, whole.means)
+        assert not stream.closed
+    with cogsplat.open(data) as file:
+        assert file.num_chunks >= 1
+    with pytest.raises(TypeError, match="expected a path, bytes"):
+        cogsplat.decode(3)
+
+
+def test_quality_and_targets_are_plain_keywords(tmp_path):
+    splats = scene(600)
+    sizes = {}
+    for name, options in (
+        ("low", {"quality": 25.0}),
+        ("high", {"quality": 45.0}),
+        ("size", {"target_size": "9KiB"}),
+        ("share", {"target_size": "20%"}),
+        ("bytes", {"target_size": 9216}),
+    ):
+        path = tmp_path / f"{name}.cogs"
+        report = cogsplat.encode(splats, path, cameras=ring(), preset="fast", **options)
+        sizes[name] = path.stat().st_size
+        assert report.size_bytes == sizes[name]
+    assert sizes["low"] < sizes["high"]
+    assert sizes["size"] == sizes["bytes"] <= 9216
+    assert sizes["share"] <= splats.nbytes // 5
+    with pytest.raises(ValueError, match="more than one of quality"):
+        cogsplat.encode(splats, tmp_path / "x.cogs", quality=40, target_psnr=30)
+    with pytest.raises(TypeError, match="a dict, expected Splats or the path of a scene"):
+        cogsplat.encode({}, tmp_path / "x.cogs")
+
+
+def test_what_encoding_takes_is_exported_late():
+    program = (
+        "import sys, cogsplat; assert 'cogsplat.codec.encode' not in sys.modules; "
+        "print(cogsplat.EncodeConfig().profile, cogsplat.Target(size_bytes=5).size_bytes)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert done.stdout.split() == ["transform", "5"]
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = cogsplat.nothing

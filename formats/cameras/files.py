@@ -93,7 +93,7 @@ def _stored_cameras(path: StrPath, limits: Limits) -> list[Camera]:
     if not cameras:
         raise FormatError(
             "no-cameras",
-            f"{os.fspath(path)}: brings no cameras, expected a file encoded with --store-cameras",
+            f"{os.fspath(path)}: brings no cameras, expected a file that cameras were stored in",
         )
     limits.require_cameras(len(cameras), os.fspath(path))
     return cameras

@@ -29,6 +29,7 @@ from cogsplat.formats.storage.magic import describe
 from .compressed_ply import is_compressed_ply, read_compressed_ply, write_compressed_ply
 from .ksplat import read_ksplat
 from .splat import no_magic, read_splat, write_splat
+from .torch_checkpoint import is_torch_checkpoint, read_torch_checkpoint
 
 HEAD_BYTES = 65536
 """Bytes that a sniffer is given, fewer where the file is shorter."""
@@ -89,6 +90,13 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format("ply", (".ply",), is_ply, read_ply, write_ply),
     Format("gltf", (".glb", ".gltf"), is_gltf, read_gltf, write_gltf, gltf_files),
+    Format(
+        "torch checkpoint",
+        (".pt", ".pth", ".ckpt"),
+        is_torch_checkpoint,
+        read_torch_checkpoint,
+        None,
+    ),
     Format("sog", (".sog",), is_sog, read_sog, write_sog, sog_files),
     Format("spz", (".spz",), is_spz, read_spz, write_spz),
     Format("splat", (".splat",), no_magic, read_splat, write_splat),

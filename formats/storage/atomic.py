@@ -52,9 +52,7 @@ class TargetExistsError(StorageError):
     exit_code = 2
 
     def __init__(self, path: StrPath) -> None:
-        super().__init__(
-            "exists", f"{os.fspath(path)}: exists already, expected a new name (--force replaces)"
-        )
+        super().__init__("exists", f"{os.fspath(path)}: exists already, expected a new name")
 
 
 class OutputIsInputError(StorageError):

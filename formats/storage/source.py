@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import os
 import threading
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import BinaryIO, Protocol, cast
 
 from cogsplat.codec.errors import StorageError, TruncatedError
 
@@ -111,6 +112,64 @@ class FileSource:
         self._file.close()
 
 
+class StreamSource:
+    """A source over an open binary file object that can seek; it is not closed here.
+
+    Parameters
+    ----------
+    stream : BinaryIO
+        Open for reading: a file, ``io.BytesIO``, or what a storage library opens.
+
+    Raises
+    ------
+    StorageError
+        ``not-seekable``: it cannot seek, as a pipe cannot.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self.name = str(getattr(stream, "name", type(stream).__name__))
+        if not stream.seekable():
+            raise StorageError("not-seekable", f"{self.name}: cannot seek, expected a file")
+        self._stream = stream
+        self._lock = threading.Lock()
+        self._size = stream.seek(0, os.SEEK_END)
+
+    @property
+    def size(self) -> int:
+        """Bytes the stream had when the source was made."""
+        return self._size
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return exactly `length` bytes from `offset`; see `Source.read`."""
+        _check_end(self, offset, length)
+        parts: list[bytes] = []
+        missing = length
+        try:
+            with self._lock:
+                self._stream.seek(offset)
+                while missing:
+                    # Streams may give less than they are asked for.
+                    part = self._stream.read(missing)
+                    if not part:
+                        break
+                    parts.append(part)
+                    missing -= len(part)
+        except OSError as error:
+            raise StorageError("io", f"{self.name}: {error} at byte {offset}") from error
+        if missing:
+            raise TruncatedError(
+                "source-changed",
+                f"{self.name}: {length - missing} bytes at byte {offset}, expected {length}; "
+                "the stream became shorter while it was read",
+                offset=offset,
+                needed=offset + length,
+            )
+        return b"".join(parts)
+
+    def close(self) -> None:
+        """Do nothing: who opened the stream closes it."""
+
+
 class PrefixSource:
     """A prefix of another source, like a file whose transfer stopped early."""
 
@@ -145,3 +204,31 @@ def _check_end(source: Source, offset: int, length: int) -> None:
             offset=offset,
             needed=offset + length,
         )
+
+
+Readable = str | os.PathLike[str] | bytes | bytearray | memoryview | BinaryIO | Source
+"""What a COGS file can be read from."""
+
+
+def source_of(given: Readable) -> Source:
+    """Return what reads ranges of a path, of bytes, of a file object, or of a source as it is.
+
+    Raises
+    ------
+    StorageError
+        As `FileSource` and `StreamSource`.
+    TypeError
+        It is none of these.
+    """
+    if isinstance(given, str | os.PathLike):
+        return FileSource(Path(given))
+    if isinstance(given, bytes | bytearray | memoryview):
+        return BytesSource(bytes(given))
+    if isinstance(given, io.IOBase) or (hasattr(given, "seek") and hasattr(given, "read")):
+        return StreamSource(cast("BinaryIO", given))
+    if hasattr(given, "read") and hasattr(given, "size"):
+        return cast("Source", given)
+    raise TypeError(
+        f"a {type(given).__name__}, expected a path, bytes, a binary file object, or a Source with "
+        "name, size, read and close"
+    )

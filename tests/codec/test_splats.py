@@ -214,3 +214,110 @@ def test_only_scenes_of_the_same_extras_are_joined(other):
     with pytest.raises(DataError, match=r"part 1 .* expected 'a' u1") as caught:
         concatenate([first, replace(first, extras=other)])
     assert caught.value.code == "extras-mismatch"
+
+
+def test_arrays_of_other_spaces_become_the_field_s():
+    rng = np.random.default_rng(3)
+    linear = rng.uniform(0.01, 2, (6, 3))
+    unit = rng.uniform(0, 1, (6, 1))
+    quats, sh = rng.normal(size=(6, 4)), rng.normal(size=(6, 9, 3))
+    scene = Splats.from_arrays(
+        rng.normal(size=(6, 3)).tolist(), linear, quats, unit, sh,
+        scale_space="linear", opacity_space="unit", quat_order="xyzw",
+    )  # fmt: skip
+    np.testing.assert_allclose(np.exp(scene.scales), linear, rtol=1e-5)
+    np.testing.assert_allclose(1 / (1 + np.exp(-scene.opacities)), unit[:, 0], rtol=1e-5)
+    np.testing.assert_array_equal(scene.quats, quats[:, [3, 0, 1, 2]].astype(np.float32))
+    np.testing.assert_array_equal(scene.sh0, sh[:, 0].astype(np.float32))
+    np.testing.assert_array_equal(scene.shN, sh[:, 1:].astype(np.float32))
+    ends = Splats.from_arrays(
+        np.zeros((2, 3)), np.zeros((2, 3)), np.ones((2, 4)), [0.0, 1.0], np.zeros((2, 3)),
+        opacity_space="unit",
+    )  # fmt: skip
+    assert ends.opacities.tolist() == [-np.inf, np.inf]
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"means": np.zeros((2, 4))}, "bad-shape"),
+        ({"opacities": np.zeros((2, 2))}, "bad-shape"),
+        ({"sh0": np.zeros((2, 5, 3))}, "bad-shape"),
+        ({"sh0": np.zeros(2)}, "bad-shape"),
+        ({"quats": [["a"] * 4] * 2}, "bad-dtype"),
+        ({"scales": -np.ones((2, 3)), "scale_space": "linear"}, "bad-value"),
+        ({"opacities": [0.5, 1.5], "opacity_space": "unit"}, "bad-value"),
+        ({"opacities": [0.5, np.nan], "opacity_space": "unit"}, "bad-value"),
+    ],
+)
+def test_arrays_that_fit_no_scene_are_refused(change, code):
+    given = {
+        "means": np.zeros((2, 3)), "scales": np.zeros((2, 3)), "quats": np.ones((2, 4)),
+        "opacities": np.zeros(2), "sh0": np.zeros((2, 3)), **change,
+    }  # fmt: skip
+    with pytest.raises(DataError) as caught:
+        Splats.from_arrays(**given)
+    assert caught.value.code == code
+
+
+def test_tensors_are_taken_as_arrays():
+    class Tensor:
+        """What of torch's tensors is used: detach, cpu, numpy."""
+
+        def __init__(self, values):
+            self.values = values
+
+        def detach(self):
+            return self
+
+        def cpu(self):
+            return self
+
+        def numpy(self):
+            return self.values
+
+    shapes = {"means": (4, 3), "scales": (4, 3), "quats": (4, 4), "opacities": (4,)}
+    shapes |= {"sh0": (4, 1, 3), "shN": (4, 3, 3)}
+    rng = np.random.default_rng(1)
+    arrays = {name: rng.normal(size=shape) for name, shape in shapes.items()}
+    scene = Splats.from_gsplat({name: Tensor(values) for name, values in arrays.items()})
+    assert scene.sh_degree == 1
+    np.testing.assert_array_equal(scene.sh0, arrays["sh0"][:, 0].astype(np.float32))
+    with pytest.raises(DataError, match="no quats among") as caught:
+        Splats.from_gsplat({k: v for k, v in arrays.items() if k != "quats"})
+    assert caught.value.code == "missing-array"
+
+
+def test_lists_in_place_of_arrays_are_misuse():
+    scene = empty(0, 2)
+    with pytest.raises(TypeError, match="means is a list, expected a numpy array"):
+        replace(scene, means=[[0, 0, 0]] * 2)
+
+
+def test_rows_are_chosen_by_index_slice_mask_and_list():
+    scene = empty(1, 10)
+    scene.opacities[:] = np.arange(10)
+    for rows, expected in (
+        (slice(2, 5), [2, 3, 4]),
+        (scene.opacities > 7, [8, 9]),
+        ([3, 1], [3, 1]),
+        (np.array([4]), [4]),
+        (-1, [9]),
+        (np.int64(2), [2]),
+    ):
+        assert scene[rows].opacities.tolist() == expected
+    with pytest.raises(IndexError):
+        scene[10]
+    assert [len(one) for one in scene] == [1] * 10
+
+
+def test_repr_is_one_short_line():
+    assert repr(empty(2, 12_345)) == "<Splats: 12,345 of SH degree 2>"
+    labelled = replace(empty(0, 1), extras={"object": np.zeros(1, np.uint8)})
+    assert repr(labelled) == "<Splats: 1 of SH degree 0, extras object>"
+
+
+def test_invalid_rows_are_dropped():
+    scene = empty(0, 3)
+    scene.means[1] = np.nan
+    assert len(scene.drop_invalid()) == 2

@@ -10,6 +10,7 @@ import click
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.formats.storage.atomic import check_output
+from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
@@ -27,7 +28,7 @@ from cogsplat.tools.terminal.options import (
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
 from cogsplat.tools.terminal.output_names import PNG, check_name, format_option
 from cogsplat.tools.terminal.progress import Stages
-from cogsplat.tools.terminal.values import ByteCount, ChunkRange, Colour, picture_size
+from cogsplat.tools.terminal.values import ChunkRange, Colour, picture_size
 
 from .inputs import (
     LoadedScene,

@@ -12,6 +12,7 @@ import cogsplat
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.formats.scenes.registry import WRITABLE, format_to_write
 from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
@@ -25,7 +26,7 @@ from cogsplat.tools.terminal.options import (
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
 from cogsplat.tools.terminal.output_names import format_option
 from cogsplat.tools.terminal.progress import Stages
-from cogsplat.tools.terminal.values import ByteCount, ChunkRange
+from cogsplat.tools.terminal.values import ChunkRange
 
 from .inputs import LoadedScene, Selection, decode_part
 

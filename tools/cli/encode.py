@@ -12,6 +12,7 @@ import cogsplat
 from cogsplat.codec.order.chunks import DEFAULT_LARGEST
 from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
 from cogsplat.formats.storage.atomic import check_output
+from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.byte_inventory import stored_sizes
 from cogsplat.tools.evaluation.prefix_quality import PrefixQuality
 from cogsplat.tools.evaluation.report_page import write_report
@@ -31,7 +32,7 @@ from cogsplat.tools.terminal.options import (
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
 from cogsplat.tools.terminal.output_names import COGS, HTML, check_name, format_option
 from cogsplat.tools.terminal.progress import Stages
-from cogsplat.tools.terminal.values import ByteCount, Colour, byte_count
+from cogsplat.tools.terminal.values import Colour, byte_count
 
 from .info import tell_attributes
 from .inputs import (

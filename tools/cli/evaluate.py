@@ -16,6 +16,7 @@ from cogsplat.codec.order.orders import Unordered, order_rows
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
+from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.evaluator import Evaluator
 from cogsplat.tools.evaluation.lpips import read_lpips
 from cogsplat.tools.evaluation.photos import read_photos
@@ -52,7 +53,7 @@ from cogsplat.tools.terminal.options import (
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json
 from cogsplat.tools.terminal.progress import Stages
-from cogsplat.tools.terminal.values import ByteCount, Colour, byte_count
+from cogsplat.tools.terminal.values import Colour, byte_count
 
 from .inputs import (
     evaluation_cameras,

@@ -17,9 +17,10 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes, scene_files
+from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.formats.storage.source import FileSource
 from cogsplat.tools.terminal.limits import current_limits
-from cogsplat.tools.terminal.values import ByteCount, ChunkRange
+from cogsplat.tools.terminal.values import ChunkRange
 
 EVAL_CAMERAS: Final = "eval_cameras.json"
 """File of test views beside a scene; splats are not scored in these views."""

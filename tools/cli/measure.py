@@ -12,11 +12,12 @@ import click
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
+from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation import prefix_quality, report_page
 from cogsplat.tools.evaluation.photos import Photos, read_photos
 from cogsplat.tools.evaluation.prefix_quality import PrefixQuality
 from cogsplat.tools.terminal.output import facts, say, size_text, table
-from cogsplat.tools.terminal.values import ByteCount, Colour
+from cogsplat.tools.terminal.values import Colour
 
 from .inputs import evaluation_cameras
 from .scene_edits import SceneEdits

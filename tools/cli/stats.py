@@ -10,6 +10,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.scene_statistics import SceneStatistics, ValueStatistics, statistics
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
@@ -21,7 +22,7 @@ from cogsplat.tools.terminal.options import (
 )
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
 from cogsplat.tools.terminal.progress import Stages
-from cogsplat.tools.terminal.values import ByteCount, ChunkRange
+from cogsplat.tools.terminal.values import ChunkRange
 
 from .inputs import LoadedScene, Selection, read_any
 

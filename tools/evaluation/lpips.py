@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import DataError
-
-from .torch_state_dict import read_state_dict
+from cogsplat.formats.storage.torch_file import read_state_dict
 
 F32 = NDArray[np.float32]
 

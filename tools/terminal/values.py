@@ -5,22 +5,12 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Final
 
 import click
 
-_UNITS: Final = {
-    "": 1,
-    "b": 1,
-    "kb": 1000,
-    "mb": 1000**2,
-    "gb": 1000**3,
-    "kib": 1 << 10,
-    "mib": 1 << 20,
-    "gib": 1 << 30,
-}
-_BYTES: Final = re.compile(r"([0-9]{1,18}(?:\.[0-9]{1,9})?)\s*(%|[a-z]*)", re.IGNORECASE)
+from cogsplat.formats.storage.byte_counts import ByteCount, parse_byte_count
+
 _RANGE: Final = re.compile(r"([0-9]{0,9}):([0-9]{0,9})")
 _SIZE: Final = re.compile(r"([0-9]{1,6})[x×]([0-9]{1,6})", re.IGNORECASE)
 _COLOURS: Final = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
@@ -34,27 +24,6 @@ MAX_SIDE: Final = 16384
 Colour = tuple[float, float, float]
 Vector = tuple[float, float, float]
 Box = tuple[float, float, float, float, float, float]
-
-
-@dataclass(frozen=True)
-class ByteCount:
-    """A number of bytes, or a share of a file's bytes.
-
-    Parameters
-    ----------
-    amount : Fraction
-        Bytes, or the share.
-    is_share : bool
-        Whether `amount` is a share of the file, 0 to 1.
-    """
-
-    amount: Fraction
-    is_share: bool
-
-    def of(self, file_bytes: int) -> int:
-        """Return the number of bytes for a file of `file_bytes`: at most these, rounded down."""
-        wanted = self.amount * file_bytes if self.is_share else self.amount
-        return min(int(wanted), file_bytes)
 
 
 @dataclass(frozen=True)
@@ -87,13 +56,10 @@ def byte_count(text: str) -> ByteCount:
     click.BadParameter
         It is none of them.
     """
-    match = _BYTES.fullmatch(text.strip())
-    unit = match[2].lower() if match else ""
-    if match and unit == "%" and Fraction(match[1]) <= 100:
-        return ByteCount(Fraction(match[1]) / 100, is_share=True)
-    if match and unit in _UNITS:
-        return ByteCount(Fraction(match[1]) * _UNITS[unit], is_share=False)
-    raise click.BadParameter(f"{text!r}, expected bytes such as 65536, 64KiB, 1.5MB or 20%")
+    try:
+        return parse_byte_count(text)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
 
 
 def chunk_range(text: str) -> ChunkRange:

@@ -1,3 +1,4 @@
+import io
 import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -5,7 +6,13 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from cogsplat.codec.errors import StorageError, TruncatedError
-from cogsplat.formats.storage.source import BytesSource, FileSource, PrefixSource
+from cogsplat.formats.storage.source import (
+    BytesSource,
+    FileSource,
+    PrefixSource,
+    StreamSource,
+    source_of,
+)
 
 DATA = bytes(range(256)) * 40
 
@@ -97,3 +104,57 @@ def test_threads_read_their_own_ranges(path):
     with ThreadPoolExecutor(4) as pool:
         assert all(pool.map(read, range(4)))
     source.close()
+
+
+class Dribble(io.BytesIO):
+    """A stream that gives three bytes at a time."""
+
+    def read(self, size=-1):
+        return super().read(min(size, 3) if size >= 0 else 3)
+
+
+def test_streams_are_read_by_range():
+    data = bytes(range(100))
+    for stream in (io.BytesIO(data), Dribble(data)):
+        source = StreamSource(stream)
+        assert source.size == 100
+        assert source.read(10, 20) == data[10:30]
+        assert source.read(0, 0) == b""
+        with pytest.raises(TruncatedError):
+            source.read(90, 20)
+        source.close()
+        assert not stream.closed
+
+
+def test_a_stream_that_becomes_shorter_is_said():
+    stream = io.BytesIO(bytes(50))
+    source = StreamSource(stream)
+    stream.truncate(20)
+    with pytest.raises(TruncatedError) as caught:
+        source.read(10, 30)
+    assert caught.value.code == "source-changed"
+
+
+def test_a_pipe_is_refused():
+    class Pipe(io.RawIOBase):
+        def seekable(self):
+            return False
+
+    with pytest.raises(StorageError) as caught:
+        StreamSource(Pipe())
+    assert caught.value.code == "not-seekable"
+
+
+def test_sources_are_made_of_what_is_given(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"abc")
+    own = BytesSource(b"abc")
+    with path.open("rb") as stream:
+        for given in (path, str(path), b"abc", bytearray(b"abc"), memoryview(b"abc"), stream, own):
+            source = source_of(given)
+            assert source.read(0, 3) == b"abc"
+            if given is not own:
+                source.close()
+    assert source_of(own) is own
+    with pytest.raises(TypeError, match="a int, expected a path"):
+        source_of(5)

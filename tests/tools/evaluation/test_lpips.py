@@ -1,8 +1,5 @@
 """LPIPS in numpy against a direct one, and its weights from files that may be hostile."""
 
-import io
-import pickle
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +8,8 @@ from lpips_weights import ALEX, VGG, Arrays, alex, vgg
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-from cogsplat.codec.errors import DataError, StorageError
+from cogsplat.codec.errors import DataError
 from cogsplat.tools.evaluation.lpips import read_lpips
-from cogsplat.tools.evaluation.torch_state_dict import read_state_dict
 
 
 def direct(arrays: Arrays, is_alex: bool, a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
@@ -83,126 +79,6 @@ def test_distance_is_the_papers(tmp_path: Path, name: str) -> None:
     assert all(layer.size for layer in lpips.features(np.zeros((smallest, smallest, 3))))
     with pytest.raises(ValueError, match="px"):
         lpips.features(np.zeros((smallest - 1, 80, 3)))
-
-
-class Storage:
-    """Pickles as a reference to one of torch's storages."""
-
-    def __init__(self, key: str, count: int, dtype: str = "FloatStorage") -> None:
-        self.key, self.count, self.dtype = key, count, dtype
-
-
-class Named:
-    """Pickles as a name of a module that need not be there."""
-
-    def __init__(self, module: str, name: str) -> None:
-        self.module, self.name = module, name
-
-
-class Tensor:
-    """Pickles as torch's tensors do."""
-
-    def __init__(self, *arguments: object, rebuild: str = "_rebuild_tensor_v2") -> None:
-        self.arguments, self.rebuild = arguments, rebuild
-
-
-def saved(path: Path, state: object, storages: dict[str, bytes]) -> None:
-    """Write a file as ``torch.save`` lays it out, by hand: protocol 2 opcodes."""
-    out = bytearray(b"\x80\x02")
-
-    def put(value: object) -> None:
-        if isinstance(value, dict):
-            out.extend(b"}")
-            for key, item in value.items():
-                put(key)
-                put(item)
-                out.extend(b"s")
-        elif isinstance(value, tuple):
-            out.extend(b"(")
-            for item in value:
-                put(item)
-            out.extend(b"t")
-        elif isinstance(value, Named):
-            out.extend(f"c{value.module}\n{value.name}\n".encode())
-        elif isinstance(value, Storage):
-            named = Named("torch", value.dtype)
-            put(("storage", named, value.key, "cpu", value.count))
-            out.extend(b"Q")
-        elif isinstance(value, Tensor):
-            put(Named("torch._utils", value.rebuild))
-            put(value.arguments)
-            out.extend(b"R")
-        else:
-            body = pickle.dumps(value, protocol=2)[2:-1]
-            out.extend(body)
-
-    put(state)
-    out.extend(b".")
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("weights/data.pkl", bytes(out))
-        for key, data in storages.items():
-            archive.writestr(f"weights/data/{key}", data)
-
-
-def tensor(key: str, array: NDArray[np.float32], dtype: str = "FloatStorage") -> Tensor:
-    strides = tuple(size // array.itemsize for size in array.strides)
-    return Tensor(Storage(key, array.size, dtype), 0, array.shape, strides, False, {})
-
-
-def test_what_torch_saved_is_read(tmp_path: Path) -> None:
-    arrays = alex(3)
-    path = tmp_path / "weights.pth"
-    names = list(arrays)
-    state = {name: tensor(str(index), arrays[name]) for index, name in enumerate(names)}
-    state[names[1]] = Tensor(state[names[1]], True, {}, rebuild="_rebuild_parameter")
-    half = arrays[names[2]].astype(np.float16)
-    state[names[2]] = tensor("2", half, "HalfStorage")  # type: ignore[arg-type]
-    storages = {str(index): arrays[name].tobytes() for index, name in enumerate(names)}
-    storages["2"] = half.tobytes()
-    saved(path, {**state, "_metadata": {"version": 1}}, storages)
-    found = read_state_dict(path)
-    assert list(found) == names
-    for name in names:
-        expected = half if name == names[2] else arrays[name]
-        np.testing.assert_array_equal(found[name], expected.astype(np.float32))
-    assert read_lpips(path).name == "alex"
-
-
-@pytest.mark.parametrize(
-    "state",
-    [
-        Tensor(Storage("0", 4), 0, (5,), (1,), False, {}),
-        Tensor(Storage("0", 4), 1, (4,), (1,), False, {}),
-        Tensor(Storage("0", 4), -1, (2,), (1,), False, {}),
-        Tensor(Storage("0", 4), 0, (2, 2), (1, 2), False, {}),
-        Tensor(Storage("0", 5), 0, (4,), (1,), False, {}),
-        Tensor(Storage("9", 4), 0, (4,), (1,), False, {}),
-        Tensor(Storage("0", 4, "system"), 0, (4,), (1,), False, {}),
-        Tensor("ls", rebuild="system"),
-        Named("os", "system"),
-        Named("builtins", "eval"),
-        [1, 2, 3],
-    ],
-)
-def test_hostile_pickles_build_nothing(tmp_path: Path, state: object) -> None:
-    path = tmp_path / "weights.pth"
-    saved(path, state if isinstance(state, list) else {"a": state}, {"0": bytes(16)})
-    with pytest.raises(DataError) as caught:
-        read_state_dict(path)
-    assert caught.value.code == "lpips-weights"
-
-
-@pytest.mark.parametrize("length", [0, 1, 10, 100, 400])
-def test_files_that_are_none_are_refused(tmp_path: Path, length: int) -> None:
-    path = tmp_path / "weights.npz"
-    page = io.BytesIO()
-    np.savez(page, **alex(3))
-    path.write_bytes(page.getvalue()[:length])
-    with pytest.raises(DataError) as caught:
-        read_lpips(path)
-    assert caught.value.code == "lpips-weights"
-    with pytest.raises(StorageError):
-        read_lpips(tmp_path / "nothing.pth")
 
 
 def test_weights_of_something_else_are_refused(tmp_path: Path) -> None:

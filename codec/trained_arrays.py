@@ -1,0 +1,67 @@
+"""Arrays as trainers have them: names, tensors, and the spaces of scales and opacities."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import DataError
+
+# What trainers call the arrays: gsplat, then nerfstudio.
+TRAINED_NAMES: Final = {
+    "means": ("means",),
+    "scales": ("scales",),
+    "quats": ("quats",),
+    "opacities": ("opacities",),
+    "sh0": ("sh0", "features_dc"),
+    "shN": ("shN", "features_rest"),
+}
+
+
+def as_floats(name: str, values: object) -> NDArray[np.float32]:
+    """Return anything array-like as float32, tensors that need gradients or a device included."""
+    if hasattr(values, "detach"):
+        values = values.detach().cpu().numpy()
+    try:
+        return np.asarray(values, np.float32)
+    except (TypeError, ValueError) as error:
+        raise DataError("bad-dtype", f"{name}: {error}, expected numbers") from error
+
+
+def log_scales(values: NDArray[np.float32], space: str) -> NDArray[np.float32]:
+    """Return natural logarithms of scales that are given in a space, ``log`` or ``linear``."""
+    if space == "log":
+        return values
+    if space != "linear":
+        raise ValueError(f"scale_space {space!r}, expected 'log' or 'linear'")
+    if not bool((values > 0).all()):
+        raise DataError("bad-value", f"a linear scale of {values.min()}, expected more than 0")
+    return np.log(values)
+
+
+def logits(values: NDArray[np.float32], space: str) -> NDArray[np.float32]:
+    """Return logits of opacities that are given in a space, ``logit`` or ``unit``."""
+    if space == "logit":
+        return values
+    if space != "unit":
+        raise ValueError(f"opacity_space {space!r}, expected 'logit' or 'unit'")
+    if not bool(((values >= 0) & (values <= 1)).all()):
+        raise DataError(
+            "bad-value",
+            f"opacities from {values.min()} to {values.max()}, expected 0 to 1; trained ones are "
+            "logits (opacity_space='logit')",
+        )
+    with np.errstate(divide="ignore"):
+        wide = values.astype(np.float64)
+        return (np.log(wide) - np.log1p(-wide)).astype(np.float32)
+
+
+def wxyz(values: NDArray[np.float32], order: str) -> NDArray[np.float32]:
+    """Return quaternions w first that are given in an order, ``wxyz`` or ``xyzw``."""
+    if order == "wxyz":
+        return values
+    if order != "xyzw":
+        raise ValueError(f"quat_order {order!r}, expected 'wxyz' or 'xyzw'")
+    return np.roll(values, 1, axis=-1)

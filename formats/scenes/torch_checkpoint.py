@@ -1,0 +1,92 @@
+"""Checkpoints of gsplat (``.pt``) and nerfstudio (``.ckpt``), read without PyTorch."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from cogsplat.codec.errors import DataError, FormatError
+from cogsplat.codec.splats import Splats
+from cogsplat.formats.storage.atomic import StrPath
+from cogsplat.formats.storage.limits import Limits
+from cogsplat.formats.storage.torch_file import CODE, TorchTensor, open_torch
+
+# Where the parameters stand: gsplat's trainer nests them, nerfstudio names them in full.
+_NESTED = ("splats", "pipeline")
+
+
+def is_torch_checkpoint(head: bytes) -> bool:
+    """Tell whether a file that starts with these bytes is a zip that ``torch.save`` wrote.
+
+    Its first entry is the pickle, in a folder named after the file.
+    """
+    name = head[30 : 30 + int.from_bytes(head[26:28], "little")]
+    return head.startswith(b"PK\3\4") and name.endswith(b"/data.pkl")
+
+
+def read_torch_checkpoint(path: StrPath, *, limits: Limits | None = None) -> Splats:
+    """Read the scene of a checkpoint.
+
+    Parameters
+    ----------
+    path : path
+        What gsplat's trainer saves (``{"splats": {"means": …}}``), nerfstudio's checkpoints
+        (``{"pipeline": {"_model.gauss_params.means": …}}``), or a plain dictionary of the tensors.
+    limits : Limits, optional
+
+    Returns
+    -------
+    Splats
+        Axes as trained. Nothing else of the checkpoint, such as the optimiser's state, is read.
+
+    Raises
+    ------
+    FormatError
+        ``torch-file``: it is no file of ``torch.save``, or holds something else than dictionaries
+        of tensors; ``bad-shape``, ``missing-array``: its tensors are not those of splats.
+    LimitError
+        The scene has more splats or bytes than the limits allow.
+    """
+    where = os.fspath(path)
+    try:
+        with open_torch(path) as state:
+            tensors = _tensors(state)
+            _require_limits(tensors, path, limits or Limits())
+            return Splats.from_gsplat({name: t.array() for name, t in tensors.items()})
+    except DataError as error:
+        message = error.message if where in error.message else f"{where}: {error.message}"
+        raise FormatError(error.code, message) from error
+
+
+def _tensors(state: Mapping[object, object]) -> dict[str, TorchTensor]:
+    """Return the tensors of the splats by name, found at the top or one level below."""
+    levels = [state, *(state[name] for name in _NESTED if name in state)]
+    for level in levels:
+        if not isinstance(level, Mapping):
+            continue
+        found = {
+            str(name): tensor for name, tensor in level.items() if isinstance(tensor, TorchTensor)
+        }
+        if any(name == "means" or name.endswith(".means") for name in found):
+            wanted = ("means", "scales", "quats", "opacities", "sh0", "shN")
+            others = ("features_dc", "features_rest")
+            return {
+                name: tensor
+                for name, tensor in found.items()
+                if name.rpartition(".")[2] in (*wanted, *others)
+            }
+    raise DataError(CODE, f"keys {sorted(map(str, state))[:12]}, expected the tensors of splats")
+
+
+def _require_limits(tensors: Mapping[str, TorchTensor], path: StrPath, limits: Limits) -> None:
+    rows = max((t.shape[0] for t in tensors.values() if t.shape), default=0)
+    rest = [t.shape for name, t in tensors.items() if name.endswith(("shN", "features_rest"))]
+    coefficients = rest[0][1] if rest and len(rest[0]) == 3 else 0
+    degree = next((d for d in range(3) if (d + 1) ** 2 - 1 >= coefficients), 3)
+    limits.require_scene(
+        rows,
+        sh_degree=degree,
+        source_bytes=Path(path).stat().st_size,
+        where=os.fspath(path),
+    )

@@ -1,0 +1,227 @@
+"""Files of ``torch.save``, read without PyTorch: a zip of a pickle and of raw storages.
+
+Only dictionaries, numbers, strings and tensors are built: a pickle that names any other class or
+function is refused, so that nothing in it can run. Tensors are read when they are asked for.
+"""
+
+from __future__ import annotations
+
+import collections
+import math
+import pickle
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import DataError
+
+from .atomic import StrPath, open_for_read, storage_errors
+
+F32 = NDArray[np.float32]
+
+CODE: Final = "torch-file"
+"""Reason code of a file that is not what it should be."""
+
+# VGG-16 whole, its classifier included, is 528 MiB.
+_MOST_BYTES: Final = 1 << 30
+
+_DTYPES: Final[Mapping[str, str]] = {
+    "FloatStorage": "<f4",
+    "DoubleStorage": "<f8",
+    "HalfStorage": "<f2",
+    "LongStorage": "<i8",
+    "IntStorage": "<i4",
+}
+
+# What damaged pickles, zips and headers end in.
+_DAMAGE: Final = (
+    zipfile.BadZipFile,
+    pickle.UnpicklingError,
+    zlib.error,
+    EOFError,
+    KeyError,
+    IndexError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    NotImplementedError,
+    RuntimeError,
+)
+
+
+@dataclass(frozen=True)
+class TorchTensor:
+    """A tensor of a file that is open: its values are read by `array`.
+
+    Parameters
+    ----------
+    read : callable
+        Returns the bytes of the storage.
+    dtype : str
+        As numpy writes it.
+    count : int
+        Values of the storage.
+    offset : int
+        First of them that is the tensor's.
+    shape : tuple of int
+    """
+
+    read: Callable[[], bytes]
+    dtype: str
+    count: int
+    offset: int
+    shape: tuple[int, ...]
+
+    def array(self) -> F32:
+        """Return the values as float32.
+
+        Raises
+        ------
+        DataError
+            ``torch-file``: the storage holds another number of values.
+        """
+        values = np.frombuffer(self.read(), np.dtype(self.dtype))
+        if len(values) != self.count:
+            raise DataError(CODE, f"a storage of {len(values)} values, expected {self.count}")
+        size = math.prod(self.shape)
+        return values[self.offset : self.offset + size].reshape(self.shape).astype(np.float32)
+
+
+@contextmanager
+def open_torch(path: StrPath) -> Iterator[Mapping[object, object]]:
+    """Open what ``torch.save`` wrote; the block gets the dictionary that was saved.
+
+    Parameters
+    ----------
+    path : path
+
+    Yields
+    ------
+    mapping
+        Dictionaries in it are dictionaries, tensors are `TorchTensor`.
+
+    Raises
+    ------
+    StorageError
+        It cannot be read.
+    DataError
+        ``torch-file``: it is no such file, or holds something else than dictionaries, numbers,
+        strings and tensors.
+    """
+    with storage_errors(path), open_for_read(path) as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                pickles = [name for name in archive.namelist() if name.endswith("/data.pkl")]
+                if not pickles:
+                    raise _bad(path, "no pickle in the zip")
+                folder = pickles[0][: -len("data.pkl")]
+                with archive.open(pickles[0]) as stream:
+                    found = _Tensors(stream, lambda key: archive.read(f"{folder}data/{key}")).load()
+                if not isinstance(found, dict):
+                    raise _bad(path, f"a {type(found).__name__}")
+                yield found
+        except DataError:
+            raise
+        except _DAMAGE as error:
+            raise _bad(path, f"{type(error).__name__}: {error}") from error
+
+
+def read_state_dict(path: StrPath) -> dict[str, F32]:
+    """Read named arrays from what ``torch.save`` or ``numpy.savez`` wrote.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    dict of str to float32 array
+
+    Raises
+    ------
+    StorageError
+        It cannot be read.
+    DataError
+        ``torch-file``: it is neither, or holds something else than named arrays.
+    """
+    with storage_errors(path), open_for_read(path) as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                if sum(entry.file_size for entry in archive.infolist()) > _MOST_BYTES:
+                    raise _bad(path, f"more than {_MOST_BYTES} bytes")
+                saved = any(name.endswith("/data.pkl") for name in archive.namelist())
+            if not saved:
+                file.seek(0)
+                with np.load(file, allow_pickle=False) as arrays:
+                    return {name: arrays[name].astype(np.float32) for name in arrays.files}
+        except DataError:
+            raise
+        except _DAMAGE as error:
+            raise _bad(path, f"{type(error).__name__}: {error}") from error
+    with open_torch(path) as state:
+        # State dicts carry their modules' versions beside the arrays.
+        return {str(k): v.array() for k, v in state.items() if isinstance(v, TorchTensor)}
+
+
+@dataclass(frozen=True)
+class _Storage:
+    read: Callable[[], bytes]
+    dtype: str
+    count: int
+
+
+class _Tensors(pickle.Unpickler):
+    """Unpickler that builds dictionaries of tensors and refuses every other class or function."""
+
+    def __init__(self, stream: object, read: Callable[[str], bytes]) -> None:
+        super().__init__(stream)  # type: ignore[arg-type]
+        self._read = read
+
+    def find_class(self, module: str, name: str) -> object:
+        """Return the stand-in for a name."""
+        if (module, name) == ("collections", "OrderedDict"):
+            return collections.OrderedDict
+        if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
+            return _tensor
+        if (module, name) == ("torch._utils", "_rebuild_parameter"):
+            return _parameter
+        if module == "torch" and name in _DTYPES:
+            return _DTYPES[name]
+        raise pickle.UnpicklingError(f"{module}.{name}, expected tensors and dictionaries")
+
+    def persistent_load(self, key: object) -> _Storage:
+        """Return a storage."""
+        if not isinstance(key, tuple) or len(key) != 5 or key[0] != "storage":
+            raise pickle.UnpicklingError(f"{str(key)[:80]}, expected a storage")
+        _, dtype, name, _, count = key
+        if dtype not in _DTYPES.values() or not isinstance(count, int):
+            raise pickle.UnpicklingError(f"storage of {str(dtype)[:80]}, expected numbers")
+        return _Storage(lambda: self._read(str(name)), str(dtype), count)
+
+
+def _tensor(
+    storage: _Storage, offset: int, shape: tuple[int, ...], stride: tuple[int, ...], *_: object
+) -> TorchTensor:
+    """Return a tensor that is a run of its storage."""
+    count = math.prod(shape)
+    steps = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
+    # Saved weights are contiguous; an axis of length 1 may have any stride.
+    plain = all(size == 1 or a == b for size, a, b in zip(shape, stride, steps, strict=True))
+    if not plain or not 0 <= offset <= offset + count <= storage.count:
+        raise pickle.UnpicklingError(f"tensor of shape {shape} with strides {stride}")
+    return TorchTensor(storage.read, storage.dtype, storage.count, offset, tuple(shape))
+
+
+def _parameter(tensor: TorchTensor, *_: object) -> TorchTensor:
+    """Return a parameter's tensor."""
+    return tensor
+
+
+def _bad(path: StrPath, found: str) -> DataError:
+    return DataError(CODE, f"{path}: {found[:200]}, expected arrays that torch.save wrote, or .npz")

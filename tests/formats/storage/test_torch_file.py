@@ -1,0 +1,67 @@
+"""Files of torch.save, read without PyTorch, and hostile ones."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lpips_weights import alex
+from torch_files import Named, Storage, Tensor, saved, tensor
+
+from cogsplat.codec.errors import DataError, StorageError
+from cogsplat.formats.storage.torch_file import read_state_dict
+
+
+def test_what_torch_saved_is_read(tmp_path: Path) -> None:
+    arrays = alex(3)
+    path = tmp_path / "weights.pth"
+    names = list(arrays)
+    state = {name: tensor(str(index), arrays[name]) for index, name in enumerate(names)}
+    state[names[1]] = Tensor(state[names[1]], True, {}, rebuild="_rebuild_parameter")
+    half = arrays[names[2]].astype(np.float16)
+    state[names[2]] = tensor("2", half, "HalfStorage")  # type: ignore[arg-type]
+    storages = {str(index): arrays[name].tobytes() for index, name in enumerate(names)}
+    storages["2"] = half.tobytes()
+    saved(path, {**state, "_metadata": {"version": 1}}, storages)
+    found = read_state_dict(path)
+    assert list(found) == names
+    for name in names:
+        expected = half if name == names[2] else arrays[name]
+        np.testing.assert_array_equal(found[name], expected.astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        Tensor(Storage("0", 4), 0, (5,), (1,), False, {}),
+        Tensor(Storage("0", 4), 1, (4,), (1,), False, {}),
+        Tensor(Storage("0", 4), -1, (2,), (1,), False, {}),
+        Tensor(Storage("0", 4), 0, (2, 2), (1, 2), False, {}),
+        Tensor(Storage("0", 5), 0, (4,), (1,), False, {}),
+        Tensor(Storage("9", 4), 0, (4,), (1,), False, {}),
+        Tensor(Storage("0", 4, "system"), 0, (4,), (1,), False, {}),
+        Tensor("ls", rebuild="system"),
+        Named("os", "system"),
+        Named("builtins", "eval"),
+        [1, 2, 3],
+    ],
+)
+def test_hostile_pickles_build_nothing(tmp_path: Path, state: object) -> None:
+    path = tmp_path / "weights.pth"
+    saved(path, state if isinstance(state, list) else {"a": state}, {"0": bytes(16)})
+    with pytest.raises(DataError) as caught:
+        read_state_dict(path)
+    assert caught.value.code == "torch-file"
+
+
+@pytest.mark.parametrize("length", [0, 1, 10, 100, 400])
+def test_files_that_are_none_are_refused(tmp_path: Path, length: int) -> None:
+    path = tmp_path / "weights.npz"
+    page = io.BytesIO()
+    np.savez(page, **alex(3))
+    path.write_bytes(page.getvalue()[:length])
+    with pytest.raises(DataError) as caught:
+        read_state_dict(path)
+    assert caught.value.code == "torch-file"
+    with pytest.raises(StorageError):
+        read_state_dict(tmp_path / "nothing.pth")
