@@ -184,7 +184,7 @@ class _Tensors(pickle.Unpickler):
         self._read = read
 
     def find_class(self, module: str, name: str) -> object:
-        """Return the stand-in for a name."""
+        """Return what builds the class of this name, or refuse it."""
         if (module, name) == ("collections", "OrderedDict"):
             return collections.OrderedDict
         if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
