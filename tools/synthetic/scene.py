@@ -17,7 +17,7 @@ from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
 
 from . import landscape as land
 from . import objects
-from .lighting import TO_SCENE, bake
+from .lighting import TO_SCENE, Occluders, bake
 from .materials import Surfels, collected, shares
 from .shapes import dot, unit
 
@@ -91,9 +91,32 @@ def synth(splats: int = 120_000, seed: int = 7, sh_degree: int = 3) -> Splats:
         raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
     rng, counts, order = _layout(splats, seed)
     parts = [make(count, rng) for (_, _, make), count in zip(_PARTS, counts, strict=True) if count]
-    surfels = collected(parts).take(order)
+    return splats_of(collected(parts).take(order), objects.occluders(), rng, sh_degree)
+
+
+def splats_of(
+    surfels: Surfels, occluders: Occluders, rng: np.random.Generator, sh_degree: int
+) -> Splats:
+    """Return lit surfels as the splats that training would make of them.
+
+    Parameters
+    ----------
+    surfels : Surfels
+        n of them, y up.
+    occluders : Occluders
+        What stands in the light.
+    rng : numpy.random.Generator
+        Source of the noise of training and of the order of axes.
+    sh_degree : int
+        0 to 3.
+
+    Returns
+    -------
+    Splats
+        n rows in the same order, axes "RDF".
+    """
     quats, scales = _orientation(surfels, rng)
-    sh = bake(surfels, objects.occluders(), rng)
+    sh = bake(surfels, occluders, rng)
     unit_opacities = surfels.opacities_unit
     return Splats(
         means=(surfels.patch.points * TO_SCENE).astype(np.float32),
@@ -174,21 +197,41 @@ def synth_cameras(views: int = 48, width: int = 480, height: int = 360) -> list[
     focal = 0.5 * width / np.tan(np.radians(27.0))
     cameras = []
     for i, (eye_point, target) in enumerate(poses):
-        rotation = _looking(unit((target - eye_point) * TO_SCENE))
-        cameras.append(
-            Camera(
-                width=width,
-                height=height,
-                fx=focal,
-                fy=focal,
-                cx=0.5 * width,
-                cy=0.5 * height,
-                rotation=rotation,
-                translation=-dot(rotation, eye_point * TO_SCENE),
-                name=f"view_{i:02d}",
-            )
-        )
+        forward = unit((target - eye_point) * TO_SCENE)
+        name = f"view_{i:02d}"
+        cameras.append(camera_at(eye_point * TO_SCENE, forward, width, height, focal, name))
     return cameras
+
+
+def camera_at(
+    position: F64, forward: F64, width: int, height: int, focal: float, name: str
+) -> Camera:
+    """Return a level camera.
+
+    Parameters
+    ----------
+    position : (3,) float64
+        Scene units, axes "RDF".
+    forward : (3,) float64
+        Unit vector, not straight up or down.
+    width, height : int
+        Px.
+    focal : float
+        Focal length, px.
+    name : str
+    """
+    rotation = _looking(forward)
+    return Camera(
+        width=width,
+        height=height,
+        fx=focal,
+        fy=focal,
+        cx=0.5 * width,
+        cy=0.5 * height,
+        rotation=rotation,
+        translation=-dot(rotation, position),
+        name=name,
+    )
 
 
 def _polar(distance: float, angle: float, height: float) -> F64:
