@@ -90,6 +90,18 @@ class EncodeReport:
         Times that the chunks were encoded; more than one only for a target.
     size_bytes : int
         Length of the file; 0 until a container was written.
+    views : str
+        Where the scored views come from: ``given``, ``planned``, or ``none``.
+    coverage : float
+        How much of the scene these show, 0 to 1. Of planned views, the share of the visible splats
+        that one of them shows at least a quarter as clearly as the best of all places that were
+        tried; of given views, the share of the splats that lie in a picture.
+    test_views : str
+        Where the views come from that quality was predicted and a PSNR searched for in: ``given``,
+        ``planned``, or ``none``. Given ones are among those scored unless the caller keeps them
+        apart.
+    test_psnr_db : tuple of float
+        PSNR of the whole in each of them, dB; empty where nothing was predicted.
     """
 
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -97,6 +109,10 @@ class EncodeReport:
     quality_db: float = 0.0
     trials: int = 1
     size_bytes: int = 0
+    views: str = "none"
+    coverage: float = 0.0
+    test_views: str = "none"
+    test_psnr_db: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

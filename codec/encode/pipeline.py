@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
+from typing import Final
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.errors import DataError
+from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.order.prefix_inflation import effective_splats
 from cogsplat.codec.progress import Progress, TimedProgress, silent
 from cogsplat.codec.scoring.contribution import ScoreConfig, Scores, score, unscored
 from cogsplat.codec.scoring.reference_views import ReferenceViews, render_references
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.views.planner import ViewPlanConfig, plan
+from cogsplat.codec.views.planner import ViewPlan, plan
 from cogsplat.codec.views.view_sets import evenly
 
 from .compensation_fit import blank, compensated
@@ -26,6 +29,10 @@ from .prepared import PreparedScene, prepare
 from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .rate_control import TARGET_VIEWS, Hit, Target, to_finished_size, to_psnr
 from .shift_optimiser import FitConfig
+
+LEAST_COVERAGE: Final[Mapping[str, float]] = MappingProxyType({"planned": 0.9, "given": 0.75})
+"""Coverage of planned and of given views below which a warning is issued. Given views may leave out
+what their owner does not want to show, planned ones ought to show all."""
 
 SizeOf = Callable[[EncodedScene], int]
 """Returns the bytes of the whole file that an encoded scene makes."""
@@ -75,7 +82,8 @@ def encode(
     Returns
     -------
     EncodedScene
-        With a report of the stages. The same bytes for any number of threads.
+        With a report of the stages, the views and the predicted quality. The same bytes for any
+        number of threads.
 
     Raises
     ------
@@ -102,15 +110,28 @@ def encode(
     splats.require_valid()
     settings = score_config or preset.score_config(config.profile, threads=config.threads)
     views, tests = list(cameras or ()), list(test_views)
+    report = EncodeReport(views="given" if views else "none")
+    if tests or views:
+        report = replace(report, test_views="given")
     if scores is None and len(splats):
         if cameras is None:
-            views, planned_tests = _planned(splats, config, preset.planned_views, timed)
-            tests = tests or planned_tests
+            planned = _planned(splats, config, preset, timed)
+            views = planned.views
+            settings = replace(settings, jitter=settings.jitter and preset.planned_jitter)
+            if views:
+                report = replace(report, views="planned", coverage=planned.coverage)
+            if planned.test_views and not tests:
+                tests = planned.test_views
+                report = replace(report, test_views="planned")
         else:
             views = preset.views(views)
         # An empty list of cameras is refused by `score`, not taken for none given.
         if cameras is not None or views:
             scores = score(splats, views, settings, progress=timed)
+    if report.views == "given" and scores is not None and len(splats):
+        report = replace(report, coverage=float((scores.covered > 0).mean()))
+    if report.views != "none" and len(splats):
+        _warn_of_coverage(report)
     if not views:
         # There are no pictures to fit it to, so nothing may count on it.
         config = replace(config, compensate=False)
@@ -138,8 +159,34 @@ def encode(
         hit = Hit(finishing.finish(encoded), config.quality_db, 0.0, 1)
     else:
         hit = _search(prepared, target, finishing, size_of)
-    report = EncodeReport(timed.seconds, timed.totals.get("score", 0), hit.quality_db, hit.trials)
+    report = replace(
+        report,
+        seconds=timed.seconds,
+        scored_views=timed.totals.get("score", 0),
+        quality_db=hit.quality_db,
+        trials=hit.trials,
+        test_psnr_db=hit.encoded.report.test_psnr_db,
+    )
     return replace(hit.encoded, report=report)
+
+
+def _warn_of_coverage(report: EncodeReport) -> None:
+    """Say where the views that a scene is scored in leave out much of it."""
+    least = LEAST_COVERAGE[report.views]
+    if report.coverage >= least:
+        return
+    found = f"{report.coverage:.1%} of the splats"
+    if report.views == "planned":
+        message = (
+            f"the {report.views} views show only {found} that are visible from anywhere, expected "
+            f"{least:.0%}: views may be worse than predicted; cameras would help"
+        )
+    else:
+        message = (
+            f"only {found} lie in a picture of the cameras, expected "
+            f"{least:.0%}: what no camera shows is kept, and views of it are not predicted"
+        )
+    warnings.warn(message, CogsplatWarning, stacklevel=3)
 
 
 def _require_consistent(
@@ -163,20 +210,17 @@ def _require_consistent(
         raise ValueError("a size as target without size_of, expected what measures a file")
 
 
-def _planned(
-    splats: Splats, config: EncodeConfig, count: int, progress: Progress
-) -> tuple[list[Camera], list[Camera]]:
+def _planned(splats: Splats, config: EncodeConfig, preset: Preset, progress: Progress) -> ViewPlan:
     """Return views to score in and test views, of a scene that came without cameras.
 
     There are none where a scene shows nothing and is to be stored without loss all the same.
     """
     try:
-        found = plan(splats, ViewPlanConfig(views=count, threads=config.threads), progress=progress)
+        return plan(splats, preset.plan_config(config.threads), progress=progress)
     except DataError as error:
         if error.code != "empty-scene" or config.profile != "near-lossless":
             raise
-        return [], []
-    return found.views, found.test_views
+        return ViewPlan([], [], 1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,9 @@ from .encoded import EncodedScene
 PREFIX_VIEWS: Final = 8
 """Views that prefixes are predicted in, at most."""
 
+WHOLE_VIEWS: Final = 32
+"""Views that the whole is predicted in, at most: a mean over few depends on which they are."""
+
 # Prefixes that are measured at most: each takes a rendering of every view.
 _PREFIXES: Final = 12
 
@@ -61,9 +64,12 @@ class PrefixEvaluator:
 
     def psnr_db(self, splats: Splats) -> float:
         """Return the mean PSNR of a scene against the source, dB, at most 100."""
+        return float(np.mean(self.views_db(splats)))
+
+    def views_db(self, splats: Splats) -> list[float]:
+        """Return the PSNR of a scene against the source in each view, dB, at most 100."""
         found = self._pictures(splats)
-        values = [psnr(a, b) for a, b in zip(self._expected, found, strict=True)]
-        return float(np.mean(values))
+        return [float(psnr(a, b)) for a, b in zip(self._expected, found, strict=True)]
 
     def prefixes_db(self, encoded: EncodedScene, *, progress: Progress = silent) -> list[float]:
         """Return the PSNR of the first chunk, of the first two, and so on to all, dB.
@@ -110,18 +116,33 @@ def predicted(
     source : Splats
         What it was encoded from.
     views : sequence of Camera
-        Views that the encoder may look at.
+        Views that the encoder may look at. The whole is measured in at most `WHOLE_VIEWS` of
+        them, spread evenly.
     most_views : int
-        So many of them are rendered, spread evenly.
+        Prefixes are measured in so many of these, and what the whole has there less than in all
+        of them is added.
     threads : int
         0 for all cores.
     progress : Progress
         As `PrefixEvaluator.prefixes_db`.
+
+    Returns
+    -------
+    EncodedScene
+        Its report has the PSNR of the whole in each view.
     """
-    evaluator = PrefixEvaluator(source, evenly(views, most_views), threads)
+    for_whole = evenly(views, WHOLE_VIEWS)
+    for_prefixes = evenly(for_whole, most_views)
+    evaluator = PrefixEvaluator(source, for_prefixes, threads)
     qualities = evaluator.prefixes_db(encoded, progress=progress)
+    others = [view for view in for_whole if not any(view is other for other in for_prefixes)]
+    whole = evaluator.views_db(encoded.decoded)
+    if others:
+        whole += PrefixEvaluator(source, others, threads).views_db(encoded.decoded)
+    shift = float(np.mean(whole)) - qualities[-1] if qualities else 0.0
     chunks = [
-        replace(chunk, quality_db=quality)
+        replace(chunk, quality_db=quality + shift)
         for chunk, quality in zip(encoded.chunks, qualities, strict=True)
     ]
-    return replace(encoded, chunks=chunks)
+    report = replace(encoded.report, test_psnr_db=tuple(whole))
+    return replace(encoded, chunks=chunks, report=report)

@@ -9,6 +9,7 @@ from typing import Final
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.scoring.contribution import TOP_K, ScoreConfig
+from cogsplat.codec.views.planner import ViewPlanConfig
 from cogsplat.codec.views.view_sets import evenly
 
 
@@ -20,6 +21,9 @@ class Preset:
     ----------
     planned_views : int
         Views of a scene that comes without cameras.
+    planned_jitter : bool
+        Whether their jittered copies are scored as well. Where less time is to be spent, it is
+        these that are left out, not places: what no view shows, nothing makes up for.
     views_every : int
         One of so many of the views given is scored, with its jittered copies.
     sensitivity_every : int
@@ -33,6 +37,7 @@ class Preset:
     """
 
     planned_views: int
+    planned_jitter: bool
     views_every: int
     sensitivity_every: int
     prediction_views: int
@@ -43,6 +48,10 @@ class Preset:
         """Return the given views to score on: at least as many as a small scene needs, or all."""
         every = min(self.views_every, max(len(cameras) // FEWEST_VIEWS, 1))
         return evenly(cameras, -(-len(cameras) // every))
+
+    def plan_config(self, threads: int = 0) -> ViewPlanConfig:
+        """Return how to plan the views of a scene that comes without cameras."""
+        return ViewPlanConfig(views=self.planned_views, threads=threads)
 
     def score_config(
         self, profile: str, *, top_k: int = TOP_K, jitter: bool = True, threads: int = 0
@@ -69,7 +78,8 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
     {
         # The order by gain and its compensation take longer than all else together.
         "fast": Preset(
-            planned_views=32,
+            planned_views=64,
+            planned_jitter=False,
             views_every=3,
             sensitivity_every=2,
             prediction_views=8,
@@ -77,8 +87,18 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             compensate=False,
         ),
         "balanced": Preset(
-            planned_views=96, views_every=1, sensitivity_every=2, prediction_views=16
+            planned_views=96,
+            planned_jitter=True,
+            views_every=1,
+            sensitivity_every=2,
+            prediction_views=16,
         ),
-        "best": Preset(planned_views=160, views_every=1, sensitivity_every=1, prediction_views=24),
+        "best": Preset(
+            planned_views=160,
+            planned_jitter=True,
+            views_every=1,
+            sensitivity_every=1,
+            prediction_views=24,
+        ),
     }
 )

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.splats import Splats
 
+from .costs import shown_energy
+
 WORTH: Final = 6.0
 """Energy over λ below which a splat is not worth its bytes.
 
@@ -37,8 +39,8 @@ class PruneConfig:
         And only when its footprint lay in at least so many of those views. What no view covers is
         unknown, not worthless: it stays.
     worth : float
-        And only when its energy is below so many times λ: then the picture loses less
-        than the same bytes spent on finer steps elsewhere would gain.
+        And only when its energy (`costs.shown_energy`) is below so many times λ: then the picture
+        loses less than the same bytes spent on finer steps elsewhere would gain.
     """
 
     peak: float = 0.06
@@ -76,7 +78,7 @@ def kept_rows(
     if config is None:
         return np.ones(len(splats), np.bool_)
     idle = (scores.peak < config.peak) & (scores.covered >= config.views)
-    idle &= scores.energy < config.worth * lagrangian
+    idle &= shown_energy(scores) < config.worth * lagrangian
     invisible = splats.opacities < _INVISIBLE_LOGIT
     kept: NDArray[np.bool_] = ~(idle | invisible)
     return kept

@@ -93,6 +93,9 @@ class Scores:
     energy : (N,) float64
         Sum of w² over all weights, per pixel of the views: a colour error Δ of the splat alone
         costs ``energy · Δ²`` of mean squared error. With jitter, the two sets count half each.
+    largest_energy : (N,) float64
+        Largest energy in one view: Σw² over its own pixels. What the same error costs the view that
+        shows the splat best.
     peak : (N,) float32
         Largest w in any pixel of any view.
     seen : (N,) int32
@@ -114,6 +117,7 @@ class Scores:
     contribution: NDArray[np.float64]
     colour_sensitivity: NDArray[np.float64]
     energy: NDArray[np.float64]
+    largest_energy: NDArray[np.float64]
     peak: NDArray[np.float32]
     seen: NDArray[np.int32]
     covered: NDArray[np.int32]
@@ -130,6 +134,7 @@ class Scores:
             contribution=self.contribution[rows],
             colour_sensitivity=self.colour_sensitivity[rows],
             energy=self.energy[rows],
+            largest_energy=self.largest_energy[rows],
             peak=self.peak[rows],
             seen=self.seen[rows],
             covered=self.covered[rows],
@@ -144,6 +149,7 @@ def unscored(splats: int) -> Scores:
         contribution=np.zeros(splats, np.float64),
         colour_sensitivity=np.zeros(splats, np.float64),
         energy=np.zeros(splats, np.float64),
+        largest_energy=np.zeros(splats, np.float64),
         peak=np.zeros(splats, np.float32),
         seen=np.zeros(splats, np.int32),
         covered=np.zeros(splats, np.int32),
@@ -283,7 +289,9 @@ def score(
     progress("score", 0, len(views))
     for done, result in enumerate(results):
         view_share, pixel_share = shares[done]
-        totals.add(result.index, result.sums, views[done].position, view_share, pixel_share)
+        camera = views[done]
+        num_pixels = camera.width * camera.height
+        totals.add(result.index, result.sums, camera.position, num_pixels, view_share, pixel_share)
         if result.columns is not None:
             columns[result.index] += sensitive[done] * result.columns
         progress("score", done + 1, len(views))
@@ -297,6 +305,7 @@ def score(
         contribution=totals.contribution,
         colour_sensitivity=totals.bases.max(axis=1),
         energy=totals.energy,
+        largest_energy=totals.largest_energy,
         peak=totals.peak,
         seen=totals.seen,
         covered=totals.covered,

@@ -27,9 +27,11 @@ def _add_weights(
     position: NDArray[np.float64],
     view_share: float,
     pixel_share: float,
+    num_pixels: int,
     contribution: NDArray[np.float64],
     bases: NDArray[np.float64],
     energy: NDArray[np.float64],
+    largest_energy: NDArray[np.float64],
     peak: NDArray[np.float32],
     seen: NDArray[np.int32],
 ) -> None:
@@ -41,6 +43,7 @@ def _add_weights(
         weight = sums[row, WEIGHT]
         contribution[i] += view_share * weight
         energy[i] += pixel_share * sums[row, SQUARE]
+        largest_energy[i] = max(largest_energy[i], sums[row, SQUARE] / num_pixels)
         peak[i] = max(peak[i], np.float32(sums[row, PEAK]))
         seen[i] += 1
         x = means[i, 0] - position[0]
@@ -96,6 +99,8 @@ class ViewSums:
         Σw, weighted by the views' shares, px.
     energy : (N,) float64
         Σw², weighted by the pixels' shares.
+    largest_energy : (N,) float64
+        Largest Σw² in one view, per pixel of that view.
     bases : (N, 16) float64
         Σw·|Y| of every SH basis in the direction of each view, weighted by the pixels' shares.
     peak : (N,) float32
@@ -110,6 +115,7 @@ class ViewSums:
         self._directions = bool(splats.sh_degree)
         self.contribution = np.zeros(n, np.float64)
         self.energy = np.zeros(n, np.float64)
+        self.largest_energy = np.zeros(n, np.float64)
         self.bases = np.zeros((n, _BASES), np.float64)
         self.peak = np.zeros(n, np.float32)
         self.seen = np.zeros(n, np.int32)
@@ -122,6 +128,7 @@ class ViewSums:
         index: NDArray[np.int32],
         sums: F64,
         position: F64,
+        num_pixels: int,
         view_share: float,
         pixel_share: float,
     ) -> None:
@@ -135,6 +142,8 @@ class ViewSums:
             From `blend_weights.add_weights`, over all tiles.
         position : (3,) float64
             Of the camera, in the frame of the means.
+        num_pixels : int
+            Of the view.
         view_share, pixel_share : float
             What the view counts in `contribution`, and one of its pixels in the other sums.
         """
@@ -145,9 +154,11 @@ class ViewSums:
             position,
             view_share,
             pixel_share,
+            num_pixels,
             self.contribution,
             self.bases,
             self.energy,
+            self.largest_energy,
             self.peak,
             self.seen,
         )

@@ -18,8 +18,11 @@ F64 = NDArray[np.float64]
 # around it.
 _OBJECT_SHARE: Final = 0.9
 # Distances of the cameras from the centre, in radii of the object: at 1.5 it overflows a picture of
-# 60°, at 3 it is small in it, at 2 it fills it.
-_CLOSEST, _FURTHEST, _FILLING = 1.5, 3.0, 2.0
+# 60°, at 3 it is small in it.
+_CLOSEST, _FURTHEST = 1.5, 3.0
+# Distances of the cameras of a turntable, in radii of the ball that holds all but a hundredth of
+# the scene: from where it overflows a picture a little to where it is small in it.
+_WHOLE_CLOSEST, _WHOLE_FURTHEST = 1.2, 2.2
 # Sine of the elevation of the cameras above the object: viewers start about level and look rather
 # from above.
 _LOWEST, _HIGHEST = -0.15, 0.6
@@ -70,12 +73,35 @@ def orbit_target(means: F64, counts: F64) -> OrbitTarget:
     return OrbitTarget(centre, _quantile(far, counts, _OBJECT_SHARE), _quantile(far, counts, 0.99))
 
 
-def turntable(target: OrbitTarget, count: int, down: F64, near_plane: float) -> list[Pose]:
-    """Return poses all around an object at the distance where it fills the picture.
+def bounding_ball(means: F64, counts: F64) -> OrbitTarget:
+    """Return the ball that holds all but a hundredth of a scene, thin parts far out included.
+
+    Its centre is that of the box of the scene. The centre of most of the splats, as `orbit_target`
+    has it, is off that of an object whose detail is at one end.
 
     Parameters
     ----------
-    target, count, down, near_plane
+    means : (n, 3) float64
+        Scene units; at least one.
+    counts : (n,) float64
+        Splats that each stands for.
+    """
+    corners = [
+        [_quantile(means[:, axis], counts, share) for axis in range(3)] for share in (0.01, 0.99)
+    ]
+    centre = np.mean(corners, axis=0)
+    reach = _quantile(np.linalg.norm(means - centre, axis=1), counts, 0.99)
+    return OrbitTarget(centre, reach, reach)
+
+
+def turntable(target: OrbitTarget, count: int, down: F64, near_plane: float) -> list[Pose]:
+    """Return poses all around an object, from where the whole of it is seen.
+
+    Parameters
+    ----------
+    target : OrbitTarget
+        From `bounding_ball`.
+    count, down, near_plane
         As `orbit` takes them.
 
     Returns
@@ -83,7 +109,8 @@ def turntable(target: OrbitTarget, count: int, down: F64, near_plane: float) -> 
     list of Pose
         None of them stands where a pose of `orbit` does.
     """
-    return _around(target, np.arange(-count, 0), down, near_plane, (_FILLING, _FILLING), cut=1)
+    distances = (_WHOLE_CLOSEST, _WHOLE_FURTHEST)
+    return _around(target, np.arange(-count, 0), down, near_plane, distances, cut=1)
 
 
 def orbit(target: OrbitTarget, count: int, down: F64, near_plane: float) -> list[Pose]:

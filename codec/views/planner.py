@@ -27,9 +27,10 @@ from cogsplat.codec.render.peak_weights import peak_weights
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
+from .coverage import SeenSplats, additions
 from .low_discrepancy import STEPS_2D, sequence
 from .occlusion import Occluders
-from .orbit import OrbitTarget, orbit, orbit_target, turntable
+from .orbit import OrbitTarget, bounding_ball, orbit, orbit_target, turntable
 from .pose import Lens, Pose, down_of
 from .subsample import Subsample, subsample
 
@@ -107,13 +108,20 @@ _ORBIT_TRIES: Final = 24
 _ORBIT_SHARE: Final = 7 / 8
 # Number of test views, and how much larger they are than the views to score on: a small picture
 # averages away errors that a visitor sees.
-_TEST_VIEWS: Final = 16
+_TEST_VIEWS: Final = 32
 _TEST_VIEW_SCALE: Final = 1.2
+# Of so many times as many places of visitors those are taken from where nothing is nearer than this
+# share of the median vicinity's radius, and that look less steeply up or down than this cosine.
+_VISITORS_DRAWN: Final = 8
+_CLEARANCE: Final = 0.2
+_STEEPEST: Final = 0.7
 
 # At most this share of the splats may lie outside all views. For the others up to one more view for
 # each eight is added, from places that were chosen.
 _UNCOVERED: Final = 0.001
 _EXTRA_SHARE: Final = 1 / 8
+# Views that are added so that all that is visible is covered, for each that was asked for, at most.
+_COVER_SHARE: Final = 1 / 2
 _UNCOVERED_SAMPLES: Final = 32
 
 # The near plane is a fixed distance. In a small scene it would cut the object off: cameras keep
@@ -128,7 +136,8 @@ class ViewPlanConfig:
     Parameters
     ----------
     views : int
-        Number of views, before those added for splats outside all of them (an eighth at most).
+        Number of views, before those added so that all that is visible is covered (half as many at
+        most), and for splats outside all of them (an eighth at most).
     width, height : int
         Size of each, px.
     fov_deg : float
@@ -176,12 +185,16 @@ class ViewPlan:
     views : list of Camera
         Named ``virtual-000`` and on; those that show most come first.
     test_views : list of Camera
-        Named ``test-00`` and on: a turntable around an isolated object, from places that `views`
-        has none in. Empty for every other scene.
+        Named ``test-00`` and on, from places that `views` has none in: all around an isolated
+        object, or anywhere that a visitor of another scene may be. They are not chosen by what they
+        show, and nothing is tuned on them.
+    coverage : float
+        Share of the visible splats that `views` cover (`coverage.additions`), 0 to 1.
     """
 
     views: list[Camera]
     test_views: list[Camera]
+    coverage: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,13 +206,16 @@ class _Candidate:
     pose : Pose
     index : (n,) int32
         Rows of the subsample that are seen.
+    peaks : (n,) float32
+        Peak weight of each in a pixel.
     exposure : (n,) float32
-        How well each is shown: its peak weight, less where it is too small to be resolved and where
-        the view is steep. 0 to 1.
+        How well each is shown: its peak weight, but less where it is too small to be resolved and
+        where the view is steep. 0 to 1.
     """
 
     pose: Pose
     index: NDArray[np.int32]
+    peaks: NDArray[np.float32]
     exposure: NDArray[np.float32]
 
 
@@ -275,12 +291,10 @@ def plan(
     found = planner.plan()
     lens, down = config.lens(), planner.down
     views = [pose.camera(lens, down, f"virtual-{row:03d}") for row, pose in enumerate(found)]
-    around: list[Pose] = []
-    if planner.target is not None:
-        around = turntable(planner.target, _TEST_VIEWS, down, config.near_plane)
     large = config.lens(_TEST_VIEW_SCALE)
-    tests = [pose.camera(large, down, f"test-{row:02d}") for row, pose in enumerate(around)]
-    return ViewPlan(views, tests)
+    visitors = enumerate(planner.test_poses())
+    tests = [pose.camera(large, down, f"test-{row:02d}") for row, pose in visitors]
+    return ViewPlan(views, tests, planner.coverage)
 
 
 class _Planner:
@@ -308,8 +322,10 @@ class _Planner:
         typical = _weighted_median(distances, scene.counts)
         # From where each splat has that size.
         self._viewing_distances: F64 = np.minimum(distances, _FURTHEST * typical)
-        # The isolated object, once one is found.
-        self.target: OrbitTarget | None = None
+        # Whether the scene is an isolated object, once that is known.
+        self._isolated = False
+        # What the views cover, once they are chosen.
+        self.coverage = 1.0
         self._proposed = 0
         self._candidates: list[_Candidate] = []
         # Whether each candidate's place is inside of something, and what such a view counts.
@@ -330,35 +346,69 @@ class _Planner:
         self._progress("plan views", _FIRST_ROUND * views, total)
         self._weigh_sides()
         around = self._orbit_poses()
+        # What the orbit shows needs no other views.
+        orbiting = list(ordered_map(self._candidate, around, thread_count(self._config.threads)))
+        for found in orbiting:
+            self._exposure[found.index] += found.exposure
         views -= len(around)
         self._choose(chosen, max(1, round(_FIRST_SHARE * views)))
         badly_shown = counts / (1.0 + self._exposure / _SHOWN)
         self._draw_candidates(self._propose(_SECOND_ROUND * self._config.views, badly_shown))
         self._progress("plan views", total, total)
         self._choose(chosen, views)
+        self._cover(chosen, orbiting)
         poses = around + [self._candidates[row].pose for row in chosen]
         inside = [False] * len(around) + [self._inside[row] for row in chosen]
         weights = np.array([self._side_weight[side] for side in inside])
         return poses + self._for_uncovered(poses, weights)
 
     def _orbit_poses(self) -> list[Pose]:
-        """Return the poses of an orbit where the scene is one isolated object, else none."""
+        """Return the poses of an orbit around a compact isolated object; none in other scenes."""
         target = orbit_target(self._means, self._scene.counts)
-        if not self._is_isolated(target):
+        self._isolated = self._is_isolated(target)
+        if not (self._isolated and target.radius < _COMPACT * self._vicinity_radius):
             return []
-        self.target = target
         count = round(_ORBIT_SHARE * self._config.views)
         return orbit(target, count, self.down, self._config.near_plane)
 
     def _is_isolated(self, target: OrbitTarget) -> bool:
-        """Tell whether a compact object is all there is around the poses of an orbit."""
-        from_outside = self._side_weight[False] > self._side_weight[True]
-        if not (from_outside and 0.0 < target.radius < _COMPACT * self._vicinity_radius):
+        """Tell whether an object is all there is around the poses of an orbit."""
+        if self._from_inside or not target.radius > 0.0:
             return False
         tries = orbit(target, _ORBIT_TRIES, self.down, self._config.near_plane)
         places = np.array([pose.position for pose in tries])
         occlusion = self._coarse.occlusion(places, np.full(len(places), np.inf))
         return bool(np.median(occlusion) <= _ISOLATED_OCCLUSION)
+
+    @property
+    def _from_inside(self) -> bool:
+        """Whether the scene is one to look at from inside."""
+        return self._side_weight[True] >= self._side_weight[False]
+
+    def test_poses(self) -> list[Pose]:
+        """Return the poses of the test views; `plan` comes first.
+
+        Around an isolated object they are those of a turntable that shows the whole of it. In
+        other scenes they are visitors': they look at splats about level, from the side that the
+        scene is seen from, and keep clear of everything.
+        """
+        means, counts = self._means, self._scene.counts
+        if self._isolated:
+            whole = bounding_ball(means, counts)
+            return turntable(whole, _TEST_VIEWS, self.down, self._config.near_plane)
+        # Drawn as candidates are, but none of them is one.
+        drawn = self._propose(_VISITORS_DRAWN * _TEST_VIEWS, counts)
+        places = np.array([pose.position for pose in drawn])
+        around = self._coarse.occlusion(places, np.full(len(drawn), np.inf))
+        near = self._coarse.occlusion(
+            places, np.full(len(drawn), _CLEARANCE * self._vicinity_radius)
+        )
+        level = np.array([abs(float(pose.forward @ self.down)) < _STEEPEST for pose in drawn])
+        right_side = (around > _INSIDE_OCCLUSION) == self._from_inside
+        # The clearest places where none is clear; all where none is on the right side.
+        unfit = np.lexsort((np.arange(len(drawn)), near > 0.0, ~level, ~right_side))
+        fitting = sorted(unfit[:_TEST_VIEWS].tolist())
+        return [drawn[row] for row in fitting]
 
     def _typical_detail(self) -> float:
         """Return the median, over splats, of size over the distance of a picture of the vicinity.
@@ -437,7 +487,7 @@ class _Planner:
         pitch = math.asin(min(1.0, max(-1.0, float(pose.forward @ self.down))))
         level = math.cos(pitch - math.radians(_LEVEL_DEG)) ** 2
         share = _LEAST_LEVEL + (1.0 - _LEAST_LEVEL) * level
-        return _Candidate(pose, index, (share * peaks * resolved).astype(np.float32))
+        return _Candidate(pose, index, peaks, (share * peaks * resolved).astype(np.float32))
 
     def _weigh_sides(self) -> None:
         """Decide how much views from inside and from outside of walls count."""
@@ -519,6 +569,26 @@ class _Planner:
             found = self._candidates[row]
             self._exposure[found.index] += self._side_weight[self._inside[row]] * found.exposure
             chosen.append(row)
+
+    def _cover(self, chosen: list[int], orbiting: Sequence[_Candidate]) -> None:
+        """Add candidates until what is visible is covered, and note how much of it is.
+
+        Parameters
+        ----------
+        chosen : list of int
+            Candidates that are views already; grows.
+        orbiting : sequence of _Candidate
+            Views that are not among the candidates.
+        """
+        seen = [
+            SeenSplats(found.index, self._side_weight[inside] * found.peaks.astype(np.float64))
+            for found, inside in zip(self._candidates, self._inside, strict=True)
+        ]
+        there = [SeenSplats(found.index, found.peaks.astype(np.float64)) for found in orbiting]
+        there += [seen[row] for row in chosen]
+        most = int(_COVER_SHARE * self._config.views)
+        added, self.coverage = additions(self._scene.counts, there, seen, most)
+        chosen += added
 
     def _for_uncovered(self, poses: Sequence[Pose], weights: F64) -> list[Pose]:
         """Return poses in places of given ones that look at splats outside all their pictures.

@@ -84,7 +84,8 @@ if TYPE_CHECKING:
     "--target-psnr",
     type=click.FloatRange(5, 90),
     metavar="DB",
-    help="Search for the quality that gives this PSNR in the views given.",
+    help="Search for the quality that gives this mean PSNR in some of the views of --cameras or, "
+    "without it, in test views planned around the scene. Other views may be harder or easier.",
 )
 @click.option(
     "--target-size",
@@ -97,8 +98,8 @@ if TYPE_CHECKING:
     type=click.Choice(["fast", "balanced", "best"]),
     default="balanced",
     show_default=True,
-    help="fast scores one view in three, and orders by contribution without compensation; best "
-    "plans twice the views, measures every one in full and takes longest.",
+    help="fast scores one given view in three or plans fewer views, and orders by contribution "
+    "without compensation; best plans most views, measures every one in full and takes longest.",
 )
 @order_options
 @click.option(
@@ -279,7 +280,6 @@ def encode(
         return
     with cogsplat.open(out) as file:
         told = _report(file, made, config, stages)
-        seen = _predicted(file)
         sizes = stored_sizes(file) if qualities else []
     size = made.size_bytes
     rows_in, kept = given.file_splats, int(file.root.splats)
@@ -306,8 +306,8 @@ def encode(
         ("splats", f"{kept:,} of {rows_in:,} ({gone}), {size / max(kept, 1):.2f} B each"),
         ("chunks", f"{file.num_chunks}, SH degree {file.root.sh_degree}"),
         ("codebooks", f"{', '.join(books)} rows" if books else ""),
-        ("predicted", f"{seen:.2f} dB in views given to the encoder" if seen else ""),
-        ("scored", counted(made.scored_views, "view") + _with_copies(no_jitter)),
+        ("predicted", _predicted(made)),
+        ("scored", _scored(made)),
         ("time", stages.line()),
         ("report", str(report) if report else ""),
     )
@@ -347,15 +347,35 @@ def _target(
     return Target(size_bytes=wanted)
 
 
-def _with_copies(no_jitter: bool) -> str:
-    return "" if no_jitter else ", jittered copies included"
+def _scored(made: EncodeReport) -> str:
+    """Say how many views were scored, whose they are and how much of the scene they show."""
+    if made.views == "none":
+        return counted(made.scored_views, "view")
+    shown = "of what is visible" if made.views == "planned" else "of the splats"
+    return f"{counted(made.scored_views, 'view')} {made.views}, {made.coverage:.1%} {shown} covered"
 
 
-def _predicted(file: CogsFile) -> float | None:
-    """Return the PSNR that the encoder saw of the whole scene, dB."""
-    if not len(file.chunks.quality) or not file.chunks.quality[-1]:
-        return None
-    return round(float(file.chunks.quality[-1]), 3)
+def _predicted(made: EncodeReport) -> str:
+    """Say what PSNR the encoder measured of the whole scene, and how much views differ."""
+    values = made.test_psnr_db
+    if not values:
+        return ""
+    mean = sum(values) / len(values)
+    whose = "planned around the scene" if made.test_views == "planned" else "of those given"
+    return f"{mean:.2f} dB, the mean of {len(values)} views {whose}; the worst {min(values):.2f} dB"
+
+
+def _prediction(made: EncodeReport) -> dict[str, object]:
+    """Return what `_scored` and `_predicted` say."""
+    values = made.test_psnr_db
+    return {
+        "predicted_psnr_db": round(sum(values) / len(values), 3) if values else None,
+        "predicted_worst_psnr_db": round(min(values), 3) if values else None,
+        "test_views": {"from": made.test_views, "count": len(values)},
+        "scored_views": made.scored_views,
+        "scored_views_from": made.views,
+        "coverage": None if made.views == "none" else round(made.coverage, 4),
+    }
 
 
 def _report(
@@ -373,10 +393,9 @@ def _report(
             {"attribute": book.attribute, "rows": book.rows} for book in file.root.codebooks
         ],
         "profile": config.profile,
-        "predicted_psnr_db": _predicted(file),
+        **_prediction(made),
         "order": config.order,
         "quality_db": None if config.profile == "near-lossless" else round(made.quality_db, 3),
         "trials": made.trials,
-        "scored_views": made.scored_views,
         "seconds": stages.rounded(),
     }

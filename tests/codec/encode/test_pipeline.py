@@ -9,7 +9,7 @@ from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.rate_control import Target
-from cogsplat.codec.errors import DataError
+from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score, unscored
 
 FAST = PRESETS["fast"]
@@ -64,8 +64,32 @@ def test_test_views_are_where_quality_is_predicted(scene, views):
     assert all(a.quality_db != b.quality_db for a, b in pairs)
 
 
+def test_the_report_says_whose_views_were_scored_and_predicted_in(scene, views):
+    config = replace(LITTLE, compensate=False, order="contribution")
+    report = encoded(scene, views, config).report
+    assert (report.views, report.test_views) == ("given", "given")
+    assert report.coverage == (score(scene, views, ONCE).covered > 0).mean()
+    assert len(report.test_psnr_db) == len(views)
+    report = pipeline.encode(scene, config, score_config=ONCE, preset=FAST).report
+    assert (report.views, report.test_views) == ("planned", "planned")
+    assert 0.9 <= report.coverage <= 1.0
+    assert len(report.test_psnr_db) == 32
+
+
+def test_cameras_that_leave_out_much_are_warned_of(scene, views):
+    config = replace(LITTLE, compensate=False, order="contribution")
+    means = scene.means.copy()
+    means[:300, 1] += 500.0
+    beyond = replace(scene, means=means)
+    with pytest.warns(CogsplatWarning, match="% of the splats lie in a picture of the cameras"):
+        made = encoded(beyond, views[:1], config)
+    assert made.report.coverage < 0.75
+
+
 def test_without_views_nothing_is_compensated_nor_predicted(scene):
     made = encode(scene, None, unseen(compensate=True))
+    assert (made.report.views, made.report.test_views) == ("none", "none")
+    assert made.report.test_psnr_db == ()
     assert made.compensation is None
     assert all(chunk.quality_db == 0 for chunk in made.chunks)
     # And heads are not made for being compensated.

@@ -90,6 +90,18 @@ def test_every_chunk_says_what_the_scene_up_to_it_shows():
     assert all(chunk.quality_db == 0 for chunk in encoded.chunks)
 
 
+def test_the_whole_is_measured_in_more_views_than_prefixes():
+    encoded = encoded_in(5)
+    found = predicted(encoded, scene(), views(6), most_views=2)
+    each = PrefixEvaluator(scene(), views(6)).views_db(encoded.decoded)
+    assert sorted(found.report.test_psnr_db) == pytest.approx(sorted(each))
+    assert found.chunks[-1].quality_db == pytest.approx(np.mean(each))
+    # Prefixes keep what they have less than the whole, where both are measured.
+    few = PrefixEvaluator(scene(), evenly(views(6), 2)).prefixes_db(encoded)
+    lost = [few[-1] - quality for quality in few]
+    assert [found.chunks[-1].quality_db - c.quality_db for c in found.chunks] == pytest.approx(lost)
+
+
 def test_of_many_chunks_some_are_measured():
     encoded = encoded_in(40, n=400)
     calls = []

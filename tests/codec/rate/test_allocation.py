@@ -52,6 +52,36 @@ def test_no_energy_is_zero():
     assert (rate_costs.floor_energy(with_energy([0.0, 5e-324])) > 0).all()
 
 
+def test_a_splat_counts_at_least_a_share_of_its_best_view():
+    scores = replace(with_energy([1.0, 1.0, 0.0]), largest_energy=np.array([1.0, 64.0, 0.0]))
+    np.testing.assert_array_equal(rate_costs.shown_energy(scores), [1.0, 2.0, 0.0])
+    np.testing.assert_array_equal(rate_costs.floor_energy(scores), [1.0, 2.0, 1.0])
+
+
+def test_sensitivities_rise_with_the_energy_of_the_best_view():
+    splats, scores = a_scene()
+    found = replace(scores, sensitivities=sensitive(80, scale=1e9))
+    best = replace(found, largest_energy=32.0 * 4.0 * scores.energy)
+    plain, raised = rate_costs.costs(splats, found), rate_costs.costs(splats, best)
+    fainter = scores.energy < np.quantile(scores.energy, 0.01)
+    for name in VALUES:
+        ratio = getattr(raised, name) / getattr(plain, name)
+        np.testing.assert_allclose(ratio[~fainter], 4.0, rtol=1e-9, err_msg=name)
+
+
+def test_what_the_measured_views_did_not_show_costs_what_splats_usually_cost():
+    splats, scores = a_scene()
+    found = sensitive(80, scale=1e9)
+    for values in (found.opacities, found.means, found.scales, found.rotations):
+        values[:7] = 0.0
+    measured = rate_costs.costs(splats, replace(scores, sensitivities=found))
+    usual = rate_costs.costs(splats, scores)
+    for name in VALUES:
+        np.testing.assert_array_equal(getattr(measured, name)[:7], getattr(usual, name)[:7])
+        if name != "energy":
+            assert (getattr(measured, name)[7:] > getattr(usual, name)[7:]).all()
+
+
 # Costs.
 
 VALUES = (

@@ -43,6 +43,15 @@ def test_only_what_is_not_worth_its_bytes_goes():
     assert kept_rows(splats, scores, PruneConfig(), lagrangian=0.0).all()
 
 
+def test_what_one_view_shows_well_stays():
+    splats, scores = seen([0.01] * 2, [9, 9])
+    scores = replace(
+        scores, energy=np.array([1.0, 1.0]), largest_energy=np.array([1.0, 6.0 * 32.0])
+    )
+    kept = kept_rows(splats, scores, PruneConfig(worth=6.0), lagrangian=1.0)
+    assert kept.tolist() == [False, True]
+
+
 def test_what_no_view_covers_stays():
     splats, scores = seen([0.0] * 5, [0, 1, 2, 3, 4])
     assert kept_rows(splats, scores, PruneConfig()).tolist() == [True] * 4 + [False]

@@ -47,6 +47,12 @@ def test_scores_equal_brute_force(top_k, antialiased):
 
     energy = sum(np.square(view.weights).sum(axis=0) for view in seen) / pixels
     _close(scores.energy, energy, energy.max())
+    of_views = [
+        np.square(view.weights).sum(axis=0) / (camera.width * camera.height)
+        for view, camera in zip(seen, CAMERAS, strict=True)
+    ]
+    largest = np.max(of_views, axis=0)
+    _close(scores.largest_energy, largest, largest.max())
     peak = np.max([view.weights.max(axis=0) for view in seen], axis=0)
     _close(scores.peak, peak, 1.0)
     count = sum((view.weights > 0).any(axis=0) for view in seen)

@@ -6,9 +6,11 @@ import pytest
 
 from cogsplat.codec.scoring.view_sums import ViewSums
 
+SUMS = ("contribution", "energy", "largest_energy", "peak", "seen")
+
 
 def _views(splats, count=4):
-    """Return made-up sums of some views: rows, (M, 3) weights, position, shares."""
+    """Return made-up sums of some views: rows, (M, 3) weights, position, pixels, shares."""
     rng = np.random.default_rng(2)
     views = []
     for _ in range(count):
@@ -16,20 +18,22 @@ def _views(splats, count=4):
         sums = rng.random((len(index), 3))
         sums[:5] = 0.0  # covered, but hidden
         position = rng.normal(size=3) * 9.0
-        views.append((index, sums, position, rng.random(), rng.random()))
+        views.append((index, sums, position, int(rng.integers(9, 99)), rng.random(), rng.random()))
     return views
 
 
 def test_sums_are_those_of_their_definition():
     splats = oracle.scene(1, n=64)
     totals = ViewSums(splats)
-    expected = {name: np.zeros(64) for name in ("contribution", "energy", "peak", "seen")}
+    expected = {name: np.zeros(64) for name in SUMS}
     covered, bases, weighted = np.zeros(64), np.zeros((64, 16)), np.zeros((64, 15))
-    for index, sums, position, view_share, pixel_share in _views(splats):
-        totals.add(index, sums, position, view_share, pixel_share)
+    for index, sums, position, num_pixels, view_share, pixel_share in _views(splats):
+        totals.add(index, sums, position, num_pixels, view_share, pixel_share)
         expected["contribution"][index] += view_share * sums[:, 0]
         expected["energy"][index] += pixel_share * sums[:, 1]
         expected["peak"][index] = np.maximum(expected["peak"][index], sums[:, 2])
+        largest = expected["largest_energy"]
+        largest[index] = np.maximum(largest[index], sums[:, 1] / num_pixels)
         expected["seen"][index] += sums[:, 2] > 0
         covered[index] += 1
         offset = splats.means[index] - position
@@ -51,7 +55,7 @@ def test_the_spread_is_the_covariance_of_the_bases_over_views():
     values, weights = [], []
     for _ in range(6):
         position, square = rng.normal(size=3) * 5.0, rng.random()
-        totals.add(np.zeros(1, np.int32), np.array([[1.0, square, 1.0]]), position, 1.0, 0.5)
+        totals.add(np.zeros(1, np.int32), np.array([[1.0, square, 1.0]]), position, 9, 1.0, 0.5)
         offset = splats.means[:1] - position
         values.append(oracle.real_sh(offset / np.linalg.norm(offset), 3)[0, 1:])
         weights.append(0.5 * square)

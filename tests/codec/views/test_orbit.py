@@ -1,9 +1,11 @@
 """Orbits: around the subject, about level, clear of the near plane where they can be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from cogsplat.codec.views.orbit import OrbitTarget, orbit, orbit_target, turntable
+from cogsplat.codec.views.orbit import OrbitTarget, bounding_ball, orbit, orbit_target, turntable
 
 DOWN = np.array([0.0, 1.0, 0.0])
 BALL = OrbitTarget(np.array([3.0, -1.0, 2.0]), 1.0, 1.2)
@@ -54,13 +56,28 @@ def test_small_subjects_stay_in_front_of_the_near_plane() -> None:
         assert 0.0149 < distance / pose.zoom < 0.0301, "as large in the picture"
 
 
-def test_a_turntable_has_places_of_its_own_at_one_distance() -> None:
+def test_a_turntable_has_places_of_its_own_that_show_the_whole() -> None:
     around = np.array([pose.position for pose in orbit(BALL, 64, DOWN, 0.01)])
-    turned = np.array([pose.position for pose in turntable(BALL, 16, DOWN, 0.01)])
-    np.testing.assert_allclose(np.linalg.norm(turned - BALL.centre, axis=1), 2.0)
+    whole = replace(BALL, radius=BALL.reach)
+    turned = np.array([pose.position for pose in turntable(whole, 16, DOWN, 0.01)])
+    distances = np.linalg.norm(turned - BALL.centre, axis=1)
+    assert ((distances > 1.2 * BALL.reach) & (distances < 2.2 * BALL.reach)).all()
     apart = np.linalg.norm(turned[:, None] - around[None], axis=2)
     assert apart.min() > 0.02
-    small = turntable(OrbitTarget(np.zeros(3), 0.01, 0.02), 16, DOWN, 0.2)
-    np.testing.assert_allclose([np.linalg.norm(pose.position) for pose in small], 0.205)
-    rise = (turned - BALL.centre) @ -DOWN / 2.0
+    small = turntable(OrbitTarget(np.zeros(3), 0.02, 0.02), 16, DOWN, 0.2)
+    np.testing.assert_allclose([np.linalg.norm(pose.position) for pose in small], 0.21)
+    rise = (turned - BALL.centre) @ -DOWN / distances
     assert ((rise >= -0.15) & (rise <= 0.6)).all()
+
+
+def test_a_bounding_ball_reaches_thin_parts_that_stand_far_out() -> None:
+    rng = np.random.default_rng(2)
+    body, staff = rng.uniform(-1.0, 1.0, (950, 3)), np.zeros((50, 3))
+    staff[:, 1] = np.linspace(1.0, 9.0, 50)
+    means, counts = np.concatenate([body, staff]), np.ones(1000)
+    whole, most = bounding_ball(means, counts), orbit_target(means, counts)
+    assert whole.radius == whole.reach
+    assert whole.centre[1] == pytest.approx(3.2, abs=0.6), "the middle of it all"
+    far = np.linalg.norm(means - whole.centre, axis=1)
+    assert (far <= whole.reach).mean() == pytest.approx(0.99, abs=0.005)
+    assert whole.reach < most.reach

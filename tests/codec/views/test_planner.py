@@ -14,9 +14,11 @@ from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import SceneInfo, Splats, concatenate, empty
 from cogsplat.codec.views.planner import ViewPlanConfig, plan, plan_views
+from cogsplat.codec.views.pose import Pose
 from cogsplat.tools.synthetic.scene import synth
 
 SMALL = ViewPlanConfig(views=24, width=64, height=48)
+FLOOR = np.array([0.0, 0.85, 0.0])
 
 
 def balls(points: NDArray[np.float64], size: float) -> Splats:
@@ -79,7 +81,7 @@ def test_plans_do_not_depend_on_threads() -> None:
 def test_views_have_the_size_and_the_field_that_were_asked_for() -> None:
     config = ViewPlanConfig(views=5, width=90, height=40, fov_deg=90.0)
     cameras = plan_views(sphere(3.0), config)
-    assert 5 <= len(cameras) <= 5 + 5 // 8
+    assert 5 <= len(cameras) <= 5 + 5 // 2 + 5 // 8
     assert [camera.name for camera in cameras] == [f"virtual-{k:03d}" for k in range(len(cameras))]
     for camera in cameras:
         assert (camera.width, camera.height, camera.cx, camera.cy) == (90, 40, 45.0, 20.0)
@@ -101,13 +103,50 @@ def test_an_object_is_seen_from_all_around_and_close(size: float) -> None:
     assert covered(splats, cameras).all()
 
 
-def test_only_an_isolated_object_has_test_views() -> None:
+def test_test_views_show_the_whole_of_an_isolated_object() -> None:
     ball = plan(sphere(1.0), SMALL)
-    assert len(ball.test_views) == 16
+    assert len(ball.test_views) == 32
     same(ball.views, plan_views(sphere(1.0), SMALL))
     assert (gaze(ball.test_views, (0.0, 0.0, 0.0)) > 0.99).all()
-    room = concatenate([box((2.5, 1.3, 2.0), 3000), sphere(0.2, 1200)])
-    assert plan(room, SMALL).test_views == []
+    assert_apart(ball.test_views, ball.views)
+
+
+def test_test_views_of_a_room_are_from_inside_and_none_is_scored() -> None:
+    half = np.array([2.5, 1.3, 2.0])
+    found = plan(concatenate([box(half, 3000), sphere(0.2, 1200)]), SMALL)
+    assert len(found.test_views) >= 16
+    assert (np.abs(places(found.test_views)) < half).all(axis=1).mean() > 0.9
+    assert_apart(found.test_views, found.views)
+
+
+def assert_apart(test_views: list[Camera], views: list[Camera]) -> None:
+    apart = np.linalg.norm(places(test_views)[:, None] - places(views)[None], axis=2)
+    assert apart.min() > 1e-3
+
+
+def test_views_are_added_until_what_is_visible_is_covered() -> None:
+    """A bowl is open at the top alone, where an orbit has no places: its floor needs more views."""
+    rng = np.random.default_rng(4)
+    points = rng.normal(size=(3000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    points = points[points[:, 1] > -0.75]
+    size = math.sqrt(4.0 * math.pi / 3000)
+    outside, inside = balls(points, size), balls(0.85 * points, size)
+    found = plan(concatenate([outside, inside]), replace(SMALL, views=16))
+    assert found.coverage >= 0.95
+    bowl = concatenate([outside, inside])
+    eyes = [np.array([0.6 * math.cos(a), -2.6, 0.6 * math.sin(a)]) for a in range(6)]
+    above = [
+        Pose(eye, (FLOOR - eye) / np.linalg.norm(FLOOR - eye), 1.0).camera(
+            SMALL.lens(), np.array([0.0, 1.0, 0.0])
+        )
+        for eye in eyes
+    ]
+    floor = len(outside) + np.flatnonzero(points[:, 1] > 0.9)
+    best = score(bowl, above, ScoreConfig(jitter=False)).peak[floor]
+    shown = score(bowl, found.views, ScoreConfig(jitter=False)).peak[floor]
+    assert best.mean() > 0.1
+    assert (shown > 0.25 * best).mean() > 0.8
 
 
 def test_rooms_are_seen_from_inside() -> None:
