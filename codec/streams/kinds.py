@@ -146,6 +146,13 @@ def read(stream: StoredStream, out: F32, inputs: Inputs = NO_INPUTS) -> None:
     """
     codec = codec_of(stream)
     kernel = compiled.reader(stream.attribute, stream.kind)
-    if kernel is None or not kernel(stream, out, inputs):
-        # Where a kernel refuses, the reader in numpy finds the same and names it.
+    done = False
+    if kernel is not None:
+        try:
+            done = kernel(stream, out, inputs)
+        except FormatError:
+            # A kernel unpacks all planes before it looks at a code, and so may meet another fault
+            # first than the reader in numpy, whose refusal counts.
+            done = False
+    if not done:
         codec.read(stream, out, inputs)

@@ -13,13 +13,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cogsplat.codec.errors import CogsplatError
+from cogsplat.codec.streams.records import Attribute
 from cogsplat.formats.cogs.canonical_msgpack import pack, unpack
 from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource
-from cogsplat.tools.conformance import reference_decoder
-from cogsplat.tools.conformance.file_builder import refitted, root_bytes, with_root
+from cogsplat.tools.conformance import handmade_streams, reference_decoder
+from cogsplat.tools.conformance.file_builder import (
+    build,
+    one_chunk,
+    payload,
+    record,
+    refitted,
+    root_bytes,
+    with_root,
+)
 
 VECTORS = Path(__file__).resolve().parents[1] / "vectors"
 MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))
@@ -175,6 +184,18 @@ def test_damaged_payloads_are_refused_or_decode_as_specified(kernels, data, draw
     found = opened(changed)
     if not isinstance(found, CogsplatError):
         assert_as_reference(changed, found)
+
+
+def test_a_stream_of_two_faults_has_one_code(kernels):
+    """A code beyond its grid, and behind it a plane of a radix that there is not."""
+    codes = [[0, 1, 4], [0, 1, 2], [0, 1, 2]]
+    means = handmade_streams.coded(Attribute.MEANS, [(-1.0, 1.0, 4)] * 3, codes)
+    head = [record(stream) for stream in handmade_streams.head(3, 1, means)]
+    place = next(i for i, entry in enumerate(head) if entry.fields[0] == Attribute.MEANS)
+    head[place].planes[2] = (3 | 1 << 30, b"\x11\0\0")
+    found = opened(build(one_chunk(payload(head), 3)))
+    assert isinstance(found, CogsplatError)
+    assert found.code == "code-range"
 
 
 @pytest.mark.parametrize("profile", ["transform", "vq", "near-lossless"])
