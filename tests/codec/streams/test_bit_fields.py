@@ -67,4 +67,4 @@ def test_padding_that_is_set_is_refused(widths, bit):
         return
     with pytest.raises(FormatError, match="plane 3") as caught:
         bit_fields.unpack(packed, widths, "plane 3")
-    assert (caught.value.code, caught.value.clause) == ("bits-padding", "6.5")
+    assert (caught.value.code, caught.value.clause) == ("bits-padding", "6.15")
