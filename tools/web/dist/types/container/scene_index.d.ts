@@ -1,0 +1,100 @@
+import { type CodebookEntry, type PageEntry, type SceneInfo } from "./root.js";
+import { type ChunkTable, type SegmentTable } from "./tables.js";
+/** A run of bytes of the file. */
+export interface ByteRange {
+    readonly offset: number;
+    readonly length: number;
+}
+/** The segments of one chunk; −1 where it has none that is known. */
+export interface ChunkSegments {
+    readonly head: number;
+    readonly refinement: number;
+    readonly tail: number;
+    readonly attributes: number;
+}
+/**
+ * The index of a file: the root and as many pages as were read (SPEC 3 to 5).
+ *
+ * Files are refused in the order of SPEC 8.1: `open` and `addPage` check each index by itself, `settle` what the
+ * segments of all of them say together. Chunks are known once they are settled.
+ */
+export declare class SceneIndex {
+    readonly scene: SceneInfo;
+    readonly codebooks: readonly CodebookEntry[];
+    readonly fileLength: number;
+    readonly rootLength: number;
+    readonly pages: readonly PageEntry[];
+    segments: SegmentTable;
+    chunks: ChunkTable;
+    /** First byte of each segment in the file. */
+    offsets: Float64Array<ArrayBuffer>;
+    /** Pages that were read. */
+    pagesRead: number;
+    /** Segments of compensation and of cameras, in file order. */
+    readonly compensation: number[];
+    readonly cameras: number[];
+    private readonly totalChunks;
+    private readonly heads;
+    private readonly tails;
+    private readonly refinements;
+    private readonly attributes;
+    /** For each codebook the segments of its kinds. */
+    private readonly codebookSegments;
+    /** Where what was read last ends. */
+    private end;
+    /** Segments whose owners were noted. */
+    private settled;
+    private constructor();
+    /**
+     * Read preamble and root.
+     *
+     * @param bytes - The beginning of the file, at least to the end of the root.
+     * @param sourceLength - Length of the source, where it is known: compared with what the file states.
+     * @param partial - Whether a source shorter than the file is accepted (SPEC 8.3).
+     */
+    static open(bytes: Uint8Array, sourceLength?: number, partial?: boolean): SceneIndex;
+    /** Where the next page that was not read is, or undefined where all were. */
+    nextPage(): ByteRange | undefined;
+    /** Read the page that `nextPage` tells of. */
+    addPage(bytes: Uint8Array): void;
+    /** Number of chunks that are known. */
+    get chunkCount(): number;
+    /** Number of chunks of the whole file. */
+    get totalChunkCount(): number;
+    /** Whether root and all pages were read. */
+    get complete(): boolean;
+    /** The segments of a chunk whose index is known. */
+    chunkSegments(chunk: number): ChunkSegments;
+    /** Where a segment is in the file. */
+    range(segment: number): ByteRange;
+    /**
+     * The segments of the codebooks that a segment needs, up to the band of a degree.
+     *
+     * @returns Segment numbers; undefined where one stands in a page that was not read.
+     */
+    codebookSegmentsOf(segment: number, degree: number): number[] | undefined;
+    /** Refuse a payload whose CRC is not the table's. */
+    checkCrc(segment: number, payload: Uint8Array): void;
+    /** Compare the length of the source with what the file states (SPEC 8.3). */
+    private checkSource;
+    /**
+     * Check what the segments that were read since the last call say together, and note whose they are.
+     *
+     * What depends on the whole file is checked once all pages were read.
+     */
+    settle(): void;
+    /** Give the segments of one index their places, and compare the number of its heads with that of its chunks. */
+    private enterSegments;
+    private enterHeads;
+    /** Note the segments that a chunk has at most once, behind its head. */
+    private enterOnce;
+    private checkSplats;
+    private checkNeeds;
+    private enterCodebooks;
+    private enterCameras;
+    private enterCompensation;
+    /** Segments of a kind from a row on, each with its owner. */
+    private ofKind;
+    /** Kinds of the segments that a codebook has up to a degree. */
+    private kindsOf;
+}

@@ -1,0 +1,53 @@
+import type { SceneIndex } from "../container/scene_index.js";
+import type { PackRanges } from "../scene/packed_splats.js";
+import type { ChunkService, ChunkFormat } from "../workers/decode_task.js";
+import type { ChunkUpdate } from "./stream_options.js";
+/** What is decoded and how. */
+export interface DecodeOptions {
+    readonly degree: number;
+    readonly format: ChunkFormat;
+    readonly ranges: PackRanges;
+    readonly refine: boolean;
+}
+/**
+ * Collects the payloads of chunks and decodes each chunk when its head and the codebooks that it needs are there, and
+ * again when its refinement or its tail has come.
+ */
+export declare class ChunkQueue {
+    private readonly index;
+    private readonly service;
+    private readonly options;
+    private readonly emit;
+    private readonly fail;
+    private readonly payloads;
+    private readonly codebooks;
+    /** Segments that cannot be had. */
+    private readonly lost;
+    private readonly given;
+    private readonly decoding;
+    /** Chunks that were not yet given with all that they have. */
+    private readonly open;
+    constructor(index: SceneIndex, service: ChunkService, options: DecodeOptions, emit: (update: Omit<ChunkUpdate, "prefix">) => void, fail: (error: unknown, chunk: number) => void);
+    /** Chunks from here on are decoded as their payloads come. */
+    expect(chunk: number): void;
+    /** The segments that the expected chunks still need, by chunk. */
+    allMissing(): number[];
+    /** The segments that a chunk still needs, in the order in which they help most. */
+    private missing;
+    /** Whether a segment has come. */
+    has(segment: number): boolean;
+    /** Take a segment whose CRC was checked. */
+    add(segment: number, payload: Uint8Array): void;
+    /** Go on without a segment; gives the chunks that cannot be drawn for it, or that lack something. */
+    lose(segment: number): number[];
+    /** Whether every chunk that was expected has been given, or cannot be. */
+    get idle(): boolean;
+    private decode;
+    /** Whether a segment and the codebooks that it needs are there. */
+    private ready;
+    private isLost;
+    /** Forget a chunk's payloads: nothing more comes of it. */
+    private close;
+    private rowStarts;
+    private firstRow;
+}

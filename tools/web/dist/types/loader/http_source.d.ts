@@ -1,0 +1,24 @@
+import type { ByteRange } from "../container/scene_index.js";
+import { type Answer, type ByteSource, type ReadOptions } from "./byte_source.js";
+/** How requests are made. */
+export interface HttpOptions {
+    /** Headers of every request, such as an authorisation. */
+    readonly headers?: Readonly<Record<string, string>>;
+    readonly credentials?: RequestCredentials;
+    /** In the place of the global `fetch`. */
+    readonly fetch?: typeof fetch;
+}
+/** A file on a server that answers ranges; one that does not is read from the front. */
+export declare class HttpSource implements ByteSource {
+    private readonly url;
+    private readonly options;
+    private etag;
+    private total;
+    constructor(url: string | URL, options?: HttpOptions);
+    read(range: ByteRange, { signal, fresh }?: ReadOptions): Promise<Answer>;
+    private request;
+    /** Accept an answer, or say what is wrong with it; its body was not read yet. */
+    private check;
+    /** Refuse an answer of another file than that of the first answer; weak ETags say nothing of bytes. */
+    private compare;
+}

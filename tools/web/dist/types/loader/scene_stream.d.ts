@@ -1,0 +1,67 @@
+import type { SceneIndex } from "../container/scene_index.js";
+import type { PrefixCompensation } from "../scene/prefix_compensation.js";
+import type { ChunkService } from "../workers/decode_task.js";
+import { type ChunkUpdate, type StreamOptions } from "./stream_options.js";
+import type { RetryingReader } from "./retrying_reader.js";
+/** What a stream reads from; shared by all streams of a scene. */
+export interface StreamSource {
+    readonly index: SceneIndex;
+    readonly reader: RetryingReader;
+    /** Bytes from the beginning of the file that are there already. */
+    readonly beginning: Uint8Array;
+    /** Whether the source gives the whole file whatever it is asked for. */
+    readonly sequential: boolean;
+    readonly compensation: PrefixCompensation;
+    /** Read index pages until so many are known. */
+    readPages(count: number): Promise<void>;
+}
+/** One run through a scene: what is asked for, what has come, and what waits to be taken. */
+export declare class SceneStream {
+    private readonly source;
+    private readonly options;
+    private readonly index;
+    private readonly abort;
+    private readonly queue;
+    private readonly waiting;
+    /** Segments to ask for, in the order in which they are wanted. */
+    private wanted;
+    private readonly asked;
+    /** Chunks that were given, and how many of them from the first of the file on. */
+    private readonly given;
+    private prefix;
+    private requests;
+    private requestBytes;
+    private budget;
+    private plannedChunks;
+    private pagesDone;
+    private failure;
+    private wake;
+    private readonly degree;
+    private readonly rowBytes;
+    constructor(source: StreamSource, service: ChunkService, options: StreamOptions);
+    /** Updates until every chunk has been given. */
+    updates(): AsyncGenerator<ChunkUpdate, void, undefined>;
+    /** End all requests. */
+    stop(): void;
+    private readonly onAbort;
+    private done;
+    private stopWith;
+    /** Read the index pages, one after the other; chunks are planned as their pages come. */
+    private readPages;
+    /** Put the segments of chunks that are newly known among those that are wanted. */
+    private plan;
+    private byPriority;
+    private takeFromBeginning;
+    /** Make requests while there is something to ask for and the caller keeps up. */
+    private ask;
+    /** One request for all that is wanted, in file order, from a source that does not answer ranges. */
+    private wholeRest;
+    private readonly rangeOf;
+    private run;
+    /** Check a segment's CRC and hand it on; what is damaged is asked for once more, around caches. */
+    private accept;
+    private take;
+    private fetchAgain;
+    /** Report what cannot be had; without a listener the stream ends with the error. */
+    private damage;
+}

@@ -1,0 +1,61 @@
+import { type AttributeArray } from "../container/attributes.js";
+import type { SceneIndex } from "../container/scene_index.js";
+import type { Kernels } from "../kernels/kernels.js";
+import { type HeadColumns } from "./chunk_head.js";
+import { type TailSource } from "./chunk_tail.js";
+import { type PackedSplats, type PackRanges } from "./packed_splats.js";
+import type { Splats } from "./splats.js";
+/** The payloads of one chunk. */
+export interface ChunkPayloads {
+    readonly chunk: number;
+    readonly head: Uint8Array;
+    readonly refinement?: Uint8Array | undefined;
+    readonly tail?: Uint8Array | undefined;
+}
+/** What the decoder has to know of the file: a part of its index that can be sent to a worker. */
+export type DecoderIndex = Pick<SceneIndex, "scene" | "codebooks">;
+/** Decodes the chunks of one scene; codebooks stay in its memory from chunk to chunk. */
+export declare class ChunkDecoder {
+    readonly k: Kernels;
+    private readonly index;
+    private readonly codebooks;
+    private readonly added;
+    /**
+     * @param k - Memory and arithmetic, for this scene alone.
+     * @param index - What the root says.
+     */
+    constructor(k: Kernels, index: DecoderIndex);
+    /** Decode a codebook's segment, once; its CRC was checked. */
+    addCodebook(codebook: number, kind: number, payload: Uint8Array): void;
+    /** Whether a codebook's segment was decoded. */
+    hasCodebook(codebook: number, kind: number): boolean;
+    /**
+     * Decode a chunk and hand its columns to a function; its memory is given back afterwards.
+     *
+     * @param payloads - The chunk's payloads, whose CRCs were checked.
+     * @param rows - Splats of the chunk.
+     * @param needs - Codebooks that head and tail need.
+     * @param degree - SH degree wanted, at most the scene's.
+     */
+    withChunk<T>(payloads: ChunkPayloads, rows: number, needs: {
+        readonly head: number;
+        readonly tail: number;
+    }, degree: number, use: (head: HeadColumns, tail: TailSource | undefined) => T): T;
+    /** Decode a chunk to the bit (SPEC 2.3). */
+    decode(payloads: ChunkPayloads, rows: number, needs: {
+        readonly head: number;
+        readonly tail: number;
+    }, degree: number): Splats;
+    /**
+     * Decode a chunk into what a renderer uploads (SPEC 8.6).
+     *
+     * @param ranges - What the codes stand for.
+     */
+    decodePacked(payloads: ChunkPayloads, rows: number, needs: {
+        readonly head: number;
+        readonly tail: number;
+    }, degree: number, ranges: PackRanges): PackedSplats;
+    /** Decode a chunk's extra attributes (SPEC 5.7). */
+    attributes(payload: Uint8Array, rows: number): Map<string, AttributeArray>;
+    private rows;
+}

@@ -1,0 +1,32 @@
+import type { Kernels } from "../kernels/kernels.js";
+import { type StreamRecord } from "./records.js";
+/** Floats between two rows of the basis in the kernels' memory: 45, padded to whole vectors. */
+export declare const BASIS_STRIDE = 48;
+/** What a basis stream of shN states of itself. */
+export interface ShnBasisParams {
+    readonly codebook: number;
+    readonly step: number;
+    readonly shrink: number;
+    readonly width: number;
+    /** For each group the bytes of its inner codes, then of its last codes. */
+    readonly sizes: readonly (readonly [number, number])[];
+}
+/** The coordinates of shN on its basis, as a kernel sums them. */
+export interface ShnCoordinates {
+    /** Addresses: rows in the order of falling ends, rows of each end, and a table of columns of coordinates. */
+    readonly order: number;
+    readonly counts: number;
+    readonly columns: number;
+    readonly width: number;
+}
+/** Read the parameters of a basis stream of shN (SPEC 6.14). */
+export declare function readShnParams(stream: StreamRecord): ShnBasisParams;
+/**
+ * Read the coordinates of every row (SPEC 6.14).
+ *
+ * Coordinate j of the rows in the order of falling ends is one column: first the inner codes of the rows that end
+ * behind j + 1, then the last codes of those that end there.
+ */
+export declare function readShnCoordinates(k: Kernels, stream: StreamRecord, params: ShnBasisParams): ShnCoordinates;
+/** Refuse entries of a basis that are too large (SPEC 6.14). */
+export declare function checkBasisEntries(entries: Float32Array): void;

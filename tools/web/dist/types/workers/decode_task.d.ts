@@ -1,0 +1,41 @@
+import type { KernelsMaker } from "../kernels/load.js";
+import { type ChunkPayloads, type DecoderIndex } from "../scene/chunk_decoder.js";
+import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
+import type { Splats } from "../scene/splats.js";
+/** What chunks are decoded to: arrays to the bit, or what a renderer uploads. */
+export type ChunkFormat = "splats" | "packed";
+/** One chunk to decode; everything in it can be sent to a worker. */
+export interface DecodeTask {
+    readonly payloads: ChunkPayloads;
+    readonly rows: number;
+    readonly needs: {
+        readonly head: number;
+        readonly tail: number;
+    };
+    readonly degree: number;
+    readonly format: ChunkFormat;
+    /** For packed chunks: what their codes stand for. */
+    readonly ranges: PackRanges;
+}
+/** A decoded chunk: one of the two, as the task asked. */
+export interface DecodedChunk {
+    readonly splats?: Splats;
+    readonly packed?: PackedSplats;
+}
+/** Decodes the chunks of one scene, here or in workers. */
+export interface ChunkService {
+    /** Hand over a codebook's segment before the first chunk that needs it. */
+    addCodebook(codebook: number, kind: number, payload: Uint8Array): void;
+    decode(task: DecodeTask): Promise<DecodedChunk>;
+    close(): void;
+}
+/** Decodes where it is called. */
+export declare class InlineService implements ChunkService {
+    private readonly decoder;
+    constructor(index: DecoderIndex, kernels: KernelsMaker);
+    addCodebook(codebook: number, kind: number, payload: Uint8Array): void;
+    decode(task: DecodeTask): Promise<DecodedChunk>;
+    /** Decode without a promise, as a worker does. */
+    decodeNow({ payloads, rows, needs, degree, format, ranges }: DecodeTask): DecodedChunk;
+    close(): void;
+}

@@ -1,0 +1,29 @@
+import type { ReasonCode } from "../errors.js";
+import type { DecoderIndex } from "../scene/chunk_decoder.js";
+import type { DecodedChunk, DecodeTask } from "./decode_task.js";
+/** What a worker is told. */
+export type Request = {
+    readonly type: "scene";
+    readonly index: DecoderIndex;
+} | {
+    readonly type: "codebook";
+    readonly codebook: number;
+    readonly kind: number;
+    readonly payload: Uint8Array;
+} | {
+    readonly type: "chunk";
+    readonly id: number;
+    readonly task: DecodeTask;
+};
+/** What a worker answers: a chunk, or why there is none. */
+export type Response = {
+    readonly id: number;
+    readonly decoded: DecodedChunk;
+} | {
+    readonly id: number;
+    readonly code: ReasonCode | undefined;
+    readonly message: string;
+    readonly offset: number | undefined;
+};
+/** The buffers of a decoded chunk, which are handed over instead of copied. */
+export declare function buffersOf({ splats, packed }: DecodedChunk): ArrayBuffer[];

@@ -1,0 +1,20 @@
+// Compiles assembly/ to WebAssembly and writes it as base64 into src/kernels/wasm_bytes.ts, so that the package needs
+// neither a second request nor `connect-src` for it.
+import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import asc from "assemblyscript/asc";
+
+const WASM = "build/kernels.wasm";
+const OPTIONS = ["-O3", "--converge", "--enable", "simd", "--runtime", "stub", "--noAssert"];
+
+mkdirSync("build", { recursive: true });
+const { error, stderr } = await asc.main(["assembly/index.ts", ...OPTIONS, "-o", WASM]);
+if (error) {
+  console.error(stderr.toString());
+  throw error;
+}
+const bytes = readFileSync(WASM);
+writeFileSync(
+  "src/kernels/wasm_bytes.ts",
+  `// Made by scripts/build_kernels.mjs from assembly/: not to be edited.\nexport const WASM_BASE64 =\n  "${bytes.toString("base64")}";\n`,
+);
+console.log(`kernels: ${bytes.length} bytes`);

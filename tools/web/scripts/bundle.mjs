@@ -1,0 +1,25 @@
+// Bundles build/src: the library and the program of its workers, without a dependency.
+// node scripts/bundle.mjs FOLDER
+import { readFileSync } from "node:fs";
+import { gzipSync } from "node:zlib";
+import { build } from "esbuild";
+
+const [folder] = process.argv.slice(2);
+// The MIT licence of fzstd asks for its notice in every copy.
+const notice = readFileSync("node_modules/fzstd/LICENSE", "utf8").trim();
+const banner = `/*! cogsplat, Apache-2.0; contains fzstd:\n${notice}\n*/`;
+await build({
+  entryPoints: { cogsplat: "build/src/index.js", worker: "build/src/workers/worker.js" },
+  outdir: folder,
+  bundle: true,
+  format: "esm",
+  target: "es2022",
+  minify: true,
+  charset: "utf8",
+  legalComments: "inline",
+  banner: { js: banner },
+});
+for (const file of ["cogsplat.js", "worker.js"]) {
+  const bytes = readFileSync(`${folder}/${file}`);
+  console.log(`${folder}/${file}: ${bytes.length} bytes, ${gzipSync(bytes, { level: 9 }).length} gzipped`);
+}

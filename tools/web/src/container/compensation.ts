@@ -1,0 +1,161 @@
+import { CogsplatError } from "../errors.js";
+import { Fields } from "./fields.js";
+import { parseMap } from "./msgpack.js";
+import type { ChunkTable } from "./tables.js";
+
+const f32 = Math.fround;
+const MAX_BOOK_ROWS = 256;
+
+/** One layer of compensation (SPEC 5.9): what the splats of the first `chunks` chunks gain where only these are there. */
+export interface CompensationLayer {
+  readonly chunks: number;
+  /** For each chunk what its log scales gain, in 1/128. */
+  readonly scales: Int8Array;
+  /** For each chunk what its logits gain, in 1/16. */
+  readonly opacities: Int8Array;
+  /** For each chunk how much codes count for scales and for opacities, in 1/64. */
+  readonly strengths: Uint8Array;
+  /** For each code what it adds to the log scales, in 1/128, and to the logit, in 1/16. */
+  readonly book: Int8Array;
+  /** Codes of the splats of the chunks that the layer before does not have. */
+  readonly codes: Uint8Array;
+  /** First chunk that the layer before does not have. */
+  readonly firstChunk: number;
+}
+
+/**
+ * Read the next layer.
+ *
+ * @param payload - The segment's bytes; their CRC was checked.
+ * @param chunks - The file's chunks as far as they are known.
+ * @param totalChunks - Chunks of the whole file.
+ * @param before - The layer before, where there is one.
+ * @returns The layer, or undefined where it has chunks whose index is not known yet.
+ */
+export function readLayer(
+  payload: Uint8Array, chunks: ChunkTable, totalChunks: number, before: CompensationLayer | undefined,
+): CompensationLayer | undefined {
+  const fields = new Fields(parseMap(payload), "compensation");
+  const scales = int8(fields.column("scales", 1));
+  const count = scales.length;
+  const opacities = int8(fields.column("opacities", 1, count));
+  const strengths = bytes(fields.column("strengths", 2, count));
+  const book = int8(fields.column("book", 2));
+  const codeBytes = bytes(fields.column("codes", 1));
+  fields.finish();
+  const firstChunk = before?.chunks ?? 0;
+  if (count <= firstChunk || count > totalChunks) {
+    throw fields.outOfRange("scales", `a layer of ${count} chunks of ${totalChunks} behind one of ${firstChunk}`);
+  }
+  if (count > chunks.splats.length) return undefined;
+  const rows = book.length / 2;
+  if (rows > MAX_BOOK_ROWS) throw fields.outOfRange("book", `${rows} rows`);
+  const splats = chunks.splats.subarray(firstChunk, count).reduce((sum, n) => sum + n, 0);
+  const codes = readCodes(fields, codeBytes, splats, rows);
+  return { chunks: count, scales, opacities, strengths, book, codes, firstChunk };
+}
+
+function readCodes(fields: Fields, packed: Uint8Array, splats: number, rows: number): Uint8Array {
+  const bits = rows === 0 ? 0 : Math.ceil(Math.log2(rows));
+  const total = rows === 0 ? 0 : splats * bits;
+  if (packed.length !== Math.ceil(total / 8)) {
+    throw new CogsplatError("root-columns", `${packed.length} bytes of codes for ${total} bits`);
+  }
+  if (total % 8 !== 0 && packed[packed.length - 1]! >>> (total % 8) !== 0) {
+    throw fields.outOfRange("codes", "bits behind the last code are set");
+  }
+  const codes = new Uint8Array(rows === 0 ? 0 : splats);
+  for (let i = 0; i < codes.length; i++) {
+    let code = 0;
+    for (let t = 0; t < bits; t++) {
+      const bit = i * bits + t;
+      code |= ((packed[bit >>> 3]! >>> (bit & 7)) & 1) << t;
+    }
+    if (code >= rows) throw fields.outOfRange("codes", `code ${code} of a book of ${rows} rows`);
+    codes[i] = code;
+  }
+  return codes;
+}
+
+/** What is added to each splat of a chunk: to its three log scales, and to its logit. */
+export interface Shifts {
+  readonly scales: Float32Array;
+  readonly opacities: Float32Array;
+}
+
+/**
+ * Shifts that are added to a chunk's splats where only the first chunks of the file are there (SPEC 8.5).
+ *
+ * @param layers - Layers whose segments are there, from the first on.
+ * @param chunks - The file's chunks as far as they are known.
+ * @param scene - Chunks and splats of the whole file.
+ * @param prefix - Number of chunks that are there, from the first on.
+ * @param chunk - A chunk of them.
+ * @returns For each splat what its log scales and its logit gain; undefined where nothing is added.
+ */
+export function shiftsOf(
+  layers: readonly CompensationLayer[],
+  chunks: ChunkTable,
+  scene: { readonly chunks: number; readonly splats: number },
+  prefix: number,
+  chunk: number,
+): Shifts | undefined {
+  if (prefix === scene.chunks || layers.length === 0) return undefined;
+  const rows = chunks.splats[chunk]!;
+  if (prefix <= layers[0]!.chunks) return layerShifts(layers, 0, chunks, chunk);
+  const above = layers.findIndex((layer) => layer.chunks >= prefix);
+  if (above >= 0 && layers[above]!.chunks === prefix) return layerShifts(layers, above, chunks, chunk);
+  const below = (above < 0 ? layers.length : above) - 1;
+  const first = layers[below]!.chunks;
+  const zero = { scales: new Float32Array(rows), opacities: new Float32Array(rows) };
+  const u = above < 0 ? zero : layerShifts(layers, above, chunks, chunk);
+  if (chunk >= first) return u;
+  const s = layerShifts(layers, below, chunks, chunk);
+  const counted = sumSplats(chunks, first, prefix);
+  // Without a layer above, the file's last chunk is the end; chunks that are not known count by the root's sum.
+  const all = above < 0 ? scene.splats - sumSplats(chunks, 0, first) : sumSplats(chunks, first, layers[above]!.chunks);
+  const t = f32(counted / all);
+  const blend = (from: Float32Array, to: Float32Array) =>
+    from.map((value, i) => f32(value + f32(f32(to[i]! - value) * t)));
+  return { scales: blend(s.scales, u.scales), opacities: blend(s.opacities, u.opacities) };
+}
+
+/** Shifts of one layer for the splats of a chunk that it has. */
+function layerShifts(
+  layers: readonly CompensationLayer[], number: number, chunks: ChunkTable, chunk: number,
+): Shifts {
+  const layer = layers[number]!;
+  const rows = chunks.splats[chunk]!;
+  // The first layer that has the chunk brings its codes.
+  const coder = layers.find((candidate) => candidate.chunks > chunk)!;
+  const scale = layer.scales[chunk]! / 128;
+  const opacity = layer.opacities[chunk]! / 16;
+  const scaleStrength = layer.strengths[2 * chunk]! / 64;
+  const opacityStrength = layer.strengths[2 * chunk + 1]! / 64;
+  const scales = new Float32Array(rows).fill(scale);
+  const opacities = new Float32Array(rows).fill(opacity);
+  if (coder.book.length > 0) {
+    const start = sumSplats(chunks, coder.firstChunk, chunk);
+    for (let i = 0; i < rows; i++) {
+      const code = coder.codes[start + i]!;
+      // All of these numbers have so few bits that float32 holds every one exactly.
+      scales[i] = scale + (scaleStrength * coder.book[2 * code]!) / 128;
+      opacities[i] = opacity + (opacityStrength * coder.book[2 * code + 1]!) / 16;
+    }
+  }
+  return { scales, opacities };
+}
+
+function sumSplats(chunks: ChunkTable, first: number, end: number): number {
+  let sum = 0;
+  for (let chunk = first; chunk < end; chunk++) sum += chunks.splats[chunk]!;
+  return sum;
+}
+
+function int8(view: DataView): Int8Array {
+  return Int8Array.from({ length: view.byteLength }, (_, i) => view.getInt8(i));
+}
+
+function bytes(view: DataView): Uint8Array {
+  return Uint8Array.from({ length: view.byteLength }, (_, i) => view.getUint8(i));
+}

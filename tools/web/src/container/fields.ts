@@ -1,0 +1,133 @@
+import { CogsplatError } from "../errors.js";
+import { Float, type Value, type ValueMap } from "./msgpack.js";
+
+/** The keys of one map of SPEC 4 and 5, taken by name and checked as they are taken. */
+export class Fields {
+  private readonly taken = new Set<string>();
+
+  /**
+   * @param map - The map.
+   * @param where - What the map is, for messages.
+   */
+  constructor(
+    private readonly map: ValueMap,
+    readonly where: string,
+  ) {}
+
+  /** Whether the key is there. */
+  has(key: string): boolean {
+    return this.map.has(key);
+  }
+
+  integer(key: string, least: number, most: number): number {
+    const value = this.required(key);
+    if (typeof value !== "number") throw this.wrongType(key, "an integer");
+    if (value < least || value > most) throw this.outOfRange(key, `${value} outside ${least} to ${most}`);
+    return value;
+  }
+
+  float(key: string, fits: (value: number) => boolean, range: string): number {
+    const value = this.required(key);
+    if (!(value instanceof Float)) throw this.wrongType(key, "a float");
+    if (!fits(value.value)) throw this.outOfRange(key, `${value.value} is not ${range}`);
+    return value.value;
+  }
+
+  /** An array of so many finite floats. */
+  floats(key: string, count: number): number[] {
+    const values = this.array(key);
+    if (values.length !== count) throw this.outOfRange(key, `${values.length} values in the place of ${count}`);
+    return values.map((value) => {
+      if (!(value instanceof Float) || !Number.isFinite(value.value)) {
+        throw this.outOfRange(key, "an entry that is no finite float");
+      }
+      return value.value;
+    });
+  }
+
+  boolean(key: string): boolean {
+    const value = this.required(key);
+    if (typeof value !== "boolean") throw this.wrongType(key, "a bool");
+    return value;
+  }
+
+  text(key: string): string {
+    const value = this.required(key);
+    if (typeof value !== "string") throw this.wrongType(key, "a str");
+    return value;
+  }
+
+  array(key: string): readonly Value[] {
+    const value = this.required(key);
+    if (!Array.isArray(value)) throw this.wrongType(key, "an array");
+    return value as readonly Value[];
+  }
+
+  /** An array of maps, each with the fields of its own. */
+  maps(key: string, most: number): Fields[] {
+    const values = this.array(key);
+    if (values.length > most) throw this.outOfRange(key, `${values.length} entries, at most ${most}`);
+    return values.map((value, i) => {
+      if (!(value instanceof Map)) throw this.wrongType(key, "an array of maps");
+      return new Fields(value, `${this.where}.${key}[${i}]`);
+    });
+  }
+
+  fields(key: string): Fields {
+    const value = this.required(key);
+    if (!(value instanceof Map)) throw this.wrongType(key, "a map");
+    return new Fields(value, `${this.where}.${key}`);
+  }
+
+  binary(key: string): Uint8Array {
+    const value = this.required(key);
+    if (!(value instanceof Uint8Array)) throw this.wrongType(key, "a bin");
+    return value;
+  }
+
+  /**
+   * A column: a bin of rows of a fixed size.
+   *
+   * @param rows - How many rows it must have; without it, as many as there are.
+   */
+  column(key: string, rowBytes: number, rows?: number): DataView {
+    const bytes = this.binary(key);
+    if (rows === undefined ? bytes.length % rowBytes !== 0 : bytes.length !== rows * rowBytes) {
+      throw new CogsplatError(
+        "root-columns",
+        `${this.where}.${key} has ${bytes.length} bytes for ${rows ?? "whole"} rows of ${rowBytes}`,
+      );
+    }
+    return new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  }
+
+  /** Skip the keys that were not taken, and refuse those that must be understood (SPEC 4.3). */
+  finish(): void {
+    for (const key of this.map.keys()) {
+      if (!this.taken.has(key) && key.endsWith("!")) {
+        throw new CogsplatError("root-must-understand", `${this.where} has the key ${JSON.stringify(key)}`);
+      }
+    }
+  }
+
+  /** The refusal of a value out of range, for checks that are not made here. */
+  outOfRange(key: string, found: string): CogsplatError {
+    return new CogsplatError("root-value", `${this.where}.${key}: ${found}`);
+  }
+
+  private wrongType(key: string, expected: string): CogsplatError {
+    return new CogsplatError("root-type", `${this.where}.${key} is not ${expected}`);
+  }
+
+  private required(key: string): Value {
+    this.taken.add(key);
+    const value = this.map.get(key);
+    if (value === undefined) throw new CogsplatError("root-missing", `${this.where} has no key ${JSON.stringify(key)}`);
+    return value;
+  }
+}
+
+/** Bytes of a str in UTF-8. */
+export function textBytes(text: string): number {
+  return new TextEncoder().encode(text).length;
+}

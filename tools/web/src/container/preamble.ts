@@ -1,0 +1,56 @@
+import { CogsplatError } from "../errors.js";
+import { crc32 } from "./crc32.js";
+
+/** Bytes of the preamble. */
+export const PREAMBLE_BYTES = 64;
+/** Most bytes of a root: it ends at byte 16,384 (SPEC 3.3). */
+const MAX_ROOT_BYTES = 16_320;
+const MAGIC = Uint8Array.of(0x89, 0x43, 0x4f, 0x47, 0x53, 0x0d, 0x0a, 0x1a);
+const MAJOR = 0;
+const MINOR = 2;
+
+/** What the first 64 bytes state (SPEC 3.1). */
+export interface Preamble {
+  readonly rootLength: number;
+  readonly fileLength: number;
+  readonly rootCrc: number;
+}
+
+/**
+ * Read and check the preamble.
+ *
+ * @param bytes - The beginning of the file.
+ */
+export function readPreamble(bytes: Uint8Array): Preamble {
+  const magic = bytes.subarray(0, MAGIC.length);
+  if (magic.some((byte, i) => byte !== MAGIC[i])) {
+    throw new CogsplatError("not-cogs", `the file begins with ${hex(magic)}`, 0);
+  }
+  if (bytes.length < PREAMBLE_BYTES) {
+    throw new CogsplatError("preamble-truncated", `${bytes.length} bytes where the preamble has ${PREAMBLE_BYTES}`, 0);
+  }
+  const view = new DataView(bytes.buffer, bytes.byteOffset, PREAMBLE_BYTES);
+  if (crc32(bytes.subarray(0, 60)) !== view.getUint32(60, true)) {
+    throw new CogsplatError("preamble-crc", "the preamble's CRC does not match", 60);
+  }
+  const major = view.getUint16(8, true);
+  if (major !== MAJOR) throw new CogsplatError("version-major", `major version ${major}`, 8);
+  const minor = view.getUint16(10, true);
+  if (minor !== MINOR) throw new CogsplatError("version-minor", `minor version ${minor}, this reader knows ${MINOR}`, 10);
+  for (let at = 28; at < 60; at++) {
+    if (bytes[at] !== 0) throw new CogsplatError("preamble-reserved", `reserved byte ${bytes[at]}`, at);
+  }
+  const rootLength = view.getUint32(12, true);
+  if (rootLength < 1 || rootLength > MAX_ROOT_BYTES) {
+    throw new CogsplatError("root-length", `a root of ${rootLength} bytes`, 12);
+  }
+  const fileLength = view.getBigUint64(16, true);
+  if (fileLength < BigInt(PREAMBLE_BYTES + rootLength) || fileLength > BigInt(Number.MAX_SAFE_INTEGER)) {
+    throw new CogsplatError("file-length", `a file of ${fileLength} bytes with a root of ${rootLength}`, 16);
+  }
+  return { rootLength, fileLength: Number(fileLength), rootCrc: view.getUint32(24, true) };
+}
+
+function hex(bytes: Uint8Array): string {
+  return bytes.length === 0 ? "nothing" : Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join(" ");
+}

@@ -1,0 +1,137 @@
+import { CogsplatError } from "../errors.js";
+import { Fields, textBytes } from "./fields.js";
+import { parseMap } from "./msgpack.js";
+import { readFirstView, type Pinhole } from "./pinhole.js";
+import { readChunkTable, readSegmentTable, type ChunkTable, type SegmentTable } from "./tables.js";
+
+/** What a codebook's rows are (SPEC 5.5). */
+export interface CodebookEntry {
+  readonly attribute: "shape" | "colour";
+  readonly rows: number;
+}
+
+/** Types of extra attributes (SPEC 5.7) with the bytes of a value. */
+export const ATTRIBUTE_TYPES = { u1: 1, i1: 1, u2: 2, i2: 2, u4: 4, i4: 4, f4: 4, f8: 8 } as const;
+
+/** An extra attribute that splats carry beside what is drawn of them (SPEC 5.7). */
+export interface AttributeEntry {
+  readonly name: string;
+  readonly type: keyof typeof ATTRIBUTE_TYPES;
+  /** Values of a splat where they are an array, 0 where a splat has one value. */
+  readonly components: number;
+}
+
+/** An index page as the root announces it (SPEC 5.6). */
+export interface PageEntry {
+  readonly length: number;
+  readonly crc: number;
+  readonly segments: number;
+  readonly chunks: number;
+  readonly span: number;
+}
+
+/** What the root says of the scene (SPEC 4.2). */
+export interface SceneInfo {
+  readonly writer: string;
+  /** Splats of all chunks. */
+  readonly splats: number;
+  readonly shDegree: number;
+  /** Where the means' zero is in the world, scene units. */
+  readonly origin: readonly number[];
+  /** Directions of +x, +y and +z, such as `RDF`. */
+  readonly axes: string;
+  readonly colourSpace: "srgb" | "linear";
+  /** Variance that a renderer adds to projected covariances, px². */
+  readonly kernelPx: number;
+  readonly antialiased: boolean;
+  /** Minimum then maximum corner of what the splats reach. */
+  readonly box: readonly number[];
+  readonly firstView: Pinhole | undefined;
+  readonly attributes: readonly AttributeEntry[];
+}
+
+/** The root: the scene, the codebooks, the pages and the root's own tables. */
+export interface Root {
+  readonly scene: SceneInfo;
+  readonly codebooks: readonly CodebookEntry[];
+  readonly pages: readonly PageEntry[];
+  readonly segments: SegmentTable;
+  readonly chunks: ChunkTable;
+}
+
+/** Read and check the root's map; the CRC was checked before. */
+export function readRoot(bytes: Uint8Array): Root {
+  const fields = new Fields(parseMap(bytes), "root");
+  const writer = fields.text("writer");
+  if (textBytes(writer) > 255) throw fields.outOfRange("writer", "more than 255 bytes");
+  const splats = fields.integer("splats", 0, 2 ** 31 - 1);
+  const shDegree = fields.integer("sh_degree", 0, 3);
+  const origin = fields.floats("origin", 3);
+  const axes = fields.text("axes");
+  if (!isAxes(axes)) throw fields.outOfRange("axes", JSON.stringify(axes));
+  const colourSpace = fields.text("colour_space");
+  if (colourSpace !== "srgb" && colourSpace !== "linear") {
+    throw new CogsplatError("colour-space-unknown", `the colour space ${JSON.stringify(colourSpace)}`);
+  }
+  const kernelPx = fields.float("kernel_px", (value) => value >= 0 && Number.isFinite(value), "finite and at least 0");
+  const antialiased = fields.boolean("antialiased");
+  const box = fields.floats("box", 6);
+  if ([0, 1, 2].some((axis) => box[axis]! > box[axis + 3]!)) throw fields.outOfRange("box", "a minimum above its maximum");
+  const codebooks = fields.maps("codebooks", 32).map(readCodebook);
+  const firstView = fields.has("first_view") ? readFirstView(fields.fields("first_view")) : undefined;
+  const attributes = fields.has("attributes") ? readAttributeEntries(fields) : [];
+  const pages = fields.has("pages") ? fields.maps("pages", 128).map(readPageEntry) : [];
+  const segments = readSegmentTable(fields.fields("segments"));
+  const chunks = readChunkTable(fields.fields("chunks"));
+  fields.finish();
+  const scene = {
+    writer, splats, shDegree, origin, axes, colourSpace, kernelPx, antialiased, box, firstView, attributes,
+  } as const;
+  return { scene, codebooks, pages, segments, chunks };
+}
+
+/** Three letters, one of each pair of opposite directions. */
+function isAxes(axes: string): boolean {
+  const pairs = ["RL", "UD", "FB"];
+  return axes.length === 3 && pairs.every((pair) => [...axes].filter((letter) => pair.includes(letter)).length === 1);
+}
+
+function readCodebook(fields: Fields): CodebookEntry {
+  const attribute = fields.text("attribute");
+  if (attribute !== "shape" && attribute !== "colour") {
+    throw new CogsplatError("codebook-unknown", `${fields.where} is of ${JSON.stringify(attribute)}`);
+  }
+  const rows = fields.integer("rows", 1, 65_536);
+  fields.finish();
+  return { attribute, rows };
+}
+
+function readAttributeEntries(root: Fields): AttributeEntry[] {
+  const names = new Set<string>();
+  return root.maps("attributes", 256).map((fields) => {
+    const name = fields.text("name");
+    const bytes = textBytes(name);
+    if (bytes < 1 || bytes > 255) throw fields.outOfRange("name", `${bytes} bytes`);
+    if (names.has(name)) throw fields.outOfRange("name", `${JSON.stringify(name)} twice`);
+    names.add(name);
+    const type = fields.text("type");
+    if (!Object.hasOwn(ATTRIBUTE_TYPES, type)) {
+      throw new CogsplatError("attribute-type-unknown", `${fields.where} is of type ${JSON.stringify(type)}`);
+    }
+    const components = fields.has("components") ? fields.integer("components", 1, 16) : 0;
+    fields.finish();
+    return { name, type: type as keyof typeof ATTRIBUTE_TYPES, components };
+  });
+}
+
+function readPageEntry(fields: Fields): PageEntry {
+  const entry: PageEntry = {
+    length: fields.integer("length", 1, 1_048_576),
+    crc: fields.integer("crc", 0, 2 ** 32 - 1),
+    segments: fields.integer("segments", 1, 1_048_576),
+    chunks: fields.integer("chunks", 0, 1_048_576),
+    span: fields.integer("span", 1, Number.MAX_SAFE_INTEGER),
+  };
+  fields.finish();
+  return entry;
+}

@@ -1,0 +1,331 @@
+import { CogsplatError } from "../errors.js";
+import { crc32 } from "./crc32.js";
+import { Fields } from "./fields.js";
+import { parseMap } from "./msgpack.js";
+import { PREAMBLE_BYTES, readPreamble } from "./preamble.js";
+import { readRoot, type CodebookEntry, type PageEntry, type SceneInfo } from "./root.js";
+import {
+  joinChunks, joinSegments, readChunkTable, readSegmentTable, SegmentKind, type ChunkTable, type SegmentTable,
+} from "./tables.js";
+
+/** Most segments of a file (SPEC 9.1). */
+const MAX_SEGMENTS = 1_048_576;
+/** Segment of a chunk that has none of that kind. */
+const NONE = -1;
+
+/** A run of bytes of the file. */
+export interface ByteRange {
+  readonly offset: number;
+  readonly length: number;
+}
+
+/** The segments of one chunk; −1 where it has none that is known. */
+export interface ChunkSegments {
+  readonly head: number;
+  readonly refinement: number;
+  readonly tail: number;
+  readonly attributes: number;
+}
+
+/**
+ * The index of a file: the root and as many pages as were read (SPEC 3 to 5).
+ *
+ * Files are refused in the order of SPEC 8.1: `open` and `addPage` check each index by itself, `settle` what the
+ * segments of all of them say together. Chunks are known once they are settled.
+ */
+export class SceneIndex {
+  readonly scene: SceneInfo;
+  readonly codebooks: readonly CodebookEntry[];
+  readonly fileLength: number;
+  readonly rootLength: number;
+  readonly pages: readonly PageEntry[];
+  segments: SegmentTable;
+  chunks: ChunkTable;
+  /** First byte of each segment in the file. */
+  offsets = new Float64Array(0);
+  /** Pages that were read. */
+  pagesRead = 0;
+  /** Segments of compensation and of cameras, in file order. */
+  readonly compensation: number[] = [];
+  readonly cameras: number[] = [];
+
+  private readonly totalChunks: number;
+  private readonly heads: number[] = [];
+  private readonly tails: Int32Array;
+  private readonly refinements: Int32Array;
+  private readonly attributes: Int32Array;
+  /** For each codebook the segments of its kinds. */
+  private readonly codebookSegments: Map<number, number>[];
+  /** Where what was read last ends. */
+  private end: number;
+  /** Segments whose owners were noted. */
+  private settled = 0;
+
+  private constructor(bytes: Uint8Array) {
+    const preamble = readPreamble(bytes);
+    const rootEnd = PREAMBLE_BYTES + preamble.rootLength;
+    if (bytes.length < rootEnd) {
+      throw new CogsplatError("root-truncated", `${bytes.length} bytes, the root ends at ${rootEnd}`, PREAMBLE_BYTES);
+    }
+    const rootBytes = bytes.slice(PREAMBLE_BYTES, rootEnd);
+    if (crc32(rootBytes) !== preamble.rootCrc) {
+      throw new CogsplatError("root-crc", "the root's CRC does not match", PREAMBLE_BYTES);
+    }
+    const root = readRoot(rootBytes);
+    this.scene = root.scene;
+    this.codebooks = root.codebooks;
+    this.pages = root.pages;
+    this.segments = root.segments;
+    this.chunks = root.chunks;
+    this.fileLength = preamble.fileLength;
+    this.rootLength = preamble.rootLength;
+    this.end = rootEnd;
+    const segments = root.pages.reduce((sum, page) => sum + page.segments, root.segments.kind.length);
+    if (segments > MAX_SEGMENTS) throw new CogsplatError("segment-count", `${segments} segments`);
+    this.totalChunks = root.pages.reduce((sum, page) => sum + page.chunks, root.chunks.splats.length);
+    // Chunks have a head each, so there are no more of them than segments.
+    if (this.totalChunks > segments) throw new CogsplatError("chunk-heads", `${this.totalChunks} chunks in ${segments} segments`);
+    this.tails = new Int32Array(this.totalChunks).fill(NONE);
+    this.refinements = new Int32Array(this.totalChunks).fill(NONE);
+    this.attributes = new Int32Array(this.totalChunks).fill(NONE);
+    this.codebookSegments = root.codebooks.map(() => new Map<number, number>());
+  }
+
+  /**
+   * Read preamble and root.
+   *
+   * @param bytes - The beginning of the file, at least to the end of the root.
+   * @param sourceLength - Length of the source, where it is known: compared with what the file states.
+   * @param partial - Whether a source shorter than the file is accepted (SPEC 8.3).
+   */
+  static open(bytes: Uint8Array, sourceLength?: number, partial = false): SceneIndex {
+    const index = new SceneIndex(bytes);
+    if (sourceLength !== undefined) index.checkSource(sourceLength, partial);
+    index.enterSegments(0, index.chunks.splats.length);
+    return index;
+  }
+
+  /** Where the next page that was not read is, or undefined where all were. */
+  nextPage(): ByteRange | undefined {
+    const page = this.pages[this.pagesRead];
+    if (page === undefined) return undefined;
+    if (this.end + page.length > this.fileLength) {
+      throw new CogsplatError("segments-length", `page ${this.pagesRead} leaves the file`, this.end);
+    }
+    return { offset: this.end, length: page.length };
+  }
+
+  /** Read the page that `nextPage` tells of. */
+  addPage(bytes: Uint8Array): void {
+    const number = this.pagesRead;
+    const entry = this.pages[number]!;
+    const offset = this.end;
+    if (crc32(bytes) !== entry.crc) throw new CogsplatError("page-crc", `the CRC of page ${number} does not match`, offset);
+    const fields = new Fields(parseMap(bytes), `page ${number}`);
+    const segments = readSegmentTable(fields.fields("segments"));
+    const chunks = readChunkTable(fields.fields("chunks"));
+    fields.finish();
+    const span = segments.length.reduce((sum, length) => sum + length, 0);
+    if (segments.kind.length !== entry.segments || chunks.splats.length !== entry.chunks || span !== entry.span) {
+      throw new CogsplatError("page-entry", `page ${number} differs from its entry in the root`, offset);
+    }
+    const firstSegment = this.segments.kind.length;
+    this.segments = joinSegments(this.segments, segments);
+    this.chunks = joinChunks(this.chunks, chunks);
+    this.end += entry.length;
+    this.pagesRead++;
+    this.enterSegments(firstSegment, chunks.splats.length);
+  }
+
+  /** Number of chunks that are known. */
+  get chunkCount(): number {
+    return this.heads.length;
+  }
+
+  /** Number of chunks of the whole file. */
+  get totalChunkCount(): number {
+    return this.totalChunks;
+  }
+
+  /** Whether root and all pages were read. */
+  get complete(): boolean {
+    return this.pagesRead === this.pages.length;
+  }
+
+  /** The segments of a chunk whose index is known. */
+  chunkSegments(chunk: number): ChunkSegments {
+    return {
+      head: this.heads[chunk]!,
+      refinement: this.refinements[chunk]!,
+      tail: this.tails[chunk]!,
+      attributes: this.attributes[chunk]!,
+    };
+  }
+
+  /** Where a segment is in the file. */
+  range(segment: number): ByteRange {
+    return { offset: this.offsets[segment]!, length: this.segments.length[segment]! };
+  }
+
+  /**
+   * The segments of the codebooks that a segment needs, up to the band of a degree.
+   *
+   * @returns Segment numbers; undefined where one stands in a page that was not read.
+   */
+  codebookSegmentsOf(segment: number, degree: number): number[] | undefined {
+    const found: number[] = [];
+    const needs = this.segments.needs[segment]!;
+    for (let codebook = 0; codebook < this.codebooks.length; codebook++) {
+      if (((needs >>> codebook) & 1) === 0) continue;
+      for (const kind of this.kindsOf(codebook, degree)) {
+        const number = this.codebookSegments[codebook]!.get(kind);
+        if (number === undefined) return undefined;
+        found.push(number);
+      }
+    }
+    return found;
+  }
+
+  /** Refuse a payload whose CRC is not the table's. */
+  checkCrc(segment: number, payload: Uint8Array): void {
+    if (payload.length !== this.segments.length[segment]! || crc32(payload) !== this.segments.crc[segment]!) {
+      throw new CogsplatError("segment-crc", `the CRC of segment ${segment} does not match`, this.offsets[segment]!);
+    }
+  }
+
+  /** Compare the length of the source with what the file states (SPEC 8.3). */
+  private checkSource(length: number, partial: boolean): void {
+    if (length > this.fileLength) {
+      throw new CogsplatError("file-trailing", `${length} bytes, the file ends at ${this.fileLength}`, this.fileLength);
+    }
+    if (length < this.fileLength && !partial) {
+      throw new CogsplatError("file-truncated", `${length} of ${this.fileLength} bytes`, length);
+    }
+  }
+
+  /**
+   * Check what the segments that were read since the last call say together, and note whose they are.
+   *
+   * What depends on the whole file is checked once all pages were read.
+   */
+  settle(): void {
+    const first = this.settled;
+    this.settled = this.segments.kind.length;
+    if (this.end > this.fileLength || (this.complete && this.end !== this.fileLength)) {
+      throw new CogsplatError("segments-length", `index and segments end at ${this.end}, the file at ${this.fileLength}`);
+    }
+    this.enterHeads(first);
+    this.enterOnce(first, SegmentKind.tail, this.tails, "chunk-tails");
+    this.enterOnce(first, SegmentKind.refinement, this.refinements, "chunk-refinements");
+    if (this.complete) this.checkSplats();
+    this.checkNeeds(first);
+    this.enterCodebooks(first);
+    this.enterOnce(first, SegmentKind.attributes, this.attributes, "attribute-segments");
+    this.enterCameras(first);
+    this.enterCompensation(first);
+  }
+
+  /** Give the segments of one index their places, and compare the number of its heads with that of its chunks. */
+  private enterSegments(first: number, chunks: number): void {
+    const { kind, length } = this.segments;
+    const offsets = new Float64Array(kind.length);
+    offsets.set(this.offsets);
+    let heads = 0;
+    for (let i = first; i < kind.length; i++) {
+      offsets[i] = this.end;
+      this.end += length[i]!;
+      if (kind[i] === SegmentKind.head) heads++;
+    }
+    this.offsets = offsets;
+    if (heads !== chunks) throw new CogsplatError("chunk-heads", `an index of ${heads} heads and ${chunks} chunks`);
+  }
+
+  private enterHeads(first: number): void {
+    for (const [segment, owner] of this.ofKind(SegmentKind.head, first)) {
+      if (owner !== this.heads.length) {
+        throw new CogsplatError("chunk-heads", `a head of chunk ${owner} in the place of ${this.heads.length}`);
+      }
+      this.heads.push(segment);
+    }
+  }
+
+  /** Note the segments that a chunk has at most once, behind its head. */
+  private enterOnce(
+    first: number, kind: number, table: Int32Array, code: "chunk-tails" | "chunk-refinements" | "attribute-segments",
+  ): void {
+    const isAllowed =
+      code === "chunk-tails" ? this.scene.shDegree > 0 : code !== "attribute-segments" || this.scene.attributes.length > 0;
+    for (const [segment, chunk] of this.ofKind(kind, first)) {
+      const head = this.heads[chunk];
+      if (!isAllowed) throw new CogsplatError(code, `segment ${segment} has no place in this scene`);
+      if (head === undefined || head > segment || table[chunk] !== NONE) {
+        throw new CogsplatError(code, `segment ${segment} of chunk ${chunk} is its second, before its head, or of no chunk`);
+      }
+      table[chunk] = segment;
+    }
+  }
+
+  private checkSplats(): void {
+    const splats = this.chunks.splats.reduce((sum, rows) => sum + rows, 0);
+    if (splats !== this.scene.splats) {
+      throw new CogsplatError("splat-count", `chunks of ${splats} splats, the root says ${this.scene.splats}`);
+    }
+  }
+
+  private checkNeeds(first: number): void {
+    const count = this.codebooks.length;
+    const wrong = count < 32 ? this.segments.needs.subarray(first).findIndex((needs) => needs >>> count !== 0) : -1;
+    if (wrong >= 0) {
+      throw new CogsplatError("needs-range", `segment ${first + wrong} needs a codebook that is not listed`);
+    }
+  }
+
+  private enterCodebooks(first: number): void {
+    for (const kind of [SegmentKind.shapeCodebook, SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentKind.colourBand3]) {
+      for (const [segment, codebook] of this.ofKind(kind, first)) {
+        const segments = this.codebookSegments[codebook];
+        if (segments === undefined || segments.has(kind) || !this.kindsOf(codebook, this.scene.shDegree).includes(kind)) {
+          throw new CogsplatError("codebook-segments", `segment ${segment} of kind ${kind} has no place in codebook ${codebook}`);
+        }
+        segments.set(kind, segment);
+      }
+    }
+    if (!this.complete) return;
+    this.codebooks.forEach((_, codebook) => {
+      const missing = this.kindsOf(codebook, this.scene.shDegree).find((kind) => !this.codebookSegments[codebook]!.has(kind));
+      if (missing !== undefined) {
+        throw new CogsplatError("codebook-segments", `codebook ${codebook} has no segment of kind ${missing}`);
+      }
+    });
+  }
+
+  private enterCameras(first: number): void {
+    for (const [segment, owner] of this.ofKind(SegmentKind.cameras, first)) {
+      if (owner !== 0 || this.cameras.length > 0) {
+        throw new CogsplatError("camera-segments", `a segment of cameras of owner ${owner}, or a second one`);
+      }
+      this.cameras.push(segment);
+    }
+  }
+
+  private enterCompensation(first: number): void {
+    for (const [segment, layer] of this.ofKind(SegmentKind.compensation, first)) {
+      if (layer !== this.compensation.length) {
+        throw new CogsplatError("compensation-segments", `layer ${layer} in the place of ${this.compensation.length}`);
+      }
+      this.compensation.push(segment);
+    }
+  }
+
+  /** Segments of a kind from a row on, each with its owner. */
+  private *ofKind(wanted: number, first: number): Generator<readonly [number, number]> {
+    const { kind, owner } = this.segments;
+    for (let i = first; i < kind.length; i++) if (kind[i] === wanted) yield [i, owner[i]!];
+  }
+
+  /** Kinds of the segments that a codebook has up to a degree. */
+  private kindsOf(codebook: number, degree: number): readonly number[] {
+    if (this.codebooks[codebook]!.attribute === "shape") return [SegmentKind.shapeCodebook];
+    return [SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentKind.colourBand3].slice(0, degree);
+  }
+}

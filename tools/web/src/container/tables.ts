@@ -1,0 +1,157 @@
+import { CogsplatError } from "../errors.js";
+import { Fields } from "./fields.js";
+
+/** Segment kinds of SPEC 5.2. */
+export const SegmentKind = {
+  head: 1,
+  tail: 2,
+  shapeCodebook: 3,
+  colourBand1: 4,
+  colourBand2: 5,
+  colourBand3: 6,
+  refinement: 7,
+  cameras: 128,
+  attributes: 129,
+  compensation: 130,
+} as const;
+
+/** Segment kinds from here on may be skipped by readers that do not know them. */
+const FIRST_SKIPPABLE_KIND = 128;
+/** Most splats of a chunk (SPEC 5.4). */
+const MAX_CHUNK_SPLATS = 262_144;
+
+/** The rows of one or several segment tables (SPEC 5.3). */
+export interface SegmentTable {
+  readonly kind: Uint8Array;
+  readonly owner: Uint32Array;
+  readonly length: Uint32Array;
+  readonly crc: Uint32Array;
+  /** 16 bytes a row. */
+  readonly hash: Uint8Array;
+  readonly needs: Uint32Array;
+}
+
+/** The rows of one or several chunk tables (SPEC 5.4). */
+export interface ChunkTable {
+  readonly splats: Uint32Array;
+  /** Six numbers a row: minimum then maximum corner. */
+  readonly box: Float32Array;
+  readonly contribution: Float64Array;
+  readonly layer: Uint32Array;
+  readonly cell: Uint32Array;
+  readonly object: Uint32Array;
+  readonly quality: Float32Array;
+}
+
+/** Read `segments` of a root or a page. */
+export function readSegmentTable(fields: Fields): SegmentTable {
+  const kind = Uint8Array.from(bytesOf(fields.column("kind", 1)));
+  const rows = kind.length;
+  const table: SegmentTable = {
+    kind,
+    owner: uint32Column(fields.column("owner", 4, rows)),
+    length: uint32Column(fields.column("length", 4, rows)),
+    crc: uint32Column(fields.column("crc", 4, rows)),
+    hash: Uint8Array.from(bytesOf(fields.column("hash", 16, rows))),
+    needs: uint32Column(fields.column("needs", 4, rows)),
+  };
+  fields.finish();
+  const known = new Set<number>(Object.values(SegmentKind));
+  for (let i = 0; i < rows; i++) {
+    if (table.length[i] === 0) throw fields.outOfRange("length", `segment ${i} has no bytes`);
+    if (kind[i]! < FIRST_SKIPPABLE_KIND && !known.has(kind[i]!)) {
+      throw new CogsplatError("segment-kind-unknown", `${fields.where}: segment ${i} is of kind ${kind[i]}`);
+    }
+  }
+  return table;
+}
+
+/** Read `chunks` of a root or a page. */
+export function readChunkTable(fields: Fields): ChunkTable {
+  const splats = uint32Column(fields.column("splats", 4));
+  const rows = splats.length;
+  const box = float32Column(fields.column("box", 24, rows));
+  const contribution = float64Column(fields.column("contribution", 8, rows));
+  const optional = (key: string) =>
+    fields.has(key) ? uint32Column(fields.column(key, 4, rows)) : new Uint32Array(rows);
+  const table: ChunkTable = {
+    splats,
+    box,
+    contribution,
+    layer: optional("layer"),
+    cell: optional("cell"),
+    object: optional("object"),
+    quality: fields.has("quality") ? float32Column(fields.column("quality", 4, rows)) : new Float32Array(rows),
+  };
+  fields.finish();
+  for (let i = 0; i < rows; i++) {
+    if (splats[i]! < 1 || splats[i]! > MAX_CHUNK_SPLATS) throw fields.outOfRange("splats", `chunk ${i} has ${splats[i]}`);
+    for (let axis = 0; axis < 3; axis++) {
+      const least = box[6 * i + axis]!;
+      const most = box[6 * i + 3 + axis]!;
+      // Finite ends whose minimum is not above the maximum; NaN fails the comparison.
+      if (!(least <= most && least > -Infinity && most < Infinity)) {
+        throw fields.outOfRange("box", `chunk ${i} from ${least} to ${most}`);
+      }
+    }
+    const contributed = contribution[i]!;
+    if (!(contributed >= 0 && contributed < Infinity)) {
+      throw fields.outOfRange("contribution", `chunk ${i} has ${contributed}`);
+    }
+    const quality = table.quality[i]!;
+    if (!(quality >= 0 && quality <= 100)) throw fields.outOfRange("quality", `chunk ${i} has ${quality} dB`);
+  }
+  return table;
+}
+
+/** The rows of one table and then of another. */
+export function joinSegments(first: SegmentTable, second: SegmentTable): SegmentTable {
+  return {
+    kind: join(first.kind, second.kind),
+    owner: join(first.owner, second.owner),
+    length: join(first.length, second.length),
+    crc: join(first.crc, second.crc),
+    hash: join(first.hash, second.hash),
+    needs: join(first.needs, second.needs),
+  };
+}
+
+/** The rows of one table and then of another. */
+export function joinChunks(first: ChunkTable, second: ChunkTable): ChunkTable {
+  return {
+    splats: join(first.splats, second.splats),
+    box: join(first.box, second.box),
+    contribution: join(first.contribution, second.contribution),
+    layer: join(first.layer, second.layer),
+    cell: join(first.cell, second.cell),
+    object: join(first.object, second.object),
+    quality: join(first.quality, second.quality),
+  };
+}
+
+type Column = Uint8Array | Uint32Array | Float32Array | Float64Array;
+
+function join<T extends Column>(first: T, second: T): T {
+  const joined = new (first.constructor as new (length: number) => T)(first.length + second.length);
+  joined.set(first);
+  joined.set(second, first.length);
+  return joined;
+}
+
+function bytesOf(view: DataView): Uint8Array {
+  return new Uint8Array(view.buffer, view.byteOffset, view.byteLength);
+}
+
+/** A column of u32; bins are not aligned, so each number is read by itself. */
+export function uint32Column(view: DataView): Uint32Array {
+  return Uint32Array.from({ length: view.byteLength / 4 }, (_, i) => view.getUint32(4 * i, true));
+}
+
+function float32Column(view: DataView): Float32Array {
+  return Float32Array.from({ length: view.byteLength / 4 }, (_, i) => view.getFloat32(4 * i, true));
+}
+
+/** A column of f64. */
+export function float64Column(view: DataView): Float64Array {
+  return Float64Array.from({ length: view.byteLength / 8 }, (_, i) => view.getFloat64(8 * i, true));
+}

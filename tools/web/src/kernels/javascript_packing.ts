@@ -1,0 +1,83 @@
+/** Packing for renderers in plain JavaScript; `src/scene/packed_splats.ts` describes the layouts. */
+
+const SH_C0 = 0.28209479177387814;
+/** Range of log scales that one byte stands for. */
+const LOG_MIN = -12;
+const LOG_STEPS = 254 / 21;
+
+/** Bytes 0 to 255 of numbers 0 to 1. */
+function byte(value: number): number {
+  return Math.round(Math.min(Math.max(value, 0), 1) * 255);
+}
+
+function logScale(value: number): number {
+  return Math.round(Math.min(Math.max((value - LOG_MIN) * LOG_STEPS, 0), 254)) + 1;
+}
+
+const halfBits = new Uint32Array(1);
+const halfValue = new Float32Array(halfBits.buffer);
+
+/** The nearest half float; above the range the largest. */
+function half(value: number): number {
+  halfValue[0] = value;
+  const sign = (halfBits[0]! >>> 16) & 0x8000;
+  const magnitude = Math.min(Math.abs(value), 65504);
+  if (magnitude < 2 ** -14) return sign | Math.round(magnitude * 2 ** 24);
+  halfValue[0] = magnitude;
+  const bits = halfBits[0]!;
+  return sign | ((bits + 0xfff + ((bits >>> 13) & 1) - 0x38000000) >>> 13);
+}
+
+/** A rotation as its axis on an octahedron, two bytes, and its angle, one byte. */
+function octahedral(w: number, x: number, y: number, z: number): number {
+  const sum = Math.abs(x) + Math.abs(y) + Math.abs(z);
+  let u = sum < 1e-6 ? 1 : x / sum;
+  let v = sum < 1e-6 ? 0 : y / sum;
+  if (z < 0) {
+    [u, v] = [(1 - Math.abs(v)) * (u < 0 ? -1 : 1), (1 - Math.abs(u)) * (v < 0 ? -1 : 1)];
+  }
+  const angle = (2 * Math.acos(Math.min(w, 1))) / Math.PI;
+  return byte(u / 2 + 0.5) | (byte(v / 2 + 0.5) << 8) | (byte(angle) << 16);
+}
+
+/** Pack rows of 14 columns: means, scales, quats, opacities, sh0. */
+export function packSplats(
+  columns: readonly Float32Array[], rows: number, rgbMin: number, rgbMax: number, target: Uint32Array,
+): void {
+  for (let row = 0; row < rows; row++) {
+    const at = (column: number) => columns[column]![row]!;
+    const rgb = [11, 12, 13].map((column) => byte((at(column) * SH_C0 + 0.5 - rgbMin) / (rgbMax - rgbMin))) as [number, number, number];
+    const alpha = byte(1 / (1 + Math.exp(-at(10))));
+    const rotation = octahedral(at(6), at(7), at(8), at(9));
+    target[4 * row] = rgb[0] | (rgb[1] << 8) | (rgb[2] << 16) | (alpha << 24);
+    target[4 * row + 1] = half(at(0)) | (half(at(1)) << 16);
+    target[4 * row + 2] = half(at(2)) | ((rotation & 0xffff) << 16);
+    target[4 * row + 3] =
+      logScale(at(3)) | (logScale(at(4)) << 8) | (logScale(at(5)) << 16) | ((rotation >>> 16) << 24);
+  }
+}
+
+/**
+ * Pack one SH band of every row.
+ *
+ * @param source - Rows of `stride` floats, the band's first at `first`.
+ * @param bits - Bits of a value in two's complement, whose largest stands for `range`.
+ * @param words - Words of a row in `target`.
+ */
+export function packBand(
+  source: Float32Array, rows: number, stride: number, first: number, count: number, bits: number, range: number,
+  words: number, target: Uint32Array,
+): void {
+  const most = 2 ** (bits - 1) - 1;
+  target.fill(0, 0, rows * words);
+  for (let row = 0; row < rows; row++) {
+    for (let i = 0; i < count; i++) {
+      const value = (source[row * stride + first + i]! * most) / range;
+      const code = Math.round(Math.min(Math.max(value, -most), most)) & (2 ** bits - 1);
+      const bit = i * bits;
+      const word = row * words + (bit >>> 5);
+      target[word]! |= code << (bit & 31);
+      if ((bit & 31) + bits > 32) target[word + 1]! |= code >>> (32 - (bit & 31));
+    }
+  }
+}

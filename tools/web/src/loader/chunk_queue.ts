@@ -1,0 +1,173 @@
+import type { SceneIndex } from "../container/scene_index.js";
+import type { PackRanges } from "../scene/packed_splats.js";
+import type { ChunkService, ChunkFormat } from "../workers/decode_task.js";
+import type { ChunkUpdate } from "./stream_options.js";
+
+/** What is decoded and how. */
+export interface DecodeOptions {
+  readonly degree: number;
+  readonly format: ChunkFormat;
+  readonly ranges: PackRanges;
+  readonly refine: boolean;
+}
+
+/** Which payloads of a chunk were in its last update. */
+interface Given {
+  readonly tail: boolean;
+  readonly refined: boolean;
+}
+
+/**
+ * Collects the payloads of chunks and decodes each chunk when its head and the codebooks that it needs are there, and
+ * again when its refinement or its tail has come.
+ */
+export class ChunkQueue {
+  private readonly payloads = new Map<number, Uint8Array>();
+  private readonly codebooks = new Set<number>();
+  /** Segments that cannot be had. */
+  private readonly lost = new Set<number>();
+  private readonly given = new Map<number, Given>();
+  private readonly decoding = new Set<number>();
+  /** Chunks that were not yet given with all that they have. */
+  private readonly open = new Set<number>();
+
+  constructor(
+    private readonly index: SceneIndex,
+    private readonly service: ChunkService,
+    private readonly options: DecodeOptions,
+    private readonly emit: (update: Omit<ChunkUpdate, "prefix">) => void,
+    private readonly fail: (error: unknown, chunk: number) => void,
+  ) {}
+
+  /** Chunks from here on are decoded as their payloads come. */
+  expect(chunk: number): void {
+    this.open.add(chunk);
+  }
+
+  /** The segments that the expected chunks still need, by chunk. */
+  allMissing(): number[] {
+    return [...this.open].flatMap((chunk) => this.missing(chunk));
+  }
+
+  /** The segments that a chunk still needs, in the order in which they help most. */
+  private missing(chunk: number): number[] {
+    const { head, refinement, tail } = this.index.chunkSegments(chunk);
+    const { degree, refine } = this.options;
+    const books = (segment: number, upTo: number) => this.index.codebookSegmentsOf(segment, upTo) ?? [];
+    const wanted = [...books(head, 0), head];
+    if (refine && refinement >= 0) wanted.push(refinement);
+    if (degree > 0 && tail >= 0) wanted.push(...books(tail, degree), tail);
+    return wanted.filter((segment) => !this.has(segment) && !this.lost.has(segment));
+  }
+
+  /** Whether a segment has come. */
+  has(segment: number): boolean {
+    return this.payloads.has(segment) || this.codebooks.has(segment);
+  }
+
+  /** Take a segment whose CRC was checked. */
+  add(segment: number, payload: Uint8Array): void {
+    const kind = this.index.segments.kind[segment]!;
+    const owner = this.index.segments.owner[segment]!;
+    if (kind >= 3 && kind <= 6) {
+      this.codebooks.add(segment);
+      this.service.addCodebook(owner, kind, payload);
+      for (const chunk of this.open) this.decode(chunk);
+    } else if (this.open.has(owner)) {
+      this.payloads.set(segment, payload);
+      this.decode(owner);
+    }
+  }
+
+  /** Go on without a segment; gives the chunks that cannot be drawn for it, or that lack something. */
+  lose(segment: number): number[] {
+    this.lost.add(segment);
+    const touched = [...this.open].filter((chunk) => {
+      const { head, refinement, tail } = this.index.chunkSegments(chunk);
+      const parts = [head, refinement, tail].filter((part) => part >= 0);
+      return parts.some((part) => part === segment || this.index.codebookSegmentsOf(part, 3)?.includes(segment));
+    });
+    for (const chunk of touched) this.decode(chunk);
+    return touched;
+  }
+
+  /** Whether every chunk that was expected has been given, or cannot be. */
+  get idle(): boolean {
+    return this.decoding.size === 0;
+  }
+
+  private decode(chunk: number): void {
+    if (this.decoding.has(chunk) || !this.open.has(chunk)) return;
+    const { head, refinement, tail } = this.index.chunkSegments(chunk);
+    const { needs } = this.index.segments;
+    const { degree, format, ranges } = this.options;
+    if (!this.ready(head, 0)) {
+      if (this.isLost(head, 0)) this.close(chunk);
+      return;
+    }
+    const withTail = degree > 0 && tail >= 0 && this.ready(tail, degree);
+    const refined = refinement >= 0 && this.payloads.has(refinement);
+    const before = this.given.get(chunk);
+    // A page that is not known yet may bring a tail or a refinement.
+    const final = this.index.complete && this.missing(chunk).length === 0;
+    if (before !== undefined && before.tail === withTail && before.refined === refined) {
+      if (final) this.close(chunk);
+      return;
+    }
+    const rows = this.index.chunks.splats[chunk]!;
+    this.decoding.add(chunk);
+    const payloads = {
+      chunk,
+      head: this.payloads.get(head)!,
+      tail: withTail ? this.payloads.get(tail)! : undefined,
+      refinement: refined ? this.payloads.get(refinement)! : undefined,
+    };
+    this.given.set(chunk, { tail: withTail, refined });
+    if (final) this.close(chunk);
+    this.service
+      .decode({ payloads, rows, needs: { head: needs[head]!, tail: withTail ? needs[tail]! : 0 }, degree, format, ranges })
+      .then(
+        (decoded) => {
+          this.decoding.delete(chunk);
+          const firstRow = this.firstRow(chunk);
+          this.emit({ chunk, firstRow, count: rows, tail: withTail, refined, ...decoded });
+          this.decode(chunk);
+        },
+        (error: unknown) => {
+          this.decoding.delete(chunk);
+          this.close(chunk);
+          this.fail(error, chunk);
+        },
+      );
+  }
+
+  /** Whether a segment and the codebooks that it needs are there. */
+  private ready(segment: number, degree: number): boolean {
+    const books = this.index.codebookSegmentsOf(segment, degree);
+    return this.payloads.has(segment) && books !== undefined && books.every((book) => this.codebooks.has(book));
+  }
+
+  private isLost(segment: number, degree: number): boolean {
+    const books = this.index.codebookSegmentsOf(segment, degree) ?? [];
+    return [segment, ...books].some((part) => this.lost.has(part));
+  }
+
+  /** Forget a chunk's payloads: nothing more comes of it. */
+  private close(chunk: number): void {
+    this.open.delete(chunk);
+    this.given.delete(chunk);
+    const { head, refinement, tail } = this.index.chunkSegments(chunk);
+    for (const segment of [head, refinement, tail]) this.payloads.delete(segment);
+  }
+
+  private rowStarts: Float64Array | undefined;
+
+  private firstRow(chunk: number): number {
+    const { splats } = this.index.chunks;
+    if (this.rowStarts === undefined || this.rowStarts.length < splats.length) {
+      this.rowStarts = new Float64Array(splats.length);
+      for (let i = 1; i < splats.length; i++) this.rowStarts[i] = this.rowStarts[i - 1]! + splats[i - 1]!;
+    }
+    return this.rowStarts[chunk]!;
+  }
+}

@@ -1,0 +1,101 @@
+import type { ByteRange } from "../container/scene_index.js";
+import { CogsplatError, SourceError } from "../errors.js";
+import { readParts, type Answer, type ByteSource, type ReadOptions } from "./byte_source.js";
+
+/** How requests are made. */
+export interface HttpOptions {
+  /** Headers of every request, such as an authorisation. */
+  readonly headers?: Readonly<Record<string, string>>;
+  readonly credentials?: RequestCredentials;
+  /** In the place of the global `fetch`. */
+  readonly fetch?: typeof fetch;
+}
+
+/** Statuses after which the same request may succeed. */
+const RETRYABLE = new Set([408, 425, 429, 500, 502, 503, 504]);
+
+/** A file on a server that answers ranges; one that does not is read from the front. */
+export class HttpSource implements ByteSource {
+  private etag: string | undefined;
+  private total: number | undefined;
+
+  constructor(
+    private readonly url: string | URL,
+    private readonly options: HttpOptions = {},
+  ) {}
+
+  async read(range: ByteRange, { signal, fresh }: ReadOptions = {}): Promise<Answer> {
+    const last = range.offset + range.length - 1;
+    const response = await this.request(`bytes=${range.offset}-${last}`, signal, fresh ?? false);
+    try {
+      return this.check(response, range, signal);
+    } catch (error) {
+      await response.body?.cancel();
+      throw error;
+    }
+  }
+
+  private async request(range: string, signal: AbortSignal | undefined, fresh: boolean): Promise<Response> {
+    const { headers, credentials } = this.options;
+    try {
+      return await (this.options.fetch ?? fetch)(this.url, {
+        headers: { ...headers, Range: range },
+        cache: fresh ? "reload" : "default",
+        ...(credentials && { credentials }),
+        ...(signal && { signal }),
+      });
+    } catch (error) {
+      if (signal?.aborted) throw error;
+      // `fetch` says no more than that it failed: no connection, no name, or no permission across origins.
+      throw new SourceError(`${String(this.url)} cannot be reached: ${String(error)}`, undefined, true);
+    }
+  }
+
+  /** Accept an answer, or say what is wrong with it; its body was not read yet. */
+  private check(response: Response, range: ByteRange, signal: AbortSignal | undefined): Answer {
+    const { status, headers } = response;
+    const what = `bytes ${range.offset} to ${range.offset + range.length - 1} of ${String(this.url)}`;
+    if (status === 416) throw new CogsplatError("source-changed", `the file ends before ${what}`);
+    if (status !== 206 && status !== 200) {
+      throw new SourceError(`${what}: status ${status}`, status, RETRYABLE.has(status));
+    }
+    const encoding = headers.get("Content-Encoding");
+    if (encoding !== null && encoding !== "identity") {
+      throw new SourceError(`${what}: an answer with Content-Encoding ${encoding} is not of these bytes`, status);
+    }
+    const contentRange = headers.get("Content-Range");
+    const stated = /^bytes (\d+)-(\d+)\/(\d+|\*)$/.exec(contentRange ?? "");
+    // Across origins the header is hidden unless the server exposes it: then the length alone is compared.
+    const total = status === 200 ? lengthOf(headers) : stated && stated[3] !== "*" ? Number(stated[3]) : undefined;
+    if (status === 206 && contentRange !== null) {
+      const end = Math.min(range.offset + range.length, total ?? Infinity) - 1;
+      if (stated === null || Number(stated[1]) !== range.offset || Number(stated[2]) !== end) {
+        throw new SourceError(`${what}: an answer of ${contentRange}`, status);
+      }
+    }
+    const length = lengthOf(headers);
+    if (status === 206 && length !== undefined && length > range.length) {
+      throw new SourceError(`${what}: an answer of ${length} bytes`, status);
+    }
+    this.compare(headers.get("ETag"), total);
+    if (response.body === null) throw new SourceError(`${what}: an answer without a body`, status, true);
+    const whole = status === 200;
+    return { offset: whole ? 0 : range.offset, total, whole, parts: readParts(response.body, signal) };
+  }
+
+  /** Refuse an answer of another file than that of the first answer; weak ETags say nothing of bytes. */
+  private compare(etag: string | null, total: number | undefined): void {
+    const strong = etag !== null && !etag.startsWith("W/") ? etag : undefined;
+    if ((this.etag !== undefined && strong !== undefined && this.etag !== strong) ||
+        (this.total !== undefined && total !== undefined && this.total !== total)) {
+      throw new CogsplatError("source-changed", `${String(this.url)} changed while it was read`);
+    }
+    this.etag ??= strong;
+    this.total ??= total;
+  }
+}
+
+function lengthOf(headers: Headers): number | undefined {
+  const length = headers.get("Content-Length");
+  return length === null ? undefined : Number(length);
+}

@@ -1,0 +1,38 @@
+import { SourceError } from "../errors.js";
+
+/** How often and after which pauses a request is made again. */
+export interface RetryOptions {
+  /** Attempts after the first. */
+  readonly retries: number;
+  /** First pause, ms; each next one is twice as long, up to `longest`. */
+  readonly pause: number;
+  readonly longest: number;
+}
+
+export const DEFAULT_RETRY: RetryOptions = { retries: 4, pause: 250, longest: 8_000 };
+
+/** Whether asking again may help: not after a refusal of the file, nor after an abort. */
+export function isRetryable(error: unknown): boolean {
+  // What bodies throw when a connection breaks is a TypeError in browsers and in Node.
+  return error instanceof SourceError ? error.retryable : error instanceof TypeError;
+}
+
+/** Wait before attempt `attempt`, counted from 1: half of the pause fixed, half by chance. */
+export async function backOff(
+  attempt: number, { pause, longest }: RetryOptions, signal: AbortSignal | undefined,
+): Promise<void> {
+  const full = Math.min(longest, pause * 2 ** (attempt - 1));
+  await new Promise<void>((resolve, reject) => {
+    const timer = setTimeout(done, full / 2 + Math.random() * (full / 2));
+    function done(): void {
+      signal?.removeEventListener("abort", aborted);
+      resolve();
+    }
+    function aborted(): void {
+      clearTimeout(timer);
+      reject(signal!.reason as Error);
+    }
+    if (signal?.aborted) aborted();
+    else signal?.addEventListener("abort", aborted, { once: true });
+  });
+}

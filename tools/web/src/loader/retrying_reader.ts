@@ -1,0 +1,68 @@
+import type { ByteRange } from "../container/scene_index.js";
+import { SourceError } from "../errors.js";
+import { readAll, type Answer, type ByteSource } from "./byte_source.js";
+import { backOff, isRetryable, type RetryOptions } from "./retry.js";
+
+/** Reads ranges and asks again, after a pause, for what did not come. */
+export class RetryingReader {
+  constructor(
+    private readonly source: ByteSource,
+    private readonly retry: RetryOptions,
+  ) {}
+
+  /** The first bytes of the file, as many as there are up to `length`. */
+  async beginning(length: number, signal: AbortSignal | undefined): Promise<{ bytes: Uint8Array; answer: Answer }> {
+    return this.attempt(signal, async () => {
+      const answer = await this.source.read({ offset: 0, length }, { signal });
+      const bytes = new Uint8Array(length);
+      let at = 0;
+      for await (const part of answer.parts) {
+        const used = part.subarray(0, length - at);
+        bytes.set(used, at);
+        at += used.length;
+        if (at === length) break;
+      }
+      const expected = Math.min(length, answer.total ?? at);
+      if (at < expected) throw new SourceError(`${at} bytes in the place of ${expected}`, undefined, true);
+      return { bytes: bytes.slice(0, at), answer };
+    });
+  }
+
+  /** All bytes of a range. */
+  async all(range: ByteRange, signal: AbortSignal | undefined, fresh = false): Promise<Uint8Array> {
+    return this.attempt(signal, () => readAll(this.source, range, { signal, fresh }));
+  }
+
+  /**
+   * The bytes of a range in parts, as they come; after a failure the rest is asked for.
+   *
+   * @param take - Receives the parts in order, without gaps.
+   */
+  async parts(range: ByteRange, signal: AbortSignal, take: (part: Uint8Array) => void): Promise<void> {
+    let received = 0;
+    await this.attempt(signal, async () => {
+      const rest = { offset: range.offset + received, length: range.length - received };
+      const answer = await this.source.read(rest, { signal });
+      let skip = rest.offset - answer.offset;
+      for await (const part of answer.parts) {
+        const useful = part.subarray(Math.min(skip, part.length), Math.min(part.length, skip + range.length - received));
+        skip -= Math.min(skip, part.length);
+        received += useful.length;
+        if (useful.length > 0) take(useful);
+        if (received === range.length) return;
+      }
+      throw new SourceError(`${received} bytes in the place of ${range.length} from byte ${range.offset}`, undefined, true);
+    });
+  }
+
+  private async attempt<T>(signal: AbortSignal | undefined, work: () => Promise<T>): Promise<T> {
+    for (let attempt = 1; ; attempt++) {
+      try {
+        return await work();
+      } catch (error) {
+        if (signal?.aborted || attempt > this.retry.retries || !isRetryable(error)) throw error;
+        await backOff(attempt, this.retry, signal);
+      }
+    }
+  }
+}

@@ -1,0 +1,148 @@
+import type { Shifts } from "../container/compensation.js";
+import type { Splats } from "./splats.js";
+
+/** Words of a splat in each packed SH band. */
+export const SH_WORDS = [2, 4, 4] as const;
+
+/**
+ * Splats as a renderer uploads them: one texel of four u32 each, within the tolerances of SPEC 8.6.
+ *
+ * This is the layout of Spark's `PackedSplats`; any shader can read it. Its rotations are up to 0.034 radians off.
+ *
+ * | word | bits | what |
+ * |---|---|---|
+ * | 0 | 0–7, 8–15, 16–23 | DC colour ½ + 0.282·sh0, R G B, from `rgbMin` to `rgbMax` |
+ * | 0 | 24–31 | opacity in 1/255 |
+ * | 1 | 0–15, 16–31 | mean x, y, half floats |
+ * | 2 | 0–15 | mean z, half float |
+ * | 2 | 16–23, 24–31 | axis of the rotation on an octahedron: x, y from −1 to 1 in 255 steps |
+ * | 3 | 0–7, 8–15, 16–23 | log scales: −12 + (code − 1)·21/254 |
+ * | 3 | 24–31 | angle of the rotation in π/255 |
+ *
+ * SH bands hold coefficient by coefficient, channels innermost, in two's complement without gaps from bit 0: 9 values
+ * of 7 bits in two words, 15 of 8 bits in four, 21 of 6 bits in four.
+ */
+export interface PackedSplats {
+  /** Number of splats. */
+  readonly count: number;
+  /** Four words a splat. */
+  readonly words: Uint32Array;
+  /** Packed bands from 1 up to the degree that was asked for; zeros where the coefficients are not there. */
+  readonly sh: readonly Uint32Array[];
+  readonly ranges: PackRanges;
+}
+
+/** What the codes of packed splats stand for. Values outside are clamped. */
+export interface PackRanges {
+  /** DC colour of byte 0. Trained scenes have colours beyond 0 and 1, which higher bands make up for. */
+  readonly rgbMin: number;
+  /** DC colour of byte 255. */
+  readonly rgbMax: number;
+  /** Magnitude of a coefficient above DC that the largest code of a band stands for. */
+  readonly shRange: number;
+}
+
+/** Ranges that hold nearly all values of trained scenes, in steps within the tolerances of SPEC 8.6. */
+export const DEFAULT_RANGES: PackRanges = { rgbMin: -0.5, rgbMax: 1.5, shRange: 1 };
+
+const SH_C0 = 0.28209479177387814;
+/** Bits of a value and values of a splat in each packed band. */
+const SH_BITS = [[7, 9], [8, 15], [6, 21]] as const;
+
+/** The arrays that packed splats stand for, as a shader reads them. */
+export function unpackSplats(packed: PackedSplats): Splats {
+  const { count, words, sh } = packed;
+  const { rgbMin, rgbMax, shRange } = packed.ranges;
+  const shDegree = sh.length;
+  const floats = 3 * ((shDegree + 1) ** 2 - 1);
+  const splats = {
+    count,
+    shDegree,
+    means: packedMeans(packed),
+    scales: new Float32Array(3 * count),
+    quats: new Float32Array(4 * count),
+    opacities: new Float32Array(count),
+    sh0: new Float32Array(3 * count),
+    shN: new Float32Array(floats * count),
+  };
+  for (let i = 0; i < count; i++) {
+    const [w0, , w2, w3] = words.subarray(4 * i, 4 * i + 4) as unknown as [number, number, number, number];
+    for (let c = 0; c < 3; c++) {
+      splats.sh0[3 * i + c] = ((((w0 >>> (8 * c)) & 255) / 255) * (rgbMax - rgbMin) + rgbMin - 0.5) / SH_C0;
+      splats.scales[3 * i + c] = -12 + ((((w3 >>> (8 * c)) & 255) - 1) * 21) / 254;
+    }
+    const alpha = (w0 >>> 24) / 255;
+    splats.opacities[i] = Math.log(alpha / (1 - alpha));
+    splats.quats.set(fromOctahedron((w2 >>> 16) & 255, w2 >>> 24, w3 >>> 24), 4 * i);
+    let first = floats * i;
+    sh.forEach((band, b) => {
+      const [bits, values] = SH_BITS[b]!;
+      const row = band.subarray(SH_WORDS[b]! * i, SH_WORDS[b]! * (i + 1));
+      for (let v = 0; v < values; v++) splats.shN[first + v] = (signed(row, v * bits, bits) * shRange) / (2 ** (bits - 1) - 1);
+      first += values;
+    });
+  }
+  return splats;
+}
+
+/** A number in two's complement from bits of a row of words. */
+function signed(row: Uint32Array, at: number, bits: number): number {
+  const word = at >>> 5;
+  const shift = at & 31;
+  const high = shift + bits > 32 ? row[word + 1]! << (32 - shift) : 0;
+  return (((row[word]! >>> shift) | high) << (32 - bits)) >> (32 - bits);
+}
+
+/** The rotation w x y z of an axis on an octahedron and an angle. */
+function fromOctahedron(u: number, v: number, angle: number): [number, number, number, number] {
+  let [x, y] = [(u / 255) * 2 - 1, (v / 255) * 2 - 1];
+  const z = 1 - Math.abs(x) - Math.abs(y);
+  const fold = Math.max(-z, 0);
+  x += x >= 0 ? -fold : fold;
+  y += y >= 0 ? -fold : fold;
+  const half = ((angle / 255) * Math.PI) / 2;
+  const scale = Math.sin(half) / Math.hypot(x, y, z);
+  return [Math.cos(half), x * scale, y * scale, z * scale];
+}
+
+/**
+ * Add shifts of compensation (SPEC 8.5) to packed splats.
+ *
+ * @param words - Packed splats of one chunk, as they were decoded.
+ * @param target - Receives the shifted words; may be `words`.
+ * @param first - Word of `target` where the chunk begins.
+ */
+export function shiftPacked(words: Uint32Array, shifts: Shifts, target: Uint32Array, first: number): void {
+  for (let i = 0; i < words.length / 4; i++) {
+    const w3 = words[4 * i + 3]!;
+    const steps = Math.round((shifts.scales[i]! * 254) / 21);
+    const scale = (bit: number) => Math.min(Math.max(((w3 >>> bit) & 255) + steps, 1), 255) << bit;
+    const w0 = words[4 * i]!;
+    const odds = (w0 >>> 24) * Math.exp(shifts.opacities[i]!);
+    const alpha = Math.round((255 * odds) / (odds + 255 - (w0 >>> 24)));
+    target[first + 4 * i] = (w0 & 0xffffff) | (alpha << 24);
+    target[first + 4 * i + 1] = words[4 * i + 1]!;
+    target[first + 4 * i + 2] = words[4 * i + 2]!;
+    target[first + 4 * i + 3] = (w3 & 0xff000000) | scale(16) | scale(8) | scale(0);
+  }
+}
+
+/** Means of packed splats as float32, for sorting: three a splat. */
+export function packedMeans(packed: PackedSplats): Float32Array {
+  const means = new Float32Array(3 * packed.count);
+  for (let i = 0; i < packed.count; i++) {
+    const word = packed.words[4 * i + 1]!;
+    means[3 * i] = fromHalf(word & 0xffff);
+    means[3 * i + 1] = fromHalf(word >>> 16);
+    means[3 * i + 2] = fromHalf(packed.words[4 * i + 2]! & 0xffff);
+  }
+  return means;
+}
+
+/** The value of a half float's bits. */
+export function fromHalf(bits: number): number {
+  const sign = bits & 0x8000 ? -1 : 1;
+  const exponent = (bits >>> 10) & 31;
+  const mantissa = bits & 0x3ff;
+  return sign * (exponent === 0 ? mantissa * 2 ** -24 : (1024 + mantissa) * 2 ** (exponent - 25));
+}

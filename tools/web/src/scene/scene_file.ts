@@ -1,0 +1,261 @@
+import type { AttributeArray } from "../container/attributes.js";
+import { readCameras, type Camera } from "../container/cameras.js";
+import { ATTRIBUTE_TYPES, type SceneInfo } from "../container/root.js";
+import { SceneIndex } from "../container/scene_index.js";
+import { CogsplatError } from "../errors.js";
+import type { Kernels } from "../kernels/kernels.js";
+import { ChunkDecoder } from "./chunk_decoder.js";
+import { shnFloats } from "./chunk_tail.js";
+import { DEFAULT_RANGES, type PackedSplats } from "./packed_splats.js";
+import { PrefixCompensation } from "./prefix_compensation.js";
+import { concatenate, type Splats } from "./splats.js";
+
+/** How a file is opened. */
+export interface FileOptions {
+  /** Accept a beginning of the file and decode what is there (SPEC 8.3). */
+  readonly partial?: boolean;
+  /** Most decoded bytes (SPEC 9.2); by default 64 MiB and 256 for each byte of the source. */
+  readonly maxDecodedBytes?: number;
+}
+
+/** Bytes of a decoded splat without shN: means, scales, quats, opacities, sh0. */
+const HEAD_BYTES = 4 * (3 + 3 + 4 + 1 + 3);
+/** Working memory for each row of the largest chunk or codebook (SPEC 9.2). */
+const WORKING_BYTES = 128;
+
+/** A COGS file, or a beginning of one, that is in memory. */
+export class SceneFile {
+  readonly index: SceneIndex;
+  private readonly decoder: ChunkDecoder;
+  private readonly maxDecodedBytes: number;
+  private layers: PrefixCompensation | undefined;
+
+  /**
+   * Open a file and check all of its index.
+   *
+   * @param bytes - The file, or with `partial` a beginning of it.
+   * @param kernels - Memory and arithmetic for this file alone.
+   */
+  constructor(
+    private readonly bytes: Uint8Array,
+    private readonly k: Kernels,
+    options: FileOptions = {},
+  ) {
+    this.index = SceneIndex.open(bytes, bytes.length, options.partial ?? false);
+    for (let page = this.index.nextPage(); page !== undefined; page = this.index.nextPage()) {
+      if (page.offset + page.length > bytes.length) break;
+      this.index.addPage(bytes.slice(page.offset, page.offset + page.length));
+    }
+    this.index.settle();
+    this.decoder = new ChunkDecoder(k, this.index);
+    this.maxDecodedBytes = options.maxDecodedBytes ?? defaultLimit(bytes.length);
+  }
+
+  /** What the root says of the scene. */
+  get scene(): SceneInfo {
+    return this.index.scene;
+  }
+
+  /** Chunks of the prefix that is there (SPEC 8.2). */
+  get prefixChunks(): number {
+    let chunk = 0;
+    while (chunk < this.index.chunkCount && this.headIsThere(chunk)) chunk++;
+    return chunk;
+  }
+
+  /** Whether a chunk's coefficients above DC are there up to a degree. */
+  tailIsThere(chunk: number, degree = this.scene.shDegree): boolean {
+    const { tail } = this.index.chunkSegments(chunk);
+    return tail >= 0 && this.isThere(tail) && this.booksAreThere(tail, degree);
+  }
+
+  /** Whether a chunk's refinement is there. */
+  refinementIsThere(chunk: number): boolean {
+    const { refinement } = this.index.chunkSegments(chunk);
+    return refinement >= 0 && this.isThere(refinement);
+  }
+
+  /**
+   * Decode one chunk.
+   *
+   * @param degree - SH degree wanted; by default the scene's.
+   * @param refine - Whether the chunk's refinement is used where it is there.
+   */
+  decodeChunk(chunk: number, degree = this.scene.shDegree, refine = true): Splats {
+    const { payloads, rows, needs } = this.prepare(chunk, degree, refine);
+    return this.decoder.decode(payloads, rows, needs, degree);
+  }
+
+  /**
+   * Decode one chunk into what a renderer uploads.
+   *
+   * @param ranges - What the codes stand for.
+   */
+  decodePacked(chunk: number, degree = this.scene.shDegree, ranges = DEFAULT_RANGES): PackedSplats {
+    const { payloads, rows, needs } = this.prepare(chunk, degree, true);
+    return this.decoder.decodePacked(payloads, rows, needs, degree, ranges);
+  }
+
+  /** Check that a chunk is there and small enough, decode its codebooks, and get its payloads. */
+  private prepare(chunk: number, degree: number, refine: boolean) {
+    if (chunk >= this.prefixChunks) {
+      throw new CogsplatError("file-truncated", `chunk ${chunk} is not in the ${this.bytes.length} bytes that are there`);
+    }
+    const { head, tail, refinement } = this.index.chunkSegments(chunk);
+    const { needs, kind, owner } = this.index.segments;
+    const rows = this.index.chunks.splats[chunk]!;
+    const withTail = this.tailIsThere(chunk, degree) && degree > 0;
+    this.checkSize(rows, degree);
+    for (const part of withTail ? [head, tail] : [head]) {
+      // Heads use shape codebooks alone, whatever they state.
+      for (const segment of this.index.codebookSegmentsOf(part, part === head ? 0 : degree)!) {
+        if (!this.decoder.hasCodebook(owner[segment]!, kind[segment]!)) {
+          this.decoder.addCodebook(owner[segment]!, kind[segment]!, this.payload(segment));
+        }
+      }
+    }
+    const payloads = {
+      chunk,
+      head: this.payload(head),
+      tail: withTail ? this.payload(tail) : undefined,
+      refinement: refine && this.refinementIsThere(chunk) ? this.payload(refinement) : undefined,
+    };
+    return { payloads, rows, needs: { head: needs[head]!, tail: withTail ? needs[tail]! : 0 } };
+  }
+
+  /** Decode all chunks of the prefix, one after the other. */
+  decode(degree = this.scene.shDegree, refine = true): Splats {
+    const count = this.prefixChunks;
+    const rows = this.index.chunks.splats.subarray(0, count).reduce((sum, n) => sum + n, 0);
+    this.checkSize(rows, degree);
+    const chunks = Array.from({ length: count }, (_, chunk) => this.decodeChunk(chunk, degree, refine));
+    return concatenate(chunks, degree);
+  }
+
+  /** A chunk's extra attributes; undefined where the chunk has none that are there. */
+  attributes(chunk: number): Map<string, AttributeArray> | undefined {
+    const segment = this.index.chunkSegments(chunk).attributes;
+    if (segment < 0 || !this.isThere(segment)) return undefined;
+    const rows = this.index.chunks.splats[chunk]!;
+    this.checkBytes(rows * (attributeBytes(this.scene) + WORKING_BYTES));
+    return this.decoder.attributes(this.payload(segment), rows);
+  }
+
+  /** The cameras that the file brings; undefined where there are none. */
+  cameras(): Camera[] | undefined {
+    const [segment] = this.index.cameras;
+    return segment === undefined || !this.isThere(segment) ? undefined : readCameras(this.payload(segment));
+  }
+
+  /**
+   * Add what the file says of missing chunks (SPEC 8.5) to rows of one chunk, in place.
+   *
+   * @param splats - The chunk's rows, decoded.
+   * @param prefix - Number of chunks that are there, from the first on.
+   */
+  compensate(splats: Splats, chunk: number, prefix: number): void {
+    this.layers ??= this.readLayers();
+    const shifts = this.layers.shifts(prefix, chunk);
+    if (shifts === undefined) return;
+    splats.scales.forEach((value, i) => (splats.scales[i] = value + shifts.scales[Math.floor(i / 3)]!));
+    splats.opacities.forEach((value, i) => (splats.opacities[i] = value + shifts.opacities[i]!));
+  }
+
+  /**
+   * Check everything of a whole file: hashes, boxes, cameras, attributes and compensation.
+   *
+   * @throws CogsplatError for the first fault.
+   */
+  async verify(): Promise<void> {
+    const { segments } = this.index;
+    for (let segment = 0; segment < segments.kind.length; segment++) {
+      const payload = this.payload(segment);
+      const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", payload));
+      const hash = segments.hash.subarray(16 * segment, 16 * segment + 16);
+      if (hash.some((byte, i) => byte !== digest[i])) {
+        throw new CogsplatError("segment-hash", `the hash of segment ${segment} does not match`, this.index.offsets[segment]);
+      }
+    }
+    for (let chunk = 0; chunk < this.index.chunkCount; chunk++) {
+      this.checkBox(this.decodeChunk(chunk), chunk);
+      this.checkBox(this.decodeChunk(chunk, 0, false), chunk);
+      this.attributes(chunk);
+    }
+    this.cameras();
+    this.readLayers();
+  }
+
+  private checkBox(splats: Splats, chunk: number): void {
+    const box = this.index.chunks.box.subarray(6 * chunk, 6 * chunk + 6);
+    const outside = splats.means.findIndex((value, i) => !(box[i % 3]! <= value && value <= box[3 + (i % 3)]!));
+    if (outside >= 0) {
+      throw new CogsplatError("chunk-box", `mean ${Math.floor(outside / 3)} of chunk ${chunk} is outside the chunk's box`);
+    }
+  }
+
+  private readLayers(): PrefixCompensation {
+    const layers = new PrefixCompensation(this.index);
+    this.index.compensation.forEach((segment, layer) => {
+      if (this.isThere(segment)) layers.add(layer, this.payload(segment));
+    });
+    return layers;
+  }
+
+  private headIsThere(chunk: number): boolean {
+    const { head } = this.index.chunkSegments(chunk);
+    return this.isThere(head) && this.booksAreThere(head, 0);
+  }
+
+  /** Whether the codebooks that a segment needs are there: shapes, and colours up to a degree. */
+  private booksAreThere(segment: number, degree: number): boolean {
+    const books = this.index.codebookSegmentsOf(segment, degree);
+    return books !== undefined && books.every((book) => this.isThere(book));
+  }
+
+  private isThere(segment: number): boolean {
+    const { offset, length } = this.index.range(segment);
+    return offset + length <= this.bytes.length;
+  }
+
+  private payload(segment: number): Uint8Array<ArrayBuffer> {
+    const { offset, length } = this.index.range(segment);
+    const payload = new Uint8Array(this.bytes.subarray(offset, offset + length));
+    this.index.checkCrc(segment, payload);
+    return payload;
+  }
+
+  /** Refuse what takes more memory than the caller allows (SPEC 9.2). */
+  private checkSize(rows: number, degree: number): void {
+    const books = this.index.codebooks;
+    const codebooks = books.reduce((sum, { rows: count, attribute }) => {
+      return sum + count * 4 * (attribute === "shape" ? 7 : shnFloats(degree));
+    }, 0);
+    const largest = books.reduce(
+      (most, book) => Math.max(most, book.rows), this.index.chunks.splats.reduce((most, n) => Math.max(most, n), 0),
+    );
+    this.checkBytes(rows * (HEAD_BYTES + 4 * shnFloats(degree)) + codebooks + largest * WORKING_BYTES);
+  }
+
+  private checkBytes(bytes: number): void {
+    if (bytes > this.maxDecodedBytes) {
+      throw new CogsplatError("decoded-size", `${bytes} decoded bytes, at most ${this.maxDecodedBytes}`);
+    }
+  }
+
+  /** Which arithmetic this file is decoded with. */
+  get backend(): Kernels["backend"] {
+    return this.k.backend;
+  }
+}
+
+/** The limit of SPEC 9.2: 64 MiB and 256 bytes for each byte of the source. */
+export function defaultLimit(sourceBytes: number): number {
+  return 64 * 2 ** 20 + 256 * sourceBytes;
+}
+
+/** Bytes of a splat's extra attributes. */
+function attributeBytes(scene: SceneInfo): number {
+  return scene.attributes.reduce(
+    (sum, entry) => sum + Math.max(entry.components, 1) * ATTRIBUTE_TYPES[entry.type], 0,
+  );
+}

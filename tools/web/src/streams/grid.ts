@@ -1,0 +1,64 @@
+import { CogsplatError } from "../errors.js";
+import type { Kernels } from "../kernels/kernels.js";
+import { readPlane, type StoredPlane } from "./planes.js";
+
+/** Bytes of a grid entry (SPEC 6.4). */
+export const GRID_BYTES = 12;
+const MAX_LEVELS = 2 ** 24;
+const MAX_END = 2 ** 100;
+
+/** A uniform grid of one component (SPEC 6.4). */
+export interface Grid {
+  readonly minimum: number;
+  readonly levels: number;
+  /** Distance of two levels, float32; 0 where there is one level. */
+  readonly step: number;
+}
+
+/**
+ * Read and check grid entries.
+ *
+ * @param params - Parameters of a stream.
+ * @param at - Byte where the first entry begins.
+ * @param count - Number of entries.
+ * @param maxLevels - Most levels; 2^24, less where the kind says so.
+ * @param maxEnd - Largest magnitude of minimum and maximum.
+ */
+export function readGrids(
+  params: DataView, at: number, count: number, maxLevels = MAX_LEVELS, maxEnd = MAX_END,
+): Grid[] {
+  return Array.from({ length: count }, (_, i) => {
+    const minimum = params.getFloat32(at + GRID_BYTES * i, true);
+    const maximum = params.getFloat32(at + GRID_BYTES * i + 4, true);
+    const levels = params.getUint32(at + GRID_BYTES * i + 8, true);
+    if (!(-maxEnd <= minimum && minimum <= maximum && maximum <= maxEnd)) {
+      throw new CogsplatError("grid-value", `a grid from ${minimum} to ${maximum}`);
+    }
+    if (levels < 1 || levels > maxLevels) throw new CogsplatError("grid-levels", `a grid of ${levels} levels`);
+    const step = levels > 1 ? Math.fround(Math.fround(maximum - minimum) / Math.fround(levels - 1)) : 0;
+    return { minimum, levels, step };
+  });
+}
+
+/** Byte planes that codes below `limit` take (SPEC 6.4). */
+export function planesOf(limit: number): number {
+  return limit === 1 ? 0 : limit <= 2 ** 8 ? 1 : limit <= 2 ** 16 ? 2 : 3;
+}
+
+/**
+ * Codes of consecutive byte planes, the lowest byte first.
+ *
+ * @param planes - Up to three planes.
+ * @param rows - Codes to read.
+ * @param limit - Codes MUST be below it.
+ * @param reason - Code of the refusal where one is not.
+ * @returns Address of a column of u32.
+ */
+export function readCodes(
+  k: Kernels, planes: readonly StoredPlane[], rows: number, limit: number, reason: "code-range" | "index-range" = "code-range",
+): number {
+  const target = k.alloc(4 * rows);
+  const [p0 = 0, p1 = 0, p2 = 0] = planes.map((plane) => readPlane(k, plane, rows));
+  if (k.codes(p0, p1, p2, rows, limit, target) !== 0) throw new CogsplatError(reason, `a code of ${limit} or more`);
+  return target;
+}

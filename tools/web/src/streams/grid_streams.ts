@@ -1,0 +1,103 @@
+import { CogsplatError } from "../errors.js";
+import type { Kernels } from "../kernels/kernels.js";
+import { GRID_BYTES, planesOf, readCodes, readGrids, type Grid } from "./grid.js";
+import { readPlane } from "./planes.js";
+import { checkKind, checkParams, checkPlanes, Kind, type StreamRecord } from "./records.js";
+
+/** Bytes of the axes of sh0 behind the grids (SPEC 6.13). */
+const AXES_BYTES = 36;
+/** Codes of ±∞ must stay within three byte planes (SPEC 6.4). */
+const MAX_LEVELS_WITH_INFINITIES = 2 ** 24 - 2;
+
+/**
+ * Values of a stream of codes on grids: scalar, differences, or basis of sh0 (SPEC 6.4, 6.12, 6.13).
+ *
+ * @param stream - The stream.
+ * @param refinement - The digits that a refinement adds (SPEC 6.16), where there are any.
+ * @returns For each component the address of a column of f32.
+ */
+export function readGridStream(k: Kernels, stream: StreamRecord, refinement?: StreamRecord): number[] {
+  const { rows } = stream;
+  const codes = readGridCodes(k, stream);
+  const grids = refinement === undefined ? codes.grids : refineCodes(k, codes, stream, refinement);
+  const columns = grids.map((grid, i) => {
+    const target = k.alloc(4 * rows);
+    k.gridValues(codes.addresses[i]!, rows, grid.step, grid.minimum, target, 1);
+    if (stream.infinities) k.infinities(codes.addresses[i]!, rows, grid.levels, target);
+    return target;
+  });
+  if (stream.kind === Kind.differences) {
+    const [l, u, v] = columns as [number, number, number];
+    k.differences(l, u, v, rows, u, v);
+    return [u, v, l];
+  }
+  if (stream.kind === Kind.basis) {
+    k.sh0Axes(columns[0]!, columns[1]!, columns[2]!, rows, readAxes(k, stream));
+  }
+  return columns;
+}
+
+/**
+ * Rows of a scalar stream whose components stand together, as SH bands do.
+ *
+ * @param target - Address of `rows` rows of as many f32 as the stream has components.
+ */
+export function readScalarRows(k: Kernels, stream: StreamRecord, target: number): void {
+  const { addresses, grids } = readGridCodes(k, stream);
+  grids.forEach((grid, i) => {
+    k.gridValues(addresses[i]!, stream.rows, grid.step, grid.minimum, target + 4 * i, grids.length);
+  });
+}
+
+interface Codes {
+  readonly addresses: number[];
+  readonly grids: Grid[];
+}
+
+function readGridCodes(k: Kernels, stream: StreamRecord): Codes {
+  const { rows, components } = stream;
+  checkParams(stream, GRID_BYTES * components + (stream.kind === Kind.basis ? AXES_BYTES : 0));
+  const maxLevels = stream.infinities ? MAX_LEVELS_WITH_INFINITIES : undefined;
+  const grids = readGrids(stream.params, 0, components, maxLevels);
+  const limits = grids.map((grid) => grid.levels + (stream.infinities ? 2 : 0));
+  checkPlanes(stream, limits.reduce((sum, limit) => sum + planesOf(limit), 0));
+  let plane = 0;
+  const addresses = limits.map((limit) => {
+    const count = planesOf(limit);
+    plane += count;
+    return readCodes(k, stream.planes.slice(plane - count, plane), rows, limit);
+  });
+  return { addresses, grids };
+}
+
+/** Put fine codes in the place of the head's (SPEC 6.16) and return the fine grids. */
+function refineCodes(k: Kernels, codes: Codes, head: StreamRecord, stream: StreamRecord): Grid[] {
+  checkKind(stream, [Kind.digits]);
+  if (head.infinities) throw new CogsplatError("stream-kind", "digits for a stream with infinities");
+  const { components, rows, params } = stream;
+  checkParams(stream, (GRID_BYTES + 1) * components);
+  const grids = readGrids(params, 0, components);
+  const radices = grids.map((_, i) => params.getUint8(GRID_BYTES * components + i));
+  if (radices.some((radix) => radix < 1 || radix > 16)) {
+    throw new CogsplatError("refinement-radix", `digits of ${stream.name} of radix ${radices.join(", ")}`);
+  }
+  checkPlanes(stream, radices.filter((radix) => radix > 1).length);
+  let next = 0;
+  radices.forEach((radix, i) => {
+    const plane = radix > 1 ? readPlane(k, stream.planes[next++]!, rows) : 0;
+    if (k.refineDigits(codes.addresses[i]!, plane, rows, radix, grids[i]!.levels) !== 0) {
+      throw new CogsplatError("code-range", `${stream.name}: a digit of ${radix} or more, or a code of ${grids[i]!.levels} or more`);
+    }
+  });
+  return grids;
+}
+
+function readAxes(k: Kernels, stream: StreamRecord): number {
+  const address = k.alloc(AXES_BYTES);
+  for (let i = 0; i < 9; i++) {
+    const value = stream.params.getFloat32(GRID_BYTES * 3 + 4 * i, true);
+    if (!(Math.abs(value) <= 1)) throw new CogsplatError("basis-value", `an axis of sh0 with ${value}`);
+    k.f32[(address >>> 2) + i] = value;
+  }
+  return address;
+}

@@ -1,0 +1,110 @@
+import { CogsplatError } from "../errors.js";
+import type { Kernels } from "../kernels/kernels.js";
+import { readPlane } from "./planes.js";
+import { checkPlanes, type StreamRecord } from "./records.js";
+import { addressTable } from "./step_model.js";
+
+/** Bytes of the parameters in front of the sizes (SPEC 6.14). */
+const FIXED_PARAMS = 16;
+/** First coordinate of each group: 0 to 7 each alone, then 8–11, 12–17, 18–25 and 26–254 (SPEC 6.14). */
+const GROUP_STARTS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 26, 255] as const;
+const MAX_WIDTH = 255;
+const MAX_STEP = 2 ** 32;
+const MAX_ENTRY = 2 ** 32;
+/** Floats between two rows of the basis in the kernels' memory: 45, padded to whole vectors. */
+export const BASIS_STRIDE = 48;
+
+/** What a basis stream of shN states of itself. */
+export interface ShnBasisParams {
+  readonly codebook: number;
+  readonly step: number;
+  readonly shrink: number;
+  readonly width: number;
+  /** For each group the bytes of its inner codes, then of its last codes. */
+  readonly sizes: readonly (readonly [number, number])[];
+}
+
+/** The coordinates of shN on its basis, as a kernel sums them. */
+export interface ShnCoordinates {
+  /** Addresses: rows in the order of falling ends, rows of each end, and a table of columns of coordinates. */
+  readonly order: number;
+  readonly counts: number;
+  readonly columns: number;
+  readonly width: number;
+}
+
+/** Read the parameters of a basis stream of shN (SPEC 6.14). */
+export function readShnParams(stream: StreamRecord): ShnBasisParams {
+  const { params } = stream;
+  const wrongLength = () => new CogsplatError("stream-params", `shN: ${params.byteLength} bytes of parameters`);
+  if (params.byteLength < FIXED_PARAMS) throw wrongLength();
+  const codebook = params.getUint32(0, true);
+  const step = params.getFloat32(4, true);
+  const shrink = params.getFloat32(8, true);
+  const width = params.getUint16(12, true);
+  if (!(step > 0 && step <= MAX_STEP)) throw new CogsplatError("basis-value", `shN on a basis in steps of ${step}`);
+  if (!(shrink >= 0 && shrink <= 0.5)) throw new CogsplatError("basis-value", `shN on a basis with a shrink of ${shrink}`);
+  if (width > MAX_WIDTH || params.getUint16(14, true) !== 0) {
+    throw new CogsplatError("basis-width", `${width} coordinates, or reserved bytes that are set`);
+  }
+  const groups = GROUP_STARTS.filter((start) => start < width).length;
+  if (params.byteLength !== FIXED_PARAMS + 2 * groups) throw wrongLength();
+  const sizes = Array.from({ length: groups }, (_, g) => {
+    return [params.getUint8(FIXED_PARAMS + 2 * g), params.getUint8(FIXED_PARAMS + 2 * g + 1)] as const;
+  });
+  if (sizes.some(([inner, last]) => inner > 3 || last > 3)) {
+    throw new CogsplatError("stream-planes", "a code of shN of more than 3 bytes");
+  }
+  return { codebook, step, shrink, width, sizes };
+}
+
+/**
+ * Read the coordinates of every row (SPEC 6.14).
+ *
+ * Coordinate j of the rows in the order of falling ends is one column: first the inner codes of the rows that end
+ * behind j + 1, then the last codes of those that end there.
+ */
+export function readShnCoordinates(k: Kernels, stream: StreamRecord, params: ShnBasisParams): ShnCoordinates {
+  const { rows } = stream;
+  const { width, sizes, step, shrink } = params;
+  checkPlanes(stream, 1 + sizes.reduce((sum, [inner, last]) => sum + inner + last, 0));
+  const ends = readPlane(k, stream.planes[0]!, rows);
+  const order = k.alloc(4 * rows);
+  const counts = k.alloc(4 * (width + 1));
+  if (k.shnOrder(ends, rows, width, order, counts) !== 0) {
+    throw new CogsplatError("code-range", `a row of shN that ends behind coordinate ${width}`);
+  }
+  const endCounts = k.u32.slice(counts >>> 2, (counts >>> 2) + width + 1);
+  // Rows that end behind coordinate j, that is at j + 1 or later.
+  const beyond = new Uint32Array(width + 1);
+  for (let j = width - 1; j >= 0; j--) beyond[j] = beyond[j + 1]! + endCounts[j + 1]!;
+  const columns = Array.from({ length: width }, (_, j) => k.alloc(4 * beyond[j]!));
+  let next = 1;
+  sizes.forEach((size, g) => {
+    const group: number[] = [];
+    for (let j = GROUP_STARTS[g]!; j < Math.min(GROUP_STARTS[g + 1]!, width); j++) group.push(j);
+    for (const last of [0, 1] as const) {
+      const lengths = group.map((j) => (last === 1 ? endCounts[j + 1]! : beyond[j + 1]!));
+      const total = lengths.reduce((sum, length) => sum + length, 0);
+      const planes = stream.planes.slice(next, next + size[last]).map((plane) => readPlane(k, plane, total));
+      next += size[last];
+      let at = 0;
+      group.forEach((j, i) => {
+        const [p0, p1, p2] = [0, 1, 2].map((byte) => (byte < planes.length ? planes[byte]! + at : 0)) as [
+          number, number, number,
+        ];
+        const target = columns[j]! + (last === 1 ? 4 * beyond[j + 1]! : 0);
+        k.shnValues(p0, p1, p2, lengths[i]!, last, step, shrink, target);
+        at += lengths[i]!;
+      });
+    }
+  });
+  return { order, counts, columns: addressTable(k, columns), width };
+}
+
+/** Refuse entries of a basis that are too large (SPEC 6.14). */
+export function checkBasisEntries(entries: Float32Array): void {
+  if (entries.some((entry) => !(Math.abs(entry) <= MAX_ENTRY))) {
+    throw new CogsplatError("basis-value", "an entry of a basis above 2^32 in magnitude");
+  }
+}

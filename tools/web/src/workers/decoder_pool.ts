@@ -1,0 +1,96 @@
+import { CogsplatError } from "../errors.js";
+import type { DecoderIndex } from "../scene/chunk_decoder.js";
+import type { ChunkService, DecodedChunk, DecodeTask } from "./decode_task.js";
+import type { Request, Response } from "./messages.js";
+
+/** What a pool needs of a worker; a browser's `Worker` has it. */
+export interface WorkerLike {
+  onmessage: ((event: MessageEvent<Response>) => void) | null;
+  onerror: ((event: ErrorEvent) => void) | null;
+  postMessage(message: Request): void;
+  terminate(): void;
+}
+
+/** How a pool is made. */
+export interface PoolOptions {
+  /** Number of workers; by default one less than the machine has cores, at most 4. */
+  readonly workers?: number;
+  /** Makes a worker; by default from `worker.js` beside this file, which a policy `worker-src 'self'` allows. */
+  readonly makeWorker?: () => WorkerLike;
+}
+
+interface Task {
+  readonly worker: number;
+  readonly resolve: (decoded: DecodedChunk) => void;
+  readonly reject: (error: unknown) => void;
+}
+
+/** Decodes chunks in workers. No memory is shared, so pages need no cross-origin isolation. */
+export class DecoderPool implements ChunkService {
+  private readonly workers: WorkerLike[];
+  private readonly tasks = new Map<number, Task>();
+  private readonly load: number[];
+  private nextId = 0;
+
+  constructor(index: DecoderIndex, options: PoolOptions = {}) {
+    const cores = globalThis.navigator?.hardwareConcurrency ?? 2;
+    const count = options.workers ?? Math.max(1, Math.min(4, cores - 1));
+    const make = options.makeWorker ?? makeWorker;
+    this.load = new Array<number>(count).fill(0);
+    this.workers = this.load.map((_, number) => {
+      const worker = make();
+      worker.onmessage = ({ data }) => this.answered(data);
+      worker.onerror = (event) => this.crashed(number, event.message);
+      worker.postMessage({ type: "scene", index });
+      return worker;
+    });
+  }
+
+  addCodebook(codebook: number, kind: number, payload: Uint8Array): void {
+    for (const worker of this.workers) worker.postMessage({ type: "codebook", codebook, kind, payload });
+  }
+
+  decode(task: DecodeTask): Promise<DecodedChunk> {
+    const least = Math.min(...this.load);
+    if (least === Infinity) return Promise.reject(new Error("every worker failed"));
+    const worker = this.load.indexOf(least);
+    const id = this.nextId++;
+    this.load[worker]!++;
+    return new Promise((resolve, reject) => {
+      this.tasks.set(id, { worker, resolve, reject });
+      this.workers[worker]!.postMessage({ type: "chunk", id, task });
+    });
+  }
+
+  close(): void {
+    for (const worker of this.workers) worker.terminate();
+    for (const [id, task] of this.tasks) {
+      this.tasks.delete(id);
+      task.reject(new Error("the pool of workers was closed"));
+    }
+  }
+
+  private answered(response: Response): void {
+    const task = this.tasks.get(response.id);
+    if (task === undefined) return;
+    this.tasks.delete(response.id);
+    this.load[task.worker]!--;
+    if ("decoded" in response) task.resolve(response.decoded);
+    else if (response.code === undefined) task.reject(new Error(response.message));
+    else task.reject(new CogsplatError(response.code, response.message, response.offset));
+  }
+
+  /** A worker that ended, by lack of memory for example, takes its chunks with it. */
+  private crashed(number: number, message: string): void {
+    this.load[number] = Infinity;
+    for (const [id, task] of this.tasks) {
+      if (task.worker !== number) continue;
+      this.tasks.delete(id);
+      task.reject(new Error(`a worker failed: ${message}`));
+    }
+  }
+}
+
+function makeWorker(): WorkerLike {
+  return new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
+}

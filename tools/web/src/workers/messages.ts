@@ -1,0 +1,23 @@
+import type { ReasonCode } from "../errors.js";
+import type { DecoderIndex } from "../scene/chunk_decoder.js";
+import type { DecodedChunk, DecodeTask } from "./decode_task.js";
+
+/** What a worker is told. */
+export type Request =
+  | { readonly type: "scene"; readonly index: DecoderIndex }
+  | { readonly type: "codebook"; readonly codebook: number; readonly kind: number; readonly payload: Uint8Array }
+  | { readonly type: "chunk"; readonly id: number; readonly task: DecodeTask };
+
+/** What a worker answers: a chunk, or why there is none. */
+export type Response =
+  | { readonly id: number; readonly decoded: DecodedChunk }
+  | { readonly id: number; readonly code: ReasonCode | undefined; readonly message: string; readonly offset: number | undefined };
+
+/** The buffers of a decoded chunk, which are handed over instead of copied. */
+export function buffersOf({ splats, packed }: DecodedChunk): ArrayBuffer[] {
+  const arrays = [
+    ...(splats ? [splats.means, splats.scales, splats.quats, splats.opacities, splats.sh0, splats.shN] : []),
+    ...(packed ? [packed.words, ...packed.sh] : []),
+  ];
+  return arrays.map((array) => array.buffer as ArrayBuffer);
+}

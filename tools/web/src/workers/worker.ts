@@ -1,0 +1,46 @@
+// The program of a decoder's worker: it decodes the chunks of one scene, in the order in which they come.
+import { CogsplatError, type ReasonCode } from "../errors.js";
+import { loadKernels } from "../kernels/load.js";
+import { InlineService } from "./decode_task.js";
+import { buffersOf, type Request, type Response } from "./messages.js";
+
+/** The worker's own side of the messages; `lib.webworker` cannot stand beside `lib.dom`. */
+interface WorkerScope {
+  onmessage: ((event: MessageEvent<Request>) => void) | null;
+  postMessage(message: Response, transfer: ArrayBuffer[]): void;
+}
+
+const scope = globalThis as unknown as WorkerScope;
+let service: Promise<InlineService> | undefined;
+/** A codebook that was refused: every chunk after it is refused with the same error. */
+let refusal: unknown;
+
+scope.onmessage = ({ data }) => {
+  if (data.type === "scene") {
+    service = loadKernels().then((kernels) => new InlineService(data.index, kernels));
+  } else if (data.type === "codebook") {
+    void service!.then((decoder) => {
+      try {
+        decoder.addCodebook(data.codebook, data.kind, data.payload);
+      } catch (error) {
+        refusal ??= error;
+      }
+    });
+  } else {
+    void service!.then((decoder) => {
+      const { id } = data;
+      try {
+        if (refusal !== undefined) throw refusal;
+        const decoded = decoder.decodeNow(data.task);
+        scope.postMessage({ id, decoded }, buffersOf(decoded));
+      } catch (error) {
+        scope.postMessage({ id, ...describe(error) }, []);
+      }
+    });
+  }
+};
+
+function describe(error: unknown): { code: ReasonCode | undefined; message: string; offset: number | undefined } {
+  if (error instanceof CogsplatError) return { code: error.code, message: error.detail, offset: error.offset };
+  return { code: undefined, message: String(error), offset: undefined };
+}

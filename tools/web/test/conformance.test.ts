@@ -1,0 +1,93 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { CogsplatError } from "../src/errors.js";
+import { SceneFile } from "../src/scene/scene_file.js";
+import { concatenate, type Splats } from "../src/scene/splats.js";
+import { backends } from "./backends.js";
+import { manifest, sha256, vectorBytes, type ValidVector } from "./vectors.js";
+
+for (const [backend, kernels] of await backends()) {
+  for (const vector of manifest.valid) {
+    test(`${backend}: ${vector.name} decodes to the stated bits`, async () => {
+      const file = new SceneFile(vectorBytes("valid", vector.name), kernels());
+      assert.deepEqual(Array.from(file.index.chunks.splats), vector.chunk_splats);
+      assert.equal(hashOf(file.decode()), vector.arrays_sha256);
+      if (vector.coarse_sha256) assert.equal(hashOf(file.decode(undefined, false)), vector.coarse_sha256);
+      checkExtras(file, vector);
+      await file.verify();
+    });
+
+    test(`${backend}: beginnings of ${vector.name} give the stated chunks`, () => {
+      const bytes = vectorBytes("valid", vector.name);
+      const whole = new SceneFile(bytes, kernels());
+      for (const [length, chunks, tails, refined] of vector.prefixes) {
+        const file = new SceneFile(bytes.slice(0, length), kernels(), { partial: true });
+        assert.equal(file.prefixChunks, chunks, `chunks of the first ${length} bytes`);
+        for (let chunk = 0; chunk < chunks; chunk++) {
+          const refine = refined.includes(chunk);
+          const expected = whole.decodeChunk(chunk, undefined, refine);
+          if (!tails.includes(chunk)) expected.shN.fill(0);
+          assert.equal(hashOf(file.decodeChunk(chunk)), hashOf(expected), `chunk ${chunk} of ${length} bytes`);
+        }
+      }
+    });
+  }
+
+  for (const vector of manifest.invalid) {
+    test(`${backend}: ${vector.name} is refused with ${vector.code}`, async () => {
+      const bytes = vectorBytes("invalid", vector.name);
+      const partial = () => new SceneFile(bytes, kernels(), { partial: true });
+      const refused = refusal(vector.code);
+      if (vector.stage === "open") {
+        assert.throws(() => new SceneFile(bytes, kernels()), refused);
+        if (vector.partial) partial();
+        else assert.throws(partial, CogsplatError);
+        return;
+      }
+      const file = new SceneFile(bytes, kernels());
+      if (vector.stage === "decode") {
+        assert.throws(() => {
+          file.decode();
+          for (let chunk = 0; chunk < file.index.chunkCount; chunk++) file.attributes(chunk);
+        }, refused);
+      } else {
+        file.decode();
+        await assert.rejects(file.verify(), refused);
+      }
+    });
+  }
+}
+
+function refusal(code: string): (error: unknown) => boolean {
+  return (error) => {
+    assert.ok(error instanceof CogsplatError, `${String(error)} is no CogsplatError`);
+    assert.equal(error.code, code, error.message);
+    return true;
+  };
+}
+
+function hashOf(splats: Splats): string {
+  return sha256(splats.means, splats.scales, splats.quats, splats.opacities, splats.sh0, splats.shN);
+}
+
+function checkExtras(file: SceneFile, vector: ValidVector): void {
+  const names = (vector.attributes ?? []).map(([name]) => name);
+  for (const [chunk, hashes] of vector.attribute_chunks ?? []) {
+    const attributes = file.attributes(chunk)!;
+    assert.deepEqual(names.map((name) => sha256(attributes.get(name)!)), hashes);
+  }
+  const withAttributes = new Set((vector.attribute_chunks ?? []).map(([chunk]) => chunk));
+  for (let chunk = 0; chunk < file.index.chunkCount; chunk++) {
+    assert.equal(file.attributes(chunk) !== undefined, withAttributes.has(chunk));
+  }
+  assert.deepEqual(file.cameras(), vector.cameras);
+  for (const [prefix, hash] of vector.compensated ?? []) {
+    const chunks = Array.from({ length: prefix }, (_, chunk) => {
+      const splats = file.decodeChunk(chunk);
+      file.compensate(splats, chunk, prefix);
+      return splats;
+    });
+    const { scales, opacities } = concatenate(chunks, vector.sh_degree);
+    assert.equal(sha256(scales, opacities), hash, `${prefix} chunks, compensated`);
+  }
+}

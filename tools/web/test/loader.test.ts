@@ -1,0 +1,211 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { CogsplatError, SourceError } from "../src/errors.js";
+import { loadKernels } from "../src/kernels/load.js";
+import { nextRequest, RangeAssembler } from "../src/loader/range_plan.js";
+import { StreamedScene, type OpenOptions } from "../src/loader/streamed_scene.js";
+import type { ChunkUpdate, StreamOptions } from "../src/loader/stream_options.js";
+import { SceneFile } from "../src/scene/scene_file.js";
+import { padSegments } from "./padded_file.js";
+import { RangeServer, type Fault } from "./range_server.js";
+import { manifest, sha256, vectorBytes } from "./vectors.js";
+
+const FAST_RETRY = { retries: 3, pause: 1, longest: 4 };
+const kernels = await loadKernels();
+
+/** Four chunks, most of them behind the first 64 KiB. */
+const PADDED = padSegments(vectorBytes("valid", "chunks"), 200_000);
+
+/** Serve a file, stream it whole, and give the last update of each chunk. */
+async function streamFrom(
+  file: Uint8Array, fault?: (number: number, range: readonly [number, number]) => Fault, options: StreamOptions = {},
+  open: OpenOptions = {},
+): Promise<{ last: Map<number, ChunkUpdate>; updates: ChunkUpdate[]; ranges: [number, number][] }> {
+  const server = new RangeServer(file, fault);
+  const url = await server.start();
+  try {
+    const scene = await StreamedScene.open(url, { retry: FAST_RETRY, ...open });
+    const updates: ChunkUpdate[] = [];
+    for await (const update of scene.stream(options)) updates.push(update);
+    return { last: new Map(updates.map((update) => [update.chunk, update])), updates, ranges: server.ranges };
+  } finally {
+    await server.stop();
+  }
+}
+
+function checkWhole(bytes: Uint8Array, last: ReadonlyMap<number, ChunkUpdate>): void {
+  const file = new SceneFile(bytes, kernels());
+  assert.equal(last.size, file.index.chunkCount);
+  let row = 0;
+  for (let chunk = 0; chunk < file.index.chunkCount; chunk++) {
+    const { splats, firstRow, count } = last.get(chunk)!;
+    const expected = file.decodeChunk(chunk);
+    assert.deepEqual([firstRow, count], [row, expected.count]);
+    assert.equal(sha256(splats!.means, splats!.shN), sha256(expected.means, expected.shN));
+    row += count;
+  }
+}
+
+for (const { name, splats } of manifest.valid) {
+  test(`${name} streams from a server and from a blob to the same rows`, async () => {
+    const bytes = vectorBytes("valid", name);
+    const { last } = await streamFrom(bytes);
+    checkWhole(bytes, last);
+    const scene = await StreamedScene.open(new Blob([new Uint8Array(bytes)]));
+    const rows = new Map<number, number>();
+    for await (const update of scene.stream()) rows.set(update.chunk, update.count);
+    assert.equal([...rows.values()].reduce((sum, count) => sum + count, 0), splats);
+  });
+}
+
+test("segments behind the first 64 KiB come by ranges, without the bytes between", async () => {
+  const { last, ranges } = await streamFrom(PADDED);
+  checkWhole(PADDED, last);
+  assert.deepEqual(ranges[0], [0, 65_535]);
+  const bytes = ranges.reduce((sum, [start, end]) => sum + end + 1 - start, 0);
+  assert.ok(bytes < 120_000, `${bytes} bytes of ${PADDED.length}`);
+});
+
+for (const fault of ["status-503", "cut"] as const) {
+  test(`a request that fails once with ${fault} is made again`, async () => {
+    for (const failing of [0, 1]) {
+      const { last, ranges } = await streamFrom(PADDED, (number) => (number === failing ? fault : undefined));
+      checkWhole(PADDED, last);
+      assert.ok(ranges.length > failing + 1);
+    }
+  });
+}
+
+test("a server that ignores ranges is read from the front", async () => {
+  const { last } = await streamFrom(PADDED, () => "ignore-range");
+  checkWhole(PADDED, last);
+});
+
+test("a segment that comes damaged is asked for again, alone", async () => {
+  const { last, ranges } = await streamFrom(PADDED, (number) => (number === 1 ? "flip" : undefined));
+  checkWhole(PADDED, last);
+  assert.ok(ranges.length >= 3);
+});
+
+test("a tail that stays damaged is reported, and its chunk is given without it", async () => {
+  const told: [string, number | undefined][] = [];
+  const index = new SceneFile(PADDED, kernels()).index;
+  const chunk = 0;
+  const tail = index.range(index.chunkSegments(chunk).tail);
+  const file = PADDED.slice();
+  file[tail.offset]! ^= 1;
+  const { last } = await streamFrom(file, undefined, {
+    onDamage: (error, number) => told.push([error instanceof CogsplatError ? error.code : error.name, number]),
+  });
+  assert.deepEqual(told, [["segment-crc", chunk]]);
+  assert.equal(last.size, index.chunkCount);
+  assert.equal(last.get(chunk)!.tail, false);
+});
+
+test("damage ends the stream where nobody listens", async () => {
+  const file = PADDED.slice();
+  file[file.length - 1]! ^= 1;
+  await assert.rejects(streamFrom(file), (error) => error instanceof CogsplatError && error.code === "segment-crc");
+});
+
+for (const [fault, isIt] of [
+  ["wrong-range", (error: unknown) => error instanceof SourceError],
+  ["gzip", (error: unknown) => error instanceof SourceError],
+  ["other-etag", (error: unknown) => error instanceof CogsplatError && error.code === "source-changed"],
+] as const) {
+  test(`an answer with ${fault} is refused`, async () => {
+    await assert.rejects(streamFrom(PADDED, (number) => (number > 0 ? fault : undefined)), isIt);
+  });
+}
+
+test("retries end", async () => {
+  await assert.rejects(streamFrom(PADDED, () => "status-503"), (error) => error instanceof SourceError && error.status === 503);
+});
+
+test("an abort ends a stream that waits", async () => {
+  const server = new RangeServer(PADDED, (number) => (number > 0 ? "hang" : undefined));
+  const scene = await StreamedScene.open(await server.start());
+  const abort = new AbortController();
+  const stream = scene.stream({ signal: abort.signal });
+  await assert.rejects(async () => {
+    for (;;) {
+      const next = stream.next();
+      setTimeout(() => abort.abort(), 20);
+      if ((await next).done) return;
+    }
+  }, { name: "AbortError" });
+  await server.stop();
+});
+
+test("priorities order chunks and leave some out", async () => {
+  // All of the file comes with the first request, so that chunks are given in the order in which they are wanted.
+  const { updates } = await streamFrom(vectorBytes("valid", "chunks"), undefined, {
+    priority: ({ chunk }) => (chunk === 1 ? -1 : chunk),
+  });
+  assert.deepEqual([...new Set(updates.map(({ chunk }) => chunk))], [3, 2, 0]);
+});
+
+test("a memory budget leaves the last chunks out", async () => {
+  const { index } = new SceneFile(PADDED, kernels());
+  const rows = index.chunks.splats[0]! + index.chunks.splats[1]!;
+  const perSplat = 56 + 12 * ((index.scene.shDegree + 1) ** 2 - 1);
+  const { last } = await streamFrom(PADDED, undefined, { memoryBudget: rows * perSplat });
+  assert.deepEqual([...last.keys()].sort(), [0, 1]);
+});
+
+test("packed chunks have the words of every band", async () => {
+  const { last } = await streamFrom(PADDED, undefined, { format: "packed", degree: 2 });
+  for (const { packed, count } of last.values()) {
+    assert.deepEqual([packed!.words.length, ...packed!.sh.map((band) => band.length)], [4 * count, 2 * count, 4 * count]);
+  }
+});
+
+test("compensation comes with the chunks and is taken back with the last", async () => {
+  const bytes = vectorBytes("valid", "compensation");
+  const file = new SceneFile(bytes, kernels());
+  const scene = await StreamedScene.open(new Blob([new Uint8Array(bytes)]));
+  const chunks = file.index.chunkCount;
+  let prefix = 0;
+  for await (const update of scene.stream({ compensate: true })) prefix = update.prefix;
+  assert.equal(prefix, chunks);
+  for (let n = 1; n <= chunks; n++) {
+    for (let chunk = 0; chunk < n; chunk++) {
+      const plain = file.decodeChunk(chunk);
+      const expected = file.decodeChunk(chunk);
+      file.compensate(expected, chunk, n);
+      const shifts = scene.compensation.shifts(n, chunk);
+      assert.equal(shifts === undefined, n === chunks);
+      const added = plain.opacities.map((value, i) => value + (shifts?.opacities[i] ?? 0));
+      if (shifts) assert.deepEqual(added, expected.opacities);
+    }
+  }
+});
+
+test("requests take neighbours together and stop at gaps, lengths and orders", () => {
+  const ranges = [[0, 100], [100, 50], [70_000, 10], [140_000, 10], [150_000, 5_000_000], [5_150_000, 10]] as const;
+  const rangeOf = (segment: number) => ({ offset: ranges[segment]![0], length: ranges[segment]![1] });
+  const take = (wanted: number[], most?: number) => nextRequest(wanted, rangeOf, most);
+  const wanted = [0, 1, 2, 3, 4, 5];
+  assert.deepEqual(take(wanted), { offset: 0, length: 150, segments: [0, 1] });
+  assert.deepEqual(take(wanted), { offset: 70_000, length: 10, segments: [2] });
+  assert.deepEqual(take(wanted), { offset: 140_000, length: 10, segments: [3] });
+  assert.deepEqual(take(wanted), { offset: 150_000, length: 5_000_000, segments: [4] });
+  assert.deepEqual(wanted, [5]);
+  assert.deepEqual(take([1, 0]), { offset: 0, length: 150, segments: [0, 1] });
+  assert.deepEqual(take([0, 1], 120), { offset: 0, length: 100, segments: [0] });
+  assert.equal(take([]), undefined);
+});
+
+test("an assembler hands out segments however the bytes are cut", () => {
+  const bytes = Uint8Array.from({ length: 40 }, (_, i) => i);
+  const rangeOf = (segment: number) => [{ offset: 10, length: 8 }, { offset: 20, length: 20 }][segment]!;
+  for (let size = 1; size <= 31; size++) {
+    const assembler = new RangeAssembler({ offset: 10, length: 30, segments: [0, 1] }, rangeOf);
+    const got = [];
+    for (let at = 10; at < 40; at += size) got.push(...assembler.add(bytes.subarray(at, at + size)));
+    assert.ok(assembler.complete);
+    assert.deepEqual(got.map(({ segment }) => segment), [0, 1]);
+    assert.deepEqual(Array.from(got[0]!.payload), Array.from(bytes.subarray(10, 18)));
+    assert.deepEqual(Array.from(got[1]!.payload), Array.from(bytes.subarray(20, 40)));
+  }
+});

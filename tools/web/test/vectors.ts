@@ -1,0 +1,48 @@
+import { createHash } from "node:crypto";
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
+import type { Camera } from "../src/container/cameras.js";
+
+/** The conformance files, found from the folder that the tests run in, the package's. */
+const FOLDER = join(process.cwd(), "..", "..", "tests", "vectors");
+
+/** A file to decode, as `manifest.json` has it. */
+export interface ValidVector {
+  readonly name: string;
+  readonly splats: number;
+  readonly sh_degree: number;
+  readonly chunk_splats: readonly number[];
+  readonly arrays_sha256: string;
+  readonly coarse_sha256?: string;
+  readonly prefixes: readonly (readonly [number, number, readonly number[], readonly number[]])[];
+  readonly attributes?: readonly (readonly [string, string, number])[];
+  readonly attribute_chunks?: readonly (readonly [number, readonly string[]])[];
+  readonly compensated?: readonly (readonly [number, string])[];
+  readonly cameras?: readonly Camera[];
+}
+
+/** A file to refuse, as `manifest.json` has it. */
+export interface InvalidVector {
+  readonly name: string;
+  readonly code: string;
+  readonly stage: "open" | "decode" | "verify";
+  readonly partial: boolean;
+}
+
+export const manifest = JSON.parse(readFileSync(join(FOLDER, "manifest.json"), "utf8")) as {
+  readonly format: string;
+  readonly valid: readonly ValidVector[];
+  readonly invalid: readonly InvalidVector[];
+};
+
+/** The bytes of a conformance file. */
+export function vectorBytes(folder: "valid" | "invalid", name: string): Uint8Array {
+  return new Uint8Array(readFileSync(join(FOLDER, folder, `${name}.cogs`)));
+}
+
+/** SHA-256 in hexadecimal of arrays one after the other. */
+export function sha256(...arrays: ArrayBufferView[]): string {
+  const hash = createHash("sha256");
+  for (const array of arrays) hash.update(new Uint8Array(array.buffer, array.byteOffset, array.byteLength));
+  return hash.digest("hex");
+}
