@@ -253,7 +253,7 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "codec.views": {
         "low_discrepancy": "STEP_1D",
-        "planner": "ViewPlanConfig plan plan_views",
+        "planner": "ViewPlan ViewPlanConfig plan plan_views",
         "view_sets": "evenly hold_out jitter roam",
     },
     "formats.cameras": {
@@ -284,14 +284,16 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "formats.storage": {
         "atomic": "StrPath atomic_write check_output open_for_read storage_error storage_errors",
+        "byte_counts": "ByteCount parse_byte_count",
         "images": "MAX_SIDE decode_image encode_image image_size picture_size",
         "json_stream": "JsonStream MAX_VALUE_BYTES",
         "limits": "Limits",
         "magic": "COGS_MAGIC describe",
         "pictures": "read_picture",
         "siblings": "sibling",
-        "source": "FileSource PrefixSource Source",
+        "source": "FileSource PrefixSource Readable Source source_of",
         "strict_json": "JsonObject parse_object",
+        "torch_file": "CODE TorchTensor open_torch read_state_dict",
     },
 }
 
