@@ -1,4 +1,4 @@
-"""The basis of shN: few coordinates, in the order of what viewers see of them."""
+"""Fit and apply the basis of shN: a Karhunen-Loève transform in the metric of the views."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-# Directions nobody scored from count this much of an even spread over the sphere: less, and a
-# visitor who leaves the capture path sees colours that were never checked.
+# Share of an even spread over all directions in the metric; the rest are directions of the scoring
+# views. With less, colours are free to change where a visitor leaves the capture path.
 _EVEN_SHARE: Final = 0.1
 _EVEN: Final = 1 / (4 * np.pi)  # mean of Y² over the sphere
 
 # Coordinates below this many steps become zero; half a step is plain rounding. Rates fall faster
 # than errors rise up to about here on trained scenes.
 _DEAD_ZONE: Final = 0.6
-# What a non-zero coordinate is worth less than its code, in steps: small ones are more frequent.
+# Non-zero coordinates are decoded nearer to zero than their code by this many steps: inside a step
+# small values are more frequent.
 _SHRINK: Final = 0.05
 
 # Steps finer than this share of a chunk's largest coordinate: its code would not fit three bytes,
@@ -78,7 +79,7 @@ class ColourBasis:
     def encode(
         self, coefficients: F32, energy: F64, lagrangian: float, codebook: int
     ) -> tuple[Stream, F64]:
-        """Return the shN stream of a chunk and what it loses.
+        """Return the shN stream of a chunk and its quantisation error.
 
         Parameters
         ----------
@@ -130,7 +131,7 @@ def fit(
         `Scores.basis_spread`: what sh0 can make up for is not in it.
     lagrangian : float
     chunks : sequence of slice
-        Their steps decide which rows are ever used.
+        Their steps decide which rows any coordinate is coded on.
     principal : bool
         Otherwise the coefficients themselves, those that take most levels first.
     """

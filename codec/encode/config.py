@@ -37,7 +37,7 @@ class Ablation:
         attribute serves all chunks.
     fine_means : bool
         Means are quantised as finely as each splat is small; otherwise with one step a chunk.
-    fine_turns : bool
+    fine_rotations : bool
         Rotations are quantised as finely as each shape asks; otherwise with one step a chunk.
     areas : bool
         The longest axis and the opacity make up for areas that coarse scales change.
@@ -55,7 +55,7 @@ class Ablation:
     sensitivities: bool = True
     chunk_steps: bool = True
     fine_means: bool = True
-    fine_turns: bool = True
+    fine_rotations: bool = True
     areas: bool = True
     colour_basis: bool = True
     view_metric: bool = True

@@ -1,4 +1,4 @@
-"""Presets: how much of the views is looked at before a scene is encoded."""
+"""Presets: how many views a scene is scored and measured in before it is encoded."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cogsplat.codec.views.view_sets import evenly
 
 @dataclass(frozen=True)
 class Preset:
-    """How carefully a scene is looked at; the bytes are found the same way after it.
+    """How many views are planned, scored and predicted in, and the defaults of what renders.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class Preset:
         Whether their jittered copies are scored as well. Where less time is to be spent, it is
         these that are left out, not places: what no view shows, nothing makes up for.
     views_every : int
-        One of so many of the views given is scored, with its jittered copies.
+        One of so many of the given views is scored, with its jittered copies.
     sensitivity_every : int
         `ScoreConfig.sensitivity_every` of the profile that uses sensitivities.
     prediction_views : int
@@ -61,7 +61,7 @@ class Preset:
         Parameters
         ----------
         profile : str
-            One of `config.PROFILES`; only ``transform`` uses sensitivities.
+            One of `config.PROFILE_NAMES`; only ``transform`` uses sensitivities.
         top_k, jitter, threads
             As `ScoreConfig` has them.
         """

@@ -1,4 +1,4 @@
-"""Cut values on a grid into what a head stores and the digits that come later (SPEC 6.16)."""
+"""Split quantised values into the coarse codes of a head and refinement digits (SPEC 6.16)."""
 
 from __future__ import annotations
 
@@ -20,36 +20,36 @@ U32 = NDArray[np.uint32]
 WAITING_BIT_VALUE: Final = 0.06
 """Bits of the file that one more bit in the refinement, and out of the head, may cost."""
 
-# Bits of what a plane of digits takes beside its content: its word and a frame's header.
+# Bits that a plane of digits takes beside its content: its word and the header of a zstd frame.
 _PLANE_BITS: Final = 8 * 8
 
-# Bits that describe the code of a symbol.
+# Bits that describe one symbol in the table of an entropy coder, about.
 _SYMBOL_BITS: Final = 4
 
 # Radices that are tried; between them little changes.
 _RADICES: Final = (2, 3, 4, 5, 6, 8, 10, 12, 16)
 
-# Grids of more levels than this are cut where they lie: no alignment gains anything.
+# Grids of more levels than this are split without a search for the best alignment: none gains.
 _ALIGNED_LEVELS: Final = 1 << 14
 
-# A coarse grid fitted to the values may differ so much from even steps.
+# Bounds of the fitted step of a coarse grid, relative to the even one.
 _STRETCH: Final = (0.6, 1.4)
 
 
 @dataclass(frozen=True, eq=False)
-class Cut:
-    """Values on a grid in two parts.
+class Split:
+    """Values of a grid in two parts: coarse codes of the head, digits of the refinement.
 
     Parameters
     ----------
     coarse : (n, c) float32
-        What the head alone gives.
+        As decoded from the head alone.
     grid : Grid
         The head's; `coarse` lies on it.
     fine : (n, c) float32
-        What both give together.
+        As decoded from both.
     digits : Stream or None
-        None where nothing is cut off.
+        None where the head holds the values in full.
     """
 
     coarse: F32
@@ -57,25 +57,27 @@ class Cut:
     fine: F32
     digits: Stream | None
 
-    def take(self, rows: I64) -> Cut:
+    def take(self, rows: I64) -> Split:
         """Return the same with its rows in another order."""
         digits = self.digits
         if digits is not None:
             digits = replace(digits, planes=[plane[rows] for plane in digits.planes])
-        return Cut(self.coarse[rows], self.grid, self.fine[rows], digits)
+        return Split(self.coarse[rows], self.grid, self.fine[rows], digits)
 
 
-def cut(attribute: Attribute, values: F32, grid: Grid, weights: F64, most: tuple[int, ...]) -> Cut:
-    """Cut values where the bits that can wait outweigh those that it costs.
+def split(
+    attribute: Attribute, values: F32, grid: Grid, weights: F64, most: tuple[int, ...]
+) -> Split:
+    """Split values where the bits that move to the refinement outweigh those that splitting costs.
 
     Parameters
     ----------
     attribute : Attribute
     values : (n, c) float32
     grid : Grid
-        As fine as they are to be in the end.
+        Of the refined values.
     weights : (n,) float64
-        What errors of the coarse values count.
+        Weight of the error of each coarse value.
     most : tuple of int
         Largest radix of each component, at most `refinement_digits.MAX_RADIX`.
     """
@@ -87,18 +89,18 @@ def cut(attribute: Attribute, values: F32, grid: Grid, weights: F64, most: tuple
         shifts.append(shift)
     if max(radices) == 1:
         stored = grid.dequantise(codes)
-        return Cut(stored, grid, stored, None)
+        return Split(stored, grid, stored, None)
     grid = _shifted(grid, shifts)
     codes = grid.quantise(values)
     fine = grid.dequantise(codes)
     digits = refinement_digits.write(attribute, codes, grid, radices)
     coarse_codes = codes // np.array(radices, np.uint32)
     coarse_grid = _coarse_grid(grid, radices, coarse_codes, fine, weights)
-    return Cut(coarse_grid.dequantise(coarse_codes), coarse_grid, fine, digits)
+    return Split(coarse_grid.dequantise(coarse_codes), coarse_grid, fine, digits)
 
 
 def _radix(codes: U32, levels: int, limit: int) -> tuple[int, int]:
-    """Return the radix at which to cut codes, and by how many levels to shift them before."""
+    """Return the radix of the digits, and by how many levels to shift the codes before."""
     if levels > _ALIGNED_LEVELS:
         return limit, 0
     counts = np.bincount(codes, minlength=levels)
@@ -125,7 +127,7 @@ def bits(counts: I64) -> float:
         return 0.0
     total = used.sum()
     ideal = total * np.log2(total) - (used * np.log2(used)).sum()
-    # What a code costs to describe; where that is too much, all symbols take the same bits.
+    # The code of the symbols has to be described; where that is too long, all take the same bits.
     return float(min(ideal + _SYMBOL_BITS * len(used), total * np.log2(len(counts))))
 
 
@@ -138,7 +140,7 @@ def _shifted(grid: Grid, shifts: list[int]) -> Grid:
 
 
 def _coarse_grid(grid: Grid, radices: list[int], codes: U32, fine: F32, weights: F64) -> Grid:
-    """Return the grid of the head: its ends are free, so they go where the values are."""
+    """Return the grid of the head, its ends fitted to the values by weighted least squares."""
     size = np.array(radices, np.float64)
     step = grid.step.astype(np.float64)
     levels = (grid.levels + np.array(radices, np.uint32) - 1) // np.array(radices, np.uint32)

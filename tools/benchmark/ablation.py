@@ -99,7 +99,7 @@ def changes(sh_degree: int) -> dict[str, Change]:
         "scored sensitivities": without(sensitivities=False),
         "means as fine as splats are small": without(fine_means=False),
         "Morton order in chunks": lambda config: replace(config, morton=False),
-        "turns as fine as shapes ask": without(fine_turns=False),
+        "rotations as fine as shapes ask": without(fine_rotations=False),
         "kept areas": without(areas=False),
         "symbols sharing bytes": without(digits=False),
         "pruning": lambda config: replace(config, prune=None),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.rate import refinement_split
-from cogsplat.codec.rate.refinement_split import Cut
+from cogsplat.codec.rate.refinement_split import Split
 from cogsplat.codec.streams.records import Stream
 
 F32 = NDArray[np.float32]
@@ -38,12 +38,12 @@ NOTHING: Final = Refined(None)
 """Of an attribute that the head holds in full."""
 
 
-def squared_error_drop(parts: Cut, values: F32) -> F64:
-    """Return the squared error that the refinement of cut values removes.
+def squared_error_drop(parts: Split, values: F32) -> F64:
+    """Return the squared error that the refinement of split values removes.
 
     Parameters
     ----------
-    parts : Cut
+    parts : Split
     values : (n, c) float32
         As they were before they were quantised.
 

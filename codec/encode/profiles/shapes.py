@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.rate.costs import Costs
-from cogsplat.codec.rate.refinement_split import Cut
+from cogsplat.codec.rate.refinement_split import Split
 from cogsplat.codec.streams import adaptive_step, scale_differences, swing_twist
 from cogsplat.codec.streams import grid as grids
 from cogsplat.codec.streams.grid import Grid
@@ -59,7 +59,7 @@ def differences_to_store(
     return differences, grids.fit(differences, steps)
 
 
-def refined_scales(parts: Cut, differences: F32, costs: Costs) -> Refined:
+def refined_scales(parts: Split, differences: F32, costs: Costs) -> Refined:
     """Return what the refinement adds to quantised scale differences, (n, 3) float32 before."""
     columns = (costs.scale_long, costs.scale_middle, costs.scale_thin)
     drop = squared_error_drop(parts, differences) * np.stack(columns, axis=1)

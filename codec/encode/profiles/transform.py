@@ -46,7 +46,7 @@ class TransformPlan:
         λ: what ``cost · step²`` is for every value.
     costs : Costs
         Of every splat.
-    turns : (N, 3) float64
+    swing_twist : (N, 3) float64
         Swing and twist of every rotation.
     scales : (N, 3) float32
         Log, middle, thin, long.
@@ -61,7 +61,7 @@ class TransformPlan:
 
     lagrangian: float
     costs: Costs
-    turns: F64
+    swing_twist: F64
     scales: F32
     basis: ColourBasis | None
     basis_payloads: tuple[bytes, ...]
@@ -101,7 +101,7 @@ def plan(
     if contribution is not None:
         coarseness = head_coarseness(contribution, lagrangian, chunks, missing_all)
     costs = rate_costs.limited(costs, splats.scales, lagrangian)
-    turns, scales = swing_twist.decompose(rotations.unit(splats.quats), splats.scales)
+    rotation_values, scales = swing_twist.decompose(rotations.unit(splats.quats), splats.scales)
     basis: ColourBasis | None = None
     payloads: tuple[bytes, ...] = ()
     if splats.sh_degree:
@@ -113,7 +113,9 @@ def plan(
         views = {band: memoryview(data) for band, data in enumerate(payloads, start=1)}
         stored = decode_colour_codebook(views, len(basis.rows), splats.sh_degree, "basis")
         basis = basis.stored_as(stored.shN)
-    return TransformPlan(lagrangian, costs, turns, scales, basis, payloads, ablation, coarseness)
+    return TransformPlan(
+        lagrangian, costs, rotation_values, scales, basis, payloads, ablation, coarseness
+    )
 
 
 def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -> Payloads:
@@ -137,7 +139,7 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     differences, grid = shapes.differences_to_store(
         plan_.scales[rows], costs, lagrangian, used.areas
     )
-    sizes = refinement_split.cut(
+    sizes = refinement_split.split(
         Attribute.SCALES, differences, grid, costs.scale_long, coarseness.scales
     )
     head_scales = scale_differences.accumulate(sizes.coarse)
@@ -157,8 +159,8 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     rows, head_scales, scales = rows[inside], head_scales[inside], scales[inside]
     sizes, differences, costs = sizes.take(inside), differences[inside], plan_.costs.take(rows)
     # Of shapes that are all alike, every rotation gets the same step.
-    step_scales = head_scales if used.fine_turns else np.zeros_like(head_scales)
-    quats = shapes.quantise_rotations(plan_.turns[rows], step_scales, costs, lagrangian)
+    step_scales = head_scales if used.fine_rotations else np.zeros_like(head_scales)
+    quats = shapes.quantise_rotations(plan_.swing_twist[rows], step_scales, costs, lagrangian)
     sh0 = splats.sh0[rows].astype(np.float64)
     tail: bytes | None = None
     if plan_.basis is not None:
@@ -169,7 +171,7 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
         tail = records.pack([stream], digits=used.digits)
     source_scales = plan_.scales[rows] if used.areas else scales
     logits = shapes.opacities_to_store(splats.opacities[rows], source_scales, scales)
-    opacities = refinement_split.cut(
+    opacities = refinement_split.split(
         Attribute.OPACITIES,
         logits,
         grids.fit(logits, allocation.equal_step(lagrangian, costs.opacity)),
@@ -217,7 +219,7 @@ def _sh0(
     axes = np.clip(axes, -1, 1)
     on_axes = np.linalg.solve(axes.T.astype(np.float64), values.T).T.astype(np.float32)
     step = allocation.equal_step(lagrangian, energy * rate_costs.SH0_COST * rate_costs.SH0_WEIGHT)
-    parts = refinement_split.cut(Attribute.SH0, on_axes, grids.fit(on_axes, step), energy, most)
+    parts = refinement_split.split(Attribute.SH0, on_axes, grids.fit(on_axes, step), energy, most)
     stream = sh0_transform.write(parts.coarse, axes, parts.grid)
     missed = squared_error_drop(parts, on_axes) @ np.square(axes.astype(np.float64)).sum(axis=1)
     return stream, Refined(parts.digits, float(rate_costs.SH0_COST * (energy @ missed)))

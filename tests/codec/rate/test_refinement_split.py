@@ -14,10 +14,10 @@ def normal(rows=4000, columns=3, seed=1):
     return rng.normal(size=(rows, columns)).astype(np.float32)
 
 
-def cut(values, step, most=(16, 16, 16), weights=None):
+def split(values, step, most=(16, 16, 16), weights=None):
     grid = grids.fit(values, step)
     weights = np.ones(len(values)) if weights is None else weights
-    return grid, refinement_split.cut(Attribute.SH0, values, grid, weights, most)
+    return grid, refinement_split.split(Attribute.SH0, values, grid, weights, most)
 
 
 def digits_of(stream):
@@ -28,7 +28,7 @@ def digits_of(stream):
 @pytest.mark.parametrize("step", [0.003, 0.02, 0.2])
 def test_both_parts_are_as_fine_as_asked_and_the_head_is_coarse(step):
     values = normal()
-    grid, parts = cut(values, step)
+    grid, parts = split(values, step)
     assert np.abs(parts.fine - values).max() <= 0.5001 * grid.step.max()
     assert parts.digits is not None
     assert parts.digits.kind == Kind.DIGITS
@@ -42,7 +42,7 @@ def test_both_parts_are_as_fine_as_asked_and_the_head_is_coarse(step):
 def test_the_radix_is_at_most_what_is_asked():
     values = normal()
     for most in ((1, 2, 3), (4, 1, 1), (1, 1, 1)):
-        _, parts = cut(values, 0.01, most)
+        _, parts = split(values, 0.01, most)
         if parts.digits is None:
             assert max(most) == 1
             assert parts.fine is parts.coarse
@@ -54,13 +54,13 @@ def test_the_radix_is_at_most_what_is_asked():
 
 def test_what_is_mostly_zero_is_not_cut():
     values = np.where(normal(seed=2) > 2.5, 3.0, 0.0).astype(np.float32)
-    _, parts = cut(values, 0.5)
+    _, parts = split(values, 0.5)
     assert parts.digits is None
 
 
 def test_a_cut_costs_little():
     values = normal(20_000)
-    grid, parts = cut(values, 0.05, (8, 8, 8))
+    grid, parts = split(values, 0.05, (8, 8, 8))
     whole = records.pack([scalar.write(Attribute.SH0, values, grid)])
     head = records.pack([scalar.write(Attribute.SH0, parts.coarse, parts.grid)])
     below = records.pack([parts.digits])
@@ -69,7 +69,7 @@ def test_a_cut_costs_little():
 
 
 def test_rows_move_together():
-    _, parts = cut(normal(), 0.01)
+    _, parts = split(normal(), 0.01)
     order = np.random.default_rng(3).permutation(4000)
     moved = parts.take(order)
     assert np.array_equal(moved.coarse, parts.coarse[order])
@@ -84,7 +84,7 @@ def test_rows_move_together():
 @given(st.integers(1, 40), st.floats(1e-6, 10), st.integers(1, 16), st.integers(0, 1000))
 def test_any_values_come_back(rows, step, most, seed):
     values = normal(rows, 3, seed) * np.array([1, 0, 100], np.float32)
-    grid, parts = cut(values, step, (most,) * 3)
+    grid, parts = split(values, step, (most,) * 3)
     bound = 0.501 * np.maximum(grid.step, step) + 1e-4
     assert (np.abs(parts.fine - values) <= bound).all()
     assert np.isfinite(parts.coarse).all()

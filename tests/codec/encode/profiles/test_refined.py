@@ -47,7 +47,7 @@ def test_bits_that_cost_as_much_as_they_are_do_not_wait():
 def test_the_drop_is_the_error_that_the_refinement_removes():
     values = np.random.default_rng(2).normal(size=(500, 2)).astype(np.float32)
     grid = grids.fit(values, 0.01)
-    parts = refinement_split.cut(Attribute.SH0, values, grid, np.ones(500), (8, 8))
+    parts = refinement_split.split(Attribute.SH0, values, grid, np.ones(500), (8, 8))
     assert parts.digits is not None
     drop = squared_error_drop(parts, values)
     wide = values.astype(np.float64)
