@@ -188,7 +188,7 @@ DOORS: dict[str, dict[str, str]] = {
         "energy_costs": "EnergyCosts SHN_COST",
         "head_coarseness": "FINE HeadCoarseness head_coarseness",
         "pruning": "PruneConfig kept_rows",
-        "refinement_split": "Cut WAITING_BIT_VALUE bits cut",
+        "refinement_split": "Split WAITING_BIT_VALUE bits split",
         "segment_order": (
             "ChunkParts MISSING_ALL MISSING_COMPENSATED Part Place Placed measured_shares order "
             "tail_drop unsent_shares"
