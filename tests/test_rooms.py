@@ -314,7 +314,7 @@ def test_rooms_take_what_stands_in_the_doors() -> None:
                 wrong.append(f"{room}, {module}: taken and not listed: {sorted(taken - listed)}")
             if listed - taken:
                 wrong.append(f"{room}, {module}: listed and not taken: {sorted(listed - taken)}")
-    assert not wrong, "DOORS of tests/test_house.py:\n" + "\n".join(wrong)
+    assert not wrong, "DOORS of tests/test_rooms.py:\n" + "\n".join(wrong)
 
 
 def test_doors_lead_to_what_is_defined_there() -> None:
