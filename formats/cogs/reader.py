@@ -165,7 +165,7 @@ class CogsFile:
         return self._index.cameras if self._index.cameras >= 0 else None
 
     def cameras(self) -> list[Camera]:
-        """Return the cameras that the file brings, none where it brings none.
+        """Return the cameras stored in the file; an empty list where there are none.
 
         Raises
         ------
