@@ -30,7 +30,13 @@ from cogsplat.tools.terminal.options import (
     top_k_option,
 )
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import COGS, HTML, check_name, format_option
+from cogsplat.tools.terminal.output_names import (
+    COGS,
+    HTML,
+    check_distinct,
+    check_name,
+    format_option,
+)
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import Colour, byte_count
 
@@ -230,6 +236,7 @@ def encode(
     check_output(out, force=force, inputs=given_files(scene, cameras, images, choice.masks))
     if report is not None:
         check_name(report, HTML)
+        check_distinct(out, report)
         inputs = given_files(scene, cameras, images, choice.masks)
         check_output(report, force=force, inputs=inputs)
     with Stages(shown=not (quiet or as_json)) as stages:

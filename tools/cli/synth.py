@@ -23,6 +23,7 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.output_names import check_distinct
 from cogsplat.tools.terminal.progress import Stages
 
 _SPLATS = 120_000
@@ -100,6 +101,7 @@ def synth(
     from cogsplat.tools.synthetic import scene as scenes
 
     cameras = cameras or out.with_suffix(".cameras.json")
+    check_distinct(out, cameras)
     for path in (out, cameras):
         check_output(path, force=force)
     views = scenes.synth_cameras()

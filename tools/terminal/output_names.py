@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, TypeVar
@@ -68,3 +69,20 @@ def check_name(path: Path, extensions: Sequence[str], *, insisted: bool = False)
             f"{path}: its name says {max(said, key=len)}, expected a name that ends in "
             f"{' or '.join(extensions)}"
         )
+
+
+def check_distinct(*paths: Path | None) -> None:
+    """Refuse outputs of one command that are one file, links followed.
+
+    Raises
+    ------
+    click.UsageError
+        Two are; None stands for an output that is not asked for.
+    """
+    seen: dict[str, Path] = {}
+    for path in paths:
+        if path is None:
+            continue
+        other = seen.setdefault(os.path.realpath(path), path)
+        if other is not path:
+            raise click.UsageError(f"{path}: is {other}, another output, expected two files")
