@@ -13,8 +13,8 @@ from typing import Final
 from cogsplat.codec.errors import FormatError, UnsupportedError
 
 # Shorter ones stay in the text, where messages show them. The first quote is not escaped, so that a
-# string is taken whole or not at all.
-_LONG_URI: Final = re.compile(rb'(?<!\\)"data:[^",\\]{0,120},[A-Za-z0-9+/=]{256,}"')
+# string is taken whole or not at all; asked behind it, for `re` skips to a first character alone.
+_LONG_URI: Final = re.compile(rb'"(?<!\\")data:[^",\\]{0,120},[A-Za-z0-9+/=]{256,}"')
 
 _PLACEHOLDER: Final = "data:embedded-{}"
 
