@@ -7,6 +7,7 @@ function is refused, so that nothing in it can run. Tensors are read when they a
 from __future__ import annotations
 
 import collections
+import io
 import math
 import pickle
 import zipfile
@@ -27,6 +28,13 @@ F32 = NDArray[np.float32]
 
 CODE: Final = "torch-file"
 """Reason code of a file that is not what it should be."""
+
+# A trainer's file, optimiser and all, has some hundred tensors of about 200 bytes of pickle each;
+# an opcode of one byte may make an object of 64.
+_MOST_PICKLE_BYTES: Final = 1 << 19
+
+# So many entries take about 600 bytes of zipfile's objects each.
+_MOST_ENTRIES: Final = 1 << 14
 
 # VGG-16 whole, its classifier included, is 528 MiB.
 _MOST_BYTES: Final = 1 << 30
@@ -117,12 +125,16 @@ def open_torch(path: StrPath) -> Iterator[Mapping[object, object]]:
     with storage_errors(path), open_for_read(path) as file:
         try:
             with zipfile.ZipFile(file) as archive:
+                if len(archive.filelist) > _MOST_ENTRIES:
+                    raise _bad(path, f"{len(archive.filelist)} entries")
                 pickles = [name for name in archive.namelist() if name.endswith("/data.pkl")]
                 if not pickles:
                     raise _bad(path, "no pickle in the zip")
                 folder = pickles[0][: -len("data.pkl")]
-                with archive.open(pickles[0]) as stream:
-                    found = _Tensors(stream, lambda key: archive.read(f"{folder}data/{key}")).load()
+                stream = io.BytesIO(_stored(archive, pickles[0], _MOST_PICKLE_BYTES))
+                found = _Tensors(
+                    stream, lambda key: _stored(archive, f"{folder}data/{key}", _MOST_BYTES)
+                ).load()
                 if not isinstance(found, dict):
                     raise _bad(path, f"a {type(found).__name__}")
                 yield found
@@ -130,6 +142,19 @@ def open_torch(path: StrPath) -> Iterator[Mapping[object, object]]:
             raise
         except _DAMAGE as error:
             raise _bad(path, f"{type(error).__name__}: {error}") from error
+
+
+def _stored(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
+    """Return an entry that is stored, as torch stores all, and so no longer than the file is."""
+    entry = archive.getinfo(name)
+    if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > min(
+        most, entry.compress_size
+    ):
+        raise zipfile.BadZipFile(
+            f"{name[:60]} of {entry.compress_size} bytes, {entry.file_size} unpacked, expected it "
+            f"stored and at most {most} bytes"
+        )
+    return archive.read(entry)
 
 
 def read_state_dict(path: StrPath) -> dict[str, F32]:

@@ -17,6 +17,7 @@ CORPUS = Path(__file__).parent / "corpus"
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "formats"), str(ROOT / "tests" / "fuzz")]
 
 import hostile_files as hostile  # noqa: E402
+import torch_files  # noqa: E402
 from targets import joined  # noqa: E402
 
 from cogsplat.codec.splats import Splats  # noqa: E402
@@ -55,6 +56,15 @@ def scenes(folder: Path) -> Iterator[tuple[str, str, bytes]]:
     lines += [*(f"property float {name}" for name in names), "property uchar object", "end_header"]
     rows = [" ".join(str(k + row) for k in range(15)) for row in range(2)]
     yield "ply", "text", "\n".join([*lines, *rows, ""]).encode()
+    shapes = {"means": (2, 3), "scales": (2, 3), "quats": (2, 4), "opacities": (2,)}
+    arrays = {
+        name: np.ones(shape, np.float32)
+        for name, shape in {**shapes, "sh0": (2, 1, 3), "shN": (2, 3, 3)}.items()
+    }
+    state = {name: torch_files.tensor(str(k), a) for k, (name, a) in enumerate(arrays.items())}
+    storages = {str(k): a.tobytes() for k, a in enumerate(arrays.values())}
+    torch_files.saved(folder / "a.pt", {"step": 1, "splats": state}, storages)
+    yield "pt", "checkpoint", (folder / "a.pt").read_bytes()
     head = bytearray(4096 + 1024)
     head[1] = 1
     head[4:8] = head[8:12] = head[12:16] = head[16:20] = (1).to_bytes(4, "little")

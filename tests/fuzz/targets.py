@@ -177,6 +177,8 @@ _SCENES = tuple(
     )
     for format_ in FORMATS
     for extension in format_.extensions
+    # Three names for one format; of glTF's two, each is a container of its own.
+    if extension not in (".pth", ".ckpt")
 )
 
 TARGETS: dict[str, Target] = {

@@ -1,6 +1,7 @@
 """Files of torch.save, read without PyTorch, and hostile ones."""
 
 import io
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -65,3 +66,26 @@ def test_files_that_are_none_are_refused(tmp_path: Path, length: int) -> None:
     assert caught.value.code == "torch-file"
     with pytest.raises(StorageError):
         read_state_dict(tmp_path / "nothing.pth")
+
+
+@pytest.mark.parametrize("deflated", ["a/data.pkl", "a/data/0"])
+def test_entries_that_inflate_are_refused(tmp_path: Path, deflated: str) -> None:
+    """What torch stores takes its own size in the file; nothing else is read."""
+    plain, packed = tmp_path / "plain.pth", tmp_path / "packed.pth"
+    values = np.zeros(1000, np.float32)
+    saved(plain, {"w": tensor("0", values)}, {"0": values.tobytes()})
+    assert len(read_state_dict(plain)["w"]) == 1000
+    with zipfile.ZipFile(plain) as source, zipfile.ZipFile(packed, "w") as out:
+        for name in source.namelist():
+            method = zipfile.ZIP_DEFLATED if name.endswith(deflated[1:]) else zipfile.ZIP_STORED
+            out.writestr(name, source.read(name), method)
+    with pytest.raises(DataError, match="expected it stored"):
+        read_state_dict(packed)
+
+
+def test_a_long_pickle_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.pth"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("a/data.pkl", b"\x80\x02" + b"}" * (1 << 20))
+    with pytest.raises(DataError, match="expected it stored and at most"):
+        read_state_dict(path)
