@@ -24,8 +24,8 @@ SCALE_COST: Final = 0.06
 ROTATION_COST: Final = 0.48  # per squared step of a quaternion component, half the angle
 MEAN_COST: Final = 0.04  # per squared step relative to the splat's mean deviation
 
-# Squared radians per squared value of a turn, the mean over tilts of up to 90°.
-_TURN_COST: Final = 2.5
+# Squared radians per squared value of swing or twist, the mean over swings of up to 90°.
+_ROTATION_VALUE_COST: Final = 2.5
 
 
 # One view in so many is taken to show a splat as the view does that shows it best. The scoring
@@ -69,9 +69,9 @@ class Costs:
     opacity : (n,) float64
         Of the logit.
     scale_long, scale_middle, scale_thin : (n,) float64
-        Of the three values of a ladder: all log scales, the two shorter, the shortest.
-    tilt, spin : (n,) float64
-        Of the values of a turn.
+        Of the three scale differences: of all log scales, of the two shorter, of the shortest.
+    swing, twist : (n,) float64
+        Of the values that rotations are stored as (SPEC 6.11): both of swing, and twist.
     basis_mean : (n, K-1) float64
         `Scores.basis_mean`.
     """
@@ -82,8 +82,8 @@ class Costs:
     scale_long: F64
     scale_middle: F64
     scale_thin: F64
-    tilt: F64
-    spin: F64
+    swing: F64
+    twist: F64
     basis_mean: F64
 
     def take(self, rows: NDArray[np.int64]) -> Costs:
@@ -109,7 +109,7 @@ _MEAN_LIMIT: Final = 1.0  # deviations
 _MEAN_FLOOR: Final = 1e-3  # per squared deviation
 _OPACITY_FLOOR: Final = 1e-3
 _SCALE_FLOOR: Final = 3e-3
-_TURN_FLOOR: Final = 3e-3
+_ROTATION_FLOOR: Final = 3e-3
 
 # Sensitivities are raised with their energy by no more than this: beyond it, the view that shows a
 # splat best shows a pixel or two of it.
@@ -120,7 +120,7 @@ _MOST_RISE: Final = 1e3
 _OPACITY_WEIGHT: Final = 1.3
 _MIDDLE_WEIGHT: Final = 2.0
 _THIN_WEIGHT: Final = 1.5
-_TURN_WEIGHT: Final = 1.7
+_ROTATION_WEIGHT: Final = 1.7
 SH0_WEIGHT: Final = 0.6
 
 
@@ -148,10 +148,10 @@ def costs(splats: Splats, scores: Scores) -> Costs:
     rise = np.minimum(rise, _MOST_RISE)
     thin = np.exp(-2 * np.clip(sizes[:, 0], -40, 40))
     by_size = np.take_along_axis(found.scales, order, axis=1) * rise[:, None]
-    turned = np.take_along_axis(found.rotations, order, axis=1) * rise[:, None]
+    by_axis = np.take_along_axis(found.rotations, order, axis=1) * rise[:, None]
     reach = np.minimum(thin, 20 * np.exp(-2 * np.clip(sizes.mean(axis=1), -40, 40)))
-    tilted = _TURN_COST * 0.5 * (turned[:, 0] + turned[:, 1])
-    # A turn's value is the tangent of half an angle: twice the sensitivity of a radian or more.
+    swung = _ROTATION_VALUE_COST * 0.5 * (by_axis[:, 0] + by_axis[:, 1])
+    # Swing and twist are tangents of half an angle: twice the sensitivity of a radian or more.
     measured = Costs(
         energy=energy,
         mean=np.maximum(rise * found.means.mean(axis=1), _MEAN_FLOOR * energy * reach),
@@ -160,8 +160,9 @@ def costs(splats: Splats, scores: Scores) -> Costs:
         scale_middle=_MIDDLE_WEIGHT
         * np.maximum(by_size[:, 0] + by_size[:, 1], _SCALE_FLOOR * energy),
         scale_thin=_THIN_WEIGHT * np.maximum(by_size[:, 0], _SCALE_FLOOR * energy),
-        tilt=_TURN_WEIGHT * np.maximum(tilted, _TURN_FLOOR * energy),
-        spin=_TURN_WEIGHT * np.maximum(_TURN_COST * turned[:, 2], _TURN_FLOOR * energy),
+        swing=_ROTATION_WEIGHT * np.maximum(swung, _ROTATION_FLOOR * energy),
+        twist=_ROTATION_WEIGHT
+        * np.maximum(_ROTATION_VALUE_COST * by_axis[:, 2], _ROTATION_FLOOR * energy),
         basis_mean=basis_mean,
     )
     # Sensitivities are measured in some of the views only: of what these do not show, no
@@ -196,8 +197,8 @@ def _estimated(energy: F64, sizes: F64, basis_mean: F64) -> Costs:
         scale_long=3 * SCALE_COST * energy,
         scale_middle=2 * SCALE_COST * energy,
         scale_thin=SCALE_COST * energy,
-        tilt=ROTATION_COST * energy * np.maximum(flat, 0.05),
-        spin=0.5 * ROTATION_COST * energy * np.maximum(flat, 0.05),
+        swing=ROTATION_COST * energy * np.maximum(flat, 0.05),
+        twist=0.5 * ROTATION_COST * energy * np.maximum(flat, 0.05),
         basis_mean=basis_mean,
     )
 

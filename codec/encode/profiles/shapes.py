@@ -105,6 +105,6 @@ def quantise_rotations(values: F64, scales: F32, costs: Costs, lagrangian: float
     """
     swing, twist = (
         adaptive_step.fit(scales, cost, lagrangian, swing_twist.BASE_STEP)
-        for cost in (costs.tilt, costs.spin)
+        for cost in (costs.swing, costs.twist)
     )
     return swing_twist.write(values, scales, swing, twist)

@@ -71,7 +71,7 @@ def test_levelled_costs_ask_for_one_step():
     costs = rate_costs.costs(oracle.scene(3, n=N, degree=3), scored())
     level = costs.levelled()
     rng = np.random.default_rng(1)
-    for name in ("energy", "mean", "opacity", "scale_long", "tilt", "spin"):
+    for name in ("energy", "mean", "opacity", "scale_long", "swing", "twist"):
         own = getattr(level, name)
         assert own.mean() == pytest.approx(getattr(costs, name).mean())
         part = rng.choice(N, 50)

@@ -85,7 +85,7 @@ def test_what_the_measured_views_did_not_show_costs_what_splats_usually_cost():
 # Costs.
 
 VALUES = (
-    "energy", "mean", "opacity", "scale_long", "scale_middle", "scale_thin", "tilt", "spin",
+    "energy", "mean", "opacity", "scale_long", "scale_middle", "scale_thin", "swing", "twist",
 )  # fmt: skip
 
 
@@ -143,7 +143,7 @@ def test_sensitivities_say_what_errors_cost():
         ("scale_middle", by_size[:, :2].sum(axis=1)),
         ("scale_thin", by_size[:, 0]),
         (
-            "spin",
+            "twist",
             np.take_along_axis(found.rotations, np.argsort(splats.scales, axis=1), axis=1)[:, 2],
         ),
     ):
