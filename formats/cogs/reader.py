@@ -144,6 +144,10 @@ class CogsFile:
                 return chunk
         return self.num_chunks
 
+    def is_present(self, row: int) -> bool:
+        """Whether a segment, by its row in the segment table, has arrived whole."""
+        return bool(self.offsets[row] + self.segments.length[row] <= self._source.size)
+
     def has_tail(self, chunk: int, sh_degree: int = MAX_SH_DEGREE) -> bool:
         """Whether a chunk's shN can be decoded up to an SH degree, or there is none to decode."""
         row = int(self._index.tails[chunk])
@@ -152,12 +156,12 @@ class CogsFile:
     def has_refinement(self, chunk: int) -> bool:
         """Whether a chunk's values can be decoded as fine as the whole file has them."""
         row = int(self._index.refinements[chunk])
-        return row < 0 or self._present(row)
+        return row < 0 or self.is_present(row)
 
     def has_extras(self, chunk: int) -> bool:
         """Whether the extra attributes of a chunk's splats can be decoded."""
         row = int(self._index.attributes[chunk])
-        return row >= 0 and self._present(row)
+        return row >= 0 and self.is_present(row)
 
     @property
     def camera_row(self) -> int | None:
@@ -179,7 +183,7 @@ class CogsFile:
         row = self.camera_row
         if row is None:
             return []
-        if not self._present(row):
+        if not self.is_present(row):
             raise self._not_there("the segment of cameras")
         payload = bytes(self.read_segment(row))
         return cogs_cameras.unpack_cameras(payload, f"{self.name}: cameras", self._allowed)
@@ -199,7 +203,7 @@ class CogsFile:
         layers: list[Layer] = []
         allowed = self._allowed
         for number, row in enumerate(self._index.layers):
-            if not self._present(row):
+            if not self.is_present(row):
                 break
             before = layers[-1].chunks if layers else 0
             where = f"{self.name}: compensation, layer {number}"
@@ -465,12 +469,9 @@ class CogsFile:
             needed=self.file_length,
         )
 
-    def _present(self, row: int) -> bool:
-        return bool(self.offsets[row] + self.segments.length[row] <= self._source.size)
-
     def _complete(self, row: int, degree: int) -> bool:
         """Whether a segment and the codebooks it needs are there, up to an SH degree."""
-        return self._present(row) and all(
+        return self.is_present(row) and all(
             self._codebook_rows(book, degree) is not None for book in self._needed(row)
         )
 
@@ -483,7 +484,7 @@ class CogsFile:
         kinds = codebook_kinds(self.root.codebooks[book].attribute, degree)
         found = self._index.codebooks[book]
         rows = [found[kind] for kind in kinds if kind in found]
-        return rows if len(rows) == len(kinds) and all(map(self._present, rows)) else None
+        return rows if len(rows) == len(kinds) and all(map(self.is_present, rows)) else None
 
     def _check_size(self, size: int, what: str) -> None:
         """Refuse to allocate `size` bytes beside the codebooks that are there already."""
@@ -538,7 +539,7 @@ class CogsFile:
         where = f"{self.name}: chunk {chunk}"
         payload = self.read_segment(head)
         row = int(self._index.refinements[chunk])
-        finer = self.read_segment(row) if refine and row >= 0 and self._present(row) else None
+        finer = self.read_segment(row) if refine and row >= 0 and self.is_present(row) else None
         heads.decode_head(payload, self._books(head, degree), out, f"{where} head", finer)
         if out.extras:
             payload = self.read_segment(int(self._index.attributes[chunk]))

@@ -160,13 +160,19 @@ def _require_inside(file: CogsFile, chunk: int, means: np.ndarray, offset: int) 
 
 
 def findings(
-    source: Source, *, limits: Limits | None = None, progress: Progress = silent
+    source: Source,
+    *,
+    partial: bool = False,
+    limits: Limits | None = None,
+    progress: Progress = silent,
 ) -> list[Finding]:
     """Return every broken rule of a file, none where it conforms.
 
     Parameters
     ----------
     source : Source
+    partial : bool
+        Whether a file that is still being received is no finding.
     limits : Limits, optional
         What may be allocated for it.
     progress : Progress
@@ -196,9 +202,10 @@ def findings(
     try:
         file = open_cogs(source, limits=limits)
     except CogsplatError as error:
-        found.append(_finding(error, None))
         if error.code != "file-truncated":
-            return found
+            return [_finding(error, None)]
+        if not partial:
+            found.append(_finding(error, None))
         try:
             file = open_cogs(source, partial=True, limits=limits)
         except CogsplatError as second:

@@ -35,6 +35,7 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import Colour
 
@@ -166,6 +167,7 @@ def decibels(text: str) -> tuple[float, ...]:
     help="In place of all that: what each technique of the transform profile buys.",
 )
 @background_option
+@partial_option
 @limits_option
 @threads_option
 @force_option

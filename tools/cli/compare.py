@@ -27,6 +27,7 @@ from cogsplat.tools.terminal.options import (
 )
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
 from cogsplat.tools.terminal.output_names import PNG, check_name, format_option
+from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import ChunkRange, Colour, picture_size
 
@@ -67,6 +68,7 @@ from .inputs import (
 @background_option
 @part_options
 @compensate_option
+@partial_option
 @limits_option
 @threads_option
 @force_option
@@ -182,6 +184,7 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
 @ssim_border_option
 @part_options
 @compensate_option
+@partial_option
 @limits_option
 @threads_option
 @quiet_option

@@ -10,7 +10,7 @@ import click
 
 import cogsplat
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.scenes.registry import WRITABLE, format_to_write
+from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import check_output, storage_errors
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
@@ -22,7 +22,8 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import format_option
+from cogsplat.tools.terminal.output_names import format_option, scene_format
+from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 
 from .inputs import LoadedScene, given_files, read_any, scoring_cameras
@@ -41,6 +42,7 @@ _COGS: Final = "cogs"
 @format_option([_COGS, *WRITABLE], "Without it, B's extension says which.")
 @edit_options
 @cameras_option("For a .cogs only; without it, views are planned around the scene.")
+@partial_option
 @limits_option
 @threads_option
 @force_option
@@ -63,7 +65,7 @@ def convert(
     writing one. What a format cannot hold is said in a warning.
     """
     to_cogs = format_name == _COGS if format_name else out.name.lower().endswith(f".{_COGS}")
-    name = _COGS if to_cogs else format_to_write(out, format_name).name
+    name = _COGS if to_cogs else scene_format(out, format_name).name
     if cameras is not None and not to_cogs:
         raise click.UsageError(f"--cameras with {out}, expected an output that ends in .{_COGS}")
     check_output(out, force=force, inputs=given_files(source, cameras))

@@ -10,7 +10,7 @@ import click
 
 import cogsplat
 from cogsplat.codec.errors import CogsplatWarning
-from cogsplat.formats.scenes.registry import WRITABLE, format_to_write
+from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import check_output, storage_errors
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.terminal.limits import limits_option
@@ -24,7 +24,8 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import format_option
+from cogsplat.tools.terminal.output_names import format_option, scene_format
+from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import ChunkRange
 
@@ -43,6 +44,7 @@ from .inputs import LoadedScene, Selection, decode_part
 @compensate_option
 @format_option(WRITABLE, "Without it, the extension says which.")
 @click.option("--no-refine", is_flag=True, help="The coarse values of the heads alone.")
+@partial_option
 @limits_option
 @threads_option
 @force_option
@@ -70,7 +72,7 @@ def decode(
     stopped there: what is complete is decoded. With --compensate, splats of a prefix are
     enlarged and made more opaque in place of those that are missing.
     """
-    format_to_write(out, format_name)
+    scene_format(out, format_name)
     check_output(out, force=force, inputs=[cogs])
     refine = not no_refine
     part = Selection(chunks, least_splats, size, sh_degree, objects, refine, compensate)
@@ -78,12 +80,6 @@ def decode(
         scene = decode_part(cogs, part, threads=threads, progress=stages)
         with stages.stage("write"):
             cogsplat.write(scene.splats, out, force=force, format_name=format_name)
-    if not scene.chunks and scene.file_chunks and part.size is not None:
-        warnings.warn(
-            f"{cogs}: no chunk is complete in the first {scene.bytes_read} bytes",
-            CogsplatWarning,
-            stacklevel=1,
-        )
     if scene.without_tails:
         first, last = scene.without_tails[0], scene.without_tails[-1]
         span = f"chunk {first}" if first == last else f"chunks {first} to {last}"

@@ -37,6 +37,7 @@ from cogsplat.tools.terminal.output_names import (
     check_name,
     format_option,
 )
+from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import Colour, byte_count
 
@@ -163,6 +164,7 @@ if TYPE_CHECKING:
 @format_option(["cogs"], "Without it, a name that says another format is refused.")
 @background_option
 @edit_options
+@partial_option
 @limits_option
 @threads_option
 @force_option

@@ -52,6 +52,7 @@ from cogsplat.tools.terminal.options import (
     top_k_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json
+from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import Colour, byte_count
 
@@ -177,6 +178,7 @@ def sizes(text: str) -> tuple[ByteCount, ...]:
 @top_k_option
 @background_option
 @ssim_border_option
+@partial_option
 @limits_option
 @threads_option
 @force_option

@@ -25,6 +25,7 @@ from cogsplat.tools.evaluation.byte_inventory import (
 from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import PATH, json_option, quiet_option
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
 
 from .inputs import read_any
@@ -44,6 +45,7 @@ _ATTRIBUTES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 @click.argument("path", type=PATH, metavar="IN")
 @click.option("--verify", is_flag=True, help="Check every hash and decode every chunk of it.")
 @click.option("--all", "all_chunks", is_flag=True, help="List every chunk, however many.")
+@partial_option
 @limits_option
 @quiet_option
 @json_option
@@ -53,6 +55,8 @@ def info(path: Path, verify: bool, all_chunks: bool, quiet: bool, as_json: bool)
     Of a COGS file the root, codebooks, chunks and bytes per attribute; of a scene in another format
     splats, SH degree and ranges.
     """
+    if verify and partial_accepted():
+        raise click.UsageError("--verify and --partial: expected one of them")
     if not is_cogs(path):
         if verify:
             raise click.UsageError(f"{path}: is no COGS file, expected one with --verify")
@@ -64,13 +68,14 @@ def info(path: Path, verify: bool, all_chunks: bool, quiet: bool, as_json: bool)
             _tell_scene(path, scene.splats, scene.file_bytes)
         return
     with (
-        cogsplat.open(path, limits=current_limits()) as file,
+        cogsplat.open(path, partial=partial_accepted(), limits=current_limits()) as file,
         Stages(shown=verify and not (quiet or as_json)) as stages,
     ):
         if verify:
             file.verify(stages)
         sizes = stored_sizes(file)
-        cameras = len(file.cameras())
+        row = file.camera_row
+        cameras = len(file.cameras()) if row is None or file.is_present(row) else None
     if as_json:
         say_json({**_cogs_report(path, file, sizes, cameras), "verified": verify})
         return
@@ -86,7 +91,7 @@ def _decoded_bytes(file: CogsFile) -> int:
 
 
 def _cogs_report(
-    path: Path, file: CogsFile, sizes: list[StoredSize], cameras: int
+    path: Path, file: CogsFile, sizes: list[StoredSize], cameras: int | None
 ) -> dict[str, object]:
     root = file.root
     view = root.first_view
@@ -96,6 +101,8 @@ def _cogs_report(
         "version": format_version(path),
         "writer": root.writer,
         "bytes": file.file_length,
+        "bytes_read": file.source_bytes,
+        "chunks_complete": file.complete_chunks(),
         "splats": root.splats,
         "sh_degree": root.sh_degree,
         "decoded_bytes": _decoded_bytes(file),
@@ -130,7 +137,7 @@ def _cogs_report(
     }
 
 
-def _tell_root(path: Path, file: CogsFile, cameras: int) -> None:
+def _tell_root(path: Path, file: CogsFile, cameras: int | None) -> None:
     root, view = file.root, file.root.first_view
     say(f"{path}: COGS {format_version(path)}, {size_text(file.file_length)}, by {root.writer}")
     each = file.file_length / max(root.splats, 1)
@@ -141,6 +148,7 @@ def _tell_root(path: Path, file: CogsFile, cameras: int) -> None:
     )
     smoothing = "antialiased" if root.info.antialiased else "not antialiased"
     facts(
+        ("there", _received(file)),
         ("splats", f"{root.splats:,} at SH degree {root.sh_degree}, {each:.2f} B each"),
         ("decoded", size_text(_decoded_bytes(file))),
         ("box", axes),
@@ -151,11 +159,19 @@ def _tell_root(path: Path, file: CogsFile, cameras: int) -> None:
             "first view",
             f"{view.width}x{view.height} px at {_numbers(view.position)}" if view else "none",
         ),
-        ("cameras", f"{cameras:,} stored" if cameras else ""),
+        ("cameras", "not there" if cameras is None else f"{cameras:,} stored" if cameras else ""),
         ("codebooks", f"{', '.join(books)} rows" if books else "none"),
         ("attributes", _kinds(root.attributes)),
         ("index", f"{counted(len(root.pages), 'page')} beside the root" if root.pages else ""),
     )
+
+
+def _received(file: CogsFile) -> str:
+    """Return what of a file has arrived, nothing where all of it has."""
+    if file.source_bytes == file.file_length:
+        return ""
+    share = f"{size_text(file.source_bytes)} of {size_text(file.file_length)}"
+    return f"{share}, {file.complete_chunks()} of {counted(file.num_chunks, 'chunk')} complete"
 
 
 def _kinds(types: Sequence[AttributeType]) -> str:

@@ -20,6 +20,7 @@ from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes, s
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.formats.storage.source import FileSource
 from cogsplat.tools.terminal.limits import current_limits
+from cogsplat.tools.terminal.partial import partial_accepted
 from cogsplat.tools.terminal.values import ChunkRange
 
 EVAL_CAMERAS: Final = "eval_cameras.json"
@@ -157,7 +158,9 @@ def decode_part(
     """
     source = FileSource(path)
     size_bytes = None if part.size is None else part.size.of(source.size)
-    with cogsplat.open(source, size_bytes=size_bytes, limits=current_limits()) as file:
+    with cogsplat.open(
+        source, partial=partial_accepted(), size_bytes=size_bytes, limits=current_limits()
+    ) as file:
         try:
             chunks = file.select(
                 chunks=None if part.chunks is None else (part.chunks.first, part.chunks.last),
@@ -175,6 +178,12 @@ def decode_part(
             threads=threads,
             progress=progress,
         )
+        if not file.complete_chunks() and file.source_bytes < file.file_length:
+            warnings.warn(
+                f"{path}: no chunk is complete in the first {file.source_bytes} bytes",
+                CogsplatWarning,
+                stacklevel=2,
+            )
         missing = [chunk for chunk in chunks if not file.has_tail(chunk, splats.sh_degree)]
         return LoadedScene(
             splats=splats,

@@ -9,6 +9,7 @@ import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from types import FrameType
 from typing import Final
 
@@ -21,7 +22,6 @@ from cogsplat.codec.errors import (
     CogsplatWarning,
     LimitError,
     StorageError,
-    UnsupportedError,
     printable,
 )
 from cogsplat.formats.cogs import layout
@@ -54,8 +54,46 @@ _STOP_SIGNALS: Final = ("SIGTERM", "SIGHUP")
 _JSON: Final = "cogsplat.json"
 
 
+# What the command line adds to a refusal, where the command has the option: messages of the library
+# name no options, because its callers have none.
+_HINTS: Final = {
+    "exists": ("--force", "--force replaces it"),
+    "file-truncated": ("--partial", "--partial takes the chunks that are complete"),
+    "invalid-rows": ("--drop-invalid", "--drop-invalid leaves those splats out"),
+    "decoded-size": ("--limits", "--limits memory=8GiB,expansion=4096, or other sizes, allows it"),
+    "too-many-splats": ("--limits", "--limits splats=100M, or another number, allows it"),
+    "too-many-cameras": ("--limits", "--limits cameras=1M, or another number, allows it"),
+}
+
+
 class _OutputError(StorageError):
     """Standard output could not be written."""
+
+
+class _MissingExtraError(CogsplatError):
+    """A package of an extra is not installed; no fault of the data, so the exit code is 4.
+
+    Parameters
+    ----------
+    module : str
+        As it is imported; the reason code is ``needs-extra``.
+    """
+
+    exit_code = 4
+
+    def __init__(self, module: str) -> None:
+        super().__init__(
+            "needs-extra",
+            f"this takes {module}, which is not installed; it needs the extra: {_install_line()}",
+        )
+
+
+def _install_line() -> str:
+    """Return the command that installs the extra; in a checkout, from the checkout."""
+    root = Path(cogsplat.__file__).resolve().parents[1]
+    if (root / "pyproject.toml").is_file():
+        return f"pip install -e '{'.' if root == Path.cwd() else root}[encode]'"
+    return "pip install 'cogsplat[encode]'"
 
 
 class CommandLine(click.Group):
@@ -93,13 +131,16 @@ class CommandLine(click.Group):
     def invoke(self, ctx: click.Context) -> object:
         """Run a command; report failures."""
         as_json = bool(ctx.meta[_JSON])
-        with _failures_told(as_json), _stoppable(), _warnings_told(ctx, as_json):
+        with _failures_told(as_json, ctx), _stoppable(), _warnings_told(ctx, as_json):
             return super().invoke(ctx)
 
 
 @contextmanager
-def _failures_told(as_json: bool) -> Iterator[None]:
-    """Print the error that the block raises and exit with its code."""
+def _failures_told(as_json: bool, group: click.Context | None = None) -> Iterator[None]:
+    """Print the error that the block raises and exit with its code.
+
+    `group` is the context whose command runs, for a hint at one of its options.
+    """
     try:
         with _as_cogsplat_errors():
             try:
@@ -116,8 +157,19 @@ def _failures_told(as_json: bool) -> Iterator[None]:
         raise click.exceptions.Exit(_USAGE) from None
     except CogsplatError as error:
         arrives = not isinstance(error, _OutputError)
-        _tell(error.code, error.message, error.exit_code, as_json and arrives)
+        hint = _hint(error.code, group)
+        _tell(error.code, error.message, error.exit_code, as_json and arrives, hint)
         raise click.exceptions.Exit(error.exit_code) from None
+
+
+def _hint(code: str, group: click.Context | None) -> str:
+    """Return what option helps against a refusal, nothing where the command does not have it."""
+    option, text = _HINTS.get(code, ("", ""))
+    if not option or group is None or not isinstance(group.command, click.Group):
+        return ""
+    command = group.command.get_command(group, group.invoked_subcommand or "")
+    has = command is not None and any(option in parameter.opts for parameter in command.params)
+    return text if has else ""
 
 
 @contextmanager
@@ -133,11 +185,7 @@ def _as_cogsplat_errors() -> Iterator[None]:
         module = (error.name or "").partition(".")[0]
         if module not in _ENCODE_EXTRA:
             raise
-        raise UnsupportedError(
-            "needs-extra",
-            f"this takes {module}, which is not installed; it needs the extra: "
-            "pip install 'cogsplat[encode]'",
-        ) from error
+        raise _MissingExtraError(module) from error
     except OSError as error:
         # Files report theirs as `StorageError`; what is left is what was printed.
         _drop_output()
@@ -170,7 +218,8 @@ def _tell(code: str, message: str, exit_code: int, as_json: bool, hint: str = ""
     # Where even this does not arrive, the exit code still tells.
     with suppress(OSError):
         if as_json:
-            say_json({"error": {"code": code, "message": message, "exit_code": exit_code}})
+            told = {"code": code, "message": message, "exit_code": exit_code}
+            say_json({"error": {**told, "hint": hint} if hint else told})
             _flush()
             return
         click.echo(f"error: {printable(message)} [{code}]", err=True)
@@ -233,8 +282,9 @@ def _warnings_told(ctx: click.Context, as_json: bool) -> Iterator[None]:
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="\b\nExample:\n"
     "  cogsplat demo\n\n"
-    "Exit status: 0 done, 2 misuse, 3 invalid data, 4 input or output failed, 5 a limit was "
-    "reached, 130 interrupted. A command that fails leaves no half-written file.",
+    "Exit status: 0 done, 2 misuse, 3 invalid data, 4 input or output failed or an extra is not "
+    "installed, 5 a limit was reached, 130 interrupted. A command that fails leaves no "
+    "half-written file.",
 )
 @click.version_option(
     cogsplat.__version__,

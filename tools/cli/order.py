@@ -29,6 +29,7 @@ from cogsplat.tools.terminal.options import (
 )
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, table
 from cogsplat.tools.terminal.output_names import NPY, check_name
+from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 
 from .inputs import given_cameras, given_files, read_any, scoring_cameras, virtual_views
@@ -47,6 +48,7 @@ from .order_options import OrderChoice, order_options
 @jitter_option
 @top_k_option
 @eval_every_option(0, "Keep from scoring the")
+@partial_option
 @limits_option
 @threads_option
 @force_option

@@ -21,6 +21,7 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import ChunkRange
 
@@ -37,6 +38,7 @@ _BARS: Final = "▁▂▃▄▅▆▇█"
 )
 @click.argument("path", type=PATH, metavar="SCENE")
 @part_options
+@partial_option
 @limits_option
 @threads_option
 @quiet_option

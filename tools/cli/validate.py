@@ -12,6 +12,7 @@ from cogsplat.formats.storage.source import FileSource
 from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import PATH, json_option, quiet_option
 from cogsplat.tools.terminal.output import counted, name_of, say, say_json
+from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
 
 _INVALID = 3
@@ -23,6 +24,7 @@ _INVALID = 3
     "  cogsplat validate scene.cogs --json | jq '.findings[].code'"
 )
 @click.argument("path", type=PATH, metavar="IN.cogs")
+@partial_option
 @limits_option
 @quiet_option
 @json_option
@@ -30,12 +32,15 @@ def validate(path: Path, quiet: bool, as_json: bool) -> None:
     """Check a COGS file against every rule of SPEC.md.
 
     All segments are read, hashed and decoded, and all broken rules are listed, each with its reason
-    code, the clause of SPEC.md and the byte offset. Exit status 3 where there are any.
+    code, the clause of SPEC.md and the byte offset. Exit status 3 where there are any. With
+    --partial, a file that is short is no finding.
     """
     source = FileSource(path)
     try:
         with Stages(shown=not (quiet or as_json)) as stages:
-            found = findings(source, limits=current_limits(), progress=stages)
+            found = findings(
+                source, partial=partial_accepted(), limits=current_limits(), progress=stages
+            )
     finally:
         source.close()
     if as_json:
@@ -51,7 +56,8 @@ def validate(path: Path, quiet: bool, as_json: bool) -> None:
             say(_line(finding))
             say(f"    {finding.message}")
         if not found and not quiet:
-            say(f"{name_of(path)}: conforms to SPEC.md")
+            what = "what is there conforms" if partial_accepted() else "conforms"
+            say(f"{name_of(path)}: {what} to SPEC.md")
         elif found:
             say(f"{name_of(path)}: {counted(len(found), 'finding')}")
     if found:

@@ -25,6 +25,7 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 
 from .compare import fitted
@@ -51,6 +52,7 @@ _MOST_VIEWS: Final = 1024
     metavar="N",
     help="Views; a few more may be added for what they leave out.  [default: 64]",
 )
+@partial_option
 @limits_option
 @threads_option
 @force_option

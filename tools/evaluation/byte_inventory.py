@@ -126,6 +126,9 @@ def chunk_sizes(file: CogsFile) -> list[ChunkSizes]:
 def stored_sizes(file: CogsFile) -> list[StoredSize]:
     """Return the bytes of every kind of stream; their sum is the size of the file.
 
+    Of a file that has not arrived whole, segments that are not there count as one row each kind,
+    and everything behind the last segment listed as one more.
+
     Raises
     ------
     CogsplatError
@@ -133,10 +136,16 @@ def stored_sizes(file: CogsFile) -> list[StoredSize]:
     """
     found: dict[tuple[str, str], int] = defaultdict(int)
     segment_bytes = int(file.segments.length.sum(dtype=np.uint64))
-    found[_INDEX, "preamble, root, pages"] = file.file_length - segment_bytes
+    unlisted = _unlisted_bytes(file)
+    found[_INDEX, "preamble, root, pages"] = file.file_length - segment_bytes - unlisted
+    if unlisted:
+        found[_INDEX, "not there, not listed"] = unlisted
     found[_INDEX, "framing of segments"] = 0
     for row in range(len(file.segments)):
         number, owner = int(file.segments.kind[row]), int(file.segments.owner[row])
+        if not file.is_present(row):
+            found[_segment_name(number), "not there"] += int(file.segments.length[row])
+            continue
         if number == SegmentKind.CAMERAS:
             found["cameras", "all columns"] += int(file.segments.length[row])
             continue
@@ -153,7 +162,7 @@ def stored_sizes(file: CogsFile) -> list[StoredSize]:
             found[f"kind {number}", "unknown"] += int(file.segments.length[row])
             continue
         kind = SegmentKind(number)
-        name = kind.name.lower().replace("_", " ")
+        name = _segment_name(number)
         payload = file.read_segment(row)
         rest = len(payload)
         where = f"{file.name}: segment {row}"
@@ -162,6 +171,20 @@ def stored_sizes(file: CogsFile) -> list[StoredSize]:
             rest -= stream.stored_bytes
         found[_INDEX, "framing of segments"] += rest
     return [StoredSize(*key, size) for key, size in found.items()]
+
+
+def _unlisted_bytes(file: CogsFile) -> int:
+    """Return the bytes behind the last segment listed, where pages of the index are missing."""
+    if file.source_bytes == file.file_length or not len(file.segments):
+        return 0
+    last = int((file.offsets + file.segments.length.astype(np.int64)).max())
+    return file.file_length - last
+
+
+def _segment_name(number: int) -> str:
+    if number >= SKIPPABLE_KIND:
+        return f"kind {number}"
+    return SegmentKind(number).name.lower().replace("_", " ")
 
 
 def _rows(file: CogsFile, kind: SegmentKind, owner: int) -> int:

@@ -9,7 +9,8 @@ from typing import Final, TypeVar
 
 import click
 
-from cogsplat.formats.scenes.registry import FORMATS
+from cogsplat.codec.errors import FormatError, UnsupportedError
+from cogsplat.formats.scenes.registry import FORMATS, Format, format_to_write
 
 Command = TypeVar("Command", bound=Callable[..., object])
 
@@ -41,6 +42,20 @@ def format_option(names: Sequence[str], what: str) -> Callable[[Command], Comman
         type=click.Choice(tuple(names)),
         help=f"Write this format whatever the output is called. {what}",
     )
+
+
+def scene_format(path: Path, format_name: str | None) -> Format:
+    """Return the foreign format to write, by the name given or else by the output's extension.
+
+    Raises
+    ------
+    click.UsageError
+        There is none of that name or extension, or it is not written.
+    """
+    try:
+        return format_to_write(path, format_name)
+    except (FormatError, UnsupportedError) as error:
+        raise click.UsageError(error.message) from error
 
 
 def check_name(path: Path, extensions: Sequence[str], *, insisted: bool = False) -> None:

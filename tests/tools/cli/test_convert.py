@@ -185,17 +185,19 @@ def test_misuse_is_told_before_any_work(run: Run, tmp_path: Path, arguments: lis
 
 
 @pytest.mark.parametrize(
-    ("out", "code", "reason"),
-    [("out.xyz", 3, "unknown-format"), ("out.ksplat", 3, "read-only-format")],
+    ("out", "said"), [("out.xyz", "no format has this"), ("out.ksplat", "ksplat is not written")]
 )
-def test_unwritable_target_is_told_before_reading(
-    run: Run, tmp_path: Path, out: str, code: int, reason: str
+@pytest.mark.parametrize("command", ["convert", "decode"])
+def test_unwritable_target_is_misuse_told_before_reading(
+    run: Run, tmp_path: Path, command: str, out: str, said: str
 ) -> None:
-    told = run("convert", tmp_path / "absent.ply", tmp_path / out, "--json")
-    assert told.code == code
+    told = run(command, tmp_path / "absent.cogs", tmp_path / out, "--json")
+    assert told.code == 2
     error = told.json["error"]
     assert isinstance(error, dict)
-    assert error["code"] == reason
+    assert error["code"] == "usage"
+    assert said in str(error["message"])
+    assert "compressed ply (.compressed.ply)" in str(error["message"])
 
 
 def test_existing_target_is_kept_unless_forced(run: Run, small: SmallScene, tmp_path: Path) -> None:
@@ -226,7 +228,7 @@ def test_writing_cogs_takes_the_extra_and_says_so(
 ) -> None:
     without = "sys.modules.update(dict.fromkeys(('numba', 'scipy', 'sklearn')))"
     told = run_apart("convert", small.ply, tmp_path / "out.cogs", "--json", before=without)
-    assert told.code == 3
+    assert told.code == 4
     error = told.json["error"]
     assert isinstance(error, dict)
     assert error["code"] == "needs-extra"

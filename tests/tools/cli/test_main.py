@@ -12,9 +12,10 @@ from pathlib import Path
 import click
 import pytest
 from click.testing import CliRunner
-from running import Run, SmallScene, program
+from running import ROOT, Run, SmallScene, program
 
-from cogsplat.codec.errors import CogsplatWarning
+import cogsplat
+from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.tools.cli.main import CommandLine, cli
 from cogsplat.tools.synthetic.scene import synth_cameras
@@ -123,8 +124,8 @@ def group_with(failure: BaseException) -> CommandLine:
     [
         (MemoryError("Unable to allocate 51 GiB"), 5, "memory"),
         (KeyboardInterrupt(), 130, "cancelled"),
-        (ModuleNotFoundError("no numba", name="numba"), 3, "needs-extra"),
-        (ModuleNotFoundError("no PIL", name="PIL.Image"), 3, "needs-extra"),
+        (ModuleNotFoundError("no numba", name="numba"), 4, "needs-extra"),
+        (ModuleNotFoundError("no PIL", name="PIL.Image"), 4, "needs-extra"),
     ],
 )
 def test_what_goes_wrong_outside_the_program_has_its_code(
@@ -207,6 +208,7 @@ def test_core_alone_decodes_and_inspects(run_apart: Run, small: SmallScene, tmp_
 def test_what_takes_the_extra_says_so(
     run_apart: Run, small: SmallScene, tmp_path: Path, command: str
 ) -> None:
+    target = "." if Path.cwd() == ROOT else ROOT
     out = tmp_path / "out"
     arguments: list[object] = [command, small.ply, out]
     if command == "compare":
@@ -214,12 +216,47 @@ def test_what_takes_the_extra_says_so(
     if command == "demo":
         arguments = [command, "--out", out]
     done = run_apart(*arguments, "--json", before=WITHOUT_EXTRAS)
-    assert done.code == 3
+    assert done.code == 4
     error = done.json["error"]
     assert isinstance(error, dict)
     assert error["code"] == "needs-extra"
-    assert "pip install 'cogsplat[encode]'" in str(error["message"])
+    # The tests run from a checkout, where the name alone would ask the package index.
+    assert f"pip install -e '{target}[encode]'" in str(error["message"])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_installed_package_names_itself_in_the_hint_for_an_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cogsplat, "__file__", str(tmp_path / "cogsplat" / "__init__.py"))
+    told = CliRunner().invoke(group_with(ModuleNotFoundError("no", name="numba")), ["fail"])
+    assert told.stderr == (
+        "error: this takes numba, which is not installed; it needs the extra: "
+        "pip install 'cogsplat[encode]' [needs-extra]\n"
+    )
+
+
+HINTS = {"exists": "--force", "file-truncated": "--partial", "invalid-rows": "--drop-invalid"}
+
+
+@pytest.mark.parametrize(("code", "option"), HINTS.items())
+def test_refusals_name_the_option_that_helps_where_the_command_has_it(
+    code: str, option: str
+) -> None:
+    group = CommandLine("cogsplat")
+    for name, options in (("with", [click.Option([option], is_flag=True)]), ("without", [])):
+
+        def fail(**given: object) -> None:
+            raise DataError(code, "found, expected")
+
+        as_json = click.Option(["--json", "as_json"], is_flag=True)
+        group.add_command(click.Command(name, callback=fail, params=[as_json, *options]))
+    told = CliRunner().invoke(group, ["with"])
+    first, hint = told.stderr.splitlines()
+    assert first == f"error: found, expected [{code}]"
+    assert hint.startswith(f"{option} ")
+    assert json.loads(CliRunner().invoke(group, ["with", "--json"]).stdout)["error"]["hint"] == hint
+    assert CliRunner().invoke(group, ["without"]).stderr.splitlines() == [first]
 
 
 @posix
