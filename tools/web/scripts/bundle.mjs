@@ -1,6 +1,6 @@
-// Bundles build/src: the library and the program of its workers, without a dependency.
+// Bundles build/src: the library, the program of its workers and the viewer, without a dependency.
 // node scripts/bundle.mjs FOLDER
-import { readFileSync } from "node:fs";
+import { copyFileSync, readFileSync } from "node:fs";
 import { gzipSync } from "node:zlib";
 import { build } from "esbuild";
 
@@ -9,7 +9,11 @@ const [folder] = process.argv.slice(2);
 const notice = readFileSync("node_modules/fzstd/LICENSE", "utf8").trim();
 const banner = `/*! cogsplat, Apache-2.0; contains fzstd:\n${notice}\n*/`;
 await build({
-  entryPoints: { cogsplat: "build/src/index.js", worker: "build/src/workers/worker.js" },
+  entryPoints: {
+    cogsplat: "build/src/index.js",
+    worker: "build/src/workers/worker.js",
+    viewer: "build/src/viewer/page.js",
+  },
   outdir: folder,
   bundle: true,
   format: "esm",
@@ -19,7 +23,8 @@ await build({
   legalComments: "inline",
   banner: { js: banner },
 });
-for (const file of ["cogsplat.js", "worker.js"]) {
+for (const file of ["viewer.html", "viewer.css"]) copyFileSync(`viewer/${file}`, `${folder}/${file}`);
+for (const file of ["cogsplat.js", "worker.js", "viewer.js"]) {
   const bytes = readFileSync(`${folder}/${file}`);
   console.log(`${folder}/${file}: ${bytes.length} bytes, ${gzipSync(bytes, { level: 9 }).length} gzipped`);
 }

@@ -37,6 +37,8 @@ export interface SparkOptions extends Omit<StreamOptions, "format"> {
 }
 
 const UPLOAD_INTERVAL = 250;
+/** Spark 2.2 draws with this range whatever its `splatEncoding` says, measured in Chromium. */
+const SPARK_COLOURS = { rgbMin: 0, rgbMax: 1 } as const;
 
 /**
  * Stream a scene into a mesh of Spark (three.js).
@@ -60,7 +62,8 @@ export function streamToSpark<M extends SparkMesh>(
   scene: StreamedScene, spark: SparkModule<M>, options: SparkOptions = {},
 ): { readonly mesh: M; readonly done: Promise<void> } {
   const degree = Math.min(options.degree ?? scene.info.shDegree, scene.info.shDegree);
-  const { rgbMin, rgbMax, shRange } = { ...DEFAULT_RANGES, ...options.ranges };
+  const ranges = { ...DEFAULT_RANGES, ...SPARK_COLOURS, ...options.ranges };
+  const { rgbMin, rgbMax, shRange } = ranges;
   const total = scene.info.splats;
   const packed = new spark.PackedSplats({
     maxSplats: total,
@@ -104,7 +107,7 @@ export function streamToSpark<M extends SparkMesh>(
     mesh.updateVersion();
     options.onUpload?.(rows);
   };
-  const streamed = { ...options, degree, compensate, format: "packed" } as const;
+  const streamed = { ...options, ranges, degree, compensate, format: "packed" } as const;
   return { mesh, done: run(scene, streamed, write, upload, options.uploadInterval) };
 }
 

@@ -1,0 +1,9 @@
+/**
+ * Rows from the farthest to the nearest, by counting sort.
+ *
+ * @param means - Three a row.
+ * @param rows - Rows to sort.
+ * @param forward - Direction of view.
+ * @param order - Receives the rows.
+ */
+export declare function sortByDepth(means: Float32Array, rows: number, forward: readonly number[], order: Uint32Array): void;

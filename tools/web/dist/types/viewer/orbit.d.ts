@@ -1,0 +1,22 @@
+import type { SceneInfo } from "../container/root.js";
+import type { View } from "./renderer.js";
+/** A camera that turns around a point, walks up to it and moves with it. */
+export declare class OrbitCamera {
+    /** World to camera: rows right, down, forward. */
+    private axes;
+    private target;
+    private distance;
+    private readonly down;
+    /** Focal length over the height of the picture. */
+    private readonly focal;
+    /** Start at the scene's first view, or in front of its box. */
+    constructor(scene: SceneInfo);
+    /** Turn by a movement of the pointer, px. */
+    turn(dx: number, dy: number): void;
+    /** Move sideways by a movement of the pointer, px of a picture of some height. */
+    move(dx: number, dy: number, height: number): void;
+    /** Come nearer, by a factor. */
+    zoom(factor: number): void;
+    /** The view for a canvas. */
+    view(height: number): View;
+}

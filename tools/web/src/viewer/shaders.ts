@@ -1,0 +1,143 @@
+/** Splats of one instance: drivers pay for each instance, so that one for each splat is many times slower. */
+export const QUADS_PER_INSTANCE = 128;
+/** Texels of a row of every texture that holds splats. */
+export const TEXTURE_WIDTH = 2048;
+
+/** Reads packed splats (`src/scene/packed_splats.ts`), projects them (SPEC 8.7) and spans a quad over each. */
+export const VERTEX_SHADER = `#version 300 es
+precision highp float;
+precision highp int;
+precision highp usampler2D;
+
+uniform usampler2D splats;
+uniform usampler2D sh1;
+uniform usampler2D sh2;
+uniform usampler2D sh3;
+uniform usampler2D order;
+uniform int count;
+uniform int degree;
+uniform mat3 rotation;       // world to camera: x right, y down, z forward
+uniform vec3 translation;
+uniform vec3 cameraPosition; // in the space of the means
+uniform vec2 focal;          // px
+uniform vec2 viewport;       // px
+uniform float kernel;        // px^2, added to projected covariances
+uniform bool antialiased;
+uniform vec2 rgbRange;
+uniform float shRange;
+
+out vec4 colour;
+out vec2 offset;
+
+const float NEAR = 0.2;
+const float ALPHA_MIN = 1.0 / 255.0;
+
+ivec2 texel(int index) { return ivec2(index & 2047, index >> 11); }
+
+vec4 rotationOf(uint u, uint v, uint angle) {
+  vec2 f = vec2(float(u), float(v)) / 127.5 - 1.0;
+  vec3 axis = vec3(f, 1.0 - abs(f.x) - abs(f.y));
+  float fold = max(-axis.z, 0.0);
+  axis.x += axis.x >= 0.0 ? -fold : fold;
+  axis.y += axis.y >= 0.0 ? -fold : fold;
+  float half_angle = float(angle) * (3.14159265 / 510.0);
+  return vec4(normalize(axis) * sin(half_angle), cos(half_angle));
+}
+
+mat3 matrixOf(vec4 q) {
+  vec3 d = q.xyz * q.xyz;
+  float xy = q.x * q.y, xz = q.x * q.z, yz = q.y * q.z, wx = q.w * q.x, wy = q.w * q.y, wz = q.w * q.z;
+  return mat3(1.0 - 2.0 * (d.y + d.z), 2.0 * (xy + wz), 2.0 * (xz - wy),
+              2.0 * (xy - wz), 1.0 - 2.0 * (d.x + d.z), 2.0 * (yz + wx),
+              2.0 * (xz + wy), 2.0 * (yz - wx), 1.0 - 2.0 * (d.x + d.y));
+}
+
+float code(uvec4 words, int at, int bits) {
+  int word = at >> 5, shift = at & 31;
+  uint value = words[word] >> shift;
+  if (shift + bits > 32) value |= words[word + 1] << (32 - shift);
+  return float(int(value << (32 - bits)) >> (32 - bits));
+}
+
+vec3 coefficient(uvec4 words, int k, int bits) {
+  return vec3(code(words, 3 * k * bits, bits), code(words, (3 * k + 1) * bits, bits), code(words, (3 * k + 2) * bits, bits));
+}
+
+vec3 higherBands(int index, vec3 d) {
+  if (degree < 1) return vec3(0.0);
+  float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
+  uvec4 w = uvec4(texelFetch(sh1, texel(index), 0).xy, 0u, 0u);
+  vec3 sum = 0.4886025 * (-y * coefficient(w, 0, 7) + z * coefficient(w, 1, 7) - x * coefficient(w, 2, 7)) / 63.0;
+  if (degree > 1) {
+    w = texelFetch(sh2, texel(index), 0);
+    sum += (1.0925484 * x * y * coefficient(w, 0, 8) - 1.0925484 * y * z * coefficient(w, 1, 8) +
+            0.3153916 * (2.0 * zz - xx - yy) * coefficient(w, 2, 8) - 1.0925484 * x * z * coefficient(w, 3, 8) +
+            0.5462742 * (xx - yy) * coefficient(w, 4, 8)) / 127.0;
+  }
+  if (degree > 2) {
+    w = texelFetch(sh3, texel(index), 0);
+    sum += (-0.5900436 * y * (3.0 * xx - yy) * coefficient(w, 0, 6) + 2.8906114 * x * y * z * coefficient(w, 1, 6) -
+            0.4570458 * y * (4.0 * zz - xx - yy) * coefficient(w, 2, 6) +
+            0.3731763 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy) * coefficient(w, 3, 6) -
+            0.4570458 * x * (4.0 * zz - xx - yy) * coefficient(w, 4, 6) +
+            1.4453057 * z * (xx - yy) * coefficient(w, 5, 6) -
+            0.5900436 * x * (xx - 3.0 * yy) * coefficient(w, 6, 6)) / 31.0;
+  }
+  return sum * shRange;
+}
+
+void main() {
+  gl_Position = vec4(0.0, 0.0, 2.0, 1.0); // outside, where nothing is to be drawn
+  int slot = gl_InstanceID * ${QUADS_PER_INSTANCE} + gl_VertexID / 4;
+  if (slot >= count) return;
+  int index = int(texelFetch(order, texel(slot), 0).x);
+  uvec4 w = texelFetch(splats, texel(index), 0);
+  float opacity = float(w.x >> 24) / 255.0;
+  vec3 mean = vec3(unpackHalf2x16(w.y), unpackHalf2x16(w.z & 0xffffu).x);
+  vec3 p = rotation * mean + translation;
+  if (p.z < NEAR || opacity < ALPHA_MIN) return;
+
+  vec3 scale = exp(vec3(uvec3(w.w, w.w >> 8, w.w >> 16) & 255u) * (21.0 / 254.0) - (12.0 + 21.0 / 254.0));
+  mat3 axes = rotation * matrixOf(rotationOf((w.z >> 16) & 255u, w.z >> 24, w.w >> 24));
+  axes[0] *= scale.x; axes[1] *= scale.y; axes[2] *= scale.z;
+  vec2 limit = 1.3 * 0.5 * viewport / focal;
+  vec2 t = clamp(p.xy / p.z, -limit, limit);
+  vec3 jx = vec3(focal.x / p.z, 0.0, -focal.x * t.x / p.z);
+  vec3 jy = vec3(0.0, focal.y / p.z, -focal.y * t.y / p.z);
+  vec3 u = jx * axes, v = jy * axes;
+  float a = dot(u, u), b = dot(u, v), c = dot(v, v);
+  float before = max(a * c - b * b, 0.0);
+  a += kernel; c += kernel;
+  float determinant = a * c - b * b;
+  if (determinant <= 0.0) return;
+  if (antialiased) opacity *= sqrt(before / determinant);
+  if (opacity < ALPHA_MIN) return;
+
+  // The ellipse where alpha falls to 1/255, by the eigenvectors of the covariance.
+  float middle = 0.5 * (a + c);
+  float spread = sqrt(max(middle * middle - determinant, 0.0));
+  float reach = sqrt(2.0 * log(opacity / ALPHA_MIN));
+  vec2 direction = abs(b) > 1e-6 ? normalize(vec2(b, middle + spread - a)) : a >= c ? vec2(1.0, 0.0) : vec2(0.0, 1.0);
+  vec2 corner = vec2((gl_VertexID & 1) * 2 - 1, (gl_VertexID & 2) - 1) * reach;
+  vec2 px = corner.x * sqrt(middle + spread) * direction +
+            corner.y * sqrt(max(middle - spread, 0.0)) * vec2(direction.y, -direction.x);
+  vec2 centre = focal * p.xy / p.z;
+  offset = corner;
+  vec3 dc = vec3(uvec3(w.x, w.x >> 8, w.x >> 16) & 255u) / 255.0 * (rgbRange.y - rgbRange.x) + rgbRange.x;
+  colour = vec4(max(dc + higherBands(index, normalize(mean - cameraPosition)), 0.0), opacity);
+  gl_Position = vec4((centre + px) * vec2(2.0, -2.0) / viewport, 0.0, 1.0);
+}
+`;
+
+export const FRAGMENT_SHADER = `#version 300 es
+precision highp float;
+in vec4 colour;
+in vec2 offset;
+out vec4 pixel;
+
+void main() {
+  float alpha = min(0.99, colour.a * exp(-0.5 * dot(offset, offset)));
+  if (alpha < 1.0 / 255.0) discard;
+  pixel = vec4(colour.rgb * alpha, alpha);
+}
+`;

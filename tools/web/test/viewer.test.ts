@@ -1,0 +1,54 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { loadKernels } from "../src/kernels/load.js";
+import { SceneFile } from "../src/scene/scene_file.js";
+import { sortByDepth } from "../src/viewer/depth_order.js";
+import { OrbitCamera } from "../src/viewer/orbit.js";
+import { vectorBytes } from "./vectors.js";
+
+const kernels = await loadKernels();
+
+test("splats are ordered from the farthest to the nearest, each once", () => {
+  const rows = 5000;
+  const means = Float32Array.from({ length: 3 * rows }, (_, i) => Math.sin(i * 12.9898) * 10);
+  const forward = [0.6, 0, -0.8];
+  const order = new Uint32Array(rows);
+  sortByDepth(means, rows, forward, order);
+  assert.deepEqual(Array.from(order).sort((a, b) => a - b), Array.from({ length: rows }, (_, i) => i));
+  const depth = (row: number) => means[3 * row]! * 0.6 - means[3 * row + 2]! * 0.8;
+  const step = 28 / 65_536; // the range of depths over the steps of the sort
+  for (let i = 1; i < rows; i++) assert.ok(depth(order[i]!) <= depth(order[i - 1]!) + 2 * step);
+});
+
+test("splats at one depth stay in their order", () => {
+  const order = new Uint32Array(4);
+  sortByDepth(new Float32Array(12).fill(3), 4, [0, 0, 1], order);
+  assert.deepEqual(Array.from(order), [0, 1, 2, 3]);
+});
+
+test("the camera starts at the first view", () => {
+  const { scene } = new SceneFile(vectorBytes("valid", "root-values"), kernels());
+  const first = scene.firstView!;
+  const view = new OrbitCamera(scene).view(first.height);
+  first.rotation.forEach((value, i) => assert.ok(Math.abs(view.rotation[i]! - value) < 1e-6));
+  first.translation.forEach((value, i) => assert.ok(Math.abs(view.translation[i]! - value) < 1e-6 * (1 + Math.abs(value))));
+  assert.ok(Math.abs(view.focal[1] - first.fy) < 1e-9);
+});
+
+test("turning keeps the target in the middle and the axes a rotation", () => {
+  const { scene } = new SceneFile(vectorBytes("valid", "sh0"), kernels());
+  const camera = new OrbitCamera(scene);
+  const centre = [0, 1, 2].map((i) => (scene.box[i]! + scene.box[3 + i]!) / 2);
+  for (const [dx, dy] of [[100, 0], [0, 70], [-300, 40]] as const) {
+    camera.turn(dx, dy);
+    const { rotation: r, translation: t } = camera.view(480);
+    const p = [0, 1, 2].map((row) => t[row]! + centre.reduce((sum, v, i) => sum + r[3 * row + i]! * v, 0));
+    assert.ok(Math.abs(p[0]!) < 1e-9 && Math.abs(p[1]!) < 1e-9 && p[2]! > 0);
+    for (let i = 0; i < 3; i++) {
+      for (let j = 0; j < 3; j++) {
+        const dot = [0, 1, 2].reduce((sum, k) => sum + r[3 * i + k]! * r[3 * j + k]!, 0);
+        assert.ok(Math.abs(dot - (i === j ? 1 : 0)) < 1e-9);
+      }
+    }
+  }
+});
