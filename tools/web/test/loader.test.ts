@@ -76,6 +76,17 @@ for (const fault of ["status-503", "cut"] as const) {
   });
 }
 
+for (const fault of ["hang", "stall"] as const) {
+  test(`a server that says no more (${fault}) is asked again`, async () => {
+    for (const failing of [0, 1]) {
+      const silent = (number: number) => (number === failing ? fault : undefined);
+      const { last, ranges } = await streamFrom(PADDED, silent, {}, { http: { longestPause: 100 } });
+      checkWhole(PADDED, last);
+      assert.ok(ranges.length > failing + 1);
+    }
+  });
+}
+
 test("a server that ignores ranges is read from the front", async () => {
   const { last } = await streamFrom(PADDED, () => "ignore-range");
   checkWhole(PADDED, last);

@@ -11,6 +11,7 @@ export type Fault =
   | "other-etag"
   | "ignore-range"
   | "hang"
+  | "stall"
   | undefined;
 
 /** A server of one file that answers ranges, and does what a test asks to single requests. */
@@ -67,6 +68,10 @@ export class RangeServer {
     }
     const first = fault === "wrong-range" ? start + 1 : start;
     response.writeHead(206, { "Content-Range": `bytes ${first}-${end}/${total}`, "Content-Length": body.length });
+    if (fault === "stall") {
+      response.write(body.subarray(0, body.length >> 1));
+      return;
+    }
     if (fault === "cut") {
       response.write(body.subarray(0, body.length >> 1), () => response.destroy());
       return;

@@ -36,23 +36,43 @@ export class BlobSource implements ByteSource {
   }
 }
 
-/** The parts of a stream; the stream is cancelled where nobody reads on. */
+/**
+ * The parts of a stream; the stream is cancelled where nobody reads on.
+ *
+ * @param longestPause - Longest time without a byte, ms.
+ */
 export async function* readParts(
-  stream: ReadableStream<Uint8Array>, signal: AbortSignal | undefined,
+  stream: ReadableStream<Uint8Array>, signal: AbortSignal | undefined, longestPause = Infinity,
 ): AsyncGenerator<Uint8Array> {
   const reader = stream.getReader();
   let open = true;
   try {
     for (;;) {
       signal?.throwIfAborted();
-      open = false; // A stream that fails while it is read has ended.
-      const part = await reader.read();
+      const part = await withinPause(reader.read().catch((error: unknown) => {
+        open = false; // A stream that fails while it is read has ended.
+        throw error;
+      }), longestPause);
+      open = !part.done;
       if (part.value === undefined) return;
-      open = true;
       yield part.value;
     }
   } finally {
     if (open) await reader.cancel();
+  }
+}
+
+/** Wait for something, but no longer than a pause, ms; a source that says nothing may answer when it is asked again. */
+export async function withinPause<T>(work: Promise<T>, longestPause: number): Promise<T> {
+  if (longestPause === Infinity) return work;
+  let timer: ReturnType<typeof setTimeout> | undefined;
+  const pause = new Promise<never>((_, reject) => {
+    timer = setTimeout(() => reject(new SourceError(`no byte for ${longestPause} ms`, undefined, true)), longestPause);
+  });
+  try {
+    return await Promise.race([work, pause]);
+  } finally {
+    clearTimeout(timer);
   }
 }
 

@@ -1,15 +1,19 @@
 import type { ByteRange } from "../container/scene_index.js";
 import { CogsplatError, SourceError } from "../errors.js";
-import { readParts, type Answer, type ByteSource, type ReadOptions } from "./byte_source.js";
+import { readParts, withinPause, type Answer, type ByteSource, type ReadOptions } from "./byte_source.js";
 
 /** How requests are made. */
 export interface HttpOptions {
   /** Headers of every request, such as an authorisation. */
   readonly headers?: Readonly<Record<string, string>>;
   readonly credentials?: RequestCredentials;
+  /** Longest time without a byte, ms, after which a request is made again; 15,000 by default. */
+  readonly longestPause?: number;
   /** In the place of the global `fetch`. */
   readonly fetch?: typeof fetch;
 }
+
+const LONGEST_PAUSE = 15_000;
 
 /** Statuses after which the same request may succeed. */
 const RETRYABLE = new Set([408, 425, 429, 500, 502, 503, 504]);
@@ -37,18 +41,30 @@ export class HttpSource implements ByteSource {
 
   private async request(range: string, signal: AbortSignal | undefined, fresh: boolean): Promise<Response> {
     const { headers, credentials } = this.options;
+    // Its own abort ends a request that stays without an answer, and the caller's ends it as well.
+    const stop = new AbortController();
+    const onAbort = (): void => stop.abort(signal!.reason);
+    if (signal?.aborted) onAbort();
+    signal?.addEventListener("abort", onAbort, { once: true });
     try {
-      return await (this.options.fetch ?? fetch)(this.url, {
+      const answer = (this.options.fetch ?? fetch)(this.url, {
         headers: { ...headers, Range: range },
         cache: fresh ? "reload" : "default",
         ...(credentials && { credentials }),
-        ...(signal && { signal }),
+        signal: stop.signal,
       });
+      return await withinPause(answer, this.longestPause);
     } catch (error) {
       if (signal?.aborted) throw error;
+      stop.abort();
+      if (error instanceof SourceError) throw error;
       // `fetch` says no more than that it failed: no connection, no name, or no permission across origins.
       throw new SourceError(`${String(this.url)} cannot be reached: ${String(error)}`, undefined, true);
     }
+  }
+
+  private get longestPause(): number {
+    return this.options.longestPause ?? LONGEST_PAUSE;
   }
 
   /** Accept an answer, or say what is wrong with it; its body was not read yet. */
@@ -80,7 +96,7 @@ export class HttpSource implements ByteSource {
     this.compare(headers.get("ETag"), total);
     if (response.body === null) throw new SourceError(`${what}: an answer without a body`, status, true);
     const whole = status === 200;
-    return { offset: whole ? 0 : range.offset, total, whole, parts: readParts(response.body, signal) };
+    return { offset: whole ? 0 : range.offset, total, whole, parts: readParts(response.body, signal, this.longestPause) };
   }
 
   /** Refuse an answer of another file than that of the first answer; weak ETags say nothing of bytes. */

@@ -26,7 +26,13 @@ export declare class BlobSource implements ByteSource {
     constructor(blob: Blob);
     read({ offset, length }: ByteRange, options?: ReadOptions): Promise<Answer>;
 }
-/** The parts of a stream; the stream is cancelled where nobody reads on. */
-export declare function readParts(stream: ReadableStream<Uint8Array>, signal: AbortSignal | undefined): AsyncGenerator<Uint8Array>;
+/**
+ * The parts of a stream; the stream is cancelled where nobody reads on.
+ *
+ * @param longestPause - Longest time without a byte, ms.
+ */
+export declare function readParts(stream: ReadableStream<Uint8Array>, signal: AbortSignal | undefined, longestPause?: number): AsyncGenerator<Uint8Array>;
+/** Wait for something, but no longer than a pause, ms; a source that says nothing may answer when it is asked again. */
+export declare function withinPause<T>(work: Promise<T>, longestPause: number): Promise<T>;
 /** All bytes of a range. */
 export declare function readAll(source: ByteSource, range: ByteRange, options?: ReadOptions): Promise<Uint8Array>;

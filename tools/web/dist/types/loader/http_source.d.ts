@@ -5,6 +5,8 @@ export interface HttpOptions {
     /** Headers of every request, such as an authorisation. */
     readonly headers?: Readonly<Record<string, string>>;
     readonly credentials?: RequestCredentials;
+    /** Longest time without a byte, ms, after which a request is made again; 15,000 by default. */
+    readonly longestPause?: number;
     /** In the place of the global `fetch`. */
     readonly fetch?: typeof fetch;
 }
@@ -17,6 +19,7 @@ export declare class HttpSource implements ByteSource {
     constructor(url: string | URL, options?: HttpOptions);
     read(range: ByteRange, { signal, fresh }?: ReadOptions): Promise<Answer>;
     private request;
+    private get longestPause();
     /** Accept an answer, or say what is wrong with it; its body was not read yet. */
     private check;
     /** Refuse an answer of another file than that of the first answer; weak ETags say nothing of bytes. */
