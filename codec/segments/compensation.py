@@ -1,4 +1,4 @@
-"""Prefixes made to look like the whole: splats larger and more opaque while others are missing.
+"""Compensation: splats of a prefix are larger and more opaque while other splats are missing.
 
 SPEC 5.9, 8.5. Applying takes numpy alone; `compensation_fit` finds what is applied.
 """
@@ -28,7 +28,7 @@ STRENGTH_STEP: Final = 2.0**-6
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """What a prefix of whole chunks wants.
+    """The shifts of log scales and logits for one prefix of whole chunks.
 
     Parameters
     ----------
@@ -36,13 +36,14 @@ class Layer:
         Added to the log scales and the logits of every splat of each of the prefix's m chunks, in
         `SCALE_STEP` and `OPACITY_STEP`.
     strengths : (m, 2) uint8
-        How much of its splats' own entries in the book each chunk gets, for scales and for
+        By what the book's entries are multiplied for the splats of each chunk, for scales and for
         opacities, in `STRENGTH_STEP`.
     book : (k, 2) int8
-        What the codes of this layer's own chunks mean, in `SCALE_STEP` and `OPACITY_STEP`. Without
-        rows, its own chunks have no codes.
+        Shifts that the codes of this layer's own chunks stand for, in `SCALE_STEP` and
+        `OPACITY_STEP`. Without rows, its own chunks have no codes.
     codes : (n,) uint8
-        Rows of the book: of the splats of the chunks behind the layer before, as they are stored.
+        Row of the book for each splat of the chunks that the layer before does not have, in stored
+        order.
     """
 
     scales: NDArray[np.int8]
@@ -59,7 +60,7 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """What prefixes of a scene want.
+    """The layers of a scene: shifts for some of its prefixes, from which those of others follow.
 
     Parameters
     ----------
@@ -73,7 +74,7 @@ class Compensation:
     chunk_splats: NDArray[np.int64]
 
     def apply(self, splats: Splats, chunks: int) -> Splats:
-        """Return the first chunks of a scene as they look most like the whole.
+        """Return the first chunks of a scene with their log scales and logits shifted.
 
         Parameters
         ----------
@@ -123,8 +124,8 @@ class Compensation:
         upper = self._of_layer(above, chunks)
         if above == 0 or (above < len(self.layers) and self.layers[above].chunks == chunks):
             return upper
-        # Between two layers, from one to the other as splats arrive. Behind the last stored comes
-        # the whole scene, which wants nothing.
+        # Between two layers, from one to the other in proportion to the splats that are there.
+        # Behind the last layer comes the whole scene, whose shifts are 0.
         below = self.layers[above - 1].chunks
         stop = self.layers[above].chunks if above < len(self.layers) else len(self.chunk_splats)
         part = np.float32(

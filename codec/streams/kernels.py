@@ -1,7 +1,7 @@
 """Compiled decoding: the reader of each stream kind that has one, with the bits of numpy's.
 
-A reader returns False where something in the file is wrong, and the reader in numpy then says
-what. Importing this module takes numba.
+A reader returns False where something in the file is wrong, and the reader in numpy then
+raises the error. Importing this module takes numba.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ def join(parts: Sequence[tuple[StoredStream, int, int]]) -> U8:
     wrong = _unpack(packed, spans, digit_tables(), out)
     if wrong >= 0:
         stream, number, length = parts[wrong]
-        # Raises the error that says what is wrong with the plane.
+        # Raises the error that names what is wrong with the plane.
         stream.plane(number, length)
     # As the planes that zstd gives: kernels are compiled for one kind of array.
     out.flags.writeable = False
