@@ -61,6 +61,9 @@ class StepModel:
     def extra_bits(self, scales: F32) -> U8:
         """Return the (n,) extra bits of rows of (n, 3) float32 decoded log scales (SPEC 6.10)."""
         c = np.array(self.coefficients, np.float32)
+        if not c[1:].any():
+            # Products with 0 add nothing: all rows have the same number.
+            return np.full(len(scales), np.clip(np.floor(c[0]), 0, MAX_EXTRA_BITS), np.uint8)
         total = np.full(len(scales), c[0], np.float32)
         for coefficient, feature in zip(c[1:], _features(scales), strict=True):
             total = total + coefficient * feature

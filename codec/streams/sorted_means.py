@@ -93,7 +93,9 @@ def codes_of(means: F32, grid: Grid, extra_bits: U8, refined_by: int = 0) -> I64
 
 def values(codes: I64, grid: Grid, bits: U8) -> F32:
     """Return the (n, 3) float32 means of codes with so many bits below the cell (SPEC 6.5)."""
-    step = POWERS[bits][:, None] * grid.step
+    same = len(bits) > 0 and int(bits.min()) == int(bits.max())
+    powers = POWERS[bits[:1]] if same else POWERS[bits]
+    step = powers[:, None] * grid.step
     out: F32 = codes.astype(np.float32) * step + grid.minimum
     return out
 
@@ -245,13 +247,14 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     extra_bits = model.extra_bits(step_models.scales_of(inputs))
     widths = extra_bits * _THREE
     plane = stream.plane(2, bit_fields.packed_bytes(widths))
-    fields = bit_fields.unpack(plane, widths, stream.where)
-    codes = np.empty((stream.rows, 3), np.int64)
-    wide = extra_bits.astype(np.uint64)
-    mask = (np.uint64(1) << wide) - np.uint64(1)
-    for axis in range(3):
-        low = (fields >> (wide * np.uint64(axis))) & mask
-        codes[:, axis] = (cells[:, axis].astype(np.uint64) << wide) | low
+    codes = cells.astype(np.int64)
+    if len(plane):
+        fields = bit_fields.unpack(plane, widths, stream.where)
+        wide = extra_bits.astype(np.uint64)
+        mask = (np.uint64(1) << wide) - np.uint64(1)
+        for axis in range(3):
+            low = (fields >> (wide * np.uint64(axis))) & mask
+            codes[:, axis] = (codes[:, axis] << wide.astype(np.int64)) | low.astype(np.int64)
     if inputs.refinement is not None:
         codes, more = refinement_bits.read(inputs.refinement, codes)
         extra_bits = extra_bits + np.uint8(more)

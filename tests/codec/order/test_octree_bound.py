@@ -42,7 +42,7 @@ def occupancy_bits(codes: NDArray[np.uint32]) -> float:
 def test_means_come_within_a_tenth_of_an_octree() -> None:
     means = synth(12_000, sh_degree=0).means
     for step in (0.3, 0.03, 0.003):
-        _, stream = chunk_means(means, step, sort=True)
+        _, stream, _ = chunk_means(means, step, sort=True)
         ours = 8 * len(records.pack([stream], digits=True))
         theirs = occupancy_bits(fit(means, step).quantise(means))
         assert ours < 1.1 * theirs, (
