@@ -230,7 +230,7 @@ DOORS: dict[str, dict[str, str]] = {
         "adaptive_step": "StepModel fit",
         "bit_fields": "pack",
         "byte_planes": "LENGTH_MASK pack_plane unpack_plane",
-        "codebook_index": "write",
+        "codebook_index": "gather read_indices write",
         "compiled": "WORTH_LOADING prepare ready",
         "float32": "write",
         "grid": "ENTRY_BYTES Grid MAX_LEVELS MAX_VALUE fit",

@@ -42,10 +42,6 @@ class ShapeCodebook:
         """Bytes of both arrays."""
         return self.scales.nbytes + self.quats.nbytes
 
-    def rows(self) -> F32:
-        """Return the (C, 7) float32 rows that vq streams refer to: scales, then quats."""
-        return np.concatenate([self.scales, self.quats], axis=1)
-
 
 @dataclass(frozen=True, eq=False)
 class ColourCodebook:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.streams import kinds
+from cogsplat.codec.streams import codebook_index, kinds
 from cogsplat.codec.streams.inputs import Inputs
 from cogsplat.codec.streams.records import Attribute
 
@@ -97,10 +97,11 @@ def _read_shapes(found: StreamSet, codebooks: Mapping[int, Codebook], out: Splat
     book = codebooks.get(use.number)
     if not isinstance(book, ShapeCodebook):
         raise no_codebook(stream, use.number, "shape")
-    shapes = np.empty((len(out), 7), np.float32)
-    kinds.read(stream, shapes, Inputs(codebook=book.rows(), escape=escape.rows()))
+    # One list of indices for two arrays: rows of all seven values would have to be copied apart.
+    indices = codebook_index.read_indices(stream, len(book))
+    codebook_index.gather(book.scales, escape.scales, indices, out.scales)
+    codebook_index.gather(book.quats, escape.quats, indices, out.quats)
     factor = np.empty((len(out), 1), np.float32)
     kinds.read(found.take(Attribute.SCALE_FACTOR), factor)
-    np.add(shapes[:, :3], factor, out=out.scales)
-    out.quats[:] = shapes[:, 3:]
+    np.add(out.scales, factor, out=out.scales)
     return out.scales

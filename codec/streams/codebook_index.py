@@ -111,8 +111,23 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     if inputs.codebook is None:
         raise ValueError("no codebook for a vq stream")
     indices = read_indices(stream, len(inputs.codebook))
-    rows = inputs.codebook
-    if inputs.escape is not None and len(inputs.escape):
-        rows = np.concatenate([rows, inputs.escape])
+    gather(inputs.codebook, inputs.escape, indices, out)
+
+
+def gather(codebook: F32, escape: F32 | None, indices: U32, out: F32) -> None:
+    """Write the rows that indices name into (n, d) float32 `out`.
+
+    Parameters
+    ----------
+    codebook : (C, d) float32
+    escape : (e, d) float32 or None
+        The rows that follow those of the codebook.
+    indices : (n,) uint32
+        Below C + e, as `read_indices` returns them.
+    out : (n, d) float32
+    """
+    rows = codebook
+    if escape is not None and len(escape):
+        rows = np.concatenate([rows, escape])
     # The indices are in range; only a mode that cannot fail writes into `out` without a copy.
     np.take(rows, indices, axis=0, out=out, mode="clip")

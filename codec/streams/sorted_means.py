@@ -247,6 +247,10 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     extra_bits = model.extra_bits(step_models.scales_of(inputs))
     widths = extra_bits * _THREE
     plane = stream.plane(2, bit_fields.packed_bytes(widths))
+    if not len(plane) and inputs.refinement is None:
+        # Cells alone, as they are on their grid.
+        out[:] = grid.dequantise(cells)
+        return
     codes = cells.astype(np.int64)
     if len(plane):
         fields = bit_fields.unpack(plane, widths, stream.where)
