@@ -39,7 +39,8 @@ class CogsplatError(Exception):
     Attributes
     ----------
     exit_code : int
-        What the command line exits with: 3 invalid data, 4 input/output, 5 limit, 130 interrupted.
+        What the command line exits with: 2 misuse, 3 invalid data, 4 input/output or a missing
+        extra, 5 limit, 130 interrupted.
     """
 
     exit_code = 3
@@ -114,6 +115,12 @@ class TruncatedError(FormatError):
 
 class UnsupportedError(CogsplatError):
     """Valid, but newer or more than this build does."""
+
+
+class MissingExtraError(UnsupportedError):
+    """A package is not installed that an extra of cogsplat brings; the data may be right."""
+
+    exit_code = 4
 
 
 class DataError(CogsplatError):

@@ -33,7 +33,7 @@ TRANSCRIPT = ("", "text")  # Pictures and dumps: nothing that could run.
 # What is added to a command so that the scene it makes is small.
 SMALL = {"synth": ("--splats", "3000"), "demo": ("--splats", "2000")}
 # What belongs to the large scene in a command, and what stands for it with the small one.
-REPLACED = {"500KiB": "60KiB", "20000": "1500"}
+REPLACED = {"500KiB": "60KiB", "10000": "1500"}
 
 
 @pytest.fixture
@@ -79,6 +79,21 @@ def test_files_that_documents_name_are_there(path: Path) -> None:
     named = NAMED.findall(path.read_text(encoding="utf-8"))
     wrong = [name for name, to_be_made in named if (ROOT / name).exists() == bool(to_be_made)]
     assert wrong == []
+
+
+def test_the_picture_of_the_readme_is_what_the_demonstration_draws() -> None:
+    """A strip of that shape and size; which bytes a PNG has depends on its library's version."""
+    width, height = png_size((ROOT / "docs" / "filmstrip.png").read_bytes())
+    pictures = len(demonstration.SHARES) + 1
+    camera = synthetic.synth_cameras()[0]
+    assert pictures * camera.width < width < 1.2 * pictures * camera.width
+    assert camera.height < height < 2 * camera.height
+    assert (ROOT / "docs" / "filmstrip.png").stat().st_size < 1 << 21
+
+
+def png_size(data: bytes) -> tuple[int, int]:
+    assert data.startswith(b"\x89PNG\r\n\x1a\n")
+    return int.from_bytes(data[16:20]), int.from_bytes(data[20:24])
 
 
 LINK = re.compile(r"\]\((?!https?:)([^)#]+)")

@@ -11,7 +11,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.errors import FormatError, LimitError, TruncatedError, UnsupportedError
+from cogsplat.codec.errors import (
+    FormatError,
+    LimitError,
+    MissingExtraError,
+    TruncatedError,
+    UnsupportedError,
+)
 
 U8 = NDArray[np.uint8]
 
@@ -118,7 +124,7 @@ def decode_image(data: bytes, where: str) -> U8:
     ------
     FormatError
         ``image-damaged``. Otherwise as `image_size`.
-    UnsupportedError
+    MissingExtraError
         ``needs-pillow``: Pillow is not installed.
     """
     width, height = image_size(data, where)
@@ -144,7 +150,7 @@ def encode_image(pixels: U8, where: str) -> bytes:
 
     Raises
     ------
-    UnsupportedError
+    MissingExtraError
         ``needs-pillow``.
     """
     out = io.BytesIO()
@@ -160,12 +166,12 @@ def _pillow(where: str) -> ModuleType:
         features = importlib.import_module("PIL.features")
         image = importlib.import_module("PIL.Image")
     except ImportError as error:
-        raise UnsupportedError(
+        raise MissingExtraError(
             "needs-pillow",
             f"{where}: images need Pillow (pip install 'cogsplat[encode]'), expected it installed",
         ) from error
     if not features.check("webp"):
-        raise UnsupportedError(
+        raise MissingExtraError(
             "needs-pillow", f"{where}: this Pillow was built without WebP, expected it with"
         )
     return image

@@ -21,6 +21,7 @@ from cogsplat.codec.errors import (
     CogsplatError,
     CogsplatWarning,
     LimitError,
+    MissingExtraError,
     StorageError,
     printable,
 )
@@ -70,30 +71,10 @@ class _OutputError(StorageError):
     """Standard output could not be written."""
 
 
-class _MissingExtraError(CogsplatError):
-    """A package of an extra is not installed; no fault of the data, so the exit code is 4.
-
-    Parameters
-    ----------
-    module : str
-        As it is imported; the reason code is ``needs-extra``.
-    """
-
-    exit_code = 4
-
-    def __init__(self, module: str) -> None:
-        super().__init__(
-            "needs-extra",
-            f"this takes {module}, which is not installed; it needs the extra: {_install_line()}",
-        )
-
-
-def _install_line() -> str:
-    """Return the command that installs the extra; in a checkout, from the checkout."""
+def _checkout() -> Path | None:
+    """Return the checkout that the package is imported from, None where it was installed."""
     root = Path(cogsplat.__file__).resolve().parents[1]
-    if (root / "pyproject.toml").is_file():
-        return f"pip install -e '{'.' if root == Path.cwd() else root}[encode]'"
-    return "pip install 'cogsplat[encode]'"
+    return root if (root / "pyproject.toml").is_file() else None
 
 
 class CommandLine(click.Group):
@@ -157,9 +138,18 @@ def _failures_told(as_json: bool, group: click.Context | None = None) -> Iterato
         raise click.exceptions.Exit(_USAGE) from None
     except CogsplatError as error:
         arrives = not isinstance(error, _OutputError)
-        hint = _hint(error.code, group)
+        hint = _extra_hint() if isinstance(error, MissingExtraError) else _hint(error.code, group)
         _tell(error.code, error.message, error.exit_code, as_json and arrives, hint)
         raise click.exceptions.Exit(error.exit_code) from None
+
+
+def _extra_hint() -> str:
+    """Return how the extra is installed where the package is not from an index."""
+    root = _checkout()
+    if root is None:
+        return ""
+    place = "." if root == Path.cwd() else os.fspath(root)
+    return f"from this checkout: pip install -e '{place}[encode]'"
 
 
 def _hint(code: str, group: click.Context | None) -> str:
@@ -185,7 +175,11 @@ def _as_cogsplat_errors() -> Iterator[None]:
         module = (error.name or "").partition(".")[0]
         if module not in _ENCODE_EXTRA:
             raise
-        raise _MissingExtraError(module) from error
+        raise MissingExtraError(
+            "needs-extra",
+            f"this takes {module}, which is not installed; it needs the extra: "
+            "pip install 'cogsplat[encode]'",
+        ) from error
     except OSError as error:
         # Files report theirs as `StorageError`; what is left is what was printed.
         _drop_output()

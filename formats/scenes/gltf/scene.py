@@ -238,6 +238,10 @@ def _read_primitive(gltf: Gltf, node: JsonObject) -> Splats:
     )
 
 
+# Reason codes of what says another kind of splat.
+_KIND_CODES: Final = {"kernel": "gltf-kernel", "projection": "gltf-projection"}
+
+
 def _check_extension(node: JsonObject) -> str:
     """Return the colour space, or raise where the extension asks for another kind of splat."""
     extension = node.child("extensions").child(_EXTENSION)
@@ -252,7 +256,8 @@ def _check_extension(node: JsonObject) -> str:
     for key, known in (("kernel", "ellipse"), ("projection", "perspective")):
         if extension.text(key, known) != known:
             raise UnsupportedError(
-                f"gltf-{key}", f"{extension.where}: {key} {extension.text(key)!r}, expected {known}"
+                _KIND_CODES[key],
+                f"{extension.where}: {key} {extension.text(key)!r}, expected {known}",
             )
     colour_space = extension.text("colorSpace", "srgb_rec709_display")
     if colour_space not in _COLOUR_SPACES:

@@ -15,7 +15,12 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.errors import FormatError, TruncatedError, UnsupportedError
+from cogsplat.codec.errors import (
+    FormatError,
+    MissingExtraError,
+    TruncatedError,
+    UnsupportedError,
+)
 from cogsplat.codec.splats import Extra
 
 from .header import PlyHeader
@@ -72,7 +77,7 @@ def read_columns(
     try:
         plyfile = importlib.import_module("plyfile")
     except ImportError as error:
-        raise UnsupportedError(
+        raise MissingExtraError(
             "needs-plyfile",
             f"{where}: {_layout(header)}; without plyfile (pip install 'cogsplat[encode]') only "
             "binary_little_endian files whose first element is vertex, all of floats, are read",
