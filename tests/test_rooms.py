@@ -135,7 +135,7 @@ DOORS: dict[str, dict[str, str]] = {
         "cameras": "Camera",
         "errors": (
             "Cancelled CogsplatError CogsplatWarning DataError FormatError LimitError "
-            "StorageError TruncatedError UnsupportedError printable"
+            "MissingExtraError StorageError TruncatedError UnsupportedError printable"
         ),
         "metrics": "PSNR_CAP_DB SSIM_BORDERS psnr ssim",
         "progress": "Progress TimedProgress silent",
