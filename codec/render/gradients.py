@@ -82,6 +82,7 @@ def _differentiate(
             left,
             num_rows,
             num_columns,
+            False,
         )
         error = compare_tile(state, target, top, left, num_rows, num_columns, error)
         for pair in range(stop, end):

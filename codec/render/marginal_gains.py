@@ -70,6 +70,7 @@ def _measure(
             left,
             num_rows,
             num_columns,
+            False,
         )
         error = compare_tile(state, target, top, left, num_rows, num_columns, error)
         for pair in range(stop, end):

@@ -91,6 +91,7 @@ def _draw_tiles(
             left,
             num_rows,
             num_columns,
+            True,
         )
         for y in range(num_rows):
             for x in range(num_columns):

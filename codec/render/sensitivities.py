@@ -143,6 +143,7 @@ def _moments(
             left,
             num_rows,
             num_columns,
+            False,
         )
         for rest in range(stop, end):
             sums[rest, :] = _ZERO
