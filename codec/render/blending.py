@@ -178,8 +178,8 @@ def blend_tile(
     top, left, num_rows, num_columns : int
         From `tile_area`.
     keep_rest : bool
-        Whether the plane at `REST` is filled. Only a background needs it, and filling it takes about
-        a tenth of a walk's time.
+        Whether the plane at `REST` is filled. Only a background needs it, and filling it takes
+        about a tenth of a walk's time.
 
     Returns
     -------

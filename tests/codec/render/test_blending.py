@@ -83,7 +83,7 @@ def test_pixels_outside_the_image_are_not_open():
     assert (state[PIXELS:] == 7.0).all(), "other planes stay"
 
 
-def _tile(splats, camera, present=None):
+def _tile(splats, camera, present=None, keep_rest=True):
     """Blend a picture of at most one tile: its state as (planes, 16, 16), and the stop."""
     footprints = project(splats, camera, kernel_px=0.3, antialiased=False)
     (lists,) = tile_lists(footprints, camera.width, camera.height)
@@ -102,12 +102,25 @@ def _tile(splats, camera, present=None):
         0,
         camera.height,
         camera.width,
+        keep_rest,
     )
     return state, stop, len(lists.members)
 
 
 def _plane(state, offset):
     return state[int(offset) : int(offset) + PIXELS].reshape(TILE, TILE)
+
+
+def test_without_the_plane_of_the_rest_all_other_planes_are_the_same():
+    splats, camera = oracle.scene(4, n=120, opacity=3.0), oracle.camera(width=13, height=11)
+    (full, stop, _), (bare, other, _) = (
+        _tile(splats, camera, None, keep) for keep in (True, False)
+    )
+    assert stop == other
+    assert not _plane(bare, REST).any()
+    assert _plane(full, REST).any()
+    for offset in (0, RED, GREEN, BLUE):
+        np.testing.assert_array_equal(_plane(bare, offset), _plane(full, offset))
 
 
 @pytest.mark.parametrize("seed", range(3))
