@@ -69,6 +69,8 @@ class Format:
         Writes one, where this format can be written.
     files : callable or None
         Gives the files that a scene lies in, where they may be several.
+    names : tuple of str
+        Whole names of files, in lower case, that say this format as an extension does.
     """
 
     name: str
@@ -77,6 +79,7 @@ class Format:
     read: Reader
     write: Writer | None
     files: Callable[[StrPath], list[Path]] | None = None
+    names: tuple[str, ...] = ()
 
 
 # The first one whose sniffer says yes reads the file: the narrower of two goes first.
@@ -97,7 +100,7 @@ FORMATS: tuple[Format, ...] = (
         read_torch_checkpoint,
         None,
     ),
-    Format("sog", (".sog",), is_sog, read_sog, write_sog, sog_files),
+    Format("sog", (".sog",), is_sog, read_sog, write_sog, sog_files, ("meta.json",)),
     Format("spz", (".spz",), is_spz, read_spz, write_spz),
     Format("splat", (".splat",), no_magic, read_splat, write_splat),
     Format("ksplat", (".ksplat",), no_magic, read_ksplat, None),
@@ -260,10 +263,11 @@ def _head(path: StrPath) -> bytes:
 
 
 def _by_extension(path: StrPath) -> Format | None:
-    name = os.fspath(path).lower()
+    name = Path(path).name.lower()
     matches = [(len(e), f) for f in FORMATS for e in f.extensions if name.endswith(e)]
+    matches += [(len(name), f) for f in FORMATS if name in f.names]
     return max(matches, key=lambda match: match[0])[1] if matches else None
 
 
 def _known(formats: tuple[Format, ...]) -> str:
-    return " or ".join(f"{f.name} ({', '.join(f.extensions)})" for f in formats)
+    return " or ".join(f"{f.name} ({', '.join(f.extensions + f.names)})" for f in formats)

@@ -22,7 +22,7 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import format_option, scene_format
+from cogsplat.tools.terminal.output_names import format_option, scene_format, written_bytes
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 
@@ -65,7 +65,7 @@ def convert(
     writing one. What a format cannot hold is said in a warning.
     """
     to_cogs = format_name == _COGS if format_name else out.name.lower().endswith(f".{_COGS}")
-    name = _COGS if to_cogs else scene_format(out, format_name).name
+    format_ = None if to_cogs else scene_format(out, format_name)
     if cameras is not None and not to_cogs:
         raise click.UsageError(f"--cameras with {out}, expected an output that ends in .{_COGS}")
     check_output(out, force=force, inputs=given_files(source, cameras))
@@ -90,8 +90,12 @@ def convert(
         else:
             with stages.stage("write"):
                 cogsplat.write(splats, out, force=force, format_name=format_name)
-    with storage_errors(out):
-        written = out.stat().st_size
+    if format_ is None:
+        with storage_errors(out):
+            written = out.stat().st_size
+    else:
+        written = written_bytes(out, format_)
+    name = _COGS if format_ is None else format_.name
     done = _Done(source, out, name, given, splats, written)
     if as_json:
         say_json({**_report(done), "seconds": stages.rounded()})

@@ -11,7 +11,7 @@ import click
 import cogsplat
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.formats.scenes.registry import WRITABLE
-from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
@@ -24,7 +24,7 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import format_option, scene_format
+from cogsplat.tools.terminal.output_names import format_option, scene_format, written_bytes
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import ChunkRange
@@ -72,7 +72,7 @@ def decode(
     stopped there: what is complete is decoded. With --compensate, splats of a prefix are
     enlarged and made more opaque in place of those that are missing.
     """
-    scene_format(out, format_name)
+    format_ = scene_format(out, format_name)
     check_output(out, force=force, inputs=[cogs])
     refine = not no_refine
     part = Selection(chunks, least_splats, size, sh_degree, objects, refine, compensate)
@@ -96,8 +96,7 @@ def decode(
             CogsplatWarning,
             stacklevel=1,
         )
-    with storage_errors(out):
-        written = out.stat().st_size
+    written = written_bytes(out, format_)
     if as_json:
         say_json(_report(scene, out, written, stages))
     elif not quiet:

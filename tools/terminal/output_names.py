@@ -11,6 +11,7 @@ import click
 
 from cogsplat.codec.errors import FormatError, UnsupportedError
 from cogsplat.formats.scenes.registry import FORMATS, Format, format_to_write
+from cogsplat.formats.storage.atomic import storage_errors
 
 Command = TypeVar("Command", bound=Callable[..., object])
 
@@ -56,6 +57,21 @@ def scene_format(path: Path, format_name: str | None) -> Format:
         return format_to_write(path, format_name)
     except (FormatError, UnsupportedError) as error:
         raise click.UsageError(error.message) from error
+
+
+def written_bytes(path: Path, format_: Format) -> int:
+    """Return the bytes of a foreign scene just written, files beside `path` included.
+
+    Raises
+    ------
+    StorageError
+        They cannot be looked at.
+    """
+    total = 0
+    for part in format_.files(path) if format_.files else [path]:
+        with storage_errors(part):
+            total += part.stat().st_size
+    return total
 
 
 def check_name(path: Path, extensions: Sequence[str], *, insisted: bool = False) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO, Final, cast
 
 from cogsplat.codec.errors import CogsplatError, FormatError, LimitError, UnsupportedError
-from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 from cogsplat.formats.storage.magic import describe
 from cogsplat.formats.storage.siblings import sibling
 
@@ -238,3 +238,38 @@ def write_bundle(file: BinaryIO, files: Mapping[str, bytes]) -> None:
             entry.create_system = _UNIX
             entry.external_attr = 0o644 << 16
             archive.writestr(entry, data)
+
+
+def write_folder(meta: Path, files: Mapping[str, bytes], *, force: bool = False) -> None:
+    """Write files beside each other, the one called ``meta.json`` last.
+
+    Where a file cannot be written, those of this call that took no other file's place are removed.
+
+    Parameters
+    ----------
+    meta : Path
+        Where ``meta.json`` goes; the others go beside it.
+    files : mapping of str to bytes
+        By name.
+    force : bool
+        Whether existing files may be replaced.
+
+    Raises
+    ------
+    StorageError
+        As `atomic_write`, ``exists`` among them.
+    """
+    written: list[Path] = []
+    paths = {name: meta.parent / name for name in files if name != META_NAME}
+    paths[META_NAME] = meta
+    try:
+        for name, path in paths.items():
+            is_new = not path.exists()
+            with atomic_write(path, force) as file:
+                file.write(files[name])
+            if is_new:
+                written.append(path)
+    except BaseException:
+        for path in written:
+            path.unlink(missing_ok=True)
+        raise

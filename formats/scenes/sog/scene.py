@@ -35,7 +35,7 @@ from cogsplat.formats.storage.images import MAX_SIDE, decode_image, encode_image
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.strict_json import JsonObject, parse_object
 
-from .files import META_NAME, ZIP_MAGIC, Folder, open_files, write_bundle
+from .files import META_NAME, ZIP_MAGIC, Folder, open_files, write_bundle, write_folder
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -338,7 +338,10 @@ def _unpack_palette(data: bytes, sh: _Sh, where: str) -> F32:
 
 
 def write_sog(splats: Splats, path: StrPath, *, force: bool = False) -> None:
-    """Write a scene as a bundled SOG, whole or not at all.
+    """Write a scene as a bundled SOG, or as a folder where the output is called ``meta.json``.
+
+    A bundle is written whole or not at all. The files of a folder get their names one by one,
+    ``meta.json`` last, so that what has it is whole.
 
     Parameters
     ----------
@@ -346,9 +349,9 @@ def write_sog(splats: Splats, path: StrPath, *, force: bool = False) -> None:
         Rows come out in Morton order, in the axes of PLY. SH above DC becomes a palette of as many
         entries as the largest power of two of splats, at most 65536.
     path : path
-        The output.
+        The output. The folder of a ``meta.json`` must be there.
     force : bool
-        Whether an existing file may be replaced.
+        Whether existing files may be replaced.
 
     Raises
     ------
@@ -381,6 +384,9 @@ def write_sog(splats: Splats, path: StrPath, *, force: bool = False) -> None:
     encoded = ordered_map(lambda name: encode_image(images[name], where), names, thread_count(0))
     files = dict(zip(names, encoded, strict=True))
     files[META_NAME] = json.dumps(meta, separators=(",", ":"), allow_nan=False).encode("ascii")
+    if Path(path).name.lower() == META_NAME:
+        write_folder(Path(path), files, force=force)
+        return
     with atomic_write(path, force) as file:
         write_bundle(file, files)
 

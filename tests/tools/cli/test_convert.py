@@ -233,3 +233,10 @@ def test_writing_cogs_takes_the_extra_and_says_so(
     assert isinstance(error, dict)
     assert error["code"] == "needs-extra"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_of_sog_is_counted_whole(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    told = run("convert", small.ply, tmp_path / "meta.json", "--json")
+    assert (told.code, told.json["format"]) == (0, "sog")
+    assert told.json["bytes"] == sum(path.stat().st_size for path in tmp_path.iterdir())
+    assert len(cogsplat.read(tmp_path / "meta.json")) == SPLATS

@@ -526,3 +526,28 @@ def test_damaged_images_and_numbers_raise_nothing_else(tmp_path: Path, data: st.
     bundled(tmp_path / "damaged.sog", meta, {**files, name: bytes(image)})
     with contextlib.suppress(CogsplatError):
         read_sog(tmp_path / "damaged.sog")
+
+
+def test_a_folder_holds_the_files_of_the_bundle(tmp_path: Path) -> None:
+    splats = scene(50)
+    write_scene(splats, tmp_path / "scene.sog")
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    write_scene(splats, folder / "meta.json")
+    with zipfile.ZipFile(tmp_path / "scene.sog") as archive:
+        inside = {name: archive.read(name) for name in archive.namelist()}
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == inside
+    again, bundled_again = read_scene(folder / "meta.json"), read_scene(tmp_path / "scene.sog")
+    np.testing.assert_array_equal(again.means, bundled_again.means)
+    np.testing.assert_array_equal(again.shN, bundled_again.shN)
+
+
+def test_a_folder_keeps_what_is_there_unless_forced(tmp_path: Path) -> None:
+    (tmp_path / "sh0.webp").write_bytes(b"mine")
+    with pytest.raises(CogsplatError) as caught:
+        write_scene(scene(50), tmp_path / "meta.json")
+    assert caught.value.code == "exists"
+    assert [path.name for path in tmp_path.iterdir()] == ["sh0.webp"]
+    assert (tmp_path / "sh0.webp").read_bytes() == b"mine"
+    write_scene(scene(50), tmp_path / "meta.json", force=True)
+    assert len(read_scene(tmp_path / "meta.json")) == 50
