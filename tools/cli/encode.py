@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -17,6 +17,7 @@ from cogsplat.tools.evaluation.byte_inventory import stored_sizes
 from cogsplat.tools.evaluation.prefix_quality import PrefixQuality
 from cogsplat.tools.evaluation.report_page import write_report
 from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
     PATH,
     background_option,
@@ -64,9 +65,58 @@ if TYPE_CHECKING:
 # compiler to import; a test compares them.
 
 
+# In the order of the help: what decides between size and quality comes first.
+_GROUPS: Final = {
+    "Most used": (
+        "--cameras",
+        "--quality",
+        "--target-psnr",
+        "--target-size",
+        "--profile",
+        "--preset",
+    ),
+    "Order of the splats": (
+        "--order",
+        "--first-view",
+        "--first-view-share",
+        "--first-view-mix",
+        "--frustum-share",
+        "--frustum-margin",
+        "--octree-depth",
+        "--octree-capacity",
+        "--seed",
+        "--objects",
+        "--object-budgets",
+        "--masks",
+    ),
+    "Scoring": ("--no-jitter", "--top-k", "--eval-every"),
+    "Contents of the file": (
+        "--prune",
+        "--no-prune",
+        "--no-refine",
+        "--no-compensation",
+        "--no-extras",
+        "--store-cameras",
+        "--chunk-splats",
+        "--no-morton",
+    ),
+    "Edits of the scene": (
+        "--drop-invalid",
+        "--sh",
+        "--crop",
+        "--scale",
+        "--rotate",
+        "--translate",
+    ),
+    "Measuring the file": ("--measure", "--report", "--images", "--background"),
+}
+
+
 @click.command(
+    cls=GroupedCommand,
+    groups=_GROUPS,
     epilog="\b\nExample:\n"
-    "  cogsplat encode scene.ply scene.cogs --cameras cameras.json --quality 38"
+    "  cogsplat encode scene.ply scene.cogs --cameras cameras.json --quality 38",
 )
 @click.argument("scene", type=PATH)
 @click.argument("out", type=PATH, metavar="OUT.cogs")

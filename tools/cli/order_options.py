@@ -199,6 +199,11 @@ def order_names(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(order_name(part.strip()) for part in text.split(",")))
 
 
+def _orders_like(ctx: click.Context, parameter: click.Parameter, start: str) -> list[str]:
+    """Return the orders that a shell may complete a word to."""
+    return [name for name in ORDERS if name.startswith(start)]
+
+
 def order_options(command: Callable[..., object]) -> Callable[..., object]:
     """Add ``--order`` and its parameters, passed to the command as ``choice``."""
     option = click.option(
@@ -207,6 +212,7 @@ def order_options(command: Callable[..., object]) -> Callable[..., object]:
         default="gain",
         show_default=True,
         metavar="NAME",
+        shell_complete=_orders_like,
         help=f"Which splats come first: {', '.join(ORDERS)}.",
     )
     return _with_parameters(command, option)
