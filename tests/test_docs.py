@@ -125,7 +125,8 @@ def run_command(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     match words:
         case ["python3", "-m", "venv", ".venv"] | [".", ".venv/bin/activate"]:
             return  # The environment that runs the tests stands for it.
-        case [".venv/bin/pip", "install", "-q", "-e", target]:
+        case [".venv/bin/pip", "install", "-q", "-e", target, "--config-settings", settings]:
+            assert settings == "editable_mode=compat"  # What tests/test_packaging.py installs.
             project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
                 "project"
             ]

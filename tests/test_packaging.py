@@ -1,9 +1,11 @@
 """The wheel holds the packages and nothing else, and what it holds works by itself."""
 
 import importlib.metadata
+import os
 import shutil
 import subprocess
 import sys
+import venv
 import zipfile
 from pathlib import Path
 
@@ -108,3 +110,38 @@ def test_core_alone_imports_from_the_wheel(wheel: zipfile.Path, tmp_path: Path) 
     assert done.returncode == 0, done.stderr
     for path in done.stdout.split():
         assert Path(path).is_relative_to(tmp_path)
+
+
+USER_SCRIPT = """import cogsplat
+
+wrong: str = cogsplat.read("scene.ply")
+"""
+
+
+@pytest.mark.slow
+def test_types_resolve_after_the_editable_install_of_the_readme(tree: Path, tmp_path: Path) -> None:
+    """A checker finds the package and its types, not a module without any."""
+    venv.create(tmp_path / "venv", with_pip=True, symlinks=True)
+    python = tmp_path / "venv" / ("Scripts" if sys.platform == "win32" else "bin") / "python"
+    script = tmp_path / "user.py"
+    script.write_text(USER_SCRIPT, encoding="utf-8")
+    install = [python, "-m", "pip", "install", "--quiet", "--no-deps", "--no-input", "-e", tree]
+    install += ["--disable-pip-version-check", "--config-settings", "editable_mode=compat"]
+    check = [sys.executable, "-m", "mypy", "--python-executable", python, "--no-incremental"]
+    # Neither may see this checkout.
+    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    told = ""
+    for command in (install, [*check, "--config-file", os.devnull, script]):
+        done = subprocess.run(
+            [str(word) for word in command],
+            cwd=tmp_path,
+            env=clean,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        told = done.stdout + done.stderr
+        assert done.returncode == (0 if command is install else 1), told
+    assert '(expression has type "Splats", variable has type "str")' in told
+    assert "Found 1 error in 1 file" in told

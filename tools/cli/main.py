@@ -149,7 +149,10 @@ def _extra_hint() -> str:
     if root is None:
         return ""
     place = "." if root == Path.cwd() else os.fspath(root)
-    return f"from this checkout: pip install -e '{place}[encode]'"
+    return (
+        f"from this checkout: pip install -e '{place}[encode]' "
+        "--config-settings editable_mode=compat"
+    )
 
 
 def _hint(code: str, group: click.Context | None) -> str:
