@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import click
 
-import cogsplat
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.scenes.registry import WRITABLE
-from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
@@ -22,14 +19,19 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import format_option, scene_format, written_bytes
+from cogsplat.tools.terminal.output_names import format_option
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 
 from .inputs import LoadedScene, given_files, read_any, scoring_cameras
 from .scene_edits import SceneEdits, edit_options
-
-_COGS: Final = "cogs"
+from .scene_output import (
+    OUTPUT_FORMATS,
+    WrittenScene,
+    output_format,
+    require_cogs_for_cameras,
+    write_any,
+)
 
 
 @click.command(
@@ -39,7 +41,7 @@ _COGS: Final = "cogs"
 )
 @click.argument("source", type=PATH, metavar="A")
 @click.argument("out", type=PATH, metavar="B")
-@format_option([_COGS, *WRITABLE], "Without it, B's extension says which.")
+@format_option(OUTPUT_FORMATS, "Without it, B's extension says which.")
 @edit_options
 @cameras_option("For a .cogs only; without it, views are planned around the scene.")
 @partial_option
@@ -64,10 +66,8 @@ def convert(
     B's extension names it. COGS files are read and written too; `encode` has all options of
     writing one. What a format cannot hold is said in a warning.
     """
-    to_cogs = format_name == _COGS if format_name else out.name.lower().endswith(f".{_COGS}")
-    format_ = None if to_cogs else scene_format(out, format_name)
-    if cameras is not None and not to_cogs:
-        raise click.UsageError(f"--cameras with {out}, expected an output that ends in .{_COGS}")
+    name = output_format(out, format_name)
+    require_cogs_for_cameras(cameras, out, name)
     check_output(out, force=force, inputs=given_files(source, cameras))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
@@ -75,28 +75,16 @@ def convert(
             given = read_any(source, threads=threads, progress=stages)
         with stages.stage("edit"):
             splats = edits.apply(given.splats, source)
-        if to_cogs:
-            from cogsplat.codec.encode.config import EncodeConfig
-
-            cogsplat.encode(
-                splats,
-                out,
-                cameras=None if views is None else [edits.camera(view) for view in views],
-                config=EncodeConfig(threads=threads),
-                force=force,
-                progress=stages,
-            )
-            stages("write", 1, 1)
-        else:
-            with stages.stage("write"):
-                cogsplat.write(splats, out, force=force, format_name=format_name)
-    if format_ is None:
-        with storage_errors(out):
-            written = out.stat().st_size
-    else:
-        written = written_bytes(out, format_)
-    name = _COGS if format_ is None else format_.name
-    done = _Done(source, out, name, given, splats, written)
+        written = write_any(
+            splats,
+            out,
+            name,
+            force=force,
+            cameras=None if views is None else [edits.camera(view) for view in views],
+            threads=threads,
+            stages=stages,
+        )
+    done = _Done(source, out, given, splats, written)
     if as_json:
         say_json({**_report(done), "seconds": stages.rounded()})
     elif not quiet:
@@ -105,22 +93,21 @@ def convert(
 
 @dataclass(frozen=True)
 class _Done:
-    """Result of a conversion: the scene read, the scene written, and the bytes of the new file."""
+    """Result of a conversion: the scene read, the scene written, and the new file."""
 
     source: Path
     out: Path
-    format: str
     given: LoadedScene
     splats: Splats
-    written: int
+    written: WrittenScene
 
 
 def _report(done: _Done) -> dict[str, object]:
     return {
         "output": name_of(done.out),
-        "format": done.format,
-        "bytes": done.written,
-        "splats": _stored(done),
+        "format": done.written.format,
+        "bytes": done.written.size_bytes,
+        "splats": done.written.splats,
         "splats_in": len(done.given.splats),
         "splats_edited_out": len(done.given.splats) - len(done.splats),
         "sh_degree": done.splats.sh_degree,
@@ -129,23 +116,15 @@ def _report(done: _Done) -> dict[str, object]:
     }
 
 
-def _stored(done: _Done) -> int:
-    """Return the number of splats in the new file; encoding to COGS may prune some."""
-    if done.format != "cogs":
-        return len(done.splats)
-    with cogsplat.open(done.out) as file:
-        return int(file.root.splats)
-
-
 def _tell(done: _Done, stages: Stages) -> None:
-    stored, given = _stored(done), len(done.given.splats)
+    stored, given = done.written.splats, len(done.given.splats)
     say(
-        f"{done.out}: {done.format}, {size_text(done.written)}, "
+        f"{done.out}: {done.written.format}, {size_text(done.written.size_bytes)}, "
         f"from {size_text(done.given.file_bytes)}"
     )
     count = f"{stored:,}" if stored == given else f"{stored:,} of {given:,}"
     facts(
-        ("splats", f"{count}, {done.written / max(stored, 1):.2f} B each"),
+        ("splats", f"{count}, {done.written.size_bytes / max(stored, 1):.2f} B each"),
         ("SH degree", str(done.splats.sh_degree)),
         ("time", stages.line()),
     )

@@ -33,10 +33,13 @@ from .bench import bench
 from .compare import compare, render
 from .conformance import conformance
 from .convert import convert
+from .decimate import decimate
 from .decode import decode
 from .encode import encode
 from .evaluate import evaluate
+from .filter import filter_scene
 from .info import info
+from .merge import merge
 from .order import order
 from .score import score
 from .stats import stats
@@ -295,6 +298,9 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     encode,
     decode,
     convert,
+    merge,
+    filter_scene,
+    decimate,
     info,
     validate,
     stats,

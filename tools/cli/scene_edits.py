@@ -138,7 +138,7 @@ def edit_options(command: Callable[..., object]) -> Callable[..., object]:
         ),
         click.option(
             "--scale",
-            type=_scale,
+            type=scale_factor,
             default="1",
             metavar="S",
             help="Scale the scene, about the origin.",
@@ -164,7 +164,14 @@ def edit_options(command: Callable[..., object]) -> Callable[..., object]:
     return decorated
 
 
-def _scale(text: str) -> float:
+def scale_factor(text: str) -> float:
+    """Parse a positive finite number.
+
+    Raises
+    ------
+    click.BadParameter
+        It is none.
+    """
     try:
         value = float(text)
     except ValueError:
@@ -175,15 +182,26 @@ def _scale(text: str) -> float:
 
 
 def _cropped(splats: Splats, limits: Box, where: Path) -> Splats:
-    world = splats.means.astype(np.float64) + np.array(splats.info.origin)
-    # Rows with NaN lie nowhere.
-    inside = ((world >= limits[:3]) & (world <= limits[3:])).all(axis=1)
+    inside = inside_box(splats, limits)
     kept = int(inside.sum())
     if not kept and len(splats):
         raise DataError(
             "empty-crop", f"{where}: none of {len(splats):,} splats is in --crop, expected some"
         )
     return splats if kept == len(splats) else splats.take(inside)
+
+
+def inside_box(splats: Splats, limits: Box) -> NDArray[np.bool_]:
+    """Mark splats whose centres lie in a box of world coordinates, its faces included.
+
+    Returns
+    -------
+    (N,) bool
+        False for rows with NaN, which lie nowhere.
+    """
+    world = splats.means.astype(np.float64) + np.array(splats.info.origin)
+    inside: NDArray[np.bool_] = ((world >= limits[:3]) & (world <= limits[3:])).all(axis=1)
+    return inside
 
 
 def _rotation(degrees: Vector) -> F64:

@@ -1,0 +1,188 @@
+"""``cogsplat decimate``: the splats that matter most, so many or such a share."""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Final
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import CogsplatWarning
+from cogsplat.codec.order.baselines import antimatter, descending
+from cogsplat.codec.splats import Splats
+from cogsplat.formats.storage.atomic import check_output
+from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.options import (
+    PATH,
+    cameras_option,
+    force_option,
+    json_option,
+    quiet_option,
+    threads_option,
+)
+from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output_names import format_option
+from cogsplat.tools.terminal.partial import partial_option
+from cogsplat.tools.terminal.progress import Stages
+
+from .inputs import given_files, read_any, scoring_cameras, usable_rows, virtual_views
+from .scene_output import OUTPUT_FORMATS, output_format, write_any
+
+_CONTRIBUTION: Final = "contribution"
+_ANTIMATTER: Final = "antimatter"
+_COUNT: Final = re.compile(r"([0-9]{1,12}(?:\.[0-9]{1,9})?)(%?)")
+
+
+@dataclass(frozen=True)
+class SplatCount:
+    """A number of splats, or a share of a scene's splats.
+
+    Parameters
+    ----------
+    amount : Fraction
+        Splats, or the share.
+    is_share : bool
+        Whether `amount` is a share, above 0 and at most 1.
+    """
+
+    amount: Fraction
+    is_share: bool
+
+    def of(self, splats: int) -> int:
+        """Return the number for a scene of `splats`: rounded up, and no more than there are."""
+        return min(math.ceil(self.amount * splats if self.is_share else self.amount), splats)
+
+
+def splat_count(text: str) -> SplatCount:
+    """Parse ``20000`` or ``25%``.
+
+    Raises
+    ------
+    click.BadParameter
+        It is neither.
+    """
+    match = _COUNT.fullmatch(text.strip())
+    amount = Fraction(match[1]) if match else Fraction(0)
+    if match and match[2] and 0 < amount <= 100:
+        return SplatCount(amount / 100, is_share=True)
+    if match and not match[2] and amount >= 1 and amount.denominator == 1:
+        return SplatCount(amount, is_share=False)
+    raise click.BadParameter(f"{text!r}, expected splats such as 20000, or a share such as 25%")
+
+
+@click.command(epilog="\b\nExample:\n  cogsplat decimate scene.ply small.ply --to 25%")
+@click.argument("path", type=PATH, metavar="SCENE")
+@click.argument("out", type=PATH, metavar="OUT")
+@format_option(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
+@click.option(
+    "--to",
+    "count",
+    type=splat_count,
+    required=True,
+    metavar="N|P%",
+    help="Keep N splats, or P percent of them.",
+)
+@click.option(
+    "--by",
+    type=click.Choice((_CONTRIBUTION, _ANTIMATTER)),
+    default=_CONTRIBUTION,
+    show_default=True,
+    help="Keep the splats of the largest contribution to the views' pictures, or, without "
+    "rendering, of the largest volume times opacity.",
+)
+@cameras_option("Without it, views are planned around the scene.")
+@partial_option
+@limits_option
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def decimate(
+    path: Path,
+    out: Path,
+    format_name: str | None,
+    count: SplatCount,
+    by: str,
+    cameras: Path | None,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Keep the splats of SCENE that matter most.
+
+    They keep the order of the file and all their attributes. Splats that cannot be drawn are left
+    out first.
+    """
+    name = output_format(out, format_name)
+    if cameras is not None and by == _ANTIMATTER and name != "cogs":
+        raise click.UsageError(f"--cameras with --by {by} and {out}, where nothing uses them")
+    check_output(out, force=force, inputs=given_files(path, cameras))
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("read"):
+            views = scoring_cameras(cameras, 0)
+            given = read_any(path, threads=threads).splats
+            usable = usable_rows(given, path)
+        target = count.of(len(usable))
+        if not count.is_share and target < count.amount:
+            warnings.warn(
+                f"{path}: has {len(usable):,} splats that can be drawn, fewer than --to "
+                f"{int(count.amount):,}; all are kept",
+                CogsplatWarning,
+                stacklevel=1,
+            )
+        if by == _CONTRIBUTION and target < len(usable):
+            from cogsplat.codec.scoring.contribution import ScoreConfig, score
+
+            scored_in = views or virtual_views(usable, threads=threads, progress=stages)
+            scores = score(usable, scored_in, ScoreConfig(threads=threads), progress=stages)
+            priority = scores.contribution
+        else:
+            priority = antimatter(usable)
+        kept = _most(usable, priority, target)
+        written = write_any(
+            kept, out, name, force=force, cameras=views, threads=threads, stages=stages
+        )
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                "format": written.format,
+                "bytes": written.size_bytes,
+                "splats": written.splats,
+                "splats_in": len(given),
+                "by": by,
+                "kept_share_of_contribution": _share(priority, target, by),
+                "seconds": stages.rounded(),
+            }
+        )
+    elif not quiet:
+        say(f"{out}: {written.format}, {size_text(written.size_bytes)}")
+        share = _share(priority, target, by)
+        facts(
+            ("splats", f"{written.splats:,} of {len(given):,}"),
+            ("kept", "" if share is None else f"{share:.1%} of the contribution"),
+            ("time", stages.line()),
+        )
+
+
+def _most(splats: Splats, priority: NDArray[np.float64], count: int) -> Splats:
+    """Return the rows of highest priority, in the order of the file."""
+    if count == len(splats):
+        return splats
+    return splats.take(np.sort(descending(priority)[:count]))
+
+
+def _share(priority: NDArray[np.float64], count: int, by: str) -> float | None:
+    """Return the share of the contribution that is kept; None where it was not measured."""
+    if by != _CONTRIBUTION or count == len(priority):
+        return None
+    total = float(priority.sum())
+    return round(float(np.sort(priority)[::-1][:count].sum()) / total, 5) if total else None

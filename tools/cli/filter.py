@@ -1,0 +1,194 @@
+"""``cogsplat filter``: leave out splats by opacity, size, place, and isolation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.splats import Splats
+from cogsplat.formats.storage.atomic import check_output
+from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.options import (
+    PATH,
+    cameras_option,
+    force_option,
+    json_option,
+    quiet_option,
+    threads_option,
+)
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output_names import format_option
+from cogsplat.tools.terminal.partial import partial_option
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.values import Box, box
+
+from .inputs import given_files, read_any, scoring_cameras, usable_rows, virtual_views
+from .scene_edits import inside_box
+from .scene_output import OUTPUT_FORMATS, output_format, write_any
+
+Marks = dict[str, NDArray[np.bool_]]
+
+
+@click.command(
+    "filter",
+    epilog="\b\nExample:\n  cogsplat filter scene.ply clean.ply --min-opacity 0.02 --floaters 3",
+)
+@click.argument("path", type=PATH, metavar="SCENE")
+@click.argument("out", type=PATH, metavar="OUT")
+@format_option(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
+@click.option(
+    "--min-opacity",
+    type=click.FloatRange(0, 1),
+    metavar="A",
+    help="Leave out splats less opaque than this, 0 to 1.",
+)
+@click.option(
+    "--min-size",
+    type=click.FloatRange(min=0),
+    metavar="S",
+    help="Leave out splats whose largest standard deviation is below this, scene units.",
+)
+@click.option(
+    "--max-size",
+    type=click.FloatRange(min=0),
+    metavar="S",
+    help="Leave out splats whose largest standard deviation is above this, scene units.",
+)
+@click.option(
+    "--crop",
+    type=box,
+    metavar="XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
+    help="Leave out splats centred outside this box.",
+)
+@click.option(
+    "--floaters",
+    type=click.FloatRange(min=0),
+    metavar="D",
+    help="Leave out floaters: splats farther from their neighbours than the scene's median by D "
+    "standard deviations of log distance that contribute less than the median splat. 3 is "
+    "cautious, 2 takes more.",
+)
+@cameras_option("For --floaters and for a .cogs; without it, views are planned.")
+@partial_option
+@limits_option
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def filter_scene(
+    path: Path,
+    out: Path,
+    format_name: str | None,
+    min_opacity: float | None,
+    min_size: float | None,
+    max_size: float | None,
+    crop: Box | None,
+    floaters: float | None,
+    cameras: Path | None,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Leave out splats by opacity, size, place or isolation.
+
+    The others keep their order, values and attributes. Splats that cannot be drawn are left out,
+    too.
+    """
+    name = output_format(out, format_name)
+    if all(limit is None for limit in (min_opacity, min_size, max_size, crop, floaters)):
+        raise click.UsageError(
+            "nothing to leave out, expected one of --min-opacity, --min-size, --max-size, --crop "
+            "and --floaters"
+        )
+    if cameras is not None and floaters is None and name != "cogs":
+        raise click.UsageError(f"--cameras with {out} and without --floaters: nothing uses them")
+    check_output(out, force=force, inputs=given_files(path, cameras))
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("read"):
+            views = scoring_cameras(cameras, 0)
+            given = read_any(path, threads=threads).splats
+            usable = usable_rows(given, path)
+        marks = _by_values(usable, min_opacity, min_size, max_size, crop)
+        if floaters is not None:
+            marks["floaters"] = _floaters(usable, views, floaters, threads, stages)
+        drop = np.logical_or.reduce(list(marks.values()))
+        if drop.all() and len(usable):
+            raise DataError(
+                "nothing-left", f"{path}: none of {len(usable):,} splats is left, expected some"
+            )
+        kept = usable.take(~drop)
+        written = write_any(
+            kept, out, name, force=force, cameras=views, threads=threads, stages=stages
+        )
+    invalid = len(given) - len(usable)
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                "format": written.format,
+                "bytes": written.size_bytes,
+                "splats": written.splats,
+                "splats_in": len(given),
+                "left_out": {
+                    "invalid": invalid,
+                    **{reason: int(rows.sum()) for reason, rows in marks.items()},
+                },
+                "seconds": stages.rounded(),
+            }
+        )
+    elif not quiet:
+        say(f"{out}: {written.format}, {size_text(written.size_bytes)}")
+        facts(
+            ("splats", f"{written.splats:,} of {len(given):,}"),
+            ("invalid", counted(invalid, "splat") if invalid else ""),
+            *((reason, counted(int(rows.sum()), "splat")) for reason, rows in marks.items()),
+            ("time", stages.line()),
+        )
+
+
+def _by_values(
+    splats: Splats,
+    min_opacity: float | None,
+    min_size: float | None,
+    max_size: float | None,
+    crop: Box | None,
+) -> Marks:
+    """Return what each limit that is given leaves out; a splat may be in several."""
+    marks: Marks = {}
+    # Deviations beyond float64 are larger than any limit.
+    with np.errstate(over="ignore"):
+        size = np.exp(splats.scales.astype(np.float64).max(axis=1, initial=-np.inf))
+    if min_opacity is not None:
+        # σ(o) by the logarithm, which overflows for no logit.
+        marks["min-opacity"] = (
+            np.exp(-np.logaddexp(0.0, -splats.opacities.astype(np.float64))) < min_opacity
+        )
+    if min_size is not None:
+        marks["min-size"] = size < min_size
+    if max_size is not None:
+        marks["max-size"] = size > max_size
+    if crop is not None:
+        marks["crop"] = ~inside_box(splats, crop)
+    return marks
+
+
+def _floaters(
+    splats: Splats,
+    views: Sequence[Camera] | None,
+    deviations: float,
+    threads: int,
+    stages: Stages,
+) -> NDArray[np.bool_]:
+    from cogsplat.codec.geometry import floaters
+    from cogsplat.codec.scoring.contribution import ScoreConfig, score
+
+    scored_in = views or virtual_views(splats, threads=threads, progress=stages)
+    scores = score(splats, scored_in, ScoreConfig(threads=threads), progress=stages)
+    return floaters.floaters(splats.means, scores.contribution, deviations, threads=threads)

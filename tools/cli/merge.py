@@ -1,0 +1,203 @@
+"""``cogsplat merge``: several scenes as one, each labelled as an object."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+from typing import TypeVar
+
+import click
+import numpy as np
+
+from cogsplat.codec.errors import CogsplatWarning
+from cogsplat.codec.geometry import merging
+from cogsplat.codec.order import objects
+from cogsplat.codec.splats import Splats
+from cogsplat.formats.storage.atomic import check_output
+from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.options import (
+    PATH,
+    force_option,
+    json_option,
+    quiet_option,
+    threads_option,
+)
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output_names import format_option
+from cogsplat.tools.terminal.partial import partial_option
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.values import Vector, vector
+
+from .inputs import given_files, read_any
+from .scene_edits import SceneEdits, scale_factor
+from .scene_output import OUTPUT_FORMATS, output_format, write_any
+
+Value = TypeVar("Value")
+
+_STILL: Vector = (0.0, 0.0, 0.0)
+
+
+def _of_scene(parse: Callable[[str], Value]) -> Callable[[str], tuple[int, Value]]:
+    """Return a parser of ``N:VALUE``, a value for the N-th scene."""
+
+    def numbered(text: str) -> tuple[int, Value]:
+        number, _, value = text.partition(":")
+        if not (number.isascii() and number.isdigit() and len(number) <= 9 and int(number)):
+            raise click.BadParameter(
+                f"{text!r}, expected the number of a scene, from 1, a colon and the value"
+            )
+        return int(number), parse(value)
+
+    return numbered
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat merge garden.ply bench.spz both.ply --translate 2:1.5,0,-2\n"
+    "  cogsplat encode both.ply both.cogs --objects"
+)
+@click.argument("sources", type=PATH, nargs=-1, required=True, metavar="A B…")
+@click.argument("out", type=PATH, metavar="OUT")
+@format_option(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
+@click.option(
+    "--scale",
+    "scales",
+    type=_of_scene(scale_factor),
+    multiple=True,
+    metavar="N:S",
+    help="Scale the N-th scene, from 1, about the origin; once for each scene.",
+)
+@click.option(
+    "--rotate",
+    "turns",
+    type=_of_scene(vector),
+    multiple=True,
+    metavar="N:AX,AY,AZ",
+    help="Then rotate it: degrees about the x, then the y, then the z axis.",
+)
+@click.option(
+    "--translate",
+    "shifts",
+    type=_of_scene(vector),
+    multiple=True,
+    metavar="N:X,Y,Z",
+    help="Then move it.",
+)
+@partial_option
+@limits_option
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def merge(
+    sources: Sequence[Path],
+    out: Path,
+    format_name: str | None,
+    scales: Sequence[tuple[int, float]],
+    turns: Sequence[tuple[int, Vector]],
+    shifts: Sequence[tuple[int, Vector]],
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Merge scenes into one.
+
+    The attribute `object` labels the splats of the first scene 1, of the second 2, and on, for
+    chunks, budgets and decoding by object. Axes and origin are those of the first scene.
+    """
+    if len(sources) < 2:
+        raise click.UsageError(f"{sources[0]} alone, expected two scenes or more, then the output")
+    name = output_format(out, format_name)
+    edits = _edits(len(sources), dict(scales), dict(turns), dict(shifts))
+    check_output(out, force=force, inputs=chain.from_iterable(map(given_files, sources)))
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("read"):
+            given = [read_any(path, threads=threads).splats for path in sources]
+        with stages.stage("merge"):
+            labelled = [path for path, part in zip(sources, given, strict=True)
+                        if objects.ATTRIBUTE in part.extras]  # fmt: skip
+            if labelled:
+                warnings.warn(
+                    f"{', '.join(map(str, labelled))}: had labels of objects, which give way to "
+                    "one label for each scene",
+                    CogsplatWarning,
+                    stacklevel=1,
+                )
+            merged = merging.merge(
+                [
+                    edit.apply(_unlabelled(part), path)
+                    for edit, part, path in zip(edits, given, sources, strict=True)
+                ]
+            )
+            counts = [len(part) for part in given]
+            labels = np.repeat(np.arange(1, len(given) + 1), counts)
+            merged = objects.with_labels(merged, labels)
+        written = write_any(
+            merged, out, name, force=force, cameras=None, threads=threads, stages=stages
+        )
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                "format": written.format,
+                "bytes": written.size_bytes,
+                "splats": written.splats,
+                "sh_degree": merged.sh_degree,
+                "objects": [
+                    {"object": label, "source": name_of(path), "splats_in": count}
+                    for label, (path, count) in enumerate(zip(sources, counts, strict=True), 1)
+                ],
+                "seconds": stages.rounded(),
+            }
+        )
+    elif not quiet:
+        say(
+            f"{out}: {written.format}, {size_text(written.size_bytes)}, "
+            f"{counted(written.splats, 'splat')}"
+        )
+        facts(
+            *(
+                (f"object {label}", f"{path}, {counted(count, 'splat')}")
+                for label, (path, count) in enumerate(zip(sources, counts, strict=True), 1)
+            ),
+            ("time", stages.line()),
+        )
+
+
+def _unlabelled(splats: Splats) -> Splats:
+    others = {name: values for name, values in splats.extras.items() if name != objects.ATTRIBUTE}
+    return replace(splats, extras=others)
+
+
+def _edits(
+    count: int,
+    scales: Mapping[int, float],
+    turns: Mapping[int, Vector],
+    shifts: Mapping[int, Vector],
+) -> list[SceneEdits]:
+    """Return how each scene moves.
+
+    Raises
+    ------
+    click.UsageError
+        An option names a scene that there is not.
+    """
+    named = {"--scale": scales, "--rotate": turns, "--translate": shifts}
+    for option, values in named.items():
+        beyond = [number for number in values if number > count]
+        if beyond:
+            raise click.UsageError(
+                f"{option} for scene {beyond[0]}, expected a number from 1 to {count}"
+            )
+    return [
+        SceneEdits(
+            scale=scales.get(number, 1.0),
+            rotate=turns.get(number, _STILL),
+            translate=shifts.get(number, _STILL),
+        )
+        for number in range(1, count + 1)
+    ]

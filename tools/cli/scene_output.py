@@ -1,0 +1,117 @@
+"""Output of a scene in the format that its name or ``--format`` says, COGS included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import click
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.splats import Splats
+from cogsplat.formats.scenes.registry import WRITABLE
+from cogsplat.formats.storage.atomic import storage_errors
+from cogsplat.tools.terminal.output_names import scene_format, written_bytes
+from cogsplat.tools.terminal.progress import Stages
+
+COGS_NAME: Final = "cogs"
+"""What ``--format`` calls the project's own format."""
+
+OUTPUT_FORMATS: Final = (COGS_NAME, *WRITABLE)
+"""Formats that commands write scenes in."""
+
+
+@dataclass(frozen=True)
+class WrittenScene:
+    """What a scene became on disk.
+
+    Parameters
+    ----------
+    format : str
+    size_bytes : int
+    splats : int
+        Encoding to COGS may prune some.
+    """
+
+    format: str
+    size_bytes: int
+    splats: int
+
+
+def output_format(out: Path, format_name: str | None) -> str:
+    """Return the name of the format to write.
+
+    Raises
+    ------
+    click.UsageError
+        There is none of that name or extension, or it is not written.
+    """
+    to_cogs = format_name == COGS_NAME if format_name else out.name.lower().endswith(".cogs")
+    return COGS_NAME if to_cogs else scene_format(out, format_name).name
+
+
+def require_cogs_for_cameras(cameras: Path | None, out: Path, name: str) -> None:
+    """Refuse cameras where nothing would use them.
+
+    Raises
+    ------
+    click.UsageError
+        There are some, and `name` is another format than COGS.
+    """
+    if cameras is not None and name != COGS_NAME:
+        raise click.UsageError(f"--cameras with {out}, expected an output that ends in .cogs")
+
+
+def write_any(
+    splats: Splats,
+    out: Path,
+    name: str,
+    *,
+    force: bool,
+    cameras: Sequence[Camera] | None,
+    threads: int,
+    stages: Stages,
+) -> WrittenScene:
+    """Write a scene and say what came out.
+
+    Parameters
+    ----------
+    splats : Splats
+    out : Path
+    name : str
+        As `output_format` returns it.
+    force : bool
+        Whether an existing file may be replaced.
+    cameras : sequence of Camera or None
+        What a COGS file is scored on; without them, views are planned.
+    threads : int
+    stages : Stages
+        Gets the stages of encoding and of writing.
+
+    Raises
+    ------
+    CogsplatError
+        The scene cannot be encoded or written.
+    """
+    if name == COGS_NAME:
+        from cogsplat.codec.encode.config import EncodeConfig
+
+        cogsplat.encode(
+            splats,
+            out,
+            cameras=cameras,
+            config=EncodeConfig(threads=threads),
+            force=force,
+            progress=stages,
+        )
+        stages("write", 1, 1)
+        with cogsplat.open(out) as file:
+            stored = int(file.root.splats)
+        with storage_errors(out):
+            return WrittenScene(name, out.stat().st_size, stored)
+    with stages.stage("write"):
+        cogsplat.write(splats, out, force=force, format_name=name)
+    return WrittenScene(name, written_bytes(out, scene_format(out, name)), len(splats))
