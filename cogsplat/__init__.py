@@ -389,7 +389,12 @@ def read(path: _Path, *, limits: Limits | None = None) -> Splats:
 
 
 def write(
-    splats: Splats, path: _Path, *, force: bool = False, format_name: str | None = None
+    splats: Splats,
+    path: _Path,
+    *,
+    force: bool = False,
+    format_name: str | None = None,
+    absolute: bool = False,
 ) -> None:
     """Write a scene in the format that the extension of `path` names; `encode` writes COGS.
 
@@ -402,9 +407,13 @@ def write(
     format_name : str, optional
         One of `formats.scenes.registry.WRITABLE`, such as ``"ply"``: write this format whatever
         the extension.
+    absolute : bool
+        For PLY: centres as doubles in world coordinates, the scene's origin added.
 
     Raises
     ------
+    ValueError
+        `absolute` with another format than PLY.
     CogsplatError
         The extension names no format that can be written, or the file cannot be.
 
@@ -418,7 +427,7 @@ def write(
     """
     from .formats.scenes.registry import write_scene
 
-    write_scene(splats, path, force=force, format_name=format_name)
+    write_scene(splats, path, force=force, format_name=format_name, absolute=absolute)
 
 
 def read_cameras(path: _Path, *, limits: Limits | None = None) -> list[Camera]:

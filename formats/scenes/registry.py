@@ -204,7 +204,12 @@ def format_of(path: StrPath) -> Format:
 
 
 def write_scene(
-    splats: Splats, path: StrPath, *, force: bool = False, format_name: str | None = None
+    splats: Splats,
+    path: StrPath,
+    *,
+    force: bool = False,
+    format_name: str | None = None,
+    absolute: bool = False,
 ) -> None:
     """Write a scene in a foreign format.
 
@@ -216,15 +221,25 @@ def write_scene(
         Whether an existing file may be replaced.
     format_name : str, optional
         One of `WRITABLE`; by default the format that the extension names.
+    absolute : bool
+        As `write_ply`, which alone knows it.
 
     Raises
     ------
+    ValueError
+        `absolute` and another format than PLY.
     FormatError, UnsupportedError
         As `format_to_write`.
     StorageError
         As `atomic_write`, ``exists`` among them.
     """
-    write = format_to_write(path, format_name).write
+    format_ = format_to_write(path, format_name)
+    if absolute:
+        if format_.write is not write_ply:
+            raise ValueError(f"absolute centres in {format_.name}, expected ply")
+        write_ply(splats, path, force=force, absolute=True)
+        return
+    write = format_.write
     assert write is not None
     write(splats, path, force=force)
 

@@ -19,7 +19,11 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import format_option
+from cogsplat.tools.terminal.output_names import (
+    absolute_option,
+    format_option,
+    require_ply_for_absolute,
+)
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 
@@ -42,6 +46,7 @@ from .scene_output import (
 @click.argument("source", type=PATH, metavar="A")
 @click.argument("out", type=PATH, metavar="B")
 @format_option(OUTPUT_FORMATS, "Without it, B's extension says which.")
+@absolute_option
 @edit_options
 @cameras_option("For a .cogs only; without it, views are planned around the scene.")
 @partial_option
@@ -54,6 +59,7 @@ def convert(
     source: Path,
     out: Path,
     format_name: str | None,
+    absolute: bool,
     edits: SceneEdits,
     cameras: Path | None,
     threads: int,
@@ -68,6 +74,7 @@ def convert(
     """
     name = output_format(out, format_name)
     require_cogs_for_cameras(cameras, out, name)
+    require_ply_for_absolute(absolute, out, name)
     check_output(out, force=force, inputs=given_files(source, cameras))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
@@ -83,6 +90,7 @@ def convert(
             cameras=None if views is None else [edits.camera(view) for view in views],
             threads=threads,
             stages=stages,
+            absolute=absolute,
         )
     done = _Done(source, out, given, splats, written)
     if as_json:

@@ -24,7 +24,13 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import format_option, scene_format, written_bytes
+from cogsplat.tools.terminal.output_names import (
+    absolute_option,
+    format_option,
+    require_ply_for_absolute,
+    scene_format,
+    written_bytes,
+)
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.values import ChunkRange
@@ -43,6 +49,7 @@ from .inputs import LoadedScene, Selection, decode_part
 @part_options
 @compensate_option
 @format_option(WRITABLE, "Without it, the extension says which.")
+@absolute_option
 @click.option("--no-refine", is_flag=True, help="The coarse values of the heads alone.")
 @partial_option
 @limits_option
@@ -60,6 +67,7 @@ def decode(
     sh_degree: int | None,
     compensate: bool,
     format_name: str | None,
+    absolute: bool,
     no_refine: bool,
     threads: int,
     force: bool,
@@ -73,13 +81,16 @@ def decode(
     enlarged and made more opaque in place of those that are missing.
     """
     format_ = scene_format(out, format_name)
+    require_ply_for_absolute(absolute, out, format_.name)
     check_output(out, force=force, inputs=[cogs])
     refine = not no_refine
     part = Selection(chunks, least_splats, size, sh_degree, objects, refine, compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         scene = decode_part(cogs, part, threads=threads, progress=stages)
         with stages.stage("write"):
-            cogsplat.write(scene.splats, out, force=force, format_name=format_name)
+            cogsplat.write(
+                scene.splats, out, force=force, format_name=format_name, absolute=absolute
+            )
     if scene.without_tails:
         first, last = scene.without_tails[0], scene.without_tails[-1]
         span = f"chunk {first}" if first == last else f"chunks {first} to {last}"

@@ -74,6 +74,7 @@ def write_any(
     cameras: Sequence[Camera] | None,
     threads: int,
     stages: Stages,
+    absolute: bool = False,
 ) -> WrittenScene:
     """Write a scene and say what came out.
 
@@ -90,6 +91,8 @@ def write_any(
     threads : int
     stages : Stages
         Gets the stages of encoding and of writing.
+    absolute : bool
+        For PLY: centres as doubles, the origin added.
 
     Raises
     ------
@@ -113,5 +116,5 @@ def write_any(
         with storage_errors(out):
             return WrittenScene(name, out.stat().st_size, stored)
     with stages.stage("write"):
-        cogsplat.write(splats, out, force=force, format_name=name)
+        cogsplat.write(splats, out, force=force, format_name=name, absolute=absolute)
     return WrittenScene(name, written_bytes(out, scene_format(out, name)), len(splats))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import StorageError, TruncatedError
-from cogsplat.codec.splats import Extra, Splats
+from cogsplat.codec.splats import Extra, SceneInfo, Splats
 from cogsplat.formats.scenes.losses import warn_of_losses
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
@@ -189,7 +189,9 @@ def _columns(names: list[str], fields: dict[str, list[str]]) -> dict[str, NDArra
     }
 
 
-def write_ply(splats: Splats, path: StrPath, *, force: bool = False) -> None:
+def write_ply(
+    splats: Splats, path: StrPath, *, force: bool = False, absolute: bool = False
+) -> None:
     """Write a scene as a canonical PLY, as 3DGS training writes it, whole or not at all.
 
     Parameters
@@ -202,6 +204,9 @@ def write_ply(splats: Splats, path: StrPath, *, force: bool = False) -> None:
         The output.
     force : bool
         Whether an existing file may be replaced.
+    absolute : bool
+        Write centres as doubles in world coordinates, ``origin + means``, and no origin: what
+        programs for georeferenced scenes read. `read_ply` takes the origin out again.
 
     Raises
     ------
@@ -220,6 +225,10 @@ def write_ply(splats: Splats, path: StrPath, *, force: bool = False) -> None:
     drawn = {name for group in fields.values() for name in group}
     extras, losses = extra_columns(splats.extras, drawn)
     dtypes = dict.fromkeys(["x", "y", "z", *NORMALS], "f4")
+    if absolute:
+        dtypes |= dict.fromkeys(fields["means"], "f8")
+    info = replace(splats.info, origin=SceneInfo().origin) if absolute else splats.info
+    origin = np.array(splats.info.origin)
     dtypes |= {f"f_dc_{c}": "f4" for c in range(3)}
     dtypes |= {f"f_rest_{k}": "f4" for k in range(3 * rest)}
     dtypes |= {"opacity": "f4"} | {f"scale_{k}": "f4" for k in range(3)}
@@ -230,7 +239,7 @@ def write_ply(splats: Splats, path: StrPath, *, force: bool = False) -> None:
         [
             "ply",
             "format binary_little_endian 1.0",
-            *(f"comment {comment}" for comment in scene_comments(splats.info)),
+            *(f"comment {comment}" for comment in scene_comments(info)),
             f"element vertex {len(splats)}",
             *(f"property {_TYPE_NAMES[dtype]} {name}" for name, dtype in dtypes.items()),
             "end_header\n",
@@ -248,6 +257,8 @@ def write_ply(splats: Splats, path: StrPath, *, force: bool = False) -> None:
             stop = start + len(block)
             for field, group in columns.items():
                 values = getattr(splats, field)[start:stop].reshape(len(block), -1)
+                if absolute and field == "means":
+                    values = values.astype(np.float64) + origin
                 if uniform:
                     block.view(_LITTLE_FLOAT).reshape(len(block), len(dtypes))[:, group] = values
                 else:

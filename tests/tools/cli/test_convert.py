@@ -9,7 +9,7 @@ from running import SPLATS, Run, SmallScene
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.errors import DataError
+from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.geometry.transforms import transform
 from cogsplat.codec.splats import SceneInfo
 from cogsplat.formats.scenes.registry import FORMATS
@@ -240,3 +240,24 @@ def test_a_folder_of_sog_is_counted_whole(run: Run, small: SmallScene, tmp_path:
     assert (told.code, told.json["format"]) == (0, "sog")
     assert told.json["bytes"] == sum(path.stat().st_size for path in tmp_path.iterdir())
     assert len(cogsplat.read(tmp_path / "meta.json")) == SPLATS
+
+
+def test_georeferenced_doubles_there_and_back(run: Run, tmp_path: Path) -> None:
+    origin = (691234.0, 5334567.0, 512.0)
+    scene = replace(synth(60), info=SceneInfo(origin=origin))
+    source, out, cogs, back = (tmp_path / n for n in ("a.ply", "b.ply", "c.cogs", "d.ply"))
+    cogsplat.write(scene, source)
+    assert run("convert", source, out, "--absolute").code == 0
+    header = out.read_bytes().partition(b"end_header")[0]
+    assert b"property double x\nproperty double y\nproperty double z\n" in header
+    assert run("convert", out, cogs).code == 0
+    told = run("decode", cogs, back, "--absolute")
+    assert (told.code, told.err) == (0, "")
+    with pytest.warns(CogsplatWarning, match="becomes the origin"):
+        found = cogsplat.read(back)
+    world = found.means.astype(np.float64) + found.info.origin
+    np.testing.assert_allclose(world.mean(axis=0), origin + scene.means.mean(axis=0), atol=0.5)
+    for command, given in (("convert", source), ("decode", cogs)):
+        told = run(command, given, tmp_path / "out.spz", "--absolute")
+        assert told.code == 2
+        assert "expected a PLY" in told.err
