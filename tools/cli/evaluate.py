@@ -7,13 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import click
-import numpy as np
-from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.order.orders import Unordered, order_rows
-from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
 from cogsplat.formats.storage.byte_counts import ByteCount
@@ -65,6 +62,7 @@ from .inputs import (
     usable_rows,
     virtual_views,
 )
+from .octree_sweep import Curve, curves, octree_depths_option, require_octree
 from .order_options import OrderChoice, orders_option
 
 
@@ -112,6 +110,7 @@ def sizes(text: str) -> tuple[ByteCount, ...]:
 )
 @eval_every_option(8, "Measure in, and keep from scoring, the")
 @orders_option
+@octree_depths_option
 @click.option(
     "--file",
     "files",
@@ -189,6 +188,7 @@ def evaluate(
     cameras: Path | None,
     eval_every: int,
     choice: OrderChoice,
+    octree_depths: tuple[int, ...] | None,
     files: tuple[Path, ...],
     wanted: tuple[float, ...],
     lengths: tuple[ByteCount, ...] | None,
@@ -217,6 +217,7 @@ def evaluate(
     by = ([SPLATS] if wanted else []) + ([BYTES] if files or lengths != () else [])
     if not by:
         raise click.UsageError("--shares none and --sizes none: nothing to measure")
+    require_octree(choice.names, octree_depths)
     if out is not None:
         # Before minutes of work, not after.
         with storage_errors(out):
@@ -249,23 +250,25 @@ def evaluate(
             stages,
             jitter=not no_jitter,
         )
+        measured = curves(choice.names, given.config, octree_depths)
         if SPLATS in by:
-            for name in choice.names:
+            for curve in measured:
                 with stages.stage("order"):
-                    rows = order_rows(name, unordered, given.config)
+                    rows = order_rows(curve.order, unordered, curve.config)
                 points += by_splats(
-                    given.evaluator, name, given.splats, rows, wanted, progress=stages
+                    given.evaluator, curve.label, given.splats, rows, wanted, progress=stages
                 )
-                strips[SPLATS].append(_strip_of_rows(name, given.splats, rows))
+                strips[SPLATS].append(Strip.of_order(curve.label, given.splats, rows, STRIP_SHARES))
         if BYTES in by:
             with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
-                made = [(name_of(path), path) for path in files] or [
-                    (name, Path(folder) / f"{number}.cogs")
-                    for number, name in enumerate(choice.names)
+                made: list[tuple[str, Path, Curve | None]]
+                made = [(name_of(path), path, None) for path in files] or [
+                    (curve.label, Path(folder) / f"{number}.cogs", curve)
+                    for number, curve in enumerate(measured)
                 ]
-                for name, path in made:
-                    if not files:
-                        _encode(given, name, path, quality, target_psnr, threads, stages)
+                for name, path, encoded in made:
+                    if encoded is not None:
+                        _encode(given, encoded, path, quality, target_psnr, threads, stages)
                     size = path.stat().st_size if not files else _size_of(path)
                     chosen = None if lengths is None else [one.of(size) for one in lengths]
                     found = by_bytes(
@@ -353,7 +356,7 @@ def _gather(
 
 def _encode(
     given: EvaluationInput,
-    name: str,
+    curve: Curve,
     path: Path,
     quality: float,
     target_psnr: float | None,
@@ -364,18 +367,16 @@ def _encode(
     from cogsplat.codec.encode.rate_control import Target
 
     cogsplat.encode(
-        given.splats.without_extras() if not given.config.by_object else given.splats,
+        given.splats.without_extras() if not curve.config.by_object else given.splats,
         path,
         cameras=given.scored_on,
         scores=given.scores,
-        config=EncodeConfig(order=name, ordering=given.config, quality_db=quality, threads=threads),
+        config=EncodeConfig(
+            order=curve.order, ordering=curve.config, quality_db=quality, threads=threads
+        ),
         target=None if target_psnr is None else Target(psnr_db=target_psnr),
         progress=stages,
     )
-
-
-def _strip_of_rows(name: str, splats: Splats, rows: NDArray[np.int64]) -> Strip:
-    return Strip.of_order(name, splats, rows, STRIP_SHARES)
 
 
 def _write(

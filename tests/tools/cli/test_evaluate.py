@@ -186,3 +186,36 @@ def test_area_is_the_mean_over_the_logarithm() -> None:
 )
 def test_lengths_double_to_the_end(size: int, expected: list[int]) -> None:
     assert sizes_of(size) == expected
+
+
+def test_octree_orders_are_swept_over_depths(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    common = [
+        "eval", small.ply, "--cameras", small.cameras, "--eval-every", 4, "--shares", "5,20",
+        "--sizes", "none", "--json",
+    ]  # fmt: skip
+    told = run(
+        *common, "--orders", "contribution,octree-quota", "--octree-depths", "0,2,4",
+        "--out", tmp_path,
+    )  # fmt: skip
+    assert (told.code, told.err) == (0, "")
+    points = told.json["points"]
+    assert isinstance(points, list)
+    assert [point["name"] for point in points[::2]] == [
+        "contribution", "octree-quota depth 0", "octree-quota depth 2", "octree-quota depth 4",
+    ]  # fmt: skip
+    # One leaf holds the whole scene: its order is that by contribution.
+    assert points[2]["held_out_db"] == points[0]["held_out_db"]
+    alone = run(*common, "--orders", "octree-quota", "--octree-depth", 4)
+    assert [p["held_out_db"] for p in alone.json["points"]] == [
+        p["held_out_db"] for p in points[6:]
+    ]
+    assert points[6]["held_out_db"] != points[0]["held_out_db"]
+    assert "octree-quota depth 4" in (tmp_path / "splats-held-out.svg").read_text()
+
+
+def test_depths_need_an_order_that_has_one(run: Run, small: SmallScene) -> None:
+    told = run("eval", small.ply, "--orders", "gain,octree-adaptive", "--octree-depths", "1,2")
+    assert told.code == 2
+    assert "octree-round-robin or octree-quota among them" in told.err
+    for text in ("", "1,-2", "21", "1;2"):
+        assert run("eval", small.ply, "--octree-depths", text).code == 2
