@@ -165,13 +165,16 @@ DOORS: dict[str, dict[str, str]] = {
     "codec.geometry": {
         "bounds": "CUT_SIGMA box",
         "covariance": "MIN_RELATIVE_SCALE decompose scale_factor vectors",
+        "floaters": "floaters",
         "frustum": "ALPHA_MIN NEAR in_frustum in_picture visible_depth",
+        "merging": "merge",
         "morton": "MAX_LEVELS deinterleave interleave spatial_order",
         "rotations": "from_matrices largest_w matrices multiply unit",
         "sh": "C0 COLOUR_OFFSET basis terms",
         "transforms": "AxesChange axes_change convert_axes transform transform_camera",
     },
     "codec.order": {
+        "baselines": "antimatter descending",
         "chunks": "DEFAULT_LARGEST plan_chunks sort_runs",
         "objects": "ATTRIBUTE Arrangement arrange labels_of ranked with_labels",
         "objects_from_masks": "assign",

@@ -1,1 +1,1 @@
-"""Rotations, spherical harmonics, Morton codes, frames, bounds and frusta: plain numpy."""
+"""Rotations, spherical harmonics, Morton codes, frames, bounds, frusta, neighbours."""
