@@ -16,8 +16,10 @@ from rich.progress import (
     MofNCompleteColumn,
     Progress,
     TaskID,
+    TaskProgressColumn,
     TextColumn,
     TimeElapsedColumn,
+    TimeRemainingColumn,
 )
 
 from cogsplat.codec.progress import TimedProgress
@@ -52,8 +54,11 @@ class Stages(TimedProgress):
                 self._bars = Progress(
                     TextColumn("  {task.description:<10}"),
                     BarColumn(),
+                    TaskProgressColumn(),
                     MofNCompleteColumn(),
                     TimeElapsedColumn(),
+                    TextColumn("left"),
+                    TimeRemainingColumn(),
                     console=console,
                     transient=True,
                 )

@@ -82,6 +82,8 @@ def test_bars_on_a_terminal_leave_nothing_behind(monkeypatch: pytest.MonkeyPatch
     shown = terminal.getvalue()
     assert "score" in shown
     assert "2/3" in shown
+    assert "67%" in shown
+    assert "left" in shown
     hidden, back = "\x1b[?25l", "\x1b[?25h"
     assert shown.count(hidden) == shown.count(back)
     assert shown.rindex(back) > shown.rindex(hidden)
