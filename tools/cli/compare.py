@@ -9,8 +9,10 @@ from pathlib import Path
 import click
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
+from cogsplat.tools.evaluation.object_quality import ObjectQuality
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
@@ -174,12 +176,26 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
 
 
 @click.command(
-    epilog="\b\nExample:\n  cogsplat compare scene.ply scene.cogs --cameras cameras.json"
+    epilog="\b\nExample:\n"
+    "  cogsplat compare scene.ply scene.cogs --cameras cameras.json\n"
+    "  cogsplat compare scene.ply scene.cogs --bytes 10% --difference tenth.png"
 )
 @click.argument("reference", type=PATH, metavar="A")
 @click.argument("other", type=PATH, metavar="B")
 @cameras_option("Without it, eval_cameras.json beside A, all of it; else planned views.")
 @eval_every_option(8, "Compare on the")
+@click.option(
+    "--by-object",
+    is_flag=True,
+    help="Also measure every object of A's attribute `object`, over the pixels where it weighs "
+    "most in the render of A.",
+)
+@click.option(
+    "--difference",
+    type=PATH,
+    metavar="OUT.png",
+    help="Also draw the worst view: A, B, and their difference times four.",
+)
 @background_option
 @ssim_border_option
 @part_options
@@ -187,6 +203,7 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
 @partial_option
 @limits_option
 @threads_option
+@force_option
 @quiet_option
 @json_option
 def compare(
@@ -194,6 +211,8 @@ def compare(
     other: Path,
     cameras: Path | None,
     eval_every: int,
+    by_object: bool,
+    difference: Path | None,
     background: Colour,
     ssim_border: str,
     chunks: ChunkRange | None,
@@ -203,6 +222,7 @@ def compare(
     sh_degree: int | None,
     compensate: bool,
     threads: int,
+    force: bool,
     quiet: bool,
     as_json: bool,
 ) -> None:
@@ -211,8 +231,12 @@ def compare(
     PSNR and SSIM of rendered views, three figures each: the mean over held-out cameras, the worst
     of them, and the mean over roaming views, which stand back from those cameras and turn away.
     """
-    from cogsplat.tools.evaluation import view_quality
+    from cogsplat.tools.evaluation import object_quality, view_quality
 
+    if difference is not None:
+        check_name(difference, PNG)
+        inputs = [*given_files(reference, cameras), *given_files(other)]
+        check_output(difference, force=force, inputs=inputs)
     part = Selection(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
@@ -228,6 +252,22 @@ def compare(
             threads=threads,
             progress=stages,
         )
+        own = None
+        if by_object:
+            own = object_quality.object_qualities(
+                first.splats,
+                second.splats,
+                views,
+                background=background,
+                threads=threads,
+                progress=stages,
+            )
+        if difference is not None:
+            worst = views[min(range(len(views)), key=lambda k: found.held_out[k].psnr_db)]
+            with stages.stage("difference"):
+                _draw_difference(
+                    first.splats, second.splats, worst, background, difference, force, threads
+                )
     rows = {
         "held-out": (
             view_quality.mean_psnr_db(found.held_out),
@@ -252,6 +292,8 @@ def compare(
                     "held_out": [asdict(quality) for quality in found.held_out],
                     "roam": [asdict(quality) for quality in found.roaming],
                 },
+                **({} if own is None else {"by_object": [asdict(quality) for quality in own]}),
+                **({} if difference is None else {"difference": name_of(difference)}),
                 "seconds": stages.rounded(),
             }
         )
@@ -268,9 +310,13 @@ def compare(
         counted(len(found.roaming), "view"),
     ]
     _tell_figures(rows, notes)
+    if own is not None:
+        say("")
+        _tell_objects(own)
     if not quiet:
         say("")
-        facts(("time", stages.line()))
+        drawn = "" if difference is None else f"{difference}: A, B, difference x4 in the worst view"
+        facts(("drawn", drawn), ("time", stages.line()))
 
 
 def _side(path: Path, scene: LoadedScene) -> dict[str, object]:
@@ -290,6 +336,47 @@ def _tell_figures(rows: dict[str, tuple[float, float]], notes: Sequence[str]) ->
         for (name, (psnr_db, ssim)), note in zip(rows.items(), notes, strict=True)
     ]
     table(("", "", "PSNR dB", "SSIM"), cells, left=2)
+
+
+def _tell_objects(qualities: Sequence[ObjectQuality]) -> None:
+    cells = [
+        (
+            str(one.object),
+            counted(one.views, "view"),
+            f"{one.pixels:,}",
+            "" if one.psnr_db is None else f"{one.psnr_db:.2f}",
+            "" if one.worst_db is None else f"{one.worst_db:.2f}",
+        )
+        for one in qualities
+    ]
+    table(("object", "", "pixels", "PSNR dB", "worst"), cells, left=2)
+
+
+def _draw_difference(
+    first: Splats,
+    second: Splats,
+    camera: Camera,
+    background: Colour,
+    out: Path,
+    force: bool,
+    threads: int,
+) -> None:
+    from cogsplat.codec.render.rasteriser import RenderConfig
+    from cogsplat.codec.render.rasteriser import render as draw
+    from cogsplat.tools.pictures.difference import difference_image
+    from cogsplat.tools.pictures.png import write_png
+
+    pictures = []
+    for splats in (first, second):
+        info = splats.info
+        config = RenderConfig(
+            kernel_px=info.kernel_px,
+            antialiased=info.antialiased,
+            background=background,
+            threads=threads,
+        )
+        pictures.append(draw(splats, camera, config))
+    write_png(difference_image(*pictures), out, force=force)
 
 
 def _colour_name(colour: Colour) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
+from PIL import Image
 from running import SPLATS, VIEWS, Run, SmallScene
 
 import cogsplat
@@ -395,3 +396,33 @@ def test_synth_touches_nothing_when_one_of_its_files_exists(run: Run, tmp_path: 
     (tmp_path / "scene.cameras.json").write_text("[]")
     assert run("synth", tmp_path / "scene.ply", "--splats", 9).code == 2
     assert not (tmp_path / "scene.ply").exists()
+
+
+def test_compare_measures_objects_and_draws_the_difference(run: Run, tmp_path: Path) -> None:
+    a, b, cameras, out = (tmp_path / n for n in ("a.ply", "b.ply", "c.json", "d.png"))
+    scene = synth(600)
+    labels = np.where(scene.means[:, 0] < np.median(scene.means[:, 0]), 1, 4).astype("u1")
+    changed = scene.sh0.copy()
+    changed[labels == 4] += 0.3
+    cogsplat.write(replace(scene, extras={"object": labels}), a)
+    cogsplat.write(replace(scene, sh0=changed), b)
+    write_cameras_json(synth_cameras(4, 64, 48), cameras)
+    common = ["--cameras", cameras, "--eval-every", 2]
+    told = run("compare", a, b, *common, "--by-object", "--difference", out, "--json")
+    assert (told.code, told.err) == (0, "")
+    objects = told.json["by_object"]
+    assert isinstance(objects, list)
+    assert [one["object"] for one in objects] == [1, 4]
+    assert objects[0]["psnr_db"] > objects[1]["psnr_db"] + 3
+    with Image.open(out) as picture:
+        assert picture.size == (3 * 64, 48)
+        pixels = np.asarray(picture)
+    assert pixels[:, 128:].any()
+    assert run("compare", a, b, *common, "--difference", out).code == 2
+    told = run("compare", a, b, *common, "--difference", out, "--by-object", "--force")
+    assert told.code == 0, told.err
+    assert "object" in told.out
+    assert "difference x4" in told.out
+    told = run("compare", b, a, *common, "--by-object", "--json")
+    assert told.code == 3
+    assert run("compare", a, b, *common, "--difference", tmp_path / "d.ply").code == 2
