@@ -21,6 +21,7 @@ CORE = (
     "cogsplat.codec.segments.heads",
     "cogsplat.formats.cogs.reader",
     "cogsplat.formats.scenes.ply.scene",
+    "cogsplat.tools.delivery.local_server",
     "cogsplat.tools.synthetic.scene",
 )
 
@@ -72,6 +73,9 @@ def test_wheel_is_the_tree_and_nothing_else(tree: Path, wheel: zipfile.Path) -> 
     for package in PACKAGES:
         sources = (tree / package).rglob("*.py")
         expected |= {f"cogsplat/{path.relative_to(tree).as_posix()}" for path in sources}
+    built = [path for path in (tree / "tools/web/dist").iterdir() if path.is_file()]
+    assert {"viewer.html", "viewer.js", "worker.js"} <= {path.name for path in built}
+    expected |= {f"cogsplat/{path.relative_to(tree).as_posix()}" for path in built}
     assert inside == expected
     notes = {name.split("/", 1)[1] for name in names if ".dist-info/" in name}
     assert "licenses/LICENSE" in notes

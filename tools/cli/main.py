@@ -37,6 +37,7 @@ from .decimate import decimate
 from .decode import decode
 from .encode import encode
 from .evaluate import evaluate
+from .export_html import export_html
 from .filter import filter_scene
 from .info import info
 from .merge import merge
@@ -45,6 +46,7 @@ from .score import score
 from .stats import stats
 from .synth import demo, synth
 from .validate import validate
+from .view import view
 from .views import views
 
 _USAGE: Final = 2
@@ -301,6 +303,8 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     merge,
     filter_scene,
     decimate,
+    view,
+    export_html,
     info,
     validate,
     stats,

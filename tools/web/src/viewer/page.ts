@@ -1,4 +1,6 @@
-// The program of viewer.html: `viewer.html?scene=URL`, or a file that is dropped onto the page.
+// The program of viewer.html: `viewer.html?scene=URL`, a scene that the page names or holds itself, or a file that is
+// dropped onto it.
+import type { DecoderIndex } from "../scene/chunk_decoder.js";
 import { StreamedScene } from "../loader/streamed_scene.js";
 import type { ChunkUpdate } from "../loader/stream_options.js";
 import { DecoderPool } from "../workers/decoder_pool.js";
@@ -7,14 +9,18 @@ import { SplatRenderer } from "./renderer.js";
 
 const canvas = document.querySelector("canvas")!;
 const status = document.querySelector("output")!;
+/** Blocks of a page that holds its scene: the file's bytes in base64, a part of them each. */
+const SCENE_BLOCKS = 'script[type="application/x-cogs-base64"]';
 let current: AbortController | undefined;
 
-async function show(source: string | Blob): Promise<void> {
+/** Show a scene; `inWorkers` is false where the page is a lone file, beside which there is no program of workers. */
+async function show(source: string | Blob, inWorkers = true): Promise<void> {
   current?.abort();
   const abort = new AbortController();
   current = abort;
   status.textContent = "opening …";
-  const scene = await StreamedScene.open(source, { signal: abort.signal, service: (index) => new DecoderPool(index) });
+  const service = inWorkers ? { service: (index: DecoderIndex) => new DecoderPool(index) } : {};
+  const scene = await StreamedScene.open(source, { signal: abort.signal, ...service });
   const { info } = scene;
   const renderer = new SplatRenderer(canvas, info, info.shDegree);
   const camera = new OrbitCamera(info);
@@ -78,12 +84,26 @@ function report(error: unknown): void {
   status.textContent = error instanceof Error ? error.message : String(error);
 }
 
+/** The file that the page holds, put together from its blocks; they are removed, so that it is in memory once. */
+function heldScene(): Blob | undefined {
+  const blocks = [...document.querySelectorAll(SCENE_BLOCKS)];
+  if (blocks.length === 0) return undefined;
+  const parts = blocks.map((block) => {
+    const text = atob(block.textContent!);
+    block.remove();
+    return Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+  });
+  return new Blob(parts);
+}
+
+const held = heldScene();
 document.addEventListener("dragover", (event) => event.preventDefault());
 document.addEventListener("drop", (event) => {
   event.preventDefault();
   const file = event.dataTransfer?.files[0];
-  if (file) show(file).catch(report);
+  if (file) show(file, held === undefined).catch(report);
 });
-const scene = new URLSearchParams(location.search).get("scene");
-if (scene === null) status.textContent = "Drop a .cogs file here, or open this page with ?scene=URL.";
-else show(new URL(scene, location.href).href).catch(report);
+const named = new URLSearchParams(location.search).get("scene") ?? document.documentElement.dataset["scene"];
+if (held !== undefined) show(held, false).catch(report);
+else if (named !== undefined) show(new URL(named, location.href).href).catch(report);
+else status.textContent = "Drop a .cogs file here, or open this page with ?scene=URL.";

@@ -1,0 +1,106 @@
+"""view and export-html."""
+
+import base64
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+from urllib.request import ProxyHandler, build_opener
+
+import pytest
+from running import Run, SmallScene, program
+
+import cogsplat
+from cogsplat.formats.storage.images import decode_image
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
+BLOCK = re.compile(rb'<script type="application/x-cogs-base64">([^<]*)</script>')
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C as a signal")
+def test_view_serves_the_scene_until_it_is_stopped(small: SmallScene) -> None:
+    command = program(["view", small.cogs, "--no-open", "--json"])
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        try:
+            assert process.stdout is not None
+            told = b""
+            while not told.endswith(b"}\n"):
+                line = process.stdout.readline()
+                assert line, process.stderr and process.stderr.read()
+                told += line
+            url = json.loads(told)["url"]
+            with build_opener(ProxyHandler({})).open(f"{url}scene.cogs", timeout=30) as answer:
+                assert answer.read() == small.cogs.read_bytes()
+            process.send_signal(signal.SIGINT)
+            assert process.wait(60) == 0
+            assert process.stderr is not None
+            assert process.stderr.read() == b""
+        finally:
+            process.kill()
+
+
+def test_view_refuses_what_it_cannot_read(run: Run, tmp_path: Path) -> None:
+    assert run("view", tmp_path / "none.cogs", "--no-open").code == 4
+    (tmp_path / "bad.cogs").write_bytes(b"nothing")
+    assert run("view", tmp_path / "bad.cogs", "--no-open").code == 3
+
+
+def test_page_decodes_back_to_the_same_bytes(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    told = run("export-html", small.cogs, page, "--json")
+    assert (told.code, told.err) == (0, "")
+    assert told.json["bytes"] == page.stat().st_size
+    blocks = BLOCK.findall(page.read_bytes())
+    assert b"".join(map(base64.b64decode, blocks)) == small.cogs.read_bytes()
+    assert run("export-html", small.cogs, page).code == 2
+    assert run("export-html", small.cogs, page, "--force").code == 0
+    assert list(tmp_path.iterdir()) == [page]
+
+
+def test_folder_holds_page_and_scene(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    folder = tmp_path / "site"
+    told = run("export-html", small.cogs, folder, "--folder")
+    assert told.code == 0, told.err
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"index.html", "viewer.css", "viewer.js", "worker.js", "scene.cogs"}
+    assert (folder / "scene.cogs").read_bytes() == small.cogs.read_bytes()
+    assert run("export-html", small.cogs, folder, "--folder").code == 2
+    refused = run("export-html", folder / "scene.cogs", folder, "--folder", "--force")
+    assert refused.code == 2
+    assert "output-is-input" in refused.err
+
+
+def test_outputs_that_are_refused_leave_nothing(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    assert run("export-html", small.cogs, tmp_path / "page.png").code == 2
+    (tmp_path / "bad.cogs").write_bytes(b"nothing")
+    assert run("export-html", tmp_path / "bad.cogs", tmp_path / "site", "--folder").code == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.cogs"]
+
+
+@pytest.mark.slow
+def test_other_formats_are_encoded_first(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    told = run("export-html", small.ply, tmp_path / "site", "--folder")
+    assert told.code == 0, told.err
+    assert "encoding it first" in told.err
+    assert len(cogsplat.decode(tmp_path / "site" / "scene.cogs")) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
+def test_a_browser_draws_the_page(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    page, picture = tmp_path / "page.html", tmp_path / "picture.png"
+    assert run("export-html", small.cogs, page).code == 0
+    command = [
+        str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader", "--window-size=320,240", "--virtual-time-budget=20000",
+        f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={picture}", page.as_uri(),
+    ]  # fmt: skip
+    subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=120, check=True)
+    # Above the line of text at the bottom.
+    pixels = decode_image(picture.read_bytes(), "PNG")[:190, :, :3]
+    assert len({tuple(pixel) for row in pixels[::4, ::4].tolist() for pixel in row}) > 20

@@ -1,0 +1,47 @@
+"""Pages hold what they need: the scene byte for byte, and hashes of their own script and style."""
+
+import base64
+import hashlib
+import io
+import re
+
+from cogsplat.tools.delivery.viewer_pages import linked_page, write_lone_page
+
+BLOCK = re.compile(r'<script type="application/x-cogs-base64">([^<]*)</script>')
+
+
+def lone_page(scene: bytes) -> str:
+    out = io.BytesIO()
+    write_lone_page("a & b", io.BytesIO(scene), out)
+    return out.getvalue().decode()
+
+
+def test_lone_page_holds_the_scene_in_blocks() -> None:
+    scene = bytes(range(256)) * 30_000
+    page = lone_page(scene)
+    blocks = BLOCK.findall(page)
+    assert len(blocks) == 3
+    assert b"".join(base64.b64decode(block) for block in blocks) == scene
+    assert "<title>a &amp; b</title>" in page
+
+
+def test_lone_page_allows_its_own_script_and_style_alone() -> None:
+    page = lone_page(b"scene")
+    policy = re.search(r'content="(default-src[^"]*)"', page)
+    assert policy is not None
+    assert "'self'" not in policy[1]
+    assert "connect-src" not in policy[1]
+    for tag in ('<script type="module">', "<style>"):
+        inside = page.partition(tag)[2].partition("</")[0]
+        assert len(inside) > 100
+        digest = base64.b64encode(hashlib.sha256(inside.encode()).digest()).decode()
+        assert f"'sha256-{digest}'" in policy[1]
+    assert not re.search(r'(?:src|href)="', page)
+
+
+def test_linked_page_names_the_scene() -> None:
+    files = linked_page("t")
+    page = files.pop("index.html").decode()
+    assert 'data-scene="scene.cogs"' in page
+    referred = set(re.findall(r'(?:src|href)="([^"]+)"', page))
+    assert referred == files.keys() - {"worker.js"}

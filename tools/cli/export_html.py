@@ -1,0 +1,131 @@
+"""``cogsplat export-html``: a page that shows a scene, to send or to put on a web server."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import click
+
+from cogsplat.formats.storage.atomic import (
+    atomic_write,
+    check_output,
+    open_for_read,
+    storage_errors,
+)
+from cogsplat.tools.delivery.viewer_pages import (
+    PAGE_NAME,
+    SCENE_NAME,
+    linked_page,
+    write_lone_page,
+)
+from cogsplat.tools.terminal.options import (
+    PATH,
+    force_option,
+    json_option,
+    quiet_option,
+    threads_option,
+)
+from cogsplat.tools.terminal.output import counted, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output_names import HTML, check_name
+
+from .inputs import given_files
+from .viewable import viewable
+
+
+@click.command(
+    "export-html",
+    epilog="\b\nExample:\n"
+    "  cogsplat export-html scene.cogs page.html\n"
+    "  cogsplat export-html scene.cogs site --folder",
+)
+@click.argument("scene", type=PATH, metavar="SCENE")
+@click.argument("out", type=PATH, metavar="OUT")
+@click.option(
+    "--folder",
+    is_flag=True,
+    help="Write a folder instead: a page and the scene beside it, which the page streams from any "
+    "web server for files.",
+)
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def export_html(
+    scene: Path,
+    out: Path,
+    folder: bool,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Write a page that shows a scene in any browser.
+
+    OUT is one file that holds viewer and scene and opens by a double click; it is a third larger
+    than the scene. With --folder, the scene stays a file of its own and shows while it is fetched.
+    A scene that is no .cogs is encoded first.
+    """
+    inputs = list(given_files(scene))
+    if not folder:
+        check_name(out, HTML)
+        check_output(out, force=force, inputs=inputs)
+    shown = not (quiet or as_json)
+    title = scene.name
+    with (
+        _room_for(out, sorted([*linked_page(title), SCENE_NAME]), force, inputs, needed=folder),
+        viewable(scene, threads=threads, shown=shown) as given,
+        ExitStack() as outputs,
+        open_for_read(given.path) as source,
+    ):
+        if folder:
+            # Files get their names in the reverse of this order, all or none: the page last.
+            for name, content in linked_page(title).items():
+                outputs.enter_context(atomic_write(out / name, force=force)).write(content)
+            target = outputs.enter_context(atomic_write(out / SCENE_NAME, force=force))
+            with storage_errors(given.path):
+                shutil.copyfileobj(source, target)
+            written, page = target.tell(), out / PAGE_NAME
+        else:
+            target = outputs.enter_context(atomic_write(out, force=force))
+            with storage_errors(given.path):
+                write_lone_page(title, source, target)
+            written, page = target.tell(), out
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                "page": name_of(page),
+                "bytes": written,
+                "splats": given.splats,
+                "encoded": given.encoded,
+            }
+        )
+    elif not quiet:
+        what = "scene" if folder else "page"
+        say(f"{page}: {counted(given.splats, 'splat')}, {what} of {size_text(written)}")
+
+
+@contextmanager
+def _room_for(
+    folder: Path, names: list[str], force: bool, inputs: list[Path], *, needed: bool
+) -> Iterator[None]:
+    """Make a folder and see that it takes files of some names; remove it if the block fails."""
+    if not needed:
+        yield
+        return
+    with storage_errors(folder):
+        made = not folder.is_dir()
+        if made:
+            folder.mkdir()
+    try:
+        for name in names:
+            check_output(folder / name, force=force, inputs=inputs)
+        yield
+    except BaseException:
+        if made:
+            # All outputs are written whole or not at all; what else is there is not ours.
+            shutil.rmtree(folder, ignore_errors=True)
+        raise

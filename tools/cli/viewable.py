@@ -1,0 +1,71 @@
+"""The COGS file that a browser is given: the user's own, or one encoded from another format."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+import cogsplat
+from cogsplat.formats.scenes.registry import is_cogs
+from cogsplat.tools.delivery.viewer_pages import SCENE_NAME
+from cogsplat.tools.terminal.progress import Stages
+
+from .inputs import read_any, usable_rows
+
+PRESET = "fast"
+"""The preset that scenes of other formats are encoded with before they are shown."""
+
+
+@dataclass(frozen=True)
+class Viewable:
+    """A COGS file to show, of so many splats; `encoded` where it was made for this."""
+
+    path: Path
+    splats: int
+    encoded: bool
+
+
+@contextmanager
+def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
+    """Give a COGS file that holds a scene for as long as the block lasts.
+
+    Parameters
+    ----------
+    scene : Path
+        Of any format that is read; one that is not COGS is encoded into a temporary folder.
+    threads : int
+    shown : bool
+        Whether standard error says that the scene is encoded first, and how far that is.
+
+    Raises
+    ------
+    CogsplatError
+        The scene cannot be read.
+    """
+    if is_cogs(scene):
+        yield Viewable(scene, _splats_of(scene), encoded=False)
+        return
+    if shown:
+        click.echo(f"{scene} is no COGS file: encoding it first, preset {PRESET}", err=True)
+    with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
+        path = Path(folder) / SCENE_NAME
+        with Stages(shown=shown) as stages:
+            with stages.stage("read"):
+                splats = usable_rows(read_any(scene, threads=threads).splats, scene)
+            from cogsplat.codec.encode.config import EncodeConfig
+            from cogsplat.codec.encode.presets import PRESETS
+
+            preset = PRESETS[PRESET]
+            config = EncodeConfig(order=preset.order, compensate=preset.compensate, threads=threads)
+            cogsplat.encode(splats, path, preset=PRESET, config=config, progress=stages)
+        yield Viewable(path, _splats_of(path), encoded=True)
+
+
+def _splats_of(path: Path) -> int:
+    with cogsplat.open(path) as file:
+        return file.root.splats
