@@ -21,6 +21,7 @@ from cogsplat.tools.delivery.viewer_pages import (
     linked_page,
     write_lone_page,
 )
+from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     PATH,
     force_option,
@@ -30,6 +31,7 @@ from cogsplat.tools.terminal.options import (
 )
 from cogsplat.tools.terminal.output import counted, name_of, say, say_json, size_text
 from cogsplat.tools.terminal.output_names import HTML, check_name
+from cogsplat.tools.terminal.partial import partial_option
 
 from .inputs import given_files
 from .viewable import viewable
@@ -49,6 +51,8 @@ from .viewable import viewable
     help="Write a folder instead: a page and the scene beside it, which the page streams from any "
     "web server for files.",
 )
+@partial_option
+@limits_option
 @threads_option
 @force_option
 @quiet_option

@@ -9,8 +9,10 @@ from pathlib import Path
 import click
 
 from cogsplat.tools.delivery.local_server import SceneServer
+from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import PATH, json_option, quiet_option, threads_option
 from cogsplat.tools.terminal.output import counted, name_of, say, say_json
+from cogsplat.tools.terminal.partial import partial_option
 
 from .viewable import viewable
 
@@ -31,6 +33,8 @@ _LARGEST_PORT = 65535
     help="Port to listen on; 0 (default) takes a free one.",
 )
 @click.option("--no-open", is_flag=True, help="Print the address only; open no browser.")
+@partial_option
+@limits_option
 @threads_option
 @quiet_option
 @json_option

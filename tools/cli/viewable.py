@@ -13,6 +13,8 @@ import click
 import cogsplat
 from cogsplat.formats.scenes.registry import is_cogs
 from cogsplat.tools.delivery.viewer_pages import SCENE_NAME
+from cogsplat.tools.terminal.limits import current_limits
+from cogsplat.tools.terminal.partial import partial_accepted
 from cogsplat.tools.terminal.progress import Stages
 
 from .inputs import read_any, usable_rows
@@ -37,7 +39,8 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
     Parameters
     ----------
     scene : Path
-        Of any format that is read; one that is not COGS is encoded into a temporary folder.
+        Of any format that is read. One that is not COGS is encoded into a temporary folder, and so
+        are the complete chunks of one that has not arrived whole, where ``--partial`` takes it.
     threads : int
     shown : bool
         Whether standard error says that the scene is encoded first, and how far that is.
@@ -47,22 +50,27 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
     CogsplatError
         The scene cannot be read.
     """
+    why = "is no COGS file"
     if is_cogs(scene):
-        yield Viewable(scene, _splats_of(scene), encoded=False)
-        return
+        with cogsplat.open(scene, partial=partial_accepted(), limits=current_limits()) as file:
+            splats, whole = file.root.splats, not file.missing_bytes
+        if whole:
+            yield Viewable(scene, splats, encoded=False)
+            return
+        why = "has not arrived whole"
     if shown:
-        click.echo(f"{scene} is no COGS file: encoding it first, preset {PRESET}", err=True)
+        click.echo(f"{scene} {why}: encoding it first, preset {PRESET}", err=True)
     with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
         path = Path(folder) / SCENE_NAME
         with Stages(shown=shown) as stages:
             with stages.stage("read"):
-                splats = usable_rows(read_any(scene, threads=threads).splats, scene)
+                found = usable_rows(read_any(scene, threads=threads).splats, scene)
             from cogsplat.codec.encode.config import EncodeConfig
             from cogsplat.codec.encode.presets import PRESETS
 
             preset = PRESETS[PRESET]
             config = EncodeConfig(order=preset.order, compensate=preset.compensate, threads=threads)
-            cogsplat.encode(splats, path, preset=PRESET, config=config, progress=stages)
+            cogsplat.encode(found, path, preset=PRESET, config=config, progress=stages)
         yield Viewable(path, _splats_of(path), encoded=True)
 
 

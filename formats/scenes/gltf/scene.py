@@ -322,7 +322,9 @@ def _log_scales(scales: F32, where: str) -> F32:
         )
         return scales
     # Flat splats are legal here; a logarithm has no zero.
-    logs: F32 = np.log(np.maximum(scales, np.float32(_SMALLEST_SCALE)))
+    # NaN stays NaN, signalling or not: such rows are told of when they are used.
+    with np.errstate(invalid="ignore"):
+        logs: F32 = np.log(np.maximum(scales, np.float32(_SMALLEST_SCALE)))
     return logs
 
 

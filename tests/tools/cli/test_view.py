@@ -90,6 +90,21 @@ def test_other_formats_are_encoded_first(run: Run, small: SmallScene, tmp_path: 
     assert len(cogsplat.decode(tmp_path / "site" / "scene.cogs")) > 0
 
 
+def test_the_chunks_that_have_arrived_are_shown(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    data = small.cogs.read_bytes()
+    cut = tmp_path / "cut.cogs"
+    cut.write_bytes(data[: len(data) * 6 // 10])
+    refused = run("export-html", cut, tmp_path / "site", "--folder")
+    assert (refused.code, "--partial" in refused.err) == (3, True)
+    told = run("export-html", cut, tmp_path / "site", "--folder", "--partial")
+    assert told.code == 0, told.err
+    assert "has not arrived whole" in told.err
+    shown = cogsplat.decode(tmp_path / "site" / "scene.cogs")
+    assert 0 < len(shown) <= len(cogsplat.decode(cut, size_bytes=len(data) * 6 // 10))
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
 def test_a_browser_draws_the_page(run: Run, small: SmallScene, tmp_path: Path) -> None:
