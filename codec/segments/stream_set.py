@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.streams import kinds, records
 from cogsplat.codec.streams.records import ESCAPE, Attribute, StoredStream
@@ -61,12 +63,7 @@ class StreamSet:
                 f"{self._where}: no stream for {name}, expected one",
                 clause=self._clause,
             )
-        if stream.rows != rows:
-            raise FormatError(
-                "stream-rows",
-                f"{stream.where}: {stream.rows} rows, expected {rows}",
-                clause="6.2",
-            )
+        _require_rows(stream, rows)
         if kinds.codec_of(stream).heads_only and (flag or not self._heads_only):
             raise FormatError(
                 "stream-kind",
@@ -84,13 +81,7 @@ class StreamSet:
         FormatError
             ``stream-unexpected``.
         """
-        if self._stored:
-            names = sorted(s.label for s in self._stored.values())
-            raise FormatError(
-                "stream-unexpected",
-                f"{self._where}: {names} have no place here",
-                clause=self._clause,
-            )
+        _refuse_rest(self._stored, self._where, self._clause)
 
 
 class RefinementSet:
@@ -123,12 +114,7 @@ class RefinementSet:
         if stream is None:
             return None
         del self._stored[head.attribute, 0]
-        if stream.rows != self._rows:
-            raise FormatError(
-                "stream-rows",
-                f"{stream.where}: {stream.rows} rows, expected {self._rows}",
-                clause="6.2",
-            )
+        _require_rows(stream, self._rows)
         if stream.kind != wanted:
             expected = "no refinement" if wanted is None else f"kind {wanted.name.lower()}"
             raise FormatError(
@@ -147,10 +133,25 @@ class RefinementSet:
         FormatError
             ``stream-unexpected``.
         """
-        if self._stored:
-            names = sorted(s.label for s in self._stored.values())
-            raise FormatError(
-                "stream-unexpected",
-                f"{self._where}: {names} have no place here",
-                clause="7.4",
-            )
+        _refuse_rest(self._stored, self._where, "7.4")
+
+
+def _require_rows(stream: StoredStream, rows: int) -> None:
+    """Refuse a stream of another number of rows than its place has."""
+    if stream.rows != rows:
+        raise FormatError(
+            "stream-rows",
+            f"{stream.where}: {stream.rows} rows, expected {rows}",
+            clause="6.2",
+        )
+
+
+def _refuse_rest(
+    stored: Mapping[tuple[Attribute, int], StoredStream], where: str, clause: str
+) -> None:
+    """Refuse the streams of a payload that nothing took."""
+    if stored:
+        names = sorted(stream.label for stream in stored.values())
+        raise FormatError(
+            "stream-unexpected", f"{where}: {names} have no place here", clause=clause
+        )
