@@ -1,5 +1,6 @@
 import type { SceneInfo } from "../container/root.js";
 import type { View } from "./renderer.js";
+import type { ViewerPose } from "./viewer_handle.js";
 
 type Vector = [number, number, number];
 
@@ -14,29 +15,33 @@ export class OrbitCamera {
   private target: Vector;
   private distance: number;
   private readonly down: Vector;
-  /** Focal length over the height of the picture. */
-  private readonly focal: number;
+  /** Focal lengths over the height of the picture. */
+  private focal: [number, number];
 
   /** Start at the scene's first view, or in front of its box. */
   constructor(scene: SceneInfo) {
     const [lo, hi] = [scene.box.slice(0, 3), scene.box.slice(3)];
     const size = Math.hypot(...hi.map((value, i) => value - lo[i]!));
     this.down = direction(scene.axes, "D");
-    const view = scene.firstView;
-    if (view) {
-      const r = view.rotation;
-      this.axes = [0, 3, 6].map((i) => [r[i]!, r[i + 1]!, r[i + 2]!]) as [Vector, Vector, Vector];
-      const position = [0, 1, 2].map((i) => -this.axes.reduce((sum, axis, k) => sum + axis[i]! * view.translation[k]!, 0));
+    const forward = direction(scene.axes, "F");
+    this.axes = [cross(this.down, forward), this.down, forward];
+    const focal = 0.5 / Math.tan(FIELD_OF_VIEW / 2);
+    this.focal = [focal, focal];
+    this.distance = size * focal;
+    this.target = lo.map((value, i) => (value + hi[i]!) / 2) as Vector;
+    if (scene.firstView) {
       this.distance = Math.max(size / 8, 1e-3);
-      this.target = position.map((value, i) => value + this.axes[2][i]! * this.distance) as Vector;
-      this.focal = view.fy / view.height;
-    } else {
-      const forward = direction(scene.axes, "F");
-      this.axes = [cross(this.down, forward), this.down, forward];
-      this.focal = 0.5 / Math.tan(FIELD_OF_VIEW / 2);
-      this.distance = size * this.focal;
-      this.target = lo.map((value, i) => (value + hi[i]!) / 2) as Vector;
+      this.place(scene.firstView);
     }
+  }
+
+  /** Look from somewhere; what is turned around stays as far away as it was. */
+  place(view: ViewerPose): void {
+    const r = view.rotation;
+    this.axes = [0, 3, 6].map((i) => [r[i]!, r[i + 1]!, r[i + 2]!]) as [Vector, Vector, Vector];
+    const position = [0, 1, 2].map((i) => -this.axes.reduce((sum, axis, k) => sum + axis[i]! * view.translation[k]!, 0));
+    this.target = position.map((value, i) => value + this.axes[2][i]! * this.distance) as Vector;
+    this.focal = [view.fx / view.height, view.fy / view.height];
   }
 
   /** Turn by a movement of the pointer, px. */
@@ -48,7 +53,7 @@ export class OrbitCamera {
 
   /** Move sideways by a movement of the pointer, px of a picture of some height. */
   move(dx: number, dy: number, height: number): void {
-    const scale = this.distance / (this.focal * height);
+    const scale = this.distance / (this.focal[1] * height);
     this.target = this.target.map((value, i) => value - scale * (dx * this.axes[0][i]! + dy * this.axes[1][i]!)) as Vector;
   }
 
@@ -61,7 +66,7 @@ export class OrbitCamera {
   view(height: number): View {
     const position = this.target.map((value, i) => value - this.axes[2][i]! * this.distance);
     const translation = this.axes.map((axis) => -axis.reduce((sum, value, i) => sum + value * position[i]!, 0));
-    return { rotation: this.axes.flat(), translation, focal: [this.focal * height, this.focal * height] };
+    return { rotation: this.axes.flat(), translation, focal: [this.focal[0] * height, this.focal[1] * height] };
   }
 }
 

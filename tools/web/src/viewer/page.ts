@@ -6,6 +6,7 @@ import type { ChunkUpdate } from "../loader/stream_options.js";
 import { DecoderPool } from "../workers/decoder_pool.js";
 import { OrbitCamera } from "./orbit.js";
 import { SplatRenderer } from "./renderer.js";
+import type { ViewerPose, ViewerStatistics } from "./viewer_handle.js";
 
 const canvas = document.querySelector("canvas")!;
 const status = document.querySelector("output")!;
@@ -13,19 +14,49 @@ const status = document.querySelector("output")!;
 const SCENE_BLOCKS = 'script[type="application/x-cogs-base64"]';
 let current: AbortController | undefined;
 
+let pose: ViewerPose | undefined;
+/** Tells the picture that is shown to follow `pose`. */
+let poseChanged = (): void => undefined;
+let statistics: ViewerStatistics = { state: "empty", splats: 0, totalSplats: 0, frames: 0, upToDate: false };
+const note = (changes: Partial<ViewerStatistics>): void => void (statistics = { ...statistics, ...changes });
+
+window.cogsplatViewer = {
+  get statistics() {
+    return statistics;
+  },
+  get view() {
+    return pose;
+  },
+  set view(view) {
+    pose = view;
+    poseChanged();
+  },
+};
+
 /** Show a scene; `inWorkers` is false where the page is a lone file, beside which there is no program of workers. */
 async function show(source: string | Blob, inWorkers = true): Promise<void> {
   current?.abort();
   const abort = new AbortController();
   current = abort;
   status.textContent = "opening …";
+  statistics = { state: "opening", splats: 0, totalSplats: 0, frames: 0, upToDate: false };
   const service = inWorkers ? { service: (index: DecoderIndex) => new DecoderPool(index) } : {};
   const scene = await StreamedScene.open(source, { signal: abort.signal, ...service });
   const { info } = scene;
   const renderer = new SplatRenderer(canvas, info, info.shDegree);
   const camera = new OrbitCamera(info);
   let dirty = true;
-  control(camera, abort.signal, () => (dirty = true));
+  const change = (): void => {
+    dirty = true;
+    note({ upToDate: false });
+  };
+  poseChanged = () => {
+    if (pose !== undefined) camera.place(pose);
+    change();
+  };
+  poseChanged();
+  note({ state: "streaming", totalSplats: info.splats });
+  control(camera, abort.signal, change);
   const frame = (): void => {
     if (abort.signal.aborted) {
       renderer.delete();
@@ -36,6 +67,7 @@ async function show(source: string | Blob, inWorkers = true): Promise<void> {
       [canvas.width, canvas.height] = [width!, height!];
       dirty = false;
       renderer.draw(camera.view(canvas.height));
+      note({ frames: statistics.frames + 1, upToDate: true });
     }
     requestAnimationFrame(frame);
   };
@@ -56,10 +88,12 @@ async function show(source: string | Blob, inWorkers = true): Promise<void> {
       if (shifts === undefined) shifted.delete(chunk);
       else shifted.add(chunk);
     }
-    dirty = true;
+    change();
+    note({ splats: rows });
     status.textContent = `${rows.toLocaleString()} of ${info.splats.toLocaleString()} splats`;
   }
   status.textContent = `${info.splats.toLocaleString()} splats`;
+  note({ state: "complete" });
 }
 
 /** Turn with the pointer, move with shift or the right button, come nearer with the wheel. */
@@ -81,7 +115,9 @@ function control(camera: OrbitCamera, signal: AbortSignal, changed: () => void):
 
 function report(error: unknown): void {
   if (error instanceof Error && error.name === "AbortError") return;
-  status.textContent = error instanceof Error ? error.message : String(error);
+  const message = error instanceof Error ? error.message : String(error);
+  status.textContent = message;
+  note({ state: "failed", error: message });
 }
 
 /** The file that the page holds, put together from its blocks; they are removed, so that it is in memory once. */

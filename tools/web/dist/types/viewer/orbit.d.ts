@@ -1,5 +1,6 @@
 import type { SceneInfo } from "../container/root.js";
 import type { View } from "./renderer.js";
+import type { ViewerPose } from "./viewer_handle.js";
 /** A camera that turns around a point, walks up to it and moves with it. */
 export declare class OrbitCamera {
     /** World to camera: rows right, down, forward. */
@@ -7,10 +8,12 @@ export declare class OrbitCamera {
     private target;
     private distance;
     private readonly down;
-    /** Focal length over the height of the picture. */
-    private readonly focal;
+    /** Focal lengths over the height of the picture. */
+    private focal;
     /** Start at the scene's first view, or in front of its box. */
     constructor(scene: SceneInfo);
+    /** Look from somewhere; what is turned around stays as far away as it was. */
+    place(view: ViewerPose): void;
     /** Turn by a movement of the pointer, px. */
     turn(dx: number, dy: number): void;
     /** Move sideways by a movement of the pointer, px of a picture of some height. */

@@ -1,0 +1,33 @@
+import type { Pinhole } from "../container/pinhole.js";
+
+/** How far a viewer is, for pages around it and for tests. */
+export interface ViewerStatistics {
+  /** `failed` where `error` is shown; a scene that was cut off stays on the canvas as far as it has come. */
+  readonly state: "empty" | "opening" | "streaming" | "complete" | "failed";
+  /** Splats that have arrived. */
+  readonly splats: number;
+  /** Splats of the scene; 0 until its root has been read. */
+  readonly totalSplats: number;
+  /** Pictures drawn of this scene. */
+  readonly frames: number;
+  /** Whether the canvas shows all that has arrived, in the view asked for. */
+  readonly upToDate: boolean;
+  /** The sentence that a person is shown, where `state` is `failed`. */
+  readonly error?: string;
+}
+
+/** A pose and its focal lengths, px of a picture of this height; they are scaled to the canvas. */
+export type ViewerPose = Pick<Pinhole, "height" | "fx" | "fy" | "rotation" | "translation">;
+
+/** What a page's program can ask of its viewer, as `window.cogsplatViewer`. */
+export interface ViewerHandle {
+  readonly statistics: ViewerStatistics;
+  /** Look from somewhere, in the space of the means, until a person moves; it holds for scenes to come as well. */
+  view: ViewerPose | undefined;
+}
+
+declare global {
+  interface Window {
+    cogsplatViewer?: ViewerHandle;
+  }
+}
