@@ -395,6 +395,7 @@ def write(
     force: bool = False,
     format_name: str | None = None,
     absolute: bool = False,
+    spz_precision: str | None = None,
 ) -> None:
     """Write a scene in the format that the extension of `path` names; `encode` writes COGS.
 
@@ -409,11 +410,14 @@ def write(
         the extension.
     absolute : bool
         For PLY: centres as doubles in world coordinates, the scene's origin added.
+    spz_precision : str, optional
+        For SPZ: ``"fine"``, the default, stores the centres of small scenes in finer steps than
+        other programs do; ``"usual"`` stores them in the same, for a smaller file.
 
     Raises
     ------
     ValueError
-        `absolute` with another format than PLY.
+        `absolute` with another format than PLY, `spz_precision` with another than SPZ.
     CogsplatError
         The extension names no format that can be written, or the file cannot be.
 
@@ -427,7 +431,14 @@ def write(
     """
     from .formats.scenes.registry import write_scene
 
-    write_scene(splats, path, force=force, format_name=format_name, absolute=absolute)
+    write_scene(
+        splats,
+        path,
+        force=force,
+        format_name=format_name,
+        absolute=absolute,
+        spz_precision=spz_precision,
+    )
 
 
 def read_cameras(path: _Path, *, limits: Limits | None = None) -> list[Camera]:

@@ -284,6 +284,7 @@ DOORS: dict[str, dict[str, str]] = {
         "sog.scene": "read_sog write_sog",
         "splat": "read_splat write_splat",
         "spz.scene": "read_spz write_spz",
+        "spz.values": "PRECISIONS",
     },
     "formats.storage": {
         "atomic": "StrPath atomic_write check_output open_for_read storage_error storage_errors",

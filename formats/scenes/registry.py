@@ -210,6 +210,7 @@ def write_scene(
     force: bool = False,
     format_name: str | None = None,
     absolute: bool = False,
+    spz_precision: str | None = None,
 ) -> None:
     """Write a scene in a foreign format.
 
@@ -223,11 +224,13 @@ def write_scene(
         One of `WRITABLE`; by default the format that the extension names.
     absolute : bool
         As `write_ply`, which alone knows it.
+    spz_precision : str, optional
+        As the precision of `write_spz`, which alone knows it.
 
     Raises
     ------
     ValueError
-        `absolute` and another format than PLY.
+        `absolute` and another format than PLY, `spz_precision` and another than SPZ.
     FormatError, UnsupportedError
         As `format_to_write`.
     StorageError
@@ -238,6 +241,11 @@ def write_scene(
         if format_.write is not write_ply:
             raise ValueError(f"absolute centres in {format_.name}, expected ply")
         write_ply(splats, path, force=force, absolute=True)
+        return
+    if spz_precision is not None:
+        if format_.write is not write_spz:
+            raise ValueError(f"a precision of SPZ in {format_.name}, expected spz")
+        write_spz(splats, path, force=force, precision=spz_precision)
         return
     write = format_.write
     assert write is not None

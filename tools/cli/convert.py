@@ -19,13 +19,9 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import (
-    absolute_option,
-    format_option,
-    require_ply_for_absolute,
-)
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 
 from .inputs import LoadedScene, given_files, read_any, scoring_cameras
 from .scene_edits import SceneEdits, edit_options
@@ -45,8 +41,7 @@ from .scene_output import (
 )
 @click.argument("source", type=PATH, metavar="A")
 @click.argument("out", type=PATH, metavar="B")
-@format_option(OUTPUT_FORMATS, "Without it, B's extension says which.")
-@absolute_option
+@writing_options(OUTPUT_FORMATS, "Without it, B's extension says which.")
 @edit_options
 @cameras_option("For a .cogs only; without it, views are planned around the scene.")
 @partial_option
@@ -58,8 +53,7 @@ from .scene_output import (
 def convert(
     source: Path,
     out: Path,
-    format_name: str | None,
-    absolute: bool,
+    writing: SceneWriting,
     edits: SceneEdits,
     cameras: Path | None,
     threads: int,
@@ -72,9 +66,8 @@ def convert(
     B's extension names it. COGS files are read and written too; `encode` has all options of
     writing one. What a format cannot hold is said in a warning.
     """
-    name = output_format(out, format_name)
+    name = output_format(out, writing)
     require_cogs_for_cameras(cameras, out, name)
-    require_ply_for_absolute(absolute, out, name)
     check_output(out, force=force, inputs=given_files(source, cameras))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
@@ -90,7 +83,7 @@ def convert(
             cameras=None if views is None else [edits.camera(view) for view in views],
             threads=threads,
             stages=stages,
-            absolute=absolute,
+            writing=writing,
         )
     done = _Done(source, out, given, splats, written)
     if as_json:

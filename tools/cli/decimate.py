@@ -28,9 +28,9 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import format_option
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 
 from .inputs import given_files, read_any, scoring_cameras, usable_rows, virtual_views
 from .scene_output import OUTPUT_FORMATS, output_format, write_any
@@ -80,7 +80,7 @@ def splat_count(text: str) -> SplatCount:
 @click.command(epilog="\b\nExample:\n  cogsplat decimate scene.ply small.ply --to 25%")
 @click.argument("path", type=PATH, metavar="SCENE")
 @click.argument("out", type=PATH, metavar="OUT")
-@format_option(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
+@writing_options(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
 @click.option(
     "--to",
     "count",
@@ -107,7 +107,7 @@ def splat_count(text: str) -> SplatCount:
 def decimate(
     path: Path,
     out: Path,
-    format_name: str | None,
+    writing: SceneWriting,
     count: SplatCount,
     by: str,
     cameras: Path | None,
@@ -121,7 +121,7 @@ def decimate(
     They keep the order of the file and all their attributes. Splats that cannot be drawn are left
     out first.
     """
-    name = output_format(out, format_name)
+    name = output_format(out, writing)
     if cameras is not None and by == _ANTIMATTER and name != "cogs":
         raise click.UsageError(f"--cameras with --by {by} and {out}, where nothing uses them")
     check_output(out, force=force, inputs=given_files(path, cameras))
@@ -148,7 +148,14 @@ def decimate(
             priority = antimatter(usable)
         kept = _most(usable, priority, target)
         written = write_any(
-            kept, out, name, force=force, cameras=views, threads=threads, stages=stages
+            kept,
+            out,
+            name,
+            force=force,
+            cameras=views,
+            threads=threads,
+            stages=stages,
+            writing=writing,
         )
     if as_json:
         say_json(

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import click
 
-import cogsplat
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import check_output
@@ -24,18 +23,14 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import (
-    absolute_option,
-    format_option,
-    require_ply_for_absolute,
-    scene_format,
-    written_bytes,
-)
+from cogsplat.tools.terminal.output_names import scene_format
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.values import ChunkRange
 
 from .inputs import LoadedScene, Selection, decode_part
+from .scene_output import write_any
 
 
 @click.command(
@@ -48,8 +43,7 @@ from .inputs import LoadedScene, Selection, decode_part
 @click.argument("out", type=PATH, metavar="OUT.ply")
 @part_options
 @compensate_option
-@format_option(WRITABLE, "Without it, the extension says which.")
-@absolute_option
+@writing_options(WRITABLE, "Without it, the extension says which.")
 @click.option("--no-refine", is_flag=True, help="The coarse values of the heads alone.")
 @partial_option
 @limits_option
@@ -66,8 +60,7 @@ def decode(
     objects: tuple[int, ...] | None,
     sh_degree: int | None,
     compensate: bool,
-    format_name: str | None,
-    absolute: bool,
+    writing: SceneWriting,
     no_refine: bool,
     threads: int,
     force: bool,
@@ -80,17 +73,23 @@ def decode(
     stopped there: what is complete is decoded. With --compensate, splats of a prefix are
     enlarged and made more opaque in place of those that are missing.
     """
-    format_ = scene_format(out, format_name)
-    require_ply_for_absolute(absolute, out, format_.name)
+    format_ = scene_format(out, writing.format_name)
+    writing.require(out, format_.name)
     check_output(out, force=force, inputs=[cogs])
     refine = not no_refine
     part = Selection(chunks, least_splats, size, sh_degree, objects, refine, compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         scene = decode_part(cogs, part, threads=threads, progress=stages)
-        with stages.stage("write"):
-            cogsplat.write(
-                scene.splats, out, force=force, format_name=format_name, absolute=absolute
-            )
+        written = write_any(
+            scene.splats,
+            out,
+            format_.name,
+            force=force,
+            cameras=None,
+            threads=threads,
+            stages=stages,
+            writing=writing,
+        )
     if scene.without_tails:
         first, last = scene.without_tails[0], scene.without_tails[-1]
         span = f"chunk {first}" if first == last else f"chunks {first} to {last}"
@@ -107,11 +106,10 @@ def decode(
             CogsplatWarning,
             stacklevel=1,
         )
-    written = written_bytes(out, format_)
     if as_json:
-        say_json(_report(scene, out, written, stages))
+        say_json(_report(scene, out, written.size_bytes, stages))
     elif not quiet:
-        _tell(scene, out, written, stages)
+        _tell(scene, out, written.size_bytes, stages)
 
 
 def _report(scene: LoadedScene, out: Path, written: int, stages: Stages) -> dict[str, object]:

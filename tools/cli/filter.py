@@ -23,9 +23,9 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import format_option
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.values import Box, box
 
 from .inputs import given_files, read_any, scoring_cameras, usable_rows, virtual_views
@@ -41,7 +41,7 @@ Marks = dict[str, NDArray[np.bool_]]
 )
 @click.argument("path", type=PATH, metavar="SCENE")
 @click.argument("out", type=PATH, metavar="OUT")
-@format_option(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
+@writing_options(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
 @click.option(
     "--min-opacity",
     type=click.FloatRange(0, 1),
@@ -84,7 +84,7 @@ Marks = dict[str, NDArray[np.bool_]]
 def filter_scene(
     path: Path,
     out: Path,
-    format_name: str | None,
+    writing: SceneWriting,
     min_opacity: float | None,
     min_size: float | None,
     max_size: float | None,
@@ -101,7 +101,7 @@ def filter_scene(
     The others keep their order, values and attributes. Splats that cannot be drawn are left out,
     too.
     """
-    name = output_format(out, format_name)
+    name = output_format(out, writing)
     if all(limit is None for limit in (min_opacity, min_size, max_size, crop, floaters)):
         raise click.UsageError(
             "nothing to leave out, expected one of --min-opacity, --min-size, --max-size, --crop "
@@ -125,7 +125,14 @@ def filter_scene(
             )
         kept = usable.take(~drop)
         written = write_any(
-            kept, out, name, force=force, cameras=views, threads=threads, stages=stages
+            kept,
+            out,
+            name,
+            force=force,
+            cameras=views,
+            threads=threads,
+            stages=stages,
+            writing=writing,
         )
     invalid = len(given) - len(usable)
     if as_json:

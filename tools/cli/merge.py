@@ -26,9 +26,9 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import format_option
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.values import Vector, vector
 
 from .inputs import given_files, read_any
@@ -56,12 +56,12 @@ def _of_scene(parse: Callable[[str], Value]) -> Callable[[str], tuple[int, Value
 
 @click.command(
     epilog="\b\nExample:\n"
-    "  cogsplat merge garden.ply bench.spz both.ply --translate 2:1.5,0,-2\n"
-    "  cogsplat encode both.ply both.cogs --objects"
+    "  cogsplat merge garden.ply bench.spz both.cogs --translate 2:1.5,0,-2\n"
+    "  cogsplat decode both.cogs bench.ply --object 2"
 )
 @click.argument("sources", type=PATH, nargs=-1, required=True, metavar="A B…")
 @click.argument("out", type=PATH, metavar="OUT")
-@format_option(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
+@writing_options(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
 @click.option(
     "--scale",
     "scales",
@@ -95,7 +95,7 @@ def _of_scene(parse: Callable[[str], Value]) -> Callable[[str], tuple[int, Value
 def merge(
     sources: Sequence[Path],
     out: Path,
-    format_name: str | None,
+    writing: SceneWriting,
     scales: Sequence[tuple[int, float]],
     turns: Sequence[tuple[int, Vector]],
     shifts: Sequence[tuple[int, Vector]],
@@ -107,11 +107,12 @@ def merge(
     """Merge scenes into one.
 
     The attribute `object` labels the splats of the first scene 1, of the second 2, and on, for
-    chunks, budgets and decoding by object. Axes and origin are those of the first scene.
+    chunks, budgets and decoding by object. Axes and origin are those of the first scene. In a COGS
+    file each chunk holds splats of one object, so that one object can be loaded alone.
     """
     if len(sources) < 2:
         raise click.UsageError(f"{sources[0]} alone, expected two scenes or more, then the output")
-    name = output_format(out, format_name)
+    name = output_format(out, writing)
     edits = _edits(len(sources), dict(scales), dict(turns), dict(shifts))
     check_output(out, force=force, inputs=chain.from_iterable(map(given_files, sources)))
     with Stages(shown=not (quiet or as_json)) as stages:
@@ -137,7 +138,15 @@ def merge(
             labels = np.repeat(np.arange(1, len(given) + 1), counts)
             merged = objects.with_labels(merged, labels)
         written = write_any(
-            merged, out, name, force=force, cameras=None, threads=threads, stages=stages
+            merged,
+            out,
+            name,
+            force=force,
+            cameras=None,
+            threads=threads,
+            stages=stages,
+            writing=writing,
+            by_object=True,
         )
     if as_json:
         say_json(

@@ -16,6 +16,7 @@ from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.tools.terminal.output_names import scene_format, written_bytes
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.scene_writing import SceneWriting
 
 COGS_NAME: Final = "cogs"
 """What ``--format`` calls the project's own format."""
@@ -41,16 +42,20 @@ class WrittenScene:
     splats: int
 
 
-def output_format(out: Path, format_name: str | None) -> str:
+def output_format(out: Path, writing: SceneWriting) -> str:
     """Return the name of the format to write.
 
     Raises
     ------
     click.UsageError
-        There is none of that name or extension, or it is not written.
+        There is none of that name or extension, it is not written, or it does not know what is
+        asked of it.
     """
-    to_cogs = format_name == COGS_NAME if format_name else out.name.lower().endswith(".cogs")
-    return COGS_NAME if to_cogs else scene_format(out, format_name).name
+    named = writing.format_name
+    to_cogs = named == COGS_NAME if named else out.name.lower().endswith(".cogs")
+    name = COGS_NAME if to_cogs else scene_format(out, named).name
+    writing.require(out, name)
+    return name
 
 
 def require_cogs_for_cameras(cameras: Path | None, out: Path, name: str) -> None:
@@ -74,7 +79,8 @@ def write_any(
     cameras: Sequence[Camera] | None,
     threads: int,
     stages: Stages,
-    absolute: bool = False,
+    writing: SceneWriting | None = None,
+    by_object: bool = False,
 ) -> WrittenScene:
     """Write a scene and say what came out.
 
@@ -91,8 +97,10 @@ def write_any(
     threads : int
     stages : Stages
         Gets the stages of encoding and of writing.
-    absolute : bool
-        For PLY: centres as doubles, the origin added.
+    writing : SceneWriting, optional
+        What one format alone knows.
+    by_object : bool
+        For a COGS file: whether each chunk holds splats of one object alone.
 
     Raises
     ------
@@ -101,12 +109,13 @@ def write_any(
     """
     if name == COGS_NAME:
         from cogsplat.codec.encode.config import EncodeConfig
+        from cogsplat.codec.order.orders import OrderConfig
 
         cogsplat.encode(
             splats,
             out,
             cameras=cameras,
-            config=EncodeConfig(threads=threads),
+            config=EncodeConfig(ordering=OrderConfig(by_object=by_object), threads=threads),
             force=force,
             progress=stages,
         )
@@ -115,6 +124,14 @@ def write_any(
             stored = int(file.root.splats)
         with storage_errors(out):
             return WrittenScene(name, out.stat().st_size, stored)
+    how = writing or SceneWriting()
     with stages.stage("write"):
-        cogsplat.write(splats, out, force=force, format_name=name, absolute=absolute)
+        cogsplat.write(
+            splats,
+            out,
+            force=force,
+            format_name=name,
+            absolute=how.absolute,
+            spz_precision=how.spz_precision,
+        )
     return WrittenScene(name, written_bytes(out, scene_format(out, name)), len(splats))

@@ -109,7 +109,7 @@ _EXTENSION: Final = 0xADBE0003
 
 @dataclass(frozen=True)
 class Finding:
-    """Largest difference between two readings of a scene in one attribute.
+    """Largest difference between two readings of a scene in one attribute, or a number of bytes.
 
     Parameters
     ----------
@@ -214,7 +214,17 @@ def check_spz(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
             findings += findings_of(f"{check}: read here and the scene", read, scene, steps)
             there = read_ply(converted(modules, path, path.with_suffix(".ply")))
             findings += findings_of(f"{check}: read here and there", read, there, _ROUNDING)
+        findings.append(_sizes(scene, version, theirs, folder))
     return findings
+
+
+def _sizes(scene: Splats, version: int, theirs: Path, folder: Path) -> Finding:
+    """Compare the bytes of a scene in the usual precision with those of the other program."""
+    usual = folder / f"usual{version}.spz"
+    write_spz(scene, usual, force=True, version=version, precision="usual")
+    written = float(usual.stat().st_size)
+    name = f"SPZ {version}, usual precision: written here and there"
+    return Finding(name, "bytes", written, written, float(theirs.stat().st_size))
 
 
 def check_spz_frames(modules: Path, scene: Splats, folder: Path) -> list[Finding]:

@@ -74,27 +74,6 @@ def written_bytes(path: Path, format_: Format) -> int:
     return total
 
 
-def absolute_option(command: Command) -> Command:
-    """Add ``--absolute``."""
-    return click.option(
-        "--absolute",
-        is_flag=True,
-        help="For a PLY: centres as doubles in world coordinates, the scene's origin added.",
-    )(command)
-
-
-def require_ply_for_absolute(absolute: bool, out: Path, format_name: str) -> None:
-    """Refuse ``--absolute`` where the output is no PLY, which alone holds doubles.
-
-    Raises
-    ------
-    click.UsageError
-        It was given, and `format_name` is another format.
-    """
-    if absolute and format_name != "ply":
-        raise click.UsageError(f"--absolute with {out} as {format_name}, expected a PLY")
-
-
 def check_name(path: Path, extensions: Sequence[str], *, insisted: bool = False) -> None:
     """Refuse an output whose extension names another format than the one to be written.
 

@@ -15,7 +15,7 @@ from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read
 from cogsplat.formats.storage.limits import Limits
 
 from .container import FLAG_ANTIALIASED, FLAG_EXTENSIONS, SpzFile, is_spz, pack, unpack
-from .values import decode, encode
+from .values import PRECISIONS, decode, encode
 
 __all__ = ["is_spz", "read_spz", "write_spz"]
 
@@ -135,6 +135,7 @@ def write_spz(
     version: int = 4,
     sh1_bits: int = 5,
     sh_rest_bits: int = 4,
+    precision: str = "fine",
 ) -> None:
     """Write a scene as SPZ, whole or not at all.
 
@@ -150,6 +151,9 @@ def write_spz(
         4 (zstd), or 3 (gzip) for older readers. Values are the same in both.
     sh1_bits, sh_rest_bits : int
         Bits that SH coefficients of degree 1 and above keep, 1 to 8; defaults as everybody's.
+    precision : str
+        ``"fine"`` stores the means of small scenes in finer steps; ``"usual"`` in the steps of
+        other programs, for a smaller file.
 
     Raises
     ------
@@ -158,7 +162,7 @@ def write_spz(
     StorageError
         As `atomic_write`, ``exists`` among them.
     ValueError
-        Another version or number of bits.
+        Another version, number of bits or precision.
 
     Warns
     -----
@@ -168,7 +172,8 @@ def write_spz(
 
     Notes
     -----
-    Steps: means 2^-12 scene units, finer in small scenes and coarser in large ones; scales 1/16;
+    Steps: means 2^-12 scene units, finer in small scenes with the precision ``"fine"``, and coarser
+    in large ones; scales 1/16;
     opacities 1/255 of the activated value; sh0 0.026; quaternions 0.0014 per component;
     coefficients of degree 1 1/16 and 1/8 above. Ranges: scales -10 to 5.94, sh0 ±3.33,
     coefficients -1 to 1.
@@ -178,8 +183,10 @@ def write_spz(
     for bits in (sh1_bits, sh_rest_bits):
         if not 1 <= bits <= 8:
             raise ValueError(f"{bits} bits for SH coefficients, expected 1 to 8")
+    if precision not in PRECISIONS:
+        raise ValueError(f"precision {precision!r}, expected one of {PRECISIONS}")
     stored = convert_axes(splats.require_valid(), SPZ_AXES)
-    header, streams, clipped = encode(stored, version, sh1_bits, sh_rest_bits)
+    header, streams, clipped = encode(stored, version, sh1_bits, sh_rest_bits, precision)
     pieces = pack(header, streams)
     with atomic_write(path, force) as file:
         file.writelines(pieces)

@@ -39,7 +39,10 @@ _MAX_POSITION: Final = (1 << 23) - 1
 _DEFAULT_FRACTIONAL_BITS: Final = 12
 """What the reference writes: a step of 0.24 mm in a scene in metres."""
 
-# Scenes smaller than two units get finer steps: at least this many across most of the scene.
+PRECISIONS: Final = ("fine", "usual")
+"""How finely centres are stored: small scenes in finer steps, or all in those of the reference."""
+
+# With "fine", scenes smaller than two units get at least this many steps across most of the scene.
 _MIN_STEPS: Final = 1 << 13
 _MOST: Final = 0.98
 
@@ -146,18 +149,25 @@ def _smallest_three(rotations: U8, signs: F32, out: F32) -> None:
     out[:, 0] = np.where(largest == 3, d, c)
 
 
-def fractional_bits(means: F32) -> int:
+def fractional_bits(means: F32, precision: str = "fine") -> int:
     """Return how many bits of 24-bit positions go behind the point for a scene's extent.
 
-    12, as everybody writes; more where most of the scene would span fewer than 8192 steps, fewer
-    where the farthest mean would not fit.
+    12, as everybody writes; with the precision ``"fine"`` more where most of the scene would span
+    fewer than 8192 steps; with either fewer where the farthest mean would not fit.
+
+    Parameters
+    ----------
+    means : (N, 3) float32
+        Scene units.
+    precision : str
+        One of `PRECISIONS`.
     """
     bits = _DEFAULT_FRACTIONAL_BITS
     if not len(means):
         return bits
     low, high = np.quantile(means, [(1 - _MOST) / 2, (1 + _MOST) / 2], axis=0)
     span = float((high - low).max())
-    while 0 < span * 2.0**bits < _MIN_STEPS and bits < 24:
+    while precision == "fine" and 0 < span * 2.0**bits < _MIN_STEPS and bits < 24:
         bits += 1
     farthest = float(np.abs(means).max())
     while farthest * 2.0**bits > _MAX_POSITION and bits > 0:
@@ -166,7 +176,7 @@ def fractional_bits(means: F32) -> int:
 
 
 def encode(
-    splats: Splats, version: int, sh1_bits: int, sh_rest_bits: int
+    splats: Splats, version: int, sh1_bits: int, sh_rest_bits: int, precision: str
 ) -> tuple[SpzHeader, list[U8], dict[str, float]]:
     """Quantise a scene to SPZ's streams.
 
@@ -178,6 +188,8 @@ def encode(
         3 or 4, whose values are the same.
     sh1_bits, sh_rest_bits : int
         Bits that SH coefficients of degree 1 and above keep, 1 to 8.
+    precision : str
+        One of `PRECISIONS`.
 
     Returns
     -------
@@ -194,7 +206,7 @@ def encode(
         clipped[name] = outside / max(1, values.size)
         return np.clip(rounded, 0, 255).astype(np.uint8)
 
-    bits = fractional_bits(splats.means)
+    bits = fractional_bits(splats.means, precision)
     fixed = np.rint(splats.means.astype(np.float64) * 2.0**bits)
     far = np.abs(fixed) > _MAX_POSITION
     clipped["means"] = np.count_nonzero(far) / max(1, fixed.size)

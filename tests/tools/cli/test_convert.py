@@ -261,3 +261,18 @@ def test_georeferenced_doubles_there_and_back(run: Run, tmp_path: Path) -> None:
         told = run(command, given, tmp_path / "out.spz", "--absolute")
         assert told.code == 2
         assert "expected a PLY" in told.err
+
+
+def test_spz_in_the_precision_of_other_programs_is_smaller(run: Run, tmp_path: Path) -> None:
+    source = tmp_path / "small.ply"
+    scene = synth(2000)
+    cogsplat.write(replace(scene, means=scene.means / 100, scales=scene.scales - 4), source)
+    fine, usual = tmp_path / "fine.spz", tmp_path / "usual.spz"
+    assert run("convert", source, fine).code == 0
+    assert run("convert", source, usual, "--spz-precision", "usual").code == 0
+    assert usual.stat().st_size < fine.stat().st_size
+    told = run("convert", source, tmp_path / "out.ply", "--spz-precision", "usual")
+    assert told.code == 2
+    assert "--spz-precision" in told.err
+    with pytest.raises(ValueError, match="a precision of SPZ in ply, expected spz"):
+        cogsplat.write(scene, tmp_path / "out.ply", spz_precision="usual")

@@ -62,6 +62,19 @@ def test_a_merged_scene_is_decoded_by_object(run: Run, small: SmallScene, tmp_pa
     assert found.means[:, 0].mean() == pytest.approx(x, abs=0.05)
 
 
+def test_merging_into_cogs_cuts_chunks_by_object(run: Run, tmp_path: Path) -> None:
+    a, both, one = tmp_path / "a.ply", tmp_path / "both.cogs", tmp_path / "one.ply"
+    cogsplat.write(synth(400), a)
+    told = run("merge", a, a, both, "--translate", "2:40,0,0", "--json")
+    assert told.code == 0, told.err
+    with cogsplat.open(both) as file:
+        assert set(file.chunks.object.tolist()) == {1, 2}
+    assert run("decode", both, one, "--object", 2).code == 0
+    found = cogsplat.read(one)
+    assert set(labels_of(found)) == {2}
+    assert found.means[:, 0].min() > cogsplat.read(a).means[:, 0].min() + 30
+
+
 def test_labels_of_parts_give_way_with_a_warning(run: Run, tmp_path: Path) -> None:
     a, out = tmp_path / "a.ply", tmp_path / "out.ply"
     cogsplat.write(replace(synth(5), extras={"object": np.full(5, 9, "u1")}), a)

@@ -394,6 +394,24 @@ def test_fractional_bits_follow_the_extent(tmp_path: Path, spread: float, bits: 
     assert error <= 2.0 ** -(chosen + 1) * 1.001
 
 
+@pytest.mark.parametrize(("spread", "bits"), [(3.0, 12), (0.01, 12), (1e4, 9)])
+def test_the_usual_precision_is_that_of_other_programs(
+    tmp_path: Path, spread: float, bits: int
+) -> None:
+    """The reference writes 12 fractional bits; where the farthest mean would not fit, fewer."""
+    splats = scene(1000, 0)
+    means = np.random.default_rng(0).uniform(-spread, spread, (1000, 3)).astype(np.float32)
+    means[0] = spread
+    splats = replace(splats, means=means)
+    for precision in ("usual", "fine"):
+        write_spz(splats, tmp_path / f"{precision}.spz", precision=precision)
+    usual, fine = (tmp_path / f"{name}.spz" for name in ("usual", "fine"))
+    assert usual.read_bytes()[13] == bits
+    assert usual.stat().st_size <= fine.stat().st_size
+    with pytest.raises(ValueError, match="precision 'low', expected one of"):
+        write_spz(splats, tmp_path / "low.spz", precision="low")
+
+
 def test_what_is_lost_is_said_in_one_line(tmp_path: Path) -> None:
     info = SceneInfo(origin=(1.0, 2.0, 3.0), colour_space="linear", kernel_px=0.1)
     splats = replace(scene(100), info=info)

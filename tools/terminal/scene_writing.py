@@ -1,0 +1,91 @@
+"""Options of commands that write a scene in a foreign format: those that one format alone knows."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from cogsplat.formats.scenes.spz.values import PRECISIONS
+
+from .output_names import format_option
+
+
+@dataclass(frozen=True)
+class SceneWriting:
+    """How a scene is written.
+
+    Parameters
+    ----------
+    format_name : str or None
+        As ``--format`` names it; None where the name of the output says which.
+    absolute : bool
+        For PLY: centres as doubles, the origin added.
+    spz_precision : str or None
+        For SPZ: one of `PRECISIONS`; None where nothing was asked for.
+    """
+
+    format_name: str | None = None
+    absolute: bool = False
+    spz_precision: str | None = None
+
+    def require(self, out: Path, name: str) -> None:
+        """Refuse what the format to be written does not know.
+
+        Raises
+        ------
+        click.UsageError
+            ``--absolute`` and `name` is not PLY, which alone holds doubles; ``--spz-precision`` and
+            `name` is not SPZ.
+        """
+        if self.absolute and name != "ply":
+            raise click.UsageError(f"--absolute with {out} as {name}, expected a PLY")
+        if self.spz_precision is not None and name != "spz":
+            raise click.UsageError(f"--spz-precision with {out} as {name}, expected an SPZ")
+
+
+def writing_options(
+    names: Sequence[str], what: str
+) -> Callable[[Callable[..., object]], Callable[..., object]]:
+    """Add ``--format --absolute --spz-precision``, given to the command as `writing`.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Formats that ``--format`` may name.
+    what : str
+        What the name of the output decides without it.
+    """
+
+    def decorate(command: Callable[..., object]) -> Callable[..., object]:
+        @functools.wraps(command)
+        def writing(
+            *, format_name: str | None, absolute: bool, spz_precision: str | None, **others: object
+        ) -> object:
+            chosen = SceneWriting(format_name, absolute, spz_precision)
+            return command(writing=chosen, **others)
+
+        options = [
+            format_option(names, what),
+            click.option(
+                "--absolute",
+                is_flag=True,
+                help="For a PLY: centres as doubles in world coordinates, the scene's origin "
+                "added.",
+            ),
+            click.option(
+                "--spz-precision",
+                type=click.Choice(PRECISIONS),
+                help="For an SPZ: fine (default) stores the centres of small scenes in finer steps "
+                "than other programs do; usual stores them in the same, for a smaller file.",
+            ),
+        ]
+        decorated: Callable[..., object] = writing
+        for option in reversed(options):
+            decorated = option(decorated)
+        return decorated
+
+    return decorate
