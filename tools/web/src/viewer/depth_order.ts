@@ -1,8 +1,8 @@
-/** Depths are sorted in this many steps: enough that neighbours in one step differ by less than a pixel shows. */
-const STEPS = 65_536;
+/** Depths are sorted by half of their bits at a time. */
+const BUCKETS = 65_536;
 
 /**
- * Rows from the farthest to the nearest, by counting sort.
+ * Rows from the farthest to the nearest, by a radix sort of their depths as float32; rows at one depth stay in order.
  *
  * @param means - Three a row.
  * @param rows - Rows to sort.
@@ -12,22 +12,26 @@ const STEPS = 65_536;
 export function sortByDepth(means: Float32Array, rows: number, forward: readonly number[], order: Uint32Array): void {
   const [fx, fy, fz] = forward as [number, number, number];
   const depths = new Float32Array(rows);
-  let least = Infinity;
-  let most = -Infinity;
+  for (let i = 0; i < rows; i++) depths[i] = means[3 * i]! * fx + means[3 * i + 1]! * fy + means[3 * i + 2]! * fz;
+  const keys = new Uint32Array(depths.buffer);
+  const low = new Uint32Array(BUCKETS + 1);
+  const high = new Uint32Array(BUCKETS + 1);
   for (let i = 0; i < rows; i++) {
-    const depth = means[3 * i]! * fx + means[3 * i + 1]! * fy + means[3 * i + 2]! * fz;
-    depths[i] = depth;
-    if (depth < least) least = depth;
-    if (depth > most) most = depth;
+    // Bits of negative floats grow with the depth behind; those of positive ones are turned round to go before them.
+    const bits = keys[i]!;
+    const key = bits >>> 31 ? bits : bits ^ 0x7fffffff;
+    keys[i] = key;
+    low[(key & 0xffff) + 1]!++;
+    high[(key >>> 16) + 1]!++;
   }
-  const scale = most > least ? (STEPS - 1) / (most - least) : 0;
-  const starts = new Uint32Array(STEPS + 1);
-  const steps = new Uint16Array(rows);
+  for (let bucket = 0; bucket < BUCKETS; bucket++) {
+    low[bucket + 1]! += low[bucket]!;
+    high[bucket + 1]! += high[bucket]!;
+  }
+  const half = new Uint32Array(rows);
+  for (let i = 0; i < rows; i++) half[low[keys[i]! & 0xffff]!++] = i;
   for (let i = 0; i < rows; i++) {
-    const step = Math.floor((most - depths[i]!) * scale);
-    steps[i] = step;
-    starts[step + 1]!++;
+    const row = half[i]!;
+    order[high[keys[row]! >>> 16]!++] = row;
   }
-  for (let step = 0; step < STEPS; step++) starts[step + 1]! += starts[step]!;
-  for (let i = 0; i < rows; i++) order[starts[steps[i]!]!++] = i;
 }

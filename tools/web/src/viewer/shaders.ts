@@ -106,21 +106,23 @@ void main() {
   vec3 jy = vec3(0.0, focal.y / p.z, -focal.y * t.y / p.z);
   vec3 u = jx * axes, v = jy * axes;
   float a = dot(u, u), b = dot(u, v), c = dot(v, v);
-  float before = max(a * c - b * b, 0.0);
+  // A sum of squares, where a·c − b·b of thin splats cancels.
+  vec3 across = cross(u, v);
+  float before = dot(across, across);
+  float determinant = before + kernel * (a + c) + kernel * kernel;
   a += kernel; c += kernel;
-  float determinant = a * c - b * b;
-  if (determinant <= 0.0) return;
+  if (!(determinant > 0.0)) return;
   if (antialiased) opacity *= sqrt(before / determinant);
   if (opacity < ALPHA_MIN) return;
 
   // The ellipse where alpha falls to 1/255, by the eigenvectors of the covariance.
-  float middle = 0.5 * (a + c);
-  float spread = sqrt(max(middle * middle - determinant, 0.0));
+  float tilt = 0.5 * (a - c);
+  float spread = length(vec2(tilt, b));
+  float longer = 0.5 * (a + c) + spread;
   float reach = sqrt(2.0 * log(opacity / ALPHA_MIN));
-  vec2 direction = abs(b) > 1e-6 ? normalize(vec2(b, middle + spread - a)) : a >= c ? vec2(1.0, 0.0) : vec2(0.0, 1.0);
+  vec2 direction = spread > 0.0 ? normalize(tilt > 0.0 ? vec2(tilt + spread, b) : vec2(b, spread - tilt)) : vec2(1.0, 0.0);
   vec2 corner = vec2((gl_VertexID & 1) * 2 - 1, (gl_VertexID & 2) - 1) * reach;
-  vec2 px = corner.x * sqrt(middle + spread) * direction +
-            corner.y * sqrt(max(middle - spread, 0.0)) * vec2(direction.y, -direction.x);
+  vec2 px = corner.x * sqrt(longer) * direction + corner.y * sqrt(determinant / longer) * vec2(direction.y, -direction.x);
   vec2 centre = focal * p.xy / p.z;
   offset = corner;
   vec3 dc = vec3(uvec3(w.x, w.x >> 8, w.x >> 16) & 255u) / 255.0 * (rgbRange.y - rgbRange.x) + rgbRange.x;

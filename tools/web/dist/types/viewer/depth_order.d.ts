@@ -1,5 +1,5 @@
 /**
- * Rows from the farthest to the nearest, by counting sort.
+ * Rows from the farthest to the nearest, by a radix sort of their depths as float32; rows at one depth stay in order.
  *
  * @param means - Three a row.
  * @param rows - Rows to sort.
