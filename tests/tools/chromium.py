@@ -1,0 +1,118 @@
+"""Headless Chromium for tests, and what they ask of the viewer in it."""
+
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Final
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.formats.storage.images import decode_image
+
+# Rendered in software, whatever the machine: WebGL 2 by SwiftShader.
+_ARGUMENTS: Final = (
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--force-color-profile=srgb",
+    "--disable-lcd-text",
+)
+# Software pictures on a busy machine take seconds.
+PATIENCE_MS: Final = 120_000
+
+# The policy of the page forbids style elements, not sheets that scripts make; a shadow root has
+# sheets of its own.
+_SHOW_CANVAS_ALONE: Final = """() => {
+  const sheet = new CSSStyleSheet();
+  sheet.replaceSync(
+    "* { visibility: hidden !important } canvas { visibility: visible !important }"
+  );
+  const roots = [document];
+  for (const root of roots) {
+    root.adoptedStyleSheets.push(sheet);
+    for (const element of root.querySelectorAll("*")) {
+      if (element.shadowRoot) roots.push(element.shadowRoot);
+    }
+  }
+  window.restorePage = () => {
+    for (const root of roots) {
+      root.adoptedStyleSheets = root.adoptedStyleSheets.filter((other) => other !== sheet);
+    }
+  };
+}"""
+
+Statistics = Mapping[str, object]
+
+
+def executable() -> str:
+    """Return Chromium's path; without it tests fail in CI and are skipped elsewhere."""
+    given = os.environ.get("COGSPLAT_CHROMIUM")
+    found = given or shutil.which("chromium") or shutil.which("chromium-browser")
+    if found is None:
+        message = "Chromium is not installed: `apt-get install chromium`, or set COGSPLAT_CHROMIUM"
+        if os.environ.get("CI"):
+            pytest.fail(message)
+        pytest.skip(message)
+    return found
+
+
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """Start a browser, and end it with the block."""
+    path = executable()
+    root = hasattr(os, "geteuid") and os.geteuid() == 0
+    with sync_playwright() as playwright:
+        # Chromium's own sandbox refuses to run as root.
+        browser = playwright.chromium.launch(
+            executable_path=path, args=list(_ARGUMENTS), chromium_sandbox=not root
+        )
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+def statistics(page: Page) -> Statistics:
+    """Return what `ViewerHandle.statistics` of tools/web/src/viewer/viewer_handle.ts says."""
+    found: Statistics = page.evaluate("() => window.cogsplatViewer.statistics")
+    return found
+
+
+def wait_until(page: Page, condition: str) -> Statistics:
+    """Wait until a condition on the statistics `s` holds, in JavaScript, and return them."""
+    page.wait_for_function(
+        f"() => {{ const s = window.cogsplatViewer?.statistics; return s && ({condition}); }}",
+        timeout=PATIENCE_MS,
+    )
+    return statistics(page)
+
+
+def look_from(page: Page, camera: Camera) -> None:
+    """Set the viewer's pose to a camera whose principal point is the middle of its picture."""
+    pose = {
+        "height": camera.height,
+        "fx": camera.fx,
+        "fy": camera.fy,
+        "rotation": camera.rotation.ravel().tolist(),
+        "translation": camera.translation.tolist(),
+    }
+    page.evaluate("(pose) => { window.cogsplatViewer.view = pose; }", pose)
+
+
+def picture(page: Page) -> NDArray[np.float32]:
+    """Return what the canvas shows, without what the page writes over it.
+
+    Returns
+    -------
+    (H, W, 3) float32
+        0 to 1.
+    """
+    page.evaluate(_SHOW_CANVAS_ALONE)
+    data = page.locator("canvas").first.screenshot(timeout=PATIENCE_MS)
+    page.evaluate("() => window.restorePage()")
+    pixels: NDArray[np.float32] = decode_image(data, "PNG")[..., :3].astype(np.float32) / 255
+    return pixels
