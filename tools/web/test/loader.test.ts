@@ -220,3 +220,63 @@ test("an assembler hands out segments however the bytes are cut", () => {
     assert.deepEqual(Array.from(got[1]!.payload), Array.from(bytes.subarray(20, 40)));
   }
 });
+
+/** A source whose first answer stops behind some bytes until it is told to go on. */
+class SlowSource {
+  readonly signals: (AbortSignal | undefined)[] = [];
+  goOn: () => void = () => undefined;
+  private readonly going = new Promise<void>((resolve) => (this.goOn = resolve));
+
+  constructor(private readonly bytes: Uint8Array, private readonly stopAt: number) {}
+
+  async read({ offset, length }: { offset: number; length: number }, { signal }: { signal?: AbortSignal | undefined } = {}) {
+    const { bytes, stopAt, going } = this;
+    const stops = this.signals.push(signal) === 1;
+    const aborted = new Promise<void>((_, reject) => signal?.addEventListener("abort", () => reject(signal.reason)));
+    aborted.catch(() => undefined);
+    async function* parts(): AsyncGenerator<Uint8Array> {
+      if (stops) {
+        yield bytes.slice(offset, stopAt);
+        await Promise.race([going, aborted]);
+        yield bytes.slice(stopAt, offset + length);
+      } else yield bytes.slice(offset, offset + length);
+    }
+    return { offset, total: bytes.length, whole: false, parts: parts() };
+  }
+}
+
+/** A file of several chunks, and where its first chunk ends. */
+function firstChunk(): { bytes: Uint8Array; end: number } {
+  const bytes = vectorBytes("valid", "chunks");
+  const { index } = new SceneFile(bytes, kernels());
+  const { head } = index.chunkSegments(0);
+  const { offset, length } = index.range(head);
+  return { bytes, end: offset + length };
+}
+
+test("a chunk is given when its bytes are there, while the first request still comes", async () => {
+  const { bytes, end } = firstChunk();
+  const source = new SlowSource(bytes, end);
+  const scene = await StreamedScene.open(source);
+  const stream = scene.stream();
+  const first = (await stream.next()).value!;
+  assert.equal(first.chunk, 0);
+  const last = new Map([[0, first]]);
+  source.goOn();
+  for await (const update of stream) last.set(update.chunk, update);
+  checkWhole(bytes, last);
+});
+
+test("leaving a stream ends the first request, and the next stream asks for its rest", async () => {
+  const { bytes, end } = firstChunk();
+  const source = new SlowSource(bytes, end);
+  const scene = await StreamedScene.open(source);
+  const abort = new AbortController();
+  await assert.rejects(async () => {
+    for await (const _ of scene.stream({ signal: abort.signal })) abort.abort();
+  }, { name: "AbortError" });
+  assert.ok(source.signals[0]!.aborted);
+  const last = new Map<number, ChunkUpdate>();
+  for await (const update of scene.stream()) last.set(update.chunk, update);
+  checkWhole(bytes, last);
+});

@@ -10,21 +10,33 @@ export class RetryingReader {
     private readonly retry: RetryOptions,
   ) {}
 
-  /** The first bytes of the file, as many as there are up to `length`. */
-  async beginning(length: number, signal: AbortSignal | undefined): Promise<{ bytes: Uint8Array; answer: Answer }> {
-    return this.attempt(signal, async () => {
-      const answer = await this.source.read({ offset: 0, length }, { signal });
-      const bytes = new Uint8Array(length);
-      let at = 0;
+  /**
+   * The bytes of a range that may reach beyond the end of the file, in parts, as they come.
+   *
+   * @param receiver - `begin` is told of each answer, `take` receives the parts in order, without gaps.
+   */
+  async beginning(
+    range: ByteRange, signal: AbortSignal,
+    receiver: { readonly begin: (answer: Answer) => void; readonly take: (part: Uint8Array) => void },
+  ): Promise<void> {
+    let received = 0;
+    await this.attempt(signal, async () => {
+      const at = range.offset + received;
+      const answer = await this.source.read({ offset: at, length: range.length - received }, { signal });
+      receiver.begin(answer);
+      const { total } = answer;
+      const expected = Math.min(range.length, (total ?? Infinity) - range.offset);
+      let skip = at - answer.offset;
       for await (const part of answer.parts) {
-        const used = part.subarray(0, length - at);
-        bytes.set(used, at);
-        at += used.length;
-        if (at === length) break;
+        const used = part.subarray(Math.min(skip, part.length), Math.min(part.length, skip + expected - received));
+        skip -= Math.min(skip, part.length);
+        received += used.length;
+        if (used.length > 0) receiver.take(used);
+        if (received >= expected) return;
       }
-      const expected = Math.min(length, answer.total ?? at);
-      if (at < expected) throw new SourceError(`${at} bytes in the place of ${expected}`, undefined, true);
-      return { bytes: bytes.slice(0, at), answer };
+      if (total !== undefined && received < expected) {
+        throw new SourceError(`${received} bytes in the place of ${expected} from byte ${range.offset}`, undefined, true);
+      }
     });
   }
 

@@ -1,5 +1,6 @@
 import type { ByteRange, SceneIndex } from "../container/scene_index.js";
 import { CogsplatError, SourceError } from "../errors.js";
+import type { Beginning } from "./beginning.js";
 import { SegmentKind } from "../container/tables.js";
 import { DEFAULT_RANGES } from "../scene/packed_splats.js";
 import type { PrefixCompensation } from "../scene/prefix_compensation.js";
@@ -20,10 +21,8 @@ const MAX_WAITING = 64;
 export interface StreamSource {
   readonly index: SceneIndex;
   readonly reader: RetryingReader;
-  /** Bytes from the beginning of the file that are there already. */
-  readonly beginning: Uint8Array;
-  /** Whether the source gives the whole file whatever it is asked for. */
-  readonly sequential: boolean;
+  /** What the first request brings, as it comes. */
+  readonly beginning: Beginning;
   readonly compensation: PrefixCompensation;
   /** Read index pages until so many are known. */
   readPages(count: number): Promise<void>;
@@ -42,6 +41,8 @@ export class SceneStream {
   private readonly given = new Set<number>();
   private prefix = 0;
   private requests = 0;
+  /** Segments that the first request is still to bring. */
+  private waits = 0;
   private requestBytes = FIRST_REQUEST;
   private budget: number;
   private plannedChunks = 0;
@@ -109,7 +110,7 @@ export class SceneStream {
   };
 
   private done(): boolean {
-    return this.pagesDone && this.wanted.length === 0 && this.requests === 0 && this.queue.idle && this.waiting.length === 0;
+    return this.pagesDone && this.wanted.length === 0 && this.requests === 0 && this.waits === 0 && this.queue.idle && this.waiting.length === 0;
   }
 
   private stopWith(error: unknown): void {
@@ -174,16 +175,34 @@ export class SceneStream {
 
   private takeFromBeginning(segment: number): boolean {
     const { offset, length } = this.index.range(segment);
-    if (offset + length > this.source.beginning.length) return false;
-    this.accept(segment, this.source.beginning.slice(offset, offset + length));
+    const { beginning } = this.source;
+    const end = offset + length;
+    if (!beginning.holds(end)) return false;
+    if (end <= beginning.here.length) this.accept(segment, beginning.here.slice(offset, end));
+    else void this.acceptFrom(beginning, segment, offset, end);
     return true;
+  }
+
+  /** Accept a segment when the first request has brought it. */
+  private async acceptFrom(beginning: Beginning, segment: number, offset: number, end: number): Promise<void> {
+    this.waits++;
+    try {
+      await beginning.upTo(end, this.abort.signal);
+      if (beginning.here.length < end) throw new SourceError(`the file ends before byte ${end}`, undefined, true);
+      this.accept(segment, beginning.here.slice(offset, end));
+    } catch (error) {
+      this.lose(error, [segment]);
+    } finally {
+      this.waits--;
+      this.wake();
+    }
   }
 
   /** Make requests while there is something to ask for and the caller keeps up. */
   private ask(): void {
-    const most = this.source.sequential ? 1 : MAX_REQUESTS;
+    const most = this.source.beginning.sequential ? 1 : MAX_REQUESTS;
     while (this.requests < most && this.waiting.length < MAX_WAITING && this.failure === undefined) {
-      const request = this.source.sequential ? this.wholeRest() : nextRequest(this.wanted, this.rangeOf, this.requestBytes);
+      const request = this.source.beginning.sequential ? this.wholeRest() : nextRequest(this.wanted, this.rangeOf, this.requestBytes);
       if (request === undefined) return;
       this.requestBytes *= 2;
       this.requests++;
@@ -213,12 +232,17 @@ export class SceneStream {
         }
       });
     } catch (error) {
-      if (this.abort.signal.aborted || !(error instanceof SourceError) || !error.retryable) this.stopWith(error);
-      else for (const segment of request.segments) if (!received.has(segment)) this.damage(error, this.queue.lose(segment));
+      this.lose(error, request.segments.filter((segment) => !received.has(segment)));
     } finally {
       this.requests--;
       this.wake();
     }
+  }
+
+  /** Go on without segments that did not come, or end where no others would come either. */
+  private lose(error: unknown, segments: readonly number[]): void {
+    if (this.abort.signal.aborted || !(error instanceof SourceError) || !error.retryable) this.stopWith(error);
+    else for (const segment of segments) this.damage(error, this.queue.lose(segment));
   }
 
   /** Check a segment's CRC and hand it on; what is damaged is asked for once more, around caches. */

@@ -1,9 +1,11 @@
 import type { SceneInfo } from "../container/root.js";
 import { SceneIndex } from "../container/scene_index.js";
+import { PREAMBLE_BYTES, readPreamble } from "../container/preamble.js";
 import { loadKernels } from "../kernels/load.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
 import { PrefixCompensation } from "../scene/prefix_compensation.js";
 import { InlineService, type ChunkService } from "../workers/decode_task.js";
+import { Beginning } from "./beginning.js";
 import { BlobSource, type ByteSource } from "./byte_source.js";
 import { HttpSource, type HttpOptions } from "./http_source.js";
 import { DEFAULT_RETRY, type RetryOptions } from "./retry.js";
@@ -33,10 +35,8 @@ export class StreamedScene {
   private constructor(
     readonly index: SceneIndex,
     private readonly reader: RetryingReader,
-    /** Bytes from the beginning of the file that came with the first request. */
-    private readonly beginning: Uint8Array,
-    /** Whether the source gives the whole file whatever it is asked for. */
-    private readonly sequential: boolean,
+    /** What the first request brings. */
+    private readonly beginning: Beginning,
     private readonly service: OpenOptions["service"],
   ) {
     this.compensation = new PrefixCompensation(index);
@@ -55,11 +55,16 @@ export class StreamedScene {
    */
   static async open(source: string | URL | Blob | ByteSource, options: OpenOptions = {}): Promise<StreamedScene> {
     const reader = new RetryingReader(sourceOf(source, options.http), { ...DEFAULT_RETRY, ...options.retry });
-    const { bytes, answer } = await reader.beginning(FIRST_BYTES, options.signal);
-    const known = answer.total ?? (bytes.length < FIRST_BYTES ? bytes.length : undefined);
-    const index = SceneIndex.open(bytes, known);
+    const beginning = new Beginning(reader, FIRST_BYTES);
+    await beginning.upTo(PREAMBLE_BYTES, options.signal);
+    // What is no COGS file is refused by its first bytes.
+    const { rootLength } = readPreamble(beginning.here);
+    // A source that does not say how long the file is does so by ending.
+    await beginning.upTo(beginning.total === undefined ? FIRST_BYTES : PREAMBLE_BYTES + rootLength, options.signal);
+    const { here, total } = beginning;
+    const index = SceneIndex.open(here.slice(), total ?? (here.length < FIRST_BYTES ? here.length : undefined));
     index.settle();
-    return new StreamedScene(index, reader, bytes, answer.whole, options.service);
+    return new StreamedScene(index, reader, beginning, options.service);
   }
 
   /** What the root says of the scene. */
@@ -80,7 +85,6 @@ export class StreamedScene {
       index: this.index,
       reader: this.reader,
       beginning: this.beginning,
-      sequential: this.sequential,
       compensation: this.compensation,
       readPages: (count: number) => this.readPages(count),
     };
@@ -98,8 +102,9 @@ export class StreamedScene {
     const read = async (): Promise<void> => {
       for (let page = this.index.nextPage(); page && this.index.pagesRead < count; page = this.index.nextPage()) {
         const end = page.offset + page.length;
-        const isHere = end <= this.beginning.length;
-        this.index.addPage(isHere ? this.beginning.slice(page.offset, end) : await this.reader.all(page, undefined));
+        const isHere = this.beginning.holds(end);
+        if (isHere) await this.beginning.upTo(end, undefined);
+        this.index.addPage(isHere ? this.beginning.here.slice(page.offset, end) : await this.reader.all(page, undefined));
         this.index.settle();
       }
     };

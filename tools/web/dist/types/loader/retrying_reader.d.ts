@@ -6,11 +6,15 @@ export declare class RetryingReader {
     private readonly source;
     private readonly retry;
     constructor(source: ByteSource, retry: RetryOptions);
-    /** The first bytes of the file, as many as there are up to `length`. */
-    beginning(length: number, signal: AbortSignal | undefined): Promise<{
-        bytes: Uint8Array;
-        answer: Answer;
-    }>;
+    /**
+     * The bytes of a range that may reach beyond the end of the file, in parts, as they come.
+     *
+     * @param receiver - `begin` is told of each answer, `take` receives the parts in order, without gaps.
+     */
+    beginning(range: ByteRange, signal: AbortSignal, receiver: {
+        readonly begin: (answer: Answer) => void;
+        readonly take: (part: Uint8Array) => void;
+    }): Promise<void>;
     /** All bytes of a range. */
     all(range: ByteRange, signal: AbortSignal | undefined, fresh?: boolean): Promise<Uint8Array>;
     /**

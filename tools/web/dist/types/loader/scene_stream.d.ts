@@ -1,4 +1,5 @@
 import type { SceneIndex } from "../container/scene_index.js";
+import type { Beginning } from "./beginning.js";
 import type { PrefixCompensation } from "../scene/prefix_compensation.js";
 import type { ChunkService } from "../workers/decode_task.js";
 import { type ChunkUpdate, type StreamOptions } from "./stream_options.js";
@@ -7,10 +8,8 @@ import type { RetryingReader } from "./retrying_reader.js";
 export interface StreamSource {
     readonly index: SceneIndex;
     readonly reader: RetryingReader;
-    /** Bytes from the beginning of the file that are there already. */
-    readonly beginning: Uint8Array;
-    /** Whether the source gives the whole file whatever it is asked for. */
-    readonly sequential: boolean;
+    /** What the first request brings, as it comes. */
+    readonly beginning: Beginning;
     readonly compensation: PrefixCompensation;
     /** Read index pages until so many are known. */
     readPages(count: number): Promise<void>;
@@ -30,6 +29,8 @@ export declare class SceneStream {
     private readonly given;
     private prefix;
     private requests;
+    /** Segments that the first request is still to bring. */
+    private waits;
     private requestBytes;
     private budget;
     private plannedChunks;
@@ -52,12 +53,16 @@ export declare class SceneStream {
     private plan;
     private byPriority;
     private takeFromBeginning;
+    /** Accept a segment when the first request has brought it. */
+    private acceptFrom;
     /** Make requests while there is something to ask for and the caller keeps up. */
     private ask;
     /** One request for all that is wanted, in file order, from a source that does not answer ranges. */
     private wholeRest;
     private readonly rangeOf;
     private run;
+    /** Go on without segments that did not come, or end where no others would come either. */
+    private lose;
     /** Check a segment's CRC and hand it on; what is damaged is asked for once more, around caches. */
     private accept;
     private take;

@@ -19,10 +19,8 @@ export interface OpenOptions {
 export declare class StreamedScene {
     readonly index: SceneIndex;
     private readonly reader;
-    /** Bytes from the beginning of the file that came with the first request. */
+    /** What the first request brings. */
     private readonly beginning;
-    /** Whether the source gives the whole file whatever it is asked for. */
-    private readonly sequential;
     private readonly service;
     /** The last page that is being read; pages are read one after the other, once for all streams. */
     private pages;
