@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
 
 Progress = Callable[[str, int, int], None]
 """``progress(stage, done, total)``; raising `Cancelled` from it stops the work."""
@@ -49,3 +51,110 @@ class TimedProgress:
         self.totals[stage] = total
         self._last = now
         self._progress(stage, done, total)
+
+
+@dataclass(frozen=True)
+class StageCost:
+    """What a stage is expected to cost, in any unit that all stages of the work share.
+
+    Parameters
+    ----------
+    stage : str
+        As it is reported.
+    cost : float
+        Of each step that is counted in `steps`, or of the whole stage where that is None.
+    steps : int or None
+        Steps expected; what the stage reports counts once it has begun.
+    inner : str
+        For a search, whose trials nobody knows in advance: the stage that each trial goes through
+        again. Empty for others.
+    """
+
+    stage: str
+    cost: float
+    steps: int | None = None
+    inner: str = ""
+
+    def whole(self, steps: int | None = None) -> float:
+        """Return the cost of the whole stage, with as many steps as it reports."""
+        expected = self.steps if self.steps is None or steps is None else steps
+        return self.cost if expected is None else self.cost * expected
+
+
+# Each trial of a search counts this share of what is left of it: of four trials, 87 %.
+_TRIAL: Final = 0.4
+
+
+class WholeProgress:
+    """A `Progress` that says what share of the whole work is done.
+
+    Parameters
+    ----------
+    costs : sequence of StageCost
+        The stages in their order. A stage that is reported and not among them moves nothing; one
+        that is among them and not reported is over once a later one begins.
+    progress : Progress
+        Receives every report.
+    whole : callable, optional
+        Called with the share after every report, 0 to 1. It never falls, also where a stage turns
+        out larger than expected: what is left is then spread over what is left to do.
+    """
+
+    def __init__(
+        self,
+        costs: Sequence[StageCost],
+        progress: Progress = silent,
+        whole: Callable[[float], None] | None = None,
+    ) -> None:
+        self._costs = {cost.stage: cost for cost in costs}
+        self._outer = {cost.inner: cost.stage for cost in costs if cost.inner}
+        self._weights = {cost.stage: cost.whole() for cost in costs}
+        self._done = dict.fromkeys(self._costs, 0.0)
+        self._trials = 0
+        self._progress = progress
+        self._whole = whole
+        # The share and the cost that were behind us when the expected costs last changed.
+        self._behind = (0.0, 0.0)
+        self.share = 0.0
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Report that `done` of `total` steps of a stage are through."""
+        self._progress(stage, done, total)
+        self._count(stage, done, total)
+        if self._whole is not None:
+            self._whole(self.share)
+
+    def _count(self, stage: str, done: int, total: int) -> None:
+        part = done / total if total else 1.0
+        if stage in self._outer:
+            stage, part = self._outer[stage], self._searched(part)
+        elif stage not in self._costs:
+            return
+        elif self._costs[stage].inner:
+            self._trials = done
+            part = 1.0 if done >= total else self._searched(0.0)
+        elif self._done[stage] == 0.0:
+            self._expect(stage, self._costs[stage].whole(total))
+        # Whatever comes before a stage that works is over.
+        for earlier in self._costs:
+            if earlier == stage:
+                break
+            self._done[earlier] = 1.0
+        self._done[stage] = max(self._done[stage], part)
+        share, cost = self._behind
+        left = sum(self._weights.values()) - cost
+        if left > 0.0:
+            self.share = max(self.share, share + (1.0 - share) * (self._cost_done() - cost) / left)
+        self.share = min(self.share, 1.0)
+
+    def _searched(self, part: float) -> float:
+        """Return how much of a search is over after its trials and a part of one more."""
+        return 1.0 - float((1.0 - _TRIAL) ** (self._trials + part))
+
+    def _expect(self, stage: str, cost: float) -> None:
+        if cost != self._weights[stage]:
+            self._behind = (self.share, self._cost_done())
+            self._weights[stage] = cost
+
+    def _cost_done(self) -> float:
+        return sum(self._weights[stage] * part for stage, part in self._done.items())

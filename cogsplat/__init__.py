@@ -8,7 +8,7 @@ before the path that it is written to.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
@@ -26,7 +26,7 @@ from .codec.errors import (
     TruncatedError,
     UnsupportedError,
 )
-from .codec.progress import Progress, silent
+from .codec.progress import Progress, WholeProgress, silent
 from .codec.splats import SceneInfo, Splats
 from .formats.cogs.reader import CogsFile, open_cogs
 from .formats.storage.limits import Limits
@@ -230,6 +230,7 @@ def encode(
     test_views: Sequence[Camera] | None = None,
     force: bool = False,
     progress: Progress = silent,
+    whole: Callable[[float], None] | None = None,
 ) -> EncodeReport:
     """Encode a scene into a COGS file.
 
@@ -267,7 +268,11 @@ def encode(
     force : bool
         Replace an existing file.
     progress : Progress
-        Raising `Cancelled` from it stops the work and leaves no file.
+        Called with a stage, the steps of it that are done, and all its steps. Raising `Cancelled`
+        from it stops the work and leaves no file.
+    whole : callable, optional
+        Called after every such report with the share of the whole work that is done, 0 to 1, which
+        never falls. It may raise as well.
 
     Returns
     -------
@@ -295,6 +300,7 @@ def encode(
     from .codec.encode import pipeline
     from .codec.encode.config import EncodeConfig
     from .codec.encode.presets import PRESETS
+    from .codec.encode.stage_costs import stage_costs
     from .formats.cogs import scene as cogs
     from .formats.storage.atomic import check_output
 
@@ -321,6 +327,18 @@ def encode(
             encoded, writer=writer, first_view=first_view, cameras=stored_cameras
         )
 
+    aim = target or _target(target_psnr, target_size, scene)
+    if whole is not None:
+        costs = stage_costs(
+            len(splats),
+            config,
+            chosen,
+            cameras=views,
+            jitter=score_config is None or score_config.jitter,
+            scored=scores is not None,
+            target=aim,
+        )
+        progress = WholeProgress(costs, progress, whole)
     encoded = pipeline.encode(
         splats,
         config,
@@ -328,7 +346,7 @@ def encode(
         scores=scores,
         score_config=score_config,
         preset=chosen,
-        target=target or _target(target_psnr, target_size, scene),
+        target=aim,
         test_views=test_views or (),
         size_of=size_of,
         progress=progress,
@@ -341,6 +359,8 @@ def encode(
         cameras=stored_cameras,
         force=force,
     )
+    if whole is not None:
+        whole(1.0)
     return replace(encoded.report, size_bytes=size_bytes)
 
 

@@ -97,6 +97,30 @@ def test_without_cameras_virtual_views_are_scored(tmp_path):
         assert file.root.first_view is None
 
 
+def test_the_share_of_the_whole_rises_to_one(tmp_path):
+    shares, stages = [], []
+    cogsplat.encode(
+        scene(200),
+        tmp_path / "out.cogs",
+        cameras=ring(),
+        progress=lambda *call: stages.append(call),
+        whole=shares.append,
+    )
+    assert shares == sorted(shares)
+    assert 0.0 <= shares[0] < 0.5
+    assert shares[-1] == 1.0
+    assert len(shares) == len(stages) + 1
+
+
+def test_raising_from_the_share_leaves_no_file(tmp_path):
+    def stop(share):
+        raise Cancelled("enough")
+
+    with pytest.raises(Cancelled):
+        cogsplat.encode(scene(200), tmp_path / "out.cogs", cameras=ring(), whole=stop)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_given_scores_are_not_measured_again(tmp_path, made):
     path, splats, scores = made
     stages = set()

@@ -138,7 +138,7 @@ DOORS: dict[str, dict[str, str]] = {
             "MissingExtraError StorageError TruncatedError UnsupportedError printable"
         ),
         "metrics": "PSNR_CAP_DB SSIM_BORDERS psnr ssim",
-        "progress": "Progress TimedProgress silent",
+        "progress": "Progress StageCost TimedProgress WholeProgress silent",
         "splats": (
             "EXTRA_DTYPES Extra MAX_EXTRAS MAX_EXTRA_COMPONENTS MAX_EXTRA_NAME_BYTES "
             "MAX_SH_DEGREE SceneInfo Splats concatenate empty sh_coefficients"
@@ -161,6 +161,7 @@ DOORS: dict[str, dict[str, str]] = {
         "presets": "DEFAULT_PRESET PRESETS",
         "profiles.vq": "clip_strays",
         "rate_control": "Target",
+        "stage_costs": "render_cost stage_costs",
     },
     "codec.geometry": {
         "bounds": "CUT_SIGMA box",

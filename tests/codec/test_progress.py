@@ -2,7 +2,7 @@ import pytest
 
 from cogsplat.codec import progress
 from cogsplat.codec.errors import Cancelled
-from cogsplat.codec.progress import TimedProgress
+from cogsplat.codec.progress import StageCost, TimedProgress, WholeProgress
 
 
 @pytest.fixture
@@ -36,3 +36,58 @@ def test_what_stops_the_work_is_passed_on(clock):
     with pytest.raises(Cancelled):
         timed("score", 0, 1)
     assert timed.totals == {"score": 1}
+
+
+def test_the_whole_is_the_sum_of_its_stages():
+    shares, calls = [], []
+    costs = [StageCost("score", 0.1, 10), StageCost("chunks", 2.0), StageCost("write", 1.0)]
+    whole = WholeProgress(costs, lambda *call: calls.append(call), shares.append)
+    reports = [("score", 5, 10), ("other", 1, 2), ("score", 10, 10), ("chunks", 1, 4)]
+    for report in [*reports, ("write", 1, 1)]:
+        whole(*report)
+    assert calls[:4] == reports
+    assert shares == pytest.approx([0.125, 0.125, 0.25, 0.375, 1.0])
+
+
+def test_a_stage_larger_than_expected_slows_the_share_and_turns_nothing_back():
+    whole = WholeProgress([StageCost("score", 1.0, 10), StageCost("predict", 1.0, 10)])
+    whole("score", 10, 10)
+    assert whole.share == 0.5
+    whole("predict", 0, 90)
+    assert whole.share == 0.5
+    whole("predict", 45, 90)
+    assert whole.share == pytest.approx(0.75)
+    whole("predict", 90, 90)
+    assert whole.share == 1.0
+
+
+def test_stages_that_are_left_out_are_over_once_a_later_one_begins():
+    whole = WholeProgress([StageCost("gain", 3.0), StageCost("chunks", 1.0)])
+    whole("chunks", 0, 2)
+    assert whole.share == 0.75
+    whole("gain", 0, 1)
+    whole("chunks", 2, 2)
+    assert whole.share == 1.0
+
+
+def test_a_search_comes_nearer_to_its_end_with_each_trial():
+    costs = [StageCost("search", 4.0, inner="chunks"), StageCost("write", 1.0)]
+    shares = []
+    whole = WholeProgress(costs, whole=shares.append)
+    whole("search", 0, 8)
+    for trial in range(1, 6):
+        whole("chunks", 0, 2)
+        whole("chunks", 2, 2)
+        whole("search", trial, 8)
+    assert shares == sorted(shares)
+    assert 0.7 < shares[-1] < 0.8
+    whole("search", 8, 8)
+    assert whole.share == pytest.approx(0.8)
+
+
+def test_what_the_receiver_of_the_share_raises_stops_the_work():
+    def stop(share):
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        WholeProgress([StageCost("score", 1.0)], whole=stop)("score", 0, 1)

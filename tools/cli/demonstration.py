@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.progress import Progress, StageCost, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.inria import write_cameras_json
@@ -27,6 +27,11 @@ EVERY: Final = 8
 
 # Of the held-out cameras, the one that has all objects in its picture.
 _SHOWN: Final = 3
+
+# As `codec.encode.stage_costs` counts: making and writing, and decoding and writing, a splat; and
+# renders of each view in a comparison, those of the views away from it and the SSIM included.
+_SECONDS_A_SPLAT: Final = (1.5e-5, 5e-6)
+_RENDERS: Final = 5
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,24 @@ class Demo:
     scene_bytes: int
     cogs_bytes: int
     prefixes: tuple[DemoPrefix, ...]
+
+
+def stage_costs(splats: int) -> list[StageCost]:
+    """Return what the stages of `run` will cost, in their order."""
+    from cogsplat.codec.encode import stage_costs as encoding
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+
+    train, held = hold_out(synth_cameras(), EVERY)
+    encoded = encoding.stage_costs(splats, EncodeConfig(), PRESETS[DEFAULT_PRESET], cameras=train)
+    compared = len(SHARES) * _RENDERS * encoding.render_cost(splats, held)
+    made, decoded = (seconds * splats for seconds in _SECONDS_A_SPLAT)
+    return [
+        StageCost("synth", made),
+        *encoded,
+        StageCost("decode", decoded),
+        StageCost("compare", compared),
+    ]
 
 
 def run(

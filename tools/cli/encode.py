@@ -259,6 +259,7 @@ def encode(
     """
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.presets import PRESETS
+    from cogsplat.codec.encode.stage_costs import stage_costs
     from cogsplat.codec.rate.pruning import PruneConfig
 
     if prune is not None and no_prune:
@@ -310,15 +311,23 @@ def encode(
             views = virtual_views(splats, threads=threads, progress=stages)
         numbered = [edits.camera(view) for view in given_cameras(cameras)] if cameras else views
         config = replace(config, order=choice.name, ordering=choice.config(numbered or []))
+        score_config = chosen.score_config(
+            profile, top_k=top_k, jitter=not no_jitter, threads=threads
+        )
+        target = _target(target_psnr, target_size, given.file_bytes)
+        costs = stage_costs(
+            len(splats), config, chosen, cameras=views, jitter=not no_jitter, target=target
+        )
+        if evaluation is not None:
+            costs += evaluation.stage_costs()
+        stages.plan(costs)
         made = cogsplat.encode(
             splats,
             out,
             cameras=views,
             config=config,
-            score_config=chosen.score_config(
-                profile, top_k=top_k, jitter=not no_jitter, threads=threads
-            ),
-            target=_target(target_psnr, target_size, given.file_bytes),
+            score_config=score_config,
+            target=target,
             preset=preset,
             stored_cameras=list(numbered or []) if store_cameras else [],
             test_views=measured_in(numbered, eval_every) if cameras and numbered else None,

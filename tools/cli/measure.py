@@ -10,7 +10,7 @@ from typing import Final
 import click
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.progress import Progress, StageCost, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation import prefix_quality, report_page
@@ -21,6 +21,9 @@ from cogsplat.tools.terminal.values import Colour
 
 from .inputs import evaluation_cameras
 from .scene_edits import SceneEdits
+
+# Of each view at each length: as it is and away from the path, source and file, and the SSIM.
+_RENDERS: Final = 5
 
 _SETTINGS: Final = (
     "profile",
@@ -93,6 +96,13 @@ class FileEvaluation:
         if images is not None:
             photos = read_photos(images, source, views, background, threads=threads)
         return cls(source, views, what, background, photos)
+
+    def stage_costs(self) -> list[StageCost]:
+        """Return what `measure` will cost, for progress of the whole."""
+        from cogsplat.codec.encode.stage_costs import render_cost
+
+        once = render_cost(len(self.source), self.cameras)
+        return [StageCost("measure", len(prefix_quality.SHARES) * _RENDERS * once)]
 
     def measure(
         self, path: Path, *, threads: int = 0, progress: Progress = silent

@@ -109,13 +109,17 @@ def write_any(
     """
     if name == COGS_NAME:
         from cogsplat.codec.encode.config import EncodeConfig
+        from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+        from cogsplat.codec.encode.stage_costs import stage_costs
         from cogsplat.codec.order.orders import OrderConfig
 
+        config = EncodeConfig(ordering=OrderConfig(by_object=by_object), threads=threads)
+        stages.plan(stage_costs(len(splats), config, PRESETS[DEFAULT_PRESET], cameras=cameras))
         cogsplat.encode(
             splats,
             out,
             cameras=cameras,
-            config=EncodeConfig(ordering=OrderConfig(by_object=by_object), threads=threads),
+            config=config,
             force=force,
             progress=stages,
         )

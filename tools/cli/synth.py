@@ -195,6 +195,7 @@ def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json
     from . import demonstration
 
     with Stages(shown=not (quiet or as_json)) as stages:
+        stages.plan(demonstration.stage_costs(splats))
         made = demonstration.run(out, splats=splats, threads=threads, force=force, progress=stages)
     files = made.files
     if as_json:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Final
@@ -15,6 +15,7 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    ProgressColumn,
     TaskID,
     TaskProgressColumn,
     TextColumn,
@@ -22,16 +23,33 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from cogsplat.codec.progress import TimedProgress
+from cogsplat.codec.progress import StageCost, TimedProgress, WholeProgress
 
 # Logs stay readable: a stage writes no more often than this, seconds.
 _LINE_EVERY: Final = 2.0
+
+# The one task that stands for the whole work.
+_WHOLE: Final = ""
+
+
+def _columns(steps: ProgressColumn) -> tuple[ProgressColumn, ...]:
+    return (
+        TextColumn("  {task.description:<15}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        steps,
+    )
 
 
 class Stages(TimedProgress):
     """A `codec.progress.Progress` that prints: bars on a terminal, plain lines elsewhere.
 
-    A context manager, which times the stages as `TimedProgress` says.
+    A context manager, which times the stages as `TimedProgress` says. Each stage has a bar of its
+    own until `plan` says what all of them cost; then one bar, which names the stage, shows the
+    percentage of the whole work and the time that is left of it.
 
     Parameters
     ----------
@@ -44,6 +62,7 @@ class Stages(TimedProgress):
         self._shown = shown
         self._bars: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
+        self._whole: WholeProgress | None = None
         self._written: dict[str, float] = {}
 
     def __enter__(self) -> Stages:
@@ -52,18 +71,20 @@ class Stages(TimedProgress):
             console = Console(stderr=True)
             if not console.is_dumb_terminal:
                 self._bars = Progress(
-                    TextColumn("  {task.description:<10}"),
-                    BarColumn(),
-                    TaskProgressColumn(),
-                    MofNCompleteColumn(),
-                    TimeElapsedColumn(),
-                    TextColumn("left"),
-                    TimeRemainingColumn(),
-                    console=console,
-                    transient=True,
+                    *_columns(MofNCompleteColumn()), console=console, transient=True
                 )
                 self._bars.start()
         return self
+
+    def plan(self, costs: Sequence[StageCost]) -> None:
+        """Show one bar for all that is left to do, with what its stages are expected to cost."""
+        self._whole = WholeProgress(costs)
+        if self._bars:
+            for task in self._tasks.values():
+                self._bars.remove_task(task)
+            self._tasks = {_WHOLE: self._bars.add_task("", total=1.0)}
+            self._bars.columns = _columns(TextColumn("{task.fields[steps]}"))
+            self._bars.update(self._tasks[_WHOLE], steps="")
 
     def __exit__(
         self,
@@ -77,7 +98,14 @@ class Stages(TimedProgress):
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Report that `done` of `total` steps of a stage are through."""
         super().__call__(stage, done, total)
-        if self._bars:
+        if self._whole:
+            self._whole(stage, done, total)
+        if self._bars and self._whole:
+            steps = f"{done}/{total}" if total > 1 else ""
+            self._bars.update(
+                self._tasks[_WHOLE], completed=self._whole.share, description=stage, steps=steps
+            )
+        elif self._bars:
             if stage not in self._tasks:
                 self._tasks[stage] = self._bars.add_task(stage, total=total)
             self._bars.update(self._tasks[stage], completed=done, total=total)
@@ -92,7 +120,8 @@ class Stages(TimedProgress):
         due = now - self._written.setdefault(stage, now) >= _LINE_EVERY
         if done == 0 or due:
             self._written[stage] = now
-            click.echo(f"{stage} {done}/{total}", err=True)
+            share = f"{self._whole.share:4.0%} " if self._whole else ""
+            click.echo(f"{share}{stage} {done}/{total}", err=True)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from cogsplat.codec.progress import StageCost
 from cogsplat.tools.terminal import progress
 from cogsplat.tools.terminal.progress import Stages
 
@@ -87,6 +88,39 @@ def test_bars_on_a_terminal_leave_nothing_behind(monkeypatch: pytest.MonkeyPatch
     hidden, back = "\x1b[?25l", "\x1b[?25h"
     assert shown.count(hidden) == shown.count(back)
     assert shown.rindex(back) > shown.rindex(hidden)
+
+
+def test_one_bar_speaks_of_the_whole_work_once_it_is_planned(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "100")
+    with Stages() as stages:
+        with stages.stage("read"):
+            pass
+        stages.plan([StageCost("score", 3.0), StageCost("gain", 1.0)])
+        stages("score", 2, 3)
+        stages("gain", 1, 2)
+    shown = terminal.getvalue()
+    assert "read" in shown
+    last = next(line for line in reversed(shown.splitlines()) if "%" in line)
+    for part in ("gain", "88%", "left", "1/2"):
+        assert part in last
+    assert "read" not in last
+    assert "score" not in last
+
+
+def test_lines_of_planned_work_begin_with_its_share(
+    clock: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Stages() as stages:
+        stages.plan([StageCost("score", 1.0), StageCost("gain", 1.0)])
+        stages("score", 0, 4)
+        clock[0] += 9.0
+        stages("score", 2, 4)
+    assert capsys.readouterr().err.splitlines() == ["  0% score 0/4", " 25% score 2/4"]
 
 
 def test_dumb_terminals_get_lines(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,135 @@
+"""What the stages of an encode cost beside each other, so that progress can speak of the whole.
+
+Seconds of processor time, measured with the synthetic scene at 5,000, 20,000 and 80,000 splats of
+SH degree 3, from 16 and 48 cameras of 480x360 pixels and from planned views, with the presets
+``fast`` and ``balanced``. Only their ratios count: a faster machine has the same shares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.order.orders import split_name
+from cogsplat.codec.progress import StageCost
+
+from .config import EncodeConfig
+from .presets import Preset
+from .rate_control import TARGET_VIEWS, Target
+
+# A view is scored three times: as it is, and in two jittered copies.
+_JITTERED: Final = 3
+# Planned views have this size, and planning adds some to those that a preset asks for.
+_PLANNED_PIXELS: Final = 480 * 360
+_ADDED: Final = 1.15
+
+_PLAN: Final = 4.5
+# Of each scored view: for its pixels, and for every splat.
+_SCORE: Final = (6.4e-7, 1.2e-6)
+_REFERENCE: Final = (4.6e-8, 6e-7)
+_PREDICT: Final = (5.8e-7, 4.3e-6)
+# Of the whole, and for every splat; pixels are thinned.
+_GAIN: Final = (5.0, 2.2e-4)
+_OTHER_ORDER: Final = (0.0, 1e-6)
+_COMPENSATE: Final = (1.5, 2.6e-4)
+_CHUNKS: Final = (0.15, 3.5e-5)
+_CODEBOOKS: Final = (0.5, 5e-5)
+_WRITE: Final = (0.02, 2e-6)
+
+# Encodes that a search for a target takes on average, and the share of a prediction, which renders
+# several prefixes, that one render of a view costs.
+_TRIALS: Final = 4
+_ONE_RENDER: Final = 0.2
+
+
+def stage_costs(
+    splats: int,
+    config: EncodeConfig,
+    preset: Preset,
+    *,
+    cameras: Sequence[Camera] | None = None,
+    jitter: bool = True,
+    scored: bool = False,
+    target: Target | None = None,
+) -> list[StageCost]:
+    """Return what the stages of an encode will cost, in their order.
+
+    Parameters
+    ----------
+    splats : int
+        Of the source.
+    config : EncodeConfig
+    preset : Preset
+    cameras : sequence of Camera, optional
+        Views to score in; None where views will be planned.
+    jitter : bool
+        Whether given cameras are scored in jittered copies as well.
+    scored : bool
+        Whether scores are there already.
+    target : Target, optional
+        What is searched for.
+
+    Returns
+    -------
+    list of StageCost
+        The last is ``write``, which is the caller's stage.
+    """
+    fits = config.compensate and config.profile != "near-lossless"
+    planned = cameras is None and not scored
+    if cameras:
+        views, pixels = len(preset.views(cameras)), _mean_pixels(cameras)
+    else:
+        views, pixels = round(preset.planned_views * _ADDED), float(_PLANNED_PIXELS)
+        jitter = jitter and preset.planned_jitter
+    seen = bool(cameras) or planned
+    order = split_name(config.order)[0]
+    references = _of_view(_REFERENCE, pixels, splats)
+    predictions = min(preset.prediction_views, len(cameras) if cameras else views)
+    prediction = _of_view(_PREDICT, pixels, splats)
+    costs = [StageCost("plan views", _PLAN)] if planned else []
+    if not scored:
+        steps = views * (_JITTERED if jitter else 1)
+        costs.append(StageCost("score", _of_view(_SCORE, pixels, splats), steps))
+    if seen and (fits or order == "gain"):
+        costs.append(StageCost("reference views", references, views))
+    if order == "gain":
+        costs.append(StageCost("gain", _of_scene(_GAIN, splats)))
+    books = _of_scene(_CODEBOOKS, splats) if config.profile == "vq" else 0.0
+    chunks = _of_scene(_CHUNKS, splats)
+    if target is None:
+        costs += [StageCost("codebooks", books)] if books else []
+        costs.append(StageCost("chunks", chunks))
+    else:
+        looked = min(TARGET_VIEWS, views) if target.psnr_db is not None else 0
+        trial = books + chunks + looked * _ONE_RENDER * prediction
+        costs.append(StageCost("search", trial * _TRIALS, inner="chunks"))
+    if seen and fits:
+        costs.append(StageCost("compensate", _of_scene(_COMPENSATE, splats)))
+    if seen:
+        costs.append(StageCost("predict", prediction, predictions))
+    return [*costs, StageCost("write", _of_scene(_WRITE, splats))]
+
+
+def render_cost(splats: int, cameras: Sequence[Camera]) -> float:
+    """Return what it costs to render a scene once in each of some cameras, as `stage_costs` counts.
+
+    Parameters
+    ----------
+    splats : int
+    cameras : sequence of Camera
+        At least one.
+    """
+    return len(cameras) * _ONE_RENDER * _of_view(_PREDICT, _mean_pixels(cameras), splats)
+
+
+def _mean_pixels(cameras: Sequence[Camera]) -> float:
+    return sum(camera.width * camera.height for camera in cameras) / len(cameras)
+
+
+def _of_view(cost: tuple[float, float], pixels: float, splats: int) -> float:
+    return cost[0] * pixels + cost[1] * splats
+
+
+def _of_scene(cost: tuple[float, float], splats: int) -> float:
+    return cost[0] + cost[1] * splats

@@ -1,0 +1,78 @@
+"""What stages cost: those that an encode reports are those expected, in their order."""
+
+import oracle
+import pytest
+
+from cogsplat.codec.encode import pipeline
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.rate_control import Target
+from cogsplat.codec.encode.stage_costs import render_cost, stage_costs
+from cogsplat.codec.progress import WholeProgress
+
+
+def views(count):
+    return [oracle.camera(angle=number / count) for number in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("preset", "given", "target", "profile"),
+    [
+        ("balanced", True, None, "transform"),
+        ("fast", True, Target(psnr_db=35.0), "vq"),
+        ("fast", True, Target(size_bytes=6000), "transform"),
+        ("fast", False, None, "vq"),
+    ],
+)
+def test_the_stages_are_those_that_an_encode_reports(preset, given, target, profile):
+    splats = oracle.scene(5, n=300)
+    chosen = PRESETS[preset]
+    config = EncodeConfig(
+        profile=profile,
+        order=chosen.order,
+        compensate=chosen.compensate,
+        chunk_splats=32,
+        threads=1,
+    )
+    cameras = views(4) if given else None
+    costs = stage_costs(len(splats), config, chosen, cameras=cameras, target=target)
+    shares, stages = [], []
+    whole = WholeProgress(costs, lambda stage, *_: stages.append(stage), shares.append)
+    pipeline.encode(
+        splats,
+        config,
+        cameras=cameras,
+        preset=chosen,
+        target=target,
+        size_of=lambda encoded: 20 * encoded.splats,
+        progress=whole,
+    )
+    whole("write", 1, 1)
+    expected = [cost.stage for cost in costs]
+    inner = {"chunks", "codebooks"} if target else set()
+    assert list(dict.fromkeys(stage for stage in stages if stage not in inner)) == expected
+    assert all(cost.cost > 0.0 for cost in costs)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    assert len(set(shares)) > len(costs)
+
+
+def test_costs_grow_with_splats_views_and_pixels():
+    config, preset = EncodeConfig(), PRESETS["balanced"]
+
+    def total(splats, cameras):
+        return sum(cost.whole() for cost in stage_costs(splats, config, preset, cameras=cameras))
+
+    small = total(1000, views(8))
+    assert total(100_000, views(8)) > small
+    assert total(1000, views(16)) > small
+    wide = [oracle.camera(width=640, height=480)] * 8
+    assert total(1000, wide) > small
+    assert render_cost(1000, wide) > render_cost(1000, views(8)) > 0.0
+
+
+def test_scores_that_are_there_cost_nothing():
+    costs = stage_costs(100, EncodeConfig(), PRESETS["fast"], cameras=views(3), scored=True)
+    assert "score" not in [cost.stage for cost in costs]
+    alone = stage_costs(100, EncodeConfig(order="contribution"), PRESETS["fast"], scored=True)
+    assert [cost.stage for cost in alone] == ["chunks", "write"]
