@@ -18,6 +18,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
 from .encoded import EncodedScene
+from .measured_prefixes import interpolated, measured_prefixes
 from .shift_optimiser import FitConfig, ShiftOptimiser, codebook_rows, coded_splats
 
 F64 = NDArray[np.float64]
@@ -30,8 +31,10 @@ _LONGEST_LAYER: Final = 1.0
 _UNCHANGED: Final = 1.27
 # From this share of the iterations on, splats have the shifts of codebook rows.
 _QUANTISED_FROM: Final = 0.6
-# Views that the errors of prefixes are measured in.
-_MEASURED_VIEWS: Final = 12
+# Views and prefixes that errors are measured in and of, at most. Nothing but the place of segments
+# in the file depends on errors.
+_MEASURED_VIEWS: Final = 8
+_MEASURED_PREFIXES: Final = 10
 
 
 def plan_layers(chunk_splats: Sequence[int], effective_splats: int) -> list[int]:
@@ -178,16 +181,18 @@ def errors(
     Returns
     -------
     (c + 1,) float64
-        Mean squared error of pictures without chunks, of the first, and so on to all.
+        Mean squared error of pictures without chunks, of the first, and so on to all. At most 10
+        are measured; of those between, square roots are interpolated.
     """
     views = references.sample(_MEASURED_VIEWS, 0)
     weights = references.weights[views] / references.weights[views].sum()
+    counts = compensation.chunk_splats.tolist()
     ends = np.concatenate([[0], np.cumsum(compensation.chunk_splats)])
-    found = np.zeros(len(ends))
-    for chunks, end in enumerate(ends.tolist()):
-        prefix = compensation.apply(splats.take(slice(0, end)), chunks)
 
-        def far(view: int, prefix: Splats = prefix) -> float:
+    def error(chunks: int) -> float:
+        prefix = compensation.apply(splats.take(slice(0, int(ends[chunks]))), chunks)
+
+        def far(view: int) -> float:
             picture = references.pictures[view]
             kernel_px, near_plane = references.kernels[view], references.near_plane
             info = prefix.info
@@ -196,8 +201,11 @@ def errors(
             return float(np.mean(np.square(drawn - picture, dtype=np.float64)))
 
         each = list(ordered_map(far, views, thread_count(threads)))
-        found[chunks] = float(weights @ np.array(each))
-    return found
+        return float(weights @ np.array(each))
+
+    measured = measured_prefixes(counts, _MEASURED_PREFIXES)
+    roots = np.sqrt([error(chunks) for chunks in measured.tolist()])
+    return np.concatenate([[error(0)], np.square(interpolated(counts, measured, roots))])
 
 
 def blank(

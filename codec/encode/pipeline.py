@@ -151,9 +151,7 @@ def encode(
         references=references,
         progress=timed,
     )
-    finishing = _Finishing(
-        prepared, references if fits else None, tests or views, preset.prediction_views, timed
-    )
+    finishing = _Finishing(prepared, references if fits else None, tests or views, preset, timed)
     if target is None or not len(splats):
         encoded = encode_chunks(prepared, config.quality_db, progress=timed)
         hit = Hit(finishing.finish(encoded), config.quality_db, 0.0, 1)
@@ -234,21 +232,23 @@ class _Finishing:
         Pictures that compensation is fitted to; None where none is fitted.
     test_views : sequence of Camera
         Views to predict in; empty where nothing is predicted.
-    most_views : int
-        So many of them are rendered.
+    preset : Preset
+        How many of these are rendered, and how long compensation is fitted.
     progress : Progress
     """
 
     prepared: PreparedScene
     references: ReferenceViews | None
     test_views: Sequence[Camera]
-    most_views: int
+    preset: Preset
     progress: Progress
 
     @property
     def fit(self) -> FitConfig:
         """Configuration of the fit."""
-        return FitConfig(threads=self.prepared.config.threads)
+        return FitConfig(
+            iterations=self.preset.fit_iterations, threads=self.prepared.config.threads
+        )
 
     def finish(self, encoded: EncodedScene) -> EncodedScene:
         """Return a scene with compensation and predicted quality."""
@@ -262,7 +262,7 @@ class _Finishing:
                 encoded,
                 self.prepared.source,
                 self.test_views,
-                most_views=self.most_views,
+                most_views=self.preset.prediction_views,
                 threads=self.prepared.config.threads,
                 progress=self.progress,
             )

@@ -19,6 +19,7 @@ from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.views.view_sets import evenly
 
 from .encoded import EncodedScene
+from .measured_prefixes import interpolated, measured_prefixes
 
 PREFIX_VIEWS: Final = 8
 """Views that prefixes are predicted in, at most."""
@@ -27,7 +28,7 @@ WHOLE_VIEWS: Final = 32
 """Views that the whole is predicted in, at most: a mean over few depends on which they are."""
 
 # Prefixes that are measured at most: each takes a rendering of every view.
-_PREFIXES: Final = 12
+_PREFIXES: Final = 8
 
 
 class PrefixEvaluator:
@@ -71,32 +72,41 @@ class PrefixEvaluator:
         found = self._pictures(splats)
         return [float(psnr(a, b)) for a, b in zip(self._expected, found, strict=True)]
 
-    def prefixes_db(self, encoded: EncodedScene, *, progress: Progress = silent) -> list[float]:
+    def prefixes_db(
+        self,
+        encoded: EncodedScene,
+        *,
+        whole_db: float | None = None,
+        progress: Progress = silent,
+    ) -> list[float]:
         """Return the PSNR of the first chunk, of the first two, and so on to all, dB.
 
         Parameters
         ----------
         encoded : EncodedScene
+        whole_db : float, optional
+            PSNR of all chunks in these views, where it is known; then it is not measured again.
         progress : Progress
             Called with ``predict``, prefixes measured and prefixes to measure.
 
         Returns
         -------
         list of float
-            One per chunk. At most 12 prefixes are measured; the values of those between are
-            interpolated by their number of splats.
+            One per chunk. At most 8 prefixes are measured; the values of those between are
+            interpolated by the logarithm of their splats.
         """
-        count = len(encoded.chunks)
-        if count == 0:
-            return []
-        ends = np.cumsum([chunk.splats for chunk in encoded.chunks])
-        measured = np.unique(np.linspace(0, count - 1, min(count, _PREFIXES)).round().astype(int))
-        values = []
+        counts = [chunk.splats for chunk in encoded.chunks]
+        measured = measured_prefixes(counts, _PREFIXES)
+        values: list[float] = []
         progress("predict", 0, len(measured))
-        for done, chunk in enumerate(measured, start=1):
-            values.append(self.psnr_db(encoded.decoded.take(slice(0, int(ends[chunk])))))
+        for done, chunks in enumerate(measured.tolist(), start=1):
+            if chunks == len(counts) and whole_db is not None:
+                values.append(whole_db)
+            else:
+                prefix = encoded.decoded.take(slice(0, sum(counts[:chunks])))
+                values.append(self.psnr_db(prefix))
             progress("predict", done, len(measured))
-        return [float(x) for x in np.interp(ends, ends[measured], values)]
+        return [float(x) for x in interpolated(counts, measured, np.array(values))]
 
 
 def predicted(
@@ -134,9 +144,9 @@ def predicted(
     for_whole = evenly(views, WHOLE_VIEWS)
     for_prefixes = evenly(for_whole, most_views)
     evaluator = PrefixEvaluator(source, for_prefixes, threads)
-    qualities = evaluator.prefixes_db(encoded, progress=progress)
     others = [view for view in for_whole if not any(view is other for other in for_prefixes)]
     whole = evaluator.views_db(encoded.decoded)
+    qualities = evaluator.prefixes_db(encoded, whole_db=float(np.mean(whole)), progress=progress)
     if others:
         whole += PrefixEvaluator(source, others, threads).views_db(encoded.decoded)
     shift = float(np.mean(whole)) - qualities[-1] if qualities else 0.0

@@ -30,6 +30,8 @@ class Preset:
         `ScoreConfig.sensitivity_every` of the profile that uses sensitivities.
     prediction_views : int
         Views that the quality of prefixes is predicted in, at most.
+    fit_iterations : int
+        Steps that compensation is fitted in, for each of its layers.
     order : str
         What `EncodeConfig.order` is where nothing else is asked for.
     compensate : bool
@@ -41,6 +43,7 @@ class Preset:
     views_every: int
     sensitivity_every: int
     prediction_views: int
+    fit_iterations: int
     order: str = "gain"
     compensate: bool = True
 
@@ -82,7 +85,8 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             planned_jitter=False,
             views_every=3,
             sensitivity_every=2,
-            prediction_views=8,
+            prediction_views=4,
+            fit_iterations=16,
             order="contribution",
             compensate=False,
         ),
@@ -91,7 +95,8 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             planned_jitter=True,
             views_every=1,
             sensitivity_every=2,
-            prediction_views=16,
+            prediction_views=8,
+            fit_iterations=16,
         ),
         "best": Preset(
             planned_views=160,
@@ -99,6 +104,7 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             views_every=1,
             sensitivity_every=1,
             prediction_views=24,
+            fit_iterations=32,
         ),
     }
 )

@@ -68,7 +68,7 @@ class FitConfig:
     """
 
     code_bits: int = 3
-    iterations: int = 48
+    iterations: int = 16
     views: int = 4
     threads: int = 0
 

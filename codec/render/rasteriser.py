@@ -18,7 +18,7 @@ from cogsplat.codec.threads import ordered_map, thread_count
 from .blending import BLUE, GREEN, PIXELS, PLANES, RED, REST, blend_tile, tile_area
 from .jit import kernel
 from .projection import project
-from .shading import row_colours
+from .shading import footprint_colours
 from .tiles import TILE, tile_lists
 
 
@@ -113,7 +113,8 @@ def _draw(
         antialiased=config.antialiased,
         near_plane=config.near_plane,
     )
-    colours = row_colours(splats, footprints.index, camera, config.sh_degree)
+    rows = np.arange(len(splats), dtype=np.int32)
+    colours = footprint_colours(splats, rows, camera, footprints, config.sh_degree)
     present = np.ones(len(footprints), np.bool_)
     background = np.array(config.background, np.float32)
     image = np.empty((camera.height, camera.width, 3), np.float32)

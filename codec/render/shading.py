@@ -123,7 +123,11 @@ def row_colours(
 
 
 def footprint_colours(
-    splats: Splats, rows: NDArray[np.int32], camera: Camera, footprints: Footprints
+    splats: Splats,
+    rows: NDArray[np.int32],
+    camera: Camera,
+    footprints: Footprints,
+    sh_degree: int | None = None,
 ) -> NDArray[np.float32]:
     """Return the colours of footprints in the order of the footprints, clamped at 0.
 
@@ -140,6 +144,8 @@ def footprint_colours(
         In the frame of the means.
     footprints : Footprints
         M of them; their `index` holds places in `rows`.
+    sh_degree : int or None
+        Highest SH degree used; None for the scene's own.
 
     Returns
     -------
@@ -149,5 +155,6 @@ def footprint_colours(
     ascending = np.empty(len(footprints), np.int32)
     _rank(footprints.index, rows, ranks, ascending)
     colours = np.empty((len(footprints), 3), np.float32)
-    _reorder(footprints.index, ranks, row_colours(splats, ascending, camera), colours)
+    shaded = row_colours(splats, ascending, camera, sh_degree)
+    _reorder(footprints.index, ranks, shaded, colours)
     return colours

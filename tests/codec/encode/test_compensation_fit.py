@@ -11,6 +11,7 @@ from cogsplat.codec.order.marginal_gain import GainConfig, gain_order
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.scoring.reference_views import render_references
+from cogsplat.codec.segments.compensation import Compensation
 
 _COUNTS = (40, 50, 60, 90, 130, 130)
 
@@ -127,3 +128,17 @@ def test_errors_of_prefixes_are_those_of_their_pictures(scene):
     pairs = zip(pictures, references.pictures, strict=True)
     expected = np.mean([np.mean((np.clip(a, 0, 1) - b) ** 2) for a, b in pairs])
     assert prefix_mse[2] == pytest.approx(expected, rel=1e-4)
+
+
+def test_of_many_prefixes_some_errors_are_measured(scene):
+    splats, _, references, _ = scene
+    many = Compensation((), np.full(50, 10))
+    few = Compensation((), np.full(5, 100))
+    found = errors(many, splats, references)
+    assert len(found) == 51
+    # What both have measured is the same: nothing, and the whole.
+    exact = errors(few, splats, references)
+    assert found[[0, -1]].tolist() == exact[[0, -1]].tolist()
+    # In between, interpolated errors are near and fall; the last of all fall to nothing at once.
+    np.testing.assert_allclose(found[[10, 20, 30]], exact[1:4], rtol=0.35)
+    assert (np.diff(found) <= 0).all()

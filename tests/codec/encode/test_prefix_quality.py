@@ -108,9 +108,17 @@ def test_of_many_chunks_some_are_measured():
     evaluator = PrefixEvaluator(scene(400), views(1))
     found = evaluator.prefixes_db(encoded, progress=lambda *call: calls.append(call))
     assert len(found) == len(encoded.chunks) == 40
-    assert calls[-1] == ("predict", 12, 12)
+    assert calls[-1] == ("predict", 8, 8)
     assert found[-1] == evaluator.psnr_db(encoded.decoded)
     assert np.isfinite(found).all()
+
+
+def test_a_whole_that_is_known_is_not_measured_again():
+    encoded = encoded_in(5)
+    evaluator = PrefixEvaluator(scene(), views(2))
+    known = evaluator.prefixes_db(encoded, whole_db=99.0)
+    assert known[-1] == 99.0
+    assert known[:-1] == evaluator.prefixes_db(encoded)[:-1]
 
 
 def test_views_are_spread_evenly():
