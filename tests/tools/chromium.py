@@ -22,7 +22,7 @@ _ARGUMENTS: Final = (
     "--disable-lcd-text",
 )
 # Software pictures on a busy machine take seconds.
-PATIENCE_MS: Final = 120_000
+PATIENCE_MS: Final = 60_000
 
 # The policy of the page forbids style elements, not sheets that scripts make; a shadow root has
 # sheets of its own.

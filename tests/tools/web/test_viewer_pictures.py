@@ -1,0 +1,115 @@
+"""The viewer's pictures in a real browser equal our own renders of what has arrived."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chromium import chromium, look_from, picture, wait_until
+from faulty_server import FaultyServer
+from numpy.typing import NDArray
+from playwright.sync_api import Browser, Page
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.metrics import psnr
+from cogsplat.codec.render.rasteriser import render
+from cogsplat.formats.cameras.files import read_cameras
+from cogsplat.tools.delivery.slow_server import running
+from cogsplat.tools.delivery.viewer_pages import linked_page
+from cogsplat.tools.synthetic.scene import synth, synth_cameras
+
+pytestmark = pytest.mark.slow
+
+FOX = Path(__file__).resolve().parents[4] / "shared" / "data" / "fox"
+
+SAME_DB = 38.0
+"""What a picture must have against our own render of the same data."""
+RECOGNISABLE_DB = 24.0
+"""What a picture must have against our own render of the whole, to be recognised."""
+ATTEMPTS = 60
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A scene's file, and where it is looked at from."""
+
+    path: Path
+    camera: Camera
+    recognisable_share: float
+    """Of the bytes, from which on pictures are recognised."""
+
+    def drawn(self, size_bytes: int | None = None) -> NDArray[np.float32]:
+        """Render what is in the first bytes of the file, 0 to 1."""
+        part = cogsplat.decode(self.path, size_bytes=size_bytes, compensate=True)
+        return np.clip(render(part, self.camera), 0, 1)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def terrace(tmp_path_factory: pytest.TempPathFactory) -> Shown:
+    """The synthetic scene, in about 300 kB."""
+    path = tmp_path_factory.mktemp("terrace") / "scene.cogs"
+    config = EncodeConfig(compensate=True)
+    cameras = synth_cameras(12, 160, 120)
+    cogsplat.encode(synth(40_000), path, cameras=cameras, preset="fast", config=config)
+    return Shown(path, synth_cameras(48, 480, 360)[8], 0.32)
+
+
+@pytest.fixture(scope="module")
+def fox(tmp_path_factory: pytest.TempPathFactory) -> Shown:
+    """A scene that was trained on photos, in the views that it was not trained on."""
+    if not FOX.is_dir():
+        pytest.skip("the real scenes are not here")
+    path = tmp_path_factory.mktemp("fox") / "scene.cogs"
+    cameras = read_cameras(FOX / "cameras.json")
+    config = EncodeConfig(compensate=True)
+    known = [camera for i, camera in enumerate(cameras) if i % 8][::4]
+    cogsplat.encode(FOX / "scene.ply", path, cameras=known, preset="fast", config=config)
+    return Shown(path, cameras[8], 0.12)
+
+
+def shows(page: Page, ours: NDArray[np.float32], least_db: float = SAME_DB) -> float:
+    """Wait until the canvas shows a picture; return how much it is like ours at the end, dB."""
+    found = 0.0
+    for _ in range(ATTEMPTS):
+        wait_until(page, "s.upToDate || s.state === 'failed'")
+        found = psnr(picture(page), ours)
+        if found >= least_db:
+            break
+        # Refinements and tails that came with the last bytes are still being decoded.
+        page.wait_for_timeout(200)
+    return found
+
+
+@pytest.mark.parametrize("scene", ["terrace", pytest.param("fox", marks=pytest.mark.shared)])
+def test_pictures_equal_our_renders_as_bytes_arrive(
+    browser: Browser, request: pytest.FixtureRequest, scene: str
+) -> None:
+    shown: Shown = request.getfixturevalue(scene)
+    whole, data = shown.drawn(), shown.path.read_bytes()
+    total = len(data)
+    recognisable = int(shown.recognisable_share * total)
+    with running(FaultyServer({**linked_page(scene), "scene.cogs": data})) as server:
+        size = {"width": shown.camera.width, "height": shown.camera.height}
+        page = browser.new_page(viewport=size)
+        server.hold_at(0)
+        page.goto(server.url)
+        look_from(page, shown.camera)
+        for size_bytes in sorted({16 << 10, recognisable, 64 << 10, 256 << 10, total}):
+            server.hold_at(size_bytes)
+            found = shows(page, shown.drawn(size_bytes))
+            assert found >= SAME_DB, f"{size_bytes} of {total} bytes"
+            if size_bytes == recognisable:
+                assert psnr(picture(page), whole) >= RECOGNISABLE_DB
+        assert wait_until(page, "s.state === 'complete'")["splats"] == len(
+            cogsplat.decode(shown.path)
+        )
+        page.close()
