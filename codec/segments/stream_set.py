@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.streams import kinds, records
-from cogsplat.codec.streams.records import ESCAPE, Attribute, StoredStream
+from cogsplat.codec.streams.records import ESCAPE, INFINITIES, Attribute, StoredStream
 
 
 class StreamSet:
@@ -109,7 +109,7 @@ class RefinementSet:
         FormatError
             ``stream-rows``; ``stream-kind``: another kind than refines the head's stream.
         """
-        wanted = kinds.codec_of(head).refined_by
+        wanted = kinds.refined_by(head)
         stream = self._stored.get((head.attribute, 0))
         if stream is None:
             return None
@@ -117,11 +117,12 @@ class RefinementSet:
         _require_rows(stream, self._rows)
         if stream.kind != wanted:
             expected = "no refinement" if wanted is None else f"kind {wanted.name.lower()}"
+            infinities = " with infinities" if head.flags & INFINITIES else ""
             raise FormatError(
                 "stream-kind",
                 f"{stream.where}: kind {stream.kind.name.lower()}, expected {expected} "
-                f"of a stream of kind {head.kind.name.lower()}",
-                clause="7.4",
+                f"of a stream of kind {head.kind.name.lower()}{infinities}",
+                clause="6.16" if infinities else "7.4",
             )
         return stream
 

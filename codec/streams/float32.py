@@ -32,15 +32,17 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
         other than infinite opacities.
     """
     stream.require_params(0)
-    planes = stream.read_planes([stream.rows] * (4 * out.shape[1]))
-    values = np.stack(planes, axis=1).view("<f4").astype(np.float32)
-    legal = np.abs(values) <= MAX_VALUE
-    if stream.attribute == Attribute.OPACITIES:
-        legal |= np.isinf(values)
-    if not legal.all():
-        raise FormatError(
-            "float-value",
-            f"{stream.where}: NaN, or a magnitude above {MAX_VALUE:g}",
-            clause="6.8",
-        )
-    out[:] = values
+    stream.require_planes(4 * out.shape[1])
+    for component in range(out.shape[1]):
+        planes = [stream.plane(4 * component + byte, stream.rows) for byte in range(4)]
+        values = np.stack(planes, axis=1).view("<f4")[:, 0]
+        legal = np.abs(values) <= MAX_VALUE
+        if stream.attribute == Attribute.OPACITIES:
+            legal |= np.isinf(values)
+        if not legal.all():
+            raise FormatError(
+                "float-value",
+                f"{stream.where}, component {component}: NaN, or a magnitude above {MAX_VALUE:g}",
+                clause="6.8",
+            )
+        out[:, component] = values

@@ -110,24 +110,30 @@ def fit(values: F32, step: float | NDArray[np.float64]) -> Grid:
     )
 
 
-def unpack(data: memoryview, components: int, where: str, limit: int = MAX_LEVELS) -> Grid:
-    """Read a grid's entries and check them.
+def unpack(
+    data: memoryview,
+    components: int,
+    where: str,
+    limit: int = MAX_LEVELS,
+    furthest: float = MAX_VALUE,
+) -> Grid:
+    """Read a grid's entries and check them: all ranges, then all levels.
 
     Raises
     ------
     FormatError
-        ``grid-value``: not finite, beyond `MAX_VALUE`, or minimum above maximum;
+        ``grid-value``: not finite, beyond ±`furthest`, or minimum above maximum;
         ``grid-levels``: 0 or more than `limit` levels.
     """
     # Three numbers at a time cost less so than as arrays.
     entries = list(_ENTRY.iter_unpack(data[: components * ENTRY_BYTES]))
     lows, highs, levels = zip(*entries, strict=True)
-    if not all(-MAX_VALUE <= lo <= hi <= MAX_VALUE for lo, hi, _ in entries):
+    if not all(-furthest <= lo <= hi <= furthest for lo, hi, _ in entries):
         raise FormatError(
             "grid-value",
             f"{where}: range {list(lows)} to {list(highs)}, "
-            f"expected minimum first, both within ±{MAX_VALUE:g}",
-            clause="6.4",
+            f"expected minimum first, both within ±{furthest:g}",
+            clause="6.4" if furthest == MAX_VALUE else "6.6",
         )
     if min(levels) < 1 or max(levels) > limit:
         raise FormatError(

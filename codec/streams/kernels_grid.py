@@ -173,7 +173,7 @@ def _read_refined(
     stream: StoredStream, grid: Grid, digits: StoredStream, out: F32, coarse: F32 | None = None
 ) -> bool:
     """Write the values of a stream and its digits, as `refinement_digits.read` does."""
-    fine, radices = refinement_digits.parse(stream, digits, grid.components)
+    fine, radices = refinement_digits.parse(digits, grid.components)
     count = sum(grid_planes.plane_counts(grid))
     stream.require_planes(count)
     parts = [(stream, number, stream.rows) for number in range(count)]
@@ -201,9 +201,10 @@ def read_quats(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
     """Read as `quaternion.read` does; False where a code is out of range."""
     largest, grid = quaternion.parse(stream)
     others = np.empty((stream.rows, 3), np.float32)
-    if not _read(stream, grid, others, first=1 if largest == quaternion.PER_ROW else 0):
+    which = quaternion.left_out(stream, largest, grid)
+    if not _read(stream, grid, others, first=0 if which is None else 1):
         return False
-    quaternion.complete(stream, largest, others, out)
+    quaternion.complete(largest, which, others, out)
     return True
 
 

@@ -25,7 +25,7 @@ from . import (
 )
 from .codebook_index import CodebookUse
 from .inputs import NO_INPUTS, Inputs
-from .records import Attribute, Kind, StoredStream
+from .records import INFINITIES, Attribute, Kind, StoredStream
 
 F32 = NDArray[np.float32]
 
@@ -110,6 +110,17 @@ def codec_of(stream: StoredStream) -> StreamCodec:
             clause="6.2",
         )
     return found
+
+
+def refined_by(stream: StoredStream) -> Kind | None:
+    """Return the kind of the streams that refine a stream of a head; None where none do.
+
+    Raises
+    ------
+    FormatError
+        ``stream-kind``: the attribute is not stored in the stream's kind.
+    """
+    return None if stream.flags & INFINITIES else codec_of(stream).refined_by
 
 
 def codebook_use(stream: StoredStream) -> CodebookUse:

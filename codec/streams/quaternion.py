@@ -67,14 +67,7 @@ def parse(stream: StoredStream) -> tuple[int, Grid]:
             "and three zero bytes",
             clause="6.6",
         )
-    grid = grids.unpack(params[_PARAMS.size :], 3, stream.where)
-    if float(np.abs([grid.minimum, grid.maximum]).max()) > 1:
-        raise FormatError(
-            "grid-value",
-            f"{stream.where}: range {grid.minimum.tolist()} to {grid.maximum.tolist()}, "
-            "expected -1 to 1",
-            clause="6.6",
-        )
+    grid = grids.unpack(params[_PARAMS.size :], 3, stream.where, furthest=1.0)
     return largest, grid
 
 
@@ -86,34 +79,52 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     Raises
     ------
     FormatError
-        As `parse`, and ``stream-planes``, ``code-range``.
+        As `parse` and `left_out`, and ``stream-planes``, ``code-range``.
     """
     largest, grid = parse(stream)
-    first = 1 if largest == PER_ROW else 0
+    which = left_out(stream, largest, grid)
     others = np.empty((stream.rows, 3), np.float32)
-    grid_planes.read_values(stream, grid, others, first=first)
-    complete(stream, largest, others, out)
+    grid_planes.read_values(stream, grid, others, first=0 if which is None else 1)
+    complete(largest, which, others, out)
 
 
-def complete(stream: StoredStream, largest: int, others: F32, out: F32) -> None:
-    """Write (rows, 4) unit quaternions from the (rows, 3) components that are stored.
+def left_out(stream: StoredStream, largest: int, grid: Grid) -> U8 | None:
+    """Return the (rows,) components that are left out; None where it is the same in every row.
 
     Raises
     ------
     FormatError
-        ``quat-largest``: a row whose component does not exist.
+        ``stream-planes``; ``quat-largest``: a row whose component does not exist.
+    """
+    if largest != PER_ROW:
+        return None
+    stream.require_planes(1 + sum(grid_planes.plane_counts(grid)))
+    which = stream.plane(0, stream.rows)
+    if int(which.max(initial=0)) > 3:
+        raise FormatError(
+            "quat-largest",
+            f"{stream.where}: largest component {int(which.max())}, expected 0 to 3",
+            clause="6.6",
+        )
+    return which
+
+
+def complete(largest: int, which: U8 | None, others: F32, out: F32) -> None:
+    """Write (rows, 4) unit quaternions from the (rows, 3) components that are stored.
+
+    Parameters
+    ----------
+    largest : int
+        The component that is left out in every row, where `which` is None.
+    which : (rows,) uint8 or None
+        The one that is left out in each row.
+    others : (rows, 3) float32
+    out : (rows, 4) float32
     """
     a, b, c = others.T
     rest = np.float32(1) - ((a * a + b * b) + c * c)
     root = np.sqrt(np.maximum(rest, np.float32(0)))
-    if largest == PER_ROW:
-        which = stream.plane(0, stream.rows)
-        if int(which.max(initial=0)) > 3:
-            raise FormatError(
-                "quat-largest",
-                f"{stream.where}: largest component {int(which.max())}, expected 0 to 3",
-                clause="6.6",
-            )
+    if which is not None:
         mask = which[:, None] == np.arange(4, dtype=np.uint8)
         out[mask] = root
         out[~mask] = others.reshape(-1)

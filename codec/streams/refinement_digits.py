@@ -13,7 +13,7 @@ from cogsplat.codec.errors import FormatError
 from . import grid as grids
 from . import grid_planes
 from .grid import ENTRY_BYTES, Grid
-from .records import INFINITIES, Attribute, Kind, StoredStream, Stream
+from .records import Attribute, Kind, StoredStream, Stream
 
 F32 = NDArray[np.float32]
 U32 = NDArray[np.uint32]
@@ -43,21 +43,15 @@ def write(attribute: Attribute, codes: U32, grid: Grid, radices: Sequence[int]) 
     return Stream(attribute, Kind.DIGITS, len(codes), grid.pack() + bytes(radices), planes)
 
 
-def parse(head: StoredStream, digits: StoredStream, components: int) -> tuple[Grid, list[int]]:
-    """Return the fine grid and the radices of digits that refine a stream of the head.
+def parse(digits: StoredStream, components: int) -> tuple[Grid, list[int]]:
+    """Return the fine grid and the radices of digits.
 
     Raises
     ------
     FormatError
-        ``stream-kind``: the head's stream has infinities; ``stream-params``, ``grid-value``,
-        ``grid-levels``, ``refinement-radix``, ``stream-planes``.
+        ``stream-params``, ``grid-value``, ``grid-levels``, ``refinement-radix``,
+        ``stream-planes``.
     """
-    if head.flags & INFINITIES:
-        raise FormatError(
-            "stream-kind",
-            f"{digits.where}: digits for a stream with infinities, expected one without",
-            clause="6.16",
-        )
     params = digits.require_params(components * (ENTRY_BYTES + 1))
     grid = grids.unpack(params[: components * ENTRY_BYTES], components, digits.where)
     radices = list(params[components * ENTRY_BYTES :])
@@ -92,8 +86,8 @@ def read(
     FormatError
         As `parse`; ``code-range``: a code of the head, a digit or a fine code is out of range.
     """
-    grid, radices = parse(head, digits, coarse.components)
     codes = grid_planes.read_codes(head, coarse)
+    grid, radices = parse(digits, coarse.components)
     if coarse_out is not None:
         coarse_out[:] = coarse.dequantise(codes)
     plane = 0

@@ -540,19 +540,19 @@ class CogsFile:
         payload = self.read_segment(head)
         row = int(self._index.refinements[chunk])
         finer = self.read_segment(row) if refine and row >= 0 and self.is_present(row) else None
-        heads.decode_head(payload, self._books(head, degree), out, f"{where} head", finer)
-        if out.extras:
-            payload = self.read_segment(int(self._index.attributes[chunk]))
-            unpack_attributes(payload, self.root.attributes, out.extras, f"{where} attributes")
-        if not degree:
-            return
         tail = int(self._index.tails[chunk])
-        if tail < 0 or not self.has_tail(chunk, degree):
+        with_tail = degree > 0 and tail >= 0 and self.has_tail(chunk, degree)
+        coefficients = self.read_segment(tail) if with_tail else None
+        extras = self.read_segment(int(self._index.attributes[chunk])) if out.extras else None
+        # All CRCs were checked before anything is decoded, in the order of SPEC 7.5.
+        heads.decode_head(payload, self._books(head, degree), out, f"{where} head", finer)
+        if coefficients is None:
             out.shN[:] = 0
-            return
-        payload = self.read_segment(tail)
-        books = self._books(tail, degree)
-        tails.decode_tail(payload, books, out.shN, f"{where} tail", sh_degree=self.root.sh_degree)
+        else:
+            books, most = self._books(tail, degree), self.root.sh_degree
+            tails.decode_tail(coefficients, books, out.shN, f"{where} tail", sh_degree=most)
+        if extras is not None:
+            unpack_attributes(extras, self.root.attributes, out.extras, f"{where} attributes")
 
     def _books(self, row: int, degree: int) -> dict[int, Codebook]:
         keys = {book: self._codebook_key(book, degree) for book in self._needed(row)}

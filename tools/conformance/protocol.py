@@ -66,6 +66,8 @@ class DecoderProcess:
     def __init__(self, command: Sequence[str], timeout_s: float = 30.0) -> None:
         self._command = list(command)
         self._timeout_s = timeout_s
+        self._most_memory = 0
+        self._unsent = ""
         self._start()
 
     def _start(self) -> None:
@@ -118,14 +120,26 @@ class DecoderProcess:
 
     def ask(self, request: Answer) -> tuple[Answer | None, str]:
         """Send a request; return the answer, or None and what went wrong instead."""
+        self.send(request)
+        return self.receive()
+
+    def send(self, request: Answer) -> None:
+        """Send a request, whose answer `receive` returns."""
+        self._unsent = ""
         try:
             self._input.write(json.dumps(request) + "\n")
             self._input.flush()
+        except OSError as error:
+            self._unsent = f"the decoder ended: {error.strerror}"
+
+    def receive(self) -> tuple[Answer | None, str]:
+        """Return the answer to what was sent last, or None and what went wrong instead."""
+        if self._unsent:
+            return None, self._again(self._unsent)
+        try:
             line = self._lines.get(timeout=self._timeout_s)
         except queue.Empty:
             return None, self._again(f"no answer within {self._timeout_s:g} s")
-        except OSError as error:
-            return None, self._again(f"the decoder ended: {error.strerror}")
         if line is None:
             status = self._process.wait()
             return None, self._again(f"the decoder ended with status {status}")
@@ -137,7 +151,17 @@ class DecoderProcess:
             return None, f"{line[:80]!r} is no JSON object"
         return answer, ""
 
+    def most_memory(self) -> int:
+        """Return the most memory that the decoder held at once, bytes; 0 where no system tells."""
+        # Linux alone keeps it where another process can read it.
+        with suppress(OSError):
+            for line in Path(f"/proc/{self._process.pid}/status").read_text("ascii").splitlines():
+                if line.startswith("VmHWM:"):
+                    self._most_memory = max(self._most_memory, 1024 * int(line.split()[1]))
+        return self._most_memory
+
     def _again(self, reason: str) -> str:
+        self.most_memory()
         self._process.kill()
         with suppress(OSError):  # a request that was not sent is lost with the process
             self._input.close()
@@ -173,13 +197,18 @@ class DecoderProcess:
         self, path: Path, out: Path, *, partial: bool = False, refine: bool = True, verify: bool
     ) -> tuple[Answer | None, str]:
         """Ask for a file; see the module for what is answered."""
-        return self.ask(
-            {
-                "op": "decode",
-                "path": str(path),
-                "out": str(out),
-                "partial": partial,
-                "refine": refine,
-                "verify": verify,
-            }
-        )
+        return self.ask(decode_request(path, out, partial=partial, refine=refine, verify=verify))
+
+
+def decode_request(
+    path: Path, out: Path, *, partial: bool = False, refine: bool = True, verify: bool
+) -> Answer:
+    """Return the request that asks for a file, see ``docs/conformance.md``."""
+    return {
+        "op": "decode",
+        "path": str(path),
+        "out": str(out),
+        "partial": partial,
+        "refine": refine,
+        "verify": verify,
+    }

@@ -50,8 +50,8 @@ export function swingTwistQuats(a: usize, b: usize, c: usize, rows: i32, targets
   }
 }
 
-/** Unit quaternions of three components; −1 for a component left out above 3. */
-export function quats(a: usize, b: usize, c: usize, rows: i32, largest: i32, plane: usize, targets: usize): i32 {
+/** Unit quaternions of three components. */
+export function quats(a: usize, b: usize, c: usize, rows: i32, largest: i32, plane: usize, targets: usize): void {
   const tw = <usize>load<u32>(targets);
   const tx = <usize>load<u32>(targets, 4);
   const ty = <usize>load<u32>(targets, 8);
@@ -62,7 +62,6 @@ export function quats(a: usize, b: usize, c: usize, rows: i32, largest: i32, pla
     const bv = load<f32>(b + at);
     const cv = load<f32>(c + at);
     const left = plane ? <i32>load<u8>(plane + row) : largest;
-    if (left > 3) return -1;
     const sum: f32 = av * av + bv * bv + cv * cv;
     const rest = sqrt<f32>(max<f32>(1 - sum, 0));
     let w = left == 0 ? rest : av;
@@ -80,5 +79,4 @@ export function quats(a: usize, b: usize, c: usize, rows: i32, largest: i32, pla
     store<f32>(ty + at, negative ? -y : y);
     store<f32>(tz + at, negative ? -z : z);
   }
-  return 0;
 }

@@ -186,6 +186,11 @@ export class SceneIndex {
     return found;
   }
 
+  /** The segments of all codebooks, those that no chunk needs too, codebook by codebook. */
+  allCodebookSegments(): number[] {
+    return this.codebookSegments.flatMap((segments) => [...segments].sort(([a], [b]) => a - b).map(([, segment]) => segment));
+  }
+
   /** Refuse a payload whose CRC is not the table's. */
   checkCrc(segment: number, payload: Uint8Array): void {
     if (payload.length !== this.segments.length[segment]! || crc32(payload) !== this.segments.crc[segment]!) {

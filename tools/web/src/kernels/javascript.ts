@@ -197,19 +197,17 @@ export class JavascriptKernels extends Arena implements Kernels {
     }
   }
 
-  quats(a: number, b: number, c: number, rows: number, largest: number, plane: number, targets: number): number {
+  quats(a: number, b: number, c: number, rows: number, largest: number, plane: number, targets: number): void {
     const [as, bs, cs] = [this.column(a, rows), this.column(b, rows), this.column(c, rows)];
     const to = this.addresses(targets, 4);
     for (let row = 0; row < rows; row++) {
       const [ar, br, cr] = [as[row]!, bs[row]!, cs[row]!];
       const left = plane ? this.u8[plane + row]! : largest;
-      if (left > 3) return -1;
       const rest = f32(1 - f32(f32(f32(ar * ar) + f32(br * br)) + f32(cr * cr)));
       const quat = [ar, br, cr];
       quat.splice(left, 0, f32(Math.sqrt(Math.max(rest, 0))));
       this.storeUnit(to, row, quat[0]!, quat[1]!, quat[2]!, quat[3]!);
     }
-    return 0;
   }
 
   /** Divide by the norm, flip so that w is not below 0, and store. */

@@ -61,8 +61,8 @@ export interface Kernels {
   swingTwist(extra: number, rows: number, planes: number, low: number, target: number): number;
   /** Unit quaternions of swing and twist; targets are four u32 addresses. */
   swingTwistQuats(a: number, b: number, c: number, rows: number, targets: number): void;
-  /** Unit quaternions of three components (SPEC 6.6); −1 for a component left out above 3. */
-  quats(a: number, b: number, c: number, rows: number, largest: number, plane: number, targets: number): number;
+  /** Unit quaternions of three components (SPEC 6.6); `plane` says which is left out, or `largest` where it is 0. */
+  quats(a: number, b: number, c: number, rows: number, largest: number, plane: number, targets: number): void;
   /** Scales of differences (SPEC 6.12): the first two columns; the third is `l` itself. */
   differences(l: number, u: number, v: number, rows: number, s0: number, s1: number): void;
   /** Sh0 of coordinates on three axes (SPEC 6.13): in place; `axes` are nine f32, row by row. */

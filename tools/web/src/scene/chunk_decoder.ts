@@ -70,7 +70,7 @@ export class ChunkDecoder {
       const tail =
         payloads.tail && degree > 0
           ? readTail(
-              k, new Payload(k, payloads.tail, rows, "tail"), rows, needs.tail, codebooks, this.index.scene.shDegree,
+              k, new Payload(k, payloads.tail, rows, "tail"), needs.tail, codebooks, this.index.scene.shDegree,
               degree,
             )
           : undefined;

@@ -3,7 +3,7 @@ import { readIndexParams, readIndices } from "../streams/codebook_index.js";
 import { readFloatStream } from "../streams/float_streams.js";
 import { readGridStream } from "../streams/grid_streams.js";
 import { readQuats, readSwingTwist } from "../streams/quat_streams.js";
-import { Attribute, checkKind, checkRows, Kind, type Payload, type StreamRecord } from "../streams/records.js";
+import { Attribute, Kind, type Payload, type StreamRecord } from "../streams/records.js";
 import { readSortedMeans } from "../streams/sorted_means.js";
 import { readPlainColumns, readShapeRows, type Codebooks } from "./codebooks.js";
 
@@ -19,9 +19,6 @@ export interface HeadColumns {
   readonly sh0: readonly number[];
 }
 
-const PLAIN = [Attribute.scales, Attribute.quats, Attribute.means, Attribute.opacities, Attribute.sh0];
-const WITH_SHAPE = [Attribute.shape, Attribute.scaleFactor, Attribute.means, Attribute.opacities, Attribute.sh0];
-
 /**
  * Decode a head, refined where its refinement is there (SPEC 7.2, 7.4).
  *
@@ -33,24 +30,15 @@ const WITH_SHAPE = [Attribute.shape, Attribute.scaleFactor, Attribute.means, Att
 export function readHead(
   k: Kernels, head: Payload, refinement: Payload | undefined, rows: number, needs: number, codebooks: Codebooks,
 ): HeadColumns {
-  const shape = head.find(Attribute.shape);
-  refinement?.only(refinable(shape !== undefined));
-  const { coarse, scales, quats } =
-    shape === undefined
-      ? readPlainShape(k, head, refinement, rows)
-      : readIndexedShape(k, head, shape, rows, needs, codebooks);
-  const means = head.get(Attribute.means);
-  const opacities = head.get(Attribute.opacities);
-  const sh0 = head.get(Attribute.sh0);
-  for (const stream of [means, opacities, sh0]) checkRows(stream, rows);
-  const refined = (attribute: number) => refinementOf(refinement, attribute, rows);
-  return {
-    means: readMeans(k, means, coarse, refined(Attribute.means)),
-    scales,
-    quats,
-    opacities: readValues(k, opacities, refined(Attribute.opacities))[0]!,
-    sh0: readValues(k, sh0, refined(Attribute.sh0)),
-  };
+  const { coarse, scales, quats } = head.has(Attribute.shape)
+    ? readIndexedShape(k, head, rows, needs, codebooks)
+    : readPlainShape(k, head, refinement);
+  const means = readRefined(k, head, refinement, Attribute.means, coarse);
+  const opacities = readRefined(k, head, refinement, Attribute.opacities, coarse)[0]!;
+  const sh0 = readRefined(k, head, refinement, Attribute.sh0, coarse);
+  head.finish();
+  refinement?.finish();
+  return { means, scales, quats, opacities, sh0 };
 }
 
 interface Shape {
@@ -60,69 +48,42 @@ interface Shape {
   readonly quats: readonly number[];
 }
 
-function readPlainShape(k: Kernels, head: Payload, refinement: Payload | undefined, rows: number): Shape {
-  for (const attribute of PLAIN) head.get(attribute);
-  head.only(PLAIN);
-  const stream = head.get(Attribute.scales);
-  const quatStream = head.get(Attribute.quats);
-  checkRows(stream, rows);
-  checkRows(quatStream, rows);
+function readPlainShape(k: Kernels, head: Payload, refinement: Payload | undefined): Shape {
+  const stream = head.take(Attribute.scales);
+  const digits = refinement?.takeRefining(stream);
   const coarse = readValues(k, stream, undefined);
-  const digits = refinementOf(refinement, Attribute.scales, rows);
   const scales = digits === undefined ? coarse : readValues(k, stream, digits);
+  const quatStream = head.take(Attribute.quats);
   const quats = quatStream.kind === Kind.swingTwist ? readSwingTwist(k, quatStream, coarse) : readQuats(k, quatStream);
   return { coarse, scales, quats };
 }
 
-function readIndexedShape(
-  k: Kernels, head: Payload, shape: StreamRecord, rows: number, needs: number, codebooks: Codebooks,
-): Shape {
-  for (const attribute of WITH_SHAPE) head.get(attribute);
-  checkRows(shape, rows);
+function readIndexedShape(k: Kernels, head: Payload, rows: number, needs: number, codebooks: Codebooks): Shape {
+  const shape = head.take(Attribute.shape);
   const { codebook, escapes } = readIndexParams(shape);
-  const escapeAttributes = escapes > 0 ? [Attribute.scales, Attribute.quats] : [];
-  for (const attribute of escapeAttributes) head.get(attribute, true);
-  head.only(WITH_SHAPE, escapeAttributes);
+  const escaped = escapes > 0 ? readShapeRows(k, head, escapes) : [];
   const book = codebooks.shape(codebook, needs);
-  const escaped = escapes > 0 ? readShapeRows(k, head, escapes, true) : [];
   const indices = readIndices(k, shape, book.rows, escapes);
   const columns = [...book.scales, ...book.quats].map((column, i) => {
     const target = k.alloc(4 * rows);
     k.gather(column, escaped[i] ?? 0, book.rows, indices, rows, 1, target, 1);
     return target;
   });
-  const factor = head.get(Attribute.scaleFactor);
-  checkRows(factor, rows);
-  const [factors] = readPlainColumns(k, factor);
+  const [factors] = readPlainColumns(k, head.take(Attribute.scaleFactor));
   const scales = columns.slice(0, 3);
   for (const column of scales) k.add(column, factors!, rows);
   return { coarse: scales, scales, quats: columns.slice(3) };
 }
 
-/** Attributes that a refinement may have (SPEC 7.4). */
-function refinable(indexed: boolean): number[] {
-  const attributes: number[] = [Attribute.means, Attribute.opacities, Attribute.sh0];
-  return indexed ? attributes : [Attribute.scales, ...attributes];
-}
-
-function refinementOf(refinement: Payload | undefined, attribute: number, rows: number): StreamRecord | undefined {
-  const stream = refinement?.find(attribute);
-  if (stream !== undefined) checkRows(stream, rows);
-  return stream;
-}
-
-function readMeans(
-  k: Kernels, stream: StreamRecord, scales: readonly number[], refinement: StreamRecord | undefined,
+/** Read an attribute with what refines it. */
+function readRefined(
+  k: Kernels, head: Payload, refinement: Payload | undefined, attribute: number, coarse: readonly number[],
 ): readonly number[] {
-  if (stream.kind === Kind.sorted) return readSortedMeans(k, stream, scales, refinement);
-  return readValues(k, stream, refinement);
+  const stream = head.take(attribute);
+  const refining = refinement?.takeRefining(stream);
+  return stream.kind === Kind.sorted ? readSortedMeans(k, stream, coarse, refining) : readValues(k, stream, refining);
 }
 
-function readValues(k: Kernels, stream: StreamRecord, refinement: StreamRecord | undefined): readonly number[] {
-  if (refinement !== undefined) {
-    // Digits refine codes on grids; bits refine sorted means alone (SPEC 6.16, 6.17).
-    checkKind(refinement, [Kind.digits]);
-    if (stream.kind === Kind.float) checkKind(stream, [Kind.scalar, Kind.differences, Kind.basis]);
-  }
-  return stream.kind === Kind.float ? readFloatStream(k, stream) : readGridStream(k, stream, refinement);
+function readValues(k: Kernels, stream: StreamRecord, refining: StreamRecord | undefined): readonly number[] {
+  return stream.kind === Kind.float ? readFloatStream(k, stream) : readGridStream(k, stream, refining);
 }

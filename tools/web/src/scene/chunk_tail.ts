@@ -1,9 +1,8 @@
-import { CogsplatError } from "../errors.js";
 import type { Kernels } from "../kernels/kernels.js";
 import { readIndexParams, readIndices } from "../streams/codebook_index.js";
-import { Attribute, checkRows, Kind, type Payload, type StreamRecord } from "../streams/records.js";
+import { Attribute, Kind, type Payload, type StreamRecord } from "../streams/records.js";
 import {
-  BASIS_STRIDE, checkBasisEntries, readShnCoordinates, readShnParams, type ShnCoordinates,
+  BASIS_STRIDE, checkBasisEntries, readShnCodebook, readShnCoordinates, readShnParams, type ShnCoordinates,
 } from "../streams/shn_basis.js";
 import { BAND_FLOATS, bandAttributes, readBand, type Codebooks, type ColourCodebook } from "./codebooks.js";
 
@@ -21,63 +20,67 @@ export type TailSource =
 /**
  * Read a tail up to a degree (SPEC 7.3).
  *
- * @param rows - Splats of the chunk.
  * @param needs - Codebooks that the tail's segment needs.
  * @param shDegree - Degree of the scene.
  * @param degree - Degree wanted; bands above it are not read.
  */
 export function readTail(
-  k: Kernels, tail: Payload, rows: number, needs: number, codebooks: Codebooks, shDegree: number, degree: number,
+  k: Kernels, tail: Payload, needs: number, codebooks: Codebooks, shDegree: number, degree: number,
 ): TailSource {
-  const stream = tail.find(Attribute.shN);
-  if (stream === undefined) {
-    tail.only(bandAttributes(shDegree));
-    return { form: "bands", bands: readBands(k, tail, rows, degree, false) };
-  }
-  checkRows(stream, rows);
-  if (stream.kind === Kind.basis) {
-    tail.only([Attribute.shN]);
-    return readBasis(k, stream, needs, codebooks, degree);
-  }
+  const source = tail.has(Attribute.shN)
+    ? readOnCodebook(k, tail, needs, codebooks, shDegree, degree)
+    : { form: "bands" as const, bands: readBands(k, tail, shDegree, degree) };
+  tail.finish();
+  return source;
+}
+
+function readOnCodebook(
+  k: Kernels, tail: Payload, needs: number, codebooks: Codebooks, shDegree: number, degree: number,
+): TailSource {
+  const stream = tail.take(Attribute.shN);
+  if (stream.kind === Kind.basis) return readBasis(k, stream, needs, codebooks, degree);
   const { codebook: number, escapes } = readIndexParams(stream);
-  tail.only([Attribute.shN], escapes > 0 ? bandAttributes(shDegree) : []);
+  const escaped = escapes > 0 ? readBands(k, tail, shDegree, degree, escapes) : [];
   const codebook = codebooks.colour(number, needs, degree);
-  const escaped = readBands(k, tail, escapes, degree, true);
   const indices = readIndices(k, stream, codebook.rows, escapes);
   return { form: "indices", indices, codebook, escapes: escaped };
 }
 
-function readBands(k: Kernels, tail: Payload, rows: number, degree: number, escape: boolean): (number | undefined)[] {
-  return bandAttributes(degree).map((attribute, band) => {
-    const stream = tail.find(attribute, escape);
-    if (stream === undefined) return undefined;
-    const target = k.alloc(4 * rows * BAND_FLOATS[band]!);
-    readBand(k, stream, rows, target);
+/**
+ * Addresses of the bands that are there, up to the degree wanted; those above it are taken and not read.
+ *
+ * @param escapes - Number of escape rows; undefined for the rows of the chunk.
+ */
+function readBands(k: Kernels, tail: Payload, shDegree: number, degree: number, escapes?: number): (number | undefined)[] {
+  const addresses = bandAttributes(shDegree).map((attribute, band) => {
+    if (!tail.has(attribute, escapes !== undefined)) return undefined;
+    const stream = escapes === undefined ? tail.take(attribute) : tail.takeEscape(attribute, escapes);
+    if (band >= degree) return undefined;
+    const target = k.alloc(4 * stream.rows * BAND_FLOATS[band]!);
+    readBand(k, stream, target);
     return target;
   });
+  return addresses.slice(0, degree);
 }
 
 function readBasis(
   k: Kernels, stream: StreamRecord, needs: number, codebooks: Codebooks, degree: number,
 ): TailSource {
-  const params = readShnParams(stream);
-  const book = codebooks.colour(params.codebook, needs, degree);
-  if (params.width > book.rows) {
-    throw new CogsplatError("basis-width", `${params.width} coordinates on a basis of ${book.rows} rows`);
-  }
-  const basis = k.alloc(4 * BASIS_STRIDE * params.width);
-  const rows = k.f32.subarray(basis >>> 2, (basis >>> 2) + BASIS_STRIDE * params.width).fill(0);
+  const book = codebooks.colour(readShnCodebook(stream), needs, degree);
+  const { width, ...params } = readShnParams(stream, book.rows);
+  const basis = k.alloc(4 * BASIS_STRIDE * width);
+  const rows = k.f32.subarray(basis >>> 2, (basis >>> 2) + BASIS_STRIDE * width).fill(0);
   let first = 0;
   for (let band = 0; band < degree; band++) {
     const floats = BAND_FLOATS[band]!;
     const from = k.f32.subarray(book.bands[band]! >>> 2);
-    for (let j = 0; j < params.width; j++) {
+    for (let j = 0; j < width; j++) {
       rows.set(from.subarray(floats * j, floats * (j + 1)), BASIS_STRIDE * j + first);
     }
     first += floats;
   }
   checkBasisEntries(rows);
-  return { form: "basis", coordinates: readShnCoordinates(k, stream, params), basis };
+  return { form: "basis", coordinates: readShnCoordinates(k, stream, { width, ...params }), basis };
 }
 
 /**

@@ -5,7 +5,7 @@ import type { Kernels } from "../kernels/kernels.js";
 import { readFloatRows, readFloatStream } from "../streams/float_streams.js";
 import { readGridStream, readScalarRows } from "../streams/grid_streams.js";
 import { readQuats } from "../streams/quat_streams.js";
-import { Attribute, checkKind, checkRows, Kind, Payload, type StreamRecord } from "../streams/records.js";
+import { Attribute, Kind, Payload, type StreamRecord } from "../streams/records.js";
 
 /** Values of a row in each SH band, coefficients times channels. */
 export const BAND_FLOATS = [9, 15, 21] as const;
@@ -47,7 +47,9 @@ export class Codebooks {
       const kept = Array.from({ length: 7 }, () => k.alloc(4 * rows));
       const scratch = k.mark();
       try {
-        copyColumns(k, readShapeRows(k, new Payload(k, payload, rows, "codebook"), rows, false), kept, rows);
+        const streams = new Payload(k, payload, rows, "codebook");
+        copyColumns(k, readShapeRows(k, streams), kept, rows);
+        streams.finish();
       } catch (error) {
         k.release(bottom);
         throw error;
@@ -61,10 +63,10 @@ export class Codebooks {
     const scratch = k.mark();
     try {
       const streams = new Payload(k, payload, rows, "codebook");
-      streams.only([BAND_ATTRIBUTES[band]!]);
-      const stream = streams.find(BAND_ATTRIBUTES[band]!);
-      if (stream === undefined) k.u8.fill(0, kept, scratch);
-      else readBand(k, stream, rows, kept);
+      const attribute = BAND_ATTRIBUTES[band]!;
+      if (streams.has(attribute)) readBand(k, streams.take(attribute), kept);
+      else k.u8.fill(0, kept, scratch);
+      streams.finish();
     } catch (error) {
       k.release(bottom);
       throw error;
@@ -107,17 +109,12 @@ export class Codebooks {
 /**
  * Scales and quaternions of a codebook or of escape rows: seven columns.
  *
- * @param escape - Whether the streams have the flag escape.
+ * @param escapes - Number of escape rows; undefined for the rows of a codebook.
  */
-export function readShapeRows(k: Kernels, payload: Payload, rows: number, escape: boolean): number[] {
-  const scales = payload.get(Attribute.scales, escape);
-  const quats = payload.get(Attribute.quats, escape);
-  if (!escape) payload.only([Attribute.scales, Attribute.quats]);
-  checkRows(scales, rows);
-  checkRows(quats, rows);
-  checkKind(scales, [Kind.scalar, Kind.float]);
-  checkKind(quats, [Kind.quat]);
-  return [...readPlainColumns(k, scales), ...readQuats(k, quats)];
+export function readShapeRows(k: Kernels, payload: Payload, escapes?: number): number[] {
+  const take = (attribute: number) => (escapes === undefined ? payload.take(attribute) : payload.takeEscape(attribute, escapes));
+  const scales = readPlainColumns(k, take(Attribute.scales));
+  return [...scales, ...readQuats(k, take(Attribute.quats))];
 }
 
 /** Columns of a scalar or float stream. */
@@ -126,8 +123,7 @@ export function readPlainColumns(k: Kernels, stream: StreamRecord): number[] {
 }
 
 /** Rows of one SH band. */
-export function readBand(k: Kernels, stream: StreamRecord, rows: number, target: number): void {
-  checkRows(stream, rows);
+export function readBand(k: Kernels, stream: StreamRecord, target: number): void {
   if (stream.kind === Kind.float) readFloatRows(k, stream, target);
   else readScalarRows(k, stream, target);
 }

@@ -102,25 +102,34 @@ export class SceneFile {
       throw new CogsplatError("file-truncated", `chunk ${chunk} is not in the ${this.bytes.length} bytes that are there`);
     }
     const { head, tail, refinement } = this.index.chunkSegments(chunk);
-    const { needs, kind, owner } = this.index.segments;
+    const { needs } = this.index.segments;
     const rows = this.index.chunks.splats[chunk]!;
     const withTail = this.tailIsThere(chunk, degree) && degree > 0;
     this.checkSize(rows, degree);
-    for (const part of withTail ? [head, tail] : [head]) {
-      // Heads use shape codebooks alone, whatever they state.
-      for (const segment of this.index.codebookSegmentsOf(part, part === head ? 0 : degree)!) {
-        if (!this.decoder.hasCodebook(owner[segment]!, kind[segment]!)) {
-          this.decoder.addCodebook(owner[segment]!, kind[segment]!, this.payload(segment));
-        }
-      }
-    }
+    this.addCodebooks(chunk, degree);
     const payloads = {
       chunk,
       head: this.payload(head),
-      tail: withTail ? this.payload(tail) : undefined,
       refinement: refine && this.refinementIsThere(chunk) ? this.payload(refinement) : undefined,
+      tail: withTail ? this.payload(tail) : undefined,
     };
     return { payloads, rows, needs: { head: needs[head]!, tail: withTail ? needs[tail]! : 0 } };
+  }
+
+  /** Decode the codebooks that a chunk needs and that were not decoded before. */
+  private addCodebooks(chunk: number, degree: number): void {
+    const { head, tail } = this.index.chunkSegments(chunk);
+    const parts = this.tailIsThere(chunk, degree) && degree > 0 ? [head, tail] : [head];
+    for (const part of parts) {
+      // Heads use shape codebooks alone, whatever they state.
+      for (const segment of this.index.codebookSegmentsOf(part, part === head ? 0 : degree)!) this.addCodebook(segment);
+    }
+  }
+
+  private addCodebook(segment: number): void {
+    const { kind, owner } = this.index.segments;
+    if (this.decoder.hasCodebook(owner[segment]!, kind[segment]!)) return;
+    this.decoder.addCodebook(owner[segment]!, kind[segment]!, this.payload(segment));
   }
 
   /** Decode all chunks of the prefix, one after the other. */
@@ -128,6 +137,7 @@ export class SceneFile {
     const count = this.prefixChunks;
     const rows = this.index.chunks.splats.subarray(0, count).reduce((sum, n) => sum + n, 0);
     this.checkSize(rows, degree);
+    for (let chunk = 0; chunk < count; chunk++) this.addCodebooks(chunk, degree);
     const chunks = Array.from({ length: count }, (_, chunk) => this.decodeChunk(chunk, degree, refine));
     return concatenate(chunks, degree);
   }
@@ -162,12 +172,14 @@ export class SceneFile {
   }
 
   /**
-   * Check everything of a whole file: hashes, boxes, cameras, attributes and compensation.
+   * Check everything of a whole file: hashes, codebooks, cameras, compensation, and of each chunk all that it has, in
+   * the order of SPEC 8.10.
    *
    * @throws CogsplatError for the first fault.
    */
   async verify(): Promise<void> {
-    const { segments } = this.index;
+    const { segments, chunks, scene } = this.index;
+    this.checkSize(chunks.splats.reduce((sum, n) => sum + n, 0), scene.shDegree, attributeBytes(scene));
     for (let segment = 0; segment < segments.kind.length; segment++) {
       const payload = this.payload(segment);
       const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", payload));
@@ -176,13 +188,16 @@ export class SceneFile {
         throw new CogsplatError("segment-hash", `the hash of segment ${segment} does not match`, this.index.offsets[segment]);
       }
     }
-    for (let chunk = 0; chunk < this.index.chunkCount; chunk++) {
-      this.checkBox(this.decodeChunk(chunk), chunk);
-      this.checkBox(this.decodeChunk(chunk, 0, false), chunk);
-      this.attributes(chunk);
-    }
+    // Codebooks that no chunk needs are part of the file too.
+    for (const segment of this.index.allCodebookSegments()) this.addCodebook(segment);
     this.cameras();
     this.readLayers();
+    for (let chunk = 0; chunk < this.index.chunkCount; chunk++) {
+      this.checkBox(this.decodeChunk(chunk, 0, false), chunk);
+      if (this.refinementIsThere(chunk)) this.checkBox(this.decodeChunk(chunk, 0), chunk);
+      this.decodeChunk(chunk);
+      this.attributes(chunk);
+    }
   }
 
   private checkBox(splats: Splats, chunk: number): void {
@@ -219,13 +234,16 @@ export class SceneFile {
 
   private payload(segment: number): Uint8Array<ArrayBuffer> {
     const { offset, length } = this.index.range(segment);
+    if (offset + length > this.bytes.length) {
+      throw new CogsplatError("file-truncated", `segment ${segment} is not in the ${this.bytes.length} bytes that are there`);
+    }
     const payload = new Uint8Array(this.bytes.subarray(offset, offset + length));
     this.index.checkCrc(segment, payload);
     return payload;
   }
 
   /** Refuse what takes more memory than the caller allows (SPEC 9.2). */
-  private checkSize(rows: number, degree: number): void {
+  private checkSize(rows: number, degree: number, extraBytes = 0): void {
     const books = this.index.codebooks;
     const codebooks = books.reduce((sum, { rows: count, attribute }) => {
       return sum + count * 4 * (attribute === "shape" ? 7 : shnFloats(degree));
@@ -233,7 +251,7 @@ export class SceneFile {
     const largest = books.reduce(
       (most, book) => Math.max(most, book.rows), this.index.chunks.splats.reduce((most, n) => Math.max(most, n), 0),
     );
-    this.checkBytes(rows * (HEAD_BYTES + 4 * shnFloats(degree)) + codebooks + largest * WORKING_BYTES);
+    this.checkBytes(rows * (HEAD_BYTES + 4 * shnFloats(degree) + extraBytes) + codebooks + largest * WORKING_BYTES);
   }
 
   private checkBytes(bytes: number): void {

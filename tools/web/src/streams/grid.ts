@@ -16,7 +16,7 @@ export interface Grid {
 }
 
 /**
- * Read and check grid entries.
+ * Read and check grid entries: all ranges, then all levels (SPEC 7.5).
  *
  * @param params - Parameters of a stream.
  * @param at - Byte where the first entry begins.
@@ -27,14 +27,20 @@ export interface Grid {
 export function readGrids(
   params: DataView, at: number, count: number, maxLevels = MAX_LEVELS, maxEnd = MAX_END,
 ): Grid[] {
-  return Array.from({ length: count }, (_, i) => {
-    const minimum = params.getFloat32(at + GRID_BYTES * i, true);
-    const maximum = params.getFloat32(at + GRID_BYTES * i + 4, true);
-    const levels = params.getUint32(at + GRID_BYTES * i + 8, true);
+  const entries = Array.from({ length: count }, (_, i) => ({
+    minimum: params.getFloat32(at + GRID_BYTES * i, true),
+    maximum: params.getFloat32(at + GRID_BYTES * i + 4, true),
+    levels: params.getUint32(at + GRID_BYTES * i + 8, true),
+  }));
+  for (const { minimum, maximum } of entries) {
     if (!(-maxEnd <= minimum && minimum <= maximum && maximum <= maxEnd)) {
       throw new CogsplatError("grid-value", `a grid from ${minimum} to ${maximum}`);
     }
+  }
+  for (const { levels } of entries) {
     if (levels < 1 || levels > maxLevels) throw new CogsplatError("grid-levels", `a grid of ${levels} levels`);
+  }
+  return entries.map(({ minimum, maximum, levels }) => {
     const step = levels > 1 ? Math.fround(Math.fround(maximum - minimum) / Math.fround(levels - 1)) : 0;
     return { minimum, levels, step };
   });

@@ -2,7 +2,7 @@ import { CogsplatError } from "../errors.js";
 import type { Kernels } from "../kernels/kernels.js";
 import { GRID_BYTES, planesOf, readCodes, readGrids, type Grid } from "./grid.js";
 import { readPlane } from "./planes.js";
-import { checkKind, checkParams, checkPlanes, Kind, type StreamRecord } from "./records.js";
+import { checkParams, checkPlanes, Kind, type StreamRecord } from "./records.js";
 
 /** Bytes of the axes of sh0 behind the grids (SPEC 6.13). */
 const AXES_BYTES = 36;
@@ -19,7 +19,7 @@ const MAX_LEVELS_WITH_INFINITIES = 2 ** 24 - 2;
 export function readGridStream(k: Kernels, stream: StreamRecord, refinement?: StreamRecord): number[] {
   const { rows } = stream;
   const codes = readGridCodes(k, stream);
-  const grids = refinement === undefined ? codes.grids : refineCodes(k, codes, stream, refinement);
+  const grids = refinement === undefined ? codes.grids : refineCodes(k, codes, refinement);
   const columns = grids.map((grid, i) => {
     const target = k.alloc(4 * rows);
     k.gridValues(codes.addresses[i]!, rows, grid.step, grid.minimum, target, 1);
@@ -32,7 +32,7 @@ export function readGridStream(k: Kernels, stream: StreamRecord, refinement?: St
     return [u, v, l];
   }
   if (stream.kind === Kind.basis) {
-    k.sh0Axes(columns[0]!, columns[1]!, columns[2]!, rows, readAxes(k, stream));
+    k.sh0Axes(columns[0]!, columns[1]!, columns[2]!, rows, codes.axes);
   }
   return columns;
 }
@@ -52,6 +52,8 @@ export function readScalarRows(k: Kernels, stream: StreamRecord, target: number)
 interface Codes {
   readonly addresses: number[];
   readonly grids: Grid[];
+  /** Address of the axes of sh0; 0 where the stream has none. */
+  readonly axes: number;
 }
 
 function readGridCodes(k: Kernels, stream: StreamRecord): Codes {
@@ -59,6 +61,7 @@ function readGridCodes(k: Kernels, stream: StreamRecord): Codes {
   checkParams(stream, GRID_BYTES * components + (stream.kind === Kind.basis ? AXES_BYTES : 0));
   const maxLevels = stream.infinities ? MAX_LEVELS_WITH_INFINITIES : undefined;
   const grids = readGrids(stream.params, 0, components, maxLevels);
+  const axes = stream.kind === Kind.basis ? readAxes(k, stream) : 0;
   const limits = grids.map((grid) => grid.levels + (stream.infinities ? 2 : 0));
   checkPlanes(stream, limits.reduce((sum, limit) => sum + planesOf(limit), 0));
   let plane = 0;
@@ -67,13 +70,11 @@ function readGridCodes(k: Kernels, stream: StreamRecord): Codes {
     plane += count;
     return readCodes(k, stream.planes.slice(plane - count, plane), rows, limit);
   });
-  return { addresses, grids };
+  return { addresses, grids, axes };
 }
 
 /** Put fine codes in the place of the head's (SPEC 6.16) and return the fine grids. */
-function refineCodes(k: Kernels, codes: Codes, head: StreamRecord, stream: StreamRecord): Grid[] {
-  checkKind(stream, [Kind.digits]);
-  if (head.infinities) throw new CogsplatError("stream-kind", "digits for a stream with infinities");
+function refineCodes(k: Kernels, codes: Codes, stream: StreamRecord): Grid[] {
   const { components, rows, params } = stream;
   checkParams(stream, (GRID_BYTES + 1) * components);
   const grids = readGrids(params, 0, components);

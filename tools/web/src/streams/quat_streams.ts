@@ -24,6 +24,9 @@ export function readQuats(k: Kernels, stream: StreamRecord): number[] {
   const first = largest === PER_ROW ? 1 : 0;
   checkPlanes(stream, grids.reduce((sum, grid) => sum + planesOf(grid.levels), first));
   const plane = first === 1 ? readPlane(k, planes[0]!, rows) : 0;
+  if (first === 1 && k.u8.subarray(plane, plane + rows).some((component) => component > 3)) {
+    throw new CogsplatError("quat-largest", "a row that leaves out a component above 3");
+  }
   let next = first;
   const [a, b, c] = grids.map((grid) => {
     const count = planesOf(grid.levels);
@@ -35,9 +38,7 @@ export function readQuats(k: Kernels, stream: StreamRecord): number[] {
   }) as [number, number, number];
   const targets = Array.from({ length: 4 }, () => k.alloc(4 * rows));
   const table = addressTable(k, targets);
-  if (k.quats(a, b, c, rows, largest, plane, table) !== 0) {
-    throw new CogsplatError("quat-largest", "a row that leaves out a component above 3");
-  }
+  k.quats(a, b, c, rows, largest, plane, table);
   return targets;
 }
 

@@ -43,22 +43,25 @@ interface AttributeRule {
   readonly kinds: readonly number[];
 }
 
-/** The table of attributes of SPEC 6.2. */
+const PLAIN = [Kind.scalar, Kind.float];
+/** The table of attributes of SPEC 6.2; digits and bits, which stand in refinements, left out. */
 const RULES: ReadonlyMap<number, AttributeRule> = new Map<number, AttributeRule>([
-  [Attribute.means, { name: "means", components: 3, kinds: [Kind.scalar, Kind.float, Kind.sorted, Kind.bits] }],
-  [Attribute.opacities, { name: "opacities", components: 1, kinds: [Kind.scalar, Kind.float, Kind.digits] }],
-  [Attribute.sh0, { name: "sh0", components: 3, kinds: [Kind.scalar, Kind.float, Kind.basis, Kind.digits] }],
-  [Attribute.scales, { name: "scales", components: 3, kinds: [Kind.scalar, Kind.float, Kind.differences, Kind.digits] }],
+  [Attribute.means, { name: "means", components: 3, kinds: [...PLAIN, Kind.sorted] }],
+  [Attribute.opacities, { name: "opacities", components: 1, kinds: PLAIN }],
+  [Attribute.sh0, { name: "sh0", components: 3, kinds: [...PLAIN, Kind.basis] }],
+  [Attribute.scales, { name: "scales", components: 3, kinds: [...PLAIN, Kind.differences] }],
   [Attribute.quats, { name: "quats", components: 4, kinds: [Kind.quat, Kind.swingTwist] }],
-  [Attribute.scaleFactor, { name: "scale factor", components: 1, kinds: [Kind.scalar, Kind.float] }],
+  [Attribute.scaleFactor, { name: "scale factor", components: 1, kinds: PLAIN }],
   [Attribute.shape, { name: "shape", components: 7, kinds: [Kind.vq] }],
   [Attribute.shN, { name: "shN", components: 45, kinds: [Kind.vq, Kind.basis] }],
-  [Attribute.sh1, { name: "sh1", components: 9, kinds: [Kind.scalar, Kind.float] }],
-  [Attribute.sh2, { name: "sh2", components: 15, kinds: [Kind.scalar, Kind.float] }],
-  [Attribute.sh3, { name: "sh3", components: 21, kinds: [Kind.scalar, Kind.float] }],
+  [Attribute.sh1, { name: "sh1", components: 9, kinds: PLAIN }],
+  [Attribute.sh2, { name: "sh2", components: 15, kinds: PLAIN }],
+  [Attribute.sh3, { name: "sh3", components: 21, kinds: PLAIN }],
 ]);
-/** Attributes that a refinement may have (SPEC 7.4). */
-const REFINABLE = new Set<number>([Attribute.means, Attribute.opacities, Attribute.sh0, Attribute.scales]);
+/** Kinds that stand neither for escape rows nor in codebooks (SPEC 6.2). */
+const HEADS_ONLY: readonly number[] = [Kind.differences, Kind.swingTwist];
+/** Attributes whose codes on grids digits refine (SPEC 6.16). */
+const WITH_DIGITS: readonly number[] = [Attribute.opacities, Attribute.sh0, Attribute.scales];
 const KNOWN_KINDS = new Set<number>(Object.values(Kind));
 
 /** One stream of a payload: its record, its parameters and its planes. */
@@ -78,7 +81,7 @@ export interface StreamRecord {
 /** What a payload belongs to: refinements have kinds of their own. */
 export type Place = "head" | "tail" | "codebook" | "refinement";
 
-/** The streams of one payload; a clause takes those that it names, and others are refused. */
+/** The streams of one payload: those that a clause of SPEC 7 names are taken in its order, others are refused. */
 export class Payload {
   private readonly streams = new Map<string, StreamRecord>();
 
@@ -90,56 +93,68 @@ export class Payload {
    * @param rows - Rows of the chunk or codebook, the most that a stream may have.
    * @param place - What the payload belongs to.
    */
-  constructor(k: Kernels, bytes: Uint8Array, rows: number, private readonly place: Place) {
+  constructor(k: Kernels, bytes: Uint8Array, private readonly rows: number, private readonly place: Place) {
     const base = k.alloc(bytes.length);
     k.u8.set(bytes, base);
-    for (const stream of readRecords(bytes, base, rows)) {
-      const refines = stream.kind === Kind.digits || stream.kind === Kind.bits;
-      const key = keyOf(stream.attribute, stream.escape);
-      const refinable = REFINABLE.has(stream.attribute) && !stream.escape;
-      if (place === "refinement" && !refinable) {
-        throw new CogsplatError("stream-unexpected", `a refinement has a stream of ${stream.name}`);
-      }
-      if (!RULES.get(stream.attribute)!.kinds.includes(stream.kind)) {
-        throw new CogsplatError("stream-kind", `${stream.name} of kind ${stream.kind}`);
-      }
-      if (this.streams.has(key)) throw new CogsplatError("stream-duplicate", `${stream.name} twice`);
-      if (refines && place !== "refinement") {
-        throw new CogsplatError("stream-kind", `${stream.name} of a ${place} are of kind ${stream.kind}`);
-      }
-      this.streams.set(key, stream);
-    }
+    for (const stream of readRecords(bytes, base, rows)) this.streams.set(keyOf(stream.attribute, stream.escape), stream);
   }
 
-  /** The stream of an attribute, where there is one. */
-  find(attribute: number, escape = false): StreamRecord | undefined {
-    return this.streams.get(keyOf(attribute, escape));
+  /** Whether a stream of an attribute is there and was not taken yet. */
+  has(attribute: number, escape = false): boolean {
+    return this.streams.has(keyOf(attribute, escape));
   }
 
-  /** The stream of an attribute that must be there. */
-  get(attribute: number, escape = false): StreamRecord {
-    const stream = this.find(attribute, escape);
+  /** The stream of an attribute that must be there, one row for each row of the payload. */
+  take(attribute: number): StreamRecord {
+    return this.takeRows(attribute, false, this.rows);
+  }
+
+  /** The escape rows of an attribute, which must be there and be so many. */
+  takeEscape(attribute: number, rows: number): StreamRecord {
+    return this.takeRows(attribute, true, rows);
+  }
+
+  private takeRows(attribute: number, escape: boolean, rows: number): StreamRecord {
+    const stream = this.streams.get(keyOf(attribute, escape));
+    const { name, kinds } = RULES.get(attribute)!;
     if (stream === undefined) {
-      const name = RULES.get(attribute)!.name;
       throw new CogsplatError("stream-missing", `the ${this.place} has no ${escape ? "escape rows of " : ""}${name}`);
+    }
+    this.streams.delete(keyOf(attribute, escape));
+    checkRows(stream, rows);
+    const isElsewhere = HEADS_ONLY.includes(stream.kind) && (escape || this.place !== "head");
+    if (!kinds.includes(stream.kind) || isElsewhere) {
+      throw new CogsplatError("stream-kind", `${name} of kind ${stream.kind} in a ${this.place}`);
     }
     return stream;
   }
 
-  /**
-   * Refuse what has no place here; called once the streams that must be there were seen to be.
-   *
-   * @param attributes - What may be there without the flag escape.
-   * @param escapes - What may be there with it.
-   */
-  only(attributes: readonly number[], escapes: readonly number[] = []): void {
+  /** Of a refinement the stream that refines one of the head's, where there is one (SPEC 7.4). */
+  takeRefining(head: StreamRecord): StreamRecord | undefined {
+    const stream = this.streams.get(keyOf(head.attribute, false));
+    if (stream === undefined) return undefined;
+    this.streams.delete(keyOf(head.attribute, false));
+    checkRows(stream, this.rows);
+    if (stream.kind !== refinedBy(head)) {
+      throw new CogsplatError("stream-kind", `${stream.name} of kind ${stream.kind} for a stream of kind ${head.kind}`);
+    }
+    return stream;
+  }
+
+  /** Refuse streams that nothing took. */
+  finish(): void {
     for (const stream of this.streams.values()) {
-      if (!(stream.escape ? escapes : attributes).includes(stream.attribute)) {
-        const rows = stream.escape ? "escape rows of " : "";
-        throw new CogsplatError("stream-unexpected", `the ${this.place} has a stream of ${rows}${stream.name}`);
-      }
+      const rows = stream.escape ? "escape rows of " : "";
+      throw new CogsplatError("stream-unexpected", `the ${this.place} has a stream of ${rows}${stream.name}`);
     }
   }
+}
+
+/** The kind that refines a stream of a head; undefined where none does (SPEC 7.4). */
+function refinedBy({ attribute, kind, infinities }: StreamRecord): number | undefined {
+  if (kind === Kind.sorted) return Kind.bits;
+  const isOnGrid = kind === Kind.scalar || kind === Kind.differences || kind === Kind.basis;
+  return isOnGrid && !infinities && WITH_DIGITS.includes(attribute) ? Kind.digits : undefined;
 }
 
 function keyOf(attribute: number, escape: boolean): string {
@@ -154,33 +169,39 @@ function readRecords(bytes: Uint8Array, base: number, most: number): StreamRecor
   leaves(2, "the number of streams", 0);
   const count = view.getUint16(0, true);
   if (count > MAX_STREAMS) throw new CogsplatError("stream-count", `${count} streams`, 0);
-  const records: { at: number; words: number; planes: number }[] = [];
+  const records: Omit<StreamRecord, "planes">[] = [];
+  const words: { at: number; planes: number }[] = [];
+  const seen = new Set<string>();
   let at = 2;
   for (let i = 0; i < count; i++) {
     leaves(at + RECORD_BYTES, `record ${i}`, at);
     const planes = view.getUint16(at + 8, true);
-    const words = at + RECORD_BYTES + view.getUint16(at + 10, true);
-    leaves(words + 4 * planes, `record ${i}`, at);
-    records.push({ at, words, planes });
-    at = words + 4 * planes;
+    const params = view.getUint16(at + 10, true);
+    const wordsAt = at + RECORD_BYTES + params;
+    leaves(wordsAt + 4 * planes, `record ${i}`, at);
+    const record = readRecord(view, at, params, most);
+    const key = keyOf(record.attribute, record.escape);
+    if (seen.has(key)) throw new CogsplatError("stream-duplicate", `${record.name} twice`, at);
+    seen.add(key);
+    records.push(record);
+    words.push({ at: wordsAt, planes });
+    at = wordsAt + 4 * planes;
   }
-  const streams = records.map((record) => {
-    const planes: StoredPlane[] = [];
-    for (let i = 0; i < record.planes; i++) {
-      const word = view.getUint32(record.words + 4 * i, true);
-      leaves(at + storedBytes(word), `plane ${i}`, at);
-      planes.push({ word, address: base + at });
+  const streams = records.map((record, r) => {
+    const planes = Array.from({ length: words[r]!.planes }, (_, i): StoredPlane => {
+      const word = view.getUint32(words[r]!.at + 4 * i, true);
+      const start = at;
       at += storedBytes(word);
-    }
-    return readRecord(view, record.at, record.words, planes, most);
+      leaves(at, `plane ${i} of ${record.name}`, start);
+      return { word, address: base + start };
+    });
+    return { ...record, planes };
   });
   if (at !== bytes.length) throw new CogsplatError("stream-record", `${bytes.length - at} bytes behind the planes`, at);
   return streams;
 }
 
-function readRecord(
-  view: DataView, at: number, words: number, planes: readonly StoredPlane[], most: number,
-): StreamRecord {
+function readRecord(view: DataView, at: number, paramBytes: number, most: number): Omit<StreamRecord, "planes"> {
   const attribute = view.getUint8(at);
   const kind = view.getUint8(at + 1);
   const components = view.getUint8(at + 2);
@@ -198,10 +219,8 @@ function readRecord(
     throw new CogsplatError("stream-record", `infinities in ${rule.name}`, at + 3);
   }
   if (rows > most) throw new CogsplatError("stream-rows", `${rows} rows of ${rule.name}, at most ${most}`, at + 4);
-  const params = new DataView(view.buffer, view.byteOffset + at + RECORD_BYTES, words - at - RECORD_BYTES);
-  return {
-    attribute, name: rule.name, kind, components, escape: (flags & FLAG_ESCAPE) !== 0, infinities, rows, params, planes,
-  };
+  const params = new DataView(view.buffer, view.byteOffset + at + RECORD_BYTES, paramBytes);
+  return { attribute, name: rule.name, kind, components, escape: (flags & FLAG_ESCAPE) !== 0, infinities, rows, params };
 }
 
 /** Refuse parameters of another length than the kind implies. */
@@ -218,12 +237,6 @@ export function checkPlanes(stream: StreamRecord, planes: number): void {
   }
 }
 
-/** Refuse another number of rows than the stream's place has. */
-export function checkRows(stream: StreamRecord, rows: number): void {
+function checkRows(stream: StreamRecord, rows: number): void {
   if (stream.rows !== rows) throw new CogsplatError("stream-rows", `${stream.name}: ${stream.rows} rows, not ${rows}`);
-}
-
-/** Refuse a kind that the attribute has elsewhere but not in this place. */
-export function checkKind(stream: StreamRecord, kinds: readonly number[]): void {
-  if (!kinds.includes(stream.kind)) throw new CogsplatError("stream-kind", `${stream.name} of kind ${stream.kind} here`);
 }

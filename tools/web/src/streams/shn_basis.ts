@@ -16,7 +16,6 @@ export const BASIS_STRIDE = 48;
 
 /** What a basis stream of shN states of itself. */
 export interface ShnBasisParams {
-  readonly codebook: number;
   readonly step: number;
   readonly shrink: number;
   readonly width: number;
@@ -33,29 +32,39 @@ export interface ShnCoordinates {
   readonly width: number;
 }
 
-/** Read the parameters of a basis stream of shN (SPEC 6.14). */
-export function readShnParams(stream: StreamRecord): ShnBasisParams {
-  const { params } = stream;
-  const wrongLength = () => new CogsplatError("stream-params", `shN: ${params.byteLength} bytes of parameters`);
-  if (params.byteLength < FIXED_PARAMS) throw wrongLength();
-  const codebook = params.getUint32(0, true);
+/** Check how many bytes of parameters a basis stream of shN has, and read which codebook it names (SPEC 6.14). */
+export function readShnCodebook({ params }: StreamRecord): number {
+  const groups = params.byteLength < FIXED_PARAMS ? 0 : groupsOf(params.getUint16(12, true));
+  if (params.byteLength !== FIXED_PARAMS + 2 * groups) {
+    throw new CogsplatError("stream-params", `shN: ${params.byteLength} bytes of parameters`);
+  }
+  return params.getUint32(0, true);
+}
+
+/**
+ * Read what else the parameters of a basis stream of shN say (SPEC 6.14).
+ *
+ * @param bookRows - Rows of the codebook that the stream names.
+ */
+export function readShnParams({ params }: StreamRecord, bookRows: number): ShnBasisParams {
   const step = params.getFloat32(4, true);
   const shrink = params.getFloat32(8, true);
   const width = params.getUint16(12, true);
-  if (!(step > 0 && step <= MAX_STEP)) throw new CogsplatError("basis-value", `shN on a basis in steps of ${step}`);
-  if (!(shrink >= 0 && shrink <= 0.5)) throw new CogsplatError("basis-value", `shN on a basis with a shrink of ${shrink}`);
-  if (width > MAX_WIDTH || params.getUint16(14, true) !== 0) {
-    throw new CogsplatError("basis-width", `${width} coordinates, or reserved bytes that are set`);
+  if (width > Math.min(MAX_WIDTH, bookRows) || params.getUint16(14, true) !== 0) {
+    throw new CogsplatError("basis-width", `${width} coordinates on ${bookRows} rows, or reserved bytes that are set`);
   }
-  const groups = GROUP_STARTS.filter((start) => start < width).length;
-  if (params.byteLength !== FIXED_PARAMS + 2 * groups) throw wrongLength();
-  const sizes = Array.from({ length: groups }, (_, g) => {
+  if (!(step > 0 && step <= MAX_STEP && shrink >= 0 && shrink <= 0.5)) {
+    throw new CogsplatError("basis-value", `shN on a basis in steps of ${step} with a shrink of ${shrink}`);
+  }
+  const sizes = Array.from({ length: groupsOf(width) }, (_, g) => {
     return [params.getUint8(FIXED_PARAMS + 2 * g), params.getUint8(FIXED_PARAMS + 2 * g + 1)] as const;
   });
-  if (sizes.some(([inner, last]) => inner > 3 || last > 3)) {
-    throw new CogsplatError("stream-planes", "a code of shN of more than 3 bytes");
-  }
-  return { codebook, step, shrink, width, sizes };
+  return { step, shrink, width, sizes };
+}
+
+/** Groups of the coordinates below a width. */
+function groupsOf(width: number): number {
+  return GROUP_STARTS.slice(0, -1).filter((start) => start < width).length;
 }
 
 /**
@@ -67,6 +76,9 @@ export function readShnParams(stream: StreamRecord): ShnBasisParams {
 export function readShnCoordinates(k: Kernels, stream: StreamRecord, params: ShnBasisParams): ShnCoordinates {
   const { rows } = stream;
   const { width, sizes, step, shrink } = params;
+  if (sizes.some(([inner, last]) => inner > 3 || last > 3)) {
+    throw new CogsplatError("stream-planes", "a code of shN of more than 3 bytes");
+  }
   checkPlanes(stream, 1 + sizes.reduce((sum, [inner, last]) => sum + inner + last, 0));
   const ends = readPlane(k, stream.planes[0]!, rows);
   const order = k.alloc(4 * rows);

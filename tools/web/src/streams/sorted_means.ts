@@ -2,7 +2,7 @@ import { CogsplatError } from "../errors.js";
 import type { Kernels } from "../kernels/kernels.js";
 import { GRID_BYTES, readGrids } from "./grid.js";
 import { checkPadding, readPlane } from "./planes.js";
-import { checkKind, checkParams, checkPlanes, Kind, type StreamRecord } from "./records.js";
+import { checkParams, checkPlanes, type StreamRecord } from "./records.js";
 import { addressTable, countExtraBits, readExtraBits, STEP_MODEL_BYTES } from "./step_model.js";
 
 /** Most levels of an axis of the coarse grid (SPEC 6.5). */
@@ -23,6 +23,7 @@ export function readSortedMeans(
   const { rows, params } = stream;
   checkParams(stream, 3 * GRID_BYTES + STEP_MODEL_BYTES);
   const grids = readGrids(params, 0, 3, MAX_LEVELS);
+  const extra = readExtraBits(k, params, 3 * GRID_BYTES, scales, rows);
   checkPlanes(stream, 3);
   const codes = readMorton(k, stream);
   grids.forEach((grid, axis) => {
@@ -30,7 +31,6 @@ export function readSortedMeans(
       throw new CogsplatError("code-range", `an axis code of ${grid.levels} or more`);
     }
   });
-  const extra = readExtraBits(k, params, 3 * GRID_BYTES, scales, rows);
   const counts = countExtraBits(k, extra, rows);
   const total = 3 * counts.reduce((sum, count, bits) => sum + bits * count, 0);
   const low = readBits(k, stream, 2, total);
@@ -63,7 +63,6 @@ function readMorton(k: Kernels, stream: StreamRecord): [number, number, number] 
 
 /** Bits that a refinement adds to each axis of each row, and how many. */
 function readRefinement(k: Kernels, stream: StreamRecord): [number, number] {
-  checkKind(stream, [Kind.bits]);
   checkParams(stream, 4);
   const count = stream.params.getUint8(0);
   if (count < 1 || count > MAX_REFINEMENT_BITS || (stream.params.getUint32(0, true) >>> 8) !== 0) {

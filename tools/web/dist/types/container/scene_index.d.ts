@@ -73,6 +73,8 @@ export declare class SceneIndex {
      * @returns Segment numbers; undefined where one stands in a page that was not read.
      */
     codebookSegmentsOf(segment: number, degree: number): number[] | undefined;
+    /** The segments of all codebooks, those that no chunk needs too, codebook by codebook. */
+    allCodebookSegments(): number[];
     /** Refuse a payload whose CRC is not the table's. */
     checkCrc(segment: number, payload: Uint8Array): void;
     /** Compare the length of the source with what the file states (SPEC 8.3). */

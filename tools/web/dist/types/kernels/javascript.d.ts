@@ -19,7 +19,7 @@ export declare class JavascriptKernels extends Arena implements Kernels {
     sortedMeans(x: number, y: number, z: number, extra: number, rows: number, bits: number, refinement: number, refinementBits: number, axes: number, targets: number): number;
     swingTwist(extra: number, rows: number, planes: number, low: number, target: number): number;
     swingTwistQuats(a: number, b: number, c: number, rows: number, targets: number): void;
-    quats(a: number, b: number, c: number, rows: number, largest: number, plane: number, targets: number): number;
+    quats(a: number, b: number, c: number, rows: number, largest: number, plane: number, targets: number): void;
     /** Divide by the norm, flip so that w is not below 0, and store. */
     private storeUnit;
     differences(l: number, u: number, v: number, rows: number, s0: number, s1: number): void;

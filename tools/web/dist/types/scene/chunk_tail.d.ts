@@ -19,12 +19,11 @@ export type TailSource = {
 /**
  * Read a tail up to a degree (SPEC 7.3).
  *
- * @param rows - Splats of the chunk.
  * @param needs - Codebooks that the tail's segment needs.
  * @param shDegree - Degree of the scene.
  * @param degree - Degree wanted; bands above it are not read.
  */
-export declare function readTail(k: Kernels, tail: Payload, rows: number, needs: number, codebooks: Codebooks, shDegree: number, degree: number): TailSource;
+export declare function readTail(k: Kernels, tail: Payload, needs: number, codebooks: Codebooks, shDegree: number, degree: number): TailSource;
 /**
  * The coefficients of every row, one after the other.
  *

@@ -37,12 +37,12 @@ export declare class Codebooks {
 /**
  * Scales and quaternions of a codebook or of escape rows: seven columns.
  *
- * @param escape - Whether the streams have the flag escape.
+ * @param escapes - Number of escape rows; undefined for the rows of a codebook.
  */
-export declare function readShapeRows(k: Kernels, payload: Payload, rows: number, escape: boolean): number[];
+export declare function readShapeRows(k: Kernels, payload: Payload, escapes?: number): number[];
 /** Columns of a scalar or float stream. */
 export declare function readPlainColumns(k: Kernels, stream: StreamRecord): number[];
 /** Rows of one SH band. */
-export declare function readBand(k: Kernels, stream: StreamRecord, rows: number, target: number): void;
+export declare function readBand(k: Kernels, stream: StreamRecord, target: number): void;
 /** The attribute of each SH band from 1. */
 export declare function bandAttributes(degree: number): readonly number[];

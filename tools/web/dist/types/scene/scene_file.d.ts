@@ -50,6 +50,9 @@ export declare class SceneFile {
     decodePacked(chunk: number, degree?: number, ranges?: import("./packed_splats.js").PackRanges): PackedSplats;
     /** Check that a chunk is there and small enough, decode its codebooks, and get its payloads. */
     private prepare;
+    /** Decode the codebooks that a chunk needs and that were not decoded before. */
+    private addCodebooks;
+    private addCodebook;
     /** Decode all chunks of the prefix, one after the other. */
     decode(degree?: number, refine?: boolean): Splats;
     /** A chunk's extra attributes; undefined where the chunk has none that are there. */
@@ -64,7 +67,8 @@ export declare class SceneFile {
      */
     compensate(splats: Splats, chunk: number, prefix: number): void;
     /**
-     * Check everything of a whole file: hashes, boxes, cameras, attributes and compensation.
+     * Check everything of a whole file: hashes, codebooks, cameras, compensation, and of each chunk all that it has, in
+     * the order of SPEC 8.10.
      *
      * @throws CogsplatError for the first fault.
      */

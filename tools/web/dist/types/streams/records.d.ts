@@ -42,8 +42,9 @@ export interface StreamRecord {
 }
 /** What a payload belongs to: refinements have kinds of their own. */
 export type Place = "head" | "tail" | "codebook" | "refinement";
-/** The streams of one payload; a clause takes those that it names, and others are refused. */
+/** The streams of one payload: those that a clause of SPEC 7 names are taken in its order, others are refused. */
 export declare class Payload {
+    private readonly rows;
     private readonly place;
     private readonly streams;
     /**
@@ -55,23 +56,19 @@ export declare class Payload {
      * @param place - What the payload belongs to.
      */
     constructor(k: Kernels, bytes: Uint8Array, rows: number, place: Place);
-    /** The stream of an attribute, where there is one. */
-    find(attribute: number, escape?: boolean): StreamRecord | undefined;
-    /** The stream of an attribute that must be there. */
-    get(attribute: number, escape?: boolean): StreamRecord;
-    /**
-     * Refuse what has no place here; called once the streams that must be there were seen to be.
-     *
-     * @param attributes - What may be there without the flag escape.
-     * @param escapes - What may be there with it.
-     */
-    only(attributes: readonly number[], escapes?: readonly number[]): void;
+    /** Whether a stream of an attribute is there and was not taken yet. */
+    has(attribute: number, escape?: boolean): boolean;
+    /** The stream of an attribute that must be there, one row for each row of the payload. */
+    take(attribute: number): StreamRecord;
+    /** The escape rows of an attribute, which must be there and be so many. */
+    takeEscape(attribute: number, rows: number): StreamRecord;
+    private takeRows;
+    /** Of a refinement the stream that refines one of the head's, where there is one (SPEC 7.4). */
+    takeRefining(head: StreamRecord): StreamRecord | undefined;
+    /** Refuse streams that nothing took. */
+    finish(): void;
 }
 /** Refuse parameters of another length than the kind implies. */
 export declare function checkParams(stream: StreamRecord, bytes: number): void;
 /** Refuse another number of planes than the parameters imply. */
 export declare function checkPlanes(stream: StreamRecord, planes: number): void;
-/** Refuse another number of rows than the stream's place has. */
-export declare function checkRows(stream: StreamRecord, rows: number): void;
-/** Refuse a kind that the attribute has elsewhere but not in this place. */
-export declare function checkKind(stream: StreamRecord, kinds: readonly number[]): void;

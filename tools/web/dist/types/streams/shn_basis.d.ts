@@ -4,7 +4,6 @@ import { type StreamRecord } from "./records.js";
 export declare const BASIS_STRIDE = 48;
 /** What a basis stream of shN states of itself. */
 export interface ShnBasisParams {
-    readonly codebook: number;
     readonly step: number;
     readonly shrink: number;
     readonly width: number;
@@ -19,8 +18,14 @@ export interface ShnCoordinates {
     readonly columns: number;
     readonly width: number;
 }
-/** Read the parameters of a basis stream of shN (SPEC 6.14). */
-export declare function readShnParams(stream: StreamRecord): ShnBasisParams;
+/** Check how many bytes of parameters a basis stream of shN has, and read which codebook it names (SPEC 6.14). */
+export declare function readShnCodebook({ params }: StreamRecord): number;
+/**
+ * Read what else the parameters of a basis stream of shN say (SPEC 6.14).
+ *
+ * @param bookRows - Rows of the codebook that the stream names.
+ */
+export declare function readShnParams({ params }: StreamRecord, bookRows: number): ShnBasisParams;
 /**
  * Read the coordinates of every row (SPEC 6.14).
  *

@@ -1,0 +1,353 @@
+"""Seeded mutants of whole COGS files: damaged, cut short, or made to deceive.
+
+Half of them break the file as transport does. The others change one thing that a file says, in its
+tables, its msgpack values or its payloads, and make every length, CRC and hash fit again, so that
+a decoder has to find the fault itself.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import random
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from cogsplat.formats.cogs.canonical_msgpack import Value, pack, unpack
+
+from .file_builder import (
+    PREAMBLE_BYTES,
+    Index,
+    column,
+    preamble_field,
+    root_bytes,
+    table,
+    with_root,
+)
+from .payload_mutations import FLOATS, NUMBERS, changed_bytes, changed_number, changed_payload
+
+_VALUES: Final[tuple[Value, ...]] = (
+    None, True, False, 0, 1, -1, 2, 3, 4, 32, 33, 255, 256, 16384, 65535, 65536, 1 << 31, 1 << 32,
+    (1 << 53) - 1, 1 << 53, -(1 << 53), 0.0, -0.0, 0.5, 1.0, -1.0, 1e308, 5e-324, float("inf"),
+    float("nan"), "", "a", "RDF", "RUB", "LDF", "RRF", "srgb", "linear", "shape", "colour", "f4",
+    "é\U0001f600", "a" * 255, "a" * 256, "\ufeffa", b"", b"\0", b"\0\0\0\0", [], [0.0] * 3,
+    [[[[[[[[[0]]]]]]]]], {}, {"a": 0}, {"a!": 0},
+)  # fmt: skip
+_KEYS: Final = ("a", "b!", "!", "", "__proto__", "constructor", "splats", "pages", "quality",
+                "layer", "first_view", "attributes", "kind", "name")  # fmt: skip
+_PREAMBLE_FIELDS: Final = ((8, "H"), (10, "H"), (12, "I"), (16, "Q"), (24, "I"), (28, "I"),
+                           (40, "B"), (59, "B"))  # fmt: skip
+
+# Kinds of segments whose payload is a msgpack map (SPEC 5.2): cameras and compensation.
+_MAPS: Final = (128, 130)
+_ATTRIBUTES: Final = 129
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A changed file and how it is to be read.
+
+    Parameters
+    ----------
+    seed_file : str
+        Name of the file that it was made from.
+    change : str
+        What was done to it, in a few words.
+    data : bytes
+    partial : bool
+        Whether it is read as the beginning of a file (SPEC 8.3).
+    """
+
+    seed_file: str
+    change: str
+    data: bytes
+    partial: bool
+
+
+@dataclass
+class _Parts:
+    """A file taken apart: its indexes, the root's first, and the payloads that each lists."""
+
+    indexes: list[Index]
+    payloads: list[list[bytes]]
+
+    @property
+    def places(self) -> list[tuple[int, int]]:
+        """Index and row of every segment."""
+        return [(i, row) for i, group in enumerate(self.payloads) for row in range(len(group))]
+
+    def kind(self, place: tuple[int, int]) -> int:
+        index, row = place
+        return column(self.indexes[index], "segments", "kind")[row]
+
+
+def mutant(files: Sequence[tuple[str, bytes]], seed: int, number: int) -> Mutant:
+    """Return mutant `number` of a seeded run; it does not depend on the others.
+
+    Parameters
+    ----------
+    files : sequence of (str, bytes)
+        Names and bytes of valid files.
+    seed, number : int
+    """
+    rng = random.Random(f"{seed}/{number}")
+    name, data = rng.choice(files)
+    change = rng.choice(_WAYS)
+    if change == "cut":
+        at = rng.randrange(rng.choice((PREAMBLE_BYTES + 8, len(data), len(data))) + 1)
+        return Mutant(name, change, data[:at], partial=rng.random() < 0.8)
+    if change == "bytes":
+        for _ in range(rng.randint(1, 4)):
+            data = changed_bytes(data, rng)
+        return Mutant(name, change, data, partial=rng.random() < 0.2)
+    if change == "preamble":
+        offset, layout = rng.choice(_PREAMBLE_FIELDS)
+        limit = 1 << 8 * struct.calcsize(layout)
+        near = (
+            len(data) + rng.choice((-1, 1)) if layout == "Q" else rng.choice((0, 1, 16320, 16321))
+        )
+        value = rng.choice((near, *NUMBERS, (1 << 53) - 1, 1 << 53, 1 << 63)) % limit
+        return Mutant(name, change, preamble_field(data, offset, layout, value), rng.random() < 0.3)
+    _, other = rng.choice(files)
+    change, data = _rebuilt(change, _apart(data), _apart(other), rng)
+    if rng.random() < 0.05:
+        return Mutant(name, f"{change}, cut", data[: rng.randrange(len(data) + 1)], partial=True)
+    return Mutant(name, change, data, partial=rng.random() < 0.1)
+
+
+_WAYS: Final = ("bytes", "bytes", "cut", "cut", "preamble") + ("payload",) * 9 + (
+    "index bytes", "value", "value", "value", "column", "column", "column", "segments", "segments",
+)  # fmt: skip
+
+
+def _apart(data: bytes) -> _Parts:
+    root, behind = root_bytes(data)
+    indexes = [unpack(root, "root")]
+    payloads: list[list[bytes]] = []
+    pages = indexes[0].get("pages", [])
+    at = _take(indexes[0], behind, 0, payloads)
+    for entry in pages if isinstance(pages, list) else ():
+        length = entry["length"] if isinstance(entry, dict) else 0
+        end = at + (length if isinstance(length, int) else 0)
+        indexes.append(unpack(behind[at:end], "page"))
+        at = _take(indexes[-1], behind, end, payloads)
+    return _Parts(indexes, payloads)
+
+
+def _take(index: Index, data: bytes, at: int, payloads: list[list[bytes]]) -> int:
+    group = []
+    for (length,) in struct.iter_unpack("<I", column(index, "segments", "length")):
+        group.append(data[at : at + length])
+        at += length
+    payloads.append(group)
+    return at
+
+
+def _rebuilt(change: str, parts: _Parts, other: _Parts, rng: random.Random) -> tuple[str, bytes]:
+    """Change one thing of a file and make the rest fit."""
+    if change == "payload" and parts.places:
+        change = _change_payload(parts, other, rng)
+        return change, _together(parts)
+    if change == "segments" and parts.places:
+        change = _change_segments(parts, other, rng)
+        return change, _together(parts)
+    if change == "column":
+        index = rng.choice(parts.indexes)
+        _change_column(table(index, rng.choice(("segments", "segments", "chunks"))), rng)
+    elif change == "value":
+        _change_value(rng.choice((parts.indexes[0], parts.indexes[0], *parts.indexes)), rng)
+    else:
+        return "index bytes", _together(parts, broken=(rng.randrange(len(parts.indexes)), rng))
+    return change, _together(parts, fit_tables=False)
+
+
+def _change_payload(parts: _Parts, other: _Parts, rng: random.Random) -> str:
+    place = rng.choice(parts.places)
+    index, row = place
+    payload = parts.payloads[index][row]
+    kind = parts.kind(place)
+    if kind in _MAPS and rng.random() < 0.9:
+        values = unpack(payload, "payload", most_values=131_072)
+        rng.choice((_change_value, _change_column))(values, rng)
+        parts.payloads[index][row] = pack(values)
+        return "map of a payload"
+    if kind == _ATTRIBUTES or kind in _MAPS:
+        change = rng.choice((changed_bytes, changed_number))
+        parts.payloads[index][row] = change(payload, rng) or b"\0"
+        return "bytes of a payload"
+    borrowed = b"\0\0"
+    if other.places:
+        i, j = rng.choice(other.places)
+        borrowed = other.payloads[i][j]
+    what, changed = changed_payload(payload, borrowed, rng)
+    parts.payloads[index][row] = changed or b"\0"
+    return what
+
+
+_WIDTHS: Final = {"kind": 1, "owner": 4, "length": 4, "crc": 4, "hash": 16, "needs": 4}
+
+
+def _change_segments(parts: _Parts, other: _Parts, rng: random.Random) -> str:
+    a, b = rng.choice(parts.places), rng.choice(parts.places)
+    index, row = a
+    group = parts.payloads[index]
+    rows = _rows(parts.indexes[index])
+    match rng.randrange(5):
+        case 0:
+            # The payloads change places, the rows of the table do not.
+            first, second = group[row], parts.payloads[b[0]][b[1]]
+            parts.payloads[index][row], parts.payloads[b[0]][b[1]] = second, first
+            return "payloads swapped"
+        case 1:
+            to = rng.randrange(len(rows))
+            rows.insert(to, rows.pop(row))
+            group.insert(to, group.pop(row))
+            change = "segment moved"
+        case 2:
+            del rows[row], group[row]
+            change = "segment dropped"
+        case 3:
+            rows.insert(row, rows[row])
+            group.insert(row, group[row])
+            change = "segment doubled"
+        case _:
+            if other.places:
+                i, j = rng.choice(other.places)
+                group[row] = other.payloads[i][j]
+            return "payload of another file"
+    segments = table(parts.indexes[index], "segments")
+    for name, values in zip(_WIDTHS, zip(*rows, strict=True) if rows else [()] * 6, strict=True):
+        segments[name] = b"".join(values)
+    return change
+
+
+def _rows(index: Index) -> list[tuple[bytes, ...]]:
+    """Return the rows of a segment table, each the bytes of its columns."""
+    columns = []
+    for name, width in _WIDTHS.items():
+        data = column(index, "segments", name)
+        columns.append([data[at : at + width] for at in range(0, len(data), width)])
+    return list(zip(*columns, strict=True))
+
+
+def _change_column(columns: Index, rng: random.Random) -> None:
+    """Change a number of a column, or its length, or take it from another column."""
+    names = [name for name, value in columns.items() if isinstance(value, bytes)]
+    if not names:
+        return
+    name = rng.choice(names)
+    data = columns[name]
+    assert isinstance(data, bytes)
+    if rng.random() < 0.1:
+        value = columns[rng.choice(names)]
+        columns[name] = value
+    else:
+        columns[name] = rng.choice((changed_number, changed_number, changed_bytes))(data, rng)
+
+
+def _change_value(value: Index, rng: random.Random) -> None:
+    """Change, add or take away one value anywhere in a map."""
+    place: Index | list[Value] = value
+    while True:
+        inner = place.values() if isinstance(place, dict) else place
+        deeper = [entry for entry in inner if isinstance(entry, dict | list) and entry]
+        if not deeper or rng.random() < 0.4:
+            break
+        place = rng.choice(deeper)
+    if isinstance(place, dict):
+        key = rng.choice(list(place)) if place else "a"
+        match rng.randrange(6):
+            case 0:
+                place.pop(key, None)
+            case 1:
+                place[rng.choice(_KEYS)] = rng.choice(_VALUES)
+            case _:
+                place[key] = _changed(place.get(key), rng)
+        return
+    at = rng.randrange(len(place) + 1)
+    match rng.randrange(5):
+        case 0:
+            del place[at : at + 1]
+        case 1:
+            place.insert(at, rng.choice(_VALUES))
+        case 2:
+            place[at:at] = place[at : at + 1] * rng.choice((1, 2, 40))
+        case _ if at < len(place):
+            place[at] = _changed(place[at], rng)
+        case _:
+            place.append(None)
+
+
+def _changed(value: Value, rng: random.Random) -> Value:
+    if isinstance(value, bytes) and rng.random() < 0.7:
+        return changed_number(value, rng)
+    if isinstance(value, float) and rng.random() < 0.6:
+        return rng.choice((*FLOATS, -value, value * 2, 1e308, 5e-324))
+    if isinstance(value, int) and rng.random() < 0.6:
+        near = value + rng.choice((-1, 1))
+        return near if not isinstance(value, bool) else rng.choice((0, 1, not value))
+    if isinstance(value, str) and value and rng.random() < 0.4:
+        return value.swapcase() if rng.random() < 0.5 else value + value
+    return rng.choice(_VALUES)
+
+
+def _together(
+    parts: _Parts, *, fit_tables: bool = True, broken: tuple[int, random.Random] | None = None
+) -> bytes:
+    """Return the file of its parts, every length and CRC made to fit.
+
+    Parameters
+    ----------
+    parts : _Parts
+    fit_tables : bool
+        Make the lengths, CRCs and hashes of segments fit their payloads.
+    broken : (int, Random), optional
+        An index whose bytes are changed after it was packed.
+    """
+    packed: list[bytes] = []
+    spans = [b"".join(group) for group in parts.payloads]
+    root = parts.indexes[0]
+    for number, (index, group) in enumerate(zip(parts.indexes, parts.payloads, strict=True)):
+        if fit_tables:
+            _fit(table(index, "segments"), group)
+        if number:
+            page = pack(index)
+            if broken and broken[0] == number:
+                page = changed_bytes(page, broken[1]) or b"\0"
+            packed.append(page)
+    pages = root.get("pages")
+    if isinstance(pages, list):
+        for entry, page, index, group, span in zip(
+            pages, packed, parts.indexes[1:], parts.payloads[1:], spans[1:], strict=False
+        ):
+            if isinstance(entry, dict):
+                _fit_entry(entry, page, index, group, span, counts=fit_tables)
+    body = pack(root)
+    if broken and broken[0] == 0:
+        body = changed_bytes(body, broken[1])
+    behind = [part for pair in zip(packed, spans[1:], strict=True) for part in pair]
+    return with_root(body, b"".join([spans[0], *behind]))
+
+
+def _fit(segments: Index, group: Sequence[bytes]) -> None:
+    words = [(len(part), zlib.crc32(part)) for part in group]
+    segments["length"] = struct.pack(f"<{len(group)}I", *(length for length, _ in words))
+    segments["crc"] = struct.pack(f"<{len(group)}I", *(crc for _, crc in words))
+    segments["hash"] = b"".join(hashlib.sha256(part).digest()[:16] for part in group)
+
+
+def _fit_entry(
+    entry: Index, page: bytes, index: Index, group: Sequence[bytes], span: bytes, *, counts: bool
+) -> None:
+    """Make the root's entry of a page fit it; `counts` of rows and bytes of segments as well."""
+    if counts:
+        entry["segments"] = len(group)
+        entry["chunks"] = len(column(index, "chunks", "splats")) // 4
+        entry["span"] = len(span)
+    # What a value was changed into on purpose stays.
+    if entry.get("length").__class__ is int:
+        entry["length"] = len(page)
+    if entry.get("crc").__class__ is int:
+        entry["crc"] = zlib.crc32(page)

@@ -1,0 +1,228 @@
+"""Mutants of payloads: records, parameters and planes changed one at a time (SPEC 6).
+
+A plane is taken out of its zstd frame or its packed bytes, changed, and put back, so that most
+mutants get past the checks of frames and are judged by what their codes say.
+"""
+
+from __future__ import annotations
+
+import random
+import struct
+from typing import Final, TypeVar
+
+import zstandard
+
+from . import file_builder
+from .file_builder import PAYLOAD_HEAD, Record, packed_plane, poke
+
+NUMBERS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 15, 16, 17, 31, 32, 64, 65, 127, 128, 255, 256, 257,
+                  4095, 4096, 65535, 65536, 65537, 1 << 17, (1 << 17) + 1, 1 << 18, (1 << 18) + 1,
+                  1 << 20, (1 << 20) + 1, 1 << 23, (1 << 23) + 1, (1 << 24) - 2, (1 << 24) - 1,
+                  1 << 24, (1 << 24) + 1, (1 << 30) - 1, 1 << 30, (1 << 31) - 1, 1 << 31,
+                  (1 << 32) - 1)  # fmt: skip
+"""Unsigned integers at and beside the limits of SPEC 9.1."""
+
+FLOATS: Final = (0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 0.3, 1e-45, -1e-45, 1e-38, 2.0**32, 2.0**33,
+                 1e6, -1e6, 1.1e6, 2.0**100, -(2.0**100), 2.0**101, 3e38, float("inf"),
+                 float("-inf"), float("nan"))  # fmt: skip
+"""Floats at and beside the limits of SPEC 6."""
+
+_T = TypeVar("_T")
+
+_COMPRESSED, _PACKED = 1 << 31, 1 << 30
+_STORED_MASK: Final = _PACKED - 1
+
+# Larger planes are changed as they are stored: what inflates a file tests nothing but patience.
+_LARGEST_PLANE: Final = 1 << 18
+
+
+def changed_bytes(data: bytes, rng: random.Random) -> bytes:
+    """Return bytes with one of them flipped or replaced, or some cut, doubled or put in."""
+    out = bytearray(data)
+    at = rng.randrange(len(out) + 1)
+    width = rng.choice((1, 1, 2, 4, 16))
+    match rng.randrange(7):
+        case 0 | 1 if at < len(out):
+            out[at] ^= 1 << rng.randrange(8)
+        case 2 if at < len(out):
+            out[at] = rng.choice((0, 1, 2, 127, 128, 254, 255))
+        case 3:
+            del out[at : at + width]
+        case 4:
+            out[at:at] = rng.randbytes(width)
+        case 5:
+            out[at:at] = out[at : at + width]
+        case _:
+            out[at : at + width] = out[at : at + width][::-1]
+    return bytes(out)
+
+
+def changed_number(data: bytes, rng: random.Random) -> bytes:
+    """Return bytes with an aligned or any number written over, at and beside a limit."""
+    size, layout = rng.choice(((4, "f"), (4, "I"), (4, "I"), (2, "H"), (1, "B")))
+    if len(data) < size:
+        return data + b"\0"
+    at = rng.randrange(len(data) - size + 1)
+    if rng.random() < 0.8:
+        at -= at % size
+    if layout == "f":
+        return poke(data, at, layout, rng.choice(FLOATS))
+    limit = 1 << 8 * size
+    if rng.random() < 0.5:
+        (value,) = struct.unpack_from(f"<{layout}", data, at)
+        return poke(data, at, layout, (value + rng.choice((-2, -1, 1, 2))) % limit)
+    return poke(data, at, layout, rng.choice(NUMBERS) % limit)
+
+
+def records_of(payload: bytes) -> list[Record]:
+    """Return the records of a valid payload, planes with them.
+
+    Raises
+    ------
+    struct.error, ValueError
+        The payload was changed before and has no such records.
+    """
+    (count,) = struct.unpack_from("<H", payload)
+    records, sizes, at = [], [], PAYLOAD_HEAD
+    for _ in range(count):
+        *fields, planes, params = struct.unpack_from("<BBBBIHH", payload, at)
+        at += 12
+        records.append(Record(list(fields), payload[at : at + params]))
+        at += params
+        sizes.append(struct.unpack_from(f"<{planes}I", payload, at))
+        at += 4 * planes
+    for record, words in zip(records, sizes, strict=True):
+        for word in words:
+            end = at + (word & _STORED_MASK)
+            record.planes.append((word, payload[at:end]))
+            at = end
+    if at != len(payload):
+        raise ValueError(f"planes end at byte {at} of {len(payload)}")
+    return records
+
+
+def changed_payload(payload: bytes, other: bytes, rng: random.Random) -> tuple[str, bytes]:
+    """Return what was done, and the payload of a head, tail, refinement or codebook changed.
+
+    Parameters
+    ----------
+    payload : bytes
+    other : bytes
+        Another payload, from which a record may be taken.
+    rng : Random
+    """
+    try:
+        records = records_of(payload)
+        others = records_of(other)
+    except (struct.error, ValueError):
+        return "payload bytes", changed_bytes(payload, rng)
+    if not records or rng.random() < 0.1:
+        return "payload bytes", changed_bytes(payload, rng)
+    what = rng.choice(_WAYS)
+    count = None
+    record = rng.choice(records)
+    if what == "plane" and not any(entry.planes for entry in records):
+        what = "record field"
+    if what == "plane":
+        record = rng.choice([entry for entry in records if entry.planes])
+        number = rng.randrange(len(record.planes))
+        record.planes[number] = _changed_plane(*record.planes[number], rng)
+    elif what == "planes":
+        _changed_list(record.planes, rng)
+    elif what == "params":
+        change = rng.choice((changed_number, changed_number, changed_number, changed_bytes))
+        record.params = change(record.params, rng)
+    elif what == "record field":
+        _changed_field(record, rng)
+    elif what == "records":
+        _changed_list(records, rng)
+    elif what == "record of another payload" and others:
+        records[rng.randrange(len(records))] = rng.choice(others)
+    else:
+        what = "stream count"
+        count = rng.choice((0, 1, 2, 64, 65, len(records) + 1, len(records) - 1))
+    return what, file_builder.payload(records, count=count)
+
+
+_WAYS: Final = ("plane",) * 8 + ("params",) * 6 + ("record field",) * 4 + (
+    "planes", "planes", "records", "records", "record of another payload", "stream count",
+)  # fmt: skip
+
+
+def _changed_field(record: Record, rng: random.Random) -> None:
+    number = rng.choice((0, 1, 1, 2, 3, 3, 4, 4))
+    if number == 4:
+        rows = record.fields[4]
+        record.fields[4] = rng.choice((rows + 1, max(rows - 1, 0), 0, 1, *NUMBERS))
+    elif number == 3:
+        record.fields[3] = rng.choice((0, 1, 2, 3, 4, 128))
+    else:
+        record.fields[number] = rng.choice((*range(13), 15, 21, 45, 255))
+
+
+def _changed_list(entries: list[_T], rng: random.Random) -> None:
+    """Swap two entries, drop one, double one, or turn all around."""
+    if not entries:
+        return
+    a, b = rng.randrange(len(entries)), rng.randrange(len(entries))
+    match rng.randrange(4):
+        case 0:
+            entries[a], entries[b] = entries[b], entries[a]
+        case 1:
+            del entries[a]
+        case 2:
+            entries.insert(b, entries[a])
+        case _:
+            entries.reverse()
+
+
+def _changed_plane(word: int, stored: bytes, rng: random.Random) -> tuple[int, bytes]:
+    if rng.random() < 0.25:
+        return _changed_frame(word, stored, rng)
+    raw = _inflated(word, stored)
+    if raw is None:
+        return _changed_frame(word, stored, rng)
+    changed = rng.choice((changed_bytes, changed_number))(raw, rng)
+    return _stored(word, stored[:1], changed, rng)
+
+
+def _inflated(word: int, stored: bytes) -> bytes | None:
+    """Return what a plane's frame holds, packed bytes as they are; None where nothing is right."""
+    body = stored[1:] if word & _PACKED else stored
+    if not word & _COMPRESSED:
+        return body
+    try:
+        raw: bytes = zstandard.ZstdDecompressor().decompress(body, _LARGEST_PLANE)
+    except zstandard.ZstdError:
+        return None
+    return raw
+
+
+def _stored(word: int, radix: bytes, raw: bytes, rng: random.Random) -> tuple[int, bytes]:
+    """Store a changed plane: mostly as it was, at times another way."""
+    front = radix if word & _PACKED else b""
+    if rng.random() < 0.1:
+        word ^= _COMPRESSED
+    if rng.random() < 0.05 and not word & _PACKED:
+        # Symbols become digits of the least radix that holds them all.
+        least = max(raw, default=0) + 1
+        if 2 <= least <= 16:
+            word, front, raw = word | _PACKED, bytes([least]), packed_plane(raw, least)
+    body = zstandard.ZstdCompressor(level=3).compress(raw) if word & _COMPRESSED else raw
+    stored = front + body
+    return word & ~_STORED_MASK | len(stored), stored
+
+
+def _changed_frame(word: int, stored: bytes, rng: random.Random) -> tuple[int, bytes]:
+    """Change the stored bytes or the word that says how they are stored."""
+    match rng.randrange(5):
+        case 0:
+            return word ^ (1 << rng.choice((30, 31))), stored
+        case 1:
+            return word ^ (1 << rng.randrange(8)), stored
+        case 2 if stored:
+            # The header of a frame, the radix or the first block.
+            changed = changed_bytes(stored[:24], rng) + stored[24:]
+        case _:
+            changed = changed_bytes(stored, rng)
+    return word & ~_STORED_MASK | len(changed), changed
