@@ -240,7 +240,7 @@ DOORS: dict[str, dict[str, str]] = {
         "grid": "ENTRY_BYTES Grid MAX_LEVELS MAX_VALUE fit",
         "grid_planes": "split_planes",
         "inputs": "Inputs",
-        "kinds": "codebook_use codec_of read",
+        "kinds": "codebook_use codec_of read refined_by",
         "limits": "MAX_CHUNK_SPLATS MAX_CODEBOOK_ROWS MAX_PLANE_BYTES",
         "quaternion": "PER_ROW write",
         "records": (

@@ -24,6 +24,7 @@ from cogsplat.tools.conformance import (
     boxes,
     extras,
     msgpack_faults,
+    order_in_payloads,
     order_of_refusals,
     reference_decoder,
     worked_example,
@@ -76,6 +77,8 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     boxes.boxes,
     boxes.sizes,
     order_of_refusals.orders,
+    order_in_payloads.orders,
+    order_in_payloads.verified,
 )
 
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]

@@ -80,8 +80,17 @@ def unpack_cameras(payload: bytes, where: str, allowed_bytes: int) -> list[Camer
         payload, where, most_values=MAX_CAMERA_VALUES, allowed_bytes=allowed_bytes
     )
     table = CheckedMap(values, where, "5.8")
+    names = table.take("name", list)
     width = table.column("width", "<u2", None).astype(np.int64)
     rows = len(width)
+    height = table.column("height", "<u2", rows).astype(np.int64)
+    intrinsics = np.stack([_floats(table, key, rows) for key in _INTRINSICS], axis=1)
+    rotation = _floats(table, "rotation", rows, 9).reshape(rows, 3, 3)
+    translation = _floats(table, "translation", rows, 3)
+    texts = [name for name in names if isinstance(name, str)]
+    if len(names) != rows or len(texts) != rows:
+        raise table.error("name", f"{len(texts)} texts, expected {rows}", "root-columns")
+    table.finish()
     if not 1 <= rows <= MAX_CAMERAS:
         raise table.error("width", f"{rows} cameras, expected 1 to {MAX_CAMERAS}")
     if rows * _CAMERA_BYTES > allowed_bytes:
@@ -90,17 +99,8 @@ def unpack_cameras(payload: bytes, where: str, allowed_bytes: int) -> list[Camer
             f"{where}: {rows} cameras take {rows * _CAMERA_BYTES} bytes, expected at most "
             f"{allowed_bytes} (SPEC 9.2)",
         )
-    height = table.column("height", "<u2", rows).astype(np.int64)
-    intrinsics = np.stack([_floats(table, key, rows) for key in _INTRINSICS], axis=1)
-    rotation = _floats(table, "rotation", rows, 9).reshape(rows, 3, 3)
-    translation = _floats(table, "translation", rows, 3)
-    names = table.take("name", list)
-    texts = [name for name in names if isinstance(name, str)]
-    if len(names) != rows or len(texts) != rows:
-        raise table.error("name", f"{len(texts)} texts, expected {rows}", "root-columns")
     if any(len(text.encode()) > _MAX_NAME_BYTES for text in texts):
         raise table.error("name", f"expected at most {_MAX_NAME_BYTES} bytes each")
-    table.finish()
     cameras = []
     for row, (fx, fy, cx, cy) in enumerate(intrinsics.tolist()):
         size = int(width[row]), int(height[row])

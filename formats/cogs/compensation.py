@@ -71,18 +71,19 @@ def unpack_layer(
     table = CheckedMap(canonical_msgpack.unpack(payload, where), where, _CLAUSE)
     scales = table.column("scales", "i1", None).astype(np.int8)
     chunks = len(scales)
+    opacities = table.column("opacities", "i1", chunks).astype(np.int8)
+    strengths = table.column("strengths", "u1", chunks, 2).astype(np.uint8)
+    book = table.column("book", "i1", None, 2).astype(np.int8)
+    packed = table.take("codes", bytes)
+    table.finish()
     if not before < chunks <= all_chunks:
         raise table.error("scales", f"{chunks} chunks, expected {before + 1} to {all_chunks}")
     if chunks > len(chunk_splats):
         return None
-    opacities = table.column("opacities", "i1", chunks).astype(np.int8)
-    strengths = table.column("strengths", "u1", chunks, 2).astype(np.uint8)
-    book = table.column("book", "i1", None, 2).astype(np.int8)
     if len(book) > 1 << MAX_CODE_BITS:
         raise table.error("book", f"{len(book)} rows, expected at most {1 << MAX_CODE_BITS}")
     count = sum(chunk_splats[before:chunks]) if len(book) else 0
     bits = code_bits(len(book))
-    packed = table.take("codes", bytes)
     if len(packed) != packed_bytes(count, bits):
         raise table.error(
             "codes",
@@ -90,7 +91,6 @@ def unpack_layer(
             f"{bits} bits",
             "root-columns",
         )
-    table.finish()
     if bits and count > allowed_bytes:
         raise LimitError(
             "decoded-size",

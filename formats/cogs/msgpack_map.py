@@ -78,6 +78,10 @@ class CheckedMap:
             raise self.error(key, f"{len(value)} characters, expected at most {_MAX_TEXT} bytes")
         return value
 
+    def word(self, key: str) -> str:
+        """Return a text that the caller compares with those it knows, however long it is."""
+        return self.take(key, str)
+
     def number(self, key: str) -> float:
         """Return a finite number."""
         value = self.take(key, float)

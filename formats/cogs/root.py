@@ -31,6 +31,9 @@ U32 = NDArray[np.uint32]
 HASH_BYTES: Final = 16
 """First bytes of a segment's SHA-256 (SPEC 5.3)."""
 
+# Characters of a word that is not known, in messages.
+_SHOWN: Final = 40
+
 CODEBOOK_ATTRIBUTES: Final = ("shape", "colour")
 COLOUR_SPACES: Final = ("srgb", "linear")
 
@@ -401,23 +404,25 @@ def _axes(root: CheckedMap) -> str:
 
 
 def _colour_space(root: CheckedMap) -> str:
-    name = root.text("colour_space")
+    name = root.word("colour_space")
     if name not in COLOUR_SPACES:
         raise UnsupportedError(
             "colour-space-unknown",
-            root.error("colour_space", f"{name!r}, expected one of {COLOUR_SPACES}").message,
+            root.error(
+                "colour_space", f"{name[:_SHOWN]!r}, expected one of {COLOUR_SPACES}"
+            ).message,
         )
     return name
 
 
 def _codebook(value: Value, where: str) -> CodebookEntry:
     book = CheckedMap(value, f"{where}, codebooks", "5.5")
-    entry = CodebookEntry(book.text("attribute"), book.integer("rows", 1, MAX_CODEBOOK_ROWS))
+    entry = CodebookEntry(book.word("attribute"), book.integer("rows", 1, MAX_CODEBOOK_ROWS))
     book.finish()
     if entry.attribute not in CODEBOOK_ATTRIBUTES:
         raise UnsupportedError(
             "codebook-unknown",
-            f"{where}: a codebook of {entry.attribute!r}, expected {CODEBOOK_ATTRIBUTES} "
+            f"{where}: a codebook of {entry.attribute[:_SHOWN]!r}, expected {CODEBOOK_ATTRIBUTES} "
             "(SPEC 5.5)",
         )
     return entry
@@ -437,7 +442,7 @@ def _attributes(root: CheckedMap, where: str) -> list[AttributeType]:
 
 def _attribute(value: Value, where: str) -> AttributeType:
     entry = CheckedMap(value, f"{where}, attributes", "5.7")
-    name, dtype = entry.text("name"), entry.text("type")
+    name, dtype = entry.text("name"), entry.word("type")
     components = 0
     if entry.has("components"):
         components = entry.integer("components", 1, MAX_EXTRA_COMPONENTS)
@@ -447,7 +452,7 @@ def _attribute(value: Value, where: str) -> AttributeType:
     if dtype not in EXTRA_DTYPES:
         raise UnsupportedError(
             "attribute-type-unknown",
-            f"{where}: attribute {name!r} of type {dtype!r}, expected one of "
+            f"{where}: attribute {name!r} of type {dtype[:_SHOWN]!r}, expected one of "
             f"{', '.join(EXTRA_DTYPES)} (SPEC 5.7)",
         )
     return AttributeType(name, dtype, components)

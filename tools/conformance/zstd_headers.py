@@ -8,7 +8,7 @@ from cogsplat.codec.streams.records import Attribute
 
 from . import handmade_streams as scenes
 from . import worked_example
-from .file_builder import build, one_chunk, payload, record
+from .file_builder import build, one_chunk, payload, poke, record
 from .invalid import Invalid
 from .valid import Valid
 
@@ -25,6 +25,17 @@ _SMALLEST_WINDOW: Final = b"\x00"
 _LARGEST_WINDOW: Final = b"\xff"
 _SIZE: Final = (_ROWS - 256).to_bytes(2, "little")
 _BLOCK: Final = (1 | 1 << 1 | _ROWS << 3).to_bytes(3, "little") + b"\0"
+
+
+# A frame of one compressed block, 300 symbols below 8: literals in four streams, and no sequence.
+_LITERALS: Final = bytes.fromhex(
+    "28b52ffd602c003d0300c6d2188664443210160018001600f106b23fd107b03881e19795458d03fc9949540e1904"
+    "578893d69c6750264254385a267015d1c9504d5a6432886cb7c66ac84971825d801e8f5090cb0142539eb726ea79"
+    "3a1626af6448be8ee6e7efe99c90353b04d8d40a00"
+)
+# Where that block states how many literals it has, and how many sequences.
+_LITERALS_AT: Final = 11
+_SEQUENCES_AT: Final = 112
 
 
 def _file(frame: bytes) -> bytes:
@@ -94,6 +105,10 @@ def headers() -> list[Invalid]:
                   "a frame that states 0 bytes and holds 3"),
         bad("zstd-reserved-bit", frame(_RESERVED_BIT, _SMALLEST_WINDOW + _SIZE), "frame",
             "the reserved bit of the descriptor set"),
+        bad("zstd-literals-many", poke(_LITERALS, _LITERALS_AT, "B", 0xF2), "frame",
+            "a block of 812 literals in a frame of 300 bytes"),
+        bad("zstd-sequence-cut", poke(_LITERALS, _SEQUENCES_AT, "B", 1), "frame",
+            "a block that states a sequence and ends"),
         bad("zstd-window-8m", frame(0, one_window + _SIZE), "window", "a window of 9 MiB"),
         bad("zstd-window-2-41", frame(0, _LARGEST_WINDOW + _SIZE), "window",
             "the largest window that a header can state, 3.75 TiB"),

@@ -124,3 +124,36 @@ def test_what_is_no_decoder_is_said(run: Run, tmp_path: Path, few_vectors: Path)
     told = run("conformance", "run", "--decoder", "true", "--vectors", tmp_path / "none")
     assert told.code == 4
     assert "manifest.json" in told.err
+
+
+def test_decoders_are_compared_over_mutants(run: Run, tmp_path: Path, few_vectors: Path) -> None:
+    ours = shlex.join([sys.executable, "-m", "cogsplat.tools.conformance.decoder", "numpy"])
+    extra = next((few_vectors / "valid").glob("*.cogs"))
+    told = run(
+        "conformance", "fuzz", "--decoder", ours, "--decoder", ours, "--vectors", few_vectors,
+        "--count", "30", extra,
+    )  # fmt: skip
+    assert told.code == 0, told.err
+    assert "30 mutants" in told.out
+    assert "0 disagreements" in told.out
+    worse = command(tmp_path, "answer.update(code='not-cogs') if 'code' in answer else None")
+    arguments = (
+        "conformance", "fuzz", "--decoder", ours, "--decoder", worse, "--vectors", few_vectors,
+        "--count", "30",
+    )  # fmt: skip
+    told = run(*arguments, "--json", "--keep", tmp_path / "kept")
+    assert told.code == 3
+    found = told.json["disagreements"]
+    assert isinstance(found, list)
+    assert {f"1-{case['number']}.cogs" for case in found} == {
+        path.name for path in (tmp_path / "kept").iterdir()
+    }
+    human = run(*arguments)
+    assert human.code == 3
+    assert ": not-cogs" in human.out
+
+
+def test_one_decoder_alone_is_not_compared(run: Run) -> None:
+    told = run("conformance", "fuzz", "--decoder", "true")
+    assert told.code == 2
+    assert "two or more" in told.err

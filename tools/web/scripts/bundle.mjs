@@ -5,9 +5,7 @@ import { gzipSync } from "node:zlib";
 import { build } from "esbuild";
 
 const [folder] = process.argv.slice(2);
-// The MIT licence of fzstd asks for its notice in every copy.
-const notice = readFileSync("node_modules/fzstd/LICENSE", "utf8").trim();
-const banner = `/*! cogsplat, Apache-2.0; contains fzstd:\n${notice}\n*/`;
+const banner = "/*! cogsplat, Apache-2.0 */";
 await build({
   entryPoints: {
     cogsplat: "build/src/index.js",

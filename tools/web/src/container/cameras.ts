@@ -16,21 +16,21 @@ const MAX_VALUES = 131_072;
 /** Read a segment of cameras (SPEC 5.8). */
 export function readCameras(payload: Uint8Array): Camera[] {
   const fields = new Fields(parseMap(payload, MAX_VALUES), "cameras");
-  const names = fields.array("name").map((name) => {
-    if (typeof name !== "string") throw new CogsplatError("root-columns", "a camera's name that is no str");
-    if (textBytes(name) > 255) throw fields.outOfRange("name", "more than 255 bytes");
-    return name;
-  });
+  const names = fields.array("name");
   const width = fields.column("width", 2);
   const count = width.byteLength / 2;
   const height = fields.column("height", 2, count);
   const [fx, fy, cx, cy] = (["fx", "fy", "cx", "cy"] as const).map((key) => float64Column(fields.column(key, 8, count)));
   const rotation = float64Column(fields.column("rotation", 72, count));
   const translation = float64Column(fields.column("translation", 24, count));
+  const texts = names.filter((name) => typeof name === "string");
+  if (names.length !== count || texts.length !== count) {
+    throw new CogsplatError("root-columns", `${texts.length} names of ${count} cameras`);
+  }
   fields.finish();
-  if (names.length !== count) throw new CogsplatError("root-columns", `${names.length} names of ${count} cameras`);
   if (count < 1 || count > MAX_CAMERAS) throw fields.outOfRange("width", `${count} cameras`);
-  return names.map((name, i) => {
+  if (texts.some((name) => textBytes(name) > 255)) throw fields.outOfRange("name", "more than 255 bytes");
+  return texts.map((name, i) => {
     const camera: Camera = {
       name,
       width: width.getUint16(2 * i, true),

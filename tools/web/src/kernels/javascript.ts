@@ -1,8 +1,8 @@
-import { Decompress } from "fzstd";
 import { Arena } from "./arena.js";
 import { BitReader } from "./bit_reader.js";
 import { packBand, packSplats } from "./javascript_packing.js";
 import type { Kernels } from "./kernels.js";
+import { decompressFrame } from "./zstd.js";
 
 const f32 = Math.fround;
 /** Magnitudes of float streams are at most this (SPEC 6.8). */
@@ -25,18 +25,8 @@ export class JavascriptKernels extends Arena implements Kernels {
   }
 
   zstd(source: number, sourceLength: number, target: number, length: number): number {
-    // The streaming interface, because the other cuts or fills what a frame gives to the size that it states.
-    let written = 0;
-    const stream = new Decompress((part) => {
-      if (written + part.length <= length) this.u8.set(part, target + written);
-      written += part.length;
-    });
-    try {
-      stream.push(this.u8.slice(source, source + sourceLength), true);
-    } catch {
-      return -1; // fzstd says only that a frame is damaged, and so does the caller.
-    }
-    return written === length ? 0 : -1;
+    const frame = this.u8.subarray(source, source + sourceLength);
+    return decompressFrame(frame, this.u8.subarray(target, target + length)) ? 0 : -1;
   }
 
   unpackDigits(source: number, length: number, radix: number, target: number): number {
