@@ -299,6 +299,7 @@ DOORS: dict[str, dict[str, str]] = {
         "source": "FileSource PrefixSource Readable Source source_of",
         "strict_json": "JsonObject parse_object",
         "torch_file": "CODE TorchTensor open_torch read_state_dict",
+        "zip_directory": "open_zip",
     },
 }
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import DataError
 
 from .atomic import StrPath, open_for_read, storage_errors
+from .zip_directory import open_zip
 
 F32 = NDArray[np.float32]
 
@@ -33,8 +34,8 @@ CODE: Final = "torch-file"
 # an opcode of one byte may make an object of 64.
 _MOST_PICKLE_BYTES: Final = 1 << 19
 
-# So many entries take about 600 bytes of zipfile's objects each.
-_MOST_ENTRIES: Final = 1 << 14
+# Some hundred entries of about 100 bytes each; the end of a ZIP file is looked for in 64 KiB.
+_MOST_DIRECTORY_BYTES: Final = 1 << 20
 
 # VGG-16 whole, its classifier included, is 528 MiB.
 _MOST_BYTES: Final = 1 << 30
@@ -122,26 +123,38 @@ def open_torch(path: StrPath) -> Iterator[Mapping[object, object]]:
         ``torch-file``: it is no such file, or holds something else than dictionaries, numbers,
         strings and tensors.
     """
+    with _opened(path) as archive:
+        found = _unpickled(archive)
+        if not isinstance(found, dict):
+            raise _bad(path, f"a {type(found).__name__}")
+        yield found
+
+
+@contextmanager
+def _opened(path: StrPath) -> Iterator[zipfile.ZipFile]:
+    """Open a zip; what damage raises in the block becomes ``torch-file``."""
     with storage_errors(path), open_for_read(path) as file:
         try:
-            with zipfile.ZipFile(file) as archive:
-                if len(archive.filelist) > _MOST_ENTRIES:
-                    raise _bad(path, f"{len(archive.filelist)} entries")
-                pickles = [name for name in archive.namelist() if name.endswith("/data.pkl")]
-                if not pickles:
-                    raise _bad(path, "no pickle in the zip")
-                folder = pickles[0][: -len("data.pkl")]
-                stream = io.BytesIO(_stored(archive, pickles[0], _MOST_PICKLE_BYTES))
-                found = _Tensors(
-                    stream, lambda key: _stored(archive, f"{folder}data/{key}", _MOST_BYTES)
-                ).load()
-                if not isinstance(found, dict):
-                    raise _bad(path, f"a {type(found).__name__}")
-                yield found
+            with open_zip(file, _MOST_DIRECTORY_BYTES, lambda found: _bad(path, found)) as archive:
+                yield archive
         except DataError:
             raise
         except _DAMAGE as error:
             raise _bad(path, f"{type(error).__name__}: {error}") from error
+
+
+def _pickle_name(archive: zipfile.ZipFile) -> str | None:
+    return next((name for name in archive.namelist() if name.endswith("/data.pkl")), None)
+
+
+def _unpickled(archive: zipfile.ZipFile) -> object:
+    """Return what was saved; tensors read their storages from the archive."""
+    name = _pickle_name(archive)
+    if name is None:
+        raise zipfile.BadZipFile("no pickle in the zip")
+    folder = name[: -len("data.pkl")]
+    stream = io.BytesIO(_stored(archive, name, _MOST_PICKLE_BYTES))
+    return _Tensors(stream, lambda key: _stored(archive, f"{folder}data/{key}", _MOST_BYTES)).load()
 
 
 def _stored(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
@@ -175,23 +188,33 @@ def read_state_dict(path: StrPath) -> dict[str, F32]:
     DataError
         ``torch-file``: it is neither, or holds something else than named arrays.
     """
-    with storage_errors(path), open_for_read(path) as file:
-        try:
-            with zipfile.ZipFile(file) as archive:
-                if sum(entry.file_size for entry in archive.infolist()) > _MOST_BYTES:
-                    raise _bad(path, f"more than {_MOST_BYTES} bytes")
-                saved = any(name.endswith("/data.pkl") for name in archive.namelist())
-            if not saved:
-                file.seek(0)
-                with np.load(file, allow_pickle=False) as arrays:
-                    return {name: arrays[name].astype(np.float32) for name in arrays.files}
-        except DataError:
-            raise
-        except _DAMAGE as error:
-            raise _bad(path, f"{type(error).__name__}: {error}") from error
-    with open_torch(path) as state:
+    with _opened(path) as archive:
+        if sum(entry.file_size for entry in archive.infolist()) > _MOST_BYTES:
+            raise _bad(path, f"more than {_MOST_BYTES} bytes")
+        if _pickle_name(archive) is None:
+            return {name.removesuffix(".npy"): _npy(archive, name) for name in archive.namelist()}
+        state = _unpickled(archive)
+        if not isinstance(state, dict):
+            raise _bad(path, f"a {type(state).__name__}")
         # State dicts carry their modules' versions beside the arrays.
         return {str(k): v.array() for k, v in state.items() if isinstance(v, TorchTensor)}
+
+
+def _npy(archive: zipfile.ZipFile, name: str) -> F32:
+    """Return one array of what ``numpy.savez`` wrote."""
+    with archive.open(name) as file:
+        version = np.lib.format.read_magic(file)
+        read_header = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }
+        shape, by_columns, dtype = read_header[version](file)
+        data = file.read()
+    # Not by `read_array`, which allocates what the header says before it reads.
+    if dtype.hasobject or len(data) != math.prod(shape) * dtype.itemsize:
+        raise ValueError(f"{name[:60]}: {len(data)} bytes, expected {dtype} of shape {shape}")
+    values = np.frombuffer(data, dtype).reshape(shape, order="F" if by_columns else "C")
+    return np.ascontiguousarray(values, np.float32)
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, Final, cast
+from typing import BinaryIO, Final
 
 from cogsplat.codec.errors import CogsplatError, FormatError, LimitError, UnsupportedError
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 from cogsplat.formats.storage.magic import describe
 from cogsplat.formats.storage.siblings import sibling
+from cogsplat.formats.storage.zip_directory import open_zip
 
 META_NAME: Final = "meta.json"
 
@@ -93,40 +94,16 @@ def open_files(path: StrPath, where: str) -> Iterator[SogFiles]:
                 )
             yield Folder(Path(path), where)
             return
-        rationed = _RationedFile(file, where)
         with _zip_errors(where):
-            archive = zipfile.ZipFile(cast("BinaryIO", rationed))
-        rationed.left = None
+            archive = open_zip(
+                file,
+                _MAX_DIRECTORY_BYTES,
+                lambda found: LimitError(
+                    "sog-zip-directory", f"{where}: {found}, expected the few files of a scene"
+                ),
+            )
         with archive:
             yield _Bundle(archive, where, os.fstat(file.fileno()).st_size)
-
-
-class _RationedFile:
-    """A file that gives only so many bytes: zipfile reads a directory of any size at once.
-
-    It then makes an object of about 600 bytes of each entry.
-    """
-
-    def __init__(self, file: BinaryIO, where: str) -> None:
-        self._file = file
-        self._where = where
-        self.left: int | None = _MAX_DIRECTORY_BYTES
-        self.seek = file.seek
-        self.tell = file.tell
-        self.seekable = file.seekable
-
-    def read(self, size: int = -1) -> bytes:
-        if self.left is None:
-            return self._file.read(size)
-        data = self._file.read(self.left + 1 if size < 0 else min(size, self.left + 1))
-        if len(data) > self.left:
-            raise LimitError(
-                "sog-zip-directory",
-                f"{self._where}: a ZIP directory of more than {_MAX_DIRECTORY_BYTES} bytes, "
-                "expected the few files of a scene",
-            )
-        self.left -= len(data)
-        return data
 
 
 class Folder(SogFiles):

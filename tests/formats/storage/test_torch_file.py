@@ -89,3 +89,38 @@ def test_a_long_pickle_is_refused(tmp_path: Path) -> None:
         archive.writestr("a/data.pkl", b"\x80\x02" + b"}" * (1 << 20))
     with pytest.raises(DataError, match="expected it stored and at most"):
         read_state_dict(path)
+
+
+def test_arrays_of_any_layout_are_read(tmp_path: Path) -> None:
+    values = np.arange(12, dtype=np.float64).reshape(3, 4)
+    path = tmp_path / "a.npz"
+    np.savez(path, rows=values, columns=np.asfortranarray(values), one=np.float32(2))
+    found = read_state_dict(path)
+    assert list(found) == ["rows", "columns", "one"]
+    for name in ("rows", "columns"):
+        np.testing.assert_array_equal(found[name], values.astype(np.float32))
+    assert found["one"] == 2.0
+
+
+@pytest.mark.parametrize("values", [np.array([None]), np.zeros(3)])
+def test_objects_and_sizes_that_are_not_there_are_refused(
+    tmp_path: Path, values: np.ndarray
+) -> None:
+    """What a header says is not allocated before the bytes are there."""
+    whole, path = io.BytesIO(), tmp_path / "a.npz"
+    np.save(whole, values, allow_pickle=True)
+    data = whole.getvalue().replace(b"(3,)", b"(9" + b"0" * 12 + b",)")
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("w.npy", data)
+    with pytest.raises(DataError) as caught:
+        read_state_dict(path)
+    assert caught.value.code == "torch-file"
+
+
+def test_a_large_directory_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.pth"
+    with zipfile.ZipFile(path, "w") as archive:
+        for number in range(20_000):
+            archive.writestr(f"a/data/{number}", b"")
+    with pytest.raises(DataError, match="a ZIP directory of more than 1048576 bytes"):
+        read_state_dict(path)
