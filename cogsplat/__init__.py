@@ -369,13 +369,10 @@ def _target(psnr_db: float | None, size: int | str | None, scene: Splats | _Path
     from .formats.scenes.registry import scene_bytes
     from .formats.storage.byte_counts import parse_byte_count
 
-    if psnr_db is not None:
-        return Target(psnr_db=psnr_db)
     if isinstance(size, str):
-        count = parse_byte_count(size)
         whole = scene.nbytes if isinstance(scene, Splats) else scene_bytes(scene)
-        size = int(count.amount * whole) if count.is_share else int(count.amount)
-    return None if size is None else Target(size_bytes=size)
+        size = parse_byte_count(size).uncapped(whole)
+    return None if psnr_db is None and size is None else Target(psnr_db, size)
 
 
 def read(path: _Path, *, limits: Limits | None = None) -> Splats:

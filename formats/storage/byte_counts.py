@@ -37,8 +37,11 @@ class ByteCount:
 
     def of(self, file_bytes: int) -> int:
         """Return the number of bytes for a file of `file_bytes`: at most these, rounded down."""
-        wanted = self.amount * file_bytes if self.is_share else self.amount
-        return min(int(wanted), file_bytes)
+        return min(self.uncapped(file_bytes), file_bytes)
+
+    def uncapped(self, file_bytes: int) -> int:
+        """Return the number of bytes, of which a share is that of `file_bytes`, rounded down."""
+        return int(self.amount * file_bytes if self.is_share else self.amount)
 
 
 def parse_byte_count(text: str) -> ByteCount:

@@ -58,7 +58,6 @@ from .scene_edits import SceneEdits, edit_options
 if TYPE_CHECKING:
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.encoded import EncodeReport
-    from cogsplat.codec.encode.rate_control import Target
     from cogsplat.formats.cogs.reader import CogsFile
 
 # The choices and defaults below are those of `EncodeConfig` and `PruneConfig`, which take a
@@ -259,6 +258,7 @@ def encode(
     """
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.presets import PRESETS
+    from cogsplat.codec.encode.rate_control import Target
     from cogsplat.codec.encode.stage_costs import stage_costs
     from cogsplat.codec.rate.pruning import PruneConfig
 
@@ -314,7 +314,10 @@ def encode(
         score_config = chosen.score_config(
             profile, top_k=top_k, jitter=not no_jitter, threads=threads
         )
-        target = _target(target_psnr, target_size, given.file_bytes)
+        aimed = None if target_size is None else target_size.uncapped(given.file_bytes)
+        if aimed == 0:
+            raise click.UsageError("--target-size of 0 bytes, expected at least 1")
+        target = None if target_psnr is None and aimed is None else Target(target_psnr, aimed)
         costs = stage_costs(
             len(splats), config, chosen, cameras=views, jitter=not no_jitter, target=target
         )
@@ -398,21 +401,6 @@ def _require_one_aim(
         raise click.UsageError(
             f"{named[0]} with --profile near-lossless, expected a profile for viewing"
         )
-
-
-def _target(
-    target_psnr: float | None, target_size: ByteCount | None, file_bytes: int
-) -> Target | None:
-    from cogsplat.codec.encode.rate_control import Target
-
-    if target_psnr is not None:
-        return Target(psnr_db=target_psnr)
-    if target_size is None:
-        return None
-    wanted = target_size.of(file_bytes) if target_size.is_share else int(target_size.amount)
-    if wanted < 1:
-        raise click.UsageError("--target-size of 0 bytes, expected at least 1")
-    return Target(size_bytes=wanted)
 
 
 def _scored(made: EncodeReport) -> str:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.encode import colour_transform
+from cogsplat.codec.errors import FormatError
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.segments.codebooks import ColourCodebook, decode_colour_codebook
 from cogsplat.codec.segments.tails import decode_tail
@@ -233,7 +234,13 @@ def test_fitting_and_encoding_are_repeatable():
 
 def test_a_codebook_number_is_written():
     values, basis = fitted(1)
-    stream, _ = basis.encode(values, energy_of(), 1e-9, 6)
-    codebook = ColourCodebook(np.zeros((9, 3, 3), f32))
-    out = np.empty((300, 3, 3), f32)
-    decode_tail(memoryview(records.pack([stream])), {6: codebook}, out, "tail")
+    codebook = stored(basis, 1)
+    stream, missed = basis.stored_as(codebook.shN).encode(values, energy_of(), 1e-9, 6)
+    tail = memoryview(records.pack([stream]))
+    out = np.full((300, 3, 3), np.nan, f32)
+    others = ColourCodebook(np.zeros((9, 3, 3), f32))
+    decode_tail(tail, {0: others, 6: codebook}, out, "tail")
+    np.testing.assert_allclose(out, values - missed, atol=3e-6)
+    assert np.abs(out).max() > 0.1
+    with pytest.raises(FormatError, match="codebook 6"):
+        decode_tail(tail, {0: codebook}, out, "tail")
