@@ -31,6 +31,7 @@ from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_jso
 from cogsplat.tools.terminal.output_names import PNG, check_name, format_option
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import ChunkRange, Colour, picture_size
 
 from .inputs import (
@@ -49,8 +50,8 @@ from .inputs import (
     "  cogsplat render scene.cogs whole.png --cameras cameras.json --camera 3\n"
     "  cogsplat render scene.cogs tenth.png --bytes 10% --size 960x720"
 )
-@click.argument("path", type=PATH, metavar="IN")
-@click.argument("out", type=PATH, metavar="OUT.png")
+@click.argument("path", type=INPUT, metavar="IN")
+@click.argument("out", type=OutputPath(".png"), metavar="OUT.png")
 @cameras_option("Without it, the file's first view, else a planned view.")
 @click.option(
     "--camera",
@@ -180,8 +181,8 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
     "  cogsplat compare scene.ply scene.cogs --cameras cameras.json\n"
     "  cogsplat compare scene.ply scene.cogs --bytes 10% --difference tenth.png"
 )
-@click.argument("reference", type=PATH, metavar="A")
-@click.argument("other", type=PATH, metavar="B")
+@click.argument("reference", type=INPUT, metavar="A")
+@click.argument("other", type=INPUT, metavar="B")
 @cameras_option("Without it, eval_cameras.json beside A, all of it; else planned views.")
 @eval_every_option(8, "Compare on the")
 @click.option(

@@ -11,7 +11,6 @@ from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
-    PATH,
     cameras_option,
     force_option,
     json_option,
@@ -22,6 +21,7 @@ from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_t
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 
 from .inputs import LoadedScene, given_files, read_any, scoring_cameras
 from .scene_edits import SceneEdits, edit_options
@@ -39,8 +39,8 @@ from .scene_output import (
     "  cogsplat convert scene.ply scene.spz\n"
     "  cogsplat convert scene.spz upright.sog --rotate 180,0,0 --sh 1"
 )
-@click.argument("source", type=PATH, metavar="A")
-@click.argument("out", type=PATH, metavar="B")
+@click.argument("source", type=INPUT, metavar="A")
+@click.argument("out", type=OutputPath(), metavar="B")
 @writing_options(OUTPUT_FORMATS, "Without it, B's extension says which.")
 @edit_options
 @cameras_option("For a .cogs only; without it, views are planned around the scene.")

@@ -20,7 +20,6 @@ from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
-    PATH,
     cameras_option,
     force_option,
     json_option,
@@ -31,6 +30,7 @@ from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_t
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 
 from .inputs import given_files, read_any, scoring_cameras, usable_rows, virtual_views
 from .scene_output import OUTPUT_FORMATS, output_format, write_any
@@ -78,8 +78,8 @@ def splat_count(text: str) -> SplatCount:
 
 
 @click.command(epilog="\b\nExample:\n  cogsplat decimate scene.ply small.ply --to 25%")
-@click.argument("path", type=PATH, metavar="SCENE")
-@click.argument("out", type=PATH, metavar="OUT")
+@click.argument("path", type=INPUT, metavar="SCENE")
+@click.argument("out", type=OutputPath(), metavar="OUT")
 @writing_options(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
 @click.option(
     "--to",

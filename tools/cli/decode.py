@@ -14,7 +14,6 @@ from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
-    PATH,
     compensate_option,
     force_option,
     json_option,
@@ -27,6 +26,7 @@ from cogsplat.tools.terminal.output_names import scene_format
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import ChunkRange
 
 from .inputs import LoadedScene, Selection, decode_part
@@ -39,8 +39,8 @@ from .scene_output import write_any
     "  cogsplat decode scene.cogs preview.ply --bytes 20% --sh 0\n"
     "  cogsplat decode scene.cogs vase.ply --object 3"
 )
-@click.argument("cogs", type=PATH, metavar="IN.cogs")
-@click.argument("out", type=PATH, metavar="OUT.ply")
+@click.argument("cogs", type=INPUT, metavar="IN.cogs")
+@click.argument("out", type=OutputPath(".ply"), metavar="OUT.ply")
 @part_options
 @compensate_option
 @writing_options(WRITABLE, "Without it, the extension says which.")

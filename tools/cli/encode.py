@@ -40,6 +40,7 @@ from cogsplat.tools.terminal.output_names import (
 )
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Colour, byte_count
 
 from .info import tell_attributes
@@ -117,8 +118,8 @@ _GROUPS: Final = {
     epilog="\b\nExample:\n"
     "  cogsplat encode scene.ply scene.cogs --cameras cameras.json --quality 38",
 )
-@click.argument("scene", type=PATH)
-@click.argument("out", type=PATH, metavar="OUT.cogs")
+@click.argument("scene", type=INPUT)
+@click.argument("out", type=OutputPath(".cogs"), metavar="OUT.cogs")
 @cameras_option("Without it, views are planned around the scene.")
 @click.option(
     "--profile",

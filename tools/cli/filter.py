@@ -15,7 +15,6 @@ from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
-    PATH,
     cameras_option,
     force_option,
     json_option,
@@ -26,6 +25,7 @@ from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_jso
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Box, box
 
 from .inputs import given_files, read_any, scoring_cameras, usable_rows, virtual_views
@@ -39,8 +39,8 @@ Marks = dict[str, NDArray[np.bool_]]
     "filter",
     epilog="\b\nExample:\n  cogsplat filter scene.ply clean.ply --min-opacity 0.02 --floaters 3",
 )
-@click.argument("path", type=PATH, metavar="SCENE")
-@click.argument("out", type=PATH, metavar="OUT")
+@click.argument("path", type=INPUT, metavar="SCENE")
+@click.argument("out", type=OutputPath(), metavar="OUT")
 @writing_options(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
 @click.option(
     "--min-opacity",

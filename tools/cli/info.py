@@ -23,10 +23,11 @@ from cogsplat.tools.evaluation.byte_inventory import (
     stored_sizes,
 )
 from cogsplat.tools.terminal.limits import current_limits, limits_option
-from cogsplat.tools.terminal.options import PATH, json_option, quiet_option
+from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT
 
 from .inputs import read_any
 
@@ -42,7 +43,7 @@ _ATTRIBUTES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
     "  cogsplat info scene.cogs\n"
     "  cogsplat info scene.cogs --json | jq .attributes"
 )
-@click.argument("path", type=PATH, metavar="IN")
+@click.argument("path", type=INPUT, metavar="IN")
 @click.option("--verify", is_flag=True, help="Check every hash and decode every chunk of it.")
 @click.option("--all", "all_chunks", is_flag=True, help="List every chunk, however many.")
 @partial_option

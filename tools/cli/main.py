@@ -28,6 +28,11 @@ from cogsplat.codec.errors import (
 from cogsplat.formats.cogs import layout
 from cogsplat.formats.storage.atomic import storage_error
 from cogsplat.tools.terminal.output import WARNINGS, say_json
+from cogsplat.tools.terminal.standard_streams import (
+    AS_JSON,
+    standard_streams,
+    with_streams_named,
+)
 
 from .bench import bench
 from .compare import compare, render
@@ -56,9 +61,6 @@ _ENCODE_EXTRA: Final = frozenset({"numba", "scipy", "sklearn", "threadpoolctl", 
 
 # What ends the work as Ctrl-C does, so that nothing half-written stays behind.
 _STOP_SIGNALS: Final = ("SIGTERM", "SIGHUP")
-
-_JSON: Final = "cogsplat.json"
-
 
 # What the command line adds to a refusal, where the command has the option: messages of the library
 # name no options, because its callers have none.
@@ -111,13 +113,18 @@ class CommandLine(click.Group):
         as_json = "--json" in args
         with _failures_told(as_json):
             ctx = super().make_context(info_name, args, parent, **extra)
-        ctx.meta[_JSON] = as_json
+        ctx.meta[AS_JSON] = as_json
         return ctx
 
     def invoke(self, ctx: click.Context) -> object:
         """Run a command; report failures."""
-        as_json = bool(ctx.meta[_JSON])
-        with _failures_told(as_json, ctx), _stoppable(), _warnings_told(ctx, as_json):
+        as_json = bool(ctx.meta[AS_JSON])
+        with (
+            _failures_told(as_json, ctx),
+            _stoppable(),
+            _warnings_told(ctx, as_json),
+            standard_streams(ctx),
+        ):
             return super().invoke(ctx)
 
 
@@ -217,6 +224,7 @@ def _tell(code: str, message: str, exit_code: int, as_json: bool, hint: str = ""
     # Whoever closed the pipe, as `head` does, has all it wanted.
     if code == "broken-pipe":
         return
+    message = with_streams_named(message)
     # Where even this does not arrive, the exit code still tells.
     with suppress(OSError):
         if as_json:
@@ -269,10 +277,12 @@ def _warnings_told(ctx: click.Context, as_json: bool) -> Iterator[None]:
         ) -> None:
             if not issubclass(category, CogsplatWarning):
                 show_other(message, category, filename, lineno, None, line)
-            elif str(message) not in told:
-                told.append(str(message))
+                return
+            text = with_streams_named(str(message))
+            if text not in told:
+                told.append(text)
                 if not as_json:
-                    click.echo(f"warning: {message}", err=True)
+                    click.echo(f"warning: {text}", err=True)
 
         warnings.showwarning = show
         warnings.simplefilter("always", CogsplatWarning)
@@ -284,6 +294,7 @@ def _warnings_told(ctx: click.Context, as_json: bool) -> Iterator[None]:
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="\b\nExample:\n"
     "  cogsplat demo\n\n"
+    "A scene called - comes from standard input, an output called - goes to standard output.\n\n"
     "Exit status: 0 done, 2 misuse, 3 invalid data, 4 input or output failed or an extra is not "
     "installed, 5 a limit was reached, 130 interrupted. A command that fails leaves no "
     "half-written file.",

@@ -19,7 +19,6 @@ from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
-    PATH,
     force_option,
     json_option,
     quiet_option,
@@ -29,6 +28,7 @@ from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_jso
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Vector, vector
 
 from .inputs import given_files, read_any
@@ -59,8 +59,8 @@ def _of_scene(parse: Callable[[str], Value]) -> Callable[[str], tuple[int, Value
     "  cogsplat merge garden.ply bench.spz both.cogs --translate 2:1.5,0,-2\n"
     "  cogsplat decode both.cogs bench.ply --object 2"
 )
-@click.argument("sources", type=PATH, nargs=-1, required=True, metavar="A B…")
-@click.argument("out", type=PATH, metavar="OUT")
+@click.argument("sources", type=INPUT, nargs=-1, required=True, metavar="A B…")
+@click.argument("out", type=OutputPath(), metavar="OUT")
 @writing_options(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
 @click.option(
     "--scale",

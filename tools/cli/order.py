@@ -17,7 +17,6 @@ from cogsplat.codec.order.orders import Unordered, needs_scores, order_rows
 from cogsplat.formats.storage.atomic import atomic_write, check_output
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
-    PATH,
     cameras_option,
     eval_every_option,
     force_option,
@@ -31,6 +30,7 @@ from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_jso
 from cogsplat.tools.terminal.output_names import NPY, check_name
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 
 from .inputs import given_cameras, given_files, read_any, scoring_cameras, virtual_views
 from .order_options import OrderChoice, order_options
@@ -41,8 +41,8 @@ from .order_options import OrderChoice, order_options
     "  cogsplat order scene.ply rows.npy --cameras cameras.json\n"
     "  cogsplat order scene.ply rows.npy --cameras cameras.json --first-view 3"
 )
-@click.argument("path", type=PATH, metavar="SCENE")
-@click.argument("out", type=PATH, metavar="OUT.npy")
+@click.argument("path", type=INPUT, metavar="SCENE")
+@click.argument("out", type=OutputPath(".npy"), metavar="OUT.npy")
 @cameras_option("Without it, views are planned around the scene.")
 @order_options
 @jitter_option

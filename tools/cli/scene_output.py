@@ -17,6 +17,7 @@ from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.tools.terminal.output_names import scene_format, written_bytes
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting
+from cogsplat.tools.terminal.standard_streams import is_standard_output
 
 COGS_NAME: Final = "cogs"
 """What ``--format`` calls the project's own format."""
@@ -52,6 +53,8 @@ def output_format(out: Path, writing: SceneWriting) -> str:
         asked of it.
     """
     named = writing.format_name
+    if named is None and is_standard_output(out):
+        raise click.UsageError("standard output without --format, expected the name of a format")
     to_cogs = named == COGS_NAME if named else out.name.lower().endswith(".cogs")
     name = COGS_NAME if to_cogs else scene_format(out, named).name
     writing.require(out, name)

@@ -14,7 +14,6 @@ from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.formats.storage.atomic import atomic_write, check_output
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
-    PATH,
     cameras_option,
     eval_every_option,
     force_option,
@@ -28,6 +27,7 @@ from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_jso
 from cogsplat.tools.terminal.output_names import NPY, check_name
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 
 from .inputs import given_files, read_any, scoring_cameras, virtual_views
 
@@ -35,8 +35,8 @@ from .inputs import given_files, read_any, scoring_cameras, virtual_views
 @click.command(
     epilog="\b\nExample:\n  cogsplat score scene.ply contribution.npy --cameras cameras.json"
 )
-@click.argument("path", type=PATH, metavar="SCENE")
-@click.argument("out", type=PATH, metavar="OUT.npy")
+@click.argument("path", type=INPUT, metavar="SCENE")
+@click.argument("out", type=OutputPath(".npy"), metavar="OUT.npy")
 @cameras_option("Without it, views are planned around the scene.")
 @jitter_option
 @top_k_option

@@ -14,7 +14,6 @@ from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.scene_statistics import SceneStatistics, ValueStatistics, statistics
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
-    PATH,
     json_option,
     part_options,
     quiet_option,
@@ -23,6 +22,7 @@ from cogsplat.tools.terminal.options import (
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT
 from cogsplat.tools.terminal.values import ChunkRange
 
 from .inputs import LoadedScene, Selection, read_any
@@ -36,7 +36,7 @@ _BARS: Final = "▁▂▃▄▅▆▇█"
     "  cogsplat stats scene.spz\n"
     "  cogsplat stats scene.cogs --bytes 20% --json | jq .fill_ratio"
 )
-@click.argument("path", type=PATH, metavar="SCENE")
+@click.argument("path", type=INPUT, metavar="SCENE")
 @part_options
 @partial_option
 @limits_option

@@ -10,10 +10,11 @@ import click
 from cogsplat.formats.cogs.verification import Finding, findings
 from cogsplat.formats.storage.source import FileSource
 from cogsplat.tools.terminal.limits import current_limits, limits_option
-from cogsplat.tools.terminal.options import PATH, json_option, quiet_option
+from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import counted, name_of, say, say_json
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT
 
 _INVALID = 3
 
@@ -23,7 +24,7 @@ _INVALID = 3
     "  cogsplat validate scene.cogs\n"
     "  cogsplat validate scene.cogs --json | jq '.findings[].code'"
 )
-@click.argument("path", type=PATH, metavar="IN.cogs")
+@click.argument("path", type=INPUT, metavar="IN.cogs")
 @partial_option
 @limits_option
 @quiet_option

@@ -27,6 +27,7 @@ from cogsplat.tools.terminal.options import (
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT
 
 from .compare import fitted
 from .inputs import given_files, read_any
@@ -44,7 +45,7 @@ _MOST_VIEWS: Final = 1024
     "  cogsplat views scene.ply views.json --count 96\n"
     "  cogsplat encode scene.ply scene.cogs --cameras views.json"
 )
-@click.argument("path", type=PATH, metavar="SCENE")
+@click.argument("path", type=INPUT, metavar="SCENE")
 @click.argument("out", type=PATH, metavar="OUT.json|OUT.png")
 @click.option(
     "--count",

@@ -17,6 +17,8 @@ from rich.text import Text
 
 from cogsplat.codec.errors import printable
 
+from .standard_streams import is_output_taken, with_streams_named
+
 Json = Mapping[str, object]
 
 WARNINGS: Final = "cogsplat.warnings"
@@ -27,16 +29,18 @@ _TABLE_WIDTH: Final = 200
 
 
 def say(text: str) -> None:
-    """Print a line to standard output.
+    """Print a line to standard output, or to standard error where the former is for a file.
 
     Control characters, and characters that the encoding lacks, are escaped.
     """
-    _print(printable(text))
+    _print(printable(with_streams_named(text)))
 
 
 def _print(text: str) -> None:
-    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
-    click.echo(text.encode(encoding, "backslashreplace").decode(encoding))
+    to_error = is_output_taken()
+    stream = sys.stderr if to_error else sys.stdout
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    click.echo(text.encode(encoding, "backslashreplace").decode(encoding), err=to_error)
 
 
 def say_json(value: Json) -> None:
@@ -97,5 +101,5 @@ def counted(count: int, noun: str) -> str:
 
 
 def name_of(path: Path) -> str:
-    """Return a path as the user gave it."""
-    return os.fspath(path)
+    """Return a path as the user gave it, or the name of the stream that it stands for."""
+    return with_streams_named(os.fspath(path))

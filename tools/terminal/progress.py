@@ -120,8 +120,8 @@ class Stages(TimedProgress):
         due = now - self._written.setdefault(stage, now) >= _LINE_EVERY
         if done == 0 or due:
             self._written[stage] = now
-            share = f"{self._whole.share:4.0%} " if self._whole else ""
-            click.echo(f"{share}{stage} {done}/{total}", err=True)
+            share = f", {self._whole.share:.0%} of all" if self._whole else ""
+            click.echo(f"{stage} {done}/{total}{share}", err=True)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

@@ -112,7 +112,7 @@ def test_one_bar_speaks_of_the_whole_work_once_it_is_planned(
     assert "score" not in last
 
 
-def test_lines_of_planned_work_begin_with_its_share(
+def test_lines_of_planned_work_end_with_its_share(
     clock: list[float], capsys: pytest.CaptureFixture[str]
 ) -> None:
     with Stages() as stages:
@@ -120,7 +120,7 @@ def test_lines_of_planned_work_begin_with_its_share(
         stages("score", 0, 4)
         clock[0] += 9.0
         stages("score", 2, 4)
-    assert capsys.readouterr().err.splitlines() == ["  0% score 0/4", " 25% score 2/4"]
+    assert capsys.readouterr().err.splitlines() == ["score 0/4, 0% of all", "score 2/4, 25% of all"]
 
 
 def test_dumb_terminals_get_lines(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,179 @@
+"""``-`` in place of a file: a scene from standard input, a result to standard output.
+
+Readers ask for any part of a file at any time and writers give a file its name when it is complete,
+so that both streams go through a temporary folder. Messages speak of the streams, not of it.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+import click
+
+STREAM: Final = "-"
+"""What stands for a stream in place of a path."""
+
+AS_JSON: Final = "cogsplat.json"
+"""Where a click context keeps whether ``--json`` was given."""
+
+_KEY: Final = "cogsplat.streams"
+
+_INPUT: Final = "standard input"
+_OUTPUT: Final = "standard output"
+
+
+class InputPath(click.Path):
+    """A file to read; ``-`` is what arrives on standard input, which is read to its end."""
+
+    def convert(
+        self,
+        value: str | os.PathLike[str],
+        param: click.Parameter | None,
+        ctx: click.Context | None,
+    ) -> Path:
+        """Return the path, that of a temporary file for ``-``."""
+        streams = _streams(ctx)
+        if os.fspath(value) != STREAM or streams is None:
+            return Path(os.fsdecode(super().convert(value, param, ctx)))
+        return streams.receive()
+
+
+class OutputPath(click.Path):
+    """A file to write; with ``-`` it goes to standard output once it is complete.
+
+    Parameters
+    ----------
+    suffix : str
+        Of the file that stands for standard output; it says a format where none is named.
+    """
+
+    def __init__(self, suffix: str = "") -> None:
+        super().__init__(path_type=Path)
+        self._suffix = suffix
+
+    def convert(
+        self,
+        value: str | os.PathLike[str],
+        param: click.Parameter | None,
+        ctx: click.Context | None,
+    ) -> Path:
+        """Return the path, that of a temporary file for ``-``."""
+        streams = _streams(ctx)
+        if os.fspath(value) != STREAM or streams is None or ctx is None:
+            return Path(os.fsdecode(super().convert(value, param, ctx)))
+        if ctx.meta.get(AS_JSON):
+            raise click.UsageError("--json and a result on standard output, expected one of them")
+        return streams.promise(self._suffix)
+
+
+INPUT: Final = InputPath(path_type=Path)
+"""The type of a scene to read."""
+
+
+class StandardStreams:
+    """The streams of a command, and the files that stand for them.
+
+    Parameters
+    ----------
+    folder : Path
+        Where those files lie.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._input: Path | None = None
+        self._output: Path | None = None
+
+    def receive(self) -> Path:
+        """Read standard input to its end, into a file.
+
+        Raises
+        ------
+        click.UsageError
+            It is a terminal, or was asked for twice.
+        """
+        if self._input is not None:
+            raise click.UsageError("- for two scenes, expected one on standard input")
+        if sys.stdin is None or sys.stdin.isatty():
+            raise click.UsageError("standard input is a terminal, expected a file or a pipe")
+        self._input = self._folder / "input"
+        with self._input.open("wb") as file:
+            shutil.copyfileobj(sys.stdin.buffer, file)
+        return self._input
+
+    def promise(self, suffix: str) -> Path:
+        """Return the file to write that goes to standard output.
+
+        Raises
+        ------
+        click.UsageError
+            Standard output is a terminal, or was asked for twice.
+        """
+        if self._output is not None:
+            raise click.UsageError("- for two outputs, expected one on standard output")
+        if sys.stdout is None or sys.stdout.isatty():
+            raise click.UsageError("standard output is a terminal, expected a file or a pipe")
+        self._output = self._folder / f"output{suffix}"
+        return self._output
+
+    @property
+    def is_output_taken(self) -> bool:
+        """Whether standard output is for a file, and nothing else may be written to it."""
+        return self._output is not None
+
+    def is_output(self, path: Path) -> bool:
+        """Whether a path stands for standard output."""
+        return path == self._output
+
+    def send(self) -> None:
+        """Copy what was promised to standard output."""
+        if self._output is not None and self._output.is_file():
+            with self._output.open("rb") as file:
+                shutil.copyfileobj(file, sys.stdout.buffer)
+            sys.stdout.buffer.flush()
+
+    def named(self, text: str) -> str:
+        """Return a text in which streams stand for the files in their place."""
+        for path, name in ((self._input, _INPUT), (self._output, _OUTPUT)):
+            if path is not None:
+                text = text.replace(os.fspath(path), name)
+        return text
+
+
+@contextmanager
+def standard_streams(ctx: click.Context) -> Iterator[None]:
+    """Let the command of a context use ``-``; what it wrote is sent when the block ends well."""
+    with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
+        streams = ctx.meta[_KEY] = StandardStreams(Path(folder))
+        yield
+        streams.send()
+
+
+def is_standard_output(path: Path) -> bool:
+    """Whether a path of the running command stands for standard output."""
+    streams = _streams(click.get_current_context(silent=True))
+    return streams is not None and streams.is_output(path)
+
+
+def is_output_taken() -> bool:
+    """Whether the running command sends a file to standard output."""
+    streams = _streams(click.get_current_context(silent=True))
+    return streams is not None and streams.is_output_taken
+
+
+def with_streams_named(text: str) -> str:
+    """Return a text of the running command in which streams have their names."""
+    streams = _streams(click.get_current_context(silent=True))
+    return text if streams is None else streams.named(text)
+
+
+def _streams(ctx: click.Context | None) -> StandardStreams | None:
+    found = None if ctx is None else ctx.meta.get(_KEY)
+    return found if isinstance(found, StandardStreams) else None
