@@ -74,7 +74,8 @@ def test_wheel_is_the_tree_and_nothing_else(tree: Path, wheel: zipfile.Path) -> 
         sources = (tree / package).rglob("*.py")
         expected |= {f"cogsplat/{path.relative_to(tree).as_posix()}" for path in sources}
     built = [path for path in (tree / "tools/web/dist").iterdir() if path.is_file()]
-    assert {"viewer.html", "viewer.js", "worker.js"} <= {path.name for path in built}
+    programs = {"viewer.js", "worker.js", "viewer_worker.js"}
+    assert {"viewer.html", *programs} <= {path.name for path in built}
     expected |= {f"cogsplat/{path.relative_to(tree).as_posix()}" for path in built}
     assert inside == expected
     notes = {name.split("/", 1)[1] for name in names if ".dist-info/" in name}

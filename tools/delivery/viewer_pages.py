@@ -16,7 +16,7 @@ PAGE_NAME: Final = "index.html"
 """Name of the page that web servers answer with for its folder."""
 
 # What viewer.html is made of: each stands in it once, which a test checks.
-_ROOT_TAG: Final = '<html lang="en">'
+_VIEWER_TAG: Final = '<cogsplat-viewer id="page">'
 _TITLE: Final = "<title>COGS viewer</title>"
 _STYLE_TAG: Final = '<link rel="stylesheet" href="viewer.css" />'
 _SCRIPT_TAG: Final = '<script type="module" src="viewer.js"></script>'
@@ -25,20 +25,30 @@ _POLICY: Final = (
     "worker-src 'self'; connect-src 'self' https:"
 )
 
+# What the viewer's page needs beside itself, the programs of its workers last.
+_WORKERS: Final = ("worker.js", "viewer_worker.js")
+_OTHERS: Final = ("viewer.css", "viewer.js", *_WORKERS)
+
 # Browsers limit the length of one text to half a GiB, so a scene is cut into blocks. A multiple of
 # 3 bytes, so that the base64 of each but the last ends without padding.
 _BLOCK_BYTES: Final = 3 << 20
 
 
-def linked_page(title: str) -> dict[str, bytes]:
+def linked_page(
+    title: str, scene: str = SCENE_NAME, against: str | None = None
+) -> dict[str, bytes]:
     """Return the files of a page that fetches the scene beside it, by name.
 
-    The scene, `SCENE_NAME`, is not among them; the first is the page, `PAGE_NAME`.
+    The scene is not among them; the first is the page, `PAGE_NAME`.
 
     Parameters
     ----------
     title : str
-        What the browser writes above the page.
+        What the browser writes above the page, and what the scene is called.
+    scene : str
+        Name of the scene's file, a ``.cogs`` or the PLY of 3DGS training, beside the page.
+    against : str, optional
+        Name of a second one, which the page compares with the scene.
 
     Returns
     -------
@@ -49,12 +59,11 @@ def linked_page(title: str) -> dict[str, bytes]:
     --------
     >>> from cogsplat.tools.delivery.viewer_pages import linked_page
     >>> sorted(linked_page("Garden"))
-    ['index.html', 'viewer.css', 'viewer.js', 'worker.js']
+    ['index.html', 'viewer.css', 'viewer.js', 'viewer_worker.js', 'worker.js']
     """
-    page = _titled(title)
-    page = _replaced(page, _ROOT_TAG, f'<html lang="en" data-scene="{SCENE_NAME}">')
-    others = ("viewer.css", "viewer.js", "worker.js")
-    return {PAGE_NAME: page.encode(), **{name: _part(name) for name in others}}
+    second = "" if against is None else f' against="{html.escape(against)}"'
+    page = _titled(title, f' src="{html.escape(scene)}"{second}')
+    return {PAGE_NAME: page.encode(), **{name: _part(name) for name in _OTHERS}}
 
 
 def write_lone_page(title: str, scene: BinaryIO, out: BinaryIO) -> None:
@@ -67,18 +76,23 @@ def write_lone_page(title: str, scene: BinaryIO, out: BinaryIO) -> None:
     scene : binary file
         Read to its end from where it stands. Memory is needed for a block of it, not for all.
     out : binary file
-        Receives UTF-8. The page's policy allows its own script and style, by their hashes, and no
-        connection to anywhere.
+        Receives UTF-8. The page's policy allows its own script and style, by their hashes, workers
+        that it makes of texts in itself, and no connection to anywhere.
     """
     style, script = _part("viewer.css").decode(), _part("viewer.js").decode()
     policy = (
         f"default-src 'none'; script-src '{_hash(script)}' 'wasm-unsafe-eval'; "
-        f"style-src '{_hash(style)}'"
+        f"style-src '{_hash(style)}'; worker-src blob:"
     )
     page = _replaced(_titled(title), _POLICY, policy)
     page = _replaced(page, _STYLE_TAG, f"<style>{style}</style>")
     before, after = page.split(_SCRIPT_TAG)
     out.write(before.encode())
+    for name in _WORKERS:
+        text = _part(name)
+        if b"</script" in text.lower() or b"<!--" in text:
+            raise RuntimeError(f"{name} cannot stand in a page: it holds an end of a script")
+        out.write(b'<script type="application/x-cogs-worker">' + text + b"</script>\n    ")
     for block in _blocks(scene):
         out.write(b'<script type="application/x-cogs-base64">')
         out.write(base64.b64encode(block))
@@ -91,9 +105,11 @@ def _blocks(scene: BinaryIO) -> Iterator[bytes]:
         yield block
 
 
-def _titled(title: str) -> str:
+def _titled(title: str, attributes: str = "") -> str:
     page = _part("viewer.html").decode()
-    return _replaced(page, _TITLE, f"<title>{html.escape(title)}</title>")
+    page = _replaced(page, _TITLE, f"<title>{html.escape(title)}</title>")
+    tag = f'<cogsplat-viewer id="page" label="{html.escape(title)}"{attributes}>'
+    return _replaced(page, _VIEWER_TAG, tag)
 
 
 def _part(name: str) -> bytes:

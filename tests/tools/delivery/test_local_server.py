@@ -49,6 +49,7 @@ def test_page_and_its_parts(server: SceneServer) -> None:
     for name, kind in {
         "viewer.js": "javascript",
         "worker.js": "javascript",
+        "viewer_worker.js": "javascript",
         "viewer.css": "css",
     }.items():
         answer, body = ask(server, f"/{name}")

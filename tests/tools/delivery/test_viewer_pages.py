@@ -31,17 +31,30 @@ def test_lone_page_allows_its_own_script_and_style_alone() -> None:
     assert policy is not None
     assert "'self'" not in policy[1]
     assert "connect-src" not in policy[1]
-    for tag in ('<script type="module">', "<style>"):
-        inside = page.partition(tag)[2].partition("</")[0]
+    for name, tag in (("script", '<script type="module">'), ("style", "<style>")):
+        inside = page.partition(tag)[2].partition(f"</{name}")[0]
         assert len(inside) > 100
         digest = base64.b64encode(hashlib.sha256(inside.encode()).digest()).decode()
         assert f"'sha256-{digest}'" in policy[1]
     assert not re.search(r'(?:src|href)="', page)
 
 
-def test_linked_page_names_the_scene() -> None:
+def test_lone_page_holds_the_programs_of_its_workers() -> None:
+    page = lone_page(b"scene")
+    programs = re.findall(r'<script type="application/x-cogs-worker">(.*?)</script>', page, re.DOTALL)
     files = linked_page("t")
+    assert programs == [files[name].decode() for name in ("worker.js", "viewer_worker.js")]
+    assert "worker-src blob:" in page
+
+
+def test_linked_page_names_the_scene() -> None:
+    files = linked_page('"t"')
     page = files.pop("index.html").decode()
-    assert 'data-scene="scene.cogs"' in page
+    assert 'label="&quot;t&quot;" src="scene.cogs">' in page
     referred = set(re.findall(r'(?:src|href)="([^"]+)"', page))
-    assert referred == files.keys() - {"worker.js"}
+    assert referred == files.keys() - {"worker.js", "viewer_worker.js"} | {"scene.cogs"}
+
+
+def test_linked_page_names_what_the_scene_is_compared_with() -> None:
+    page = linked_page("t", "a.cogs", "b.ply")["index.html"].decode()
+    assert 'src="a.cogs" against="b.ply"' in page

@@ -11,6 +11,7 @@ await build({
     cogsplat: "build/src/index.js",
     worker: "build/src/workers/worker.js",
     viewer: "build/src/viewer/page.js",
+    viewer_worker: "build/src/viewer/viewer_worker.js",
   },
   outdir: folder,
   bundle: true,
@@ -22,7 +23,7 @@ await build({
   banner: { js: banner },
 });
 for (const file of ["viewer.html", "viewer.css"]) copyFileSync(`viewer/${file}`, `${folder}/${file}`);
-for (const file of ["cogsplat.js", "worker.js", "viewer.js"]) {
+for (const file of ["cogsplat.js", "worker.js", "viewer.js", "viewer_worker.js"]) {
   const bytes = readFileSync(`${folder}/${file}`);
   console.log(`${folder}/${file}: ${bytes.length} bytes, ${gzipSync(bytes, { level: 9 }).length} gzipped`);
 }

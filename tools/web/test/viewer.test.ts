@@ -28,6 +28,19 @@ test("no rounding puts the farthest splat in front", () => {
   }
 });
 
+test("the farthest splat comes first, however its depth is rounded", () => {
+  const rows = 100;
+  const order = new Uint32Array(rows);
+  for (let turn = 0; turn < 200; turn++) {
+    const means = Float32Array.from({ length: 3 * rows }, (_, i) => Math.sin((i + 1) * (turn + 1)) * 10);
+    const forward = [Math.cos(turn), 0, Math.sin(turn)];
+    sortByDepth(means, rows, forward, order);
+    const depths = Array.from({ length: rows }, (_, row) => means[3 * row]! * forward[0]! + means[3 * row + 2]! * forward[2]!);
+    const farthest = Math.max(...depths);
+    assert.ok(depths[order[0]!]! > farthest - 40 / 65_536);
+  }
+});
+
 test("splats at one depth stay in their order", () => {
   const order = new Uint32Array(4);
   sortByDepth(new Float32Array(12).fill(3), 4, [0, 0, 1], order);

@@ -128,7 +128,7 @@ export function shiftPacked(words: Uint32Array, shifts: Shifts, target: Uint32Ar
 }
 
 /** Means of packed splats as float32, for sorting: three a splat. */
-export function packedMeans(packed: PackedSplats): Float32Array {
+export function packedMeans(packed: Pick<PackedSplats, "count" | "words">): Float32Array {
   const means = new Float32Array(3 * packed.count);
   for (let i = 0; i < packed.count; i++) {
     const word = packed.words[4 * i + 1]!;

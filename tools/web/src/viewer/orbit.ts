@@ -2,24 +2,28 @@ import type { SceneInfo } from "../container/root.js";
 import type { View } from "./renderer.js";
 import type { ViewerPose } from "./viewer_handle.js";
 
-type Vector = [number, number, number];
+export type Vector = [number, number, number];
+/** Right, down and forward of a camera in the space of the means. */
+export type Axes = [Vector, Vector, Vector];
 
 /** Vertical field of view where the scene has no first view, radians. */
 const FIELD_OF_VIEW = 1;
 const RADIANS_PER_PIXEL = 0.005;
 
-/** A camera that turns around a point, walks up to it and moves with it. */
+/** Height and, where it is known, width of the picture that focal lengths are given for, px. */
+type Picture = { readonly height: number; readonly width?: number };
+
+/** A camera that turns around a point, walks up to it and moves with it, or flies. */
 export class OrbitCamera {
-  /** World to camera: rows right, down, forward. */
-  private axes: [Vector, Vector, Vector];
+  private axes: Axes;
   private target: Vector;
   private distance: number;
   private readonly down: Vector;
-  /** Focal lengths over the height of the picture. */
-  private focal: [number, number];
+  private focal: readonly [number, number];
+  private picture: Picture;
 
   /** Start at the scene's first view, or in front of its box. */
-  constructor(scene: SceneInfo) {
+  constructor(scene: Pick<SceneInfo, "axes" | "box" | "firstView">) {
     const [lo, hi] = [scene.box.slice(0, 3), scene.box.slice(3)];
     const size = Math.hypot(...hi.map((value, i) => value - lo[i]!));
     this.down = direction(scene.axes, "D");
@@ -27,6 +31,7 @@ export class OrbitCamera {
     this.axes = [cross(this.down, forward), this.down, forward];
     const focal = 0.5 / Math.tan(FIELD_OF_VIEW / 2);
     this.focal = [focal, focal];
+    this.picture = { height: 1 };
     this.distance = size * focal;
     this.target = lo.map((value, i) => (value + hi[i]!) / 2) as Vector;
     if (scene.firstView) {
@@ -35,26 +40,68 @@ export class OrbitCamera {
     }
   }
 
+  /** Where the camera is, in the space of the means. */
+  get position(): Vector {
+    return add(this.target, this.axes[2], -this.distance);
+  }
+
+  /** The direction of view. */
+  get forward(): Vector {
+    return this.axes[2];
+  }
+
   /** Look from somewhere; what is turned around stays as far away as it was. */
   place(view: ViewerPose): void {
     const r = view.rotation;
-    this.axes = [0, 3, 6].map((i) => [r[i]!, r[i + 1]!, r[i + 2]!]) as [Vector, Vector, Vector];
+    this.axes = [0, 3, 6].map((i) => [r[i]!, r[i + 1]!, r[i + 2]!]) as Axes;
     const position = [0, 1, 2].map((i) => -this.axes.reduce((sum, axis, k) => sum + axis[i]! * view.translation[k]!, 0));
-    this.target = position.map((value, i) => value + this.axes[2][i]! * this.distance) as Vector;
-    this.focal = [view.fx / view.height, view.fy / view.height];
+    this.target = add(position as Vector, this.axes[2], this.distance);
+    this.focal = [view.fx, view.fy];
+    this.picture = view;
   }
 
-  /** Turn by a movement of the pointer, px. */
+  /** Look at a ball from where it fills most of the picture, from the side that the axes call the front. */
+  frame(centre: Vector, radius: number): void {
+    this.target = centre;
+    // From somewhat above: scenes on a ground show their shape that way.
+    const angle = -0.3;
+    const right = this.axes[0];
+    this.axes = this.axes.map((axis) => rotate(axis, right, angle)) as Axes;
+    this.distance = Math.max((radius * this.focal[1]) / (0.5 * this.picture.height), 1e-3);
+  }
+
+  /** Turn around what is so far in front of the camera; the picture stays as it is. */
+  turnAround(distance: number): void {
+    const position = this.position;
+    this.distance = distance;
+    this.target = add(position, this.axes[2], distance);
+  }
+
+  /** Turn around the target by a movement of the pointer, px. */
   turn(dx: number, dy: number): void {
-    this.axes = this.axes.map((axis) => rotate(axis, this.down, -dx * RADIANS_PER_PIXEL)) as [Vector, Vector, Vector];
+    this.axes = this.axes.map((axis) => rotate(axis, this.down, -dx * RADIANS_PER_PIXEL)) as Axes;
     const [right] = this.axes;
-    this.axes = this.axes.map((axis) => rotate(axis, right, dy * RADIANS_PER_PIXEL)) as [Vector, Vector, Vector];
+    this.axes = this.axes.map((axis) => rotate(axis, right, dy * RADIANS_PER_PIXEL)) as Axes;
+  }
+
+  /** Look around from where the camera is, by a movement of the pointer, px. */
+  look(dx: number, dy: number): void {
+    const position = this.position;
+    this.turn(-dx, -dy);
+    this.target = add(position, this.axes[2], this.distance);
   }
 
   /** Move sideways by a movement of the pointer, px of a picture of some height. */
   move(dx: number, dy: number, height: number): void {
-    const scale = this.distance / (this.focal[1] * height);
-    this.target = this.target.map((value, i) => value - scale * (dx * this.axes[0][i]! + dy * this.axes[1][i]!)) as Vector;
+    const scale = (this.distance * this.picture.height) / (this.focal[1] * height);
+    this.target = add(add(this.target, this.axes[0], -scale * dx), this.axes[1], -scale * dy);
+  }
+
+  /** Fly right, down and forward, in shares of the distance to the target. */
+  fly(right: number, down: number, forward: number): void {
+    [right, down, forward].forEach((share, i) => {
+      this.target = add(this.target, this.axes[i]!, share * this.distance);
+    });
   }
 
   /** Come nearer, by a factor. */
@@ -62,11 +109,12 @@ export class OrbitCamera {
     this.distance *= factor;
   }
 
-  /** The view for a canvas. */
-  view(height: number): View {
-    const position = this.target.map((value, i) => value - this.axes[2][i]! * this.distance);
+  /** The view for a canvas; nothing of the picture is cut off where its width is known. */
+  view(height: number, width = Infinity): View {
+    const { position, picture } = this;
     const translation = this.axes.map((axis) => -axis.reduce((sum, value, i) => sum + value * position[i]!, 0));
-    return { rotation: this.axes.flat(), translation, focal: [this.focal[0] * height, this.focal[1] * height] };
+    const scale = Math.min(height / picture.height, picture.width === undefined ? Infinity : width / picture.width);
+    return { rotation: this.axes.flat(), translation, focal: [this.focal[0] * scale, this.focal[1] * scale] };
   }
 }
 
@@ -74,6 +122,10 @@ export class OrbitCamera {
 function direction(axes: string, letter: "D" | "F"): Vector {
   const opposite = { D: "U", F: "B" }[letter];
   return [...axes].map((axis) => (axis === letter ? 1 : axis === opposite ? -1 : 0)) as Vector;
+}
+
+function add(a: Vector, b: Vector, factor: number): Vector {
+  return [a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]];
 }
 
 function cross(a: Vector, b: Vector): Vector {

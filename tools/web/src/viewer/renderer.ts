@@ -1,9 +1,7 @@
-import { shiftPacked, packedMeans, type PackedSplats, type PackRanges, DEFAULT_RANGES } from "../scene/packed_splats.js";
-import type { Shifts } from "../container/compensation.js";
-import type { SceneInfo } from "../container/root.js";
-import { sortByDepth } from "./depth_order.js";
-import { FRAGMENT_SHADER, QUADS_PER_INSTANCE, VERTEX_SHADER } from "./shaders.js";
-import { SplatTextures } from "./splat_textures.js";
+import {
+  COMPOSITE_SHADER, FRAGMENT_SHADER, QUADS_PER_INSTANCE, VERTEX_SHADER, WHOLE_PICTURE_SHADER,
+} from "./shaders.js";
+import type { SplatLayer } from "./splat_layer.js";
 
 /** Where a picture is taken from: x_camera = R·x + t in the space of the means, x right, y down, z forward. */
 export interface View {
@@ -14,105 +12,204 @@ export interface View {
   readonly focal: readonly [number, number];
 }
 
+/** What a picture shows beside the view. */
+export interface PictureOptions {
+  /** Colour behind the splats: R, G, B and opacity from 0 to 1, display-encoded. */
+  readonly background: readonly [number, number, number, number];
+  /** Highest SH degree that is drawn. */
+  readonly degree: number;
+  /** How much holes between splats take the colour around them, 0 to 1. */
+  readonly fill: number;
+  /** Where the second scene ends, as a share of the width from the left. */
+  readonly divide: number;
+}
+
 /** Draws packed splats with WebGL 2, by the rules of SPEC 8.7. */
 export class SplatRenderer {
-  private readonly gl: WebGL2RenderingContext;
-  private readonly program: WebGLProgram;
-  private readonly textures: SplatTextures;
-  private readonly means: Float32Array;
-  private readonly ranges: PackRanges;
-  private rows = 0;
-  /** Direction of view of the last sort; undefined where rows have come since. */
-  private sortedFor: readonly number[] | undefined;
+  readonly gl: WebGL2RenderingContext;
+  private splats: Program;
+  private composite: Program;
+  private target: Target;
+
+  /** @throws NoWebGlError where the browser has no WebGL 2. */
+  constructor(private readonly canvas: HTMLCanvasElement) {
+    const gl = canvas.getContext("webgl2", {
+      alpha: true, antialias: false, depth: false, premultipliedAlpha: true, preserveDrawingBuffer: true,
+    });
+    if (gl === null) throw new NoWebGlError("this browser has no WebGL 2");
+    this.gl = gl;
+    [this.splats, this.composite, this.target] = this.build();
+  }
+
+  /** Make programs and buffers anew, because the graphics memory was lost. */
+  restore(): void {
+    [this.splats, this.composite, this.target] = this.build();
+  }
 
   /**
-   * @param canvas - Where pictures are drawn.
-   * @param scene - What the root says; textures are made for all of its splats.
-   * @param degree - SH degree that is drawn.
+   * Draw a picture.
+   *
+   * @param view - The translation is relative to its origin in the world, that of the scene that poses are given for.
+   * @param layers - The scene, and where there are two, the one that is shown left of the divide.
+   * @returns Whether the picture holds all rows that have come.
    */
-  constructor(
-    private readonly canvas: HTMLCanvasElement,
-    private readonly scene: SceneInfo,
-    private readonly degree: number,
-    ranges: Partial<PackRanges> = {},
-  ) {
-    const gl = canvas.getContext("webgl2", { antialias: false, premultipliedAlpha: true, preserveDrawingBuffer: true });
-    if (gl === null) throw new Error("this browser has no WebGL 2");
-    this.gl = gl;
-    this.ranges = { ...DEFAULT_RANGES, ...ranges };
-    this.program = link(gl);
-    this.textures = new SplatTextures(gl, scene.splats, degree);
-    this.means = new Float32Array(3 * scene.splats);
-    makeQuads(gl);
-  }
-
-  /** Put a chunk's rows where they belong; `shifts` are those of compensation. */
-  write(packed: PackedSplats, firstRow: number, shifts?: Shifts): void {
-    this.textures.write(packed, firstRow);
-    if (shifts) shiftPacked(packed.words, shifts, this.textures.splats.words, 4 * firstRow);
-    this.means.set(packedMeans(packed), 3 * firstRow);
-    this.rows = Math.max(this.rows, firstRow + packed.count);
-    this.sortedFor = undefined;
-  }
-
-  /** Draw a picture. */
-  draw(view: View): void {
-    const { gl, canvas, program, scene, ranges, textures } = this;
-    const { rotation: r, translation: t } = view;
-    this.sort(r.slice(6, 9));
-    gl.viewport(0, 0, canvas.width, canvas.height);
-    gl.clearColor(0, 0, 0, 1);
+  draw(view: View & { readonly origin: readonly number[] }, layers: readonly SplatLayer[], options: PictureOptions): boolean {
+    const { gl, canvas, composite, target } = this;
+    const { width, height } = canvas;
+    target.resize(width, height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target.framebuffer);
+    gl.viewport(0, 0, width, height);
+    gl.clearColor(0, 0, 0, 0);
+    gl.disable(gl.SCISSOR_TEST);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    gl.useProgram(program);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    const at = (name: string) => gl.getUniformLocation(program, name);
-    gl.uniform1i(at("count"), this.rows);
-    gl.uniform1i(at("degree"), this.degree);
-    gl.uniformMatrix3fv(at("rotation"), true, r as number[]);
-    gl.uniform3f(at("translation"), t[0]!, t[1]!, t[2]!);
-    const position = [0, 1, 2].map((i) => -(r[i]! * t[0]! + r[3 + i]! * t[1]! + r[6 + i]! * t[2]!));
-    gl.uniform3f(at("cameraPosition"), position[0]!, position[1]!, position[2]!);
-    gl.uniform2f(at("focal"), view.focal[0], view.focal[1]);
-    gl.uniform2f(at("viewport"), canvas.width, canvas.height);
-    gl.uniform1f(at("kernel"), scene.kernelPx);
-    gl.uniform1i(at("antialiased"), scene.antialiased ? 1 : 0);
-    gl.uniform2f(at("rgbRange"), ranges.rgbMin, ranges.rgbMax);
-    gl.uniform1f(at("shRange"), ranges.shRange);
-    const samplers = [textures.splats, textures.order, ...textures.bands];
-    samplers.forEach((texture, unit) => texture.bind(unit));
-    ["splats", "order", "sh1", "sh2", "sh3"].forEach((name, unit) => gl.uniform1i(at(name), unit < samplers.length ? unit : 0));
-    const instances = Math.ceil(this.rows / QUADS_PER_INSTANCE);
-    gl.drawElementsInstanced(gl.TRIANGLES, 6 * QUADS_PER_INSTANCE, gl.UNSIGNED_SHORT, 0, instances);
+    const divide = layers.length > 1 ? Math.round(width * options.divide) : 0;
+    if (layers.length > 1) gl.enable(gl.SCISSOR_TEST);
+    const whole = layers.map((layer, i) => {
+      if (i === 0) gl.scissor(divide, 0, width - divide, height);
+      else gl.scissor(0, 0, divide, height);
+      return this.drawLayer(layer, moved(view, view.origin, layer.scene.origin), options.degree);
+    });
+    gl.disable(gl.SCISSOR_TEST);
+    gl.disable(gl.BLEND);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.useProgram(composite.program);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, target.texture);
+    if (options.fill > 0) gl.generateMipmap(gl.TEXTURE_2D);
+    gl.uniform1i(composite.at("picture"), 0);
+    gl.uniform4fv(composite.at("background"), options.background);
+    gl.uniform1f(composite.at("fill"), options.fill);
+    gl.uniform1i(composite.at("divide"), divide);
+    gl.uniform2i(composite.at("linear"), Number(layers[0]?.scene.linear ?? false), Number(layers[1]?.scene.linear ?? false));
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    return whole.every((isWhole) => isWhole);
   }
 
   /** Give back what the graphics memory holds. */
-  delete(): void {
-    this.textures.delete();
-    this.gl.deleteProgram(this.program);
+  close(): void {
+    this.target.delete();
+    this.gl.deleteProgram(this.splats.program);
+    this.gl.deleteProgram(this.composite.program);
   }
 
-  private sort(forward: readonly number[]): void {
-    const before = this.sortedFor;
-    if (before !== undefined && before.every((value, i) => Math.abs(value - forward[i]!) < 1e-3)) return;
-    sortByDepth(this.means, this.rows, forward, this.textures.order.words);
-    this.textures.order.touch(0, this.rows);
-    this.sortedFor = forward;
+  private drawLayer(layer: SplatLayer, view: View, degree: number): boolean {
+    const { gl, canvas, splats } = this;
+    const { rotation: r, translation: t } = view;
+    const whole = layer.prepare(r.slice(6, 9));
+    gl.useProgram(splats.program);
+    gl.uniform1i(splats.at("count"), layer.drawnRows);
+    gl.uniform1i(splats.at("degree"), Math.min(degree, layer.scene.shDegree));
+    gl.uniform1i(splats.at("compensated"), Number(layer.compensated));
+    gl.uniformMatrix3fv(splats.at("rotation"), true, r as number[]);
+    gl.uniform3f(splats.at("translation"), t[0]!, t[1]!, t[2]!);
+    const position = [0, 1, 2].map((i) => -(r[i]! * t[0]! + r[3 + i]! * t[1]! + r[6 + i]! * t[2]!));
+    gl.uniform3f(splats.at("cameraPosition"), position[0]!, position[1]!, position[2]!);
+    gl.uniform2f(splats.at("focal"), view.focal[0], view.focal[1]);
+    gl.uniform2f(splats.at("viewport"), canvas.width, canvas.height);
+    gl.uniform1f(splats.at("kernel"), layer.scene.kernelPx);
+    gl.uniform1i(splats.at("antialiased"), Number(layer.scene.antialiased));
+    gl.uniform2f(splats.at("rgbRange"), layer.ranges.rgbMin, layer.ranges.rgbMax);
+    gl.uniform1f(splats.at("shRange"), layer.ranges.shRange);
+    const units = 3 + layer.scene.shDegree;
+    ["splats", "order", "shifts", "sh1", "sh2", "sh3"].forEach((name, unit) => {
+      gl.uniform1i(splats.at(name), unit < units ? unit : 0);
+    });
+    const instances = Math.ceil(layer.drawnRows / QUADS_PER_INSTANCE);
+    gl.drawElementsInstanced(gl.TRIANGLES, 6 * QUADS_PER_INSTANCE, gl.UNSIGNED_SHORT, 0, instances);
+    return whole;
+  }
+
+  private build(): [Program, Program, Target] {
+    const { gl } = this;
+    const programs = [new Program(gl, VERTEX_SHADER, FRAGMENT_SHADER), new Program(gl, WHOLE_PICTURE_SHADER, COMPOSITE_SHADER)] as const;
+    makeQuads(gl);
+    return [...programs, new Target(gl)];
   }
 }
 
-function link(gl: WebGL2RenderingContext): WebGLProgram {
-  const program = gl.createProgram();
-  for (const [type, source] of [[gl.VERTEX_SHADER, VERTEX_SHADER], [gl.FRAGMENT_SHADER, FRAGMENT_SHADER]] as const) {
-    const shader = gl.createShader(type)!;
-    gl.shaderSource(shader, source);
-    gl.compileShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader) ?? "no shader");
-    gl.attachShader(program, shader);
+/** A browser, or a machine, without WebGL 2. */
+export class NoWebGlError extends Error {
+  override readonly name = "NoWebGlError";
+}
+
+/** The same view in the space of another scene's means. */
+function moved(view: View, from: readonly number[], to: readonly number[]): View {
+  if (from === to) return view;
+  const { rotation: r } = view;
+  const shift = to.map((value, i) => value - from[i]!);
+  const translation = view.translation.map((value, row) => value + [0, 1, 2].reduce((sum, i) => sum + r[3 * row + i]! * shift[i]!, 0));
+  return { ...view, translation };
+}
+
+/** A program and where its uniforms are. */
+class Program {
+  readonly program: WebGLProgram;
+  private readonly locations = new Map<string, WebGLUniformLocation | null>();
+
+  constructor(private readonly gl: WebGL2RenderingContext, vertex: string, fragment: string) {
+    this.program = gl.createProgram();
+    for (const [type, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]] as const) {
+      const shader = gl.createShader(type);
+      if (shader === null) throw new NoWebGlError("the graphics were lost");
+      gl.shaderSource(shader, source);
+      gl.compileShader(shader);
+      gl.attachShader(this.program, shader);
+    }
+    gl.linkProgram(this.program);
+    if (!gl.getProgramParameter(this.program, gl.LINK_STATUS) && !gl.isContextLost()) {
+      throw new NoWebGlError(gl.getProgramInfoLog(this.program) ?? "no program");
+    }
   }
-  gl.linkProgram(program);
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program) ?? "no program");
-  return program;
+
+  at(name: string): WebGLUniformLocation | null {
+    let location = this.locations.get(name);
+    if (location === undefined) {
+      location = this.gl.getUniformLocation(this.program, name);
+      this.locations.set(name, location);
+    }
+    return location;
+  }
+}
+
+/**
+ * The picture that splats are blended into: half floats, because the colours of splats may be beyond 1, and because
+ * hundreds of splats in a pixel add up what 8 bits round; 8 bits where half floats cannot be drawn into.
+ */
+class Target {
+  readonly framebuffer: WebGLFramebuffer;
+  texture: WebGLTexture | null = null;
+  private width = 0;
+  private height = 0;
+  private readonly format: number;
+
+  constructor(private readonly gl: WebGL2RenderingContext) {
+    this.framebuffer = gl.createFramebuffer();
+    const halfFloats = gl.getExtension("EXT_color_buffer_float") ?? gl.getExtension("EXT_color_buffer_half_float");
+    this.format = halfFloats === null ? gl.RGBA8 : gl.RGBA16F;
+  }
+
+  resize(width: number, height: number): void {
+    const { gl } = this;
+    if (width === this.width && height === this.height) return;
+    [this.width, this.height] = [width, height];
+    gl.deleteTexture(this.texture);
+    this.texture = gl.createTexture();
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, this.texture);
+    gl.texStorage2D(gl.TEXTURE_2D, 1 + Math.floor(Math.log2(Math.max(width, height))), this.format, width, height);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
+    for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
+  }
+
+  delete(): void {
+    this.gl.deleteTexture(this.texture);
+    this.gl.deleteFramebuffer(this.framebuffer);
+  }
 }
 
 /** The indices of one instance's quads; the shader makes corners of the numbers of vertices. */

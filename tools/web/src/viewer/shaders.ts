@@ -3,6 +3,10 @@ export const QUADS_PER_INSTANCE = 128;
 /** Texels of a row of every texture that holds splats. */
 export const TEXTURE_WIDTH = 2048;
 
+/** What compensation adds is stored in these steps: a scale's logarithm and an opacity's logit (SPEC 8.5), 16 bits each. */
+export const SCALE_STEPS = 2048;
+export const OPACITY_STEPS = 1024;
+
 /** Reads packed splats (`src/scene/packed_splats.ts`), projects them (SPEC 8.7) and spans a quad over each. */
 export const VERTEX_SHADER = `#version 300 es
 precision highp float;
@@ -14,6 +18,8 @@ uniform usampler2D sh1;
 uniform usampler2D sh2;
 uniform usampler2D sh3;
 uniform usampler2D order;
+uniform usampler2D shifts;
+uniform bool compensated;
 uniform int count;
 uniform int degree;
 uniform mat3 rotation;       // world to camera: x right, y down, z forward
@@ -93,11 +99,18 @@ void main() {
   int index = int(texelFetch(order, texel(slot), 0).x);
   uvec4 w = texelFetch(splats, texel(index), 0);
   float opacity = float(w.x >> 24) / 255.0;
+  vec2 shift = vec2(0.0);
+  if (compensated) {
+    int word = int(texelFetch(shifts, texel(index), 0).x);
+    shift = vec2(float(word << 16 >> 16) / ${SCALE_STEPS}.0, float(word >> 16) / ${OPACITY_STEPS}.0);
+    float odds = opacity * exp(shift.y);
+    opacity = odds / (odds + 1.0 - opacity);
+  }
   vec3 mean = vec3(unpackHalf2x16(w.y), unpackHalf2x16(w.z & 0xffffu).x);
   vec3 p = rotation * mean + translation;
   if (p.z < NEAR || opacity < ALPHA_MIN) return;
 
-  vec3 scale = exp(vec3(uvec3(w.w, w.w >> 8, w.w >> 16) & 255u) * (21.0 / 254.0) - (12.0 + 21.0 / 254.0));
+  vec3 scale = exp(vec3(uvec3(w.w, w.w >> 8, w.w >> 16) & 255u) * (21.0 / 254.0) - (12.0 + 21.0 / 254.0) + shift.x);
   mat3 axes = rotation * matrixOf(rotationOf((w.z >> 16) & 255u, w.z >> 24, w.w >> 24));
   axes[0] *= scale.x; axes[1] *= scale.y; axes[2] *= scale.z;
   vec2 limit = 1.3 * 0.5 * viewport / focal;
@@ -141,5 +154,52 @@ void main() {
   float alpha = min(0.99, colour.a * exp(-0.5 * dot(offset, offset)));
   if (alpha < 1.0 / 255.0) discard;
   pixel = vec4(colour.rgb * alpha, alpha);
+}
+`;
+
+/** Spans the picture with one triangle. */
+export const WHOLE_PICTURE_SHADER = `#version 300 es
+void main() {
+  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
+}
+`;
+
+/**
+ * Puts the splats' picture over the background; while a scene arrives, holes between splats take the colour around them.
+ *
+ * Coarser levels of the picture are its averages, so that a level in which a pixel is covered tells the colour of the
+ * nearest splats. Where even the coarsest level is hardly covered there is no hole but the end of the scene.
+ */
+export const COMPOSITE_SHADER = `#version 300 es
+precision highp float;
+uniform highp sampler2D picture;  // premultiplied by alpha
+uniform vec4 background;          // display-encoded, not premultiplied
+uniform float fill;
+uniform int divide;               // px; left of it the second scene is drawn
+uniform bvec2 linear;             // of the scene right of the divide, and left
+out vec4 pixel;
+
+vec3 encoded(vec3 c) { return mix(12.92 * c, 1.055 * pow(max(c, 0.0), vec3(1.0 / 2.4)) - 0.055, greaterThan(c, vec3(0.0031308))); }
+vec3 decoded(vec3 c) { return mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), greaterThan(c, vec3(0.04045))); }
+
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  vec4 c = texelFetch(picture, at, 0);
+  if (fill > 0.0) {
+    vec2 uv = gl_FragCoord.xy / vec2(textureSize(picture, 0));
+    vec4 around = vec4(0.0);
+    for (int level = 6; level > 0; level--) {
+      vec4 coarse = textureLod(picture, uv, float(level));
+      around = coarse + around * (1.0 - coarse.a);
+    }
+    float inside = smoothstep(0.35, 0.85, textureLod(picture, uv, 5.0).a);
+    vec3 colour = around.rgb / max(around.a, 1e-3);
+    c += (1.0 - c.a) * fill * inside * vec4(colour, 1.0);
+  }
+  bool isLinear = at.x < divide ? linear.y : linear.x;
+  vec3 behind = isLinear ? decoded(background.rgb) : background.rgb;
+  vec3 sum = c.rgb + (1.0 - c.a) * background.a * behind;
+  float alpha = c.a + (1.0 - c.a) * background.a;
+  pixel = vec4(isLinear ? encoded(sum) : sum, alpha);
 }
 `;

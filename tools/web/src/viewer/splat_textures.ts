@@ -1,75 +1,138 @@
+import type { Shifts } from "../container/compensation.js";
 import { SH_WORDS, type PackedSplats } from "../scene/packed_splats.js";
-import { TEXTURE_WIDTH } from "./shaders.js";
+import { OPACITY_STEPS, SCALE_STEPS, TEXTURE_WIDTH } from "./shaders.js";
 
-/** A texture of unsigned integers, one texel a splat, with a copy in memory from which changed rows are uploaded. */
+/** Lines of a texture that are uploaded for one picture: a few MB, so that no picture waits long for them. */
+const LINES_A_PICTURE = 48;
+
+/** A texture of unsigned integers, one texel a splat, with a copy in memory from which changed lines are uploaded. */
 class RowTexture {
   readonly words: Uint32Array;
-  private readonly texture: WebGLTexture;
-  private first = Infinity;
-  private end = 0;
+  private texture: WebGLTexture | undefined;
+  private readonly height: number;
+  /** Lines that differ from the texture's. */
+  private readonly changed = new Set<number>();
 
   constructor(
-    private readonly gl: WebGL2RenderingContext,
     private readonly channels: 1 | 2 | 4,
     rows: number,
   ) {
-    const height = Math.max(1, Math.ceil(rows / TEXTURE_WIDTH));
-    this.words = new Uint32Array(TEXTURE_WIDTH * height * channels);
+    this.height = Math.max(1, Math.ceil(rows / TEXTURE_WIDTH));
+    this.words = new Uint32Array(TEXTURE_WIDTH * this.height * channels);
+  }
+
+  /** Make the texture, for the first time or because the graphics memory was lost. */
+  allocate(gl: WebGL2RenderingContext): void {
     this.texture = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
     for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
-    const format = { 1: gl.R32UI, 2: gl.RG32UI, 4: gl.RGBA32UI }[channels];
-    gl.texStorage2D(gl.TEXTURE_2D, 1, format, TEXTURE_WIDTH, height);
+    const format = { 1: gl.R32UI, 2: gl.RG32UI, 4: gl.RGBA32UI }[this.channels];
+    gl.texStorage2D(gl.TEXTURE_2D, 1, format, TEXTURE_WIDTH, this.height);
   }
 
   /** Note that rows have changed. */
   touch(first: number, count: number): void {
-    this.first = Math.min(this.first, first);
-    this.end = Math.max(this.end, first + count);
+    const end = Math.ceil((first + count) / TEXTURE_WIDTH);
+    for (let line = Math.floor(first / TEXTURE_WIDTH); line < end; line++) this.changed.add(line);
   }
 
-  /** Bind to a unit, after uploading the lines that have changed. */
-  bind(unit: number): void {
-    const { gl } = this;
+  /**
+   * Bind to a unit, after uploading lines that have changed.
+   *
+   * @param lines - Most lines to upload.
+   * @returns Whether the texture holds all that has changed.
+   */
+  bind(gl: WebGL2RenderingContext, unit: number, lines: number): boolean {
     gl.activeTexture(gl.TEXTURE0 + unit);
-    gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    if (this.end === 0) return;
-    const line = Math.floor(this.first / TEXTURE_WIDTH);
-    const lines = Math.ceil(this.end / TEXTURE_WIDTH) - line;
+    gl.bindTexture(gl.TEXTURE_2D, this.texture!);
     const format = { 1: gl.RED_INTEGER, 2: gl.RG_INTEGER, 4: gl.RGBA_INTEGER }[this.channels];
-    const part = this.words.subarray(line * TEXTURE_WIDTH * this.channels, (line + lines) * TEXTURE_WIDTH * this.channels);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, line, TEXTURE_WIDTH, lines, format, gl.UNSIGNED_INT, part);
-    [this.first, this.end] = [Infinity, 0];
+    const size = TEXTURE_WIDTH * this.channels;
+    let left = lines;
+    for (const line of this.changed) {
+      if (left-- === 0) return false;
+      this.changed.delete(line);
+      const part = this.words.subarray(line * size, (line + 1) * size);
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, line, TEXTURE_WIDTH, 1, format, gl.UNSIGNED_INT, part);
+    }
+    return true;
   }
 
-  delete(): void {
-    this.gl.deleteTexture(this.texture);
+  delete(gl: WebGL2RenderingContext): void {
+    gl.deleteTexture(this.texture ?? null);
   }
 }
 
-/** The textures of a scene: splats, SH bands and the order in which they are drawn. */
+/** The textures of a scene: splats, what compensation adds to them, SH bands and the order in which they are drawn. */
 export class SplatTextures {
-  readonly splats: RowTexture;
-  readonly order: RowTexture;
-  readonly bands: RowTexture[];
+  private readonly splats: RowTexture;
+  private readonly shifts: RowTexture;
+  private readonly order: RowTexture;
+  private readonly bands: RowTexture[];
 
-  constructor(gl: WebGL2RenderingContext, rows: number, degree: number) {
-    this.splats = new RowTexture(gl, 4, rows);
-    this.order = new RowTexture(gl, 1, rows);
-    this.bands = SH_WORDS.slice(0, degree).map((words) => new RowTexture(gl, words, rows));
+  constructor(
+    private readonly rows: number,
+    degree: number,
+  ) {
+    this.splats = new RowTexture(4, rows);
+    this.shifts = new RowTexture(1, rows);
+    this.order = new RowTexture(1, rows);
+    this.bands = SH_WORDS.slice(0, degree).map((words) => new RowTexture(words, rows));
+  }
+
+  private get all(): readonly RowTexture[] {
+    return [this.splats, this.order, this.shifts, ...this.bands];
+  }
+
+  /** Make the textures, for the first time or because the graphics memory was lost; all rows are uploaded anew. */
+  allocate(gl: WebGL2RenderingContext): void {
+    for (const texture of this.all) {
+      texture.allocate(gl);
+      texture.touch(0, this.rows);
+    }
   }
 
   /** Put a chunk's rows where they belong. */
   write(packed: PackedSplats, firstRow: number): void {
     this.splats.words.set(packed.words, 4 * firstRow);
     this.splats.touch(firstRow, packed.count);
-    packed.sh.forEach((band, i) => {
+    packed.sh.slice(0, this.bands.length).forEach((band, i) => {
       this.bands[i]!.words.set(band, SH_WORDS[i]! * firstRow);
       this.bands[i]!.touch(firstRow, packed.count);
     });
   }
 
-  delete(): void {
-    for (const texture of [this.splats, this.order, ...this.bands]) texture.delete();
+  /** Note what compensation adds to rows. */
+  writeShifts(firstRow: number, count: number, shifts: Shifts | undefined): void {
+    const words = this.shifts.words.subarray(firstRow, firstRow + count);
+    if (shifts === undefined) words.fill(0);
+    else for (let i = 0; i < count; i++) words[i] = shiftWord(shifts.scales[i]!, shifts.opacities[i]!);
+    this.shifts.touch(firstRow, count);
   }
+
+  /** Set the order in which the first rows are drawn. */
+  writeOrder(order: Uint32Array, rows: number): void {
+    this.order.words.set(order.subarray(0, rows));
+    this.order.touch(0, rows);
+  }
+
+  /**
+   * Bind all to units: splats, order, shifts, then the bands.
+   *
+   * @returns Whether they hold all that was written.
+   */
+  bind(gl: WebGL2RenderingContext): boolean {
+    // An order is of use as a whole alone.
+    return this.all
+      .map((texture, unit) => texture.bind(gl, unit, texture === this.order ? Infinity : LINES_A_PICTURE))
+      .every((whole) => whole);
+  }
+
+  delete(gl: WebGL2RenderingContext): void {
+    for (const texture of this.all) texture.delete(gl);
+  }
+}
+
+/** Two numbers in steps, 16 bits each. */
+function shiftWord(scale: number, opacity: number): number {
+  return (Math.round(scale * SCALE_STEPS) & 0xffff) | (Math.round(opacity * OPACITY_STEPS) << 16);
 }

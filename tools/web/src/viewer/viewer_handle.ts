@@ -8,8 +8,17 @@ export interface ViewerStatistics {
   readonly splats: number;
   /** Splats of the scene; 0 until its root has been read. */
   readonly totalSplats: number;
+  /** Bytes that have arrived. */
+  readonly bytes: number;
+  /** Length of the file, where it is known. */
+  readonly totalBytes?: number;
+  /** PSNR that the file predicts for what has arrived, dB; only where it does. */
+  readonly predictedDb?: number;
   /** Pictures drawn of this scene. */
   readonly frames: number;
+  /** Duration of the last picture on the main thread and of the last sort in its worker, ms. */
+  readonly drawMilliseconds: number;
+  readonly sortMilliseconds: number;
   /** Whether the canvas shows all that has arrived, in the view asked for. */
   readonly upToDate: boolean;
   /** The sentence that a person is shown, where `state` is `failed`. */
@@ -17,13 +26,15 @@ export interface ViewerStatistics {
 }
 
 /** A pose and its focal lengths, px of a picture of this height; they are scaled to the canvas. */
-export type ViewerPose = Pick<Pinhole, "height" | "fx" | "fy" | "rotation" | "translation">;
+export type ViewerPose = Pick<Pinhole, "height" | "fx" | "fy" | "rotation" | "translation"> & Partial<Pick<Pinhole, "width">>;
 
-/** What a page's program can ask of its viewer, as `window.cogsplatViewer`. */
+/** What a page's program can ask of its viewer, as `window.cogsplatViewer`; every `<cogsplat-viewer>` has it. */
 export interface ViewerHandle {
   readonly statistics: ViewerStatistics;
   /** Look from somewhere, in the space of the means, until a person moves; it holds for scenes to come as well. */
   view: ViewerPose | undefined;
+  /** Whether holes between splats take the colour around them while a scene arrives; without it pictures are exact. */
+  fillHoles: boolean;
 }
 
 declare global {

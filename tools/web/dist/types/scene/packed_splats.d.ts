@@ -51,6 +51,6 @@ export declare function unpackSplats(packed: PackedSplats): Splats;
  */
 export declare function shiftPacked(words: Uint32Array, shifts: Shifts, target: Uint32Array, first: number): void;
 /** Means of packed splats as float32, for sorting: three a splat. */
-export declare function packedMeans(packed: PackedSplats): Float32Array;
+export declare function packedMeans(packed: Pick<PackedSplats, "count" | "words">): Float32Array;
 /** The value of a half float's bits. */
 export declare function fromHalf(bits: number): number;

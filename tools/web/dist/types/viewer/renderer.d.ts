@@ -1,6 +1,4 @@
-import { type PackedSplats, type PackRanges } from "../scene/packed_splats.js";
-import type { Shifts } from "../container/compensation.js";
-import type { SceneInfo } from "../container/root.js";
+import type { SplatLayer } from "./splat_layer.js";
 /** Where a picture is taken from: x_camera = R·x + t in the space of the means, x right, y down, z forward. */
 export interface View {
     /** R, row by row. */
@@ -9,30 +7,44 @@ export interface View {
     /** Focal lengths, px of the canvas. */
     readonly focal: readonly [number, number];
 }
+/** What a picture shows beside the view. */
+export interface PictureOptions {
+    /** Colour behind the splats: R, G, B and opacity from 0 to 1, display-encoded. */
+    readonly background: readonly [number, number, number, number];
+    /** Highest SH degree that is drawn. */
+    readonly degree: number;
+    /** How much holes between splats take the colour around them, 0 to 1. */
+    readonly fill: number;
+    /** Where the second scene ends, as a share of the width from the left. */
+    readonly divide: number;
+}
 /** Draws packed splats with WebGL 2, by the rules of SPEC 8.7. */
 export declare class SplatRenderer {
     private readonly canvas;
-    private readonly scene;
-    private readonly degree;
-    private readonly gl;
-    private readonly program;
-    private readonly textures;
-    private readonly means;
-    private readonly ranges;
-    private rows;
-    /** Direction of view of the last sort; undefined where rows have come since. */
-    private sortedFor;
+    readonly gl: WebGL2RenderingContext;
+    private splats;
+    private composite;
+    private target;
+    /** @throws NoWebGlError where the browser has no WebGL 2. */
+    constructor(canvas: HTMLCanvasElement);
+    /** Make programs and buffers anew, because the graphics memory was lost. */
+    restore(): void;
     /**
-     * @param canvas - Where pictures are drawn.
-     * @param scene - What the root says; textures are made for all of its splats.
-     * @param degree - SH degree that is drawn.
+     * Draw a picture.
+     *
+     * @param view - The translation is relative to its origin in the world, that of the scene that poses are given for.
+     * @param layers - The scene, and where there are two, the one that is shown left of the divide.
+     * @returns Whether the picture holds all rows that have come.
      */
-    constructor(canvas: HTMLCanvasElement, scene: SceneInfo, degree: number, ranges?: Partial<PackRanges>);
-    /** Put a chunk's rows where they belong; `shifts` are those of compensation. */
-    write(packed: PackedSplats, firstRow: number, shifts?: Shifts): void;
-    /** Draw a picture. */
-    draw(view: View): void;
+    draw(view: View & {
+        readonly origin: readonly number[];
+    }, layers: readonly SplatLayer[], options: PictureOptions): boolean;
     /** Give back what the graphics memory holds. */
-    delete(): void;
-    private sort;
+    close(): void;
+    private drawLayer;
+    private build;
+}
+/** A browser, or a machine, without WebGL 2. */
+export declare class NoWebGlError extends Error {
+    readonly name = "NoWebGlError";
 }

@@ -1,27 +1,27 @@
+import type { Shifts } from "../container/compensation.js";
 import { type PackedSplats } from "../scene/packed_splats.js";
-/** A texture of unsigned integers, one texel a splat, with a copy in memory from which changed rows are uploaded. */
-declare class RowTexture {
-    private readonly gl;
-    private readonly channels;
-    readonly words: Uint32Array;
-    private readonly texture;
-    private first;
-    private end;
-    constructor(gl: WebGL2RenderingContext, channels: 1 | 2 | 4, rows: number);
-    /** Note that rows have changed. */
-    touch(first: number, count: number): void;
-    /** Bind to a unit, after uploading the lines that have changed. */
-    bind(unit: number): void;
-    delete(): void;
-}
-/** The textures of a scene: splats, SH bands and the order in which they are drawn. */
+/** The textures of a scene: splats, what compensation adds to them, SH bands and the order in which they are drawn. */
 export declare class SplatTextures {
-    readonly splats: RowTexture;
-    readonly order: RowTexture;
-    readonly bands: RowTexture[];
-    constructor(gl: WebGL2RenderingContext, rows: number, degree: number);
+    private readonly rows;
+    private readonly splats;
+    private readonly shifts;
+    private readonly order;
+    private readonly bands;
+    constructor(rows: number, degree: number);
+    private get all();
+    /** Make the textures, for the first time or because the graphics memory was lost; all rows are uploaded anew. */
+    allocate(gl: WebGL2RenderingContext): void;
     /** Put a chunk's rows where they belong. */
     write(packed: PackedSplats, firstRow: number): void;
-    delete(): void;
+    /** Note what compensation adds to rows. */
+    writeShifts(firstRow: number, count: number, shifts: Shifts | undefined): void;
+    /** Set the order in which the first rows are drawn. */
+    writeOrder(order: Uint32Array, rows: number): void;
+    /**
+     * Bind all to units: splats, order, shifts, then the bands.
+     *
+     * @returns Whether they hold all that was written.
+     */
+    bind(gl: WebGL2RenderingContext): boolean;
+    delete(gl: WebGL2RenderingContext): void;
 }
-export {};

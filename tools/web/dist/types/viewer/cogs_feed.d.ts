@@ -1,0 +1,39 @@
+import { type Meter } from "./meter.js";
+import type { FeedHost, Prefix, SceneFeed } from "./scene_feed.js";
+import type { ViewerWorkers } from "./viewer_workers.js";
+/** Fills a layer from a COGS file while it is fetched. */
+export declare class CogsFeed implements SceneFeed {
+    private readonly source;
+    private readonly meter;
+    private readonly workers;
+    private readonly mostSplats;
+    readonly progressive = true;
+    private scene;
+    private layer;
+    private host;
+    /** First row and rows of the chunks that have come. */
+    private readonly rowsOf;
+    private splats;
+    private prefix;
+    private readonly damagedParts;
+    /** Chunks that are shown with what they add for missing ones. */
+    private readonly shifted;
+    /** Prefix that compensation is for, and chunks that still wait for it. */
+    private compensatedFor;
+    private waiting;
+    private shown;
+    /**
+     * @param source - A URL or a file.
+     * @param meter - Counts bytes of a URL.
+     * @param workers - Makes workers; undefined decodes on the caller's thread.
+     * @param mostSplats - Chunks beyond are not fetched.
+     */
+    constructor(source: string | Blob, meter: Meter, workers: ViewerWorkers | undefined, mostSplats: number);
+    get hasFirstView(): boolean;
+    run(host: FeedHost, signal: AbortSignal): Promise<void>;
+    work(milliseconds: number): boolean;
+    prefixes(count: number): Prefix[];
+    show(prefix: Prefix | undefined): void;
+    private take;
+    private report;
+}

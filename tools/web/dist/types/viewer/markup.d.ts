@@ -1,0 +1,2 @@
+/** What stands in the viewer's shadow. */
+export declare const MARKUP: string;

@@ -1,0 +1,53 @@
+import type { SceneInfo } from "../container/root.js";
+import type { PackedSplats } from "../scene/packed_splats.js";
+import type { LayerScene, SplatLayer } from "./splat_layer.js";
+/** How far a scene has come. */
+export interface FeedProgress {
+    readonly splats: number;
+    readonly totalSplats: number;
+    readonly bytes: number;
+    /** Length of the file; undefined where the server does not say. */
+    readonly totalBytes: number | undefined;
+    /** PSNR that the file predicts for what has come, dB; undefined where it predicts nothing. */
+    readonly predictedDb: number | undefined;
+    /** Parts of the file that could not be had or used. */
+    readonly damaged: number;
+}
+/** A part of a scene that could be shown alone: what the first bytes hold. */
+export interface Prefix {
+    /** Rows from the first on. */
+    readonly rows: number;
+    /** Chunks from the first on. */
+    readonly chunks: number;
+    /** Bytes of those chunks, and of what comes before them. */
+    readonly bytes: number;
+    readonly predictedDb: number | undefined;
+}
+/** What a feed asks of the viewer that it fills. */
+export interface FeedHost {
+    /**
+     * Make the layer of a scene; called once, before rows come.
+     *
+     * @param scene - The means of its rows are relative to its origin.
+     * @param info - Poses are relative to its origin.
+     */
+    begin(scene: LayerScene, info: Pick<SceneInfo, "axes" | "box" | "firstView" | "origin">): SplatLayer;
+    /** Told of rows when they are in the layer. */
+    rowsCame(packed: PackedSplats, first: boolean): void;
+    progressed(progress: FeedProgress): void;
+}
+/** Fills a layer with one scene. */
+export interface SceneFeed {
+    /** Whether what has come first is a picture of the whole, so that it is shown before the rest is there. */
+    readonly progressive: boolean;
+    /** Whether the file says where to look from. */
+    readonly hasFirstView: boolean;
+    /** Resolves when all has come that could be had. */
+    run(host: FeedHost, signal: AbortSignal): Promise<void>;
+    /** Prefixes to choose from, about `count` of them, from the smallest to the whole. */
+    prefixes(count: number): Prefix[];
+    /** Show the layer as it is with a prefix alone; undefined shows all that is there. */
+    show(prefix: Prefix | undefined): void;
+    /** Work of at most some ms; returns whether there is more. */
+    work(milliseconds: number): boolean;
+}

@@ -1,0 +1,190 @@
+import { CogsplatError } from "../errors.js";
+import { BlobSource, type Answer, type ByteSource, type ReadOptions } from "../loader/byte_source.js";
+import { HttpSource } from "../loader/http_source.js";
+import { StreamedScene, type OpenOptions } from "../loader/streamed_scene.js";
+import type { ChunkUpdate } from "../loader/stream_options.js";
+import type { ByteRange } from "../container/scene_index.js";
+import type { DecoderIndex } from "../scene/chunk_decoder.js";
+import { DecoderPool } from "../workers/decoder_pool.js";
+import { MeteredSource, type Meter } from "./meter.js";
+import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
+import type { SplatLayer } from "./splat_layer.js";
+import type { ViewerWorkers } from "./viewer_workers.js";
+
+/** Fills a layer from a COGS file while it is fetched. */
+export class CogsFeed implements SceneFeed {
+  readonly progressive = true;
+  private scene: StreamedScene | undefined;
+  private layer: SplatLayer | undefined;
+  private host: FeedHost | undefined;
+  /** First row and rows of the chunks that have come. */
+  private readonly rowsOf = new Map<number, { readonly firstRow: number; readonly count: number }>();
+  private splats = 0;
+  private prefix = 0;
+  private readonly damagedParts = new Set<unknown>();
+  /** Chunks that are shown with what they add for missing ones. */
+  private readonly shifted = new Set<number>();
+  /** Prefix that compensation is for, and chunks that still wait for it. */
+  private compensatedFor = -1;
+  private waiting: number[] = [];
+  private shown: Prefix | undefined;
+
+  /**
+   * @param source - A URL or a file.
+   * @param meter - Counts bytes of a URL.
+   * @param workers - Makes workers; undefined decodes on the caller's thread.
+   * @param mostSplats - Chunks beyond are not fetched.
+   */
+  constructor(
+    private readonly source: string | Blob,
+    private readonly meter: Meter,
+    private readonly workers: ViewerWorkers | undefined,
+    private readonly mostSplats: number,
+  ) {}
+
+  get hasFirstView(): boolean {
+    return this.scene?.info.firstView !== undefined;
+  }
+
+  async run(host: FeedHost, signal: AbortSignal): Promise<void> {
+    const { workers } = this;
+    const options: OpenOptions = {
+      signal,
+      ...(workers && {
+        service: (index: DecoderIndex) => new DecoderPool(index, { makeWorker: () => workers.decoder() }),
+      }),
+    };
+    let cut: CogsplatError | undefined;
+    const file = typeof this.source === "string" ? new HttpSource(this.source) : new BlobSource(this.source);
+    const source = new MeteredSource(file, this.meter);
+    const scene = await StreamedScene.open(source, options).catch((error: unknown) => {
+      // A file that ends early is shown as far as it goes.
+      if (!(error instanceof CogsplatError) || error.code !== "file-truncated") throw error;
+      cut = error;
+      return StreamedScene.open(new CutSource(source), options);
+    });
+    signal.throwIfAborted();
+    this.scene = scene;
+    this.host = host;
+    const { info } = scene;
+    this.layer = host.begin({ ...info, linear: info.colourSpace === "linear" }, info);
+    const stream = scene.stream({
+      signal,
+      format: "packed",
+      compensate: true,
+      memoryBudget: Math.min(this.layer.capacity, this.mostSplats) * bytesOf(info.shDegree),
+      onDamage: (error, chunk) => {
+        this.damagedParts.add(chunk ?? error);
+        this.report();
+      },
+    });
+    this.report();
+    for await (const update of stream) this.take(update);
+    this.report();
+    if (cut !== undefined) throw cut;
+  }
+
+  work(milliseconds: number): boolean {
+    const { scene, layer } = this;
+    if (scene === undefined || layer === undefined) return false;
+    const prefix = this.shown?.chunks ?? this.prefix;
+    if (prefix !== this.compensatedFor && this.waiting.length === 0) {
+      this.compensatedFor = prefix;
+      if (prefix === scene.index.totalChunkCount) layer.compensated = false;
+      else this.waiting = Array.from({ length: prefix }, (_, chunk) => chunk).reverse();
+    }
+    const end = performance.now() + milliseconds;
+    while (this.waiting.length > 0) {
+      if (performance.now() > end) return true;
+      const chunk = this.waiting.pop()!;
+      const rows = this.rowsOf.get(chunk);
+      if (rows === undefined) continue;
+      const shifts = scene.compensation.shifts(this.compensatedFor, chunk);
+      if (shifts === undefined && !this.shifted.has(chunk)) continue;
+      layer.shift(rows.firstRow, rows.count, shifts);
+      if (shifts === undefined) this.shifted.delete(chunk);
+      else {
+        this.shifted.add(chunk);
+        layer.compensated = true;
+      }
+    }
+    return prefix !== this.compensatedFor;
+  }
+
+  prefixes(count: number): Prefix[] {
+    const { scene } = this;
+    if (scene === undefined) return [];
+    const { index } = scene;
+    const found: Prefix[] = [];
+    let rows = 0;
+    let bytes = index.range(0)?.offset ?? 0;
+    for (let chunk = 0; chunk < this.prefix; chunk++) {
+      rows += index.chunks.splats[chunk]!;
+      const { head, refinement, tail } = index.chunkSegments(chunk);
+      for (const segment of [head, refinement, tail]) if (segment >= 0) bytes += index.range(segment).length;
+      found.push({ rows, chunks: chunk + 1, bytes, predictedDb: predicted(index.chunks.quality[chunk]) });
+    }
+    const last = found.at(-1);
+    if (last === undefined) return [];
+    if (last.chunks === index.totalChunkCount) found[found.length - 1] = { ...last, bytes: index.fileLength };
+    // Twice the bytes with every picture, back from the whole.
+    const chosen = new Set([last]);
+    for (let share = 0.5; chosen.size < Math.min(count, found.length) && share > 1e-4; share /= 2) {
+      chosen.add(found.find((prefix) => prefix.bytes >= share * last.bytes)!);
+    }
+    return [...chosen].sort((a, b) => a.rows - b.rows);
+  }
+
+  show(prefix: Prefix | undefined): void {
+    this.shown = prefix;
+    this.waiting = [];
+    this.compensatedFor = -1;
+    this.layer?.limit(prefix?.rows ?? Infinity);
+  }
+
+  private take(update: ChunkUpdate): void {
+    const { chunk, packed, firstRow, count } = update;
+    const first = this.rowsOf.size === 0;
+    const isNew = !this.rowsOf.has(chunk);
+    if (isNew) this.splats += count;
+    this.rowsOf.set(chunk, { firstRow, count });
+    this.prefix = update.prefix;
+    this.host!.rowsCame(packed!, first);
+    this.layer!.write(packed!, firstRow);
+    // A chunk that comes under compensation is shown with its part of it at once.
+    if (isNew && this.compensatedFor >= 0) this.compensatedFor = Math.min(this.compensatedFor, this.prefix - 1);
+    this.report();
+  }
+
+  private report(): void {
+    const { index } = this.scene!;
+    const progress: FeedProgress = {
+      splats: this.splats,
+      totalSplats: index.scene.splats,
+      bytes: Math.min(this.meter.bytes, index.fileLength),
+      totalBytes: index.fileLength,
+      predictedDb: this.prefix > 0 ? predicted(index.chunks.quality[this.prefix - 1]) : undefined,
+      damaged: this.damagedParts.size,
+    };
+    this.host!.progressed(progress);
+  }
+}
+
+/** 0 says that nothing was predicted (SPEC 5.4). */
+function predicted(quality: number | undefined): number | undefined {
+  return quality === undefined || quality === 0 ? undefined : quality;
+}
+
+/** Bytes that a packed row takes. */
+function bytesOf(degree: number): number {
+  return 16 + [0, 8, 24, 40][degree]!;
+}
+
+/** A source that does not say how long its file is, so that one that was cut off is taken as far as it goes. */
+class CutSource implements ByteSource {
+  constructor(private readonly source: ByteSource) {}
+
+  async read(range: ByteRange, options?: ReadOptions): Promise<Answer> {
+    return { ...(await this.source.read(range, options)), total: undefined };
+  }
+}

@@ -1,0 +1,84 @@
+import { packedMeans } from "../scene/packed_splats.js";
+import { sortByDepth } from "./depth_order.js";
+import type { SortRequest, SortResponse } from "./sort_messages.js";
+import type { ViewerWorkers } from "./viewer_workers.js";
+
+/** Rows in the order in which they are drawn. */
+export interface DepthOrder {
+  /** The rows that were sorted, from the farthest to the nearest, with room behind them. */
+  readonly order: Uint32Array;
+  readonly rows: number;
+  /** How long it took, ms. */
+  readonly milliseconds: number;
+}
+
+/** Sorts the rows of one scene by depth, in a worker; without workers where it is called. */
+export class DepthSorter {
+  private readonly worker: Worker | undefined;
+  private readonly local: RowSorter | undefined;
+  private answer: ((order: DepthOrder) => void) | undefined;
+
+  /**
+   * @param rows - Rows of the scene.
+   * @param workers - Makes the worker; undefined sorts on the caller's thread.
+   * @param failed - Told where the worker cannot be started.
+   */
+  constructor(rows: number, workers: ViewerWorkers | undefined, failed: (message: string) => void) {
+    if (workers === undefined) {
+      this.local = new RowSorter(rows);
+      return;
+    }
+    this.worker = workers.viewer();
+    this.worker.onmessage = ({ data }: MessageEvent<SortResponse>) => this.answer?.(data);
+    this.worker.onerror = (event) => failed(`a worker failed: ${event.message}`);
+    this.send({ type: "allocate", rows }, []);
+  }
+
+  /** Take the packed words of rows, which are handed over and no longer the caller's. */
+  add(firstRow: number, words: Uint32Array): void {
+    if (this.local) this.local.add(firstRow, words);
+    else this.send({ type: "rows", firstRow, words }, [words.buffer as ArrayBuffer]);
+  }
+
+  /**
+   * Sort the first rows. One order is made at a time.
+   *
+   * @param forward - Direction of view.
+   * @param spare - An order that is no longer used; its memory is used again.
+   */
+  async sort(rows: number, forward: readonly number[], spare: Uint32Array | undefined): Promise<DepthOrder> {
+    if (this.local) return this.local.sort(rows, forward, spare);
+    return new Promise((resolve) => {
+      this.answer = resolve;
+      this.send({ type: "sort", rows, forward, spare }, spare ? [spare.buffer as ArrayBuffer] : []);
+    });
+  }
+
+  close(): void {
+    this.worker?.terminate();
+  }
+
+  private send(request: SortRequest, transfer: ArrayBuffer[]): void {
+    this.worker!.postMessage(request, transfer);
+  }
+}
+
+/** The means of a scene, and their order. */
+export class RowSorter {
+  private readonly means: Float32Array;
+
+  constructor(private readonly rows: number) {
+    this.means = new Float32Array(3 * rows);
+  }
+
+  add(firstRow: number, words: Uint32Array): void {
+    this.means.set(packedMeans({ words, count: words.length / 4 }), 3 * firstRow);
+  }
+
+  sort(rows: number, forward: readonly number[], spare: Uint32Array | undefined): DepthOrder {
+    const start = performance.now();
+    const order = spare ?? new Uint32Array(this.rows);
+    sortByDepth(this.means, rows, forward, order);
+    return { order, rows, milliseconds: performance.now() - start };
+  }
+}

@@ -1,0 +1,69 @@
+import { sizeText } from "./numbers.js";
+import type { Prefix } from "./scene_feed.js";
+import type { SceneView } from "./scene_view.js";
+
+/** Pictures of a strip, at most. */
+const PICTURES = 6;
+
+/** Pictures of a scene after growing parts of its file; each can be chosen to be looked at. */
+export class FilmStrip {
+  /** Counts strips, so that one that was replaced stops. */
+  private run = 0;
+
+  constructor(
+    private readonly strip: HTMLElement,
+    private readonly canvas: HTMLCanvasElement,
+    private readonly view: SceneView,
+  ) {}
+
+  get isOpen(): boolean {
+    return !this.strip.hidden;
+  }
+
+  /** Take the pictures, in the present view, and show them. */
+  async open(): Promise<void> {
+    const run = ++this.run;
+    const prefixes = this.view.prefixes(PICTURES);
+    this.strip.replaceChildren();
+    this.strip.hidden = prefixes.length === 0;
+    for (const prefix of prefixes) {
+      this.view.showPrefix(prefix);
+      await this.view.settled();
+      if (run !== this.run) return;
+      this.strip.append(this.frame(prefix, prefixes.at(-1) === prefix));
+    }
+    this.choose(this.strip.lastElementChild as HTMLButtonElement, undefined);
+  }
+
+  /** Take the strip away, and show the whole scene. */
+  close(): void {
+    this.run++;
+    this.strip.hidden = true;
+    this.strip.replaceChildren();
+    this.view.showPrefix(undefined);
+  }
+
+  private frame(prefix: Prefix, isWhole: boolean): HTMLButtonElement {
+    const button = document.createElement("button");
+    const picture = document.createElement("canvas");
+    [picture.width, picture.height] = [256, 160];
+    const { canvas } = this;
+    // The middle of the canvas, in the shape of the frame.
+    const scale = Math.min(canvas.width / 256, canvas.height / 160);
+    const [width, height] = [256 * scale, 160 * scale];
+    picture.getContext("2d")!.drawImage(
+      canvas, (canvas.width - width) / 2, (canvas.height - height) / 2, width, height, 0, 0, 256, 160,
+    );
+    const decibels = prefix.predictedDb === undefined ? "" : ` · ${prefix.predictedDb.toFixed(1)} dB`;
+    const text = `${sizeText(prefix.bytes)}${decibels}`;
+    button.append(picture, text);
+    button.setAttribute("aria-label", `The scene after ${text}`);
+    button.addEventListener("click", () => this.choose(button, isWhole ? undefined : prefix));
+    return button;
+  }
+
+  private choose(button: HTMLButtonElement | null, prefix: Prefix | undefined): void {
+    for (const child of this.strip.children) child.setAttribute("aria-pressed", String(child === button));
+    this.view.showPrefix(prefix);
+  }
+}

@@ -1,0 +1,20 @@
+/** Bytes as a person reads them: three digits and a unit of 1000. */
+export function sizeText(bytes: number): string {
+  const units = ["bytes", "kB", "MB", "GB"];
+  let value = bytes;
+  let unit = 0;
+  while (value >= 999.5 && unit < units.length - 1) {
+    value /= 1000;
+    unit++;
+  }
+  return `${unit === 0 ? value : Number(value.toPrecision(3))} ${units[unit]!}`;
+}
+
+/** A CSS colour as R, G, B and opacity from 0 to 1; undefined where it is none. */
+export function colourOf(text: string): [number, number, number, number] | undefined {
+  if (!CSS.supports("color", text)) return undefined;
+  const context = new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true })!;
+  context.fillStyle = text;
+  context.fillRect(0, 0, 1, 1);
+  return Array.from(context.getImageData(0, 0, 1, 1).data, (byte) => byte / 255) as [number, number, number, number];
+}

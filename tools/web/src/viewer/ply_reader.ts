@@ -1,0 +1,161 @@
+import { packBand, packSplats } from "../kernels/javascript_packing.js";
+import { SH_WORDS, type PackedSplats, type PackRanges } from "../scene/packed_splats.js";
+import { readPlyHeader, type PlyLayout } from "./ply_header.js";
+import type { PlyRequest, PlyResponse } from "./ply_messages.js";
+
+/** Rows that are packed and handed over at a time. */
+const ROWS = 16_384;
+/** Columns of a splat before its SH bands above DC. */
+const COLUMNS = 14;
+/** First coefficient, values and bits of each packed band. */
+const BANDS = [[0, 9, 7], [9, 15, 8], [24, 21, 6]] as const;
+
+type Post = (response: PlyResponse, transfer: ArrayBuffer[]) => void;
+
+/** Read a PLY of 3DGS training as its bytes come, and post it in packed rows. */
+export async function readPly(request: PlyRequest, post: Post): Promise<void> {
+  try {
+    const { stream, totalBytes } = await bytesOf(request.source);
+    await new PlyRows(request, totalBytes, post).read(stream);
+  } catch (error) {
+    const status = error instanceof StatusError ? error.status : undefined;
+    post({ type: "failed", status, message: error instanceof Error ? error.message : String(error) }, []);
+  }
+}
+
+/** An answer of a server that holds no file. */
+class StatusError extends Error {
+  constructor(readonly status: number) {
+    super(`The server answered with status ${status}.`);
+  }
+}
+
+async function bytesOf(source: Blob | string): Promise<{ stream: ReadableStream<Uint8Array>; totalBytes: number | undefined }> {
+  if (typeof source !== "string") return { stream: source.stream(), totalBytes: source.size };
+  const response = await fetch(source);
+  if (!response.ok || response.body === null) throw new StatusError(response.status);
+  const length = response.headers.get("Content-Length");
+  return { stream: response.body, totalBytes: length === null ? undefined : Number(length) };
+}
+
+/** Turns the bytes of one PLY into packed rows. */
+class PlyRows {
+  private layout: PlyLayout | undefined;
+  private origin: number[] | undefined;
+  private pending = new Uint8Array(0);
+  private row = 0;
+  private bytes = 0;
+
+  constructor(
+    private readonly request: PlyRequest,
+    private readonly totalBytes: number | undefined,
+    private readonly post: Post,
+  ) {}
+
+  async read(stream: ReadableStream<Uint8Array>): Promise<void> {
+    const reader = stream.getReader();
+    const parts: Uint8Array[] = [];
+    let waiting = 0;
+    for (;;) {
+      const { value } = await reader.read();
+      if (value !== undefined) {
+        parts.push(value);
+        waiting += value.length;
+        this.bytes += value.length;
+      }
+      const wanted = this.layout === undefined ? 1 : ROWS * this.layout.stride;
+      if (value !== undefined && this.pending.length + waiting < wanted) continue;
+      this.pending = joined([this.pending, ...parts.splice(0)]);
+      waiting = 0;
+      this.take(value === undefined);
+      if (value === undefined) break;
+    }
+    if (this.layout === undefined) throw new Error("This PLY ends within its header.");
+    if (this.row < this.wantedRows) {
+      throw new Error(`This PLY ends early: ${this.row.toLocaleString()} of ${this.layout.scene.splats.toLocaleString()} splats are there.`);
+    }
+    this.post({ type: "end", bytes: this.bytes }, []);
+  }
+
+  private get wantedRows(): number {
+    return Math.min(this.layout!.scene.splats, this.request.mostRows);
+  }
+
+  /** Pack what has come; less than a block only at the end. */
+  private take(last: boolean): void {
+    if (this.layout === undefined) {
+      this.layout = readPlyHeader(this.pending);
+      if (this.layout === undefined) return;
+      this.pending = this.pending.subarray(this.layout.headerBytes);
+    }
+    const { layout } = this;
+    for (;;) {
+      const rows = Math.min(Math.floor(this.pending.length / layout.stride), ROWS, this.wantedRows - this.row);
+      if (rows === 0 || (rows < ROWS && !last && this.row + rows < this.wantedRows)) return;
+      const view = new DataView(this.pending.buffer, this.pending.byteOffset, rows * layout.stride);
+      if (this.origin === undefined) {
+        this.origin = middle(view, layout, rows);
+        const { origin: fileOrigin } = layout;
+        const scene = { ...layout.scene, fileOrigin, origin: this.origin.map((value, axis) => value + fileOrigin[axis]!) };
+        this.post({ type: "scene", scene, totalBytes: this.totalBytes }, []);
+      }
+      const packed = pack(view, layout, rows, this.origin, this.request.ranges);
+      const buffers = [packed.words, ...packed.sh].map((array) => array.buffer as ArrayBuffer);
+      this.post({ type: "rows", firstRow: this.row, packed, bytes: this.bytes }, buffers);
+      this.pending = this.pending.subarray(rows * layout.stride);
+      this.row += rows;
+    }
+  }
+}
+
+/** Where the first rows are on average: near it half floats are finest. */
+function middle(view: DataView, layout: PlyLayout, rows: number): number[] {
+  return [0, 1, 2].map((axis) => {
+    let sum = 0;
+    for (let row = 0; row < rows; row++) sum += view.getFloat32(row * layout.stride + layout.columns[axis]!, true);
+    return Number.isFinite(sum) ? Math.fround(sum / rows) : 0;
+  });
+}
+
+function pack(view: DataView, layout: PlyLayout, rows: number, origin: readonly number[], ranges: PackRanges): PackedSplats {
+  const { stride, columns: offsets, scene } = layout;
+  const columns = offsets.slice(0, COLUMNS).map((offset, column) => {
+    const shift = origin[column] ?? 0;
+    return Float32Array.from({ length: rows }, (_, row) => view.getFloat32(row * stride + offset, true) - shift);
+  });
+  // The three columns of means come first, so that `origin` belongs to them alone.
+  normalise(columns.slice(6, 10), rows);
+  const words = new Uint32Array(4 * rows);
+  packSplats(columns, rows, ranges.rgbMin, ranges.rgbMax, words);
+  const floats = offsets.length - COLUMNS;
+  const shN = new Float32Array(rows * floats);
+  for (let row = 0, at = 0; row < rows; row++) {
+    for (let i = 0; i < floats; i++) shN[at++] = view.getFloat32(row * stride + offsets[COLUMNS + i]!, true);
+  }
+  const sh = BANDS.slice(0, scene.shDegree).map(([first, count, bits], band) => {
+    const target = new Uint32Array(SH_WORDS[band]! * rows);
+    packBand(shN, rows, floats, first, count, bits, ranges.shRange, SH_WORDS[band]!, target);
+    return target;
+  });
+  return { count: rows, words, sh, ranges };
+}
+
+/** Make quaternions w x y z of unit length, with w at least 0; trainers store them as they are. */
+function normalise(quats: readonly Float32Array[], rows: number): void {
+  for (let row = 0; row < rows; row++) {
+    const norm = Math.hypot(...quats.map((column) => column[row]!));
+    const factor = norm > 0 ? (quats[0]![row]! < 0 ? -1 : 1) / norm : 0;
+    for (const column of quats) column[row]! *= factor;
+    if (!(norm > 0)) quats[0]![row] = 1;
+  }
+}
+
+function joined(parts: readonly Uint8Array[]): Uint8Array<ArrayBuffer> {
+  const whole = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
+  let at = 0;
+  for (const part of parts) {
+    whole.set(part, at);
+    at += part.length;
+  }
+  return whole;
+}

@@ -1,0 +1,358 @@
+import { DEFAULT_RANGES } from "../scene/packed_splats.js";
+import { CogsFeed } from "./cogs_feed.js";
+import { Controls } from "./controls.js";
+import { DepthSorter } from "./depth_sorter.js";
+import { bulkOf, depthAhead } from "./framing.js";
+import { Meter } from "./meter.js";
+import { OrbitCamera, type Vector } from "./orbit.js";
+import { PlyFeed } from "./ply_feed.js";
+import { SplatRenderer, type PictureOptions } from "./renderer.js";
+import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
+import { SplatLayer } from "./splat_layer.js";
+import type { ViewerPose, ViewerStatistics } from "./viewer_handle.js";
+import type { ViewerWorkers } from "./viewer_workers.js";
+
+/** A URL, or a file that the page has. */
+export type SceneSource = string | Blob;
+
+/** Work between two pictures on what compensation adds, ms: a picture has 16. */
+const WORK_MILLISECONDS = 5;
+/** A picture that takes longer while the camera moves is drawn in fewer pixels, ms. */
+const SLOW_PICTURE = 45;
+const LEAST_SCALE = 0.4;
+
+/** What is told of a scene view. */
+export interface SceneViewHost {
+  /** The statistics changed, or what the canvas shows. */
+  changed(): void;
+  /** Something went wrong with a scene, with the one that is compared with or with the graphics. */
+  failed(error: unknown, which: "scene" | "other" | "graphics"): void;
+  /** The graphics are back. */
+  restored(): void;
+}
+
+/** One of the two scenes that can be shown. */
+interface Shown {
+  readonly feed: SceneFeed;
+  readonly abort: AbortController;
+  layer?: SplatLayer;
+}
+
+const EMPTY: ViewerStatistics = {
+  state: "empty", splats: 0, totalSplats: 0, bytes: 0, frames: 0, drawMilliseconds: 0, sortMilliseconds: 0, upToDate: false,
+};
+
+/** Shows a scene on a canvas, and beside it a second one: loads, moves, draws on demand. */
+export class SceneView {
+  readonly controls: Controls;
+  readonly meter = new Meter();
+  statistics: ViewerStatistics = EMPTY;
+  /** Highest SH degree of the scene. */
+  degree = 3;
+  /** Device pixels for a CSS pixel, at most. */
+  pixelRatio = 2;
+  private readonly renderer: SplatRenderer;
+  private readonly abort = new AbortController();
+  private readonly observer: ResizeObserver;
+  private main: Shown | undefined;
+  private other: Shown | undefined;
+  private camera: OrbitCamera | undefined;
+  /** Where the zero of poses is in the world. */
+  private origin: readonly number[] = [0, 0, 0];
+  /** The pose at the start, for `reset`. */
+  private home: ((camera: OrbitCamera) => void) | undefined;
+  private homeCamera: (() => OrbitCamera) | undefined;
+  private pose: ViewerPose | undefined;
+  private touched = false;
+  /** Counts what was shown, so that a scene that was replaced before it began does not begin. */
+  private readonly runs = { main: 0, other: 0 };
+  private scheduled = false;
+  private dirty = false;
+  private lost = false;
+  private lastFrame = 0;
+  private scale = 1;
+  private budget = Infinity;
+  private readonly waiting: (() => void)[] = [];
+  private picture: PictureOptions = { background: [0, 0, 0, 1], degree: 3, fill: 0, divide: 0.5 };
+  private fills = true;
+
+  /** @throws NoWebGlError where the browser has no WebGL 2. */
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    private readonly host: SceneViewHost,
+    private readonly workers: ViewerWorkers | undefined,
+  ) {
+    this.renderer = new SplatRenderer(canvas);
+    const { signal } = this.abort;
+    this.controls = new Controls(canvas, () => this.camera, () => {
+      this.touched = true;
+      this.redraw();
+    }, signal);
+    this.observer = new ResizeObserver(() => this.redraw());
+    this.observer.observe(canvas);
+    canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      this.lost = true;
+      this.note({ upToDate: false });
+      host.failed(undefined, "graphics");
+    }, { signal });
+    canvas.addEventListener("webglcontextrestored", () => {
+      this.lost = false;
+      this.renderer.restore();
+      for (const layer of this.layers) layer.restore();
+      host.restored();
+      this.redraw();
+    }, { signal });
+  }
+
+  /** Whether something of the scene is on the canvas. */
+  get isShown(): boolean {
+    return (this.main?.layer?.drawnRows ?? 0) > 0 && (this.main!.feed.progressive || this.statistics.state !== "streaming");
+  }
+
+  /** Whether a second scene is compared with. */
+  get compares(): boolean {
+    return this.other !== undefined;
+  }
+
+  /** Rows that the last picture was made of. */
+  get drawnRows(): number {
+    return this.main?.layer?.drawnRows ?? 0;
+  }
+
+  get fillHoles(): boolean {
+    return this.fills;
+  }
+
+  set fillHoles(fills: boolean) {
+    this.fills = fills;
+    this.redraw();
+  }
+
+  /** Look from somewhere, until a person moves; it holds for scenes to come as well. */
+  get view(): ViewerPose | undefined {
+    return this.pose;
+  }
+
+  set view(view: ViewerPose | undefined) {
+    this.pose = view;
+    if (view !== undefined) this.camera?.place(view);
+    this.redraw();
+  }
+
+  /** Change what pictures show. */
+  show(options: Partial<Omit<PictureOptions, "fill">>): void {
+    this.picture = { ...this.picture, ...options };
+    this.redraw();
+  }
+
+  /** Draw at most so many splats of a scene, the first of its file. */
+  limit(splats: number): void {
+    this.budget = splats;
+    for (const layer of this.layers) layer.limit(splats);
+  }
+
+  /** Show a scene in the place of what is shown. */
+  async load(source: SceneSource): Promise<void> {
+    this.close("main");
+    this.close("other");
+    this.camera = undefined;
+    this.touched = false;
+    this.meter.bytes = 0;
+    this.statistics = { ...EMPTY, state: "opening" };
+    this.host.changed();
+    await this.run("main", source);
+  }
+
+  /** Show a second scene left of the divide; undefined ends that. */
+  async compare(source: SceneSource | undefined): Promise<void> {
+    this.close("other");
+    this.redraw();
+    if (source !== undefined) await this.run("other", source);
+  }
+
+  /** Go back to the first view. */
+  reset(): void {
+    this.camera = this.homeCamera?.();
+    if (this.camera !== undefined) {
+      this.home?.(this.camera);
+      if (this.pose !== undefined) this.camera.place(this.pose);
+    }
+    this.touched = false;
+    this.redraw();
+  }
+
+  /** Parts of the file that can be shown alone. */
+  prefixes(count: number): Prefix[] {
+    return this.main?.feed.prefixes(count) ?? [];
+  }
+
+  /** Show the scene as it is after a part of its file; undefined shows all that has come. */
+  showPrefix(prefix: Prefix | undefined): void {
+    this.main?.feed.show(prefix);
+    if (prefix === undefined) this.main?.layer?.limit(this.budget);
+    this.redraw();
+  }
+
+  /** Resolves when the canvas shows all that has arrived, in the view asked for. */
+  async settled(): Promise<void> {
+    this.redraw();
+    await new Promise<void>((resolve) => this.waiting.push(resolve));
+  }
+
+  /** Draw a picture with the next frame of the browser. */
+  readonly redraw = (): void => {
+    this.dirty = true;
+    if (this.statistics.upToDate) this.note({ upToDate: false });
+    if (this.scheduled || this.abort.signal.aborted) return;
+    this.scheduled = true;
+    requestAnimationFrame(this.frame);
+  };
+
+  /** End loading, workers and drawing, and give the memory back. */
+  dispose(): void {
+    this.abort.abort();
+    this.observer.disconnect();
+    this.close("main");
+    this.close("other");
+    this.renderer.close();
+    this.renderer.gl.getExtension("WEBGL_lose_context")?.loseContext();
+  }
+
+  private get layers(): SplatLayer[] {
+    return [this.main?.layer, this.other?.layer].filter((layer) => layer !== undefined);
+  }
+
+  private async run(which: "main" | "other", source: SceneSource): Promise<void> {
+    const abort = new AbortController();
+    const isMain = which === "main";
+    const run = ++this.runs[which];
+    const ply = await isPly(source);
+    if (run !== this.runs[which]) return;
+    const feed = ply ? new PlyFeed(source, this.workers, this.budget)
+      : new CogsFeed(source, isMain ? this.meter : new Meter(), this.workers, this.budget);
+    const shown: Shown = { feed, abort };
+    this[which] = shown;
+    try {
+      await feed.run(isMain ? this.mainHost(shown) : this.otherHost(shown), abort.signal);
+      if (isMain) this.note({ state: "complete" });
+      this.redraw();
+    } catch (error) {
+      if (abort.signal.aborted) return;
+      if (isMain) this.note({ state: "failed" });
+      else this.close("other");
+      this.host.failed(error, isMain ? "scene" : "other");
+      this.redraw();
+    }
+  }
+
+  private mainHost(shown: Shown): FeedHost {
+    return {
+      begin: (scene, info) => {
+        this.degree = scene.shDegree;
+        this.origin = info.origin;
+        this.homeCamera = () => new OrbitCamera(info);
+        this.home = undefined;
+        this.reset();
+        this.note({ state: "streaming", totalSplats: scene.splats });
+        return (shown.layer = this.layerOf(scene));
+      },
+      rowsCame: (packed, first) => {
+        if (!first || this.camera === undefined) return;
+        // What turning goes around, and without a first view where to stand, follow from the first splats.
+        const { position, forward } = this.camera;
+        const shift = this.origin.map((value, axis) => value - shown.layer!.scene.origin[axis]!) as Vector;
+        const bulk = bulkOf(packed, shift);
+        const ahead = depthAhead(packed, shift, position, forward);
+        this.home = (camera) => {
+          if (!shown.feed.hasFirstView && bulk !== undefined) camera.frame(bulk.centre, bulk.radius);
+          else if (ahead !== undefined) camera.turnAround(ahead);
+        };
+        if (!this.touched) this.reset();
+      },
+      progressed: (progress) => this.progressed(progress),
+    };
+  }
+
+  private otherHost(shown: Shown): FeedHost {
+    return {
+      begin: (scene) => (shown.layer = this.layerOf(scene)),
+      rowsCame: () => undefined,
+      progressed: () => undefined,
+    };
+  }
+
+  private layerOf(scene: ConstructorParameters<typeof SplatLayer>[1]): SplatLayer {
+    const { gl } = this.renderer;
+    const sorter = (rows: number): DepthSorter =>
+      new DepthSorter(rows, this.workers, (message) => this.host.failed(new Error(message), "scene"));
+    return new SplatLayer(gl, scene, DEFAULT_RANGES, this.budget, sorter, this.redraw);
+  }
+
+  private progressed(progress: FeedProgress): void {
+    const { splats, totalSplats, bytes, totalBytes, predictedDb } = progress;
+    this.note({
+      splats, totalSplats, bytes,
+      ...(totalBytes !== undefined && { totalBytes }),
+      ...(predictedDb !== undefined && { predictedDb }),
+    });
+  }
+
+  private note(changes: Partial<ViewerStatistics>): void {
+    this.statistics = { ...this.statistics, ...changes };
+    this.host.changed();
+  }
+
+  private close(which: "main" | "other"): void {
+    this.runs[which]++;
+    const shown = this[which];
+    this[which] = undefined;
+    shown?.abort.abort();
+    shown?.layer?.close();
+  }
+
+  private readonly frame = (time: number): void => {
+    this.scheduled = false;
+    if (this.abort.signal.aborted || this.lost) return;
+    const { canvas, controls } = this;
+    // A pause between two movements is no slow picture.
+    const passed = Math.min(time - this.lastFrame, 100);
+    this.lastFrame = time;
+    const steps = controls.step(passed / 1000);
+    this.scale = !controls.active ? 1 : passed > SLOW_PICTURE && passed < 100 ? Math.max(this.scale * 0.85, LEAST_SCALE) : this.scale;
+    this.dirty = false;
+    const more = [this.main, this.other].map((shown) => shown?.feed.work(WORK_MILLISECONDS) ?? false).some(Boolean);
+    const ratio = Math.min(devicePixelRatio, this.pixelRatio) * this.scale;
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((px) => Math.max(1, Math.round(px * ratio))) as [number, number];
+    if (canvas.width !== width) canvas.width = width;
+    if (canvas.height !== height) canvas.height = height;
+    const whole = this.draw(width, height);
+    // `work` and `draw` ask for another frame where they left something; movement goes on by itself.
+    if (steps || more || this.scale < 1) this.redraw();
+    this.note({ upToDate: whole && !more && !this.dirty });
+    if (this.statistics.upToDate) for (const resolve of this.waiting.splice(0)) resolve();
+  };
+
+  /** Draw what has come; returns whether that is all, in the view asked for. */
+  private draw(width: number, height: number): boolean {
+    const { camera, renderer, layers, statistics } = this;
+    if (camera === undefined || layers.length === 0) return statistics.state === "failed" || statistics.state === "empty";
+    const start = performance.now();
+    const arriving = statistics.state === "streaming" && this.fills;
+    const fill = arriving ? 1 - Math.min(statistics.splats / statistics.totalSplats, 1) : 0;
+    const whole = renderer.draw({ ...camera.view(height, width), origin: this.origin }, layers, { ...this.picture, fill });
+    this.note({
+      frames: statistics.frames + 1,
+      drawMilliseconds: performance.now() - start,
+      sortMilliseconds: layers[0]!.sortMilliseconds,
+    });
+    return whole;
+  }
+}
+
+/** Whether a source is a PLY: by the name of a URL, by the first bytes of a file. */
+async function isPly(source: SceneSource): Promise<boolean> {
+  if (typeof source === "string") return new URL(source, location.href).pathname.toLowerCase().endsWith(".ply");
+  const beginning = new TextDecoder("latin1").decode(await source.slice(0, 4).arrayBuffer());
+  return /^ply[\r\n]/.test(beginning);
+}

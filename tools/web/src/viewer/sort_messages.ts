@@ -1,0 +1,10 @@
+import type { DepthOrder } from "./depth_sorter.js";
+
+/** What a sorting worker is told. */
+export type SortRequest =
+  | { readonly type: "allocate"; readonly rows: number }
+  | { readonly type: "rows"; readonly firstRow: number; readonly words: Uint32Array }
+  | { readonly type: "sort"; readonly rows: number; readonly forward: readonly number[]; readonly spare: Uint32Array | undefined };
+
+/** What it answers to `sort`; the order is handed over. */
+export type SortResponse = DepthOrder;

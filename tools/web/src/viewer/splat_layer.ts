@@ -1,0 +1,142 @@
+import type { Shifts } from "../container/compensation.js";
+import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
+import type { DepthSorter } from "./depth_sorter.js";
+import { TEXTURE_WIDTH } from "./shaders.js";
+import { SplatTextures } from "./splat_textures.js";
+
+/** What a scene is drawn by. */
+export interface LayerScene {
+  /** Splats of the scene. */
+  readonly splats: number;
+  readonly shDegree: number;
+  /** Where the means' zero is in the world, scene units. */
+  readonly origin: readonly number[];
+  readonly linear: boolean;
+  /** Variance that is added to projected covariances, px². */
+  readonly kernelPx: number;
+  readonly antialiased: boolean;
+}
+
+/** The cosine of the angle by which a view may turn before rows are sorted again: 0.05 degrees. */
+const SAME_DIRECTION = 1 - 4e-7;
+
+/** One scene that is drawn: its rows, and their order for the view. */
+export class SplatLayer {
+  /** Rows that memory was taken for. */
+  readonly capacity: number;
+  private readonly textures: SplatTextures;
+  /** Rows from the first on that have come. */
+  private arrived = 0;
+  /** Whether compensation adds something to a row. */
+  compensated = false;
+  /** Duration of the last sort, ms. */
+  sortMilliseconds = 0;
+  private most = Infinity;
+  private sorted: { readonly rows: number; readonly forward: readonly number[] } | undefined;
+  private sorting = false;
+  private stale = true;
+  private spare: Uint32Array | undefined;
+  private uploaded = false;
+  private closed = false;
+
+  /**
+   * @param ranges - What the codes of packed rows stand for.
+   * @param capacity - Most rows that are held.
+   * @param makeSorter - Makes what sorts so many rows.
+   * @param changed - Called when there is something new to draw.
+   */
+  constructor(
+    private readonly gl: WebGL2RenderingContext,
+    readonly scene: LayerScene,
+    readonly ranges: PackRanges,
+    capacity: number,
+    makeSorter: (rows: number) => DepthSorter,
+    private readonly changed: () => void,
+  ) {
+    const lines = gl.getParameter(gl.MAX_TEXTURE_SIZE) as number;
+    this.capacity = Math.min(scene.splats, capacity, lines * TEXTURE_WIDTH);
+    this.textures = new SplatTextures(this.capacity, scene.shDegree);
+    this.textures.allocate(gl);
+    this.sorter = makeSorter(this.capacity);
+  }
+
+  private readonly sorter: DepthSorter;
+
+  /** Rows that are drawn as soon as they are sorted. */
+  get rows(): number {
+    return Math.min(this.arrived, this.most);
+  }
+
+  /** Rows that the last picture was made of. */
+  get drawnRows(): number {
+    return this.sorted?.rows ?? 0;
+  }
+
+  /** Put a chunk's rows where they belong. */
+  write(packed: PackedSplats, firstRow: number): void {
+    if (firstRow + packed.count > this.capacity) return;
+    this.textures.write(packed, firstRow);
+    this.arrived = Math.max(this.arrived, firstRow + packed.count);
+    this.sorter.add(firstRow, packed.words);
+    this.stale = true;
+    this.uploaded = false;
+    this.changed();
+  }
+
+  /** Note what compensation adds to rows. */
+  shift(firstRow: number, count: number, shifts: Shifts | undefined): void {
+    if (firstRow + count > this.capacity) return;
+    this.textures.writeShifts(firstRow, count, shifts);
+    this.uploaded = false;
+    this.changed();
+  }
+
+  /** Draw only the first rows. */
+  limit(rows: number): void {
+    this.most = Math.max(rows, 1);
+    this.stale = true;
+    this.changed();
+  }
+
+  /** Make the textures anew, because the graphics memory was lost. */
+  restore(): void {
+    this.textures.allocate(this.gl);
+    this.uploaded = false;
+    this.changed();
+  }
+
+  /**
+   * Bind what is drawn, and have the rows sorted where they are not sorted for a view.
+   *
+   * @param forward - Direction of view.
+   * @returns Whether all rows that have come are bound, in the order for the view.
+   */
+  prepare(forward: readonly number[]): boolean {
+    const before = this.sorted?.forward;
+    const turned = before === undefined || before.reduce((sum, value, i) => sum + value * forward[i]!, 0) < SAME_DIRECTION;
+    if ((this.stale || turned) && this.rows > 0) void this.sort([...forward]);
+    this.uploaded = this.textures.bind(this.gl);
+    if (!this.uploaded) this.changed();
+    return this.uploaded && !this.sorting && (this.rows === 0 || !(this.stale || turned));
+  }
+
+  close(): void {
+    this.closed = true;
+    this.sorter.close();
+    this.textures.delete(this.gl);
+  }
+
+  private async sort(forward: readonly number[]): Promise<void> {
+    if (this.sorting) return;
+    this.sorting = true;
+    this.stale = false;
+    const { order, rows, milliseconds } = await this.sorter.sort(this.rows, forward, this.spare);
+    this.sorting = false;
+    if (this.closed) return;
+    this.textures.writeOrder(order, rows);
+    this.spare = order;
+    this.sorted = { rows, forward };
+    this.sortMilliseconds = milliseconds;
+    this.changed();
+  }
+}

@@ -1,0 +1,25 @@
+// The program of a viewer's worker: it sorts the rows of one scene, or reads one PLY.
+import { RowSorter } from "./depth_sorter.js";
+import { readPly } from "./ply_reader.js";
+import type { PlyRequest, PlyResponse } from "./ply_messages.js";
+import type { SortRequest, SortResponse } from "./sort_messages.js";
+
+/** The worker's own side of the messages; `lib.webworker` cannot stand beside `lib.dom`. */
+interface WorkerScope {
+  onmessage: ((event: MessageEvent<SortRequest | PlyRequest>) => void) | null;
+  postMessage(message: SortResponse | PlyResponse, transfer: ArrayBuffer[]): void;
+}
+
+const scope = globalThis as unknown as WorkerScope;
+let sorter: RowSorter | undefined;
+
+scope.onmessage = ({ data }) => {
+  if (data.type === "allocate") sorter = new RowSorter(data.rows);
+  else if (data.type === "rows") sorter!.add(data.firstRow, data.words);
+  else if (data.type === "sort") {
+    const sorted = sorter!.sort(data.rows, data.forward, data.spare);
+    scope.postMessage(sorted, [sorted.order.buffer as ArrayBuffer]);
+  } else {
+    void readPly(data, (response, transfer) => scope.postMessage(response, transfer));
+  }
+};
