@@ -92,7 +92,10 @@ def wait_until(page: Page, condition: str) -> Statistics:
 
 
 def look_from(page: Page, camera: Camera) -> None:
-    """Set the viewer's pose to a camera whose principal point is the middle of its picture."""
+    """Set the viewer's pose to a camera whose principal point is the middle of its picture.
+
+    Holes between splats stay holes, as in our own renders.
+    """
     pose = {
         "height": camera.height,
         "fx": camera.fx,
@@ -100,7 +103,13 @@ def look_from(page: Page, camera: Camera) -> None:
         "rotation": camera.rotation.ravel().tolist(),
         "translation": camera.translation.tolist(),
     }
-    page.evaluate("(pose) => { window.cogsplatViewer.view = pose; }", pose)
+    page.evaluate(
+        """(pose) => {
+          window.cogsplatViewer.fillHoles = false;
+          window.cogsplatViewer.view = pose;
+        }""",
+        pose,
+    )
 
 
 def picture(page: Page) -> NDArray[np.float32]:

@@ -41,7 +41,9 @@ def test_lone_page_allows_its_own_script_and_style_alone() -> None:
 
 def test_lone_page_holds_the_programs_of_its_workers() -> None:
     page = lone_page(b"scene")
-    programs = re.findall(r'<script type="application/x-cogs-worker">(.*?)</script>', page, re.DOTALL)
+    programs = re.findall(
+        r'<script type="application/x-cogs-worker">(.*?)</script>', page, re.DOTALL
+    )
     files = linked_page("t")
     assert programs == [files[name].decode() for name in ("worker.js", "viewer_worker.js")]
     assert "worker-src blob:" in page

@@ -86,7 +86,7 @@ def test_it_follows_the_size_of_its_window(
     open_whole(page, server)
     assert psnr(picture(page), ours(small, camera())) >= 38
     page.set_viewport_size({"width": 400, "height": 300})
-    page.wait_for_function("() => document.querySelector('canvas').width === 400")
+    wait_until(page, "window.cogsplatViewer.shadowRoot.querySelector('canvas').width === 400")
     wait_until(page, COMPLETE)
     assert psnr(picture(page), ours(small, camera(400, 300))) >= 38
 

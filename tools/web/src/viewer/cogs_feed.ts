@@ -21,7 +21,8 @@ export class CogsFeed implements SceneFeed {
   private readonly rowsOf = new Map<number, { readonly firstRow: number; readonly count: number }>();
   private splats = 0;
   private prefix = 0;
-  private readonly damagedParts = new Set<unknown>();
+  /** What could not be had or used, first of all. */
+  private damage: unknown;
   /** Chunks that are shown with what they add for missing ones. */
   private readonly shifted = new Set<number>();
   /** Prefix that compensation is for, and chunks that still wait for it. */
@@ -54,13 +55,12 @@ export class CogsFeed implements SceneFeed {
         service: (index: DecoderIndex) => new DecoderPool(index, { makeWorker: () => workers.decoder() }),
       }),
     };
-    let cut: CogsplatError | undefined;
     const file = typeof this.source === "string" ? new HttpSource(this.source) : new BlobSource(this.source);
     const source = new MeteredSource(file, this.meter);
     const scene = await StreamedScene.open(source, options).catch((error: unknown) => {
       // A file that ends early is shown as far as it goes.
       if (!(error instanceof CogsplatError) || error.code !== "file-truncated") throw error;
-      cut = error;
+      this.damage = error;
       return StreamedScene.open(new CutSource(source), options);
     });
     signal.throwIfAborted();
@@ -73,15 +73,13 @@ export class CogsFeed implements SceneFeed {
       format: "packed",
       compensate: true,
       memoryBudget: Math.min(this.layer.capacity, this.mostSplats) * bytesOf(info.shDegree),
-      onDamage: (error, chunk) => {
-        this.damagedParts.add(chunk ?? error);
-        this.report();
-      },
+      onDamage: (error) => (this.damage ??= error),
     });
     this.report();
     for await (const update of stream) this.take(update);
     this.report();
-    if (cut !== undefined) throw cut;
+    // All else that there is has been shown.
+    if (this.damage !== undefined) throw this.damage as Error;
   }
 
   work(milliseconds: number): boolean {
@@ -164,7 +162,6 @@ export class CogsFeed implements SceneFeed {
       bytes: Math.min(this.meter.bytes, index.fileLength),
       totalBytes: index.fileLength,
       predictedDb: this.prefix > 0 ? predicted(index.chunks.quality[this.prefix - 1]) : undefined,
-      damaged: this.damagedParts.size,
     };
     this.host!.progressed(progress);
   }

@@ -55,7 +55,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
 
   get statistics(): ViewerStatistics {
     const statistics = this.scene?.statistics ?? { ...NOTHING, ...(this.error && { state: "failed" as const }) };
-    return this.error === undefined ? statistics : { ...statistics, error: `${this.error.title}. ${this.error.detail}` };
+    return this.error === undefined ? statistics : { ...statistics, error: this.error.detail };
   }
 
   get view(): ViewerPose | undefined {

@@ -47,7 +47,7 @@ export class PlyFeed implements SceneFeed {
           splats += response.packed.count;
           host.rowsCame(response.packed, response.firstRow === 0);
           this.layer!.write(response.packed, response.firstRow);
-          host.progressed({ splats, totalSplats, bytes: response.bytes, totalBytes, predictedDb: undefined, damaged: 0 });
+          host.progressed({ splats, totalSplats, bytes: response.bytes, totalBytes, predictedDb: undefined });
         } else {
           signal.removeEventListener("abort", stop);
           worker?.terminate();

@@ -11,8 +11,6 @@ export interface FeedProgress {
   readonly totalBytes: number | undefined;
   /** PSNR that the file predicts for what has come, dB; undefined where it predicts nothing. */
   readonly predictedDb: number | undefined;
-  /** Parts of the file that could not be had or used. */
-  readonly damaged: number;
 }
 
 /** A part of a scene that could be shown alone: what the first bytes hold. */
@@ -46,7 +44,7 @@ export interface SceneFeed {
   readonly progressive: boolean;
   /** Whether the file says where to look from. */
   readonly hasFirstView: boolean;
-  /** Resolves when all has come that could be had. */
+  /** Resolves when all has come; where a part could not be had or used, it rejects after all else is shown. */
   run(host: FeedHost, signal: AbortSignal): Promise<void>;
   /** Prefixes to choose from, about `count` of them, from the smallest to the whole. */
   prefixes(count: number): Prefix[];

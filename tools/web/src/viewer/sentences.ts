@@ -61,5 +61,7 @@ function ofFile(error: CogsplatError, shown: boolean): Sentence {
     return { title: "This scene is newer than the viewer", detail: `It uses something that this version does not know. ${message}` };
   }
   if (refusal === "limit") return { title: "This scene is too large to show", detail: message };
-  return { title: "The file is damaged", detail: message };
+  return shown
+    ? { title: "A part of the file is damaged", detail: `What is whole is shown. ${message}` }
+    : { title: "The file is damaged", detail: message };
 }

@@ -7,15 +7,15 @@ export const STYLE = `
 :host([hidden]) { display: none; }
 * { box-sizing: border-box; }
 canvas { position: absolute; inset: 0; width: 100%; height: 100%; display: block; touch-action: none; outline-offset: -3px;
-  cursor: grab; opacity: 0; transition: opacity .35s; }
+  cursor: grab; }
 canvas:active { cursor: grabbing; }
-.shown canvas { opacity: 1; }
 canvas:focus-visible, button:focus-visible, .divide:focus-visible { outline: 2px solid var(--accent); }
 button { font: inherit; color: inherit; }
 .glass { background: var(--glass); border: 1px solid var(--edge); border-radius: 12px; backdrop-filter: blur(12px); }
 .loading { position: absolute; inset: 0; display: grid; place-content: center; justify-items: center; gap: 14px;
-  color: #d6dae1; text-align: center; padding: 24px; pointer-events: none; transition: opacity .35s; }
+  background: #000; color: #d6dae1; text-align: center; padding: 24px; pointer-events: none; transition: opacity .35s, visibility .35s; }
 .shown .loading, .failed .loading { opacity: 0; visibility: hidden; }
+.failed:not(.shown) output { opacity: 0; }
 .spinner { width: 34px; height: 34px; border-radius: 50%; border: 3px solid #fff3; border-top-color: #fff; animation: turn 1s linear infinite; }
 .empty .spinner { display: none; }
 @keyframes turn { to { transform: rotate(1turn); } }
@@ -52,7 +52,7 @@ kbd { font: inherit; padding: 0 5px; border: 1px solid var(--edge); border-radiu
 .strip { position: absolute; left: 12px; right: 12px; bottom: 70px; display: flex; gap: 8px; padding: 8px; overflow-x: auto; justify-content: safe center; }
 .strip button { flex: none; padding: 0 0 5px; border: 2px solid transparent; border-radius: 8px; background: none; cursor: pointer; font-size: 12px; line-height: 1.3; color: var(--soft); overflow: hidden; }
 .strip button[aria-pressed=true] { border-color: var(--accent); color: var(--ink); }
-.strip canvas { position: static; width: 128px; height: 80px; opacity: 1; margin-bottom: 4px; cursor: inherit; }
+.strip canvas { position: static; width: 128px; height: 80px; margin-bottom: 4px; cursor: inherit; }
 .over::after { content: "Drop to show · with Shift to compare"; position: absolute; inset: 12px; display: grid; place-content: center; border: 2px dashed #fff; border-radius: 14px; color: #fff; background: #0008; pointer-events: none; }
 [hidden] { display: none !important; }
 @media (pointer: coarse) { .tools button, .close { width: 44px; height: 44px; padding: 10px; } .keys { display: none; } }

@@ -18,7 +18,8 @@ export function workersBeside(base: string): ViewerWorkers {
 export function workersOfTexts(decoder: string, viewer: string): ViewerWorkers {
   const start = (text: string) => {
     const url = URL.createObjectURL(new Blob([text], { type: "text/javascript" }));
-    return () => new Worker(url, { type: "module" });
+    // No module: pages that are opened as files have no origin that a module could be fetched for.
+    return () => new Worker(url);
   };
   return { decoder: start(decoder), viewer: start(viewer) };
 }

@@ -15,7 +15,8 @@ export declare class CogsFeed implements SceneFeed {
     private readonly rowsOf;
     private splats;
     private prefix;
-    private readonly damagedParts;
+    /** What could not be had or used, first of all. */
+    private damage;
     /** Chunks that are shown with what they add for missing ones. */
     private readonly shifted;
     /** Prefix that compensation is for, and chunks that still wait for it. */
