@@ -69,12 +69,18 @@ class ColourBasis:
         """Return the basis with the rows that a decoder will have."""
         return replace(self, rows=decoded.reshape(len(decoded), -1))
 
-    def coordinates(self, coefficients: F32) -> F64:
-        """Return the coordinates (n, B) that come nearest to (n, K-1, 3) coefficients."""
+    @property
+    def projection(self) -> F64:
+        """What coefficients, (n, 3(K-1)), are multiplied by to give their coordinates."""
         rows: F64 = self.rows.astype(np.float64)
         weighted: F64 = self.metric @ rows.T
-        projected = coefficients.reshape(len(coefficients), -1).astype(np.float64) @ weighted
-        return np.linalg.solve(rows @ weighted, projected.T).T.astype(np.float64)
+        return np.linalg.solve(rows @ weighted, weighted.T).T.astype(np.float64)
+
+    def coordinates(self, coefficients: F32) -> F64:
+        """Return the coordinates (n, B) that come nearest to (n, K-1, 3) coefficients."""
+        flat = coefficients.reshape(len(coefficients), -1).astype(np.float64)
+        found: F64 = flat @ self.projection
+        return found
 
     def encode(
         self, coefficients: F32, energy: F64, lagrangian: float, codebook: int
@@ -147,8 +153,9 @@ def fit(
     moments = np.zeros(metric.shape)
     # Each chunk in units of its own step: what counts is how many levels a direction takes.
     for run in chunks:
-        visible = flat[run] @ root.T
-        moments += (visible.T @ visible) / allocation.shn_step(lagrangian, energy[run]) ** 2
+        part = flat[run].astype(np.float64)
+        moments += (part.T @ part) / allocation.shn_step(lagrangian, energy[run]) ** 2
+    moments = root @ moments @ root.T
     if principal:
         _, axes = np.linalg.eigh(moments)
         rows = (axes[:, ::-1].T @ inverse).astype(np.float32)
@@ -159,9 +166,14 @@ def fit(
         order = np.argsort(-levels, kind="stable")
         rows = (np.eye(len(metric)) / lengths)[order].astype(np.float32)
     basis = ColourBasis(np.ascontiguousarray(rows), metric)
-    used = np.zeros(len(rows), np.bool_)
+    projection = basis.projection
+    used = 1
     for run in chunks:
+        # Only rows behind all that are known to be used: mostly the first chunk uses the last row.
+        if used == len(rows):
+            break
         step = allocation.shn_step(lagrangian, energy[run])
-        used |= (np.abs(basis.coordinates(coefficients[run])) >= _DEAD_ZONE * step).any(axis=0)
-    last = int(np.flatnonzero(used)[-1]) + 1 if used.any() else 1
-    return replace(basis, rows=basis.rows[:last])
+        coordinates = flat[run].astype(np.float64) @ projection[:, used:]
+        coded = np.flatnonzero((np.abs(coordinates) >= _DEAD_ZONE * step).any(axis=0))
+        used += int(coded[-1]) + 1 if len(coded) else 0
+    return replace(basis, rows=basis.rows[:used])

@@ -113,7 +113,8 @@ def tail_drop(coefficients: F32, energy: F64, basis_spread: F64) -> float:
     total = 0.0
     for channel in range(3):
         values = coefficients[:, :, channel].astype(np.float64)
-        total += float(energy @ ((values @ spread) * values).sum(axis=1))
+        # The sum over splats of energy · vᵀ spread v, without a product for each splat.
+        total += float(np.sum(spread * ((values.T * energy) @ values)))
     return total
 
 

@@ -27,8 +27,9 @@ LENGTH_MASK: Final = 0x3FFF_FFFF
 DIGITS: Final = {radix: int(np.log(256.0 + 1e-9) / np.log(radix)) for radix in range(2, 17)}
 """Symbols of each radix that fit a byte (SPEC 6.9)."""
 
-# Level 19 is where the ratio stops growing on planes this small.
-_LEVEL: Final = 19
+# Of 160 planes of a captured scene, 1,062,383 bytes: 417,679 bytes at level 13, 412,756 at 15,
+# 410,928 at 16, 410,927 at 17, 411,586 at 19, which takes 1.7 times as long as 17.
+_LEVEL: Final = 17
 
 
 def pack_plane(plane: U8, *, digits: bool = True) -> tuple[int, bytes]:
