@@ -86,7 +86,7 @@ class Costs:
     twist: F64
     basis_mean: F64
 
-    def take(self, rows: NDArray[np.int64]) -> Costs:
+    def take(self, rows: NDArray[np.int64] | slice) -> Costs:
         """Return the costs of some rows."""
         return Costs(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
@@ -124,7 +124,7 @@ _ROTATION_WEIGHT: Final = 1.7
 SH0_WEIGHT: Final = 0.6
 
 
-def costs(splats: Splats, scores: Scores) -> Costs:
+def costs(splats: Splats, scores: Scores, energy: F64 | None = None) -> Costs:
     """Return what errors cost, from the sensitivities of a scoring pass or from energies alone.
 
     Parameters
@@ -132,8 +132,11 @@ def costs(splats: Splats, scores: Scores) -> Costs:
     splats : Splats
     scores : Scores
         Without sensitivities the constants of this module stand in for them.
+    energy : (n,) float64, optional
+        `floor_energy` of the whole scene at these splats; None where these are the whole scene.
     """
-    energy = floor_energy(scores)
+    if energy is None:
+        energy = floor_energy(scores)
     order = np.argsort(splats.scales, axis=1, kind="stable")
     sizes = np.take_along_axis(splats.scales, order, axis=1).astype(np.float64)
     basis_mean = scores.basis_mean[:, : splats.shN.shape[1]].astype(np.float64)

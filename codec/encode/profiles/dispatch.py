@@ -14,6 +14,7 @@ from cogsplat.codec.encode.prepared import LaidOutScene
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.rate import allocation, segment_order
 from cogsplat.codec.rate import costs as rate_costs
+from cogsplat.codec.rate.costs import Costs
 from cogsplat.codec.segments.payloads import Payloads
 
 from . import near_lossless, transform, vq
@@ -58,20 +59,28 @@ def _near_lossless(scene: LaidOutScene, quality_db: float, progress: Progress) -
 
 def _transform(scene: LaidOutScene, quality_db: float, progress: Progress) -> PlannedScene:
     ordered, config = vq.clip_strays(scene.ordered.without_extras()), scene.config
-    known = scene.scores.take(scene.rows)
-    if not config.ablation.sensitivities:
-        known = replace(known, sensitivities=None)
-    costs = rate_costs.costs(ordered, known)
+    scores = (
+        scene.scores if config.ablation.sensitivities else replace(scene.scores, sensitivities=None)
+    )
+    known = replace(scores, sensitivities=None).take(scene.rows)
+    energy, contribution = rate_costs.floor_energy(known), known.contribution
+
+    def own_costs(run: slice) -> Costs:
+        return rate_costs.costs(ordered.take(run), scores.take(scene.rows[run]), energy[run])
+
+    costs_of: Callable[[slice], Costs] = own_costs
     if not config.ablation.chunk_steps:
-        costs = costs.levelled()
+        level = own_costs(slice(0, len(scene.rows))).levelled()
+        energy, costs_of = level.energy, level.take
     plan = transform.plan(
         ordered,
-        costs,
+        costs_of,
+        energy,
         scene.scores.basis_spread,
         allocation.lagrangian(scene.scores, quality_db),
         scene.slices,
         config.ablation,
-        known.contribution if config.refine else None,
+        contribution if config.refine else None,
         segment_order.MISSING_COMPENSATED if config.compensate else segment_order.MISSING_ALL,
     )
     codebooks = []

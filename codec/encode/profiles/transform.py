@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -44,12 +44,8 @@ class TransformPlan:
     ----------
     lagrangian : float
         λ: what ``cost · step²`` is for every value.
-    costs : Costs
-        Of every splat.
-    swing_twist : (N, 3) float64
-        Swing and twist of every rotation.
-    scales : (N, 3) float32
-        Log, middle, thin, long.
+    costs_of : callable
+        As `plan` takes it.
     basis : ColourBasis or None
         None at SH degree 0.
     basis_payloads : tuple of bytes
@@ -60,9 +56,7 @@ class TransformPlan:
     """
 
     lagrangian: float
-    costs: Costs
-    swing_twist: F64
-    scales: F32
+    costs_of: Callable[[slice], Costs]
     basis: ColourBasis | None
     basis_payloads: tuple[bytes, ...]
     ablation: Ablation
@@ -71,7 +65,8 @@ class TransformPlan:
 
 def plan(
     splats: Splats,
-    costs: Costs,
+    costs_of: Callable[[slice], Costs],
+    energy: F64,
     basis_spread: F64,
     lagrangian: float,
     chunks: Sequence[slice],
@@ -85,8 +80,11 @@ def plan(
     ----------
     splats : Splats
         Valid rows, at least one.
-    costs : Costs
-        Of these rows.
+    costs_of : callable
+        Returns the costs of some of these rows. Costs of a whole scene take three times the memory
+        of its splats, so that they are made chunk by chunk.
+    energy : (N,) float64
+        Of these costs, of every row.
     basis_spread : (15, 15) float64
         `Scores.basis_spread`.
     lagrangian : float
@@ -100,22 +98,19 @@ def plan(
     coarseness = {}
     if contribution is not None:
         coarseness = head_coarseness(contribution, lagrangian, chunks, missing_all)
-    costs = rate_costs.limited(costs, splats.scales, lagrangian)
-    rotation_values, scales = swing_twist.decompose(rotations.unit(splats.quats), splats.scales)
     basis: ColourBasis | None = None
     payloads: tuple[bytes, ...] = ()
     if splats.sh_degree:
         spread = basis_spread if ablation.view_metric else np.zeros_like(basis_spread)
+        limited = rate_costs.limited_energy(energy, lagrangian)
         basis = colour_transform.fit(
-            splats.shN, costs.energy, spread, lagrangian, chunks, principal=ablation.colour_basis
+            splats.shN, limited, spread, lagrangian, chunks, principal=ablation.colour_basis
         )
         payloads = tuple(records.pack([b], digits=ablation.digits) for b in basis.streams())
         views = {band: memoryview(data) for band, data in enumerate(payloads, start=1)}
         stored = decode_colour_codebook(views, len(basis.rows), splats.sh_degree, "basis")
         basis = basis.stored_as(stored.shN)
-    return TransformPlan(
-        lagrangian, costs, rotation_values, scales, basis, payloads, ablation, coarseness
-    )
+    return TransformPlan(lagrangian, costs_of, basis, payloads, ablation, coarseness)
 
 
 def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -> Payloads:
@@ -132,13 +127,12 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
         Whether to sort by Morton code.
     """
     lagrangian, used = plan_.lagrangian, plan_.ablation
-    rows = np.arange(run.start, run.stop, dtype=np.int64)
     coarseness = plan_.coarseness.get(run.start, FINE)
-    costs = plan_.costs.take(rows)
+    part = splats.take(run)
+    costs = rate_costs.limited(plan_.costs_of(run), part.scales, lagrangian)
+    angles, source_scales = swing_twist.decompose(rotations.unit(part.quats), part.scales)
     # Scales come first: how many bits means and rotations have follows from the decoded ones.
-    differences, grid = shapes.differences_to_store(
-        plan_.scales[rows], costs, lagrangian, used.areas
-    )
+    differences, grid = shapes.differences_to_store(source_scales, costs, lagrangian, used.areas)
     sizes = refinement_split.split(
         Attribute.SCALES, differences, grid, costs.scale_long, coarseness.scales
     )
@@ -147,30 +141,30 @@ def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -
     if used.fine_means:
         inside, means, refined_means = affordable(
             lambda bits: quantise_means(
-                splats.means[rows], head_scales, costs.mean, lagrangian, bits, sort
+                part.means, head_scales, costs.mean, lagrangian, bits, sort
             ),
             coarseness.means,
         )
     else:
         step = allocation.equal_step(lagrangian, costs.mean)
-        inside, means, _ = chunk_means(splats.means[rows], step, sort)
+        inside, means, _ = chunk_means(part.means, step, sort)
         refined_means = NOTHING
     # From here on in the order that the chunk is stored in.
-    rows, head_scales, scales = rows[inside], head_scales[inside], scales[inside]
-    sizes, differences, costs = sizes.take(inside), differences[inside], plan_.costs.take(rows)
+    part, head_scales, scales = part.take(inside), head_scales[inside], scales[inside]
+    sizes, differences, costs = sizes.take(inside), differences[inside], costs.take(inside)
     # Of shapes that are all alike, every rotation gets the same step.
     step_scales = head_scales if used.fine_rotations else np.zeros_like(head_scales)
-    quats = shapes.quantise_rotations(plan_.swing_twist[rows], step_scales, costs, lagrangian)
-    sh0 = splats.sh0[rows].astype(np.float64)
+    quats = shapes.quantise_rotations(angles[inside], step_scales, costs, lagrangian)
+    sh0 = part.sh0.astype(np.float64)
     tail: bytes | None = None
     if plan_.basis is not None:
-        stream, missed = plan_.basis.encode(splats.shN[rows], costs.energy, lagrangian, BASIS)
+        stream, missed = plan_.basis.encode(part.shN, costs.energy, lagrangian, BASIS)
         if used.sh0_makes_up:
             # What shN lost, as its views see it on average.
             sh0 += np.einsum("nk,nkc->nc", costs.basis_mean, missed) / rate_costs.SH0_BASIS
         tail = records.pack([stream], digits=used.digits)
-    source_scales = plan_.scales[rows] if used.areas else scales
-    logits = shapes.opacities_to_store(splats.opacities[rows], source_scales, scales)
+    before = source_scales[inside] if used.areas else scales
+    logits = shapes.opacities_to_store(part.opacities, before, scales)
     opacities = refinement_split.split(
         Attribute.OPACITIES,
         logits,

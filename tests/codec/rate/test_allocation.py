@@ -82,6 +82,19 @@ def test_what_the_measured_views_did_not_show_costs_what_splats_usually_cost():
             assert (getattr(measured, name)[7:] > getattr(usual, name)[7:]).all()
 
 
+def test_costs_chunk_by_chunk_are_those_of_the_whole():
+    splats, scores = a_scene()
+    scores = replace(scores, sensitivities=sensitive(80, scale=1e3))
+    whole = rate_costs.costs(splats, scores)
+    energy = rate_costs.floor_energy(scores)
+    for run in (slice(0, 30), slice(30, 31), slice(31, 80)):
+        rows = np.arange(80)[run]
+        part = rate_costs.costs(splats.take(run), scores.take(rows), energy[run])
+        for name in (*VALUES, "basis_mean"):
+            expected = getattr(whole.take(run), name)
+            np.testing.assert_array_equal(getattr(part, name), expected, err_msg=name)
+
+
 # Costs.
 
 VALUES = (
