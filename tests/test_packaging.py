@@ -132,11 +132,13 @@ def test_types_resolve_after_the_editable_install_of_the_readme(tree: Path, tmp_
     script.write_text(USER_SCRIPT, encoding="utf-8")
     install = [python, "-m", "pip", "install", "--quiet", "--no-deps", "--no-input", "-e", tree]
     install += ["--disable-pip-version-check", "--config-settings", "editable_mode=compat"]
-    check = [sys.executable, "-m", "mypy", "--python-executable", python, "--no-incremental"]
-    # Neither may see this checkout.
+    mypy = [sys.executable, "-m", "mypy", "--python-executable", python, "--no-incremental"]
+    mypy += ["--config-file", os.devnull, script]
+    pyright = [sys.executable, "-m", "pyright", "--pythonpath", python, script]
+    # None may see this checkout.
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    told = ""
-    for command in (install, [*check, "--config-file", os.devnull, script]):
+    told = []
+    for command in (install, mypy, pyright):
         done = subprocess.run(
             [str(word) for word in command],
             cwd=tmp_path,
@@ -146,7 +148,17 @@ def test_types_resolve_after_the_editable_install_of_the_readme(tree: Path, tmp_
             text=True,
             check=False,
         )
-        told = done.stdout + done.stderr
-        assert done.returncode == (0 if command is install else 1), told
-    assert '(expression has type "Splats", variable has type "str")' in told
-    assert "Found 1 error in 1 file" in told
+        told.append(done.stdout + done.stderr)
+        assert done.returncode == (0 if command is install else 1), told[-1]
+    assert '(expression has type "Splats", variable has type "str")' in told[1]
+    assert "Found 1 error in 1 file" in told[1]
+    assert 'Type "Splats" is not assignable to declared type "str"' in told[2]
+    assert "1 error, 0 warnings" in told[2]
+
+
+def test_the_checks_install_as_the_readme_does() -> None:
+    """One way to install, so that what the checks see is what users get."""
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert "--editable '.[dev]' --config-settings editable_mode=compat" in script
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert readme.count("--config-settings editable_mode=compat") >= 2
