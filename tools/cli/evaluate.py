@@ -7,15 +7,19 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import click
+import numpy as np
+from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.order.orders import Unordered, order_rows
 from cogsplat.codec.views.view_sets import hold_out
+from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.evaluator import Evaluator
 from cogsplat.tools.evaluation.lpips import read_lpips
+from cogsplat.tools.evaluation.object_curves import ObjectPoint, object_curves
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.evaluation.progs_protocol import (
     BYTES,
@@ -23,10 +27,12 @@ from cogsplat.tools.evaluation.progs_protocol import (
     SPLATS,
     PrefixPoint,
     by_bytes,
+    by_codec,
     by_splats,
 )
 from cogsplat.tools.evaluation.strips import STRIP_SHARES, Strip, draw_strips
 from cogsplat.tools.evaluation.tables import (
+    DIFFERENCES,
     STRIPS,
     EvaluationInput,
     picture_names,
@@ -51,8 +57,9 @@ from cogsplat.tools.terminal.options import (
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
-from cogsplat.tools.terminal.values import Colour, byte_count
+from cogsplat.tools.terminal.values import Colour
 
+from .evaluation_options import codecs, objects, shares, sizes
 from .inputs import (
     evaluation_cameras,
     given_cameras,
@@ -66,43 +73,13 @@ from .octree_sweep import Curve, curves, octree_depths_option, require_octree
 from .order_options import OrderChoice, orders_option
 
 
-def shares(text: str) -> tuple[float, ...]:
-    """Parse shares of the splats such as ``1,5,20`` in percent, or ``none``.
-
-    Raises
-    ------
-    click.BadParameter
-        They are none.
-    """
-    if text.strip().lower() == "none":
-        return ()
-    try:
-        values = sorted({float(part) / 100 for part in text.split(",")})
-    except ValueError:
-        values = []
-    if not values or not all(0 < value <= 1 for value in values):
-        raise click.BadParameter(f"{text!r}, expected percents such as 1,5,20, or none")
-    return tuple(values)
-
-
-def sizes(text: str) -> tuple[ByteCount, ...]:
-    """Parse lengths of a file such as ``32KiB,64KiB,10%``, or ``none``.
-
-    Raises
-    ------
-    click.BadParameter
-        They are none.
-    """
-    if text.strip().lower() == "none":
-        return ()
-    return tuple(byte_count(part) for part in text.split(","))
-
-
 @click.command(
     name="eval",
     epilog="\b\nExample:\n"
     "  cogsplat eval scene.ply --cameras cameras.json --out figures\n"
-    "  cogsplat eval scene.ply --cameras cameras.json --file scene.cogs",
+    "  cogsplat eval scene.ply --cameras cameras.json --file scene.cogs\n"
+    "  cogsplat eval both.ply --orders antimatter --by-object all --sizes none\n"
+    "  cogsplat eval scene.ply --orders contribution,antimatter --codecs spz,splat",
 )
 @click.argument("scene", type=PATH)
 @cameras_option(
@@ -135,6 +112,22 @@ def sizes(text: str) -> tuple[ByteCount, ...]:
     type=sizes,
     metavar="N|P%,…",
     help="Lengths of files to measure at; none for none.  [default: 32 KiB, doubled to the end]",
+)
+@click.option(
+    "--codecs",
+    type=codecs,
+    default=None,
+    metavar="NAME,…",
+    help="Also write each prefix of every order as these formats and measure it by its bytes: "
+    f"{', '.join(WRITABLE)}.",
+)
+@click.option(
+    "--by-object",
+    "wanted_objects",
+    type=objects,
+    metavar="N,…|all",
+    help="Also measure these objects over their own pixels at --shares, in every order and with "
+    "the object's splats first.",
 )
 @click.option(
     "--compensate",
@@ -192,6 +185,8 @@ def evaluate(
     files: tuple[Path, ...],
     wanted: tuple[float, ...],
     lengths: tuple[ByteCount, ...] | None,
+    codecs: tuple[str, ...] | None,
+    wanted_objects: tuple[int, ...] | None,
     compensate: bool,
     quality: float,
     target_psnr: float | None,
@@ -214,9 +209,12 @@ def evaluate(
     and the mean of roaming views, which stand back and turn away; each also as one figure, its mean
     over the logarithm of splats or bytes.
     """
-    by = ([SPLATS] if wanted else []) + ([BYTES] if files or lengths != () else [])
+    cut = bool(files) or lengths != ()
+    by = ([SPLATS] if wanted else []) + ([BYTES] if cut or codecs else [])
     if not by:
         raise click.UsageError("--shares none and --sizes none: nothing to measure")
+    if wanted_objects is not None and not wanted:
+        raise click.UsageError("--by-object with --shares none, expected shares to measure at")
     require_octree(choice.names, octree_depths)
     if out is not None:
         # Before minutes of work, not after.
@@ -226,7 +224,8 @@ def evaluate(
             inputs = given_files(scene, cameras, images, lpips_weights)
             check_output(out / name, force=force, inputs=inputs)
     points: list[PrefixPoint] = []
-    strips: dict[str, list[Strip]] = {name: [] for name in by}
+    of_objects: list[ObjectPoint] = []
+    strips: dict[str, list[Strip]] = {SPLATS: [], BYTES: []}
     with Stages(shown=not (quiet or as_json)) as stages:
         given = _gather(
             scene,
@@ -251,15 +250,29 @@ def evaluate(
             jitter=not no_jitter,
         )
         measured = curves(choice.names, given.config, octree_depths)
-        if SPLATS in by:
+        ordered: dict[str, NDArray[np.int64]] = {}
+        if wanted or codecs:
             for curve in measured:
                 with stages.stage("order"):
-                    rows = order_rows(curve.order, unordered, curve.config)
+                    ordered[curve.label] = order_rows(curve.order, unordered, curve.config)
+        if SPLATS in by:
+            for label, rows in ordered.items():
                 points += by_splats(
-                    given.evaluator, curve.label, given.splats, rows, wanted, progress=stages
+                    given.evaluator, label, given.splats, rows, wanted, progress=stages
                 )
-                strips[SPLATS].append(Strip.of_order(curve.label, given.splats, rows, STRIP_SHARES))
-        if BYTES in by:
+                strips[SPLATS].append(Strip.of_order(label, given.splats, rows, STRIP_SHARES))
+        if wanted_objects is not None:
+            of_objects = object_curves(
+                given.splats,
+                ordered,
+                wanted_objects,
+                wanted,
+                given.evaluator.cameras,
+                background=background,
+                threads=threads,
+                progress=stages,
+            )
+        if cut:
             with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
                 made: list[tuple[str, Path, Curve | None]]
                 made = [(name_of(path), path, None) for path in files] or [
@@ -284,16 +297,30 @@ def evaluate(
                     strips[BYTES].append(
                         Strip.of_file(name, path, found, compensate=compensate, threads=threads)
                     )
-        pages = written_pages(given, points, by)
+        with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
+            for codec in codecs or ():
+                for label, rows in ordered.items():
+                    points += by_codec(
+                        given.evaluator,
+                        label,
+                        given.splats,
+                        rows,
+                        codec,
+                        wanted or SHARES,
+                        path=Path(folder) / codec,
+                        progress=stages,
+                    )
+        pages = written_pages(given, points, by, of_objects)
         if out is not None:
             _write(out, pages, given, strips, force=force, stages=stages)
     if as_json:
-        say_json({**report(given, points, by), "seconds": stages.rounded()})
+        say_json({**report(given, points, by, of_objects), "seconds": stages.rounded()})
         return
-    tell(given, points, by)
+    tell(given, points, by, of_objects)
     if not quiet:
         say("")
-        written = f"{', '.join([*pages, *(STRIPS[name] for name in by)])} in {out}"
+        drawn = [page for kind in by if strips[kind] for page in (STRIPS[kind], DIFFERENCES[kind])]
+        written = f"{', '.join([*pages, *drawn])} in {out}"
         facts(("written", written if out is not None else ""), ("time", stages.line()))
 
 
@@ -395,4 +422,7 @@ def _write(
             file.write(text.encode())
     with stages.stage("strips"):
         for kind, rows in strips.items():
-            write_png(draw_strips(given.evaluator, rows), out / STRIPS[kind], force=force)
+            if rows:
+                write_png(draw_strips(given.evaluator, rows), out / STRIPS[kind], force=force)
+                apart = draw_strips(given.evaluator, rows, differences=True)
+                write_png(apart, out / DIFFERENCES[kind], force=force)

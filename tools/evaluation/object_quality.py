@@ -125,37 +125,82 @@ def object_qualities(
     DataError
         ``no-objects`` or ``bad-objects`` as `labels_of`; ``no-cameras``.
     """
+    return object_qualities_of(
+        reference, [other], cameras, background=background, threads=threads, progress=progress
+    )[0]
+
+
+def object_qualities_of(
+    reference: Splats,
+    versions: Sequence[Splats],
+    cameras: Sequence[Camera],
+    *,
+    background: Colour = (0.0, 0.0, 0.0),
+    threads: int = 0,
+    progress: Progress = silent,
+) -> list[list[ObjectQuality]]:
+    """Compare versions of a scene with it, object by object, as `object_qualities` does.
+
+    Parameters
+    ----------
+    reference : Splats
+    versions : sequence of Splats
+    cameras, background, threads, progress
+        As in `object_qualities`.
+
+    Returns
+    -------
+    list of list of ObjectQuality
+        Of each version, by rising label.
+
+    Raises
+    ------
+    DataError
+        As `object_qualities`.
+    """
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 
     if not cameras:
         raise DataError("no-cameras", "0 cameras to compare with, expected at least 1")
     labels = objects.labels_of(reference)
     known = np.unique(labels)
-    configs = [
-        RenderConfig(
+
+    def drawn(splats: Splats, camera: Camera) -> NDArray[np.float32]:
+        config = RenderConfig(
             kernel_px=splats.info.kernel_px,
             antialiased=splats.info.antialiased,
             background=background,
             threads=1,
         )
-        for splats in (reference, other)
-    ]
+        return render(splats, camera, config)
 
-    def measure(camera: Camera) -> list[tuple[int, float]]:
+    def measure(camera: Camera) -> list[list[tuple[int, float]]]:
         shown = object_pixels(reference, labels, known, camera)
-        expected = render(reference, camera, configs[0])
-        found = render(other, camera, configs[1])
+        expected = drawn(reference, camera)
         masks = [shown == row for row in range(len(known))]
-        return [
-            (int(mask.sum()), psnr(expected[mask], found[mask]) if mask.any() else 0.0)
-            for mask in masks
-        ]
+        found = []
+        for version in versions:
+            picture = drawn(version, camera)
+            found.append(
+                [
+                    (int(mask.sum()), psnr(expected[mask], picture[mask]) if mask.any() else 0.0)
+                    for mask in masks
+                ]
+            )
+        return found
 
-    views: list[list[tuple[int, float]]] = []
+    views: list[list[list[tuple[int, float]]]] = []
     progress("objects", 0, len(cameras))
     for found in ordered_map(measure, cameras, thread_count(threads)):
         views.append(found)
         progress("objects", len(views), len(cameras))
+    return [_summed(known, [view[number] for view in views]) for number in range(len(versions))]
+
+
+def _summed(
+    known: NDArray[np.uint32], views: Sequence[Sequence[tuple[int, float]]]
+) -> list[ObjectQuality]:
+    """Return the quality of each object from its pixels and its PSNR in every view."""
     qualities = []
     for row, label in enumerate(known):
         own = [view[row] for view in views if view[row][0]]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
+from cogsplat.formats.scenes.registry import FORMATS, write_scene
 
 from .evaluator import Evaluator, Figures
 from .prefix_quality import decode_prefix
@@ -149,6 +150,57 @@ def by_bytes(
     return [
         PrefixPoint(name, BYTES, size / whole, size, len(version), figures)
         for size, version, figures in zip(wanted, versions, found, strict=True)
+    ]
+
+
+def by_codec(
+    evaluator: Evaluator,
+    name: str,
+    splats: Splats,
+    rows: NDArray[np.int64],
+    codec: str,
+    shares: Sequence[float] = SHARES,
+    *,
+    path: Path,
+    progress: Progress = silent,
+) -> list[PrefixPoint]:
+    """Measure prefixes of an order by their bytes in another format (PRoGS, figure 9).
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+    name : str
+        The order; the codec is added to it.
+    splats : Splats
+    rows : (N,) int64
+        The order.
+    codec : str
+        One of `formats.scenes.registry.WRITABLE`: each prefix becomes a file of this format, is
+        read back and measured.
+    shares : sequence of float
+        Of the splats, above 0 to 1.
+    path : Path
+        Where the files are made, one in place of the other.
+    progress : Progress
+        Called with the stage ``measure``.
+
+    Returns
+    -------
+    list of PrefixPoint
+        Shares are those of the bytes of the longest prefix.
+    """
+    ordered = splats.without_extras().take(rows)
+    sizes: list[int] = []
+    versions: list[Splats] = []
+    read = next(format_ for format_ in FORMATS if format_.name == codec).read
+    for count in counts(len(rows), shares):
+        write_scene(ordered.take(slice(0, count)), path, force=True, format_name=codec)
+        sizes.append(path.stat().st_size)
+        versions.append(read(path))
+    found = evaluator.measure(versions, progress=progress)
+    return [
+        PrefixPoint(f"{name}, {codec}", BYTES, size / max(sizes), size, len(version), figures)
+        for size, version, figures in zip(sizes, versions, found, strict=True)
     ]
 
 

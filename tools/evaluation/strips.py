@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.splats import Splats
+from cogsplat.tools.pictures.difference import scaled_difference
 from cogsplat.tools.pictures.filmstrip import BACKGROUND, filmstrip
 from cogsplat.tools.terminal.output import size_text
 
@@ -81,7 +82,9 @@ class Strip:
         )
 
 
-def draw_strips(evaluator: Evaluator, strips: Sequence[Strip]) -> Image:
+def draw_strips(
+    evaluator: Evaluator, strips: Sequence[Strip], *, differences: bool = False
+) -> Image:
     """Draw strips under each other, each with the full render at its end.
 
     Parameters
@@ -90,6 +93,9 @@ def draw_strips(evaluator: Evaluator, strips: Sequence[Strip]) -> Image:
         The test view in the middle of its list is shown.
     strips : sequence of Strip
         At least one.
+    differences : bool
+        Whether pictures show how far each prefix is from the full render, `difference.GAIN` times
+        (PRoGS, figure 5), in place of the prefix.
     """
     from PIL import Image
 
@@ -104,6 +110,8 @@ def draw_strips(evaluator: Evaluator, strips: Sequence[Strip]) -> Image:
                 strip.captions, pictures, strip.versions, strict=True
             )
         ]
+        if differences:
+            pictures = [scaled_difference(whole, picture) for picture in pictures]
         last = ("full render", f"{len(evaluator.reference):,} splats")
         title = f"{strip.name}, {camera.name}"
         rows.append(filmstrip([*pictures, whole], [*captions, last], title))

@@ -17,6 +17,7 @@ from cogsplat.tools.pictures.svg_charts import Series, line_chart
 from cogsplat.tools.terminal.output import facts, name_of, say, size_text, table
 
 from .evaluator import Evaluator
+from .object_curves import ObjectPoint, object_charts
 from .photos import Photos
 from .progs_protocol import BYTES, FIGURES, SPLATS, PrefixPoint, areas
 
@@ -29,6 +30,13 @@ _TITLES: Final[Mapping[str, str]] = {
     "roam_db": "roam",
 }
 STRIPS: Final[Mapping[str, str]] = {SPLATS: "strips-splats.png", BYTES: "strips-bytes.png"}
+"""Files with pictures of prefixes."""
+
+DIFFERENCES: Final[Mapping[str, str]] = {
+    SPLATS: "differences-splats.png",
+    BYTES: "differences-bytes.png",
+}
+"""Files with pictures of how far those prefixes are from the full render."""
 
 
 def _charts(by: str) -> dict[str, str]:
@@ -65,13 +73,19 @@ class EvaluationInput:
 
 def picture_names(by: Sequence[str]) -> list[str]:
     """Return the names of the plots and film-strips."""
-    return [name for kind in by for name in (*_charts(kind).values(), STRIPS[kind])]
+    return [
+        name for kind in by for name in (*_charts(kind).values(), STRIPS[kind], DIFFERENCES[kind])
+    ]
 
 
 def written_pages(
-    given: EvaluationInput, points: Sequence[PrefixPoint], by: Sequence[str]
+    given: EvaluationInput,
+    points: Sequence[PrefixPoint],
+    by: Sequence[str],
+    objects: Sequence[ObjectPoint] = (),
 ) -> dict[str, str]:
     """Return the plots, the table and the record of an evaluation, by file name."""
+    title = f"{given.path.absolute().parent.name}/{given.path.name}"
     pages: dict[str, str] = {}
     for kind in by:
         own = [point for point in points if point.by == kind]
@@ -91,7 +105,7 @@ def written_pages(
                 for look, name in enumerate(names)
             ]
             pages[page] = line_chart(
-                f"{given.path.absolute().parent.name}/{given.path.name}, {_TITLES[figure]} views",
+                f"{title}, {_TITLES[figure]} views",
                 "splats, %" if kind == SPLATS else "bytes received",
                 "PSNR against the full render, dB",
                 series,
@@ -104,8 +118,8 @@ def written_pages(
     writer.writeheader()
     writer.writerows(rows)
     pages["eval.csv"] = table_.getvalue()
-    pages["eval.json"] = json.dumps(report(given, points, by), indent=2) + "\n"
-    return pages
+    pages["eval.json"] = json.dumps(report(given, points, by, objects), indent=2) + "\n"
+    return {**pages, **object_charts(objects, title)}
 
 
 def _share_text(percent: float) -> str:
@@ -113,7 +127,10 @@ def _share_text(percent: float) -> str:
 
 
 def report(
-    given: EvaluationInput, points: Sequence[PrefixPoint], by: Sequence[str]
+    given: EvaluationInput,
+    points: Sequence[PrefixPoint],
+    by: Sequence[str],
+    objects: Sequence[ObjectPoint] = (),
 ) -> dict[str, object]:
     """Return all figures as JSON output has them."""
     means = {
@@ -132,10 +149,16 @@ def report(
         "source_photo_db": None if given.photos is None else given.photos.source_db,
         "points": [point.report() for point in points],
         "mean_over_log": means,
+        **({"objects": [point.report() for point in objects]} if objects else {}),
     }
 
 
-def tell(given: EvaluationInput, points: Sequence[PrefixPoint], by: Sequence[str]) -> None:
+def tell(
+    given: EvaluationInput,
+    points: Sequence[PrefixPoint],
+    by: Sequence[str],
+    objects: Sequence[ObjectPoint] = (),
+) -> None:
     """Print the tables."""
     splats = given.splats
     say(f"{given.path}: {len(splats):,} splats, SH degree {splats.sh_degree}")
@@ -151,6 +174,21 @@ def tell(given: EvaluationInput, points: Sequence[PrefixPoint], by: Sequence[str
             if getattr(own[0].figures, figure) is not None:
                 say("")
                 _tell_figure(own, kind, figure)
+    _tell_objects(objects)
+
+
+def _tell_objects(points: Sequence[ObjectPoint]) -> None:
+    """Print what is seen of each object, a line for each order."""
+    for label in dict.fromkeys(point.object for point in points):
+        own = [point for point in points if point.object == label]
+        say("")
+        say(f"object {label} dB, by splats")
+        rows = []
+        for name in dict.fromkeys(point.name for point in own):
+            values = [point.psnr_db for point in own if point.name == name]
+            rows.append((name, *("" if value is None else f"{value:.2f}" for value in values)))
+        shares = dict.fromkeys(point.share for point in own)
+        table(("splats", *(f"{100 * share:.3g} %" for share in shares)), rows)
 
 
 def _tell_figure(points: Sequence[PrefixPoint], kind: str, figure: str) -> None:

@@ -38,4 +38,19 @@ def difference_image(first: NDArray[np.floating], second: NDArray[np.floating]) 
     if first.shape != second.shape:
         raise ValueError(f"pictures of shape {first.shape} and {second.shape}, expected two alike")
     a, b = (np.clip(picture, 0.0, 1.0) for picture in (first, second))
-    return to_image(np.concatenate([a, b, GAIN * np.abs(a - b)], axis=1))
+    return to_image(np.concatenate([a, b, scaled_difference(a, b)], axis=1))
+
+
+def scaled_difference(
+    first: NDArray[np.floating], second: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """Return the absolute difference of two pictures, each channel times `GAIN`.
+
+    Parameters
+    ----------
+    first, second : (H, W, 3) float
+        Display colours, clipped to [0, 1] before.
+    """
+    a, b = (np.clip(picture, 0.0, 1.0) for picture in (first, second))
+    apart: NDArray[np.float32] = (GAIN * np.abs(a - b)).astype(np.float32)
+    return apart

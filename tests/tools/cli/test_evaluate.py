@@ -20,7 +20,7 @@ from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.views.view_sets import hold_out, roam
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.source import FileSource, PrefixSource
-from cogsplat.tools.cli.evaluate import shares, sizes
+from cogsplat.tools.cli.evaluation_options import codecs, objects, shares, sizes
 from cogsplat.tools.cli.order_options import order_names
 from cogsplat.tools.evaluation.progs_protocol import mean_over_log, sizes_of
 
@@ -64,8 +64,8 @@ def test_orders_are_measured_at_shares_of_the_splats(
     assert means["splats"]["sgss"]["held_out_db"] == pytest.approx(np.mean(own), abs=1e-3)
 
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "eval.csv", "eval.json", "splats-held-out.svg", "splats-roam.svg", "splats-worst.svg",
-        "strips-splats.png",
+        "differences-splats.png", "eval.csv", "eval.json", "splats-held-out.svg",
+        "splats-roam.svg", "splats-worst.svg", "strips-splats.png",
     ]  # fmt: skip
     with (tmp_path / "eval.csv").open() as file:
         table = list(csv.DictReader(file))
@@ -73,6 +73,8 @@ def test_orders_are_measured_at_shares_of_the_splats(
     assert json.loads((tmp_path / "eval.json").read_text())["points"] == points
     with Image.open(tmp_path / "strips-splats.png") as picture:
         assert picture.width > 7 * 64
+    with Image.open(tmp_path / "differences-splats.png") as apart:
+        assert apart.size == picture.size
     assert "sgss" in (tmp_path / "splats-roam.svg").read_text()
 
 
@@ -112,6 +114,66 @@ def test_orders_are_encoded_to_be_measured_by_bytes(
     assert "held out dB, by bytes" in told.out
     assert (tmp_path / "out" / "strips-bytes.png").exists()
     assert run("eval", small.ply, "--out", tmp_path / "out").code == 2, "is there already"
+
+
+def test_codecs_and_objects_under_several_orders(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    """PRoGS' figures 8 and 9: two scenes merged, each an object."""
+    both, out = tmp_path / "both.ply", tmp_path / "out"
+    assert run("merge", small.ply, small.ply, both, "--translate", "2:0,0,0.5").code == 0
+    told = run(
+        "eval", both, "--cameras", small.cameras, "--eval-every", 4, "--orders",
+        "antimatter,random", "--shares", "10,40", "--sizes", "none", "--codecs", "spz,ply",
+        "--by-object", "2", "--out", out, "--json",
+    )  # fmt: skip
+    assert told.code == 0, told.err
+    points = told.json["points"]
+    assert isinstance(points, list)
+    named = [point["name"] for point in points if point["by"] == "bytes"]
+    names = [f"{order}, {codec}" for codec in ("spz", "ply") for order in ("antimatter", "random")]
+    assert list(dict.fromkeys(named)) == names
+    plain = {(p["name"], p["splats"]): p for p in points}
+    for count in (2 * SPLATS // 10, 2 * SPLATS * 4 // 10):
+        exact, stored = plain["antimatter", count], plain["antimatter, ply", count]
+        assert stored["held_out_db"] == pytest.approx(exact["held_out_db"], abs=0.01)
+        assert plain["antimatter, spz", count]["bytes"] < stored["bytes"] / 5
+
+    objects = told.json["objects"]
+    assert isinstance(objects, list)
+    assert {point["object"] for point in objects} == {2}
+    figures = {(point["name"], point["share"]): point["psnr_db"] for point in objects}
+    assert len(figures) == 8
+    # By chance, four in ten splats of the object are there, and eight in ten where it comes first.
+    assert figures["random, object first", 0.4] > figures["random", 0.4] + 3
+    written = {path.name for path in out.iterdir()}
+    assert {"object-2.svg", "bytes-held-out.svg", "differences-splats.png"} <= written
+    assert "strips-bytes.png" not in written
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["--by-object", "all"], 3, "no-objects"),
+        (["--by-object", "1", "--shares", "none"], 2, "expected shares to measure at"),
+        (["--codecs", "jpeg"], 2, "expected some of"),
+    ],
+)
+def test_codecs_and_objects_that_are_not_there_are_refused(
+    run: Run, small: SmallScene, arguments: list[str], code: int, message: str
+) -> None:
+    given = ["--cameras", small.cameras, "--orders", "antimatter", "--sizes", "none"]
+    if "--shares" not in arguments:
+        given += ["--shares", "10"]
+    told = run("eval", small.ply, *given, *arguments)
+    assert told.code == code
+    assert message in told.err
+
+
+def test_values_of_options() -> None:
+    assert codecs("spz, ply,spz") == ("spz", "ply")
+    assert objects("ALL") == ()
+    assert objects("3,1") == (3, 1)
 
 
 def test_lpips_and_photos_are_measured_where_given(
