@@ -26,7 +26,7 @@ def psnr(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
 
     Parameters
     ----------
-    a, b : (H, W, 3) float
+    a, b : (H, W, 3) or (P, 3) float
         Clipped to [0, 1] here; the peak is 1.
 
     Returns

@@ -207,7 +207,7 @@ DOORS: dict[str, dict[str, str]] = {
         "marginal_gains": "marginal_gains",
         "peak_weights": "peak_weights",
         "projection": "project",
-        "rasteriser": "RenderConfig render render_views",
+        "rasteriser": "RenderConfig render render_tiles render_views",
         "sensitivities": (
             "COLUMNS MOMENTS PAIRS_AT_ONCE Sensitivities add_moments from_columns "
             "view_sensitivities"

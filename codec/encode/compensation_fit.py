@@ -161,6 +161,8 @@ def compensated(
     splats = encoded.decoded
     found = fit(splats, counts, references, effective_splats, config, progress=progress)
     prefix_mse = errors(found, splats, references, threads=config.threads)
+    steps = config.iterations * len(plan_layers(counts, effective_splats))
+    progress("compensate", steps, steps)
     return replace(encoded, compensation=found, prefix_mse=prefix_mse)
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Final
+
+import numpy as np
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatWarning, DataError
@@ -24,10 +26,10 @@ from .compensation_fit import blank, compensated
 from .config import EncodeConfig
 from .encoded import EncodedScene, EncodeReport
 from .encoder import encode_chunks
-from .prefix_quality import PrefixEvaluator, predicted
+from .prefix_quality import WHOLE_VIEWS, PrefixEvaluator, predicted, whole_measured
 from .prepared import PreparedScene, prepare
 from .presets import DEFAULT_PRESET, PRESETS, Preset
-from .rate_control import TARGET_VIEWS, Hit, Target, to_finished_size, to_psnr
+from .rate_control import Hit, Target, to_finished_size, to_psnr
 from .shift_optimiser import FitConfig
 
 LEAST_COVERAGE: Final[Mapping[str, float]] = MappingProxyType({"planned": 0.9, "given": 0.75})
@@ -243,6 +245,12 @@ class _Finishing:
     preset: Preset
     progress: Progress
 
+    @cached_property
+    def evaluator(self) -> PrefixEvaluator:
+        """Pictures of the source in the test views: drawn once, for a search and a prediction."""
+        views = evenly(self.test_views, WHOLE_VIEWS)
+        return PrefixEvaluator(self.prepared.source, views, self.prepared.config.threads)
+
     @property
     def fit(self) -> FitConfig:
         """Configuration of the fit."""
@@ -260,10 +268,8 @@ class _Finishing:
         if self.test_views and len(encoded.chunks):
             encoded = predicted(
                 encoded,
-                self.prepared.source,
-                self.test_views,
+                self.evaluator,
                 most_views=self.preset.prediction_views,
-                threads=self.prepared.config.threads,
                 progress=self.progress,
             )
         return encoded
@@ -284,11 +290,10 @@ def _search(
     prepared: PreparedScene, target: Target, finishing: _Finishing, size_of: SizeOf | None
 ) -> Hit:
     """Return the finished scene that comes nearest to a target."""
-    encode_at = partial(encode_chunks, prepared)
     progress = finishing.progress
     if target.size_bytes is not None and size_of is not None:
         return to_finished_size(
-            encode_at,
+            partial(encode_chunks, prepared),
             len(prepared.rows),
             target.size_bytes,
             lambda encoded: size_of(finishing.foresee(encoded)),
@@ -298,12 +303,10 @@ def _search(
         )
     if not finishing.test_views:
         raise ValueError("a PSNR as target and no cameras, expected views to see it in")
-    views = evenly(finishing.test_views, TARGET_VIEWS)
-    evaluator = PrefixEvaluator(prepared.source, views, prepared.config.threads)
     hit = to_psnr(
-        encode_at,
+        lambda quality_db: whole_measured(encode_chunks(prepared, quality_db), finishing.evaluator),
         target.psnr_db or 0.0,
-        lambda encoded: evaluator.psnr_db(encoded.decoded),
+        lambda encoded: float(np.mean(encoded.report.test_psnr_db)),
         progress=progress,
     )
     return replace(hit, encoded=finishing.finish(hit.encoded))

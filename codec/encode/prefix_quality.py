@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.render.rasteriser import RenderConfig, render_tiles
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.views.view_sets import evenly
@@ -27,6 +28,9 @@ PREFIX_VIEWS: Final = 8
 WHOLE_VIEWS: Final = 32
 """Views that the whole is predicted in, at most: a mean over few depends on which they are."""
 
+# Pixels of a view that are compared at least, where it has so many: one tile in so many. The mean
+# over 32 views moves by a few hundredths of a dB.
+_PIXELS: Final = 1 << 17
 # Prefixes that are measured at most: each takes a rendering of every view.
 _PREFIXES: Final = 8
 
@@ -55,27 +59,40 @@ class PrefixEvaluator:
         self._threads = thread_count(threads)
         info = source.info
         self._config = RenderConfig(info.kernel_px, info.antialiased, threads=1)
-        self._expected = list(self._pictures(source))
+        pictures = ordered_map(partial(self._draw, source), range(len(views)), self._threads)
+        self._expected = list(pictures)
 
-    def _pictures(self, splats: Splats) -> Sequence[NDArray[np.float32]]:
-        def draw(view: Camera) -> NDArray[np.float32]:
-            return render(splats, view, self._config)
-
-        return list(ordered_map(draw, self._views, self._threads))
+    def _draw(self, splats: Splats, number: int) -> NDArray[np.float32]:
+        """Return the pixels of a view that are compared, (P, 3)."""
+        view = self._views[number]
+        every = max(1, view.width * view.height // _PIXELS)
+        return render_tiles(splats, view, every, self._config)
 
     def psnr_db(self, splats: Splats) -> float:
         """Return the mean PSNR of a scene against the source, dB, at most 100."""
         return float(np.mean(self.views_db(splats)))
 
-    def views_db(self, splats: Splats) -> list[float]:
-        """Return the PSNR of a scene against the source in each view, dB, at most 100."""
-        found = self._pictures(splats)
-        return [float(psnr(a, b)) for a, b in zip(self._expected, found, strict=True)]
+    def views_db(self, splats: Splats, views: Sequence[int] | None = None) -> list[float]:
+        """Return the PSNR of a scene against the source in each view, dB, at most 100.
+
+        Parameters
+        ----------
+        splats : Splats
+        views : sequence of int, optional
+            Numbers of the views to draw; all of them where it is not given.
+        """
+        numbers = range(len(self._views)) if views is None else views
+
+        def compare(number: int) -> float:
+            return float(psnr(self._expected[number], self._draw(splats, number)))
+
+        return list(ordered_map(compare, numbers, self._threads))
 
     def prefixes_db(
         self,
         encoded: EncodedScene,
         *,
+        views: Sequence[int] | None = None,
         whole_db: float | None = None,
         progress: Progress = silent,
     ) -> list[float]:
@@ -84,6 +101,8 @@ class PrefixEvaluator:
         Parameters
         ----------
         encoded : EncodedScene
+        views : sequence of int, optional
+            Numbers of the views to draw; all of them where it is not given.
         whole_db : float, optional
             PSNR of all chunks in these views, where it is known; then it is not measured again.
         progress : Progress
@@ -104,18 +123,22 @@ class PrefixEvaluator:
                 values.append(whole_db)
             else:
                 prefix = encoded.decoded.take(slice(0, sum(counts[:chunks])))
-                values.append(self.psnr_db(prefix))
+                values.append(float(np.mean(self.views_db(prefix, views))))
             progress("predict", done, len(measured))
         return [float(x) for x in interpolated(counts, measured, np.array(values))]
 
 
+def whole_measured(encoded: EncodedScene, evaluator: PrefixEvaluator) -> EncodedScene:
+    """Return an encoded scene whose report has the PSNR of the whole in each view."""
+    values = tuple(evaluator.views_db(encoded.decoded))
+    return replace(encoded, report=replace(encoded.report, test_psnr_db=values))
+
+
 def predicted(
     encoded: EncodedScene,
-    source: Splats,
-    views: Sequence[Camera],
+    evaluator: PrefixEvaluator,
     *,
     most_views: int = PREFIX_VIEWS,
-    threads: int = 0,
     progress: Progress = silent,
 ) -> EncodedScene:
     """Return an encoded scene whose chunks state the PSNR of the scene that ends with them.
@@ -123,16 +146,13 @@ def predicted(
     Parameters
     ----------
     encoded : EncodedScene
-    source : Splats
-        What it was encoded from.
-    views : sequence of Camera
-        Views that the encoder may look at. The whole is measured in at most `WHOLE_VIEWS` of
-        them, spread evenly.
+        Where its report has the PSNR of the whole in each view (`whole_measured`), the whole is not
+        drawn again.
+    evaluator : PrefixEvaluator
+        Of what it was encoded from.
     most_views : int
-        Prefixes are measured in so many of these, and what the whole has there less than in all
-        of them is added.
-    threads : int
-        0 for all cores.
+        Prefixes are measured in so many of its views, spread evenly, and what the whole has there
+        less than in all of them is added.
     progress : Progress
         As `PrefixEvaluator.prefixes_db`.
 
@@ -141,18 +161,15 @@ def predicted(
     EncodedScene
         Its report has the PSNR of the whole in each view.
     """
-    for_whole = evenly(views, WHOLE_VIEWS)
-    for_prefixes = evenly(for_whole, most_views)
-    evaluator = PrefixEvaluator(source, for_prefixes, threads)
-    others = [view for view in for_whole if not any(view is other for other in for_prefixes)]
-    whole = evaluator.views_db(encoded.decoded)
-    qualities = evaluator.prefixes_db(encoded, whole_db=float(np.mean(whole)), progress=progress)
-    if others:
-        whole += PrefixEvaluator(source, others, threads).views_db(encoded.decoded)
-    shift = float(np.mean(whole)) - qualities[-1] if qualities else 0.0
+    if not encoded.report.test_psnr_db:
+        encoded = whole_measured(encoded, evaluator)
+    whole = encoded.report.test_psnr_db
+    some = evenly(range(len(whole)), most_views)
+    there = float(np.mean([whole[number] for number in some]))
+    qualities = evaluator.prefixes_db(encoded, views=some, whole_db=there, progress=progress)
+    shift = float(np.mean(whole)) - there
     chunks = [
         replace(chunk, quality_db=quality + shift)
         for chunk, quality in zip(encoded.chunks, qualities, strict=True)
     ]
-    report = replace(encoded.report, test_psnr_db=tuple(whole))
-    return replace(encoded, chunks=chunks, report=report)
+    return replace(encoded, chunks=chunks)

@@ -15,8 +15,9 @@ from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.progress import StageCost
 
 from .config import EncodeConfig
+from .prefix_quality import WHOLE_VIEWS
 from .presets import Preset
-from .rate_control import TARGET_VIEWS, Target
+from .rate_control import Target
 
 # A view is scored three times: as it is, and in two jittered copies.
 _JITTERED: Final = 3
@@ -28,19 +29,19 @@ _PLAN: Final = 4.5
 # Of each scored view: for its pixels, and for every splat.
 _SCORE: Final = (6.4e-7, 1.2e-6)
 _REFERENCE: Final = (4.6e-8, 6e-7)
-_PREDICT: Final = (5.8e-7, 4.3e-6)
+_PREDICT: Final = (3.5e-7, 2.6e-6)
 # Of the whole, and for every splat; pixels are thinned.
 _GAIN: Final = (5.0, 2.2e-4)
 _OTHER_ORDER: Final = (0.0, 1e-6)
-_COMPENSATE: Final = (1.5, 2.6e-4)
-_CHUNKS: Final = (0.15, 3.5e-5)
+_COMPENSATE: Final = (0.5, 0.9e-4)
+_CHUNKS: Final = (0.15, 2.1e-5)
 _CODEBOOKS: Final = (0.5, 5e-5)
 _WRITE: Final = (0.02, 2e-6)
 
 # Encodes that a search for a target takes on average, and the share of a prediction, which renders
 # several prefixes, that one render of a view costs.
-_TRIALS: Final = 4
-_ONE_RENDER: Final = 0.2
+_TRIALS: Final = 3
+_ONE_RENDER: Final = 0.33
 
 
 def stage_costs(
@@ -101,7 +102,7 @@ def stage_costs(
         costs += [StageCost("codebooks", books)] if books else []
         costs.append(StageCost("chunks", chunks))
     else:
-        looked = min(TARGET_VIEWS, views) if target.psnr_db is not None else 0
+        looked = min(WHOLE_VIEWS, views) if target.psnr_db is not None else 0
         trial = books + chunks + looked * _ONE_RENDER * prediction
         costs.append(StageCost("search", trial * _TRIALS, inner="chunks"))
     if seen and fits:

@@ -69,14 +69,17 @@ def _draw_tiles(
     colours: NDArray[np.float32],
     present: NDArray[np.bool_],
     background: NDArray[np.float32],
+    wanted: NDArray[np.bool_],
     image: NDArray[np.float32],
     first: int,
     last: int,
 ) -> None:
-    """Draw the tiles ``first`` to ``last`` of an image, half-open."""
+    """Draw those tiles of an image from ``first`` to ``last``, half-open, that are wanted."""
     height, width = image.shape[0], image.shape[1]
     state = np.empty(PLANES * PIXELS, np.float32)
     for tile in range(first, last):
+        if not wanted[tile]:
+            continue
         top, left, num_rows, num_columns = tile_area(tile, width, height)
         blend_tile(
             state,
@@ -103,9 +106,15 @@ def _draw_tiles(
 
 
 def _draw(
-    splats: Splats, camera: Camera, config: RenderConfig, threads: int
+    splats: Splats,
+    camera: Camera,
+    config: RenderConfig,
+    threads: int,
+    wanted: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
-    """Render one view on so many threads."""
+    """Render one view on so many threads, or (tiles in y, tiles in x) wanted tiles of it."""
+    if wanted is None:
+        wanted = np.ones(_tiles(camera), np.bool_)
     footprints = project(
         splats,
         camera,
@@ -129,10 +138,16 @@ def _draw(
             colours,
             present,
             background,
+            wanted.ravel(),
             image,
         )
         lists.for_ranges(draw, threads)
     return image
+
+
+def _tiles(camera: Camera) -> tuple[int, int]:
+    """Return the tiles of an image in y and in x."""
+    return -(-camera.height // TILE), -(-camera.width // TILE)
 
 
 def _config_of(splats: Splats) -> RenderConfig:
@@ -177,6 +192,35 @@ def render(
     """
     config = config or _config_of(splats)
     return _draw(splats, camera, config, thread_count(config.threads))
+
+
+def render_tiles(
+    splats: Splats, camera: Camera, every: int, config: RenderConfig | None = None
+) -> NDArray[np.float32]:
+    """Render one tile in so many of a view, spread over the image.
+
+    Of large pictures, some of the tiles tell how far two scenes are apart as well as all of them.
+
+    Parameters
+    ----------
+    splats, camera, config
+        As in `render`.
+    every : int
+        At least 1, for all tiles.
+
+    Returns
+    -------
+    (P, 3) float32
+        The pixels of those tiles in the order of the image; the same ones for every scene.
+    """
+    config = config or _config_of(splats)
+    down, across = np.indices(_tiles(camera))
+    # Lines of tiles that lean by about a golden section: they follow neither rows nor columns.
+    wanted = (across + max(1, round(0.382 * every)) * down) % every == 0
+    image = _draw(splats, camera, config, thread_count(config.threads), wanted)
+    pixels = np.repeat(np.repeat(wanted, TILE, axis=0), TILE, axis=1)
+    drawn: NDArray[np.float32] = image[pixels[: camera.height, : camera.width]]
+    return drawn
 
 
 def render_views(

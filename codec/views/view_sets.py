@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,19 +20,22 @@ STEP_BACK = 0.3
 ROTATION_DEG = 20.0
 """By what angle `roam` rotates a camera, degrees."""
 
+Item = TypeVar("Item")
 
-def evenly(cameras: Sequence[Camera], count: int) -> list[Camera]:
+
+def evenly(cameras: Sequence[Item], count: int) -> list[Item]:
     """Return at most `count` cameras, one from each of so many equal runs of a sequence.
 
     Parameters
     ----------
-    cameras : sequence of Camera
+    cameras : sequence
+        Of cameras, or of their numbers.
     count : int
         At least 1.
 
     Returns
     -------
-    list of Camera
+    list
         In the order of the sequence. Which of its run is taken differs from run to run: captures
         with several cameras on a rig alternate between kinds of view, and one fixed place would
         meet one kind alone.

@@ -6,11 +6,11 @@ import oracle
 import pytest
 from encoding import encode, unseen
 
-from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, predicted
+from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, predicted, whole_measured
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.metrics import psnr
-from cogsplat.codec.render.rasteriser import render
+from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import SceneInfo, concatenate
 from cogsplat.codec.views.view_sets import evenly
 
@@ -63,8 +63,6 @@ def test_an_empty_scene_has_nothing_to_predict():
 def test_quality_is_the_mean_over_the_views():
     source, other = scene(), encoded_in(1).decoded
     settings = {"kernel_px": 0.1, "antialiased": True}
-    from cogsplat.codec.render.rasteriser import RenderConfig
-
     config = RenderConfig(**settings)
     each = [psnr(render(source, v, config), render(other, v, config)) for v in views(3)]
     evaluator = PrefixEvaluator(source, views(3))
@@ -81,7 +79,7 @@ def test_no_views_are_refused():
 
 def test_every_chunk_says_what_the_scene_up_to_it_shows():
     encoded = encoded_in(5)
-    found = predicted(encoded, scene(), views(3))
+    found = predicted(encoded, PrefixEvaluator(scene(), views(3)))
     evaluator, whole = PrefixEvaluator(scene(), views(3)), encoded.decoded
     ends = np.cumsum([chunk.splats for chunk in encoded.chunks])
     for chunk, end in zip(found.chunks, ends, strict=True):
@@ -92,7 +90,7 @@ def test_every_chunk_says_what_the_scene_up_to_it_shows():
 
 def test_the_whole_is_measured_in_more_views_than_prefixes():
     encoded = encoded_in(5)
-    found = predicted(encoded, scene(), views(6), most_views=2)
+    found = predicted(encoded, PrefixEvaluator(scene(), views(6)), most_views=2)
     each = PrefixEvaluator(scene(), views(6)).views_db(encoded.decoded)
     assert sorted(found.report.test_psnr_db) == pytest.approx(sorted(each))
     assert found.chunks[-1].quality_db == pytest.approx(np.mean(each))
@@ -119,6 +117,34 @@ def test_a_whole_that_is_known_is_not_measured_again():
     known = evaluator.prefixes_db(encoded, whole_db=99.0)
     assert known[-1] == 99.0
     assert known[:-1] == evaluator.prefixes_db(encoded)[:-1]
+
+
+def test_a_whole_that_was_measured_for_a_target_is_not_drawn_again(monkeypatch):
+    encoded = encoded_in(5)
+    evaluator = PrefixEvaluator(scene(), views(4))
+    once = whole_measured(encoded, evaluator)
+    assert once.report.test_psnr_db == tuple(evaluator.views_db(encoded.decoded))
+    drawn = []
+    draw = evaluator.views_db
+    monkeypatch.setattr(evaluator, "views_db", lambda s, v=None: drawn.append(len(s)) or draw(s, v))
+    found = predicted(once, evaluator)
+    assert drawn == [120, 240, 360, 480]
+    assert found.chunks[-1].quality_db == pytest.approx(np.mean(once.report.test_psnr_db))
+
+
+def test_of_large_pictures_some_tiles_tell_what_all_do():
+    large = [replace(view, width=1280, height=960) for view in views(2)]
+    large = [
+        replace(v, fx=v.fx * 1280 / w.width, fy=v.fy * 960 / w.height, cx=640.0, cy=480.0)
+        for v, w in zip(large, views(2), strict=True)
+    ]
+    other = encoded_in(1).decoded
+    evaluator = PrefixEvaluator(scene(), large)
+    config = RenderConfig(kernel_px=0.1, antialiased=True)
+    exact = [psnr(render(scene(), v, config), render(other, v, config)) for v in large]
+    found = evaluator.views_db(other)
+    assert found != exact
+    np.testing.assert_allclose(found, exact, atol=0.5)
 
 
 def test_views_are_spread_evenly():

@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as arrays
 
 from cogsplat.codec.errors import Cancelled
 from cogsplat.codec.geometry import sh
-from cogsplat.codec.render.rasteriser import RenderConfig, render, render_views
+from cogsplat.codec.render.rasteriser import RenderConfig, render, render_tiles, render_views
 from cogsplat.codec.splats import SceneInfo, Splats, empty
 
 # Share of pixels that may land on the other side of the 1/255 or 1e-4 cut in float32.
@@ -225,3 +225,23 @@ def test_huge_splat_covers_the_picture():
     splats.sh0[:] = 1.0
     picture = render(splats, oracle.camera())
     np.testing.assert_allclose(picture, 0.99 * (0.5 + sh.C0), rtol=1e-5)
+
+
+@pytest.mark.parametrize("every", [1, 2, 3, 4, 7])
+@pytest.mark.parametrize("size", [(96, 64), (101, 75)])
+def test_some_tiles_are_those_of_the_picture(every, size):
+    splats = oracle.scene(3, n=150)
+    camera = replace(oracle.camera(), width=size[0], height=size[1])
+    whole = render(splats, camera)
+    found = render_tiles(splats, camera, every)
+    again = render_tiles(splats.take(slice(0, 75)), camera, every)
+    assert found.shape == again.shape
+    assert found.dtype == np.float32
+    assert len(found) / whole[..., 0].size == pytest.approx(1 / every, abs=0.12)
+    if every == 1:
+        np.testing.assert_array_equal(found, whole.reshape(-1, 3))
+    # Every pixel that was kept is one of the picture, in its order.
+    at = 0
+    pixels = whole.reshape(-1, 3)
+    for pixel in found:
+        at += int(np.flatnonzero((pixels[at:] == pixel).all(axis=1))[0]) + 1
