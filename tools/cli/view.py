@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import webbrowser
+from contextlib import ExitStack
 from pathlib import Path
 
 import click
@@ -14,7 +15,7 @@ from cogsplat.tools.terminal.options import PATH, json_option, quiet_option, thr
 from cogsplat.tools.terminal.output import counted, name_of, say, say_json
 from cogsplat.tools.terminal.partial import partial_option
 
-from .viewable import viewable
+from .viewable import drawable
 
 _LARGEST_PORT = 65535
 
@@ -22,9 +23,16 @@ _LARGEST_PORT = 65535
 @click.command(
     epilog="\b\nExample:\n"
     "  cogsplat view scene.cogs\n"
+    "  cogsplat view scene.cogs --against scene.ply\n"
     "  cogsplat view scene.ply --no-open --port 8080"
 )
 @click.argument("scene", type=PATH, metavar="SCENE")
+@click.option(
+    "--against",
+    type=PATH,
+    metavar="OTHER",
+    help="Compare with another scene, of any format, at a line that can be moved.",
+)
 @click.option(
     "--port",
     type=click.IntRange(0, _LARGEST_PORT),
@@ -38,17 +46,26 @@ _LARGEST_PORT = 65535
 @threads_option
 @quiet_option
 @json_option
-def view(scene: Path, port: int, no_open: bool, threads: int, quiet: bool, as_json: bool) -> None:
+def view(
+    scene: Path,
+    against: Path | None,
+    port: int,
+    no_open: bool,
+    threads: int,
+    quiet: bool,
+    as_json: bool,
+) -> None:
     """Show a scene in the browser.
 
     A server on 127.0.0.1 gives the viewer and the scene, and nothing else, to browsers of this
-    machine until Ctrl-C. A scene that is no .cogs is encoded first, into a temporary file.
+    machine until Ctrl-C. A scene that is no .cogs is shown as it is, without being encoded.
     """
-    shown = not (quiet or as_json)
-    with (
-        viewable(scene, threads=threads, shown=shown) as given,
-        SceneServer(given.path, scene.name, port) as server,
-    ):
+    with ExitStack() as open_things:
+        given = open_things.enter_context(drawable(scene, threads=threads))
+        other = None
+        if against is not None:
+            other = open_things.enter_context(drawable(against, threads=threads)).path
+        server = open_things.enter_context(SceneServer(given.path, scene.name, port, against=other))
         if as_json:
             say_json({"url": server.url, "scene": name_of(scene), "splats": given.splats})
         elif quiet:

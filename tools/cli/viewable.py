@@ -1,4 +1,4 @@
-"""The COGS file that a browser is given: the user's own, or one encoded from another format."""
+"""The file that a browser is given: the user's own, or one made of another format."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PRESET = "fast"
 
 @dataclass(frozen=True)
 class Viewable:
-    """A COGS file to show, of so many splats; `encoded` where it was made for this."""
+    """A file to show, of so many splats; `encoded` where it was made for this."""
 
     path: Path
     splats: int
@@ -50,15 +50,12 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
     CogsplatError
         The scene cannot be read.
     """
-    why = "is no COGS file"
-    if is_cogs(scene):
-        with cogsplat.open(scene, partial=partial_accepted(), limits=current_limits()) as file:
-            splats, whole = file.root.splats, not file.missing_bytes
-        if whole:
-            yield Viewable(scene, splats, encoded=False)
-            return
-        why = "has not arrived whole"
+    whole = _whole_cogs(scene)
+    if whole is not None:
+        yield whole
+        return
     if shown:
+        why = "has not arrived whole" if is_cogs(scene) else "is no COGS file"
         click.echo(f"{scene} {why}: encoding it first, preset {PRESET}", err=True)
     with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
         path = Path(folder) / SCENE_NAME
@@ -72,6 +69,47 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
             config = EncodeConfig(order=preset.order, compensate=preset.compensate, threads=threads)
             cogsplat.encode(found, path, preset=PRESET, config=config, progress=stages)
         yield Viewable(path, _splats_of(path), encoded=True)
+
+
+@contextmanager
+def drawable(scene: Path, *, threads: int) -> Iterator[Viewable]:
+    """Give a file that the viewer draws for as long as the block lasts, without encoding anything.
+
+    Parameters
+    ----------
+    scene : Path
+        Of any format that is read. One that is not a whole COGS file is written as a PLY into a
+        temporary folder, in a hundredth of the time that encoding it takes: nothing is sent over
+        a network, so that its size does not matter.
+    threads : int
+
+    Raises
+    ------
+    CogsplatError
+        The scene cannot be read.
+    """
+    whole = _whole_cogs(scene)
+    if whole is not None:
+        yield whole
+        return
+    found = usable_rows(read_any(scene, threads=threads).splats, scene)
+    with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
+        path = Path(folder) / "scene.ply"
+        cogsplat.write(found, path)
+        count = len(found)
+        # The arrays are as large as the file; nothing needs them while it is served.
+        del found
+        yield Viewable(path, count, encoded=True)
+
+
+def _whole_cogs(scene: Path) -> Viewable | None:
+    """Return a COGS file that has arrived whole as it is; None for any other."""
+    if not is_cogs(scene):
+        return None
+    with cogsplat.open(scene, partial=partial_accepted(), limits=current_limits()) as file:
+        if file.missing_bytes:
+            return None
+        return Viewable(scene, file.root.splats, encoded=False)
 
 
 def _splats_of(path: Path) -> int:

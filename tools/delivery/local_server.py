@@ -1,4 +1,4 @@
-"""A web server for one scene and its viewer, for browsers of this machine."""
+"""A web server for a scene and its viewer, for browsers of this machine."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from cogsplat.codec.errors import StorageError
+from cogsplat.formats.scenes.registry import is_cogs
 from cogsplat.formats.storage.atomic import open_for_read, storage_errors
 
 from .byte_range import RangeNotSatisfiableError, parse_range
-from .viewer_pages import PAGE_NAME, SCENE_NAME, linked_page
+from .viewer_pages import PAGE_NAME, linked_page
 
 HOST: Final = "127.0.0.1"
 """The address that is listened on: no other machine reaches it."""
@@ -34,6 +35,7 @@ _TYPES: Final = {
     ".css": "text/css; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
     ".cogs": "application/octet-stream",
+    ".ply": "application/octet-stream",
 }
 _COPY_BYTES: Final = 1 << 18
 _IDLE_SECONDS: Final = 60
@@ -49,7 +51,7 @@ class _Content:
 
 
 class SceneServer(ThreadingHTTPServer):
-    """Serves a viewer page at ``/`` and one scene beside it, to this machine alone.
+    """Serves a viewer page at ``/`` and a scene or two beside it, to this machine alone.
 
     Requests for anything else get 404, those that name another host 403 and other methods than GET
     and HEAD 405. The scene is answered by byte ranges, with an ETag that changes with the file.
@@ -57,11 +59,13 @@ class SceneServer(ThreadingHTTPServer):
     Parameters
     ----------
     scene : Path
-        A COGS file. It is opened for each request.
+        A ``.cogs`` file or the PLY of 3DGS training. It is opened for each request.
     title : str
         Of the page.
     port : int
         0 takes a free one.
+    against : Path, optional
+        A second one, which the page compares with the scene.
 
     Raises
     ------
@@ -80,9 +84,17 @@ class SceneServer(ThreadingHTTPServer):
     # On Windows the option would let another process take the port over.
     allow_reuse_address = os.name == "posix"
 
-    def __init__(self, scene: Path, title: str, port: int = 0) -> None:
-        self._scene = scene
-        self._pages: Mapping[str, bytes] = linked_page(title)
+    def __init__(
+        self, scene: Path, title: str, port: int = 0, *, against: Path | None = None
+    ) -> None:
+        # Their own names stay here: they may say more than the page needs to know.
+        named = {"scene": scene, "against": against}
+        self._scenes = {
+            f"{name}{'.cogs' if is_cogs(path) else '.ply'}": path
+            for name, path in named.items()
+            if path is not None
+        }
+        self._pages: Mapping[str, bytes] = linked_page(title, *self._scenes)
         with storage_errors(f"{HOST}:{port}"):
             super().__init__((HOST, port), _Handler)
 
@@ -109,8 +121,8 @@ class SceneServer(ThreadingHTTPServer):
         StorageError
             The scene's file cannot be opened any more.
         """
-        if name == SCENE_NAME:
-            file = open_for_read(self._scene)
+        if name in self._scenes:
+            file = open_for_read(self._scenes[name])
             status = os.fstat(file.fileno())
             etag = f'"{status.st_mtime_ns:x}-{status.st_size:x}-{status.st_ino:x}"'
             return _Content(file, status.st_size, etag)

@@ -83,6 +83,31 @@ def test_outputs_that_are_refused_leave_nothing(
     assert [path.name for path in tmp_path.iterdir()] == ["bad.cogs"]
 
 
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C as a signal")
+def test_view_gives_other_formats_as_a_ply_and_compares(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    spz = tmp_path / "scene.spz"
+    assert run("convert", small.ply, spz).code == 0
+    command = program(["view", spz, "--against", small.cogs, "--no-open", "--quiet"])
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        try:
+            assert process.stdout is not None
+            url = process.stdout.readline().decode().strip()
+            opener = build_opener(ProxyHandler({}))
+            with opener.open(f"{url}scene.ply", timeout=30) as answer:
+                (tmp_path / "got.ply").write_bytes(answer.read())
+            with opener.open(f"{url}against.cogs", timeout=30) as answer:
+                assert answer.read() == small.cogs.read_bytes()
+            got, given = cogsplat.read(tmp_path / "got.ply"), cogsplat.read(spz)
+            assert (got.means == given.means).all()
+            assert (got.shN == given.shN).all()
+            process.send_signal(signal.SIGINT)
+            assert process.wait(60) == 0
+        finally:
+            process.kill()
+
+
 @pytest.mark.slow
 def test_other_formats_are_encoded_first(run: Run, small: SmallScene, tmp_path: Path) -> None:
     told = run("export-html", small.ply, tmp_path / "site", "--folder")

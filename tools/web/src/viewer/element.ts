@@ -171,7 +171,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     else if (name === "splat-budget") {
       const phone = matchMedia("(pointer: coarse)").matches;
       scene.limit(value === null ? (phone ? BUDGET_OF_PHONES : Infinity) : Number(value));
-    } else if (name === "pixel-ratio") scene.pixelRatio = value === null ? 2 : Number(value);
+    } else if (name === "pixel-ratio") scene.mostPixelRatio = value === null ? 2 : Number(value);
     else if (name === "fill-holes") this.fillHoles = value !== "off";
     else if (name === "controls") this.find("#tools").hidden = value === "none";
     else if (name === "label") this.nameScenes();
@@ -193,7 +193,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     this.addEventListener("keydown", (event) => {
       // Keys that are typed into a field are no commands.
       const inField = event.composedPath().some((target) => target instanceof HTMLInputElement || target instanceof HTMLSelectElement);
-      if (event.ctrlKey || event.metaKey || event.altKey || inField) return;
+      if (event.ctrlKey || event.metaKey || event.altKey || (inField && event.code !== "Escape")) return;
       const command = {
         KeyR: () => this.scene!.reset(),
         KeyF: () => void this.toggleFullScreen(),
@@ -220,6 +220,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
 
   private togglePanel(): void {
     const panel = this.find("#panel");
+    if (this.strip!.isOpen) this.toggleStrip();
     panel.hidden = !panel.hidden;
     this.find("#settings").setAttribute("aria-expanded", String(!panel.hidden));
     if (!panel.hidden) this.find("#panel select").focus();
@@ -229,7 +230,10 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
   private toggleStrip(): void {
     const { strip } = this;
     if (strip!.isOpen) strip!.close();
-    else void strip!.open();
+    else {
+      if (!this.find("#panel").hidden) this.togglePanel();
+      void strip!.open();
+    }
     this.find("#film").setAttribute("aria-expanded", String(strip!.isOpen));
   }
 

@@ -4,6 +4,8 @@ import type { SceneView } from "./scene_view.js";
 
 /** Pictures of a strip, at most. */
 const PICTURES = 6;
+/** Size of a picture, device pixels. */
+const [WIDTH, HEIGHT] = [256, 160];
 
 /** Pictures of a scene after growing parts of its file; each can be chosen to be looked at. */
 export class FilmStrip {
@@ -26,33 +28,38 @@ export class FilmStrip {
     const prefixes = this.view.prefixes(PICTURES);
     this.strip.replaceChildren();
     this.strip.hidden = prefixes.length === 0;
+    // Small pictures are drawn small.
+    this.view.pixelRatio = Math.max(WIDTH / this.canvas.clientWidth, HEIGHT / this.canvas.clientHeight);
     for (const prefix of prefixes) {
       this.view.showPrefix(prefix);
       await this.view.settled();
       if (run !== this.run) return;
       this.strip.append(this.frame(prefix, prefixes.at(-1) === prefix));
     }
+    this.view.pixelRatio = undefined;
     this.choose(this.strip.lastElementChild as HTMLButtonElement, undefined);
   }
 
   /** Take the strip away, and show the whole scene. */
   close(): void {
+    if (!this.isOpen) return;
     this.run++;
     this.strip.hidden = true;
     this.strip.replaceChildren();
+    this.view.pixelRatio = undefined;
     this.view.showPrefix(undefined);
   }
 
   private frame(prefix: Prefix, isWhole: boolean): HTMLButtonElement {
     const button = document.createElement("button");
     const picture = document.createElement("canvas");
-    [picture.width, picture.height] = [256, 160];
+    [picture.width, picture.height] = [WIDTH, HEIGHT];
     const { canvas } = this;
     // The middle of the canvas, in the shape of the frame.
-    const scale = Math.min(canvas.width / 256, canvas.height / 160);
-    const [width, height] = [256 * scale, 160 * scale];
+    const scale = Math.min(canvas.width / WIDTH, canvas.height / HEIGHT);
+    const [width, height] = [WIDTH * scale, HEIGHT * scale];
     picture.getContext("2d")!.drawImage(
-      canvas, (canvas.width - width) / 2, (canvas.height - height) / 2, width, height, 0, 0, 256, 160,
+      canvas, (canvas.width - width) / 2, (canvas.height - height) / 2, width, height, 0, 0, WIDTH, HEIGHT,
     );
     const decibels = prefix.predictedDb === undefined ? "" : ` · ${prefix.predictedDb.toFixed(1)} dB`;
     const text = `${sizeText(prefix.bytes)}${decibels}`;

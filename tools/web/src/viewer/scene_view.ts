@@ -50,7 +50,9 @@ export class SceneView {
   /** Highest SH degree of the scene. */
   degree = 3;
   /** Device pixels for a CSS pixel, at most. */
-  pixelRatio = 2;
+  mostPixelRatio = 2;
+  /** Device pixels for a CSS pixel, instead of those of the screen. */
+  pixelRatio: number | undefined;
   private readonly renderer: SplatRenderer;
   private readonly abort = new AbortController();
   private readonly observer: ResizeObserver;
@@ -322,7 +324,7 @@ export class SceneView {
     this.scale = !controls.active ? 1 : passed > SLOW_PICTURE && passed < 100 ? Math.max(this.scale * 0.85, LEAST_SCALE) : this.scale;
     this.dirty = false;
     const more = [this.main, this.other].map((shown) => shown?.feed.work(WORK_MILLISECONDS) ?? false).some(Boolean);
-    const ratio = Math.min(devicePixelRatio, this.pixelRatio) * this.scale;
+    const ratio = (this.pixelRatio ?? Math.min(devicePixelRatio, this.mostPixelRatio)) * this.scale;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((px) => Math.max(1, Math.round(px * ratio))) as [number, number];
     if (canvas.width !== width) canvas.width = width;
     if (canvas.height !== height) canvas.height = height;

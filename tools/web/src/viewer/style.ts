@@ -1,6 +1,6 @@
 /** The look of the viewer, inside its shadow. Colours follow the system's light or dark scheme. */
 export const STYLE = `
-:host { display: block; position: relative; min-height: 160px; aspect-ratio: 16 / 9; overflow: hidden; contain: strict;
+:host { display: block; position: relative; min-height: 160px; aspect-ratio: 16 / 9; overflow: hidden; contain: strict; container-type: size;
   color-scheme: light dark; --glass: light-dark(#fffe, #16181dee); --ink: light-dark(#16181d, #f3f4f6);
   --soft: light-dark(#5a6270, #a3abb8); --edge: light-dark(#0002, #fff2); --accent: light-dark(#0b63ce, #6db3ff);
   background: #000; color: var(--ink); font: 14px/1.45 system-ui, sans-serif; }

@@ -26,7 +26,9 @@ export declare class SceneView {
     /** Highest SH degree of the scene. */
     degree: number;
     /** Device pixels for a CSS pixel, at most. */
-    pixelRatio: number;
+    mostPixelRatio: number;
+    /** Device pixels for a CSS pixel, instead of those of the screen. */
+    pixelRatio: number | undefined;
     private readonly renderer;
     private readonly abort;
     private readonly observer;
