@@ -164,6 +164,26 @@ def test_leaving_ends_the_requests(page: Page, server: FaultyServer, small: Smal
     assert psnr(picture(page), ours(small, camera())) >= 38
 
 
+def test_it_comes_back_when_webgl_is_lost(
+    page: Page, server: FaultyServer, small: SmallScene
+) -> None:
+    open_whole(page, server)
+    frames = statistics(page)["frames"]
+    page.evaluate(
+        """() => {
+          const roots = [document, ...[...document.querySelectorAll("*")].flatMap(
+            (element) => element.shadowRoot ?? [])];
+          const canvas = roots.map((root) => root.querySelector("canvas")).find(Boolean);
+          window.lost = canvas.getContext("webgl2").getExtension("WEBGL_lose_context");
+          window.lost.loseContext();
+        }"""
+    )
+    page.wait_for_timeout(300)
+    page.evaluate("() => window.lost.restoreContext()")
+    wait_until(page, f"{COMPLETE} && s.frames > {frames}")
+    assert psnr(picture(page), ours(small, camera())) >= 38
+
+
 def test_a_finger_turns_the_scene_on_a_phone(browser: Browser, server: FaultyServer) -> None:
     context = browser.new_context(
         viewport={"width": 390, "height": 844},
