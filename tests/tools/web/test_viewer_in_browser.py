@@ -184,6 +184,45 @@ def test_it_comes_back_when_webgl_is_lost(
     assert psnr(picture(page), ours(small, camera())) >= 38
 
 
+def test_keys_work_before_anything_was_clicked(page: Page, server: FaultyServer) -> None:
+    open_whole(page, server)
+    before, frames = picture(page), statistics(page)["frames"]
+    for _ in range(6):
+        page.keyboard.press("ArrowLeft")
+    wait_until(page, f"s.frames > {frames} && s.upToDate")
+    assert psnr(picture(page), before) < 35
+    expect(page.locator("#panel")).to_be_hidden()
+    page.keyboard.press("g")
+    expect(page.locator("#panel")).to_be_visible()
+
+
+def test_two_viewers_share_a_page_and_one_leaves_it(page: Page, server: FaultyServer) -> None:
+    server.files["two.html"] = (
+        b"<!doctype html><style>cogsplat-viewer { display: block; width: 300px; height: 100px }"
+        b"</style><script type=module src=viewer.js></script>"
+        b"<cogsplat-viewer src=scene.cogs></cogsplat-viewer>"
+        b"<cogsplat-viewer src=scene.cogs sh-degree=0></cogsplat-viewer>"
+    )
+    page.goto(f"{server.url}two.html")
+    complete = (
+        "(count) => { const all = [...document.querySelectorAll('cogsplat-viewer')];"
+        " return all.length === count && all.every((it) => it.statistics?.upToDate"
+        " && it.statistics.state === 'complete'); }"
+    )
+    page.wait_for_function(complete, arg=2)
+    page.evaluate("() => document.querySelector('cogsplat-viewer').remove()")
+    page.wait_for_function(complete, arg=1)
+    # And comes again.
+    page.evaluate(
+        """() => {
+          const viewer = document.createElement("cogsplat-viewer");
+          viewer.setAttribute("src", "scene.cogs");
+          document.body.append(viewer);
+        }"""
+    )
+    page.wait_for_function(complete, arg=2)
+
+
 def test_a_finger_turns_the_scene_on_a_phone(browser: Browser, server: FaultyServer) -> None:
     context = browser.new_context(
         viewport={"width": 390, "height": 844},

@@ -20,6 +20,17 @@ function heldScene(): Blob | undefined {
   return new Blob(parts);
 }
 
+/** Give a viewer the keys that nothing else has: on a page of its own they are meant for it before it was clicked. */
+function passKeysTo(viewer: CogsplatViewer): void {
+  document.addEventListener("keydown", (event) => {
+    if (event.target !== document.body || event.key === "Tab") return;
+    const canvas = viewer.shadowRoot!.querySelector("canvas")!;
+    canvas.focus();
+    const passed = new KeyboardEvent("keydown", event);
+    if (!canvas.dispatchEvent(passed)) event.preventDefault();
+  });
+}
+
 const [decoder, viewer] = [...document.querySelectorAll(WORKER_BLOCKS)].map((block) => block.textContent!);
 if (decoder !== undefined && viewer !== undefined) CogsplatViewer.workers = workersOfTexts(decoder, viewer);
 defineViewer();
@@ -27,6 +38,7 @@ defineViewer();
 const own = document.querySelector<CogsplatViewer>("body > cogsplat-viewer#page");
 if (own !== null) {
   window.cogsplatViewer = own;
+  passKeysTo(own);
   const held = heldScene();
   const wanted = new URLSearchParams(location.search);
   const against = wanted.get("against");
