@@ -65,7 +65,7 @@ class Timing:
             "name": self.name,
             "splats": self.splats,
             "sh_degree": self.sh_degree,
-            "file_bytes": self.file_bytes,
+            "bytes": self.file_bytes,
             "decoded_bytes": self.decoded_bytes,
             "decode_s": list(self.decode_s),
             "copy_s": list(self.copy_s),

@@ -96,7 +96,7 @@ class Row:
     held_out_db, worst_db, roam_db : float
         PSNR against the source's own renders, at most 100.
     held_out_ssim, worst_ssim, roam_ssim : float
-    photo_db, photo_loss_db : float or None
+    photos_db, photo_loss_db : float or None
         PSNR against the photos of the held-out views, and how much less that is than the source's.
     encode_s, decode_s : float
         Seconds from arrays to a file, scoring included, and back.
@@ -113,7 +113,7 @@ class Row:
     worst_ssim: float = 0.0
     roam_db: float = 0.0
     roam_ssim: float = 0.0
-    photo_db: float | None = None
+    photos_db: float | None = None
     photo_loss_db: float | None = None
     encode_s: float = 0.0
     decode_s: float = 0.0
@@ -135,7 +135,8 @@ class Row:
 
     def report(self) -> dict[str, object]:
         """Return the figures as CSV and JSON have them."""
-        return asdict(self)
+        figures = asdict(self)
+        return {"bytes" if name == "file_bytes" else name: x for name, x in figures.items()}
 
 
 @dataclass(frozen=True)
@@ -164,7 +165,8 @@ class BenchPrefix:
 
     def report(self) -> dict[str, object]:
         """Return the figures as CSV and JSON have them."""
-        return asdict(self)
+        figures = asdict(self)
+        return {"bytes" if name == "prefix_bytes" else name: x for name, x in figures.items()}
 
 
 @dataclass(frozen=True)
@@ -337,10 +339,10 @@ def _measure(given: BenchInput, method: _Method, path: Path) -> Row:
         background=given.background,
         threads=given.threads,
     )
-    photo_db = loss_db = None
+    photos_db = loss_db = None
     if given.photos is not None:
-        photo_db = given.photos.psnr_db(decoded, given.background, threads=given.threads)
-        loss_db = given.photos.source_db - photo_db
+        photos_db = given.photos.psnr_db(decoded, given.background, threads=given.threads)
+        loss_db = given.photos.source_db - photos_db
     size = path.stat().st_size
     return Row(
         method=method.name,
@@ -353,7 +355,7 @@ def _measure(given: BenchInput, method: _Method, path: Path) -> Row:
         worst_ssim=found.worst.ssim,
         roam_db=view_quality.mean_psnr_db(found.roaming),
         roam_ssim=view_quality.mean_ssim(found.roaming),
-        photo_db=photo_db,
+        photos_db=photos_db,
         photo_loss_db=loss_db,
         encode_s=encode_s,
         decode_s=decode_s,

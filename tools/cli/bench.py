@@ -286,12 +286,11 @@ def _gather(
 
 def _about(scene: Path, given: BenchInput, what: str) -> dict[str, object]:
     return {
-        "scene": name_of(scene),
+        "source": name_of(scene),
         "splats": len(given.splats),
         "sh_degree": given.splats.sh_degree,
-        "test_views": what,
-        "views": len(given.cameras),
-        "scored_on": len(given.scored_on),
+        "test_views": {"from": what, "count": len(given.cameras)},
+        "scored_views": len(given.scored_on),
         "score_s": round(given.score_s, 3),
         "background": list(given.background),
         "source_photo_db": None if given.photos is None else given.photos.source_db,
@@ -376,7 +375,7 @@ def _tell_ablation(found: AblationTable) -> None:
 def _bench_report(measured: Bench, about: Mapping[str, object]) -> dict[str, object]:
     return {
         **about,
-        "rows": [row.report() for row in measured.rows],
+        "methods": [row.report() for row in measured.rows],
         "prefixes": [prefix.report() for prefix in measured.prefixes],
     }
 

@@ -125,12 +125,13 @@ def render(
         say_json(
             {
                 "output": name_of(out),
+                "source": name_of(path),
                 "bytes": written,
                 "width": camera.width,
                 "height": camera.height,
                 "camera": camera.name,
                 "splats": len(scene.splats),
-                "file_splats": scene.file_splats,
+                "source_splats": scene.file_splats,
                 "sh_degree": scene.splats.sh_degree,
                 "seconds": stages.rounded(),
             }
@@ -283,7 +284,7 @@ def compare(
             {
                 "reference": _side(reference, first),
                 "other": _side(other, second),
-                "cameras": what,
+                "test_views": {"from": what, "count": len(views)},
                 "background": list(background),
                 "ssim_border": ssim_border,
                 "held_out": {**figures["held-out"], "views": len(found.held_out)},
@@ -322,12 +323,12 @@ def compare(
 
 def _side(path: Path, scene: LoadedScene) -> dict[str, object]:
     return {
-        "path": name_of(path),
+        "source": name_of(path),
         "splats": len(scene.splats),
-        "file_splats": scene.file_splats,
+        "source_splats": scene.file_splats,
         "sh_degree": scene.splats.sh_degree,
         "bytes_read": scene.bytes_read,
-        "file_bytes": scene.file_bytes,
+        "source_bytes": scene.file_bytes,
     }
 
 

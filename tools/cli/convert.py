@@ -109,7 +109,7 @@ def _report(done: _Done) -> dict[str, object]:
         "format": done.written.format,
         "bytes": done.written.size_bytes,
         "splats": done.written.splats,
-        "splats_in": len(done.given.splats),
+        "source_splats": len(done.given.splats),
         "splats_edited_out": len(done.given.splats) - len(done.splats),
         "sh_degree": done.splats.sh_degree,
         "source": name_of(done.source),

@@ -164,8 +164,9 @@ def decimate(
                 "format": written.format,
                 "bytes": written.size_bytes,
                 "splats": written.splats,
-                "splats_in": len(given),
-                "by": by,
+                "source": name_of(path),
+                "source_splats": len(given),
+                "kept_by": by,
                 "kept_share_of_contribution": _share(priority, target, by),
                 "seconds": stages.rounded(),
             }

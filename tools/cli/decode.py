@@ -107,22 +107,25 @@ def decode(
             stacklevel=1,
         )
     if as_json:
-        say_json(_report(scene, out, written.size_bytes, stages))
+        say_json(_report(cogs, scene, out, written.size_bytes, stages))
     elif not quiet:
         _tell(scene, out, written.size_bytes, stages)
 
 
-def _report(scene: LoadedScene, out: Path, written: int, stages: Stages) -> dict[str, object]:
+def _report(
+    source: Path, scene: LoadedScene, out: Path, written: int, stages: Stages
+) -> dict[str, object]:
     return {
         "output": name_of(out),
+        "source": name_of(source),
         "bytes": written,
         "splats": len(scene.splats),
-        "file_splats": scene.file_splats,
+        "source_splats": scene.file_splats,
         "sh_degree": scene.splats.sh_degree,
-        "chunks": list(_span(scene.chunks)),
-        "chunks_decoded": len(scene.chunks),
-        "file_chunks": scene.file_chunks,
-        "file_bytes": scene.file_bytes,
+        "chunks": len(scene.chunks),
+        "chunk_range": list(_span(scene.chunks)),
+        "source_chunks": scene.file_chunks,
+        "source_bytes": scene.file_bytes,
         "bytes_read": scene.bytes_read,
         "chunks_without_tails": list(scene.without_tails),
         "chunks_unrefined": list(scene.unrefined),

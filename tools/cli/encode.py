@@ -360,12 +360,13 @@ def encode(
         say_json(
             {
                 "output": name_of(out),
+                "source": name_of(scene),
                 **told,
-                "quality": [quality.report() for quality in qualities],
+                "prefixes": [quality.report() for quality in qualities],
                 "attributes": [stored.report() for stored in sizes],
                 "source_bytes": given.file_bytes,
                 "ratio": round(given.file_bytes / size, 3),
-                "splats_in": rows_in,
+                "source_splats": rows_in,
                 "splats_dropped": dropped,
                 "splats_pruned": pruned,
             }

@@ -101,6 +101,7 @@ def export_html(
         say_json(
             {
                 "output": name_of(out),
+                "source": name_of(scene),
                 "page": name_of(page),
                 "bytes": written,
                 "splats": given.splats,

@@ -142,7 +142,8 @@ def filter_scene(
                 "format": written.format,
                 "bytes": written.size_bytes,
                 "splats": written.splats,
-                "splats_in": len(given),
+                "source": name_of(path),
+                "source_splats": len(given),
                 "left_out": {
                     "invalid": invalid,
                     **{reason: int(rows.sum()) for reason, rows in marks.items()},

@@ -97,7 +97,7 @@ def _cogs_report(
     root = file.root
     view = root.first_view
     return {
-        "path": name_of(path),
+        "source": name_of(path),
         "format": "cogs",
         "version": format_version(path),
         "writer": root.writer,
@@ -130,10 +130,11 @@ def _cogs_report(
             {"name": kind.name, "type": kind.dtype, "components": kind.components}
             for kind in root.attributes
         ],
-        "cameras": cameras,
+        "stored_cameras": cameras,
         "index_pages": len(root.pages),
         "segments": len(file.segments),
-        "chunks": [chunk.report() for chunk in chunk_sizes(file)],
+        "chunks": file.num_chunks,
+        "chunk_table": [chunk.report() for chunk in chunk_sizes(file)],
         "attributes": [size.report() for size in sizes],
     }
 
@@ -194,7 +195,9 @@ def _tell_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
             f"{chunk.refinement_bytes:,}" if chunk.refinement_bytes else "-",
             f"{chunk.tail_bytes:,}" if chunk.tail_bytes else "-",
             f"{chunk.head_offset:,}",
-            f"{chunk.contribution_share:.2%}" if chunk.contribution_share is not None else "-",
+            f"{chunk.share_of_contribution:.2%}"
+            if chunk.share_of_contribution is not None
+            else "-",
             f"{chunk.share_so_far:.2%}" if chunk.share_so_far is not None else "-",
             f"{chunk.object_label}",
         )
@@ -254,7 +257,7 @@ def _ranges(splats: Splats) -> dict[str, tuple[float, float, int]]:
 
 def _scene_report(path: Path, splats: Splats, file_bytes: int) -> dict[str, object]:
     return {
-        "path": name_of(path),
+        "source": name_of(path),
         "format": format_of(path).name,
         "bytes": file_bytes,
         "splats": len(splats),

@@ -157,7 +157,7 @@ def merge(
                 "splats": written.splats,
                 "sh_degree": merged.sh_degree,
                 "objects": [
-                    {"object": label, "source": name_of(path), "splats_in": count}
+                    {"object": label, "source": name_of(path), "source_splats": count}
                     for label, (path, count) in enumerate(zip(sources, counts, strict=True), 1)
                 ],
                 "seconds": stages.rounded(),

@@ -113,6 +113,7 @@ def order(
         say_json(
             {
                 "output": name_of(out),
+                "source": name_of(path),
                 "splats": len(splats),
                 "order": choice.name,
                 "scored_views": stages.totals.get("score", 0),

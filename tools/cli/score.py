@@ -91,6 +91,7 @@ def score(
         say_json(
             {
                 "output": name_of(out),
+                "source": name_of(path),
                 "splats": len(splats),
                 "unseen": unseen,
                 "scored_views": stages.totals["score"],

@@ -77,9 +77,9 @@ def stats(
 
 def _report(path: Path, scene: LoadedScene, found: SceneStatistics) -> dict[str, object]:
     return {
-        "path": name_of(path),
-        "file_bytes": scene.file_bytes,
-        "file_splats": scene.file_splats,
+        "source": name_of(path),
+        "source_bytes": scene.file_bytes,
+        "source_splats": scene.file_splats,
         "splats": found.splats,
         "sh_degree": found.sh_degree,
         "memory_bytes": found.nbytes,

@@ -47,7 +47,7 @@ def validate(path: Path, quiet: bool, as_json: bool) -> None:
     if as_json:
         say_json(
             {
-                "path": name_of(path),
+                "source": name_of(path),
                 "valid": not found,
                 "findings": [asdict(finding) for finding in found],
             }

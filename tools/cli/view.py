@@ -67,7 +67,7 @@ def view(
             other = open_things.enter_context(drawable(against, threads=threads)).path
         server = open_things.enter_context(SceneServer(given.path, scene.name, port, against=other))
         if as_json:
-            say_json({"url": server.url, "scene": name_of(scene), "splats": given.splats})
+            say_json({"url": server.url, "source": name_of(scene), "splats": given.splats})
         elif quiet:
             say(server.url)
         else:

@@ -100,6 +100,7 @@ def views(
         say_json(
             {
                 "output": name_of(out),
+                "source": name_of(path),
                 "bytes": written,
                 "views": len(cameras),
                 "width": config.width,

@@ -57,7 +57,7 @@ class ChunkSizes:
         0 where it has none.
     contribution : float
         Sum over its splats.
-    contribution_share, share_so_far : float or None
+    share_of_contribution, share_so_far : float or None
         Of the scene's, alone and with all chunks before; None where nothing was scored.
     object_label : int
         Label of what it holds; 0 in scenes without objects.
@@ -72,13 +72,14 @@ class ChunkSizes:
     tail_bytes: int
     tail_offset: int
     contribution: float
-    contribution_share: float | None
+    share_of_contribution: float | None
     share_so_far: float | None
     object_label: int
 
     def report(self) -> dict[str, object]:
         """Return the fields as JSON output has them."""
-        return asdict(self)
+        fields = asdict(self)
+        return {"object" if name == "object_label" else name: x for name, x in fields.items()}
 
 
 def format_version(path: Path) -> str:
@@ -115,7 +116,7 @@ def chunk_sizes(file: CogsFile) -> list[ChunkSizes]:
                 tail_bytes=tail_bytes,
                 tail_offset=tail_offset,
                 contribution=float(contribution[number]),
-                contribution_share=float(contribution[number]) / total if total > 0 else None,
+                share_of_contribution=float(contribution[number]) / total if total > 0 else None,
                 share_so_far=float(so_far[number]) / total if total > 0 else None,
                 object_label=int(file.chunks.object[number]),
             )

@@ -54,7 +54,8 @@ class PrefixQuality:
 
     def report(self) -> dict[str, object]:
         """Return the fields as JSON output has them."""
-        return asdict(self)
+        figures = asdict(self)
+        return {"bytes" if name == "size_bytes" else name: x for name, x in figures.items()}
 
 
 def decode_prefix(

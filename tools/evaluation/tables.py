@@ -141,11 +141,10 @@ def report(
         for kind in by
     }
     return {
-        "scene": name_of(given.path),
+        "source": name_of(given.path),
         "splats": len(given.splats),
-        "test_views": given.what,
-        "views": len(given.evaluator.cameras),
-        "scored_on": len(given.scored_on),
+        "test_views": {"from": given.what, "count": len(given.evaluator.cameras)},
+        "scored_views": len(given.scored_on),
         "source_photo_db": None if given.photos is None else given.photos.source_db,
         "points": [point.report() for point in points],
         "mean_over_log": means,

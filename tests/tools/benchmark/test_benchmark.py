@@ -73,27 +73,31 @@ def test_figures_are_those_of_files_made_apart(
     told = json.loads((measured / "bench.json").read_text())
     source = cogsplat.read(small.ply)
     train, held = hold_out(cogsplat.read_cameras(small.cameras), 4)
-    assert (told["views"], told["scored_on"], told["splats"]) == (len(held), len(train), SPLATS)
-    assert [row["quality_db"] for row in told["rows"]] == [30, 36, None, None]
+    assert (told["test_views"]["count"], told["scored_views"], told["splats"]) == (
+        len(held),
+        len(train),
+        SPLATS,
+    )
+    assert [row["quality_db"] for row in told["methods"]] == [30, 36, None, None]
     scores = score(source, train, ScoreConfig(sensitivity_every=2))
     cogsplat.encode(
         source, tmp_path / "a.cogs", cameras=train, scores=scores,
         config=EncodeConfig(profile="transform", quality_db=36),
     )  # fmt: skip
     cogsplat.write(source, tmp_path / "a.spz")
-    for name, row in (("a.cogs", told["rows"][1]), ("a.spz", told["rows"][3])):
+    for name, row in (("a.cogs", told["methods"][1]), ("a.spz", told["methods"][3])):
         found = view_quality.compare(source, cogsplat.read(tmp_path / name), held)
-        assert row["file_bytes"] == (tmp_path / name).stat().st_size
-        assert row["bytes_per_splat"] == pytest.approx(row["file_bytes"] / SPLATS)
+        assert row["bytes"] == (tmp_path / name).stat().st_size
+        assert row["bytes_per_splat"] == pytest.approx(row["bytes"] / SPLATS)
         assert row["held_out_db"] == view_quality.mean_psnr_db(found.held_out)
         assert row["worst_db"] == found.worst.psnr_db
         assert row["roam_ssim"] == view_quality.mean_ssim(found.roaming)
-    assert told["rows"][2]["held_out_db"] == 100
+    assert told["methods"][2]["held_out_db"] == 100
 
 
 def test_tables_hold_the_same(measured: Path) -> None:
     told = json.loads((measured / "bench.json").read_text())
-    for name, key in (("bench.csv", "rows"), ("prefixes.csv", "prefixes")):
+    for name, key in (("bench.csv", "methods"), ("prefixes.csv", "prefixes")):
         with (measured / name).open(newline="") as file:
             rows = list(csv.DictReader(file))
         assert len(rows) == len(told[key]) > 0
@@ -104,8 +108,8 @@ def test_tables_hold_the_same(measured: Path) -> None:
 def test_prefixes_end_with_the_whole_file(measured: Path) -> None:
     told = json.loads((measured / "bench.json").read_text())
     last = told["prefixes"][-1]
-    whole = next(row for row in told["rows"] if row["quality_db"] == last["quality_db"])
-    assert last["prefix_bytes"] == whole["file_bytes"]
+    whole = next(row for row in told["methods"] if row["quality_db"] == last["quality_db"])
+    assert last["bytes"] == whole["bytes"]
     assert last["held_out_db"] == whole["held_out_db"]
 
 

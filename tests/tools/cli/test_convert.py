@@ -28,7 +28,7 @@ def test_every_writable_format_there_and_back(
     assert (told.code, told.err) == (0, "")
     report = told.json
     assert report["bytes"] == out.stat().st_size
-    assert report["splats"] == report["splats_in"] == SPLATS
+    assert report["splats"] == report["source_splats"] == SPLATS
     told = run("convert", out, back)
     assert told.code == 0, told.err
     assert str(back) in told.out

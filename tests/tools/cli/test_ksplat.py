@@ -44,7 +44,7 @@ def test_info_and_stats(run: Run, ksplat: Path) -> None:
     report = run("stats", ksplat, "--json").json
     assert (report["splats"], report["sh_degree"]) == (SPLATS, 0)
     assert report["invalid_splats"] == 0
-    assert report["file_bytes"] == ksplat.stat().st_size
+    assert report["source_bytes"] == ksplat.stat().st_size
 
 
 def test_compare_and_render(run: Run, small: SmallScene, ksplat: Path, tmp_path: Path) -> None:

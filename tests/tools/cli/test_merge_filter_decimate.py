@@ -37,8 +37,8 @@ def test_merge_labels_each_scene_and_moves_it_as_convert_does(run: Run, tmp_path
     assert (told.code, told.err) == (0, "")
     assert told.json["splats"] == 200
     assert told.json["objects"] == [
-        {"object": 1, "source": str(a), "splats_in": 120},
-        {"object": 2, "source": str(b), "splats_in": 80},
+        {"object": 1, "source": str(a), "source_splats": 120},
+        {"object": 2, "source": str(b), "source_splats": 80},
     ]
     plain = [word for option, value in edits.items() for word in (option, value)]
     assert run("convert", b, moved, *plain).code == 0

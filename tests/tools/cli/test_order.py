@@ -130,11 +130,11 @@ def test_each_object_loads_alone(
         assert len(part) <= 128
     both = cogsplat.decode(out, objects=[1, 3])
     assert len(both) == np.isin(truth, (1, 3)).sum()
-    listed = run("info", out, "--json").json["chunks"]
+    listed = run("info", out, "--json").json["chunk_table"]
     assert isinstance(listed, list)
     held = dict.fromkeys(range(len(OBJECTS) + 1), 0)
     for chunk in listed:
-        held[chunk["object_label"]] += chunk["splats"]
+        held[chunk["object"]] += chunk["splats"]
     assert list(held.values()) == np.bincount(truth).tolist()
     assert "object" in run("info", out).out
     assert "object" not in run("info", small.cogs).out

@@ -23,7 +23,7 @@ def test_heads_are_fine_where_asked_and_read_alone_where_asked(
     for name, path in files.items():
         told = run("info", path, "--json")
         assert told.code == 0
-        chunks = told.json["chunks"]
+        chunks = told.json["chunk_table"]
         assert isinstance(chunks, list)
         kinds[name] = [chunk["refinement_bytes"] for chunk in chunks]
     assert any(kinds["coarse"])

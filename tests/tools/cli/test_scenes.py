@@ -105,7 +105,7 @@ def test_encode_tells_all_in_json(run: Run, small: SmallScene, tmp_path: Path) -
         assert report["sh_degree"] == file.root.sh_degree == 1
     assert report["bytes"] == out.stat().st_size
     assert report["source_bytes"] == small.ply.stat().st_size
-    assert report["splats_in"] == SPLATS
+    assert report["source_splats"] == SPLATS
     assert report["splats_pruned"] == SPLATS - int(str(report["splats"])) > 0
     assert report["splats_dropped"] == 0
     assert report["scored_views"] == VIEWS - 3
@@ -306,7 +306,7 @@ def test_info_accounts_for_every_byte(run: Run, small: SmallScene) -> None:
     assert (told.code, told.err) == (0, "")
     report = told.json
     size = small.cogs.stat().st_size
-    attributes, chunks = report["attributes"], report["chunks"]
+    attributes, chunks = report["attributes"], report["chunk_table"]
     assert isinstance(attributes, list)
     assert isinstance(chunks, list)
     assert sum(entry["bytes"] for entry in attributes) == report["bytes"] == size

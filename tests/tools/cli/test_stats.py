@@ -23,7 +23,7 @@ def test_every_format_has_statistics(
     assert (told.code, told.err) == (0, "")
     source, found = run("stats", small.ply, "--json").json, told.json
     assert found["splats"] == SPLATS
-    assert found["file_bytes"] == out.stat().st_size
+    assert found["source_bytes"] == out.stat().st_size
     assert found["fill_ratio"] == pytest.approx(source["fill_ratio"], rel=0.05)
     values, expected = found["values"], source["values"]
     assert isinstance(values, dict)
@@ -56,7 +56,7 @@ def test_cogs_and_its_parts_have_statistics(run: Run, small: SmallScene) -> None
     whole = run("stats", small.cogs, "--json").json
     part = run("stats", small.cogs, "--chunks", "0:1", "--sh", 0, "--json").json
     splats = cogsplat.decode(small.cogs, chunks=(0, 1))
-    assert whole["splats"] == whole["file_splats"] == part["file_splats"]
+    assert whole["splats"] == whole["source_splats"] == part["source_splats"]
     assert (part["splats"], part["sh_degree"]) == (len(splats), 0)
     values = part["values"]
     assert isinstance(values, dict)

@@ -195,10 +195,10 @@ def test_compare_measures_in_cameras_beside_the_scene(
     scene = tmp_path / "scene.ply"
     scene.write_bytes(small.ply.read_bytes())
     made_up = run("compare", scene, small.cogs, "--eval-every", 24, "--json").json
-    assert made_up["cameras"] == "virtual views"
+    assert made_up["test_views"]["from"] == "virtual views"
     write_cameras_json(synth_cameras(3, 64, 48), tmp_path / "eval_cameras.json")
     told = run("compare", scene, small.cogs, "--json").json
-    assert "eval_cameras.json" in str(told["cameras"])
+    assert "eval_cameras.json" in str(told["test_views"])
     held = told["held_out"]
     assert isinstance(held, dict)
     assert held["views"] == 3, "all of them"

@@ -75,7 +75,7 @@ def test_a_report_stands_alone(run: Run, small: SmallScene, photos: Path, tmp_pa
     assert "a&amp;b.cogs" in text
     assert "url(" not in text
     assert "<script" not in text
-    whole = told.json["quality"][-1]  # type: ignore[index]
+    whole = told.json["prefixes"][-1]  # type: ignore[index]
     for figure in (f"{whole['held_out_db']:.2f} dB", f"{whole['photos_db']:.2f} dB"):
         assert figure in text
     with cogsplat.open(out) as file:

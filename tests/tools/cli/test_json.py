@@ -1,0 +1,142 @@
+"""Every command's JSON object: its keys are those of docs/json.md, and each means one thing."""
+
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from running import ROOT, Run, SmallScene, program
+
+import cogsplat
+from cogsplat.codec.order.objects import with_labels
+from cogsplat.tools.cli import demonstration
+from cogsplat.tools.cli.main import cli
+from cogsplat.tools.synthetic import scene as synthetic
+
+PAGE = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
+
+# Below these, keys are names of stages, attributes, reasons and so on.
+NAMED = {
+    "seconds",
+    "values",
+    "mean_over_log",
+    "mean_over_log.*",
+    "left_out",
+    "share_of_splats_holding",
+}
+
+
+def paths(value: object, at: str = "") -> Iterator[str]:
+    """Yield the keys of a JSON value: ``points[].name``, with ``*`` for names of things."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            shown = "*" if at in NAMED else key
+            yield from paths(inner, f"{at}.{shown}".lstrip("."))
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        for inner in value:
+            yield from paths(inner, f"{at}[]")
+    else:
+        yield at
+
+
+def documented() -> dict[str, set[str]]:
+    """Return the keys that the page lists for each command."""
+    sections = re.split(r"^### `(.+)`$", PAGE, flags=re.MULTILINE)[1:]
+    return {
+        command: set(re.findall(r"`([^`]+)`", text.partition("\n## ")[0]))
+        for command, text in zip(sections[::2], sections[1::2], strict=True)
+    }
+
+
+def glossary() -> list[str]:
+    """Return the keys that the page explains, in its order."""
+    table = PAGE.partition("## Keys")[2].partition("## Commands")[0]
+    return [
+        key
+        for row in re.findall(r"^\| (`.+?) \|", table, flags=re.MULTILINE)
+        for key in re.findall(r"`([^`]+)`", row)
+    ]
+
+
+@pytest.fixture
+def labelled(small: SmallScene, tmp_path: Path) -> Path:
+    splats = cogsplat.read(small.ply)
+    path = tmp_path / "labelled.ply"
+    cogsplat.write(with_labels(splats, 1 + (splats.means[:, 0] > 0)), path)
+    return path
+
+
+def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> list[object]:
+    """Return what a command is run with: everything that adds keys."""
+    cameras = ["--cameras", small.cameras]
+    given: dict[str, list[object]] = {
+        "encode": [
+            labelled, out / "a.cogs", *cameras, "--preset", "fast", "--measure", "--eval-every", 4,
+        ],
+        "decode": [small.cogs, out / "a.ply"],
+        "convert": [small.cogs, out / "a.spz"],
+        "merge": [small.ply, small.ply, out / "a.ply"],
+        "filter": [small.ply, out / "a.ply", "--min-opacity", 0.1],
+        "decimate": [small.ply, out / "a.ply", "--to", "50%", "--by", "antimatter"],
+        "export-html": [small.cogs, out / "a.html"],
+        "info": [small.cogs],
+        "validate": [small.cogs],
+        "stats": [small.cogs],
+        "score": [small.ply, out / "a.npy", *cameras],
+        "order": [labelled, out / "a.npy", "--order", "antimatter", "--objects", *cameras],
+        "views": [small.ply, out / "a.json"],
+        "render": [small.cogs, out / "a.png", *cameras],
+        "compare": [labelled, small.cogs, *cameras, "--by-object", "--difference", out / "a.png"],
+        "eval": [
+            labelled, *cameras, "--eval-every", 4, "--orders", "source", "--shares", "10",
+            "--sizes", "none", "--codecs", "splat", "--by-object", "all",
+        ],
+        "bench": [small.ply, *cameras, "--qualities", "35"],
+        "synth": [out / "a.ply", "--splats", 1000],
+        "demo": ["--out", out / "demo", "--splats", 1000],
+    }  # fmt: skip
+    return [command, *given[command], "--json"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "command", [name for name in cli.commands if name not in ("view", "conformance")]
+)
+def test_a_command_has_the_keys_of_the_page(
+    run: Run,
+    small: SmallScene,
+    labelled: Path,
+    tmp_path: Path,
+    command: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cameras = synthetic.synth_cameras(48, 64, 48)
+    for module in (synthetic, demonstration):
+        monkeypatch.setattr(module, "synth_cameras", lambda: cameras)
+    told = run(*arguments(command, small, labelled, tmp_path))
+    assert told.code == 0, told.out
+    assert set(paths(told.json)) - {"warnings"} == documented()[command]
+
+
+def test_a_view_says_its_address_first(small: SmallScene) -> None:
+    words = ["view", small.cogs, "--no-open", "--json"]
+    with subprocess.Popen(program(words), stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        keys = set(re.findall(r'"(\w+)":', "".join(process.stdout.readline() for _ in range(5))))
+        process.terminate()
+    assert keys == documented()["view"]
+
+
+def test_every_command_and_key_is_explained_once() -> None:
+    commands = documented()
+    assert set(commands) == set(cli.commands) - {"conformance"}
+    keys = glossary()
+    assert len(keys) == len(set(keys))
+    used = {
+        part.removesuffix("[]")
+        for listed in commands.values()
+        for path in listed
+        for part in path.split(".")
+    }
+    assert used - {"*"} == set(keys)
