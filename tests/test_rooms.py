@@ -206,17 +206,17 @@ DOORS: dict[str, dict[str, str]] = {
         "label_votes": "label_votes",
         "marginal_gains": "marginal_gains",
         "peak_weights": "peak_weights",
-        "projection": "project",
+        "projection": "Footprints project",
         "rasteriser": "RenderConfig render render_tiles render_views",
         "sensitivities": (
             "COLUMNS MOMENTS PAIRS_AT_ONCE Sensitivities add_moments from_columns "
             "view_sensitivities"
         ),
         "shading": "footprint_colours row_colours sh_terms",
-        "tiles": "tile_lists",
+        "tiles": "TileLists tile_lists",
     },
     "codec.scoring": {
-        "contribution": "ScoreConfig Scores TOP_K score unscored",
+        "contribution": "LEAST_WEIGHT ScoreConfig Scores score unscored",
         "reference_views": "ReferenceViews render_references",
     },
     "codec.segments": {

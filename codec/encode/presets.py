@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Final
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.scoring.contribution import TOP_K, ScoreConfig
+from cogsplat.codec.scoring.contribution import LEAST_WEIGHT, ScoreConfig
 from cogsplat.codec.views.planner import ViewPlanConfig
 from cogsplat.codec.views.view_sets import evenly
 
@@ -26,6 +26,11 @@ class Preset:
         these that are left out, not places: what no view shows, nothing makes up for.
     views_every : int
         One of so many of the given views is scored, with its jittered copies.
+    most_views : int
+        And so many at most: what one more view tells falls with their number, what it costs does
+        not.
+    jitter_copies : int
+        `ScoreConfig.jitter_copies`.
     sensitivity_every : int
         `ScoreConfig.sensitivity_every` of the profile that uses sensitivities.
     prediction_views : int
@@ -41,6 +46,8 @@ class Preset:
     planned_views: int
     planned_jitter: bool
     views_every: int
+    most_views: int
+    jitter_copies: int
     sensitivity_every: int
     prediction_views: int
     fit_iterations: int
@@ -48,16 +55,16 @@ class Preset:
     compensate: bool = True
 
     def views(self, cameras: Sequence[Camera]) -> list[Camera]:
-        """Return the given views to score on: at least as many as a small scene needs, or all."""
+        """Return the given views to score on, evenly spread; of a few views, all."""
         every = min(self.views_every, max(len(cameras) // FEWEST_VIEWS, 1))
-        return evenly(cameras, -(-len(cameras) // every))
+        return evenly(cameras, min(-(-len(cameras) // every), self.most_views))
 
     def plan_config(self, threads: int = 0) -> ViewPlanConfig:
         """Return how to plan the views of a scene that comes without cameras."""
         return ViewPlanConfig(views=self.planned_views, threads=threads)
 
     def score_config(
-        self, profile: str, *, top_k: int = TOP_K, jitter: bool = True, threads: int = 0
+        self, profile: str, *, top_k: int | None = None, jitter: bool = True, threads: int = 0
     ) -> ScoreConfig:
         """Return how to score for a profile.
 
@@ -65,11 +72,20 @@ class Preset:
         ----------
         profile : str
             One of `config.PROFILE_NAMES`; only ``transform`` uses sensitivities.
-        top_k, jitter, threads
+        top_k : int or None
+            As `ScoreConfig` has it; None for all weights of at least `LEAST_WEIGHT`.
+        jitter, threads
             As `ScoreConfig` has them.
         """
         every = self.sensitivity_every if profile == "transform" else 0
-        return ScoreConfig(top_k=top_k, jitter=jitter, threads=threads, sensitivity_every=every)
+        return ScoreConfig(
+            top_k=top_k or 0,
+            least_weight=LEAST_WEIGHT if top_k is None else 0.0,
+            jitter=jitter,
+            jitter_copies=self.jitter_copies,
+            threads=threads,
+            sensitivity_every=every,
+        )
 
 
 FEWEST_VIEWS: Final = 12
@@ -84,6 +100,8 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             planned_views=64,
             planned_jitter=False,
             views_every=3,
+            most_views=20,
+            jitter_copies=1,
             sensitivity_every=2,
             prediction_views=4,
             fit_iterations=16,
@@ -94,6 +112,8 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             planned_views=96,
             planned_jitter=True,
             views_every=1,
+            most_views=64,
+            jitter_copies=1,
             sensitivity_every=2,
             prediction_views=8,
             fit_iterations=16,
@@ -102,6 +122,8 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             planned_views=160,
             planned_jitter=True,
             views_every=1,
+            most_views=1024,
+            jitter_copies=2,
             sensitivity_every=1,
             prediction_views=24,
             fit_iterations=32,

@@ -19,19 +19,17 @@ from .prefix_quality import WHOLE_VIEWS
 from .presets import Preset
 from .rate_control import Target
 
-# A view is scored three times: as it is, and in two jittered copies.
-_JITTERED: Final = 3
 # Planned views have this size, and planning adds some to those that a preset asks for.
 _PLANNED_PIXELS: Final = 480 * 360
 _ADDED: Final = 1.15
 
 _PLAN: Final = 4.5
 # Of each scored view: for its pixels, and for every splat.
-_SCORE: Final = (6.4e-7, 1.2e-6)
+_SCORE: Final = (3.2e-7, 0.8e-6)
 _REFERENCE: Final = (4.6e-8, 6e-7)
 _PREDICT: Final = (3.5e-7, 2.6e-6)
 # Of the whole, and for every splat; pixels are thinned.
-_GAIN: Final = (5.0, 2.2e-4)
+_GAIN: Final = (2.8, 1.2e-4)
 _OTHER_ORDER: Final = (0.0, 1e-6)
 _COMPENSATE: Final = (0.5, 0.9e-4)
 _CHUNKS: Final = (0.15, 2.1e-5)
@@ -90,7 +88,7 @@ def stage_costs(
     prediction = _of_view(_PREDICT, pixels, splats)
     costs = [StageCost("plan views", _PLAN)] if planned else []
     if not scored:
-        steps = views * (_JITTERED if jitter else 1)
+        steps = views * (1 + preset.jitter_copies if jitter else 1)
         costs.append(StageCost("score", _of_view(_SCORE, pixels, splats), steps))
     if seen and (fits or order == "gain"):
         costs.append(StageCost("reference views", references, views))

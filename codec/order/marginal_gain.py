@@ -28,8 +28,13 @@ from . import prefix_inflation
 _GROWTH: Final = 0.16
 _FIRST: Final = 1 / 8000
 _MOST_FIRST: Final = 16
+# Growth in one stage once the prefix holds this share of the scene: what is still missing there is
+# spread over the picture, and splats that join together are rarely redundant.
+_LATE: Final = 0.25
+_LATE_GROWTH: Final = 0.3
 # Views in which gains are measured in one stage; each stage samples others.
-_VIEWS: Final = 24
+_VIEWS: Final = 20
+_LATE_VIEWS: Final = 12
 # Candidates of a stage, in multiples of the prefix, and at least so many: the best by contribution,
 # or by contribution times a power of the volume. Splats further down gain too little to be measured
 # yet.
@@ -44,7 +49,7 @@ _RANDOM_SHARE: Final = 0.45
 _RANDOM_FROM: Final = 4
 _RANDOM_UNTIL: Final = 0.25
 # Beyond this share of the scene the rest follows by contribution: gains no longer differ.
-_UNTIL: Final = 0.8
+_UNTIL: Final = 0.6
 # Exponent of the volume in the second choice of candidates, which favours large splats as the
 # orders antimatter and sgss do.
 _VOLUME: Final = 0.2
@@ -142,7 +147,7 @@ def view_gains(
         antialiased=pool.scene.info.antialiased,
         near_plane=near_plane,
     )
-    colours = footprint_colours(pool.scene, pool.rows, camera, footprints)
+    colours = footprint_colours(pool.scene, camera, footprints, rows=pool.rows)
     found, error = marginal_gains(footprints, colours, present[footprints.index], target)
     return footprints.index, found, error
 
@@ -246,7 +251,9 @@ def gain_rows(
     rng = np.random.default_rng(0)
     progress("gain", 0, until)
     while placed < until:
-        wanted = min(max(first, int(placed * _GROWTH)), until - placed)
+        late = placed >= _LATE * count
+        growth = _LATE_GROWTH if late else _GROWTH
+        wanted = min(max(first, int(placed * growth)), until - placed)
         candidates = ~chosen & (place < max(_POOL * (placed + wanted), _LEAST_POOL))
         if len(stages) >= _RANDOM_FROM and placed + wanted < _RANDOM_UNTIL * count:
             part = candidates & (rng.random(count) < _RANDOM_SHARE)
@@ -260,7 +267,7 @@ def gain_rows(
             if config.inflated
             else None
         )
-        views = references.sample(_VIEWS, len(stages))
+        views = references.sample(_LATE_VIEWS if late else _VIEWS, len(stages))
         gain = gains(pool_of(splats, rows, by), present, references, views, threads)
         gain[present] = -np.inf
         # Ties, such as splats that these views do not show, come by contribution.

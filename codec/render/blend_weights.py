@@ -12,6 +12,7 @@ from cogsplat.codec.cameras import Camera
 from .blending import (
     LANES,
     PIXELS,
+    all_ended,
     blend_pixel,
     footprint_in_tile,
     open_pixels,
@@ -42,14 +43,77 @@ def _weigh(
     rows: NDArray[np.int32],
     width: int,
     height: int,
-    top_k: int,
+    least_weight: np.float32,
     sums: NDArray[np.float32],
     first: int,
     last: int,
 ) -> None:
     """Sum the weights of every pair of a tile and a splat, for the tiles ``first`` to ``last``."""
     live = np.empty(PIXELS, np.float32)
-    # Σw, Σw², largest w by column of the tile, and the weights of one row.
+    # Σw, Σw² and the largest w by column of the tile.
+    lanes = np.empty(3 * TILE, np.float32)
+    for tile in range(first, last):
+        top, left, num_rows, num_columns = tile_area(tile, width, height)
+        open_pixels(live, num_rows, num_columns)
+        begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
+        for pair in range(begin, end):
+            i = members[pair]
+            narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(
+                ellipse[i], top, left
+            )
+            lanes[:] = _ZERO
+            first_row, last_row = rows_in_tile(rows[i], top, num_rows)
+            for y in range(first_row, last_row):
+                dy = np.float32(y) - centre_y
+                row_x = centre_x + shear * dy
+                row_exponent = -flat * dy * dy
+                base = np.uintp(y * TILE)
+                for lane in range(LANES):
+                    at = base + lane
+                    u = narrow * (np.float32(lane) - row_x)
+                    _, _, weight, _, after = blend_pixel(live[at], opacity, row_exponent - u * u)
+                    live[at] = after
+                    lanes[lane] += weight if weight >= least_weight else _ZERO
+                    lanes[lane + _SQUARES] += weight * weight
+                    lanes[lane + _PEAKS] = max(lanes[lane + _PEAKS], weight)
+            weights = _ZERO
+            squares = _ZERO
+            peak = _ZERO
+            for lane in range(LANES):
+                weights += lanes[lane]
+                squares += lanes[lane + _SQUARES]
+                peak = max(peak, lanes[lane + _PEAKS])
+            sums[pair, WEIGHT] = weights
+            sums[pair, SQUARE] = squares
+            sums[pair, PEAK] = peak
+            if all_ended(pair, live):
+                for rest in range(pair + 1, end):
+                    for column in range(3):
+                        sums[rest, column] = _ZERO
+                break
+
+
+@kernel
+def _weigh_largest(
+    lists_first: int,
+    starts: NDArray[np.int64],
+    members: NDArray[np.int32],
+    ellipse: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    width: int,
+    height: int,
+    top_k: int,
+    sums: NDArray[np.float32],
+    first: int,
+    last: int,
+) -> None:
+    """Do what `_weigh` does, with the `top_k` largest weights of each pixel in Σw.
+
+    A kernel of its own: beside the choice of the largest, the loop over lanes of the other would
+    take twice as long, and most runs need one of the two.
+    """
+    live = np.empty(PIXELS, np.float32)
+    # By column of the tile: nothing, Σw², the largest w, and the weights of one row.
     lanes = np.empty(4 * TILE, np.float32)
     # The largest weights of each pixel so far, with their pairs; once there are K, the smallest is
     # the one to beat.
@@ -63,7 +127,6 @@ def _weigh(
         open_pixels(live, num_rows, num_columns)
         filled[:] = 0
         bar[:] = _ZERO
-        unfinished = num_rows * num_columns
         begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
         for pair in range(begin, end):
             i = members[pair]
@@ -71,7 +134,6 @@ def _weigh(
                 ellipse[i], top, left
             )
             lanes[:] = _ZERO
-            finished = 0
             first_row, last_row = rows_in_tile(rows[i], top, num_rows)
             for y in range(first_row, last_row):
                 dy = np.float32(y) - centre_y
@@ -82,17 +144,13 @@ def _weigh(
                 for lane in range(LANES):
                     at = base + lane
                     u = narrow * (np.float32(lane) - row_x)
-                    _, _, weight, _, after, ended = blend_pixel(
-                        live[at], opacity, row_exponent - u * u
-                    )
-                    finished += int(ended)
+                    _, _, weight, _, after = blend_pixel(live[at], opacity, row_exponent - u * u)
                     live[at] = after
-                    lanes[lane] += weight
                     lanes[lane + _SQUARES] += weight * weight
                     lanes[lane + _PEAKS] = max(lanes[lane + _PEAKS], weight)
                     lanes[lane + _ROW] = weight
                     above_bar += int(weight > bar[at])
-                if top_k > 0 and above_bar > 0:
+                if above_bar > 0:
                     for lane in range(LANES):
                         at = base + lane
                         weight = lanes[lane + _ROW]
@@ -116,25 +174,22 @@ def _weigh(
                                     low = k
                             smallest[at] = low
                             bar[at] = best[at, low]
-            weights = _ZERO
             squares = _ZERO
             peak = _ZERO
             for lane in range(LANES):
-                weights += lanes[lane]
                 squares += lanes[lane + _SQUARES]
                 peak = max(peak, lanes[lane + _PEAKS])
-            sums[pair, WEIGHT] = weights if top_k == 0 else _ZERO
+            sums[pair, WEIGHT] = _ZERO
             sums[pair, SQUARE] = squares
             sums[pair, PEAK] = peak
-            unfinished -= finished
-            if unfinished == 0:
+            if all_ended(pair, live):
                 for rest in range(pair + 1, end):
-                    sums[rest, :] = _ZERO
+                    for column in range(3):
+                        sums[rest, column] = _ZERO
                 break
-        if top_k > 0:
-            for pixel in range(num_rows * TILE):
-                for k in range(filled[pixel]):
-                    sums[owners[pixel, k], WEIGHT] += best[pixel, k]
+        for pixel in range(num_rows * TILE):
+            for k in range(filled[pixel]):
+                sums[owners[pixel, k], WEIGHT] += best[pixel, k]
 
 
 def add_weights(
@@ -144,6 +199,8 @@ def add_weights(
     top_k: int,
     threads: int,
     sums: NDArray[np.float64],
+    *,
+    least_weight: float = 0.0,
 ) -> None:
     """Add the weights of each footprint in the pixels of the tiles of `lists`.
 
@@ -156,16 +213,18 @@ def add_weights(
     camera : Camera
         The camera of the footprints.
     top_k : int
-        The largest weights of a pixel that count in Σw (PRoGS, section 3.1); 0 for all. Of equal
-        weights the nearest count.
+        The largest weights of a pixel that count in Σw (PRoGS, section 3.1); of equal weights the
+        nearest count. At 0 all of at least `least_weight` do, in a third of the time.
     threads : int
         At least 1. The sums do not depend on it.
     sums : (M, 3) float64
         Columns `WEIGHT`, `SQUARE` and `PEAK`, over pixels; changed in place.
+    least_weight : float
+        Weights below this do not count in Σw; without effect where `top_k` is not 0.
     """
     pair_sums = np.empty((len(lists.members), 3), np.float32)
-    weigh = partial(
-        _weigh,
+    by_size = 0 < top_k < MOST_WEIGHTS
+    of_tiles = (
         lists.first,
         lists.starts,
         lists.members,
@@ -173,8 +232,10 @@ def add_weights(
         footprints.rows,
         camera.width,
         camera.height,
-        top_k if top_k < MOST_WEIGHTS else 0,
-        pair_sums,
     )
-    lists.for_ranges(weigh, threads)
+    if by_size:
+        lists.for_ranges(partial(_weigh_largest, *of_tiles, top_k, pair_sums), threads)
+    else:
+        least = np.float32(least_weight if top_k == 0 else 0.0)
+        lists.for_ranges(partial(_weigh, *of_tiles, least, pair_sums), threads)
     gather(lists.members, pair_sums, sums, 1)

@@ -47,6 +47,8 @@ PIXELS = TILE * TILE
 # that they do not overlap. The first holds what `blend_pixel` takes as `live`. Offsets are
 # unsigned: checks for an index that counts from the end would stop vectorisation.
 LANES = np.uintp(TILE)
+# Looking through the pixels of a tile takes about as long as blending two splats.
+_PAIRS_PER_CHECK = 16
 RED, GREEN, BLUE, REST = (np.uintp(k * PIXELS) for k in range(1, 5))
 PLANES = 5
 """Planes that `blend_tile` fills."""
@@ -68,7 +70,7 @@ def falloff(exponent: np.float32) -> np.float32:
 @kernel
 def blend_pixel(
     live: np.float32, opacity: np.float32, exponent: np.float32
-) -> tuple[np.float32, np.float32, np.float32, np.bool_, np.float32, np.bool_]:
+) -> tuple[np.float32, np.float32, np.float32, np.bool_, np.float32]:
     """Blend one splat into one pixel behind what is already there.
 
     Parameters
@@ -90,8 +92,6 @@ def blend_pixel(
         Whether it reaches alpha 1/255 and leaves enough transmittance to be blended.
     after : float32
         `live` for the next splat: 0 once this one has ended the pixel.
-    ended : bool
-        Whether it ended the pixel.
     """
     raw = opacity * falloff(exponent)
     alpha = min(ALPHA_MAX, raw)
@@ -101,7 +101,30 @@ def blend_pixel(
     drawn = touched & goes_on
     weight = live * alpha if drawn else _ZERO
     after = (left if goes_on else _ZERO) if touched else live
-    return raw, alpha, weight, drawn, after, (live > _ZERO) & (after <= _ZERO)
+    return raw, alpha, weight, drawn, after
+
+
+@kernel
+def all_ended(pair: int, state: F32) -> bool:
+    """Return whether no pixel of a tile is live any more; looked up after some of the pairs only.
+
+    Parameters
+    ----------
+    pair : int
+        Number of the pair of a tile and a splat that was blended last. A walk that goes on behind
+        the last live pixel changes nothing: counting the pixels that each splat ends would take
+        almost as long as blending it.
+    state : (at least PIXELS,) float32
+        Its first plane holds what `blend_pixel` takes as `live`.
+    """
+    if pair % _PAIRS_PER_CHECK != 0:
+        return False
+    # Of integers: the compiler may not reorder a sum of floats, and so would not vectorise it.
+    live = state.view(np.uint32)
+    any_live = np.uint32(0)
+    for pixel in range(PIXELS):
+        any_live |= live[np.uintp(pixel)]
+    return bool(any_live == 0)
 
 
 @kernel
@@ -184,13 +207,15 @@ def blend_tile(
     Returns
     -------
     int
-        Where in `members` the splats begin that no pixel of the tile shows, at most `end`.
+        Where the walk ended, at most `end`: no pixel of the tile shows the splats from here on in
+        `members`.
     """
     state[:] = _ZERO
     open_pixels(state, num_rows, num_columns)
     if keep_rest:
-        state[REST : REST + np.uintp(PIXELS)] = state[:PIXELS]
-    unfinished = num_rows * num_columns
+        # Not a slice: numba compiles its error messages about shapes for seconds.
+        for pixel in range(PIXELS):
+            state[np.uintp(pixel) + REST] = state[pixel]
     for pair in range(begin, end):
         i = members[pair]
         if not present[i]:
@@ -198,7 +223,6 @@ def blend_tile(
         narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(ellipse[i], top, left)
         red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
         first_row, last_row = rows_in_tile(rows[i], top, num_rows)
-        finished = 0
         for y in range(first_row, last_row):
             dy = np.float32(y) - centre_y
             row_x = centre_x + shear * dy
@@ -207,18 +231,14 @@ def blend_tile(
             for lane in range(LANES):
                 at = base + lane
                 u = narrow * (np.float32(lane) - row_x)
-                _, _, weight, drawn, after, ended = blend_pixel(
-                    state[at], opacity, row_exponent - u * u
-                )
-                finished += int(ended)
+                _, _, weight, drawn, after = blend_pixel(state[at], opacity, row_exponent - u * u)
                 state[at] = after
                 if keep_rest:
                     state[at + REST] = after if drawn else state[at + REST]
                 state[at + RED] += weight * red
                 state[at + GREEN] += weight * green
                 state[at + BLUE] += weight * blue
-        unfinished -= finished
-        if unfinished == 0:
+        if all_ended(pair, state):
             return pair + 1
     return end
 

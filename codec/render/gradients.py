@@ -104,7 +104,7 @@ def _differentiate(
                 for lane in range(LANES):
                     at = base + lane
                     u = narrow * (np.float32(lane) - row_x)
-                    raw, alpha, weight, drawn, after, _ = blend_pixel(
+                    raw, alpha, weight, drawn, after = blend_pixel(
                         state[at], opacity, row_exponent - u * u
                     )
                     odds = alpha / (_ONE - alpha)

@@ -11,6 +11,7 @@ from cogsplat.codec.splats import Splats
 from .blending import (
     LANES,
     PIXELS,
+    all_ended,
     blend_pixel,
     footprint_in_tile,
     open_pixels,
@@ -42,7 +43,6 @@ def _vote(
     for tile in range(lists_first, lists_last):
         top, left, num_rows, num_columns = tile_area(tile, width, height)
         open_pixels(live, num_rows, num_columns)
-        unfinished = num_rows * num_columns
         for pair in range(starts[tile - lists_first], starts[tile - lists_first + 1]):
             i = members[pair]
             narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(
@@ -54,21 +54,16 @@ def _vote(
                 row_x = centre_x + shear * dy
                 row_exponent = -flat * dy * dy
                 base = np.uintp(y * TILE)
-                finished = 0
                 for lane in range(LANES):
                     at = base + lane
                     u = narrow * (np.float32(lane) - row_x)
-                    _, _, weight, _, after, ended = blend_pixel(
-                        live[at], opacity, row_exponent - u * u
-                    )
-                    finished += int(ended)
+                    _, _, weight, _, after = blend_pixel(live[at], opacity, row_exponent - u * u)
                     live[at] = after
                     weights[lane] = weight
-                unfinished -= finished
                 for x in range(num_columns):
                     if weights[x] > _ZERO:
                         votes[i, labels[top + y, left + x]] += weights[x]
-            if unfinished == 0:
+            if all_ended(pair, live):
                 break
 
 

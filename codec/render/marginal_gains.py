@@ -94,7 +94,7 @@ def _measure(
                     for lane in range(LANES):
                         at = base + lane
                         u = narrow * (np.float32(lane) - row_x)
-                        _, alpha, weight, drawn, after, _ = blend_pixel(
+                        _, alpha, weight, drawn, after = blend_pixel(
                             state[at], opacity, row_exponent - u * u
                         )
                         # Without the splat, what lies behind it is 1 / (1 - alpha) as bright.
@@ -119,7 +119,7 @@ def _measure(
                         at = base + lane
                         u = narrow * (np.float32(lane) - row_x)
                         live = state[at]
-                        _, alpha, _, drawn, _, _ = blend_pixel(live, opacity, row_exponent - u * u)
+                        _, alpha, _, drawn, _ = blend_pixel(live, opacity, row_exponent - u * u)
                         # A splat that would end the pixel is not blended.
                         alpha = alpha if drawn else _ZERO
                         change_red = alpha * (live * red - state[at + RED])

@@ -12,6 +12,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
 from cogsplat.codec.splats import Splats
 
+from .depth_order import depth_order
 from .jit import kernel
 
 # 3DGS, computeCov2D: the Jacobian is taken inside the image widened by this share of its half size
@@ -40,6 +41,8 @@ class Footprints:
     ----------
     index : (M,) int32
         Row of each in the scene.
+    order : (M,) int32
+        Place of each among the visible rows in ascending order.
     ellipse : (M, 8) float32
         x, y (px), narrow (1/px), shear, flat (1/px²), opacity (0 to 1, rescaled when
         anti-aliased), half width along the centre's row and half height (px) at alpha 1/255.
@@ -48,11 +51,18 @@ class Footprints:
     """
 
     index: NDArray[np.int32]
+    order: NDArray[np.int32]
     ellipse: NDArray[np.float32]
     rows: NDArray[np.int32]
 
     def __len__(self) -> int:
         return len(self.index)
+
+    def ascending(self) -> NDArray[np.int32]:
+        """Return the visible rows in ascending order, in which a scene is read fastest: (M,)."""
+        rows = np.empty_like(self.index)
+        rows[self.order] = self.index
+        return rows
 
 
 @kernel
@@ -229,5 +239,7 @@ def project(
         ellipse,
         rows,
     )
-    order = np.argsort(depths[:count], kind="stable")
-    return Footprints(index[order], ellipse[order], rows[order])
+    order = depth_order(depths[:count])
+    return Footprints(
+        index[:count].take(order), order, ellipse.take(order, axis=0), rows.take(order, axis=0)
+    )

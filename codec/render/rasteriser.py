@@ -122,8 +122,7 @@ def _draw(
         antialiased=config.antialiased,
         near_plane=config.near_plane,
     )
-    rows = np.arange(len(splats), dtype=np.int32)
-    colours = footprint_colours(splats, rows, camera, footprints, config.sh_degree)
+    colours = footprint_colours(splats, camera, footprints, sh_degree=config.sh_degree)
     present = np.ones(len(footprints), np.bool_)
     background = np.array(config.background, np.float32)
     image = np.empty((camera.height, camera.width, 3), np.float32)

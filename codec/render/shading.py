@@ -51,50 +51,6 @@ def _shade(
         colours[row, 2] = max(blue + offset, _ZERO)
 
 
-@kernel
-def _rank(
-    index: NDArray[np.int32],
-    rows: NDArray[np.int32],
-    ranks: NDArray[np.int32],
-    ascending: NDArray[np.int32],
-) -> None:
-    """List the visible rows in ascending order, and each one's place in that list.
-
-    Parameters
-    ----------
-    index : (M,) int32
-        Places in `rows` of the visible splats, in any order.
-    rows : (n,) int32
-        Ascending rows of the scene.
-    ranks : (n,) int32
-        Below 0; filled at the visible splats with their place in `ascending`.
-    ascending : (M,) int32
-        Filled with the visible rows.
-    """
-    for place in range(len(index)):
-        ranks[index[place]] = 0
-    count = 0
-    for i in range(len(rows)):
-        if ranks[i] == 0:
-            ranks[i] = count
-            ascending[count] = rows[i]
-            count += 1
-
-
-@kernel
-def _reorder(
-    index: NDArray[np.int32],
-    ranks: NDArray[np.int32],
-    shaded: NDArray[np.float32],
-    colours: NDArray[np.float32],
-) -> None:
-    """Copy colours from ascending rows (`_rank`) to the order of the index."""
-    for place in range(len(index)):
-        rank = ranks[index[place]]
-        for channel in range(3):
-            colours[place, channel] = shaded[rank, channel]
-
-
 def row_colours(
     splats: Splats, rows: NDArray[np.int32], camera: Camera, sh_degree: int | None = None
 ) -> NDArray[np.float32]:
@@ -124,37 +80,36 @@ def row_colours(
 
 def footprint_colours(
     splats: Splats,
-    rows: NDArray[np.int32],
     camera: Camera,
     footprints: Footprints,
+    *,
+    rows: NDArray[np.int32] | None = None,
     sh_degree: int | None = None,
 ) -> NDArray[np.float32]:
     """Return the colours of footprints in the order of the footprints, clamped at 0.
 
-    The same as `row_colours` of ``rows[footprints.index]``. SH coefficients are most of a scene's
-    bytes: read in ascending rows instead of nearest first, a million splats are shaded in a seventh
-    of the time.
+    The same as `row_colours` of the footprints' rows. SH coefficients are most of a scene's bytes:
+    read in ascending rows instead of nearest first, a million splats are shaded in a seventh of the
+    time.
 
     Parameters
     ----------
     splats : Splats
-    rows : (n,) int32
-        Ascending rows of the scene: the splats that were projected.
     camera : Camera
         In the frame of the means.
     footprints : Footprints
-        M of them; their `index` holds places in `rows`.
+        M of them.
+    rows : (n,) int32, optional
+        Ascending rows of the scene, where these were projected instead of all: the footprints'
+        `index` holds places in them.
     sh_degree : int or None
-        Highest SH degree used; None for the scene's own.
+        As in `row_colours`.
 
     Returns
     -------
     (M, 3) float32
     """
-    ranks = np.full(len(rows), -1, np.int32)
-    ascending = np.empty(len(footprints), np.int32)
-    _rank(footprints.index, rows, ranks, ascending)
-    colours = np.empty((len(footprints), 3), np.float32)
-    shaded = row_colours(splats, ascending, camera, sh_degree)
-    _reorder(footprints.index, ranks, shaded, colours)
-    return colours
+    visible = footprints.ascending()
+    if rows is not None:
+        visible = rows[visible]
+    return row_colours(splats, visible, camera, sh_degree).take(footprints.order, axis=0)

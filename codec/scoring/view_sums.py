@@ -20,7 +20,7 @@ _GRAM_STRIDE = 8
 
 
 @kernel
-def _add_weights(
+def _add_view(
     index: NDArray[np.int32],
     sums: NDArray[np.float64],
     means: NDArray[np.float32],
@@ -28,22 +28,28 @@ def _add_weights(
     view_share: float,
     pixel_share: float,
     num_pixels: int,
+    directions: bool,
     contribution: NDArray[np.float64],
     bases: NDArray[np.float64],
     energy: NDArray[np.float64],
     largest_energy: NDArray[np.float64],
     peak: NDArray[np.float32],
     seen: NDArray[np.int32],
+    covered: NDArray[np.int32],
+    basis_sum: NDArray[np.float64],
+    gram: NDArray[np.float64],
 ) -> None:
-    """Add one view to the scene's sums."""
+    """Add one view to the scene's sums; to the last two, of its directions, where asked for."""
     for row in range(len(index)):
+        i = index[row]
+        covered[i] += 1
         if not sums[row, PEAK] > 0.0:
             continue
-        i = index[row]
         weight = sums[row, WEIGHT]
+        square = sums[row, SQUARE]
         contribution[i] += view_share * weight
-        energy[i] += pixel_share * sums[row, SQUARE]
-        largest_energy[i] = max(largest_energy[i], sums[row, SQUARE] / num_pixels)
+        energy[i] += pixel_share * square
+        largest_energy[i] = max(largest_energy[i], square / num_pixels)
         peak[i] = max(peak[i], np.float32(sums[row, PEAK]))
         seen[i] += 1
         x = means[i, 0] - position[0]
@@ -55,35 +61,14 @@ def _add_weights(
         bases[i, 0] += share * sh.C0
         for k in range(_BASES - 1):
             bases[i, k + 1] += share * abs(values[k])
-
-
-@kernel
-def _add_directions(
-    index: NDArray[np.int32],
-    sums: NDArray[np.float64],
-    means: NDArray[np.float32],
-    position: NDArray[np.float64],
-    pixel_share: float,
-    basis_mean: NDArray[np.float64],
-    gram: NDArray[np.float64],
-) -> None:
-    """Add the directions in which one view sees the splats."""
-    for row in range(len(index)):
-        share = pixel_share * sums[row, SQUARE]
-        if not share > 0.0:
-            continue
-        i = index[row]
-        x = means[i, 0] - position[0]
-        y = means[i, 1] - position[1]
-        z = means[i, 2] - position[2]
-        inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
-        values = sh_terms(x * inverse, y * inverse, z * inverse)
-        for j in range(_BASES - 1):
-            basis_mean[i, j] += share * values[j]
-        if i % _GRAM_STRIDE == 0:
+        share = pixel_share * square
+        if directions and share > 0.0:
             for j in range(_BASES - 1):
-                for k in range(j + 1):
-                    gram[j, k] += share * values[j] * values[k]
+                basis_sum[i, j] += share * values[j]
+            if i % _GRAM_STRIDE == 0:
+                for j in range(_BASES - 1):
+                    for k in range(j + 1):
+                        gram[j, k] += share * values[j] * values[k]
 
 
 class ViewSums:
@@ -137,7 +122,7 @@ class ViewSums:
         Parameters
         ----------
         index : (M,) int32
-            Splats whose footprint reaches the image.
+            Splats whose footprint reaches the image; ascending rows are added fastest.
         sums : (M, 3) float64
             From `blend_weights.add_weights`, over all tiles.
         position : (3,) float64
@@ -147,7 +132,7 @@ class ViewSums:
         view_share, pixel_share : float
             What the view counts in `contribution`, and one of its pixels in the other sums.
         """
-        _add_weights(
+        _add_view(
             index,
             sums,
             self._means,
@@ -155,18 +140,17 @@ class ViewSums:
             view_share,
             pixel_share,
             num_pixels,
+            self._directions,
             self.contribution,
             self.bases,
             self.energy,
             self.largest_energy,
             self.peak,
             self.seen,
+            self.covered,
+            self._basis_sum,
+            self._gram,
         )
-        self.covered[index] += 1
-        if self._directions:
-            _add_directions(
-                index, sums, self._means, position, pixel_share, self._basis_sum, self._gram
-            )
 
     def basis_mean(self) -> NDArray[np.float32]:
         """Return the mean, by energy, of the SH bases above DC over a splat's views.

@@ -122,6 +122,23 @@ def roam(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
     return views
 
 
-def jitter(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
-    """Return the jittered copies of cameras that scoring adds to them: those of `roam`."""
-    return roam(splats, cameras)
+def jitter(splats: Splats, cameras: Sequence[Camera], copies: int = 2) -> list[Camera]:
+    """Return the jittered copies of cameras that scoring adds to them: those of `roam`.
+
+    Parameters
+    ----------
+    splats, cameras
+        As in `roam`.
+    copies : int
+        2 for both copies of every camera; 1 for one of them, of four cameras the first moved back,
+        the next rotated to the left, one to the right, and the last moved back.
+
+    Returns
+    -------
+    list of Camera
+        In the order of the cameras.
+    """
+    both = roam(splats, cameras)
+    if copies == 2:
+        return both
+    return [both[2 * index + int(index % 4 in (1, 2))] for index in range(len(cameras))]

@@ -192,7 +192,7 @@ _GROUPS: Final = {
     "--store-cameras", is_flag=True, help="Store the cameras of --cameras in the file, all of them."
 )
 @jitter_option
-@top_k_option
+@top_k_option(None)
 @eval_every_option(0, "Keep from scoring, and measure in, the")
 @click.option(
     "--measure",
@@ -239,7 +239,7 @@ def encode(
     no_extras: bool,
     store_cameras: bool,
     no_jitter: bool,
-    top_k: int,
+    top_k: int | None,
     eval_every: int,
     measure: bool,
     report: Path | None,

@@ -167,7 +167,7 @@ from .order_options import OrderChoice, orders_option
     help="State dict of LPIPS, AlexNet or VGG-16, as torch.save or .npz: measure it, too.",
 )
 @jitter_option
-@top_k_option
+@top_k_option(20)
 @background_option
 @ssim_border_option
 @partial_option

@@ -46,7 +46,7 @@ from .order_options import OrderChoice, order_options
 @cameras_option("Without it, views are planned around the scene.")
 @order_options
 @jitter_option
-@top_k_option
+@top_k_option(20)
 @eval_every_option(0, "Keep from scoring the")
 @partial_option
 @limits_option

@@ -39,7 +39,7 @@ from .inputs import given_files, read_any, scoring_cameras, virtual_views
 @click.argument("out", type=OutputPath(".npy"), metavar="OUT.npy")
 @cameras_option("Without it, views are planned around the scene.")
 @jitter_option
-@top_k_option
+@top_k_option(20)
 @eval_every_option(0, "Keep from scoring the")
 @partial_option
 @limits_option

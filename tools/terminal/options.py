@@ -109,16 +109,22 @@ def jitter_option(command: Command) -> Command:
     )(command)
 
 
-def top_k_option(command: Command) -> Command:
-    """Add ``--top-k``."""
+def top_k_option(default: int | None) -> Callable[[Command], Command]:
+    """Return what adds ``--top-k``.
+
+    Parameters
+    ----------
+    default : int or None
+        None where all weights of at least `contribution.LEAST_WEIGHT` count without it.
+    """
     return click.option(
         "--top-k",
         type=click.IntRange(min=0),
-        default=20,
-        show_default=True,
+        default=default,
+        show_default="all of at least 0.01" if default is None else True,
         metavar="K",
         help="Weights that count in a pixel, the largest ones; 0 for all.",
-    )(command)
+    )
 
 
 def compensate_option(command: Command) -> Command:

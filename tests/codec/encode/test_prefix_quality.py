@@ -167,5 +167,7 @@ def test_presets_thin_out_views_but_not_small_sets(name, count):
     chosen = preset.views(views(count))
     assert len(chosen) >= min(count, 12)
     assert len(chosen) <= -(-count // preset.views_every) or count < 36
+    assert len(chosen) <= preset.most_views
+    assert len(preset.views(views(3000))) == min(preset.most_views, 3000 // preset.views_every)
     assert preset.score_config("vq").sensitivity_every == 0
     assert preset.score_config("transform").sensitivity_every == preset.sensitivity_every

@@ -30,7 +30,7 @@ def scene():
 @pytest.fixture(scope="module")
 def several_chunks():
     """Return a scene of so many chunks that runs of them are sorted."""
-    splats = oracle.scene(5, n=1600)
+    splats = oracle.scene(5, n=2000)
     cameras = [oracle.camera(angle=angle) for angle in (0, 30)]
     return splats, cameras, score(splats, cameras, ScoreConfig(jitter=False))
 
@@ -127,7 +127,7 @@ def test_progress_can_cancel(scene):
 
     with pytest.raises(Cancelled):
         gain_rows(splats, scores, references, progress=stop)
-    assert calls[0] == ("gain", 0, 480)
+    assert calls[0] == ("gain", 0, 360)
 
 
 def test_reference_views_at_hand_are_not_drawn_again(several_chunks, monkeypatch):

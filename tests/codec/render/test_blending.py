@@ -44,7 +44,7 @@ def test_falloff_is_exp_to_two_millionths():
 @pytest.mark.parametrize("opacity", [0.003, 0.5, 0.99, 1.0])
 @pytest.mark.parametrize("exponent", [-6.5, -1.0, 0.0])
 def test_a_pixel_is_blended_by_the_rules_of_3dgs(live, opacity, exponent):
-    raw, alpha, weight, drawn, after, ended = blend_pixel(
+    raw, alpha, weight, drawn, after = blend_pixel(
         np.float32(live), np.float32(opacity), np.float32(exponent)
     )
     assert raw == pytest.approx(opacity * math.exp(max(exponent, -6.0)), rel=1e-5)
@@ -53,7 +53,6 @@ def test_a_pixel_is_blended_by_the_rules_of_3dgs(live, opacity, exponent):
     left = live * (1 - float(alpha))
     assert drawn == (reached and left >= 1e-4)
     assert weight == pytest.approx(live * alpha if drawn else 0.0, rel=1e-5)
-    assert ended == (live > 0 and reached and left < 1e-4)
     assert after == pytest.approx(left if drawn else 0.0 if reached else live, rel=1e-5)
 
 
@@ -81,6 +80,17 @@ def test_pixels_outside_the_image_are_not_open():
     expected[:3, :5] = 1.0
     np.testing.assert_array_equal(state[:PIXELS].reshape(TILE, TILE), expected)
     assert (state[PIXELS:] == 7.0).all(), "other planes stay"
+
+
+@pytest.mark.parametrize("pixel", [0, 100, PIXELS - 1])
+def test_a_tile_is_open_while_one_pixel_is_live(pixel):
+    state = np.zeros(PIXELS + 3, np.float32)
+    # Beyond the first plane nothing counts.
+    state[PIXELS:] = 1.0
+    assert blending.all_ended(32, state)
+    assert not blending.all_ended(33, state), "the pixels are not looked at behind every pair"
+    state[pixel] = 1e-4
+    assert not blending.all_ended(32, state)
 
 
 def _tile(splats, camera, present=None, keep_rest=True):
@@ -152,7 +162,7 @@ def test_splats_behind_a_closed_tile_are_not_walked():
     wall.opacities[:] = np.inf
     state, stop, pairs = _tile(concatenate([splats, wall]), camera)
     assert pairs > 20
-    assert stop == 2, "the second capped splat ends every pixel"
+    assert stop == 17, "the second capped splat ends every pixel; they are looked at every 16"
     assert not _plane(state, 0).any()
     np.testing.assert_allclose(_plane(state, REST), 0.01, rtol=1e-4)
 

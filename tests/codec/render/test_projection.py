@@ -86,3 +86,12 @@ def test_without_a_kernel_flat_splats_vanish_instead_of_dividing_by_zero():
     splats.scales[1] = -2.0
     footprints = project(splats, oracle.camera(), kernel_px=0.0, antialiased=False)
     assert footprints.index.tolist() == [1]
+
+
+def test_the_visible_rows_are_listed_in_ascending_order():
+    splats = oracle.scene(6, n=60)
+    footprints = project(splats, oracle.camera(), kernel_px=0.3, antialiased=False)
+    rows = footprints.ascending()
+    np.testing.assert_array_equal(rows, np.sort(footprints.index))
+    np.testing.assert_array_equal(rows[footprints.order], footprints.index)
+    assert (rows != footprints.index).any()

@@ -14,7 +14,7 @@ def test_colours_are_those_that_are_drawn(degree):
     footprints = project(splats.take(rows), camera, kernel_px=0.3, antialiased=False)
     assert 20 < len(footprints) < len(rows)
     of_scene = rows[footprints.index]
-    found = footprint_colours(splats, rows, camera, footprints)
+    found = footprint_colours(splats, camera, footprints, rows=rows)
     np.testing.assert_array_equal(found, row_colours(splats, of_scene, camera))
     every = row_colours(splats, np.arange(80, dtype=np.int32), camera)
     np.testing.assert_array_equal(found, every[of_scene])
@@ -34,5 +34,5 @@ def test_no_footprints_have_no_colours():
     splats, camera = oracle.scene(1, n=5), oracle.camera()
     splats.means[:] = np.nan
     footprints = project(splats, camera, kernel_px=0.3, antialiased=False)
-    found = footprint_colours(splats, np.arange(5, dtype=np.int32), camera, footprints)
+    found = footprint_colours(splats, camera, footprints)
     assert found.shape == (0, 3)

@@ -190,7 +190,40 @@ def test_progress_is_reported_and_may_cancel():
             score(splats, CAMERAS, ScoreConfig(threads=threads), progress=stop)
 
 
-@pytest.mark.parametrize("options", [{"top_k": -1}, {"near_plane": 0.0}, {"threads": -2}])
+def test_small_weights_do_not_count_where_all_others_do():
+    splats = oracle.scene(3, n=150)
+    seen = [oracle.view(splats, camera) for camera in CAMERAS]
+    for least in (0.01, 0.2):
+        config = ScoreConfig(top_k=0, least_weight=least, jitter=False)
+        kept = [np.where(v.weights >= least, v.weights, 0.0).sum(axis=0) for v in seen]
+        expected = np.mean(kept, axis=0)
+        found = score(splats, CAMERAS, config).contribution
+        off = np.abs(found - expected) / expected.max()
+        # A weight beside the bound may count or not: it is computed in float32.
+        assert np.mean(off > 1e-4) < 0.05
+        assert off.max() < 0.02
+        every = score(splats, CAMERAS, ScoreConfig(top_k=0, jitter=False)).contribution
+        assert (found <= every).all()
+        assert (found < every).any()
+
+
+def test_one_jittered_copy_scores_fewer_views():
+    splats = oracle.scene(3, n=50)
+    both, one = (score(splats, CAMERAS, ScoreConfig(jitter_copies=copies)) for copies in (2, 1))
+    given = sum(camera.width * camera.height for camera in CAMERAS)
+    assert (both.num_pixels, one.num_pixels) == (3 * given, 2 * given)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"top_k": -1},
+        {"near_plane": 0.0},
+        {"threads": -2},
+        {"least_weight": 1.5},
+        {"jitter_copies": 3},
+    ],
+)
 def test_senseless_config_is_refused(options):
     with pytest.raises(ValueError, match="expected"):
         ScoreConfig(**options)

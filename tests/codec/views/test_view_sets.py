@@ -79,3 +79,15 @@ def test_jitter_is_the_rule_of_roam():
     for first, second in zip(jitter(splats, cameras), roam(splats, cameras), strict=True):
         np.testing.assert_array_equal(first.rotation, second.rotation)
         np.testing.assert_array_equal(first.translation, second.translation)
+
+
+def test_one_jittered_copy_of_each_camera_takes_both_kinds_and_both_sides_by_turns():
+    splats, cameras = oracle.scene(1), _named(8)
+    copies = jitter(splats, cameras, copies=1)
+    assert [copy.name for copy in copies] == [
+        "0-back", "1-turned", "2-turned", "3-back", "4-back", "5-turned", "6-turned", "7-back",
+    ]  # fmt: skip
+    by_name = {view.name: view for view in roam(splats, cameras)}
+    for copy in copies:
+        np.testing.assert_array_equal(copy.rotation, by_name[copy.name].rotation)
+        np.testing.assert_array_equal(copy.translation, by_name[copy.name].translation)

@@ -43,7 +43,7 @@ def option(command: click.Command, name: str) -> click.Option:
 def test_choices_and_defaults_are_the_encoder_s_own() -> None:
     from cogsplat.codec.encode.config import PROFILE_NAMES, EncodeConfig
     from cogsplat.codec.rate.pruning import PruneConfig
-    from cogsplat.codec.scoring.contribution import ScoreConfig
+    from cogsplat.codec.scoring.contribution import LEAST_WEIGHT, ScoreConfig
 
     config = EncodeConfig()
     profile, order = option(encode, "profile"), option(encode, "order")
@@ -56,8 +56,9 @@ def test_choices_and_defaults_are_the_encoder_s_own() -> None:
     assert option(encode, "prune").show_default == str(PruneConfig().peak)
     assert config.prune == PruneConfig()
     assert config.morton
-    for command in (encode, score):
-        assert option(command, "top_k").default == ScoreConfig().top_k
+    assert option(score, "top_k").default == ScoreConfig().top_k
+    assert option(encode, "top_k").default is None
+    assert option(encode, "top_k").show_default == f"all of at least {LEAST_WEIGHT}"
     assert ScoreConfig().jitter
 
 

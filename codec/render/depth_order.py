@@ -1,0 +1,86 @@
+"""Depth order: footprints sorted nearest first, by a radix sort of their depths."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .jit import kernel
+
+# Digits of 11 bits: their counts fit into the nearest cache, and six of them are a float64.
+_DIGIT_BITS = 11
+_DIGITS = 6
+_VALUES = 1 << _DIGIT_BITS
+
+
+@kernel
+def _sort(
+    keys: NDArray[np.uint64],
+    places: NDArray[np.int32],
+    spare_keys: NDArray[np.uint64],
+    spare_places: NDArray[np.int32],
+    counts: NDArray[np.int64],
+) -> bool:
+    """Sort keys digit by digit, the lowest first; return whether the result is in the spare arrays.
+
+    Parameters
+    ----------
+    keys : (M,) uint64
+    places : (M,) int32
+        Go with the keys.
+    spare_keys, spare_places : (M,) uint64, int32
+        Of the same shapes.
+    counts : (_DIGITS, _VALUES) int64
+        Zeros.
+    """
+    mask = np.uint64(_VALUES - 1)
+    for i in range(len(keys)):
+        key = keys[i]
+        for digit in range(_DIGITS):
+            counts[digit, (key >> np.uint64(digit * _DIGIT_BITS)) & mask] += 1
+    source_keys, source_places = keys, places
+    target_keys, target_places = spare_keys, spare_places
+    swapped = False
+    for digit in range(_DIGITS):
+        shift = np.uint64(digit * _DIGIT_BITS)
+        first = 0
+        # Where all keys share a digit, as the highest ones of similar depths, nothing moves.
+        alone = False
+        for value in range(_VALUES):
+            count = counts[digit, value]
+            alone |= count == len(keys)
+            counts[digit, value] = first
+            first += count
+        if alone:
+            continue
+        for i in range(len(keys)):
+            key = source_keys[i]
+            value = (key >> shift) & mask
+            to = counts[digit, value]
+            counts[digit, value] = to + 1
+            target_keys[to] = key
+            target_places[to] = source_places[i]
+        source_keys, target_keys = target_keys, source_keys
+        source_places, target_places = target_places, source_places
+        swapped = not swapped
+    return swapped
+
+
+def depth_order(depths: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Return the places of depths in ascending order, ties in their own order.
+
+    Parameters
+    ----------
+    depths : (M,) float64
+        Positive: their bits are in the order of their values.
+
+    Returns
+    -------
+    (M,) int32
+        As ``np.argsort(depths, kind="stable")``, in a fraction of the time.
+    """
+    keys = depths.view(np.uint64).copy()
+    places = np.arange(len(keys), dtype=np.int32)
+    spare_keys, spare_places = np.empty_like(keys), np.empty_like(places)
+    counts = np.zeros((_DIGITS, _VALUES), np.int64)
+    return spare_places if _sort(keys, places, spare_keys, spare_places, counts) else places
