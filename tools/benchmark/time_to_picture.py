@@ -306,7 +306,9 @@ def run(
     """
     judge = Judge(source, cameras)
     arrivals = []
-    with running(SlowServer(page_files(node_modules))) as server, _page(server) as page:
+    # Programs are kept by the browser, so that links carry nothing but scenes.
+    programs = page_files(node_modules)
+    with running(SlowServer(programs, kept=programs)) as server, _page(server) as page:
         for contender in files:
             _load(page, server, contender)
         server.link.latency_seconds = _LATENCY_SECONDS

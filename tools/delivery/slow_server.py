@@ -7,7 +7,7 @@ import socketserver
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http import HTTPStatus
@@ -111,6 +111,8 @@ class SlowServer(ThreadingHTTPServer):
         Contents by path, without the leading slash. ``/`` is ``index.html``.
     link : Link or None
         None for none that slows anything.
+    kept : collection of str
+        Files that browsers may keep; all others are fetched anew each time.
 
     Examples
     --------
@@ -123,8 +125,11 @@ class SlowServer(ThreadingHTTPServer):
 
     allow_reuse_address = os.name == "posix"
 
-    def __init__(self, files: Mapping[str, bytes], link: Link | None = None) -> None:
+    def __init__(
+        self, files: Mapping[str, bytes], link: Link | None = None, kept: Collection[str] = ()
+    ) -> None:
         self.files = dict(files)
+        self.kept = frozenset(kept)
         self.link = link or Link()
         self.traffic = Traffic()
         super().__init__((HOST, 0), _Handler)
@@ -171,8 +176,7 @@ class SlowServer(ThreadingHTTPServer):
             "Content-Type": _TYPES.get(PurePosixPath(name).suffix, "application/octet-stream"),
             "Content-Length": str(end - first),
             "Accept-Ranges": "bytes",
-            # Every measurement is of a first visit.
-            "Cache-Control": "no-store",
+            "Cache-Control": "max-age=3600" if name in self.kept else "no-store",
         }
         if part is not None:
             headers["Content-Range"] = f"bytes {first}-{end - 1}/{len(content)}"

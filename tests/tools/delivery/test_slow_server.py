@@ -41,6 +41,12 @@ def test_files_and_ranges() -> None:
         assert server.traffic.size_bytes("index.html") == len(FILES["index.html"])
 
 
+def test_browsers_may_keep_what_the_server_says() -> None:
+    with running(SlowServer(FILES, kept=["viewer.js"])) as server:
+        assert ask(server, "/viewer.js")[1]["Cache-Control"] == "max-age=3600"
+        assert ask(server, "/")[1]["Cache-Control"] == "no-store"
+
+
 def test_blocks_wait_for_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
     # A clock that only sleeping moves: no time is measured.
     now = 100.0

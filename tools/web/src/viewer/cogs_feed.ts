@@ -5,7 +5,7 @@ import { StreamedScene, type OpenOptions } from "../loader/streamed_scene.js";
 import type { ChunkUpdate } from "../loader/stream_options.js";
 import type { ByteRange } from "../container/scene_index.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
-import { DecoderPool } from "../workers/decoder_pool.js";
+import { DecoderPool, type WorkerLike } from "../workers/decoder_pool.js";
 import { MeteredSource, type Meter } from "./meter.js";
 import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
 import type { SplatLayer } from "./splat_layer.js";
@@ -49,12 +49,25 @@ export class CogsFeed implements SceneFeed {
 
   async run(host: FeedHost, signal: AbortSignal): Promise<void> {
     const { workers } = this;
-    const options: OpenOptions = {
-      signal,
-      ...(workers && {
-        service: (index: DecoderIndex) => new DecoderPool(index, { makeWorker: () => workers.decoder() }),
-      }),
+    if (workers === undefined) return this.stream(host, { signal });
+    // A worker's program is fetched and compiled while the first bytes of the scene come, not after them.
+    let early: WorkerLike | undefined = workers.decoder();
+    // One that fails is dropped; the pool starts it again and tells of the failure.
+    early.onerror = () => (early = undefined);
+    const makeWorker = (): WorkerLike => {
+      const worker = early ?? workers.decoder();
+      early = undefined;
+      return worker;
     };
+    try {
+      await this.stream(host, { signal, service: (index: DecoderIndex) => new DecoderPool(index, { makeWorker }) });
+    } finally {
+      early?.terminate();
+    }
+  }
+
+  private async stream(host: FeedHost, options: OpenOptions & { readonly signal: AbortSignal }): Promise<void> {
+    const { signal } = options;
     const file = typeof this.source === "string" ? new HttpSource(this.source) : new BlobSource(this.source);
     const source = new MeteredSource(file, this.meter);
     const scene = await StreamedScene.open(source, options).catch((error: unknown) => {

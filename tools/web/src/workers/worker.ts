@@ -11,13 +11,15 @@ interface WorkerScope {
 }
 
 const scope = globalThis as unknown as WorkerScope;
+/** Compiled while the first bytes of the scene come. */
+const loading = loadKernels();
 let service: Promise<InlineService> | undefined;
 /** A codebook that was refused: every chunk after it is refused with the same error. */
 let refusal: unknown;
 
 scope.onmessage = ({ data }) => {
   if (data.type === "scene") {
-    service = loadKernels().then((kernels) => new InlineService(data.index, kernels));
+    service = loading.then((kernels) => new InlineService(data.index, kernels));
   } else if (data.type === "codebook") {
     void service!.then((decoder) => {
       try {

@@ -32,6 +32,7 @@ export declare class CogsFeed implements SceneFeed {
     constructor(source: string | Blob, meter: Meter, workers: ViewerWorkers | undefined, mostSplats: number);
     get hasFirstView(): boolean;
     run(host: FeedHost, signal: AbortSignal): Promise<void>;
+    private stream;
     work(milliseconds: number): boolean;
     prefixes(count: number): Prefix[];
     show(prefix: Prefix | undefined): void;
