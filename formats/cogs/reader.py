@@ -507,15 +507,18 @@ class CogsFile:
         return rows * _SCRATCH_ROW_BYTES + coordinates * _SCRATCH_COORDINATE_BYTES
 
     def _load_codebooks(self, chunk: int, degree: int) -> None:
-        rows = [int(self._index.heads[chunk])]
         tail = int(self._index.tails[chunk])
-        if degree and tail >= 0 and self.has_tail(chunk, degree):
-            rows.append(tail)
-        for row in rows:
-            for book in self._needed(row):
-                key = self._codebook_key(book, degree)
-                if key not in self._codebooks:
-                    self._codebooks[key] = self._load_codebook(book, degree)
+        with_tail = degree > 0 and tail >= 0 and self.has_tail(chunk, degree)
+        books = self._shapes_needed(int(self._index.heads[chunk]))
+        for book in [*books, *(self._needed(tail) if with_tail else ())]:
+            key = self._codebook_key(book, degree)
+            if key not in self._codebooks:
+                self._codebooks[key] = self._load_codebook(book, degree)
+
+    def _shapes_needed(self, head: int) -> list[int]:
+        """Return the codebooks that a head uses: those of shapes, whatever it states (SPEC 8.2)."""
+        books = self.root.codebooks
+        return [book for book in self._needed(head) if books[book].attribute == "shape"]
 
     def _codebook_key(self, book: int, degree: int) -> tuple[int, int]:
         return book, degree if self.root.codebooks[book].attribute == "colour" else 0
@@ -545,17 +548,18 @@ class CogsFile:
         coefficients = self.read_segment(tail) if with_tail else None
         extras = self.read_segment(int(self._index.attributes[chunk])) if out.extras else None
         # All CRCs were checked before anything is decoded, in the order of SPEC 7.5.
-        heads.decode_head(payload, self._books(head, degree), out, f"{where} head", finer)
+        shapes = self._books(self._shapes_needed(head), degree)
+        heads.decode_head(payload, shapes, out, f"{where} head", finer)
         if coefficients is None:
             out.shN[:] = 0
         else:
-            books, most = self._books(tail, degree), self.root.sh_degree
+            books, most = self._books(self._needed(tail), degree), self.root.sh_degree
             tails.decode_tail(coefficients, books, out.shN, f"{where} tail", sh_degree=most)
         if extras is not None:
             unpack_attributes(extras, self.root.attributes, out.extras, f"{where} attributes")
 
-    def _books(self, row: int, degree: int) -> dict[int, Codebook]:
-        keys = {book: self._codebook_key(book, degree) for book in self._needed(row)}
+    def _books(self, books: Sequence[int], degree: int) -> dict[int, Codebook]:
+        keys = {book: self._codebook_key(book, degree) for book in books}
         return {book: self._codebooks[key] for book, key in keys.items()}
 
 

@@ -12,6 +12,8 @@ await build({
     worker: "build/src/workers/worker.js",
     viewer: "build/src/viewer/page.js",
     viewer_worker: "build/src/viewer/viewer_worker.js",
+    spark: "build/src/adapters/spark.js",
+    playcanvas: "build/src/adapters/playcanvas.js",
   },
   outdir: folder,
   bundle: true,

@@ -1,12 +1,15 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { axesMatrix, axesRotation } from "../src/adapters/axes.js";
-import { toGSplatElement } from "../src/adapters/playcanvas.js";
+import { streamToPlayCanvas } from "../src/adapters/playcanvas.js";
 import { toPly } from "../src/adapters/ply.js";
-import { streamToSpark, type SparkMesh, type SparkPackedSplats } from "../src/adapters/spark.js";
+import { streamToSpark, type SparkExtSplats } from "../src/adapters/spark.js";
+import { placeOf, type AdapterOptions } from "../src/adapters/texel_stream.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
 import { SceneFile } from "../src/scene/scene_file.js";
+import { concatenate } from "../src/scene/splats.js";
+import { packTexels, type TexelArray, type TexelLayout } from "../src/scene/texels.js";
 import { vectorBytes } from "./vectors.js";
 
 const kernels = await loadKernels();
@@ -33,17 +36,6 @@ test("a PLY has every value where 3DGS training puts it", () => {
   }
 });
 
-test("PlayCanvas gets the same columns", () => {
-  const splats = new SceneFile(vectorBytes("valid", "sh1"), kernels()).decode();
-  const element = toGSplatElement(splats);
-  const at = (name: string, row: number) => element.properties.find((property) => property.name === name)!.storage[row];
-  assert.equal(element.count, splats.count);
-  assert.equal(at("z", 5), splats.means[17]);
-  assert.equal(at("f_rest_4", 5), splats.shN[9 * 5 + 4]); // second coefficient of green
-  assert.equal(at("rot_3", 5), splats.quats[23]);
-  assert.ok(element.properties.every(({ storage }) => storage.length === splats.count));
-});
-
 test("axes become matrices and rotations", () => {
   assert.deepEqual(axesMatrix("RDF"), [1, 0, 0, 0, -1, 0, 0, 0, -1]);
   assert.deepEqual(axesMatrix("RUB"), [1, 0, 0, 0, 1, 0, 0, 0, 1]);
@@ -58,28 +50,152 @@ test("axes become matrices and rotations", () => {
   assert.throws(() => axesRotation("LDF"), RangeError);
 });
 
-test("Spark gets every row, every band, and one upload at the end", async () => {
-  const bytes = vectorBytes("valid", "chunks");
-  const scene = await StreamedScene.open(new Blob([new Uint8Array(bytes)]));
-  const { PackedSplats, SplatMesh, made } = fakeSpark();
-  const uploads: number[] = [];
-  const { mesh, done } = streamToSpark(scene, { PackedSplats, SplatMesh }, { uploadInterval: 0, onUpload: (n) => uploads.push(n) });
-  await done;
-  const file = new SceneFile(bytes, kernels());
-  let row = 0;
-  for (let chunk = 0; chunk < file.index.chunkCount; chunk++) {
-    const packed = file.decodePacked(chunk, undefined, { rgbMin: 0, rgbMax: 1, shRange: 1 });
-    assert.deepEqual(made.words.subarray(4 * row, 4 * (row + packed.count)), packed.words);
-    packed.sh.forEach((band, i) => {
-      const width = band.length / packed.count;
-      assert.deepEqual(made.bands[i]!.subarray(width * row, width * (row + packed.count)), band);
+const LAYOUTS: readonly TexelLayout[] = ["spark", "playcanvas"];
+
+for (const layout of LAYOUTS) {
+  test(`${layout}: a whole scene is uploaded as its chunks decode`, async () => {
+    const bytes = vectorBytes("valid", "chunks");
+    const scene = await StreamedScene.open(new Blob([new Uint8Array(bytes)]));
+    const uploads: number[] = [];
+    const { arrays, done } = start(layout, scene, { uploadInterval: 0, onUpload: (rows) => uploads.push(rows) });
+    await done;
+    const file = new SceneFile(bytes, kernels());
+    const whole = packTexels(layout, file.decode());
+    whole.arrays.forEach((array, i) => assert.deepEqual(arrays[i]!.subarray(0, array.length), array, `texture ${i}`));
+    assert.equal(uploads.at(-1), scene.info.splats);
+  });
+
+  test(`${layout}: rows that are there make up for the others, and no more once all are there`, async () => {
+    const bytes = vectorBytes("valid", "compensation");
+    const scene = await StreamedScene.open(new Blob([new Uint8Array(bytes)]));
+    const file = new SceneFile(bytes, kernels());
+    const seen: { prefix: number; arrays: TexelArray[] }[] = [];
+    let rows = 0;
+    const { arrays, done } = start(layout, scene, {
+      uploadInterval: 0,
+      onUpload: (now) => {
+        rows = now;
+        let prefix = 0;
+        for (let sum = 0; sum < now; prefix++) sum += file.index.chunks.splats[prefix]!;
+        seen.push({ prefix, arrays: arrays.map((array) => array.slice()) });
+      },
     });
-    row += packed.count;
-  }
-  assert.equal(uploads.at(-1), scene.info.splats);
-  assert.equal(mesh.numSplats, scene.info.splats);
-  assert.ok(made.texture.needsUpdate);
+    await done;
+    assert.equal(rows, scene.info.splats);
+    assert.ok(seen.length > 1);
+    for (const { prefix, arrays: then } of seen) {
+      const chunks = Array.from({ length: prefix }, (_, chunk) => {
+        const splats = file.decodeChunk(chunk);
+        file.compensate(splats, chunk, prefix);
+        return splats;
+      });
+      const expected = packTexels(layout, concatenate(chunks, scene.info.shDegree));
+      // Shifts are added to half floats, so two roundings may differ by a step of the last bit.
+      expected.arrays.forEach((array, i) => {
+        const apart = array.findIndex((value, at) => halvesApart(value, then[i]![at]!) > 2);
+        assert.equal(apart, -1, `texture ${i} of ${prefix} chunks, element ${apart}`);
+      });
+    }
+  });
+
+  test(`${layout}: what is given back ends the stream`, async () => {
+    const scene = await StreamedScene.open(new Blob([new Uint8Array(vectorBytes("valid", "chunks"))]));
+    const shown = start(layout, scene, {});
+    shown.dispose();
+    await assert.rejects(shown.done, { name: "AbortError" });
+    assert.ok(shown.disposed());
+  });
+}
+
+test("scenes with other origins are placed beside each other", async () => {
+  const scene = await StreamedScene.open(new Blob([new Uint8Array(vectorBytes("valid", "root-values"))]));
+  const [x, y, z] = scene.info.origin as [number, number, number];
+  assert.deepEqual(placeOf(scene, {}), [0, 0, 0]);
+  const matrix = axesMatrix(scene.info.axes);
+  const moved = placeOf(scene, { worldOrigin: [x - 1, y - 2, z - 4] });
+  [0, 1, 2].forEach((row) => {
+    const expected = [1, 2, 4].reduce((sum, v, i) => sum + matrix[3 * row + i]! * v, 0);
+    assert.ok(Math.abs(moved[row]! - expected) < 1e-6 * (1 + Math.abs(x) + Math.abs(y) + Math.abs(z)));
+  });
 });
+
+/** How many steps two words of half floats differ by at most; other words count whole. */
+function halvesApart(a: number, b: number): number {
+  return Math.max(Math.abs((a & 0xffff) - (b & 0xffff)), Math.abs((a >>> 16) - (b >>> 16)));
+}
+
+/** Stream into a renderer that keeps what it is given. */
+function start(layout: TexelLayout, scene: StreamedScene, options: AdapterOptions) {
+  let disposed = 0;
+  if (layout === "spark") {
+    class ExtSplats {
+      numSplats = 0;
+      readonly textures = [{ needsUpdate: false }, { needsUpdate: false }];
+      readonly extra: Record<string, unknown>;
+      constructor(readonly options: { extArrays: [Uint32Array, Uint32Array]; extra: Record<string, unknown> }) {
+        this.extra = options.extra;
+      }
+      dispose(): void {
+        disposed++;
+      }
+    }
+    class SplatMesh {
+      numSplats = 0;
+      readonly quaternion = { set: () => undefined };
+      readonly position = { set: () => undefined };
+      readonly splats: ExtSplats;
+      constructor({ extSplats }: { extSplats: SparkExtSplats }) {
+        this.splats = extSplats as ExtSplats;
+      }
+      updateVersion(): void {
+        assert.equal(this.numSplats, this.splats.numSplats);
+        assert.ok(this.splats.textures.every(({ needsUpdate }) => needsUpdate));
+      }
+      dispose(): void {
+        disposed++;
+      }
+    }
+    const { mesh, done, dispose } = streamToSpark(scene, { ExtSplats, SplatMesh }, options);
+    const bands = ["sh1", "sh2", "sh3a", "sh3b"].map((name) => mesh.splats.extra[name] as Uint32Array | undefined);
+    const arrays = [...mesh.splats.options.extArrays, ...bands].filter((array) => array !== undefined) as TexelArray[];
+    assert.ok(arrays.every((array) => array.length % (4 * 2048) === 0), "whole lines of Spark's textures");
+    return { arrays, done, dispose, disposed: () => disposed === 2 };
+  }
+  const textures = new Map<string, TexelArray>();
+  class GSplatContainer {
+    readonly centers: Float32Array;
+    readonly gsplatData: { shBands?: number } = {};
+    readonly aabb = { center: { set: () => undefined }, halfExtents: { set: () => undefined } };
+    constructor(_device: string, splats: number, format: GSplatFormat) {
+      this.centers = new Float32Array(3 * splats);
+      for (const { name, format: pixels } of format.streams) {
+        textures.set(name, pixels === 16 ? new Uint16Array(4 * splats) : new Uint32Array((pixels === 1 ? 1 : 4) * splats));
+      }
+    }
+    getTexture(name: string) {
+      return { lock: () => textures.get(name)!, unlock: () => undefined };
+    }
+    update(): void {
+      // The engine sorts by the centres from here on.
+    }
+    configureMaterialDefines(_defines: Map<string, string>): void {
+      throw new Error("the engine's own says that there are no bands");
+    }
+    destroy(): void {
+      disposed++;
+    }
+  }
+  class GSplatFormat {
+    constructor(_device: string, readonly streams: { name: string; format: number }[]) {}
+  }
+  const pc = { GSplatContainer, GSplatFormat, PIXELFORMAT_RGBA16F: 16, PIXELFORMAT_RGBA32U: 4, PIXELFORMAT_R32U: 1 };
+  const shown = streamToPlayCanvas<string, GSplatContainer>(scene, pc as never, "device", options);
+  const defines = new Map<string, string>();
+  shown.resource.configureMaterialDefines(defines);
+  assert.equal(defines.get("SH_BANDS"), String(scene.info.shDegree));
+  assert.equal(shown.resource.gsplatData.shBands, scene.info.shDegree);
+  return { arrays: [...textures.values()], done: shown.done, dispose: () => shown.dispose(), disposed: () => disposed === 1 };
+}
 
 function rotate([x, y, z, w]: readonly number[], v: readonly number[]): number[] {
   const cross = (a: readonly number[], b: readonly number[]) => [
@@ -89,28 +205,4 @@ function rotate([x, y, z, w]: readonly number[], v: readonly number[]): number[]
   const t = cross(q, v).map((value) => 2 * value);
   const u = cross(q, t);
   return v.map((value, i) => value + w! * t[i]! + u[i]!);
-}
-
-/** Classes with the members of Spark's that the adapter uses; the textures of bands exist from the beginning. */
-function fakeSpark() {
-  const made = { words: new Uint32Array(0), bands: [] as Uint32Array[], texture: { needsUpdate: false } };
-  class PackedSplats implements SparkPackedSplats {
-    numSplats = 0;
-    needsUpdate = false;
-    readonly extra = { sh1Texture: { value: made.texture } };
-    ensureSplats(count: number): Uint32Array {
-      return (made.words = new Uint32Array(4 * count));
-    }
-    ensureSplatsSh(level: number, count: number): Uint32Array {
-      return (made.bands[level - 1] = new Uint32Array([2, 4, 4][level - 1]! * count));
-    }
-  }
-  class SplatMesh implements SparkMesh {
-    numSplats = 0;
-    readonly quaternion = { set: () => undefined };
-    updateVersion(): void {
-      made.texture.needsUpdate &&= true;
-    }
-  }
-  return { PackedSplats, SplatMesh, made };
 }

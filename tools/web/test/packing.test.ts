@@ -1,7 +1,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { Kernels } from "../src/kernels/kernels.js";
-import { DEFAULT_RANGES, fromHalf, shiftPacked, unpackSplats } from "../src/scene/packed_splats.js";
+import { fromHalf } from "../src/scene/half_floats.js";
+import { DEFAULT_RANGES, shiftPacked, unpackSplats } from "../src/scene/packed_splats.js";
+import { packTexels, type TexelArray, type Texels } from "../src/scene/texels.js";
 import { backends } from "./backends.js";
 
 const RANGES = DEFAULT_RANGES;
@@ -130,4 +132,92 @@ for (const [backend, makeKernels] of await backends()) {
       }
     });
   }
+}
+
+for (const layout of ["spark", "playcanvas"] as const) {
+  test(`textures of ${layout} are within the tolerances of SPEC 8.6`, () => {
+    const next = random(11);
+    const count = 20_000;
+    const floats = (width: number, value: () => number) => Float32Array.from({ length: width * count }, value);
+    const quats = floats(4, () => next() - 0.5);
+    for (let i = 0; i < count; i++) {
+      // A turn by nothing, by half a turn, and by nearly as much.
+      const q = i === 0 ? [1, 0, 0, 0] : i === 1 ? [0, 0, 0, -1] : i === 2 ? [1e-4, 1, 0, 0] : Array.from(quats.subarray(4 * i, 4 * i + 4));
+      const norm = Math.hypot(...q) * (q[0]! < 0 ? -1 : 1);
+      quats.set(q.map((value) => value / norm), 4 * i);
+    }
+    const splats = {
+      count, shDegree: 3, quats,
+      means: floats(3, () => 2e5 * (next() - 0.5)),
+      scales: floats(3, () => -13 + 20 * next()),
+      opacities: floats(1, () => 20 * (next() - 0.5)),
+      sh0: floats(3, () => 6 * (next() - 0.5)),
+      shN: floats(45, () => 2 * (next() - 0.5)),
+    };
+    splats.opacities.set([Infinity, -Infinity]);
+    const found = unpackTexels(packTexels(layout, splats));
+    const near = (name: "scales" | "sh0" | "shN", bound: number) => splats[name].forEach((value, i) => {
+      assert.ok(Math.abs(found[name][i]! - value) <= bound, `${name} ${i}: ${found[name][i]} for ${value}`);
+    });
+    assert.deepEqual(found.means, splats.means);
+    near("scales", 0.05);
+    near("sh0", 0.02);
+    near("shN", 0.04);
+    for (let i = 0; i < count; i++) {
+      const dot = [0, 1, 2, 3].reduce((sum, k) => sum + found.quats[4 * i + k]! * splats.quats[4 * i + k]!, 0);
+      const apart = 2 * Math.acos(Math.min(1, Math.abs(dot)));
+      assert.ok(apart <= (layout === "spark" ? 0.009 : 0.005), `row ${i}: ${apart} radians`);
+      const opacity = 1 / (1 + Math.exp(-splats.opacities[i]!));
+      assert.ok(Math.abs(found.opacities[i]! - opacity) <= 1 / 128);
+    }
+  });
+}
+
+/** Splats of textures as the renderers' shaders read them; opacities, not logits. */
+function unpackTexels({ layout, count, arrays }: Texels) {
+  const [means, scales, quats, opacities, sh0, shN] = [3, 3, 4, 1, 3, 45].map((width) => new Float32Array(width * count)) as [
+    Float32Array, Float32Array, Float32Array, Float32Array, Float32Array, Float32Array,
+  ];
+  const words = (array: TexelArray) => new Float32Array(array.buffer);
+  for (let i = 0; i < count; i++) {
+    const [a, b, c] = arrays as [TexelArray, TexelArray, TexelArray];
+    const colour = (halves: number[]) => sh0.set(halves.map((half) => (fromHalf(half) - 0.5) / SH_C0), 3 * i);
+    if (layout === "spark") {
+      means.set(words(a).subarray(4 * i, 4 * i + 3), 3 * i);
+      opacities[i] = fromHalf(a[4 * i + 3]! & 0xffff);
+      const [w0, w1, w2, w3] = Array.from(b.subarray(4 * i, 4 * i + 4)) as [number, number, number, number];
+      colour([w0 & 0xffff, w0 >>> 16, w1 & 0xffff]);
+      scales.set([w1 >>> 16, w2 & 0xffff, w2 >>> 16].map(fromHalf), 3 * i);
+      quats.set(fromAngle((w3 & 1023) / 1023, ((w3 >>> 10) & 1023) / 1023, ((w3 >>> 20) / 4095) * Math.PI), 4 * i);
+    } else {
+      means.set(words(b).subarray(4 * i, 4 * i + 3), 3 * i);
+      colour(Array.from(a.subarray(4 * i, 4 * i + 3)));
+      opacities[i] = fromHalf(a[4 * i + 3]!);
+      for (let axis = 0; axis < 3; axis++) scales[3 * i + axis] = Math.log(fromHalf(c[4 * i + axis]!));
+      const v = [0, 10, 20].map((bit) => (((b[4 * i + 3]! >>> bit) & 1023) / 511.5 - 1) / Math.SQRT2);
+      v.splice(b[4 * i + 3]! >>> 30, 0, Math.sqrt(Math.max(0, 1 - v.reduce((sum, x) => sum + x * x, 0))));
+      quats.set(v, 4 * i);
+    }
+    for (let k = 0; k < 15; k++) {
+      const at = layout === "spark" ? k : k + 1;
+      const word = arrays[(layout === "spark" ? 2 : 3) + (at >> 2)]![4 * i + (at & 3)]!;
+      const largest = words(arrays[3]!)[4 * i]!;
+      const rgb = layout === "spark"
+        ? [0, 1, 2].map((c) => (((word >>> (8 * c)) & 255) / 255) * 2 ** ((word >>> 27) - 15) * ((word >>> (24 + c)) & 1 ? -1 : 1))
+        : [(word >>> 21) / 2047, ((word >>> 11) & 1023) / 1023, (word & 2047) / 2047].map((part) => (2 * part - 1) * largest);
+      shN.set(rgb, 45 * i + 3 * k);
+    }
+  }
+  return { means, scales, quats, opacities, sh0, shN };
+}
+
+/** A rotation w x y z of an axis on an octahedron, from 0 to 1 each way, and an angle. */
+function fromAngle(u: number, v: number, angle: number): number[] {
+  let [x, y] = [2 * u - 1, 2 * v - 1];
+  const z = 1 - Math.abs(x) - Math.abs(y);
+  const fold = Math.max(-z, 0);
+  x += x >= 0 ? -fold : fold;
+  y += y >= 0 ? -fold : fold;
+  const scale = Math.sin(angle / 2) / Math.hypot(x, y, z);
+  return [Math.cos(angle / 2), x * scale, y * scale, z * scale];
 }

@@ -23,9 +23,8 @@ export { DEFAULT_RANGES, packedMeans, SH_WORDS, shiftPacked, unpackSplats, type 
 export { PrefixCompensation } from "./scene/prefix_compensation.js";
 export { SceneFile, type FileOptions } from "./scene/scene_file.js";
 export { concatenate, type Splats } from "./scene/splats.js";
+export { makeTexelArrays, texelWidths, writeTexels, type TexelArray, type TexelLayout, type Texels, type TexelWidth } from "./scene/texels.js";
 export { InlineService, type ChunkFormat, type ChunkService, type DecodedChunk, type DecodeTask } from "./workers/decode_task.js";
 export { DecoderPool, type PoolOptions, type WorkerLike } from "./workers/decoder_pool.js";
 export { axesMatrix, axesRotation } from "./adapters/axes.js";
-export { toGSplatElement, type GSplatElement, type GSplatProperty } from "./adapters/playcanvas.js";
 export { toPly, type PlyOptions } from "./adapters/ply.js";
-export { streamToSpark, type SparkMesh, type SparkModule, type SparkOptions, type SparkPackedSplats } from "./adapters/spark.js";

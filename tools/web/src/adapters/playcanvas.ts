@@ -1,52 +1,168 @@
-import type { Splats } from "../scene/splats.js";
-import { plyProperties } from "./ply.js";
+/**
+ * Scenes in the PlayCanvas engine: the entry point `cogsplat/playcanvas`.
+ *
+ * @packageDocumentation
+ */
+import type { StreamedScene } from "../loader/streamed_scene.js";
+import { texelWidths } from "../scene/texels.js";
+import { axesRotation } from "./axes.js";
+import { ownAbort, placeOf, sceneArrays, streamTexels, wantedDegree, type AdapterOptions, type AdapterStream } from "./texel_stream.js";
 
-/** A property of the element that `pc.GSplatData` takes. */
-export interface GSplatProperty {
-  readonly type: "float";
-  readonly name: string;
-  readonly storage: Float32Array;
-  readonly byteSize: 4;
+export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
+
+/** What the adapter uses of a texture. */
+export interface PlayCanvasTexture {
+  lock(): { set(values: ArrayLike<number>): void };
+  unlock(): void;
 }
 
-/** The element `vertex` that `pc.GSplatData` takes. */
-export interface GSplatElement {
-  readonly name: "vertex";
-  readonly count: number;
-  readonly properties: GSplatProperty[];
+/** What the adapter uses of the engine's `GSplatContainer`. */
+export interface PlayCanvasContainer {
+  readonly centers: Float32Array;
+  readonly gsplatData: { shBands?: number };
+  readonly aabb: { readonly center: Settable; readonly halfExtents: Settable };
+  getTexture(name: string): PlayCanvasTexture | null;
+  update(splats: number, centersUpdated?: boolean): void;
+  configureMaterialDefines(defines: Map<string, string>): void;
+  destroy(): void;
 }
+
+interface Settable {
+  set(x: number, y: number, z: number): unknown;
+}
+
+/** What the adapter uses of the module `playcanvas`. */
+export interface PlayCanvasModule<D, C extends PlayCanvasContainer> {
+  readonly GSplatFormat: new (
+    device: D, streams: { name: string; format: number }[], options: { readGLSL: string; readWGSL: string },
+  ) => unknown;
+  readonly GSplatContainer: new (device: D, maxSplats: number, format: never) => C;
+  readonly PIXELFORMAT_RGBA16F: number;
+  readonly PIXELFORMAT_RGBA32U: number;
+  readonly PIXELFORMAT_R32U: number;
+}
+
+/** A scene in PlayCanvas. */
+export interface PlayCanvasScene<C extends PlayCanvasContainer> extends AdapterStream {
+  /** The resource of a component: `entity.addComponent("gsplat", { resource })`. */
+  readonly resource: C;
+  /** Rotation x y z w of the entity, from the scene's axes to the engine's. */
+  readonly rotation: readonly [number, number, number, number];
+  /** Position of the entity. */
+  readonly position: readonly [number, number, number];
+}
+
+/** How the engine's shader reads a splat; it reads the bands as those of its own uncompressed splats. */
+const READ_GLSL = `
+uint cogsRotation;
+vec4 cogsScale;
+vec3 getCenter() {
+  uvec4 transform = loadTransformA();
+  cogsRotation = transform.w;
+  cogsScale = loadTransformB();
+  return uintBitsToFloat(transform.xyz);
+}
+vec4 getColor() { return loadDcColor(); }
+vec3 getScale() { return cogsScale.xyz; }
+vec4 getRotation() {
+  vec3 s = (vec3((uvec3(cogsRotation) >> uvec3(0u, 10u, 20u)) & 1023u) / 511.5 - 1.0) * 0.70710678;
+  float rest = sqrt(max(0.0, 1.0 - dot(s, s)));
+  uint largest = cogsRotation >> 30u;
+  if (largest == 0u) return vec4(rest, s);
+  if (largest == 1u) return vec4(s.x, rest, s.yz);
+  return largest == 2u ? vec4(s.xy, rest, s.z) : vec4(s, rest);
+}
+#include "gsplatUncompressedSHVS"
+`;
+const READ_WGSL = `
+var<private> cogsRotation: u32;
+var<private> cogsScale: vec4f;
+fn getCenter() -> vec3f {
+  let transform: vec4<u32> = loadTransformA();
+  cogsRotation = transform.w;
+  cogsScale = loadTransformB();
+  return bitcast<vec3f>(transform.xyz);
+}
+fn getColor() -> vec4f { return loadDcColor(); }
+fn getScale() -> vec3f { return cogsScale.xyz; }
+fn getRotation() -> vec4f {
+  let s = (vec3f((vec3u(cogsRotation) >> vec3u(0u, 10u, 20u)) & vec3u(1023u)) / 511.5 - 1.0) * 0.70710678;
+  let rest = sqrt(max(0.0, 1.0 - dot(s, s)));
+  let largest = cogsRotation >> 30u;
+  if (largest == 0u) { return vec4f(rest, s); }
+  if (largest == 1u) { return vec4f(s.x, rest, s.yz); }
+  if (largest == 2u) { return vec4f(s.xy, rest, s.z); }
+  return vec4f(s, rest);
+}
+#include "gsplatUncompressedSHVS"
+`;
 
 /**
- * Splats as the PlayCanvas engine takes them, all SH bands included.
+ * Stream a scene into a resource of PlayCanvas, all SH bands included.
  *
- * Its world is `RUB`: give the entity the rotation of `axesRotation(scene.axes)`.
+ * @param pc - The module `playcanvas`, 2.23 or a later 2.
+ * @param device - The graphics device of the application.
  *
  * @example
  * ```ts
- * const data = new pc.GSplatData([toGSplatElement(splats)]);
- * entity.addComponent("gsplat").instance = new pc.GSplatInstance(new pc.GSplatResource(device, data));
+ * import * as pc from "playcanvas";
+ * import { StreamedScene } from "cogsplat";
+ * import { streamToPlayCanvas } from "cogsplat/playcanvas";
+ *
+ * const { resource, rotation, position, done } = streamToPlayCanvas(await StreamedScene.open(url), pc, app.graphicsDevice);
+ * const entity = new pc.Entity();
+ * entity.addComponent("gsplat", { resource });
+ * entity.setLocalRotation(...rotation);
+ * entity.setLocalPosition(...position);
+ * app.root.addChild(entity);
+ * await done;
  * ```
  */
-export function toGSplatElement(splats: Splats): GSplatElement {
-  const coefficients = (splats.shDegree + 1) ** 2 - 1;
-  const column = (from: Float32Array, width: number, component: number) =>
-    Float32Array.from({ length: splats.count }, (_, i) => from[width * i + component]!);
-  const sources = new Map<string, () => Float32Array>();
-  ["x", "y", "z"].forEach((name, axis) => sources.set(name, () => column(splats.means, 3, axis)));
-  for (let i = 0; i < 3; i++) {
-    sources.set(`f_dc_${i}`, () => column(splats.sh0, 3, i));
-    sources.set(`scale_${i}`, () => column(splats.scales, 3, i));
-  }
-  for (let i = 0; i < 4; i++) sources.set(`rot_${i}`, () => column(splats.quats, 4, i));
-  sources.set("opacity", () => splats.opacities);
-  for (let i = 0; i < 3 * coefficients; i++) {
-    const [channel, k] = [Math.floor(i / coefficients), i % coefficients];
-    sources.set(`f_rest_${i}`, () => column(splats.shN, 3 * coefficients, 3 * k + channel));
-  }
-  const names = plyProperties(splats.shDegree).filter((name) => sources.has(name));
+export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
+  scene: StreamedScene, pc: PlayCanvasModule<D, C>, device: D, options: AdapterOptions = {},
+): PlayCanvasScene<C> {
+  const degree = wantedDegree(scene, options);
+  const widths = texelWidths("playcanvas", degree);
+  const arrays = sceneArrays(scene, "playcanvas", degree);
+  const streams = widths.map(({ name, width, bytes }) => ({
+    name,
+    format: bytes === 2 ? pc.PIXELFORMAT_RGBA16F : width === 1 ? pc.PIXELFORMAT_R32U : pc.PIXELFORMAT_RGBA32U,
+  }));
+  const format = new pc.GSplatFormat(device, streams, { readGLSL: READ_GLSL, readWGSL: READ_WGSL });
+  const resource = new pc.GSplatContainer(device, Math.max(1, scene.info.splats), format as never);
+  // A container takes splats one after the other but draws them without bands, unless it is told of them; and colours
+  // follow the camera only where its data says that there are bands.
+  resource.configureMaterialDefines = (defines) => defines.set("SH_BANDS", String(degree));
+  resource.gsplatData.shBands = degree;
+  const { box } = scene.info;
+  const [center, half] = [[0, 1, 2].map((i) => (box[i]! + box[i + 3]!) / 2), [0, 1, 2].map((i) => (box[i + 3]! - box[i]!) / 2)];
+  resource.aabb.center.set(center[0]!, center[1]!, center[2]!);
+  resource.aabb.halfExtents.set(half[0]!, half[1]!, half[2]!);
+  resource.update(0);
+  const transformA = arrays[1]!;
+  const means = new Float32Array(transformA.buffer, transformA.byteOffset, transformA.length);
+  const upload = (rows: number): void => {
+    widths.forEach(({ name }, i) => {
+      const texture = resource.getTexture(name)!;
+      texture.lock().set(arrays[i]!);
+      texture.unlock();
+    });
+    const { centers } = resource;
+    for (let row = 0; row < rows; row++) {
+      for (let axis = 0; axis < 3; axis++) centers[3 * row + axis] = means[4 * row + axis]!;
+    }
+    resource.update(rows, true);
+  };
+  const abort = ownAbort(options.signal);
+  const done = streamTexels(scene, "playcanvas", { arrays, upload }, options, abort.signal);
   return {
-    name: "vertex",
-    count: splats.count,
-    properties: names.map((name) => ({ type: "float", name, storage: sources.get(name)!(), byteSize: 4 })),
+    resource,
+    rotation: axesRotation(scene.info.axes),
+    position: placeOf(scene, options),
+    done,
+    dispose(): void {
+      abort.abort();
+      resource.destroy();
+    },
   };
 }

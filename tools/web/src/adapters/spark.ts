@@ -1,44 +1,50 @@
-import type { ChunkUpdate, StreamOptions } from "../loader/stream_options.js";
+/**
+ * Scenes in Spark, splats for three.js: the entry point `cogsplat/spark`.
+ *
+ * @packageDocumentation
+ */
 import type { StreamedScene } from "../loader/streamed_scene.js";
-import { DEFAULT_RANGES, SH_WORDS, shiftPacked } from "../scene/packed_splats.js";
 import { axesRotation } from "./axes.js";
+import { ownAbort, placeOf, sceneArrays, streamTexels, wantedDegree, type AdapterOptions, type AdapterStream } from "./texel_stream.js";
 
-/** What the adapter uses of Spark's `PackedSplats`. */
-export interface SparkPackedSplats {
+export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
+
+/** What the adapter uses of Spark's `ExtSplats`. */
+export interface SparkExtSplats {
   numSplats: number;
-  needsUpdate: boolean;
+  readonly textures: readonly { needsUpdate: boolean }[];
   readonly extra: Record<string, unknown>;
-  ensureSplats(count: number): Uint32Array;
-  ensureSplatsSh(level: number, count: number): Uint32Array;
+  dispose(): void;
 }
 
 /** What the adapter uses of Spark's `SplatMesh`. */
 export interface SparkMesh {
   numSplats: number;
   readonly quaternion: { set(x: number, y: number, z: number, w: number): unknown };
+  readonly position: { set(x: number, y: number, z: number): unknown };
   updateVersion(): void;
+  dispose(): void;
 }
 
 /** The two classes of `@sparkjsdev/spark` that the adapter makes objects of. */
 export interface SparkModule<M extends SparkMesh> {
-  readonly PackedSplats: new (options: {
-    maxSplats: number;
-    splatEncoding: { rgbMin: number; rgbMax: number; sh1Max: number; sh2Max: number; sh3Max: number };
-  }) => SparkPackedSplats;
-  readonly SplatMesh: new (options: { packedSplats: SparkPackedSplats }) => M;
+  readonly ExtSplats: new (options: {
+    extArrays: [Uint32Array, Uint32Array];
+    numSplats: number;
+    extra: Record<string, unknown>;
+  }) => SparkExtSplats;
+  readonly SplatMesh: new (options: { extSplats: SparkExtSplats }) => M;
 }
 
-/** How a scene is streamed into Spark. */
-export interface SparkOptions extends Omit<StreamOptions, "format"> {
-  /** Shortest time between two uploads, ms: Spark uploads whole textures. 250 by default. */
-  readonly uploadInterval?: number;
-  /** Told after every upload how many splats there are. */
-  readonly onUpload?: (splats: number) => void;
+/** A scene in Spark. */
+export interface SparkScene<M extends SparkMesh> extends AdapterStream {
+  /** Add it to a three.js scene; it fills as chunks arrive. */
+  readonly mesh: M;
 }
 
-const UPLOAD_INTERVAL = 250;
-/** Spark 2.2 draws with this range whatever its `splatEncoding` says, measured in Chromium. */
-const SPARK_COLOURS = { rgbMin: 0, rgbMax: 1 } as const;
+/** Spark's textures are so many splats wide, and whole lines of them are made. */
+const TEXTURE_WIDTH = 2048;
+const BANDS = ["sh1", "sh2", "sh3a", "sh3b"] as const;
 
 /**
  * Stream a scene into a mesh of Spark (three.js).
@@ -47,88 +53,63 @@ const SPARK_COLOURS = { rgbMin: 0, rgbMax: 1 } as const;
  * colour and finer values in place. Rows that have not come are fully transparent; those that are there make up for
  * them (SPEC 8.5) unless `compensate` is false.
  *
+ * The splats keep SPEC 8.6 as they are uploaded, in Spark's `ExtSplats`. Spark packs all splats of a picture once more
+ * before it draws them, coarser unless its renderer is made with `accumExtSplats`.
+ *
  * @param spark - The module `@sparkjsdev/spark`, 2.1 or later.
- * @returns The mesh, and a promise that is kept when everything has been uploaded.
  *
  * @example
  * ```ts
  * import * as spark from "@sparkjsdev/spark";
+ * import { StreamedScene } from "cogsplat";
+ * import { streamToSpark } from "cogsplat/spark";
+ *
+ * world.add(new spark.SparkRenderer({ renderer, accumExtSplats: true }));
  * const { mesh, done } = streamToSpark(await StreamedScene.open(url), spark);
  * world.add(mesh);
  * await done;
  * ```
  */
 export function streamToSpark<M extends SparkMesh>(
-  scene: StreamedScene, spark: SparkModule<M>, options: SparkOptions = {},
-): { readonly mesh: M; readonly done: Promise<void> } {
-  const degree = Math.min(options.degree ?? scene.info.shDegree, scene.info.shDegree);
-  const ranges = { ...DEFAULT_RANGES, ...SPARK_COLOURS, ...options.ranges };
-  const { rgbMin, rgbMax, shRange } = ranges;
-  const total = scene.info.splats;
-  const packed = new spark.PackedSplats({
-    maxSplats: total,
-    splatEncoding: { rgbMin, rgbMax, sh1Max: shRange, sh2Max: shRange, sh3Max: shRange },
+  scene: StreamedScene, spark: SparkModule<M>, options: AdapterOptions = {},
+): SparkScene<M> {
+  const degree = wantedDegree(scene, options);
+  const lines = Math.max(1, Math.ceil(scene.info.splats / TEXTURE_WIDTH));
+  const arrays = sceneArrays(scene, "spark", degree).map((array) => {
+    // Whole lines, because Spark leaves out those that are not.
+    const whole = new Uint32Array(4 * TEXTURE_WIDTH * lines);
+    return array.length === whole.length ? (array as Uint32Array<ArrayBuffer>) : whole;
   });
-  const words = packed.ensureSplats(total);
-  // Spark makes the textures of the bands once, so they are reserved for the whole scene before the first is drawn.
-  const bands = SH_WORDS.slice(0, degree).map((_, band) => packed.ensureSplatsSh(band + 1, total));
-  const mesh = new spark.SplatMesh({ packedSplats: packed });
+  const [centers, shapes, ...bands] = arrays as [Uint32Array, Uint32Array, ...Uint32Array[]];
+  const extra = Object.fromEntries(bands.map((band, i) => [BANDS[i]!, band]));
+  const splats = new spark.ExtSplats({ extArrays: [centers, shapes], numSplats: 0, extra });
+  const mesh = new spark.SplatMesh({ extSplats: splats });
   mesh.quaternion.set(...axesRotation(scene.info.axes));
-
-  const compensate = options.compensate ?? true;
-  /** Words as they were decoded, for chunks that make up for others. */
-  const decoded = new Map<number, ChunkUpdate>();
-  let rows = 0;
-  let prefix = 0;
-  const write = (update: ChunkUpdate): void => {
-    const { packed: chunk, firstRow, count } = update;
-    words.set(chunk!.words, 4 * firstRow);
-    chunk!.sh.forEach((band, i) => bands[i]!.set(band, SH_WORDS[i]! * firstRow));
-    if (compensate) decoded.set(update.chunk, update);
-    rows = Math.max(rows, firstRow + count);
-    prefix = update.prefix;
-  };
-  const applyShifts = (): void => {
-    for (const [chunk, { packed: chunkSplats, firstRow }] of decoded) {
-      const shifts = chunk < prefix ? scene.compensation.shifts(prefix, chunk) : undefined;
-      const original = chunkSplats!.words;
-      if (shifts === undefined) words.set(original, 4 * firstRow);
-      else shiftPacked(original, shifts, words, 4 * firstRow);
-    }
-    // With the whole scene there, nothing is added any more.
-    if (prefix === scene.index.totalChunkCount) decoded.clear();
-  };
-  const upload = (): void => {
-    applyShifts();
-    packed.numSplats = rows;
-    packed.needsUpdate = true;
-    bands.forEach((_, i) => refreshTexture(packed.extra[`sh${i + 1}Texture`]));
+  mesh.position.set(...placeOf(scene, options));
+  const upload = (rows: number): void => {
+    splats.numSplats = rows;
     mesh.numSplats = rows;
+    for (const texture of splats.textures) texture.needsUpdate = true;
+    for (const name of BANDS) refreshTexture(splats.extra[TEXTURES[name]]);
     mesh.updateVersion();
-    options.onUpload?.(rows);
   };
-  const streamed = { ...options, ranges, degree, compensate, format: "packed" } as const;
-  return { mesh, done: run(scene, streamed, write, upload, options.uploadInterval) };
+  const abort = ownAbort(options.signal);
+  const done = streamTexels(scene, "spark", { arrays, upload }, options, abort.signal);
+  return {
+    mesh,
+    done,
+    dispose(): void {
+      abort.abort();
+      mesh.dispose();
+      splats.dispose();
+    },
+  };
 }
 
-async function run(
-  scene: StreamedScene, options: StreamOptions, write: (update: ChunkUpdate) => void, upload: () => void,
-  interval = UPLOAD_INTERVAL,
-): Promise<void> {
-  let last = -Infinity;
-  let changed = false;
-  for await (const update of scene.stream(options)) {
-    write(update);
-    changed = true;
-    const now = performance.now();
-    if (now - last < interval) continue;
-    upload();
-    [last, changed] = [now, false];
-  }
-  if (changed) upload();
-}
+/** Where Spark keeps the texture of each band. */
+const TEXTURES = { sh1: "sh1Texture", sh2: "sh2Texture", sh3a: "sh3TextureA", sh3b: "sh3TextureB" } as const;
 
-/** A texture of a band exists once Spark has drawn; `needsUpdate` of the splats does not refresh it. */
+/** A texture of a band exists once Spark has drawn; it is uploaded again only where it is told to. */
 function refreshTexture(texture: unknown): void {
   const value = (texture as { value?: { needsUpdate: boolean } } | undefined)?.value;
   if (value !== undefined) value.needsUpdate = true;

@@ -83,11 +83,11 @@ export class SceneIndex {
     const segments = root.pages.reduce((sum, page) => sum + page.segments, root.segments.kind.length);
     if (segments > MAX_SEGMENTS) throw new CogsplatError("segment-count", `${segments} segments`);
     this.totalChunks = root.pages.reduce((sum, page) => sum + page.chunks, root.chunks.splats.length);
-    // Chunks have a head each, so there are no more of them than segments.
-    if (this.totalChunks > segments) throw new CogsplatError("chunk-heads", `${this.totalChunks} chunks in ${segments} segments`);
-    this.tails = new Int32Array(this.totalChunks).fill(NONE);
-    this.refinements = new Int32Array(this.totalChunks).fill(NONE);
-    this.attributes = new Int32Array(this.totalChunks).fill(NONE);
+    // Chunks have a head each: a page that states more of them than it has segments is refused when it is read.
+    const mostChunks = Math.min(this.totalChunks, segments);
+    this.tails = new Int32Array(mostChunks).fill(NONE);
+    this.refinements = new Int32Array(mostChunks).fill(NONE);
+    this.attributes = new Int32Array(mostChunks).fill(NONE);
     this.codebookSegments = root.codebooks.map(() => new Map<number, number>());
   }
 

@@ -1,4 +1,5 @@
 /** Packing for renderers in plain JavaScript; `src/scene/packed_splats.ts` describes the layouts. */
+import { toHalf } from "../scene/half_floats.js";
 
 const SH_C0 = 0.28209479177387814;
 /** Range of log scales that one byte stands for. */
@@ -12,20 +13,6 @@ function byte(value: number): number {
 
 function logScale(value: number): number {
   return Math.round(Math.min(Math.max((value - LOG_MIN) * LOG_STEPS, 0), 254)) + 1;
-}
-
-const halfBits = new Uint32Array(1);
-const halfValue = new Float32Array(halfBits.buffer);
-
-/** The nearest half float; above the range the largest. */
-function half(value: number): number {
-  halfValue[0] = value;
-  const sign = (halfBits[0]! >>> 16) & 0x8000;
-  const magnitude = Math.min(Math.abs(value), 65504);
-  if (magnitude < 2 ** -14) return sign | Math.round(magnitude * 2 ** 24);
-  halfValue[0] = magnitude;
-  const bits = halfBits[0]!;
-  return sign | ((bits + 0xfff + ((bits >>> 13) & 1) - 0x38000000) >>> 13);
 }
 
 /** A rotation as its axis on an octahedron, two bytes, and its angle, one byte. */
@@ -50,8 +37,8 @@ export function packSplats(
     const alpha = byte(1 / (1 + Math.exp(-at(10))));
     const rotation = octahedral(at(6), at(7), at(8), at(9));
     target[4 * row] = rgb[0] | (rgb[1] << 8) | (rgb[2] << 16) | (alpha << 24);
-    target[4 * row + 1] = half(at(0)) | (half(at(1)) << 16);
-    target[4 * row + 2] = half(at(2)) | ((rotation & 0xffff) << 16);
+    target[4 * row + 1] = toHalf(at(0)) | (toHalf(at(1)) << 16);
+    target[4 * row + 2] = toHalf(at(2)) | ((rotation & 0xffff) << 16);
     target[4 * row + 3] =
       logScale(at(3)) | (logScale(at(4)) << 8) | (logScale(at(5)) << 16) | ((rotation >>> 16) << 24);
   }

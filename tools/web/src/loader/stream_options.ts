@@ -1,5 +1,6 @@
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { Splats } from "../scene/splats.js";
+import { texelWidths, type Texels } from "../scene/texels.js";
 import type { CogsplatError, SourceError } from "../errors.js";
 import type { ChunkFormat } from "../workers/decode_task.js";
 
@@ -24,7 +25,7 @@ export interface StreamOptions {
   readonly priority?: (chunk: ChunkInfo) => number;
   /** SH degree wanted; by default the scene's. */
   readonly degree?: number;
-  /** `splats`: arrays to the bit. `packed`: what a renderer uploads. */
+  /** `splats`: arrays to the bit. `packed`: 16 bytes a splat and packed bands. `spark`, `playcanvas`: their textures. */
   readonly format?: ChunkFormat;
   /** What the codes of packed chunks stand for. */
   readonly ranges?: Partial<PackRanges>;
@@ -52,10 +53,13 @@ export interface ChunkUpdate {
   readonly splats?: Splats;
   /** There where the stream's format is `packed`. */
   readonly packed?: PackedSplats;
+  /** There where the stream's format is that of a renderer's textures. */
+  readonly texels?: Texels;
 }
 
 /** Bytes that a splat takes in memory as it is given out. */
 export function bytesPerSplat(format: ChunkFormat, degree: number): number {
   if (format === "packed") return 16 + [0, 8, 24, 40][degree]!;
+  if (format !== "splats") return texelWidths(format, degree).reduce((sum, { width, bytes }) => sum + width * bytes, 0);
   return 56 + 12 * ((degree + 1) ** 2 - 1);
 }

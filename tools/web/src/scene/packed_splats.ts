@@ -1,13 +1,15 @@
 import type { Shifts } from "../container/compensation.js";
+import { fromHalf } from "./half_floats.js";
 import type { Splats } from "./splats.js";
 
 /** Words of a splat in each packed SH band. */
 export const SH_WORDS = [2, 4, 4] as const;
 
 /**
- * Splats as a renderer uploads them: one texel of four u32 each, within the tolerances of SPEC 8.6.
+ * Splats as a renderer uploads them: one texel of four u32 each, but for rotations within the tolerances of SPEC 8.6.
  *
- * This is the layout of Spark's `PackedSplats`; any shader can read it. Its rotations are up to 0.034 radians off.
+ * This is the layout of Spark's `PackedSplats`, half the size of its other one; any shader can read it. Its rotations are
+ * up to 0.034 radians off, coarser than SPEC 8.6 allows; `texels.ts` has layouts that keep all of it.
  *
  * | word | bits | what |
  * |---|---|---|
@@ -137,12 +139,4 @@ export function packedMeans(packed: Pick<PackedSplats, "count" | "words">): Floa
     means[3 * i + 2] = fromHalf(packed.words[4 * i + 2]! & 0xffff);
   }
   return means;
-}
-
-/** The value of a half float's bits. */
-export function fromHalf(bits: number): number {
-  const sign = bits & 0x8000 ? -1 : 1;
-  const exponent = (bits >>> 10) & 31;
-  const mantissa = bits & 0x3ff;
-  return sign * (exponent === 0 ? mantissa * 2 ** -24 : (1024 + mantissa) * 2 ** (exponent - 25));
 }

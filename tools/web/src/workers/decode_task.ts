@@ -2,9 +2,10 @@ import type { KernelsMaker } from "../kernels/load.js";
 import { ChunkDecoder, type ChunkPayloads, type DecoderIndex } from "../scene/chunk_decoder.js";
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { Splats } from "../scene/splats.js";
+import { packTexels, type TexelLayout, type Texels } from "../scene/texels.js";
 
-/** What chunks are decoded to: arrays to the bit, or what a renderer uploads. */
-export type ChunkFormat = "splats" | "packed";
+/** What chunks are decoded to: arrays to the bit, 16 bytes and packed bands, or the textures of a renderer. */
+export type ChunkFormat = "splats" | "packed" | TexelLayout;
 
 /** One chunk to decode; everything in it can be sent to a worker. */
 export interface DecodeTask {
@@ -17,10 +18,11 @@ export interface DecodeTask {
   readonly ranges: PackRanges;
 }
 
-/** A decoded chunk: one of the two, as the task asked. */
+/** A decoded chunk: one of the three, as the task asked. */
 export interface DecodedChunk {
   readonly splats?: Splats;
   readonly packed?: PackedSplats;
+  readonly texels?: Texels;
 }
 
 /** Decodes the chunks of one scene, here or in workers. */
@@ -49,9 +51,9 @@ export class InlineService implements ChunkService {
 
   /** Decode without a promise, as a worker does. */
   decodeNow({ payloads, rows, needs, degree, format, ranges }: DecodeTask): DecodedChunk {
-    return format === "packed"
-      ? { packed: this.decoder.decodePacked(payloads, rows, needs, degree, ranges) }
-      : { splats: this.decoder.decode(payloads, rows, needs, degree) };
+    if (format === "packed") return { packed: this.decoder.decodePacked(payloads, rows, needs, degree, ranges) };
+    const splats = this.decoder.decode(payloads, rows, needs, degree);
+    return format === "splats" ? { splats } : { texels: packTexels(format, splats) };
   }
 
   close(): void {

@@ -1,12 +1,19 @@
-import type { StreamOptions } from "../loader/stream_options.js";
+/**
+ * Scenes in Spark, splats for three.js: the entry point `cogsplat/spark`.
+ *
+ * @packageDocumentation
+ */
 import type { StreamedScene } from "../loader/streamed_scene.js";
-/** What the adapter uses of Spark's `PackedSplats`. */
-export interface SparkPackedSplats {
+import { type AdapterOptions, type AdapterStream } from "./texel_stream.js";
+export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
+/** What the adapter uses of Spark's `ExtSplats`. */
+export interface SparkExtSplats {
     numSplats: number;
-    needsUpdate: boolean;
+    readonly textures: readonly {
+        needsUpdate: boolean;
+    }[];
     readonly extra: Record<string, unknown>;
-    ensureSplats(count: number): Uint32Array;
-    ensureSplatsSh(level: number, count: number): Uint32Array;
+    dispose(): void;
 }
 /** What the adapter uses of Spark's `SplatMesh`. */
 export interface SparkMesh {
@@ -14,30 +21,27 @@ export interface SparkMesh {
     readonly quaternion: {
         set(x: number, y: number, z: number, w: number): unknown;
     };
+    readonly position: {
+        set(x: number, y: number, z: number): unknown;
+    };
     updateVersion(): void;
+    dispose(): void;
 }
 /** The two classes of `@sparkjsdev/spark` that the adapter makes objects of. */
 export interface SparkModule<M extends SparkMesh> {
-    readonly PackedSplats: new (options: {
-        maxSplats: number;
-        splatEncoding: {
-            rgbMin: number;
-            rgbMax: number;
-            sh1Max: number;
-            sh2Max: number;
-            sh3Max: number;
-        };
-    }) => SparkPackedSplats;
+    readonly ExtSplats: new (options: {
+        extArrays: [Uint32Array, Uint32Array];
+        numSplats: number;
+        extra: Record<string, unknown>;
+    }) => SparkExtSplats;
     readonly SplatMesh: new (options: {
-        packedSplats: SparkPackedSplats;
+        extSplats: SparkExtSplats;
     }) => M;
 }
-/** How a scene is streamed into Spark. */
-export interface SparkOptions extends Omit<StreamOptions, "format"> {
-    /** Shortest time between two uploads, ms: Spark uploads whole textures. 250 by default. */
-    readonly uploadInterval?: number;
-    /** Told after every upload how many splats there are. */
-    readonly onUpload?: (splats: number) => void;
+/** A scene in Spark. */
+export interface SparkScene<M extends SparkMesh> extends AdapterStream {
+    /** Add it to a three.js scene; it fills as chunks arrive. */
+    readonly mesh: M;
 }
 /**
  * Stream a scene into a mesh of Spark (three.js).
@@ -46,18 +50,21 @@ export interface SparkOptions extends Omit<StreamOptions, "format"> {
  * colour and finer values in place. Rows that have not come are fully transparent; those that are there make up for
  * them (SPEC 8.5) unless `compensate` is false.
  *
+ * The splats keep SPEC 8.6 as they are uploaded, in Spark's `ExtSplats`. Spark packs all splats of a picture once more
+ * before it draws them, coarser unless its renderer is made with `accumExtSplats`.
+ *
  * @param spark - The module `@sparkjsdev/spark`, 2.1 or later.
- * @returns The mesh, and a promise that is kept when everything has been uploaded.
  *
  * @example
  * ```ts
  * import * as spark from "@sparkjsdev/spark";
+ * import { StreamedScene } from "cogsplat";
+ * import { streamToSpark } from "cogsplat/spark";
+ *
+ * world.add(new spark.SparkRenderer({ renderer, accumExtSplats: true }));
  * const { mesh, done } = streamToSpark(await StreamedScene.open(url), spark);
  * world.add(mesh);
  * await done;
  * ```
  */
-export declare function streamToSpark<M extends SparkMesh>(scene: StreamedScene, spark: SparkModule<M>, options?: SparkOptions): {
-    readonly mesh: M;
-    readonly done: Promise<void>;
-};
+export declare function streamToSpark<M extends SparkMesh>(scene: StreamedScene, spark: SparkModule<M>, options?: AdapterOptions): SparkScene<M>;

@@ -1,4 +1,3 @@
-/** Packing for renderers in plain JavaScript; `src/scene/packed_splats.ts` describes the layouts. */
 /** Pack rows of 14 columns: means, scales, quats, opacities, sh0. */
 export declare function packSplats(columns: readonly Float32Array[], rows: number, rgbMin: number, rgbMax: number, target: Uint32Array): void;
 /**

@@ -1,5 +1,6 @@
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { Splats } from "../scene/splats.js";
+import { type Texels } from "../scene/texels.js";
 import type { CogsplatError, SourceError } from "../errors.js";
 import type { ChunkFormat } from "../workers/decode_task.js";
 /** What is known of a chunk before its bytes come: enough to decide what to fetch first. */
@@ -22,7 +23,7 @@ export interface StreamOptions {
     readonly priority?: (chunk: ChunkInfo) => number;
     /** SH degree wanted; by default the scene's. */
     readonly degree?: number;
-    /** `splats`: arrays to the bit. `packed`: what a renderer uploads. */
+    /** `splats`: arrays to the bit. `packed`: 16 bytes a splat and packed bands. `spark`, `playcanvas`: their textures. */
     readonly format?: ChunkFormat;
     /** What the codes of packed chunks stand for. */
     readonly ranges?: Partial<PackRanges>;
@@ -49,6 +50,8 @@ export interface ChunkUpdate {
     readonly splats?: Splats;
     /** There where the stream's format is `packed`. */
     readonly packed?: PackedSplats;
+    /** There where the stream's format is that of a renderer's textures. */
+    readonly texels?: Texels;
 }
 /** Bytes that a splat takes in memory as it is given out. */
 export declare function bytesPerSplat(format: ChunkFormat, degree: number): number;

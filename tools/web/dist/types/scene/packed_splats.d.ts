@@ -3,9 +3,10 @@ import type { Splats } from "./splats.js";
 /** Words of a splat in each packed SH band. */
 export declare const SH_WORDS: readonly [2, 4, 4];
 /**
- * Splats as a renderer uploads them: one texel of four u32 each, within the tolerances of SPEC 8.6.
+ * Splats as a renderer uploads them: one texel of four u32 each, but for rotations within the tolerances of SPEC 8.6.
  *
- * This is the layout of Spark's `PackedSplats`; any shader can read it. Its rotations are up to 0.034 radians off.
+ * This is the layout of Spark's `PackedSplats`, half the size of its other one; any shader can read it. Its rotations are
+ * up to 0.034 radians off, coarser than SPEC 8.6 allows; `texels.ts` has layouts that keep all of it.
  *
  * | word | bits | what |
  * |---|---|---|
@@ -51,6 +52,4 @@ export declare function unpackSplats(packed: PackedSplats): Splats;
  */
 export declare function shiftPacked(words: Uint32Array, shifts: Shifts, target: Uint32Array, first: number): void;
 /** Means of packed splats as float32, for sorting: three a splat. */
-export declare function packedMeans(packed: Pick<PackedSplats, "count" | "words">): Float32Array;
-/** The value of a half float's bits. */
-export declare function fromHalf(bits: number): number;
+export declare function packedMeans(packed: PackedSplats): Float32Array;

@@ -2,8 +2,9 @@ import type { KernelsMaker } from "../kernels/load.js";
 import { type ChunkPayloads, type DecoderIndex } from "../scene/chunk_decoder.js";
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { Splats } from "../scene/splats.js";
-/** What chunks are decoded to: arrays to the bit, or what a renderer uploads. */
-export type ChunkFormat = "splats" | "packed";
+import { type TexelLayout, type Texels } from "../scene/texels.js";
+/** What chunks are decoded to: arrays to the bit, 16 bytes and packed bands, or the textures of a renderer. */
+export type ChunkFormat = "splats" | "packed" | TexelLayout;
 /** One chunk to decode; everything in it can be sent to a worker. */
 export interface DecodeTask {
     readonly payloads: ChunkPayloads;
@@ -17,10 +18,11 @@ export interface DecodeTask {
     /** For packed chunks: what their codes stand for. */
     readonly ranges: PackRanges;
 }
-/** A decoded chunk: one of the two, as the task asked. */
+/** A decoded chunk: one of the three, as the task asked. */
 export interface DecodedChunk {
     readonly splats?: Splats;
     readonly packed?: PackedSplats;
+    readonly texels?: Texels;
 }
 /** Decodes the chunks of one scene, here or in workers. */
 export interface ChunkService {

@@ -26,4 +26,4 @@ export type Response = {
     readonly offset: number | undefined;
 };
 /** The buffers of a decoded chunk, which are handed over instead of copied. */
-export declare function buffersOf({ splats, packed }: DecodedChunk): ArrayBuffer[];
+export declare function buffersOf({ splats, packed, texels }: DecodedChunk): ArrayBuffer[];

@@ -1,0 +1,9 @@
+import type { Shifts } from "../container/compensation.js";
+import type { Splats } from "./splats.js";
+import type { TexelArray, Texels, TexelWidth } from "./texels.js";
+/** By SH degree. */
+export declare const SPARK_WIDTHS: readonly (readonly TexelWidth[])[];
+/** Pack rows; `arrays` are as long as `SPARK_WIDTHS` says. */
+export declare function packSpark(splats: Splats, arrays: readonly Uint32Array<ArrayBuffer>[]): void;
+/** Add shifts of compensation to rows that are in `targets` already. */
+export declare function shiftSpark({ arrays, count }: Texels, shifts: Shifts, targets: readonly TexelArray[], first: number): void;

@@ -1,0 +1,52 @@
+// A COGS scene in PlayCanvas: playcanvas.html?scene=URL
+import { DecoderPool, StreamedScene } from "cogsplat";
+import { streamToPlayCanvas } from "cogsplat/playcanvas";
+import * as pc from "playcanvas";
+import { firstPose } from "./pose.js";
+
+const canvas = document.querySelector("canvas");
+const output = document.querySelector("output");
+const parameters = new URLSearchParams(location.search);
+const url = parameters.get("scene") ?? "scene.cogs";
+
+const app = new pc.Application(canvas, { graphicsDeviceOptions: { antialias: false } });
+app.setCanvasFillMode(pc.FILLMODE_FILL_WINDOW);
+app.setCanvasResolution(pc.RESOLUTION_AUTO);
+app.start();
+const camera = new pc.Entity();
+camera.addComponent("camera", { clearColor: new pc.Color(0, 0, 0), nearClip: 0.05, farClip: 1000 });
+app.root.addChild(camera);
+
+const scene = await StreamedScene.open(url, { service: (index) => new DecoderPool(index) });
+const shown = streamToPlayCanvas(scene, pc, app.graphicsDevice, {
+  degree: Number(parameters.get("degree") ?? 3),
+  onUpload: (rows) => (output.textContent = `${rows.toLocaleString()} of ${scene.info.splats.toLocaleString()} splats`),
+});
+const entity = new pc.Entity();
+entity.addComponent("gsplat", { resource: shown.resource });
+entity.setLocalRotation(...shown.rotation);
+entity.setLocalPosition(...shown.position);
+app.root.addChild(entity);
+look(firstPose(scene.info, Math.PI / 4));
+
+/** Put the camera where a pose of `pose.js` says. */
+function look({ position, right, up, back, fieldOfView }) {
+  const axes = new pc.Mat4();
+  axes.data.set([...right, 0, ...up, 0, ...back, 0, 0, 0, 0, 1]);
+  camera.setLocalPosition(...position);
+  camera.setLocalRotation(new pc.Quat().setFromMat4(axes));
+  camera.camera.fov = (fieldOfView * 180) / Math.PI;
+}
+
+// For programs that drive this page.
+const example = {
+  scene, look, frames: 0, complete: false, app, entity, resource: shown.resource,
+  dispose() {
+    entity.destroy();
+    shown.dispose();
+  },
+};
+globalThis.example = example;
+app.on("frameend", () => example.frames++);
+await shown.done;
+example.complete = true;

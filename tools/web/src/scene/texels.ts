@@ -1,0 +1,59 @@
+import type { Shifts } from "../container/compensation.js";
+import { packPlayCanvas, PLAYCANVAS_WIDTHS, shiftPlayCanvas } from "./playcanvas_texels.js";
+import { packSpark, shiftSpark, SPARK_WIDTHS } from "./spark_texels.js";
+import type { Splats } from "./splats.js";
+
+/** Whose textures chunks are decoded to: those of Spark's `ExtSplats`, or of PlayCanvas' uncompressed splats. */
+export type TexelLayout = "spark" | "playcanvas";
+
+/** An array for one texture of a renderer, some elements a splat. */
+export type TexelArray = Uint32Array<ArrayBuffer> | Uint16Array<ArrayBuffer>;
+
+/** Rows of splats as the textures of a renderer hold them. */
+export interface Texels {
+  readonly count: number;
+  readonly layout: TexelLayout;
+  readonly arrays: readonly TexelArray[];
+}
+
+/** A texture of a layout: what an array of it has for each splat. */
+export interface TexelWidth {
+  readonly name: string;
+  /** Elements of a splat. */
+  readonly width: number;
+  /** Bytes of an element: 4 for u32, 2 for half floats. */
+  readonly bytes: 2 | 4;
+}
+
+/** The textures of a layout that an SH degree needs, in the order of the arrays. */
+export function texelWidths(layout: TexelLayout, degree: number): readonly TexelWidth[] {
+  const all = layout === "spark" ? SPARK_WIDTHS : PLAYCANVAS_WIDTHS;
+  return all[degree]!;
+}
+
+/** Arrays of a layout for so many splats, all zeros: splats that are not drawn. */
+export function makeTexelArrays(layout: TexelLayout, degree: number, splats: number): TexelArray[] {
+  return texelWidths(layout, degree).map(({ width, bytes }) => {
+    return bytes === 4 ? new Uint32Array(width * splats) : new Uint16Array(width * splats);
+  });
+}
+
+/** Pack splats into the textures of a renderer, within the tolerances of SPEC 8.6. */
+export function packTexels(layout: TexelLayout, splats: Splats): Texels {
+  const arrays = makeTexelArrays(layout, splats.shDegree, splats.count);
+  if (layout === "spark") packSpark(splats, arrays as Uint32Array<ArrayBuffer>[]);
+  else packPlayCanvas(splats, arrays);
+  return { count: splats.count, layout, arrays };
+}
+
+/**
+ * Write rows into arrays of a whole scene, with what compensation adds to them (SPEC 8.5).
+ *
+ * @param shifts - What is added; undefined where nothing is.
+ * @param first - Row of the whole scene that the first row is.
+ */
+export function writeTexels(texels: Texels, shifts: Shifts | undefined, targets: readonly TexelArray[], first: number): void {
+  const { arrays, count, layout } = texels;
+  arrays.forEach((array, i) => targets[i]!.set(array, (array.length / count) * first));
+  if (shifts !== undefined) (layout === "spark" ? shiftSpark : shiftPlayCanvas)(texels, shifts, targets, first);
+}
