@@ -52,4 +52,4 @@ export declare function unpackSplats(packed: PackedSplats): Splats;
  */
 export declare function shiftPacked(words: Uint32Array, shifts: Shifts, target: Uint32Array, first: number): void;
 /** Means of packed splats as float32, for sorting: three a splat. */
-export declare function packedMeans(packed: PackedSplats): Float32Array;
+export declare function packedMeans(packed: Pick<PackedSplats, "count" | "words">): Float32Array;
