@@ -4,19 +4,18 @@ import base64
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 from pathlib import Path
 from urllib.request import ProxyHandler, build_opener
 
 import pytest
+from chromium import executable
 from running import Run, SmallScene, program
 
 import cogsplat
 from cogsplat.formats.storage.images import decode_image
 
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
 BLOCK = re.compile(rb'<script type="application/x-cogs-base64">([^<]*)</script>')
 
 
@@ -132,12 +131,11 @@ def test_the_chunks_that_have_arrived_are_shown(
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
 def test_a_browser_draws_the_page(run: Run, small: SmallScene, tmp_path: Path) -> None:
     page, picture = tmp_path / "page.html", tmp_path / "picture.png"
     assert run("export-html", small.cogs, page).code == 0
     command = [
-        str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", "--use-angle=swiftshader",
+        executable(), "--headless", "--no-sandbox", "--disable-gpu", "--use-angle=swiftshader",
         "--enable-unsafe-swiftshader", "--window-size=320,240", "--virtual-time-budget=20000",
         f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={picture}", page.as_uri(),
     ]  # fmt: skip
