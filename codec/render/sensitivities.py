@@ -146,7 +146,8 @@ def _moments(
             False,
         )
         for rest in range(stop, end):
-            sums[rest, :] = _ZERO
+            for moment in range(MOMENTS):
+                sums[rest, moment] = _ZERO
         end = stop
         open_pixels(state, num_rows, num_columns)
         for pair in range(begin, end):

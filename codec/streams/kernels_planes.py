@@ -52,6 +52,13 @@ def _spread(packed: U8, start: int, table: U8, count: int, out: U8, at: int, len
 
 
 @exact
+def _copy(packed: U8, start: int, out: U8, at: int, length: int) -> None:
+    """Copy bytes. Not by slices: numba compiles its error messages about shapes for seconds."""
+    for i in range(length):
+        out[at + i] = packed[start + i]
+
+
+@exact
 def _unpack(packed: U8, spans: I64, tables: U8, out: U8) -> int:
     """Write planes end to end from packed ones (SPEC 6.3, 6.9), and what stands behind the last.
 
@@ -86,10 +93,10 @@ def _unpack(packed: U8, spans: I64, tables: U8, out: U8) -> int:
             if top >= limit or _spread(packed, start, tables[radix], count, out, at, length):
                 return plane
         else:
-            out[at : at + length] = packed[start : start + size]
+            _copy(packed, start, out, at, length)
         start += size
         at += length
-    out[at:] = packed[start:]
+    _copy(packed, start, out, at, len(packed) - start)
     return -1
 
 
