@@ -64,7 +64,13 @@ class Preset:
         return ViewPlanConfig(views=self.planned_views, threads=threads)
 
     def score_config(
-        self, profile: str, *, top_k: int | None = None, jitter: bool = True, threads: int = 0
+        self,
+        profile: str,
+        *,
+        top_k: int | None = None,
+        jitter: bool = True,
+        threads: int = 0,
+        colour_sensitivity: bool = False,
     ) -> ScoreConfig:
         """Return how to score for a profile.
 
@@ -74,8 +80,8 @@ class Preset:
             One of `config.PROFILE_NAMES`; only ``transform`` uses sensitivities.
         top_k : int or None
             As `ScoreConfig` has it; None for all weights of at least `LEAST_WEIGHT`.
-        jitter, threads
-            As `ScoreConfig` has them.
+        jitter, threads, colour_sensitivity
+            As `ScoreConfig` has them; no profile of ours uses the last.
         """
         every = self.sensitivity_every if profile == "transform" else 0
         return ScoreConfig(
@@ -85,6 +91,7 @@ class Preset:
             jitter_copies=self.jitter_copies,
             threads=threads,
             sensitivity_every=every,
+            colour_sensitivity=colour_sensitivity,
         )
 
 

@@ -68,6 +68,8 @@ class ScoreConfig:
     sensitivity_every : int
         Also measure `Sensitivities`, in one of so many views; 0 for none. At 1 this takes about as
         much time again as the rest.
+    colour_sensitivity : bool
+        Also sum `Scores.colour_sensitivity`, which takes 128 bytes a splat.
     """
 
     top_k: int = TOP_K
@@ -77,6 +79,7 @@ class ScoreConfig:
     near_plane: float = NEAR
     threads: int = 0
     sensitivity_every: int = 0
+    colour_sensitivity: bool = True
 
     def __post_init__(self) -> None:
         if self.top_k < 0:
@@ -109,7 +112,8 @@ class Scores:
         Largest change that one SH coefficient makes to the mean unclamped pixel of its channel,
         per unit: the maximum over all 16 bases of the sum over views of ``|Y| · contribution in the
         view``, over the views' pixels (Niedermayr et al. 2024, section 3.1). With jitter, the given
-        and the jittered views count half each. Top K makes it a lower bound.
+        and the jittered views count half each. Top K makes it a lower bound. Zeros where the
+        configuration does not ask for it.
     energy : (N,) float64
         Sum of w² over all weights, per pixel of the views: a colour error Δ of the splat alone
         costs ``energy · Δ²`` of mean squared error. With jitter, the two sets count half each.
@@ -308,7 +312,7 @@ def score(
         )
         sensitive += [1.0 / (pixels * len(sets)) if included else 0.0 for included in chosen]
 
-    totals = ViewSums(splats)
+    totals = ViewSums(splats, config.colour_sensitivity)
     n = len(splats)
     columns = np.zeros((n if config.sensitivity_every else 0, COLUMNS), np.float64)
     threads = thread_count(config.threads)
@@ -337,7 +341,9 @@ def score(
         )
     return Scores(
         contribution=totals.contribution,
-        colour_sensitivity=totals.bases.max(axis=1),
+        colour_sensitivity=(
+            totals.bases.max(axis=1) if config.colour_sensitivity else np.zeros(n, np.float64)
+        ),
         energy=totals.energy,
         largest_energy=totals.largest_energy,
         peak=totals.peak,

@@ -28,6 +28,7 @@ def _add_view(
     view_share: float,
     pixel_share: float,
     num_pixels: int,
+    colours: bool,
     directions: bool,
     contribution: NDArray[np.float64],
     bases: NDArray[np.float64],
@@ -39,7 +40,7 @@ def _add_view(
     basis_sum: NDArray[np.float64],
     gram: NDArray[np.float64],
 ) -> None:
-    """Add one view to the scene's sums; to the last two, of its directions, where asked for."""
+    """Add one view to the scene's sums: to `bases` and to the last two where asked for."""
     for row in range(len(index)):
         i = index[row]
         covered[i] += 1
@@ -52,15 +53,18 @@ def _add_view(
         largest_energy[i] = max(largest_energy[i], square / num_pixels)
         peak[i] = max(peak[i], np.float32(sums[row, PEAK]))
         seen[i] += 1
+        if not (colours or directions):
+            continue
         x = means[i, 0] - position[0]
         y = means[i, 1] - position[1]
         z = means[i, 2] - position[2]
         inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
         values = sh_terms(x * inverse, y * inverse, z * inverse)
-        share = pixel_share * weight
-        bases[i, 0] += share * sh.C0
-        for k in range(_BASES - 1):
-            bases[i, k + 1] += share * abs(values[k])
+        if colours:
+            share = pixel_share * weight
+            bases[i, 0] += share * sh.C0
+            for k in range(_BASES - 1):
+                bases[i, k + 1] += share * abs(values[k])
         share = pixel_share * square
         if directions and share > 0.0:
             for j in range(_BASES - 1):
@@ -77,6 +81,8 @@ class ViewSums:
     Parameters
     ----------
     splats : Splats
+    colours : bool
+        Whether `bases` are summed, 128 bytes a splat.
 
     Attributes
     ----------
@@ -87,25 +93,27 @@ class ViewSums:
     largest_energy : (N,) float64
         Largest Σw² in one view, per pixel of that view.
     bases : (N, 16) float64
-        Σw·|Y| of every SH basis in the direction of each view, weighted by the pixels' shares.
+        Σw·|Y| of every SH basis in the direction of each view, weighted by the pixels' shares; no
+        rows where they are not summed.
     peak : (N,) float32
         Largest w in any pixel.
     seen, covered : (N,) int32
         Views in which a pixel shows the splat, and which its footprint reaches.
     """
 
-    def __init__(self, splats: Splats) -> None:
+    def __init__(self, splats: Splats, colours: bool = True) -> None:
         n = len(splats)
         self._means = splats.means
+        self._colours = colours
         self._directions = bool(splats.sh_degree)
         self.contribution = np.zeros(n, np.float64)
         self.energy = np.zeros(n, np.float64)
         self.largest_energy = np.zeros(n, np.float64)
-        self.bases = np.zeros((n, _BASES), np.float64)
+        self.bases = np.zeros((n if colours else 0, _BASES), np.float64)
         self.peak = np.zeros(n, np.float32)
         self.seen = np.zeros(n, np.int32)
         self.covered = np.zeros(n, np.int32)
-        self._basis_sum = np.zeros((n, _BASES - 1), np.float64)
+        self._basis_sum = np.zeros((n if self._directions else 0, _BASES - 1), np.float64)
         self._gram = np.zeros((_BASES - 1, _BASES - 1), np.float64)
 
     def add(
@@ -140,6 +148,7 @@ class ViewSums:
             view_share,
             pixel_share,
             num_pixels,
+            self._colours,
             self._directions,
             self.contribution,
             self.bases,
@@ -160,6 +169,8 @@ class ViewSums:
         (N, 15) float32
             Zeros where no view sees a splat, and everywhere in scenes of SH degree 0.
         """
+        if not self._directions:
+            return np.zeros((len(self.energy), _BASES - 1), np.float32)
         weight = np.where(self.energy > 0, self.energy, 1.0)
         mean: NDArray[np.float32] = (self._basis_sum / weight[:, None]).astype(np.float32)
         return mean
@@ -169,6 +180,8 @@ class ViewSums:
 
         Its mean, by energy, over every eighth splat of the scene.
         """
+        if not self._directions:
+            return np.zeros_like(self._gram)
         sampled = slice(None, None, _GRAM_STRIDE)
         weight = self.energy[sampled]
         sums = self._basis_sum[sampled][weight > 0]

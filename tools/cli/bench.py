@@ -275,7 +275,7 @@ def _gather(
         if images is not None:
             photos = read_photos(images, splats, test_views, background, threads=threads)
     preset = PRESETS[DEFAULT_PRESET]
-    config = preset.score_config("transform", threads=threads)
+    config = preset.score_config("transform", threads=threads, colour_sensitivity=True)
     start = time.perf_counter()
     scored_on = preset.views(virtual_views(splats) if views is None else views)
     scores = score(splats, scored_on, config, progress=stages)

@@ -207,6 +207,17 @@ def test_small_weights_do_not_count_where_all_others_do():
         assert (found < every).any()
 
 
+def test_what_is_not_asked_for_is_not_summed():
+    splats = oracle.scene(3, n=50)
+    full, bare = (score(splats, CAMERAS, ScoreConfig(colour_sensitivity=c)) for c in (True, False))
+    assert full.colour_sensitivity.any()
+    assert bare.colour_sensitivity.shape == (50,)
+    assert not bare.colour_sensitivity.any()
+    for name in ("contribution", "energy", "largest_energy", "peak", "seen", "basis_mean"):
+        np.testing.assert_array_equal(getattr(bare, name), getattr(full, name))
+    np.testing.assert_array_equal(bare.basis_spread, full.basis_spread)
+
+
 def test_one_jittered_copy_scores_fewer_views():
     splats = oracle.scene(3, n=50)
     both, one = (score(splats, CAMERAS, ScoreConfig(jitter_copies=copies)) for copies in (2, 1))
