@@ -8,8 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
-_MEMORY: Final = 0.85
-_SQUARE_MEMORY: Final = 0.97
+
+MEMORY: Final = 0.85
+"""What the running mean of gradients keeps of itself in a step."""
+
+SQUARE_MEMORY: Final = 0.97
+"""The same of the running mean of their squares."""
+
+LEAST_SIZE: Final = 1e-12
+"""Added to the size of gradients that steps are divided by."""
 
 
 class Adam:
@@ -33,11 +40,11 @@ class Adam:
         """Return what to subtract from a part of the array whose gradient is given."""
         self._count[part] += 1
         mean, square = self._mean[part], self._square[part]
-        mean *= _MEMORY
-        mean += (1 - _MEMORY) * gradient
-        square *= _SQUARE_MEMORY
-        square += (1 - _SQUARE_MEMORY) * gradient * gradient
+        mean *= MEMORY
+        mean += (1 - MEMORY) * gradient
+        square *= SQUARE_MEMORY
+        square += (1 - SQUARE_MEMORY) * gradient * gradient
         count = np.asarray(self._count[part])[..., None]
-        size = np.sqrt(square / (1 - _SQUARE_MEMORY**count)) + 1e-12
-        moved: F64 = self._rates * (mean / (1 - _MEMORY**count)) / size
+        size = np.sqrt(square / (1 - SQUARE_MEMORY**count)) + LEAST_SIZE
+        moved: F64 = self._rates * (mean / (1 - MEMORY**count)) / size
         return moved

@@ -25,9 +25,9 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
 from .adam import Adam
+from .shift_kernels import add_gradient, choose_rows, draw_shifts, move_shifts
 
 F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
 
 # Splats behind this, times `prefix_inflation.effective_splats`, get no codes: their prefixes are
 # nearly whole.
@@ -134,18 +134,24 @@ class ShiftOptimiser:
         ends = np.cumsum(chunk_splats)
         self._sizes = [int(ends[chunks - 1]) for chunks in layers]
         chunks = self._layers[-1]
-        self._chunk_of = np.repeat(np.arange(chunks), chunk_splats[:chunks])
+        self._starts = np.concatenate([[0], ends[:chunks]]).astype(np.int64)
         # The first layer that each chunk is in.
         self._first_layer = np.searchsorted(self._sizes, ends[:chunks], side="left")
         self._coded = coded_splats(self._sizes, effective_splats, config.code_bits)
-        self._splat_shifts = np.zeros((len(splats), 2))
+        # What gradients move, what splats are drawn with, and the moments of the gradients.
+        self._splat_shifts = np.zeros((self._coded, 2), np.float32)
+        self._own = np.zeros((self._coded, 2), np.float32)
+        self._moments = np.zeros((2, self._coded, 2), np.float32)
+        self._counts = np.zeros(chunks, np.int64)
+        self._codes = np.zeros(self._coded, np.uint8)
+        self._gradients = np.empty((len(splats), 2))
+        self._drawn = np.empty((len(splats), 3), np.float32), np.empty(len(splats), np.float32)
         self._chunk_shifts = np.zeros((len(layers), chunks, 2))
         self._strengths = np.zeros((len(layers), chunks, 2))
         for number, (count, size) in enumerate(zip(layers, self._sizes, strict=True)):
             usual = prefix_inflation.typical(size / effective_splats)
             self._chunk_shifts[number, :count] = usual.scales, usual.opacities
             self._strengths[number, :count] = _FADE ** (number - self._first_layer[:count])[:, None]
-        self._splat_steps = Adam(self._splat_shifts.shape, _SPLAT_RATES)
         self._chunk_steps = Adam(self._chunk_shifts.shape, _CHUNK_RATES)
         self._strength_steps = Adam(self._strengths.shape, _STRENGTH_RATES)
         # In units of `_STEPS`, one for each layer with codes; empty until they are trained.
@@ -163,10 +169,11 @@ class ShiftOptimiser:
             if size > self._coded:
                 break
             rows = codebook_rows(self._config.code_bits, size - first)
-            shifts = np.clip(self._splat_shifts[first:size], -_LIMITS, _LIMITS)
+            shifts = np.clip(self._splat_shifts[first:size].astype(np.float64), -_LIMITS, _LIMITS)
             book = few_rows.train(shifts / _SPREAD, rows) * _SPREAD
             self._codebooks.append(_in_steps(book))
             first = size
+        self._choose_rows(self._coded)
 
     def shade(self, views: Sequence[int], references: ReferenceViews) -> list[NDArray[np.float32]]:
         """Return the colours of all splats in some views; no shift changes them."""
@@ -198,17 +205,32 @@ class ShiftOptimiser:
             `shade` in each of them.
         """
         size, count = self._sizes[number], self._layers[number]
-        chunk_of = self._chunk_of[:size]
+        starts = self._starts[: count + 1]
         chunk_shifts, strengths = self._chunk_shifts[number], self._strengths[number]
-        splat_shifts = self._current_splat_shifts(size)
-        shifts = (chunk_shifts[chunk_of] + strengths[chunk_of] * splat_shifts).astype(np.float32)
-        gradients = self._gradients(shifts, references, views, colours)
-        if self._coded:
-            coded = slice(0, min(size, self._coded))
-            own = (gradients * strengths[chunk_of])[coded]
-            self._splat_shifts[coded] -= rate * self._splat_steps.step(coded, own)
-        of_chunks = _sums_by_chunk(chunk_of, gradients, len(chunk_shifts))
-        of_strengths = _sums_by_chunk(chunk_of, gradients * splat_shifts, len(chunk_shifts))
+        bare, (scales, opacities) = self._bare, self._drawn
+        coded = min(size, self._coded)
+        own = self._own[:coded]
+        draw_shifts(
+            starts, chunk_shifts, strengths, own, bare.scales, bare.opacities, scales, opacities
+        )
+        gradients = self._measure(size, references, views, colours)
+        self._counts[:count] += 1
+        of_chunks, of_strengths = np.zeros((2, *chunk_shifts.shape))
+        means, squares = self._moments
+        move_shifts(
+            starts,
+            gradients,
+            strengths,
+            rate * _SPLAT_RATES,
+            self._counts,
+            means[:coded],
+            squares[:coded],
+            self._splat_shifts[:coded],
+            own,
+            of_chunks,
+            of_strengths,
+        )
+        self._choose_rows(size)
         chunk_shifts[:count] -= rate * self._chunk_steps.step(number, of_chunks)[:count]
         # In its first layer a chunk's strength stays 1: that is the unit of its splats' shifts.
         older = self._first_layer[:count] < number
@@ -218,43 +240,38 @@ class ShiftOptimiser:
 
     def layers(self) -> list[Layer]:
         """Return the layers as they are stored."""
-        codes = np.zeros(0, np.int64)
-        if self._codebooks:
-            codes = self._nearest_rows(self._coded)[0]
         stored = []
         first = 0
         for number, (count, size) in enumerate(zip(self._layers, self._sizes, strict=True)):
             shifts = _in_steps(self._chunk_shifts[number, :count])
             strengths = np.rint(self._strengths[number, :count] / STRENGTH_STEP)
             book = np.zeros((0, 2), np.int8)
+            codes = self._codes[:0]
             if number < len(self._codebooks):
-                book = self._codebooks[number]
+                book, codes = self._codebooks[number], self._codes[first:size].copy()
             stored.append(
                 Layer(
                     scales=shifts[:, 0].copy(),
                     opacities=shifts[:, 1].copy(),
                     strengths=strengths.astype(np.uint8),
                     book=book,
-                    codes=(codes[first:size] if len(book) else codes[:0]).astype(np.uint8),
+                    codes=codes,
                 )
             )
             first = size
         return stored
 
-    def _gradients(
+    def _measure(
         self,
-        shifts: NDArray[np.float32],
+        size: int,
         references: ReferenceViews,
         views: Sequence[int],
         colours: Sequence[NDArray[np.float32]],
     ) -> F64:
         """Return the gradient of the views' mean log error by the shifts of a prefix, (n, 2)."""
-        prefix = self._bare.take(slice(0, len(shifts)))
-        drawn = replace(
-            prefix,
-            scales=prefix.scales + shifts[:, :1],
-            opacities=prefix.opacities + shifts[:, 1],
-        )
+        scales, opacities = self._drawn
+        prefix = self._bare.take(slice(0, size))
+        drawn = replace(prefix, scales=scales[:size], opacities=opacities[:size])
         found = ordered_map(
             lambda seen: gradient(
                 drawn,
@@ -267,43 +284,33 @@ class ShiftOptimiser:
             zip(views, colours, strict=True),
             thread_count(self._config.threads),
         )
-        gradients = np.zeros((len(shifts), 2))
+        gradients = self._gradients[:size]
+        gradients[:] = 0.0
         for view, result in zip(views, found, strict=True):
             # PSNR is a logarithm: a view with little error counts as one with much.
             floor = _ERROR_FLOOR * references.pictures[view].size
             weight = float(references.weights[view]) / (result.error + floor)
-            gradients[result.rows, 0] += weight * result.scales
-            gradients[result.rows, 1] += weight * result.opacities
+            add_gradient(result.rows, result.scales, result.opacities, weight, gradients)
         return gradients
 
-    def _current_splat_shifts(self, size: int) -> F64:
-        """Return the first splats' own shifts: those of codebook rows once these are trained."""
-        shifts = self._splat_shifts[:size].copy()
-        if self._codebooks:
-            shifts = self._nearest_rows(size)[1]
-        shifts[self._coded :] = 0.0
-        return shifts
-
-    def _nearest_rows(self, size: int) -> tuple[I64, F64]:
-        """Return the first splats' codes and the shifts of these codebook rows."""
-        codes = np.zeros(size, np.int64)
-        shifts = np.zeros((size, 2))
+    def _choose_rows(self, stop: int) -> None:
+        """Draw the first splats with their own shifts, or once there are codebooks, their rows."""
+        if not self._codebooks:
+            self._own[:stop] = self._splat_shifts[:stop]
+            return
         first = 0
-        for number, book in enumerate(self._codebooks):
-            part = slice(first, min(self._sizes[number], size))
-            first = part.stop
-            rows = book * _STEPS
-            codes[part] = few_rows.nearest(self._splat_shifts[part] / _SPREAD, rows / _SPREAD)
-            shifts[part] = rows[codes[part]]
-            if first == size:
+        for size, book in zip(self._sizes, self._codebooks, strict=False):
+            part = slice(first, min(size, stop))
+            choose_rows(
+                self._splat_shifts[part],
+                _SPREAD,
+                book * _STEPS,
+                self._codes[part],
+                self._own[part],
+            )
+            if size >= stop:
                 break
-        return codes, shifts
-
-
-def _sums_by_chunk(chunk_of: I64, values: F64, chunks: int) -> F64:
-    """Return the sums of (n, 2) values over chunks, (chunks, 2)."""
-    sums = [np.bincount(chunk_of, values[:, axis], minlength=chunks) for axis in range(2)]
-    return np.stack(sums, axis=1)
+            first = size
 
 
 def _in_steps(shifts: F64) -> NDArray[np.int8]:

@@ -1,0 +1,161 @@
+"""Loops over the splats of a prefix while its shifts are fitted: each updates arrays in place.
+
+A prefix may be half of a large scene, and every step of the fit goes over all of it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.render.jit import kernel
+
+from .adam import LEAST_SIZE, MEMORY, SQUARE_MEMORY
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+
+@kernel
+def draw_shifts(
+    starts: I64,
+    chunk_shifts: F64,
+    strengths: F64,
+    own: F32,
+    scales: F32,
+    opacities: F32,
+    drawn_scales: F32,
+    drawn_opacities: F32,
+) -> None:
+    """Fill the scales and opacities that a prefix is drawn with.
+
+    Parameters
+    ----------
+    starts : (c + 1,) int64
+        First splat of each of the prefix's chunks, and the one after the last.
+    chunk_shifts, strengths : (at least c, 2) float64
+        Of the layer: log scale, logit.
+    own : (k, 2) float32
+        Shifts of the first splats; those behind have none.
+    scales, opacities : (n, 3) float32, (n,) float32
+        As they are decoded: log, logit.
+    drawn_scales, drawn_opacities : (n, 3) float32, (n,) float32
+        Filled.
+    """
+    for chunk in range(len(starts) - 1):
+        for i in range(starts[chunk], starts[chunk + 1]):
+            by_scale, by_opacity = chunk_shifts[chunk, 0], chunk_shifts[chunk, 1]
+            if i < len(own):
+                by_scale += strengths[chunk, 0] * own[i, 0]
+                by_opacity += strengths[chunk, 1] * own[i, 1]
+            for axis in range(3):
+                drawn_scales[i, axis] = scales[i, axis] + np.float32(by_scale)
+            drawn_opacities[i] = opacities[i] + np.float32(by_opacity)
+
+
+@kernel
+def add_gradient(
+    rows: NDArray[np.int32], by_scale: F64, by_opacity: F64, weight: float, gradients: F64
+) -> None:
+    """Add one view's derivatives, times its weight, to those of the splats that it shows.
+
+    Parameters
+    ----------
+    rows : (M,) int32
+        Splats of the prefix.
+    by_scale, by_opacity : (M,) float64
+    weight : float
+    gradients : (n, 2) float64
+        Changed in place.
+    """
+    for place in range(len(rows)):
+        gradients[rows[place], 0] += weight * by_scale[place]
+        gradients[rows[place], 1] += weight * by_opacity[place]
+
+
+@kernel
+def move_shifts(
+    starts: I64,
+    gradients: F64,
+    strengths: F64,
+    rates: F64,
+    counts: I64,
+    means: F32,
+    squares: F32,
+    shifts: F32,
+    own: F32,
+    of_chunks: F64,
+    of_strengths: F64,
+) -> None:
+    """Move splats' own shifts by a step of `Adam`, and sum gradients over the chunks.
+
+    Parameters
+    ----------
+    starts : (c + 1,) int64
+        As in `draw_shifts`.
+    gradients : (n, 2) float64
+        By what was added to each splat's log scale and logit.
+    strengths : (at least c, 2) float64
+        Of the layer.
+    rates : (2,) float64
+        Learning rates.
+    counts : (at least c,) int64
+        Steps that each chunk's splats have taken, this one included.
+    means, squares, shifts : (k, 2) float32
+        Moments of the gradients, and the shifts: changed in place.
+    own : (k, 2) float32
+        Shifts that the first splats were drawn with.
+    of_chunks, of_strengths : (at least c, 2) float64
+        Filled with the gradients by the chunks' shifts and by their strengths.
+    """
+    for chunk in range(len(starts) - 1):
+        first_moment = 1.0 - MEMORY ** float(counts[chunk])
+        second_moment = 1.0 - SQUARE_MEMORY ** float(counts[chunk])
+        for axis in range(2):
+            strength = strengths[chunk, axis]
+            by_chunk, by_strength = 0.0, 0.0
+            for i in range(starts[chunk], starts[chunk + 1]):
+                slope = gradients[i, axis]
+                by_chunk += slope
+                if i >= len(own):
+                    continue
+                by_strength += slope * own[i, axis]
+                slope *= strength
+                mean = MEMORY * means[i, axis] + (1.0 - MEMORY) * slope
+                square = SQUARE_MEMORY * squares[i, axis] + (1.0 - SQUARE_MEMORY) * slope * slope
+                size = math.sqrt(square / second_moment) + LEAST_SIZE
+                means[i, axis] = mean
+                squares[i, axis] = square
+                shifts[i, axis] -= rates[axis] * (mean / first_moment) / size
+            of_chunks[chunk, axis] = by_chunk
+            of_strengths[chunk, axis] = by_strength
+
+
+@kernel
+def choose_rows(shifts: F32, spread: F64, book: F64, codes: NDArray[np.uint8], own: F32) -> None:
+    """Give every splat the row of a codebook that is nearest to its shift, the first of equals.
+
+    Parameters
+    ----------
+    shifts : (k, 2) float32
+    spread : (2,) float64
+        Unit of distances, of log scales and of logits.
+    book : (rows, 2) float64
+        At most 256 rows.
+    codes, own : (k,) uint8, (k, 2) float32
+        Filled with the numbers of the rows and with the rows.
+    """
+    for i in range(len(shifts)):
+        least, nearest = math.inf, 0
+        for row in range(len(book)):
+            by_scale = (shifts[i, 0] - book[row, 0]) / spread[0]
+            by_opacity = (shifts[i, 1] - book[row, 1]) / spread[1]
+            distance = by_scale * by_scale + by_opacity * by_opacity
+            if distance < least:
+                least, nearest = distance, row
+        codes[i] = nearest
+        own[i, 0] = book[nearest, 0]
+        own[i, 1] = book[nearest, 1]
