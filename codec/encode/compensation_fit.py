@@ -29,6 +29,11 @@ _GROWTH: Final = 1.4
 _LONGEST_LAYER: Final = 1.0
 # The first prefix at least so long, likewise, gets a layer that adds nothing.
 _UNCHANGED: Final = 1.27
+# Layers longer than this are fitted in one iteration of two or three: a step costs what its splats
+# cost to draw, and the longer a prefix, the less is added to it. On a captured scene, two layers at
+# every second iteration gave the same mean PSNR (29.508 dB), at every third 0.06 dB less.
+_LONG_LAYER: Final = 1 << 16
+_RAREST: Final = 3
 # From this share of the iterations on, splats have the shifts of codebook rows.
 _QUANTISED_FROM: Final = 0.6
 # Views and prefixes that errors are measured in and of, at most. Nothing but the place of segments
@@ -57,6 +62,11 @@ def plan_layers(chunk_splats: Sequence[int], effective_splats: int) -> list[int]
             layers.append(chunk)
             last = splats
     return layers
+
+
+def _iterations_between(splats: int) -> int:
+    """Return how many iterations pass from one step of a layer of so many splats to the next."""
+    return min(max(1, round(splats / _LONG_LAYER)), _RAREST)
 
 
 def _unchanged(chunks: int) -> Layer:
@@ -112,6 +122,8 @@ def fit(
     size = int(counts[: layers[-1]].sum())
     prefix = splats.take(slice(0, size))
     optimiser = ShiftOptimiser(prefix, chunk_splats, layers, effective_splats, config)
+    ends = np.cumsum(counts)
+    every = [_iterations_between(int(ends[chunks - 1])) for chunks in layers]
     total = config.iterations * len(layers)
     progress("compensate", 0, total)
     for iteration in range(config.iterations):
@@ -121,7 +133,8 @@ def fit(
         views = references.sample(config.views, iteration)
         colours = optimiser.shade(views, references)
         for number in range(len(layers)):
-            optimiser.step(number, rate, references, views, colours)
+            if (iteration + number) % every[number] == 0:
+                optimiser.step(number, rate, references, views, colours)
             progress("compensate", iteration * len(layers) + number + 1, total)
     if not optimiser.is_quantised:
         optimiser.quantise()

@@ -2,6 +2,7 @@ import numpy as np
 import oracle
 import pytest
 
+from cogsplat.codec.encode import compensation_fit
 from cogsplat.codec.encode.compensation_fit import blank, errors, fit, plan_layers
 from cogsplat.codec.encode.shift_optimiser import FitConfig
 from cogsplat.codec.errors import Cancelled
@@ -96,6 +97,33 @@ def test_one_chunk_wants_nothing(scene):
     splats, _, references, effective_splats = scene
     found = fit(splats, (500,), references, effective_splats)
     assert found.layers == ()
+
+
+def test_long_layers_take_fewer_steps(scene, monkeypatch):
+    splats, _, references, effective_splats = scene
+    taken = []
+    step = compensation_fit.ShiftOptimiser.step
+
+    def counted(self, number, *rest):
+        taken.append(number)
+        step(self, number, *rest)
+
+    monkeypatch.setattr(compensation_fit, "_LONG_LAYER", 30)
+    monkeypatch.setattr(compensation_fit.ShiftOptimiser, "step", counted)
+    calls = []
+    found = fit(
+        splats,
+        _COUNTS,
+        references,
+        effective_splats,
+        FitConfig(iterations=12),
+        progress=lambda *call: calls.append(call),
+    )
+    layers = len(plan_layers(_COUNTS, effective_splats))
+    # 40 and 90 splats: at every iteration, and at every third.
+    assert [taken.count(number) for number in range(layers)] == [12, 4]
+    assert calls[-1] == ("compensate", 12 * layers, 12 * layers)
+    assert len(found.layers) >= layers
 
 
 def test_progress_can_cancel(scene):
