@@ -146,7 +146,7 @@ DOORS: dict[str, dict[str, str]] = {
         "threads": "ordered_map thread_count",
     },
     "codec.clustering": {
-        "few_rows": "nearest train",
+        "few_rows": "train",
         "hierarchical_kmeans": "train_palette",
         "kmeans": "TrainingConfig nearest train",
         "scalar_kmeans": "nearest_scalars train_scalars",
