@@ -1,9 +1,12 @@
+from itertools import pairwise
+
 import numpy as np
 import oracle
 import pytest
 
 from cogsplat.codec.encode import compensation_fit
 from cogsplat.codec.encode.compensation_fit import blank, errors, fit, plan_layers
+from cogsplat.codec.encode.measured_prefixes import measured_prefixes
 from cogsplat.codec.encode.shift_optimiser import FitConfig
 from cogsplat.codec.errors import Cancelled
 from cogsplat.codec.metrics import psnr
@@ -160,13 +163,14 @@ def test_errors_of_prefixes_are_those_of_their_pictures(scene):
 
 def test_of_many_prefixes_some_errors_are_measured(scene):
     splats, _, references, _ = scene
-    many = Compensation((), np.full(50, 10))
-    few = Compensation((), np.full(5, 100))
-    found = errors(many, splats, references)
+    found = errors(Compensation((), np.full(50, 10)), splats, references)
     assert len(found) == 51
-    # What both have measured is the same: nothing, and the whole.
-    exact = errors(few, splats, references)
-    assert found[[0, -1]].tolist() == exact[[0, -1]].tolist()
-    # In between, interpolated errors are near and fall; the last of all fall to nothing at once.
-    np.testing.assert_allclose(found[[10, 20, 30]], exact[1:4], rtol=0.35)
-    assert (np.diff(found) <= 0).all()
+    measured = measured_prefixes([10] * 50, 10)
+    for chunks in measured[:-1].tolist():
+        two = Compensation((), np.array([10 * chunks, 500 - 10 * chunks]))
+        nothing, exact, whole = errors(two, splats, references)
+        assert found[[0, chunks, 50]] == pytest.approx([nothing, exact, whole], abs=1e-15)
+    # Those between have no more error than the prefix before, and no less than the one behind.
+    for before, behind in pairwise(measured.tolist()):
+        between = found[before : behind + 1]
+        assert (np.diff(between) * (found[behind] - found[before]) >= 0).all()
