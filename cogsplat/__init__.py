@@ -8,10 +8,11 @@ before the path that it is written to.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, entry_points, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -111,7 +112,8 @@ def open(
     -------
     CogsFile
         A context manager: `CogsFile.root` and `CogsFile.chunks` are its tables,
-        `CogsFile.select` chooses chunks, `CogsFile.decode` decodes them.
+        `CogsFile.select` chooses chunks, `CogsFile.decode` decodes them. As the last value of a
+        notebook's cell it is shown as a viewer, with the extra ``notebook``.
 
     Raises
     ------
@@ -128,12 +130,32 @@ def open(
     >>> len(preview) >= 100
     True
     """
+    _show_in_notebooks()
     source = source_of(path)
     try:
         return open_cogs(source, partial=partial, size_bytes=size_bytes, limits=limits)
     except BaseException:
         source.close()
         raise
+
+
+def _show_in_notebooks() -> None:
+    """Have the notebook that runs this, if any, show open files."""
+    # Outside notebooks nothing has imported IPython, and nothing is imported here.
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython is not None else None
+    if shell is not None:
+        shell.display_formatter.mimebundle_formatter.for_type(CogsFile, _bundle)
+
+
+def _bundle(file: CogsFile) -> object:
+    """Return what a notebook shows of an open file: a MIME bundle, or None.
+
+    It comes from an entry point, since the viewer stands above this module, which cannot import it.
+    """
+    for entry in entry_points(group="cogsplat.display"):
+        return entry.load()(file)
+    return None
 
 
 def decode(

@@ -132,6 +132,20 @@ class CogsFile:
         """Bytes that the source holds, of which a partial one lacks some of the file's."""
         return self._source.size
 
+    def read_bytes(self, offset: int, length: int) -> bytes:
+        """Return bytes of the file as they are stored; fewer where it ends or has not arrived.
+
+        Raises
+        ------
+        StorageError
+            They cannot be read.
+        ValueError
+            A negative offset or length.
+        """
+        if offset < 0 or length < 0:
+            raise ValueError(f"{length} bytes from byte {offset}, expected no negative number")
+        return self._source.read(offset, max(0, min(length, self._source.size - offset)))
+
     @property
     def page_bytes(self) -> int:
         """Bytes of all index pages."""

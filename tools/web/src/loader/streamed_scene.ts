@@ -118,7 +118,8 @@ async function inlineService(index: DecoderIndex): Promise<ChunkService> {
   return new InlineService(index, await loadKernels());
 }
 
-function sourceOf(source: string | URL | Blob | ByteSource, http: HttpOptions | undefined): ByteSource {
+/** What a scene is read from. */
+export function sourceOf(source: string | URL | Blob | ByteSource, http?: HttpOptions): ByteSource {
   if (typeof source === "string" || source instanceof URL) return new HttpSource(source, http);
   return source instanceof Blob ? new BlobSource(source) : source;
 }

@@ -1,7 +1,6 @@
 import { CogsplatError } from "../errors.js";
-import { BlobSource, type Answer, type ByteSource, type ReadOptions } from "../loader/byte_source.js";
-import { HttpSource } from "../loader/http_source.js";
-import { StreamedScene, type OpenOptions } from "../loader/streamed_scene.js";
+import type { Answer, ByteSource, ReadOptions } from "../loader/byte_source.js";
+import { sourceOf, StreamedScene, type OpenOptions } from "../loader/streamed_scene.js";
 import type { ChunkUpdate } from "../loader/stream_options.js";
 import type { ByteRange } from "../container/scene_index.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
@@ -31,13 +30,13 @@ export class CogsFeed implements SceneFeed {
   private shown: Prefix | undefined;
 
   /**
-   * @param source - A URL or a file.
-   * @param meter - Counts bytes of a URL.
+   * @param source - A URL, a file or another source.
+   * @param meter - Counts its bytes.
    * @param workers - Makes workers; undefined decodes on the caller's thread.
    * @param mostSplats - Chunks beyond are not fetched.
    */
   constructor(
-    private readonly source: string | Blob,
+    private readonly source: string | Blob | ByteSource,
     private readonly meter: Meter,
     private readonly workers: ViewerWorkers | undefined,
     private readonly mostSplats: number,
@@ -68,8 +67,7 @@ export class CogsFeed implements SceneFeed {
 
   private async stream(host: FeedHost, options: OpenOptions & { readonly signal: AbortSignal }): Promise<void> {
     const { signal } = options;
-    const file = typeof this.source === "string" ? new HttpSource(this.source) : new BlobSource(this.source);
-    const source = new MeteredSource(file, this.meter);
+    const source = new MeteredSource(sourceOf(this.source), this.meter);
     const scene = await StreamedScene.open(source, options).catch((error: unknown) => {
       // A file that ends early is shown as far as it goes.
       if (!(error instanceof CogsplatError) || error.code !== "file-truncated") throw error;

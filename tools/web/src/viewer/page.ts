@@ -1,6 +1,7 @@
 // The program of viewer.html, and of every page with a <cogsplat-viewer>. Where the page is the viewer's own, it shows
 // `viewer.html?scene=URL`, the scene that the page names, or the one that it holds.
 import { CogsplatViewer, defineViewer } from "./element.js";
+import { render } from "./notebook.js";
 import { workersOfTexts } from "./viewer_workers.js";
 
 /** Blocks of a page that holds its scene: the file's bytes in base64, a part of them each. */
@@ -49,3 +50,6 @@ if (own !== null) {
     if (scene !== null) own.setAttribute("src", scene);
   }
 }
+
+// What anywidget calls in a notebook.
+export default { render };

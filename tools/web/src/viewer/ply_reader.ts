@@ -92,14 +92,14 @@ class PlyRows {
     for (;;) {
       const rows = Math.min(Math.floor(this.pending.length / layout.stride), ROWS, this.wantedRows - this.row);
       if (rows === 0 || (rows < ROWS && !last && this.row + rows < this.wantedRows)) return;
-      const view = new DataView(this.pending.buffer, this.pending.byteOffset, rows * layout.stride);
+      const values = valuesOf(this.pending, layout, rows);
       if (this.origin === undefined) {
-        this.origin = middle(view, layout, rows);
+        this.origin = middle(values, layout, rows);
         const { origin: fileOrigin } = layout;
         const scene = { ...layout.scene, fileOrigin, origin: this.origin.map((value, axis) => value + fileOrigin[axis]!) };
         this.post({ type: "scene", scene, totalBytes: this.totalBytes }, []);
       }
-      const packed = pack(view, layout, rows, this.origin, this.request.ranges);
+      const packed = pack(values, layout, rows, this.origin, this.request.ranges);
       const buffers = [packed.words, ...packed.sh].map((array) => array.buffer as ArrayBuffer);
       this.post({ type: "rows", firstRow: this.row, packed, bytes: this.bytes }, buffers);
       this.pending = this.pending.subarray(rows * layout.stride);
@@ -109,44 +109,65 @@ class PlyRows {
 }
 
 /** Where the first rows are on average: near it half floats are finest. */
-function middle(view: DataView, layout: PlyLayout, rows: number): number[] {
+function middle(block: Float32Array, layout: PlyLayout, rows: number): number[] {
+  const width = layout.columns.length;
   return [0, 1, 2].map((axis) => {
     let sum = 0;
-    for (let row = 0; row < rows; row++) sum += view.getFloat32(row * layout.stride + layout.columns[axis]!, true);
+    for (let row = 0; row < rows; row++) sum += block[row * width + axis]!;
     return Number.isFinite(sum) ? Math.fround(sum / rows) : 0;
   });
 }
 
-function pack(view: DataView, layout: PlyLayout, rows: number, origin: readonly number[], ranges: PackRanges): PackedSplats {
-  const { stride, columns: offsets, scene } = layout;
-  const columns = offsets.slice(0, COLUMNS).map((offset, column) => {
+/** The values of some rows, row by row in the order of the layout's columns. */
+function valuesOf(bytes: Uint8Array, layout: PlyLayout, rows: number): Float32Array {
+  const { stride, columns } = layout;
+  const width = columns.length;
+  const values = new Float32Array(rows * width);
+  if (stride % 4 === 0 && columns.every((offset) => offset % 4 === 0)) {
+    // A copy begins where floats may; most files hold floats alone.
+    const floats = new Float32Array(bytes.slice(0, rows * stride).buffer);
+    const places = Uint32Array.from(columns, (offset) => offset / 4);
+    for (let row = 0, at = 0, first = 0; row < rows; row++, first += stride / 4) {
+      for (let column = 0; column < width; column++) values[at++] = floats[first + places[column]!]!;
+    }
+    return values;
+  }
+  const view = new DataView(bytes.buffer, bytes.byteOffset, rows * stride);
+  for (let row = 0, at = 0; row < rows; row++) {
+    for (const offset of columns) values[at++] = view.getFloat32(row * stride + offset, true);
+  }
+  return values;
+}
+
+function pack(values: Float32Array, layout: PlyLayout, rows: number, origin: readonly number[], ranges: PackRanges): PackedSplats {
+  const width = layout.columns.length;
+  const columns = Array.from({ length: COLUMNS }, (_, column) => {
+    // The three columns of means come first, so that `origin` belongs to them alone.
     const shift = origin[column] ?? 0;
-    return Float32Array.from({ length: rows }, (_, row) => view.getFloat32(row * stride + offset, true) - shift);
+    const target = new Float32Array(rows);
+    for (let row = 0, at = column; row < rows; row++, at += width) target[row] = values[at]! - shift;
+    return target;
   });
-  // The three columns of means come first, so that `origin` belongs to them alone.
-  normalise(columns.slice(6, 10), rows);
+  normalise(columns.slice(6, 10) as [Float32Array, Float32Array, Float32Array, Float32Array], rows);
   const words = new Uint32Array(4 * rows);
   packSplats(columns, rows, ranges.rgbMin, ranges.rgbMax, words);
-  const floats = offsets.length - COLUMNS;
-  const shN = new Float32Array(rows * floats);
-  for (let row = 0, at = 0; row < rows; row++) {
-    for (let i = 0; i < floats; i++) shN[at++] = view.getFloat32(row * stride + offsets[COLUMNS + i]!, true);
-  }
-  const sh = BANDS.slice(0, scene.shDegree).map(([first, count, bits], band) => {
+  const sh = BANDS.slice(0, layout.scene.shDegree).map(([first, count, bits], band) => {
     const target = new Uint32Array(SH_WORDS[band]! * rows);
-    packBand(shN, rows, floats, first, count, bits, ranges.shRange, SH_WORDS[band]!, target);
+    packBand(values, rows, width, COLUMNS + first, count, bits, ranges.shRange, SH_WORDS[band]!, target);
     return target;
   });
   return { count: rows, words, sh, ranges };
 }
 
 /** Make quaternions w x y z of unit length, with w at least 0; trainers store them as they are. */
-function normalise(quats: readonly Float32Array[], rows: number): void {
+function normalise([w, x, y, z]: readonly [Float32Array, Float32Array, Float32Array, Float32Array], rows: number): void {
   for (let row = 0; row < rows; row++) {
-    const norm = Math.hypot(...quats.map((column) => column[row]!));
-    const factor = norm > 0 ? (quats[0]![row]! < 0 ? -1 : 1) / norm : 0;
-    for (const column of quats) column[row]! *= factor;
-    if (!(norm > 0)) quats[0]![row] = 1;
+    const norm = Math.sqrt(w[row]! ** 2 + x[row]! ** 2 + y[row]! ** 2 + z[row]! ** 2);
+    const factor = norm > 0 ? (w[row]! < 0 ? -1 : 1) / norm : 0;
+    w[row] = norm > 0 ? w[row]! * factor : 1;
+    x[row]! *= factor;
+    y[row]! *= factor;
+    z[row]! *= factor;
   }
 }
 

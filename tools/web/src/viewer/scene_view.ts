@@ -1,3 +1,4 @@
+import type { ByteSource } from "../loader/byte_source.js";
 import { DEFAULT_RANGES } from "../scene/packed_splats.js";
 import { CogsFeed } from "./cogs_feed.js";
 import { Controls } from "./controls.js";
@@ -12,8 +13,8 @@ import { SplatLayer } from "./splat_layer.js";
 import type { ViewerPose, ViewerStatistics } from "./viewer_handle.js";
 import type { ViewerWorkers } from "./viewer_workers.js";
 
-/** A URL, or a file that the page has. */
-export type SceneSource = string | Blob;
+/** A URL, a file that the page has, or another source of the bytes of a `.cogs` file. */
+export type SceneSource = string | Blob | ByteSource;
 
 /** Work between two pictures on what compensation adds, ms: a picture has 16. */
 const WORK_MILLISECONDS = 5;
@@ -229,9 +230,9 @@ export class SceneView {
     const abort = new AbortController();
     const isMain = which === "main";
     const run = ++this.runs[which];
-    const ply = await isPly(source);
+    const ply = await plyOf(source);
     if (run !== this.runs[which]) return;
-    const feed = ply ? new PlyFeed(source, this.workers, this.budget)
+    const feed = ply !== undefined ? new PlyFeed(ply, this.workers, this.budget)
       : new CogsFeed(source, isMain ? this.meter : new Meter(), this.workers, this.budget);
     const shown: Shown = { feed, abort };
     this[which] = shown;
@@ -352,9 +353,12 @@ export class SceneView {
   }
 }
 
-/** Whether a source is a PLY: by the name of a URL, by the first bytes of a file. */
-async function isPly(source: SceneSource): Promise<boolean> {
-  if (typeof source === "string") return new URL(source, location.href).pathname.toLowerCase().endsWith(".ply");
+/** The source where it is a PLY: by the name of a URL, by the first bytes of a file. */
+async function plyOf(source: SceneSource): Promise<string | Blob | undefined> {
+  if (typeof source === "string") {
+    return new URL(source, location.href).pathname.toLowerCase().endsWith(".ply") ? source : undefined;
+  }
+  if (!(source instanceof Blob)) return undefined;
   const beginning = new TextDecoder("latin1").decode(await source.slice(0, 4).arrayBuffer());
-  return /^ply[\r\n]/.test(beginning);
+  return /^ply[\r\n]/.test(beginning) ? source : undefined;
 }

@@ -51,3 +51,5 @@ export declare class StreamedScene {
     /** Read index pages until so many are known. */
     private readPages;
 }
+/** What a scene is read from. */
+export declare function sourceOf(source: string | URL | Blob | ByteSource, http?: HttpOptions): ByteSource;

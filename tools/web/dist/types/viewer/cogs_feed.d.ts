@@ -1,3 +1,4 @@
+import type { ByteSource } from "../loader/byte_source.js";
 import { type Meter } from "./meter.js";
 import type { FeedHost, Prefix, SceneFeed } from "./scene_feed.js";
 import type { ViewerWorkers } from "./viewer_workers.js";
@@ -24,12 +25,12 @@ export declare class CogsFeed implements SceneFeed {
     private waiting;
     private shown;
     /**
-     * @param source - A URL or a file.
-     * @param meter - Counts bytes of a URL.
+     * @param source - A URL, a file or another source.
+     * @param meter - Counts its bytes.
      * @param workers - Makes workers; undefined decodes on the caller's thread.
      * @param mostSplats - Chunks beyond are not fetched.
      */
-    constructor(source: string | Blob, meter: Meter, workers: ViewerWorkers | undefined, mostSplats: number);
+    constructor(source: string | Blob | ByteSource, meter: Meter, workers: ViewerWorkers | undefined, mostSplats: number);
     get hasFirstView(): boolean;
     run(host: FeedHost, signal: AbortSignal): Promise<void>;
     private stream;

@@ -1,0 +1,163 @@
+"""A notebook shows an open file: as a widget that fetches what it draws from the kernel."""
+
+import base64
+import sys
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+
+import nbclient
+import nbformat
+import numpy as np
+import pytest
+from chromium import chromium
+from playwright.sync_api import Browser
+from running import SmallScene
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.metrics import psnr
+from cogsplat.codec.render.rasteriser import render
+from cogsplat.formats.storage.images import decode_image
+from cogsplat.tools.delivery.notebook import answer, bundle
+from cogsplat.tools.synthetic.scene import synth_cameras
+
+CELL = """
+import cogsplat
+cogsplat.open({path!r})
+"""
+
+# A page around the module that anywidget loads, with a model whose messages go to Python and back.
+_PAGE = """
+const program = new Blob([PROGRAM], { type: "text/javascript" });
+const { default: widget } = await import(URL.createObjectURL(program));
+const listeners = new Set();
+const model = {
+  on: (_, act) => listeners.add(act),
+  off: (_, act) => listeners.delete(act),
+  async send(content) {
+    const [reply, parts] = await window.kernel(content);
+    const bytes = parts.map((part) => Uint8Array.from(atob(part), (c) => c.charCodeAt(0)));
+    for (const act of listeners) act(reply, bytes.map((part) => new DataView(part.buffer)));
+  },
+};
+window.leave = widget.render({ model, el: document.body });
+window.listeners = listeners;
+"""
+
+
+def test_it_answers_with_bytes_and_names(small: SmallScene) -> None:
+    data = small.cogs.read_bytes()
+    with cogsplat.open(small.cogs) as file:
+        opened, none = answer(file, {"type": "open"})
+        assert (opened["type"], opened["length"], none) == ("scene", len(data), [])
+        assert opened["name"] == small.cogs.name
+        programs = opened["programs"]
+        assert isinstance(programs, list)
+        assert all(len(program) > 1000 for program in programs)
+        read = {"type": "read", "id": 7, "offset": 100, "length": 50}
+        assert answer(file, read) == ({"type": "bytes", "id": 7}, [data[100:150]])
+        behind = answer(file, {**read, "offset": len(data) - 10})
+        assert behind == ({"type": "bytes", "id": 7}, [data[-10:]])
+        for wrong in ({**read, "offset": -1}, {**read, "length": 1 << 40}):
+            assert answer(file, wrong)[0]["type"] == "failed"
+        for other in (None, "read", {"type": "read"}, {**read, "offset": "0"}):
+            assert answer(file, other)[0] == {
+                "type": "failed",
+                "id": -1,
+                "message": "not understood",
+            }
+    assert answer(file, read)[0]["type"] == "failed"
+
+
+def test_bundle_is_a_widget_and_words(small: SmallScene) -> None:
+    with cogsplat.open(small.cogs) as file:
+        data, _ = bundle(file)
+        assert "application/vnd.jupyter.widget-view+json" in data
+        assert f"{file.root.splats:,} splats" in data["text/plain"]
+
+
+def test_bundle_without_the_extra_says_what_to_install(
+    small: SmallScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "anywidget", None)
+    with cogsplat.open(small.cogs) as file:
+        data = bundle(file)
+    assert data.keys() == {"text/plain"}
+    assert "cogsplat[notebook]" in data["text/plain"]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+def test_a_notebook_shows_what_open_returns(small: SmallScene, tmp_path: Path) -> None:
+    notebook = nbformat.v4.new_notebook(
+        cells=[nbformat.v4.new_code_cell(CELL.format(path=str(small.cogs)))]
+    )
+    nbclient.NotebookClient(
+        notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
+    (output,) = notebook.cells[0].outputs
+    assert "application/vnd.jupyter.widget-view+json" in output.data
+    assert "splats" in output.data["text/plain"]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.mark.slow
+def test_its_program_draws_in_a_browser(browser: Browser, small: SmallScene) -> None:
+    program = files("cogsplat.tools").joinpath("web", "dist", "viewer.js").read_text("utf-8")
+    camera: Camera = synth_cameras(48, 320, 240)[8]
+    with cogsplat.open(small.cogs) as file:
+
+        def kernel(message: object) -> tuple[dict[str, object], list[str]]:
+            content, buffers = answer(file, message)
+            return content, [base64.b64encode(part).decode() for part in buffers]
+
+        page = browser.new_page(viewport={"width": 336, "height": 400})
+        page.expose_function("kernel", kernel)
+        page.goto("about:blank")
+        page.evaluate(
+            f"async (PROGRAM) => {{ {_PAGE} }}",
+            program,
+        )
+        page.wait_for_function("() => document.querySelector('cogsplat-viewer')", timeout=60_000)
+        page.evaluate(
+            """(pose) => {
+              const viewer = document.querySelector("cogsplat-viewer");
+              Object.assign(viewer.style, { width: "320px", height: "240px" });
+              viewer.view = pose;
+            }""",
+            {
+                "height": camera.height,
+                "fx": camera.fx,
+                "fy": camera.fy,
+                "rotation": camera.rotation.ravel().tolist(),
+                "translation": camera.translation.tolist(),
+            },
+        )
+        page.wait_for_function(
+            """() => {
+              const viewer = document.querySelector("cogsplat-viewer");
+              const { state, upToDate } = viewer.statistics;
+              const { width, height } = viewer.shadowRoot.querySelector("canvas");
+              return state === "complete" && upToDate && width === 320 && height === 240;
+            }""",
+            timeout=60_000,
+        )
+        address = page.evaluate(
+            """() => document.querySelector("cogsplat-viewer").shadowRoot
+              .querySelector("canvas").toDataURL()"""
+        )
+        pixels = decode_image(base64.b64decode(address.partition(",")[2]), "PNG")[..., :3]
+        page.evaluate("() => window.leave()")
+        assert page.evaluate("() => [window.listeners.size, document.body.children.length]") == [
+            0,
+            0,
+        ]
+        page.close()
+    ours = np.clip(render(cogsplat.decode(small.cogs), camera), 0, 1)
+    assert psnr(pixels.astype(np.float32) / 255, ours) >= 38
