@@ -129,11 +129,13 @@ export class SourceError extends Error {
    * @param message - What was asked and what came.
    * @param status - HTTP status where there was one.
    * @param retryable - Whether asking again may help.
+   * @param retryAfter - Time after which the server wants to be asked again, ms, where it said so.
    */
   constructor(
     message: string,
     readonly status: number | undefined = undefined,
     readonly retryable = false,
+    readonly retryAfter: number | undefined = undefined,
   ) {
     super(message);
     this.name = "SourceError";

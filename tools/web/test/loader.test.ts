@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { CogsplatError, SourceError } from "../src/errors.js";
 import { loadKernels } from "../src/kernels/load.js";
+import { retryAfter } from "../src/loader/http_source.js";
 import { nextRequest, RangeAssembler } from "../src/loader/range_plan.js";
 import { StreamedScene, type OpenOptions } from "../src/loader/streamed_scene.js";
 import type { ChunkUpdate, StreamOptions } from "../src/loader/stream_options.js";
@@ -279,4 +280,67 @@ test("leaving a stream ends the first request, and the next stream asks for its 
   const last = new Map<number, ChunkUpdate>();
   for await (const update of scene.stream()) last.set(update.chunk, update);
   checkWhole(bytes, last);
+});
+
+test("a server that asks for a wait is not asked before, and not waited for too long", async () => {
+  const start = performance.now();
+  const { last } = await streamFrom(PADDED, (number) => (number === 1 ? "retry-after" : undefined));
+  checkWhole(PADDED, last);
+  // Timers are told whole milliseconds, and may end a little before.
+  assert.ok(performance.now() - start >= 990);
+  const retry = { ...FAST_RETRY, longestWait: 500 };
+  await assert.rejects(streamFrom(PADDED, () => "retry-after", {}, { retry }), (error) => error instanceof SourceError && error.status === 503);
+});
+
+test("waits are read as seconds or as a date by the server's clock", () => {
+  assert.equal(retryAfter(null, null), undefined);
+  assert.equal(retryAfter("120", null), 120_000);
+  assert.equal(retryAfter("Fri, 31 Dec 1999 23:59:59 GMT", "Fri, 31 Dec 1999 23:59:29 GMT"), 30_000);
+  assert.equal(retryAfter("Fri, 31 Dec 1999 23:59:59 GMT", null), 0);
+  assert.equal(retryAfter("soon", null), undefined);
+});
+
+test("a source that changed is opened again once, around caches", async () => {
+  const server = new RangeServer(PADDED, (number) => (number === 1 ? "other-etag" : undefined));
+  const url = await server.start();
+  const caches: (string | undefined)[] = [];
+  const counted: typeof fetch = (input, init) => {
+    caches.push(init?.cache);
+    return fetch(input, init);
+  };
+  const drain = async (scene: StreamedScene): Promise<Map<number, ChunkUpdate>> => {
+    const last = new Map<number, ChunkUpdate>();
+    for await (const update of scene.stream()) last.set(update.chunk, update);
+    return last;
+  };
+  try {
+    const scene = await StreamedScene.open(url, { retry: FAST_RETRY, http: { fetch: counted } });
+    await assert.rejects(drain(scene), (error) => error instanceof CogsplatError && error.code === "source-changed");
+    const before = caches.length;
+    const again = await scene.reopen();
+    checkWhole(PADDED, await drain(again));
+    assert.ok(caches.slice(0, before).every((cache) => cache === "default"));
+    assert.ok(caches.slice(before).every((cache) => cache === "reload"));
+    await assert.rejects(again.reopen(), (error) => error instanceof CogsplatError && error.code === "source-changed");
+  } finally {
+    await server.stop();
+  }
+});
+
+test("a scene that takes more memory than is allowed is refused before it is fetched", async () => {
+  const server = new RangeServer(PADDED);
+  const url = await server.start();
+  const refused = (error: unknown) => error instanceof CogsplatError && error.code === "decoded-size";
+  try {
+    const scene = await StreamedScene.open(url, { maxDecodedBytes: 1000 });
+    const asked = server.ranges.length;
+    await assert.rejects(scene.stream().next(), refused);
+    assert.equal(server.ranges.length, asked);
+    // A budget of the caller's own leaves chunks out instead.
+    let rows = 0;
+    for await (const { count } of scene.stream({ memoryBudget: 900 })) rows += count;
+    assert.ok(rows < scene.info.splats);
+  } finally {
+    await server.stop();
+  }
 });

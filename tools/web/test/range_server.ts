@@ -4,6 +4,7 @@ import type { AddressInfo } from "node:net";
 /** What goes wrong with one request; nothing where it is undefined. */
 export type Fault =
   | "status-503"
+  | "retry-after"
   | "cut"
   | "flip"
   | "wrong-range"
@@ -51,6 +52,9 @@ export class RangeServer {
         return;
       case "status-503":
         response.writeHead(503).end();
+        return;
+      case "retry-after":
+        response.writeHead(503, { "Retry-After": "1" }).end();
         return;
       case "ignore-range":
         response.writeHead(200, { "Content-Length": total }).end(Buffer.from(this.file));

@@ -112,11 +112,13 @@ export declare class CogsplatError extends Error {
 export declare class SourceError extends Error {
     readonly status: number | undefined;
     readonly retryable: boolean;
+    readonly retryAfter: number | undefined;
     /**
      * @param message - What was asked and what came.
      * @param status - HTTP status where there was one.
      * @param retryable - Whether asking again may help.
+     * @param retryAfter - Time after which the server wants to be asked again, ms, where it said so.
      */
-    constructor(message: string, status?: number | undefined, retryable?: boolean);
+    constructor(message: string, status?: number | undefined, retryable?: boolean, retryAfter?: number | undefined);
 }
 export {};

@@ -9,6 +9,8 @@ export interface HttpOptions {
   readonly credentials?: RequestCredentials;
   /** Longest time without a byte, ms, after which a request is made again; 15,000 by default. */
   readonly longestPause?: number;
+  /** Go around caches with every request, as for a file that has changed. */
+  readonly fresh?: boolean;
   /** In the place of the global `fetch`. */
   readonly fetch?: typeof fetch;
 }
@@ -49,7 +51,7 @@ export class HttpSource implements ByteSource {
     try {
       const answer = (this.options.fetch ?? fetch)(this.url, {
         headers: { ...headers, Range: range },
-        cache: fresh ? "reload" : "default",
+        cache: fresh || this.options.fresh ? "reload" : "default",
         ...(credentials && { credentials }),
         signal: stop.signal,
       });
@@ -73,7 +75,9 @@ export class HttpSource implements ByteSource {
     const what = `bytes ${range.offset} to ${range.offset + range.length - 1} of ${String(this.url)}`;
     if (status === 416) throw new CogsplatError("source-changed", `the file ends before ${what}`);
     if (status !== 206 && status !== 200) {
-      throw new SourceError(`${what}: status ${status}`, status, RETRYABLE.has(status));
+      const isRetryable = RETRYABLE.has(status);
+      const wait = isRetryable ? retryAfter(headers.get("Retry-After"), headers.get("Date")) : undefined;
+      throw new SourceError(`${what}: status ${status}`, status, isRetryable, wait);
     }
     const encoding = headers.get("Content-Encoding");
     if (encoding !== null && encoding !== "identity") {
@@ -114,4 +118,16 @@ export class HttpSource implements ByteSource {
 function lengthOf(headers: Headers): number | undefined {
   const length = headers.get("Content-Length");
   return length === null ? undefined : Number(length);
+}
+
+/**
+ * The wait that a server asks for, ms: a number of seconds, or a date by the server's own clock (RFC 9110, 10.2.3).
+ *
+ * @returns undefined where the header is not there or says nothing that can be read.
+ */
+export function retryAfter(header: string | null, date: string | null): number | undefined {
+  if (header === null) return undefined;
+  if (/^\d+$/.test(header.trim())) return 1000 * Number(header);
+  const wait = Date.parse(header) - (date === null ? Date.now() : Date.parse(date));
+  return Number.isNaN(wait) ? undefined : Math.max(0, wait);
 }

@@ -7,9 +7,11 @@ export interface RetryOptions {
   /** First pause, ms; each next one is twice as long, up to `longest`. */
   readonly pause: number;
   readonly longest: number;
+  /** Longest wait that a server may ask for, ms; where it asks for more, the request has failed. */
+  readonly longestWait: number;
 }
 
-export const DEFAULT_RETRY: RetryOptions = { retries: 4, pause: 250, longest: 8_000 };
+export const DEFAULT_RETRY: RetryOptions = { retries: 4, pause: 250, longest: 8_000, longestWait: 60_000 };
 
 /** Whether asking again may help: not after a refusal of the file, nor after an abort. */
 export function isRetryable(error: unknown): boolean {
@@ -17,13 +19,22 @@ export function isRetryable(error: unknown): boolean {
   return error instanceof SourceError ? error.retryable : error instanceof TypeError;
 }
 
-/** Wait before attempt `attempt`, counted from 1: half of the pause fixed, half by chance. */
+/** The wait that a server asked for with an error, ms; 0 where it asked for none. */
+export function askedWait(error: unknown): number {
+  return error instanceof SourceError ? (error.retryAfter ?? 0) : 0;
+}
+
+/**
+ * Wait before attempt `attempt`, counted from 1: half of the pause fixed, half by chance, and no less than was asked for.
+ *
+ * @param asked - What the server asked for, ms.
+ */
 export async function backOff(
-  attempt: number, { pause, longest }: RetryOptions, signal: AbortSignal | undefined,
+  attempt: number, { pause, longest }: RetryOptions, signal: AbortSignal | undefined, asked = 0,
 ): Promise<void> {
   const full = Math.min(longest, pause * 2 ** (attempt - 1));
   await new Promise<void>((resolve, reject) => {
-    const timer = setTimeout(done, full / 2 + Math.random() * (full / 2));
+    const timer = setTimeout(done, asked + full / 2 + Math.random() * (full / 2));
     function done(): void {
       signal?.removeEventListener("abort", aborted);
       resolve();

@@ -1,7 +1,7 @@
 import type { ByteRange } from "../container/scene_index.js";
 import { SourceError } from "../errors.js";
 import { readAll, type Answer, type ByteSource } from "./byte_source.js";
-import { backOff, isRetryable, type RetryOptions } from "./retry.js";
+import { askedWait, backOff, isRetryable, type RetryOptions } from "./retry.js";
 
 /** Reads ranges and asks again, after a pause, for what did not come. */
 export class RetryingReader {
@@ -72,8 +72,10 @@ export class RetryingReader {
       try {
         return await work();
       } catch (error) {
-        if (signal?.aborted || attempt > this.retry.retries || !isRetryable(error)) throw error;
-        await backOff(attempt, this.retry, signal);
+        const asked = askedWait(error);
+        const isLast = attempt > this.retry.retries || asked > this.retry.longestWait;
+        if (signal?.aborted || isLast || !isRetryable(error)) throw error;
+        await backOff(attempt, this.retry, signal, asked);
       }
     }
   }

@@ -1,9 +1,12 @@
 import type { SceneInfo } from "../container/root.js";
 import { SceneIndex } from "../container/scene_index.js";
 import { PREAMBLE_BYTES, readPreamble } from "../container/preamble.js";
+import { CogsplatError } from "../errors.js";
 import { loadKernels } from "../kernels/load.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
+import { shnFloats } from "../scene/chunk_tail.js";
 import { PrefixCompensation } from "../scene/prefix_compensation.js";
+import { defaultLimit } from "../scene/scene_file.js";
 import { InlineService, type ChunkService } from "../workers/decode_task.js";
 import { Beginning } from "./beginning.js";
 import { BlobSource, type ByteSource } from "./byte_source.js";
@@ -11,7 +14,7 @@ import { HttpSource, type HttpOptions } from "./http_source.js";
 import { DEFAULT_RETRY, type RetryOptions } from "./retry.js";
 import { RetryingReader } from "./retrying_reader.js";
 import { SceneStream } from "./scene_stream.js";
-import type { ChunkUpdate, StreamOptions } from "./stream_options.js";
+import { bytesPerSplat, type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 
 /** Bytes of the first request; they always hold the root (SPEC 8.1). */
 const FIRST_BYTES = 65_536;
@@ -21,6 +24,8 @@ export interface OpenOptions {
   readonly signal?: AbortSignal;
   readonly http?: HttpOptions;
   readonly retry?: Partial<RetryOptions>;
+  /** Most decoded bytes of a stream (SPEC 9.2); by default 64 MiB and 256 for each byte of the file. */
+  readonly maxDecodedBytes?: number;
   /** Makes what decodes the chunks, such as a pool of workers; by default they are decoded where the caller runs. */
   readonly service?: (index: DecoderIndex) => ChunkService | Promise<ChunkService>;
 }
@@ -37,7 +42,10 @@ export class StreamedScene {
     private readonly reader: RetryingReader,
     /** What the first request brings. */
     private readonly beginning: Beginning,
-    private readonly service: OpenOptions["service"],
+    private readonly source: string | URL | Blob | ByteSource,
+    private readonly options: OpenOptions,
+    /** Whether this scene took the place of one that had changed. */
+    private readonly isReopened = false,
   ) {
     this.compensation = new PrefixCompensation(index);
   }
@@ -54,6 +62,36 @@ export class StreamedScene {
    * ```
    */
   static async open(source: string | URL | Blob | ByteSource, options: OpenOptions = {}): Promise<StreamedScene> {
+    return StreamedScene.begin(source, options, false);
+  }
+
+  /**
+   * Open the same source again, around caches, because it changed while it was read (SPEC 8.8).
+   *
+   * @param signal - Ends the request.
+   * @throws CogsplatError `source-changed` where this scene was itself opened again: a file that changes all the time is
+   * not read for ever.
+   *
+   * @example
+   * ```ts
+   * try {
+   *   await show(scene);
+   * } catch (error) {
+   *   if (!(error instanceof CogsplatError) || error.code !== "source-changed") throw error;
+   *   await show(await scene.reopen());
+   * }
+   * ```
+   */
+  async reopen(signal?: AbortSignal): Promise<StreamedScene> {
+    if (this.isReopened) throw new CogsplatError("source-changed", "the source changed again after it was opened anew");
+    const http = { ...this.options.http, fresh: true };
+    const { signal: _signal, ...options } = this.options;
+    return StreamedScene.begin(this.source, { ...options, http, ...(signal && { signal }) }, true);
+  }
+
+  private static async begin(
+    source: string | URL | Blob | ByteSource, options: OpenOptions, isReopened: boolean,
+  ): Promise<StreamedScene> {
     const reader = new RetryingReader(sourceOf(source, options.http), { ...DEFAULT_RETRY, ...options.retry });
     const beginning = new Beginning(reader, FIRST_BYTES);
     await beginning.upTo(PREAMBLE_BYTES, options.signal);
@@ -64,7 +102,7 @@ export class StreamedScene {
     const { here, total } = beginning;
     const index = SceneIndex.open(here.slice(), total ?? (here.length < FIRST_BYTES ? here.length : undefined));
     index.settle();
-    return new StreamedScene(index, reader, beginning, options.service);
+    return new StreamedScene(index, reader, beginning, source, options, isReopened);
   }
 
   /** What the root says of the scene. */
@@ -79,7 +117,8 @@ export class StreamedScene {
    * its head is there, and given again when its refinement or its tail has come.
    */
   async *stream(options: StreamOptions = {}): AsyncGenerator<ChunkUpdate, void, undefined> {
-    const makeService = this.service ?? inlineService;
+    this.checkSize(options);
+    const makeService = this.options.service ?? inlineService;
     const service = await makeService({ scene: this.index.scene, codebooks: this.index.codebooks });
     const source = {
       index: this.index,
@@ -95,6 +134,16 @@ export class StreamedScene {
       stream.stop();
       service.close();
     }
+  }
+
+  /** Refuse a scene whose rows and codebooks take more memory than the caller allows, before anything is fetched. */
+  private checkSize({ degree = 3, memoryBudget = Infinity }: StreamOptions): void {
+    const { scene, codebooks, fileLength } = this.index;
+    const used = Math.min(degree, scene.shDegree);
+    const rows = Math.min(scene.splats * bytesPerSplat("splats", used), memoryBudget);
+    const books = codebooks.reduce((sum, book) => sum + 4 * book.rows * (book.attribute === "shape" ? 7 : shnFloats(used)), 0);
+    const most = this.options.maxDecodedBytes ?? defaultLimit(fileLength);
+    if (rows + books > most) throw new CogsplatError("decoded-size", `${rows + books} decoded bytes, at most ${most}`);
   }
 
   /** Read index pages until so many are known. */

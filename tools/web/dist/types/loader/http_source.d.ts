@@ -7,6 +7,8 @@ export interface HttpOptions {
     readonly credentials?: RequestCredentials;
     /** Longest time without a byte, ms, after which a request is made again; 15,000 by default. */
     readonly longestPause?: number;
+    /** Go around caches with every request, as for a file that has changed. */
+    readonly fresh?: boolean;
     /** In the place of the global `fetch`. */
     readonly fetch?: typeof fetch;
 }
@@ -25,3 +27,9 @@ export declare class HttpSource implements ByteSource {
     /** Refuse an answer of another file than that of the first answer; weak ETags say nothing of bytes. */
     private compare;
 }
+/**
+ * The wait that a server asks for, ms: a number of seconds, or a date by the server's own clock (RFC 9110, 10.2.3).
+ *
+ * @returns undefined where the header is not there or says nothing that can be read.
+ */
+export declare function retryAfter(header: string | null, date: string | null): number | undefined;

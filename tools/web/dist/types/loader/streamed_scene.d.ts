@@ -6,12 +6,14 @@ import { type ChunkService } from "../workers/decode_task.js";
 import { type ByteSource } from "./byte_source.js";
 import { type HttpOptions } from "./http_source.js";
 import { type RetryOptions } from "./retry.js";
-import type { ChunkUpdate, StreamOptions } from "./stream_options.js";
+import { type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 /** How a scene is opened. */
 export interface OpenOptions {
     readonly signal?: AbortSignal;
     readonly http?: HttpOptions;
     readonly retry?: Partial<RetryOptions>;
+    /** Most decoded bytes of a stream (SPEC 9.2); by default 64 MiB and 256 for each byte of the file. */
+    readonly maxDecodedBytes?: number;
     /** Makes what decodes the chunks, such as a pool of workers; by default they are decoded where the caller runs. */
     readonly service?: (index: DecoderIndex) => ChunkService | Promise<ChunkService>;
 }
@@ -21,7 +23,10 @@ export declare class StreamedScene {
     private readonly reader;
     /** What the first request brings. */
     private readonly beginning;
-    private readonly service;
+    private readonly source;
+    private readonly options;
+    /** Whether this scene took the place of one that had changed. */
+    private readonly isReopened;
     /** The last page that is being read; pages are read one after the other, once for all streams. */
     private pages;
     /** Layers of compensation, as far as a stream with `compensate` has brought them. */
@@ -39,6 +44,25 @@ export declare class StreamedScene {
      * ```
      */
     static open(source: string | URL | Blob | ByteSource, options?: OpenOptions): Promise<StreamedScene>;
+    /**
+     * Open the same source again, around caches, because it changed while it was read (SPEC 8.8).
+     *
+     * @param signal - Ends the request.
+     * @throws CogsplatError `source-changed` where this scene was itself opened again: a file that changes all the time is
+     * not read for ever.
+     *
+     * @example
+     * ```ts
+     * try {
+     *   await show(scene);
+     * } catch (error) {
+     *   if (!(error instanceof CogsplatError) || error.code !== "source-changed") throw error;
+     *   await show(await scene.reopen());
+     * }
+     * ```
+     */
+    reopen(signal?: AbortSignal): Promise<StreamedScene>;
+    private static begin;
     /** What the root says of the scene. */
     get info(): SceneInfo;
     /**
@@ -48,6 +72,8 @@ export declare class StreamedScene {
      * its head is there, and given again when its refinement or its tail has come.
      */
     stream(options?: StreamOptions): AsyncGenerator<ChunkUpdate, void, undefined>;
+    /** Refuse a scene whose rows and codebooks take more memory than the caller allows, before anything is fetched. */
+    private checkSize;
     /** Read index pages until so many are known. */
     private readPages;
 }
