@@ -23,16 +23,15 @@ from .rate_control import Target
 _PLANNED_PIXELS: Final = 480 * 360
 _ADDED: Final = 1.15
 
-_PLAN: Final = 4.5
+_PLAN: Final = 2.0
 # Of each scored view: for its pixels, and for every splat.
-_SCORE: Final = (3.2e-7, 0.8e-6)
-_REFERENCE: Final = (4.6e-8, 6e-7)
-_PREDICT: Final = (3.5e-7, 2.6e-6)
+_SCORE: Final = (1.4e-7, 1.1e-6)
+_REFERENCE: Final = (6e-8, 9e-7)
+_PREDICT: Final = (9.3e-7, 1.4e-6)
 # Of the whole, and for every splat; pixels are thinned.
-_GAIN: Final = (2.8, 1.2e-4)
-_OTHER_ORDER: Final = (0.0, 1e-6)
-_COMPENSATE: Final = (0.5, 0.9e-4)
-_CHUNKS: Final = (0.15, 2.1e-5)
+_GAIN: Final = (5.5, 6e-5)
+_COMPENSATE: Final = (1.35, 3.7e-5)
+_CHUNKS: Final = (0.05, 3e-5)
 _CODEBOOKS: Final = (0.5, 5e-5)
 _WRITE: Final = (0.02, 2e-6)
 
