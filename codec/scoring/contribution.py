@@ -13,7 +13,7 @@ from cogsplat.codec.errors import DataError
 from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.blend_weights import SQUARE, add_weights
-from cogsplat.codec.render.projection import Footprints, project
+from cogsplat.codec.render.projection import project
 from cogsplat.codec.render.sensitivities import (
     COLUMNS,
     MOMENTS,
@@ -29,7 +29,7 @@ from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.views.view_sets import jitter
 
-from .view_sums import ViewSums
+from .view_sums import ViewSums, add_rows, ascending
 
 _BASES = sh_coefficients(MAX_SH_DEGREE)
 
@@ -222,7 +222,7 @@ def _score_view(
     if not sensitive:
         for lists in tile_lists(footprints, camera.width, camera.height):
             weigh(lists)
-        return _ViewScores(footprints.ascending(), _ascending(footprints, sums), None)
+        return _ViewScores(footprints.ascending(), ascending(footprints, sums), None)
     colours = footprint_colours(splats, camera, footprints)
     moments = np.zeros((len(footprints), MOMENTS), np.float64)
     for lists in tile_lists(footprints, camera.width, camera.height, PAIRS_AT_ONCE):
@@ -230,15 +230,8 @@ def _score_view(
         add_moments(lists, footprints, colours, camera, threads, moments)
     columns = view_sensitivities(splats, camera, footprints, colours, moments, sums[:, SQUARE])
     return _ViewScores(
-        footprints.ascending(), _ascending(footprints, sums), _ascending(footprints, columns)
+        footprints.ascending(), ascending(footprints, sums), ascending(footprints, columns)
     )
-
-
-def _ascending(footprints: Footprints, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return values of footprints in the order of their rows, in which scenes are read fastest."""
-    by_row = np.empty_like(values)
-    by_row[footprints.order] = values
-    return by_row
 
 
 def _sensitive(count: int, every: int) -> list[bool]:
@@ -331,7 +324,7 @@ def score(
         num_pixels = camera.width * camera.height
         totals.add(result.index, result.sums, camera.position, num_pixels, view_share, pixel_share)
         if result.columns is not None:
-            columns[result.index] += sensitive[done] * result.columns
+            add_rows(result.index, result.columns, sensitive[done], columns)
         progress("score", done + 1, len(views))
     if not totals.seen.any():
         raise DataError(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.geometry import sh
 from cogsplat.codec.render.blend_weights import PEAK, SQUARE, WEIGHT
 from cogsplat.codec.render.jit import kernel
+from cogsplat.codec.render.projection import Footprints
 from cogsplat.codec.render.shading import sh_terms
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 
@@ -73,6 +74,51 @@ def _add_view(
                 for j in range(_BASES - 1):
                     for k in range(j + 1):
                         gram[j, k] += share * values[j] * values[k]
+
+
+@kernel
+def _scatter(order: NDArray[np.int32], values: NDArray[np.float64], by_row: F64) -> None:
+    for row in range(len(order)):
+        for column in range(values.shape[1]):
+            by_row[order[row], column] = values[row, column]
+
+
+def ascending(footprints: Footprints, values: F64) -> F64:
+    """Return values of footprints in the order of `Footprints.ascending`.
+
+    Parameters
+    ----------
+    footprints : Footprints
+        M of them.
+    values : (M, K) float64
+        In their order.
+
+    Returns
+    -------
+    (M, K) float64
+    """
+    by_row = np.empty_like(values)
+    _scatter(footprints.order, values, by_row)
+    return by_row
+
+
+@kernel
+def add_rows(index: NDArray[np.int32], values: F64, share: float, totals: F64) -> None:
+    """Add values of some rows to those of a scene, without arrays in between.
+
+    Parameters
+    ----------
+    index : (M,) int32
+        Rows of the scene.
+    values : (M, K) float64
+    share : float
+        Factor on the values.
+    totals : (N, K) float64
+        Changed in place.
+    """
+    for row in range(len(index)):
+        for column in range(values.shape[1]):
+            totals[index[row], column] += share * values[row, column]
 
 
 class ViewSums:

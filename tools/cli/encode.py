@@ -155,7 +155,8 @@ _GROUPS: Final = {
     type=click.Choice(["fast", "balanced", "best"]),
     default="balanced",
     show_default=True,
-    help="fast scores one given view in three or plans fewer views, and orders by contribution "
+    help="fast scores one given view in three, at most 20, or plans fewer views, and orders by "
+    "contribution "
     "without compensation; best plans most views, measures every one in full and takes longest.",
 )
 @order_options

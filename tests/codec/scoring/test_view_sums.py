@@ -4,7 +4,8 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.scoring.view_sums import ViewSums
+from cogsplat.codec.render.projection import project
+from cogsplat.codec.scoring.view_sums import ViewSums, add_rows, ascending
 
 SUMS = ("contribution", "energy", "largest_energy", "peak", "seen")
 
@@ -78,3 +79,18 @@ def test_without_views_all_sums_are_zero():
     assert not totals.basis_spread().any()
     assert not totals.basis_mean().any()
     assert not totals.seen.any()
+
+
+def test_values_of_footprints_are_put_in_the_order_of_their_rows():
+    splats = oracle.scene(6, n=60)
+    footprints = project(splats, oracle.camera(), kernel_px=0.3, antialiased=False)
+    values = np.stack([footprints.index, -footprints.index], axis=1).astype(np.float64)
+    found = ascending(footprints, values)
+    np.testing.assert_array_equal(found[:, 0], np.sort(footprints.index))
+    np.testing.assert_array_equal(found[:, 1], -np.sort(footprints.index))
+
+
+def test_rows_are_added_with_their_share():
+    totals = np.ones((4, 2))
+    add_rows(np.array([3, 0], np.int32), np.array([[1.0, 2.0], [3.0, 4.0]]), 0.5, totals)
+    assert totals.tolist() == [[2.5, 3.0], [1.0, 1.0], [1.0, 1.0], [1.5, 2.0]]
