@@ -17,6 +17,7 @@ from running import SPLATS, Run, SmallScene
 
 import cogsplat
 from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
 from cogsplat.codec.errors import CogsplatError, DataError
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring.contribution import ScoreConfig, Scores, score
@@ -79,7 +80,7 @@ def test_figures_are_those_of_files_made_apart(
         SPLATS,
     )
     assert [row["quality_db"] for row in told["methods"]] == [30, 36, None, None]
-    scores = score(source, train, ScoreConfig(sensitivity_every=2))
+    scores = score(source, train, PRESETS[DEFAULT_PRESET].score_config("transform"))
     cogsplat.encode(
         source, tmp_path / "a.cogs", cameras=train, scores=scores,
         config=EncodeConfig(profile="transform", quality_db=36),

@@ -13,10 +13,11 @@ from PIL import Image
 from running import SPLATS, Run, SmallScene
 
 import cogsplat
+from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.order.orders import ORDERS, Unordered, order_rows
 from cogsplat.codec.render.rasteriser import render_views
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
 from cogsplat.codec.views.view_sets import hold_out, roam
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.source import FileSource, PrefixSource
@@ -44,7 +45,7 @@ def test_orders_are_measured_at_shares_of_the_splats(
     assert len(points) == 9
     splats, cameras = cogsplat.read(small.ply), cogsplat.read_cameras(small.cameras)
     train, held = hold_out(cameras, 4)
-    scores = score(splats, train, ScoreConfig(sensitivity_every=2))
+    scores = score(splats, train, PRESETS[DEFAULT_PRESET].score_config("transform", top_k=20))
     rows = order_rows("sgss", Unordered(splats, scores, train))
     point = points[4]
     assert (point["name"], point["by"], point["splats"]) == ("sgss", "splats", SPLATS // 5)
