@@ -99,7 +99,8 @@ class Costs:
 
 # Coarsest steps worth writing. What no scoring view weighs may still come into a visitor's: such
 # splats stay where they are and about as large, as dark and as clear as they were.
-_COLOUR_LIMIT: Final = 0.15
+COARSEST_COLOUR: Final = 0.15
+"""Coarsest step of a colour, of 0 to 1."""
 _OPACITY_LIMIT: Final = 1.0
 _SCALE_LIMITS: Final = (0.35, 0.5, 0.7)  # long, middle, thin; log
 _MEAN_LIMIT: Final = 1.0  # deviations
@@ -170,7 +171,7 @@ def costs(splats: Splats, scores: Scores, energy: F64 | None = None) -> Costs:
     )
     # Sensitivities are measured in some of the views only: of what these do not show, no
     # sensitivity says that errors cost nothing.
-    unmeasured = (found.opacities + found.means.sum(axis=1) <= 0.0) & (scores.energy > 0.0)
+    unmeasured = (found.opacities + found.means.sum(axis=1) <= 0.0) & (shown_energy(scores) > 0.0)
     return Costs(
         *(
             np.where(unmeasured, getattr(estimated, name), getattr(measured, name))
@@ -231,4 +232,4 @@ def limited(found: Costs, scales: NDArray[np.float32], lagrangian: float) -> Cos
 
 def limited_energy(energy: F64, lagrangian: float) -> F64:
     """Return energies that give no step of colour beyond the coarsest worth writing."""
-    return np.maximum(energy, lagrangian / _COLOUR_LIMIT**2)
+    return np.maximum(energy, lagrangian / COARSEST_COLOUR**2)

@@ -16,21 +16,38 @@ def with_energy(values):
     return replace(unscored(len(energy)), energy=energy)
 
 
-def test_ten_decibels_are_a_tenth_of_lambda():
+def test_ten_decibels_are_a_tenth_of_lambda_where_no_step_is_the_coarsest():
     scores = with_energy([0.0, 1.0, 2.0])
     assert allocation.lagrangian(scores, 30) == pytest.approx(
         10 * allocation.lagrangian(scores, 40)
     )
 
 
-def test_a_scene_quantised_at_the_slope_has_the_nominal_error():
+@pytest.mark.parametrize("quality_db", [22.0, 36.0, 50.0])
+def test_a_scene_quantised_at_the_slope_has_the_nominal_error(quality_db):
     # N splats that each take up one share: their uniform errors, Δ²/12 times energy, add up to it.
-    energy = np.random.default_rng(1).lognormal(-12, 2, 5000)
-    lagrangian = allocation.lagrangian(with_energy(energy), 36)
-    steps = np.sqrt(lagrangian / energy)
-    shares = 22
+    # Many are so faint that their steps are the coarsest, and some have finer steps than their mean
+    # energy asks for, because one view shows them best.
+    rng = np.random.default_rng(1)
+    energy = rng.lognormal(-12, 3, 5000)
+    largest = energy * rng.lognormal(3, 1, 5000)
+    scores = replace(with_energy(energy), largest_energy=largest)
+    lagrangian = allocation.lagrangian(scores, quality_db)
+    shown = rate_costs.shown_energy(scores)
+    assert (shown > energy).any()
+    steps = np.sqrt(lagrangian / rate_costs.limited_energy(shown, lagrangian))
+    assert (steps > 0.999 * rate_costs.COARSEST_COLOUR).any()
+    shares = 24.5
     error = shares * (energy * steps**2 / 12).sum()
-    assert -10 * math.log10(error) == pytest.approx(36)
+    assert -10 * math.log10(error) == pytest.approx(quality_db)
+
+
+def test_lambda_rises_even_where_all_steps_are_the_coarsest():
+    scores = with_energy([1e-9, 2e-9])
+    found = [allocation.lagrangian(scores, quality) for quality in (40.0, 30.0, 20.0, 10.0)]
+    assert found == sorted(found)
+    assert found[0] < found[-1]
+    assert np.isfinite(found).all()
 
 
 def test_unseen_splats_do_not_count():
