@@ -23,12 +23,15 @@ _CLOSEST, _FURTHEST = 1.5, 3.0
 # Distances of the cameras of a turntable, in radii of the ball that holds all but a hundredth of
 # the scene: from where it overflows a picture a little to where it is small in it.
 _WHOLE_CLOSEST, _WHOLE_FURTHEST = 1.2, 2.2
-# Sine of the elevation of the cameras above the object: viewers start about level and look rather
-# from above.
-_LOWEST, _HIGHEST = -0.15, 0.6
-# Every other pose of an orbit stands where the near plane cuts nothing off. At the others, and at
-# those of a turntable, it may cut the object, as it does for a visitor who comes close, but only up
-# to this share of the radius in front of the centre.
+# Sine of the elevation of the cameras of an orbit above the object: viewers start about level and
+# look rather from above.
+_ELEVATIONS = (-0.15, 0.6)
+# And of a turntable: as far as orbit controls let a visitor turn, who may look into things from
+# above.
+_WHOLE_ELEVATIONS = (-0.3, 0.9)
+# Every other pose stands where the near plane cuts nothing off. At the others it may cut the
+# object, as it does for a visitor who comes close, but only up to this share of the radius in front
+# of the centre.
 _CUT_SHARE: Final = 0.5
 
 
@@ -110,7 +113,8 @@ def turntable(target: OrbitTarget, count: int, down: F64, near_plane: float) -> 
         None of them stands where a pose of `orbit` does.
     """
     distances = (_WHOLE_CLOSEST, _WHOLE_FURTHEST)
-    return _around(target, np.arange(-count, 0), down, near_plane, distances, cut=1)
+    numbers = np.arange(-count, 0)
+    return _around(target, numbers, down, near_plane, distances, _WHOLE_ELEVATIONS)
 
 
 def orbit(target: OrbitTarget, count: int, down: F64, near_plane: float) -> list[Pose]:
@@ -131,7 +135,8 @@ def orbit(target: OrbitTarget, count: int, down: F64, near_plane: float) -> list
     list of Pose
         All look at the centre. The first n of them cover the directions as evenly as all do.
     """
-    return _around(target, np.arange(count), down, near_plane, (_CLOSEST, _FURTHEST), cut=2)
+    distances = (_CLOSEST, _FURTHEST)
+    return _around(target, np.arange(count), down, near_plane, distances, _ELEVATIONS)
 
 
 def _around(
@@ -140,10 +145,9 @@ def _around(
     down: F64,
     near_plane: float,
     radii: tuple[float, float],
-    *,
-    cut: int,
+    elevations: tuple[float, float],
 ) -> list[Pose]:
-    """Return the poses of these numbers of the sequence; the near plane may cut every `cut`-th."""
+    """Return the poses of these numbers of the sequence; the near plane may cut every other one."""
     up = -down if down.any() else np.array([0.0, 1.0, 0.0])
     side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     side /= np.linalg.norm(side)
@@ -152,11 +156,11 @@ def _around(
     for number, (height, azimuth, step) in zip(
         numbers.tolist(), sequence(numbers, STEPS_3D).tolist(), strict=True
     ):
-        rise = _LOWEST + (_HIGHEST - _LOWEST) * height
+        rise = elevations[0] + (elevations[1] - elevations[0]) * height
         ring, angle = math.sqrt(1.0 - rise * rise), 2.0 * math.pi * azimuth
         back = rise * up + ring * (math.cos(angle) * side + math.sin(angle) * other)
         distance = target.radius * radii[0] * (radii[1] / radii[0]) ** step
-        clear = near_plane + (target.reach if number % cut else _CUT_SHARE * target.radius)
+        clear = near_plane + (target.reach if number % 2 else _CUT_SHARE * target.radius)
         zoom = max(1.0, clear / distance)
         poses.append(Pose(target.centre + zoom * distance * back, -back, zoom))
     return poses
