@@ -111,14 +111,14 @@ def encode(
     timed = TimedProgress(progress)
     splats.require_valid()
     settings = score_config or preset.score_config(config.profile, threads=config.threads)
-    views, tests = list(cameras or ()), list(test_views)
+    views, covering, tests = list(cameras or ()), list[Camera](), list(test_views)
     report = EncodeReport(views="given" if views else "none")
     if tests or views:
         report = replace(report, test_views="given")
     if scores is None and len(splats):
         if cameras is None:
             planned = _planned(splats, config, preset, timed)
-            views = planned.views
+            views, covering = planned.views, planned.covering_views
             settings = replace(settings, jitter=settings.jitter and preset.planned_jitter)
             if views:
                 report = replace(report, views="planned", coverage=planned.coverage)
@@ -129,7 +129,7 @@ def encode(
             views = preset.views(views)
         # An empty list of cameras is refused by `score`, not taken for none given.
         if cameras is not None or views:
-            scores = score(splats, views, settings, progress=timed)
+            scores = score(splats, views, settings, covering=covering, progress=timed)
     if report.views == "given" and scores is not None and len(splats):
         report = replace(report, coverage=float((scores.covered > 0).mean()))
     if report.views != "none" and len(splats):
@@ -220,7 +220,7 @@ def _planned(splats: Splats, config: EncodeConfig, preset: Preset, progress: Pro
     except DataError as error:
         if error.code != "empty-scene" or config.profile != "near-lossless":
             raise
-        return ViewPlan([], [], 1.0)
+        return ViewPlan([], [], [], 1.0)
 
 
 @dataclass(frozen=True, eq=False)

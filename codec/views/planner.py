@@ -101,11 +101,10 @@ _LEAST_LEVEL: Final = 0.1
 
 # An object is isolated where, from half of the poses of an orbit, splats block at most this share
 # of the directions (the object itself fills about as much), and its radius is less than so many
-# radii of the median vicinity. Then most views are poses of an orbit: that is what viewers show.
+# radii of the median vicinity. Then all views are poses of an orbit: that is what viewers show.
 _ISOLATED_OCCLUSION: Final = 0.12
 _COMPACT: Final = 3.0
 _ORBIT_TRIES: Final = 24
-_ORBIT_SHARE: Final = 7 / 8
 # Number of test views, and how much larger they are than the views to score on: a small picture
 # averages away errors that a visitor sees.
 _TEST_VIEWS: Final = 32
@@ -184,15 +183,22 @@ class ViewPlan:
     ----------
     views : list of Camera
         Named ``virtual-000`` and on; those that show most come first.
+    covering_views : list of Camera
+        Named ``covering-000`` and on: views of what the orbit around an isolated object leaves out,
+        such as the bottom of a bowl. They say that it is visible, not how often visitors see it:
+        means over views leave them out. Empty for other scenes, where views are chosen by what they
+        show: those that are added are among `views`.
     test_views : list of Camera
-        Named ``test-00`` and on, from places that `views` has none in: all around an isolated
+        Named ``test-00`` and on, from places that the others have none in: all around an isolated
         object, or anywhere that a visitor of another scene may be. They are not chosen by what they
         show, and nothing is tuned on them.
     coverage : float
-        Share of the visible splats that `views` cover (`coverage.additions`), 0 to 1.
+        Share of the visible splats that `views` and `covering_views` cover
+        (`coverage.additions`), 0 to 1.
     """
 
     views: list[Camera]
+    covering_views: list[Camera]
     test_views: list[Camera]
     coverage: float
 
@@ -232,7 +238,7 @@ def plan_views(
     Returns
     -------
     list of Camera
-        `ViewPlan.views`.
+        `ViewPlan.views`, then `ViewPlan.covering_views`.
 
     Raises
     ------
@@ -247,7 +253,8 @@ def plan_views(
     >>> cameras[0].name, cameras[0].width, cameras[0].height
     ('virtual-000', 64, 48)
     """
-    return plan(splats, config, progress=progress).views
+    found = plan(splats, config, progress=progress)
+    return found.views + found.covering_views
 
 
 def plan(
@@ -288,13 +295,18 @@ def plan(
             "empty-scene", f"none of {len(splats)} splats can be drawn, expected at least 1"
         )
     planner = _Planner(subsample(bare.take(usable), _SUBSAMPLE_SPLATS), config, progress)
-    found = planner.plan()
+    poses, covering = planner.plan()
     lens, down = config.lens(), planner.down
-    views = [pose.camera(lens, down, f"virtual-{row:03d}") for row, pose in enumerate(found)]
+
+    def cameras(found: Sequence[Pose], name: str) -> list[Camera]:
+        return [pose.camera(lens, down, f"{name}-{row:03d}") for row, pose in enumerate(found)]
+
     large = config.lens(_TEST_VIEW_SCALE)
     visitors = enumerate(planner.test_poses())
     tests = [pose.camera(large, down, f"test-{row:02d}") for row, pose in visitors]
-    return ViewPlan(views, tests, planner.coverage)
+    return ViewPlan(
+        cameras(poses, "virtual"), cameras(covering, "covering"), tests, planner.coverage
+    )
 
 
 class _Planner:
@@ -336,8 +348,8 @@ class _Planner:
         scale = math.sqrt(_CANDIDATE_PIXELS / (config.width * config.height))
         self._small = config.lens(min(scale, 1.0))
 
-    def plan(self) -> list[Pose]:
-        """Return the poses; those that show most come first."""
+    def plan(self) -> tuple[list[Pose], list[Pose]]:
+        """Return the poses of the views, those that show most first, and of the covering views."""
         views, counts = self._config.views, self._scene.counts
         total = (_FIRST_ROUND + _SECOND_ROUND) * views
         self._progress("plan views", 0, total)
@@ -346,30 +358,31 @@ class _Planner:
         self._progress("plan views", _FIRST_ROUND * views, total)
         self._weigh_sides()
         around = self._orbit_poses()
-        # What the orbit shows needs no other views.
+        # What the orbit shows needs no covering views.
         orbiting = list(ordered_map(self._candidate, around, thread_count(self._config.threads)))
         for found in orbiting:
             self._exposure[found.index] += found.exposure
         views -= len(around)
-        self._choose(chosen, max(1, round(_FIRST_SHARE * views)))
+        self._choose(chosen, round(_FIRST_SHARE * views))
         badly_shown = counts / (1.0 + self._exposure / _SHOWN)
         self._draw_candidates(self._propose(_SECOND_ROUND * self._config.views, badly_shown))
         self._progress("plan views", total, total)
         self._choose(chosen, views)
-        self._cover(chosen, orbiting)
+        chosen += self._cover(chosen, orbiting)
         poses = around + [self._candidates[row].pose for row in chosen]
         inside = [False] * len(around) + [self._inside[row] for row in chosen]
         weights = np.array([self._side_weight[side] for side in inside])
-        return poses + self._for_uncovered(poses, weights)
+        poses += self._for_uncovered(poses, weights)
+        views = len(around) or len(poses)
+        return poses[:views], poses[views:]
 
     def _orbit_poses(self) -> list[Pose]:
-        """Return the poses of an orbit around a compact isolated object; none in other scenes."""
+        """Return the poses of all views of a compact isolated object; none in other scenes."""
         target = orbit_target(self._means, self._scene.counts)
         self._isolated = self._is_isolated(target)
         if not (self._isolated and target.radius < _COMPACT * self._vicinity_radius):
             return []
-        count = round(_ORBIT_SHARE * self._config.views)
-        return orbit(target, count, self.down, self._config.near_plane)
+        return orbit(target, self._config.views, self.down, self._config.near_plane)
 
     def _is_isolated(self, target: OrbitTarget) -> bool:
         """Tell whether an object is all there is around the poses of an orbit."""
@@ -546,6 +559,8 @@ class _Planner:
         Marginal gains only shrink as views are added, so a candidate is evaluated anew only when
         its last known gain is the largest (lazy greedy, Minoux 1978).
         """
+        if len(chosen) >= views:
+            return
         counts = self._scene.counts
 
         def gain(row: int) -> float:
@@ -570,13 +585,13 @@ class _Planner:
             self._exposure[found.index] += self._side_weight[self._inside[row]] * found.exposure
             chosen.append(row)
 
-    def _cover(self, chosen: list[int], orbiting: Sequence[_Candidate]) -> None:
-        """Add candidates until what is visible is covered, and note how much of it is.
+    def _cover(self, chosen: Sequence[int], orbiting: Sequence[_Candidate]) -> list[int]:
+        """Return the candidates that cover the rest of what is visible; note how much is covered.
 
         Parameters
         ----------
-        chosen : list of int
-            Candidates that are views already; grows.
+        chosen : sequence of int
+            Candidates that are views already.
         orbiting : sequence of _Candidate
             Views that are not among the candidates.
         """
@@ -588,7 +603,7 @@ class _Planner:
         there += [seen[row] for row in chosen]
         most = int(_COVER_SHARE * self._config.views)
         added, self.coverage = additions(self._scene.counts, there, seen, most)
-        chosen += added
+        return added
 
     def _for_uncovered(self, poses: Sequence[Pose], weights: F64) -> list[Pose]:
         """Return poses in places of given ones that look at splats outside all their pictures.

@@ -6,7 +6,7 @@ import pytest
 
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import COVERING_SHARE, ScoreConfig, score
 from cogsplat.codec.splats import SceneInfo, empty
 from cogsplat.codec.views.view_sets import jitter
 
@@ -116,6 +116,25 @@ def test_jitter_adds_the_mean_over_the_copies():
     bound = (plain.colour_sensitivity + other.colour_sensitivity) / 2
     assert (both.colour_sensitivity <= bound * (1 + 1e-9)).all()
     assert (both.colour_sensitivity >= bound / 2).all()
+
+
+def test_covering_views_count_where_the_best_view_does_and_in_no_mean():
+    splats = oracle.scene(8, n=60)
+    config = ScoreConfig(jitter=False, sensitivity_every=1)
+    given, rest = CAMERAS[:1], CAMERAS[1:]
+    alone, other = score(splats, given, config), score(splats, rest, config)
+    both = score(splats, given, config, covering=rest)
+    for name in ("contribution", "colour_sensitivity", "energy", "basis_mean", "basis_spread"):
+        np.testing.assert_array_equal(getattr(both, name), getattr(alone, name), err_msg=name)
+    np.testing.assert_array_equal(both.sensitivities.means, alone.sensitivities.means)
+    assert (other.peak > alone.peak).any()
+    share = COVERING_SHARE
+    best = np.maximum(alone.peak, np.float32(share) * other.peak)
+    np.testing.assert_allclose(both.peak, best, rtol=1e-6)
+    largest = np.maximum(alone.largest_energy, share**2 * other.largest_energy)
+    np.testing.assert_allclose(both.largest_energy, largest, rtol=1e-12)
+    np.testing.assert_array_equal(both.seen, alone.seen + other.seen)
+    np.testing.assert_array_equal(both.covered, alone.covered + other.covered)
 
 
 def test_scores_do_not_depend_on_threads():

@@ -80,10 +80,10 @@ def test_plans_do_not_depend_on_threads() -> None:
 
 def test_views_have_the_size_and_the_field_that_were_asked_for() -> None:
     config = ViewPlanConfig(views=5, width=90, height=40, fov_deg=90.0)
-    cameras = plan_views(sphere(3.0), config)
-    assert 5 <= len(cameras) <= 5 + 5 // 2 + 5 // 8
-    assert [camera.name for camera in cameras] == [f"virtual-{k:03d}" for k in range(len(cameras))]
-    for camera in cameras:
+    found = plan(sphere(3.0), config)
+    assert [camera.name for camera in found.views] == [f"virtual-{k:03d}" for k in range(5)]
+    assert len(found.covering_views) <= 5 // 2 + 5 // 8
+    for camera in found.views + found.covering_views:
         assert (camera.width, camera.height, camera.cx, camera.cy) == (90, 40, 45.0, 20.0)
         assert camera.fx == camera.fy == pytest.approx(45.0)
 
@@ -106,9 +106,9 @@ def test_an_object_is_seen_from_all_around_and_close(size: float) -> None:
 def test_test_views_show_the_whole_of_an_isolated_object() -> None:
     ball = plan(sphere(1.0), SMALL)
     assert len(ball.test_views) == 32
-    same(ball.views, plan_views(sphere(1.0), SMALL))
+    same(ball.views + ball.covering_views, plan_views(sphere(1.0), SMALL))
     assert (gaze(ball.test_views, (0.0, 0.0, 0.0)) > 0.99).all()
-    assert_apart(ball.test_views, ball.views)
+    assert_apart(ball.test_views, ball.views + ball.covering_views)
 
 
 def test_test_views_of_a_room_are_from_inside_and_none_is_scored() -> None:
@@ -116,7 +116,7 @@ def test_test_views_of_a_room_are_from_inside_and_none_is_scored() -> None:
     found = plan(concatenate([box(half, 3000), sphere(0.2, 1200)]), SMALL)
     assert len(found.test_views) >= 16
     assert (np.abs(places(found.test_views)) < half).all(axis=1).mean() > 0.9
-    assert_apart(found.test_views, found.views)
+    assert_apart(found.test_views, found.views + found.covering_views)
 
 
 def assert_apart(test_views: list[Camera], views: list[Camera]) -> None:
@@ -124,7 +124,7 @@ def assert_apart(test_views: list[Camera], views: list[Camera]) -> None:
     assert apart.min() > 1e-3
 
 
-def test_views_are_added_until_what_is_visible_is_covered() -> None:
+def test_covering_views_are_added_until_what_is_visible_is_covered() -> None:
     """A bowl is open at the top alone, where an orbit has no places: its floor needs more views."""
     rng = np.random.default_rng(4)
     points = rng.normal(size=(3000, 3))
@@ -134,6 +134,11 @@ def test_views_are_added_until_what_is_visible_is_covered() -> None:
     outside, inside = balls(points, size), balls(0.85 * points, size)
     found = plan(concatenate([outside, inside]), replace(SMALL, views=16))
     assert found.coverage >= 0.95
+    assert len(found.views) == 16
+    assert 0 < len(found.covering_views) <= 16 // 2 + 16 // 8
+    assert [camera.name for camera in found.covering_views] == [
+        f"covering-{row:03d}" for row in range(len(found.covering_views))
+    ]
     bowl = concatenate([outside, inside])
     eyes = [np.array([0.6 * math.cos(a), -2.6, 0.6 * math.sin(a)]) for a in range(6)]
     above = [
@@ -144,7 +149,8 @@ def test_views_are_added_until_what_is_visible_is_covered() -> None:
     ]
     floor = len(outside) + np.flatnonzero(points[:, 1] > 0.9)
     best = score(bowl, above, ScoreConfig(jitter=False)).peak[floor]
-    shown = score(bowl, found.views, ScoreConfig(jitter=False)).peak[floor]
+    views = found.views + found.covering_views
+    shown = score(bowl, views, ScoreConfig(jitter=False)).peak[floor]
     assert best.mean() > 0.1
     assert (shown > 0.25 * best).mean() > 0.8
 
