@@ -133,9 +133,10 @@ export class CogsFeed implements SceneFeed {
       for (const segment of [head, refinement, tail]) if (segment >= 0) bytes += index.range(segment).length;
       found.push({ rows, chunks: chunk + 1, bytes, predictedDb: predicted(index.chunks.quality[chunk]) });
     }
-    const last = found.at(-1);
-    if (last === undefined) return [];
-    if (last.chunks === index.totalChunkCount) found[found.length - 1] = { ...last, bytes: index.fileLength };
+    const end = found.pop();
+    if (end === undefined) return [];
+    const last = end.chunks === index.totalChunkCount ? { ...end, bytes: index.fileLength } : end;
+    found.push(last);
     // Twice the bytes with every picture, back from the whole.
     const chosen = new Set([last]);
     for (let share = 0.5; chosen.size < Math.min(count, found.length) && share > 1e-4; share /= 2) {
