@@ -211,10 +211,10 @@ def evaluate(
     """
     cut = bool(files) or lengths != ()
     by = ([SPLATS] if wanted else []) + ([BYTES] if cut or codecs else [])
-    if not by:
-        raise click.UsageError("--shares none and --sizes none: nothing to measure")
     if wanted_objects is not None and not wanted:
         raise click.UsageError("--by-object with --shares none, expected shares to measure at")
+    if not by:
+        raise click.UsageError("--shares none and --sizes none: nothing to measure")
     require_octree(choice.names, octree_depths)
     if out is not None:
         # Before minutes of work, not after.
