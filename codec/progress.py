@@ -19,7 +19,7 @@ class TimedProgress:
     """A `Progress` that adds up the seconds of every stage and passes each report on.
 
     The time between two reports belongs to the stage that reports second, so that the seconds of
-    all stages add up to the time of the whole work.
+    all stages add up to the time of the whole work. Processor time is counted beside it.
 
     Parameters
     ----------
@@ -29,27 +29,33 @@ class TimedProgress:
     Attributes
     ----------
     seconds : dict of str to float
-        By stage, in the order in which the stages began.
+        Wall-clock time by stage, in the order in which the stages began.
+    cpu_seconds : dict of str to float
+        Processor time of all threads of this process by stage, in the same order. Divided by the
+        wall-clock time it says how many cores a stage kept busy. Other processes do not count.
     totals : dict of str to int
         Steps that each stage announced.
     """
 
     def __init__(self, progress: Progress = silent) -> None:
         self.seconds: dict[str, float] = {}
+        self.cpu_seconds: dict[str, float] = {}
         self.totals: dict[str, int] = {}
         self._progress = progress
-        self._last = time.monotonic()
+        self.restart()
 
     def restart(self) -> None:
         """Leave out the time since the last report: the next stage begins now."""
-        self._last = time.monotonic()
+        self._last = time.monotonic(), time.process_time()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Add the time since the last report to a stage and pass the report on."""
-        now = time.monotonic()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
+        now, now_cpu = time.monotonic(), time.process_time()
+        last, last_cpu = self._last
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - last
+        self.cpu_seconds[stage] = self.cpu_seconds.get(stage, 0.0) + now_cpu - last_cpu
         self.totals[stage] = total
-        self._last = now
+        self._last = now, now_cpu
         self._progress(stage, done, total)
 
 

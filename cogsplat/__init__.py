@@ -27,7 +27,7 @@ from .codec.errors import (
     TruncatedError,
     UnsupportedError,
 )
-from .codec.progress import Progress, WholeProgress, silent
+from .codec.progress import Progress, TimedProgress, WholeProgress, silent
 from .codec.splats import SceneInfo, Splats
 from .formats.cogs.reader import CogsFile, open_cogs
 from .formats.storage.limits import Limits
@@ -299,8 +299,8 @@ def encode(
     Returns
     -------
     EncodeReport
-        `EncodeReport.size_bytes` are the bytes written, `EncodeReport.seconds` the time of every
-        stage.
+        `EncodeReport.size_bytes` are the bytes written; `EncodeReport.seconds` and
+        `EncodeReport.cpu_seconds` the time of every stage, by the clock and of processors.
 
     Raises
     ------
@@ -373,6 +373,7 @@ def encode(
         size_of=size_of,
         progress=progress,
     )
+    writing = TimedProgress()
     size_bytes = cogs.save(
         encoded,
         Path(path),
@@ -381,9 +382,16 @@ def encode(
         cameras=stored_cameras,
         force=force,
     )
+    writing("write", 1, 1)
     if whole is not None:
         whole(1.0)
-    return replace(encoded.report, size_bytes=size_bytes)
+    report = encoded.report
+    return replace(
+        report,
+        size_bytes=size_bytes,
+        seconds={**report.seconds, **writing.seconds},
+        cpu_seconds={**report.cpu_seconds, **writing.cpu_seconds},
+    )
 
 
 def _target(psnr_db: float | None, size: int | str | None, scene: Splats | _Path) -> Target | None:

@@ -80,7 +80,10 @@ class EncodeReport:
     Parameters
     ----------
     seconds : mapping of str to float
-        Time of each stage, by the names that `Progress` reports, in the order they began.
+        Wall-clock time of each stage, by the names that `Progress` reports, in the order they
+        began; ``write`` is the container's.
+    cpu_seconds : mapping of str to float
+        Processor time of each stage, all threads of this process together.
     scored_views : int
         Views that splats were scored in, jittered copies included; 0 where scores were given.
     quality_db : float
@@ -105,6 +108,7 @@ class EncodeReport:
     """
 
     seconds: Mapping[str, float] = field(default_factory=dict)
+    cpu_seconds: Mapping[str, float] = field(default_factory=dict)
     scored_views: int = 0
     quality_db: float = 0.0
     trials: int = 1

@@ -39,7 +39,7 @@ def encode_chunks(
     quality_db : float
         Nominal PSNR, 10 to 90 dB.
     progress : Progress
-        Called with ``codebooks`` and ``chunks`` as stages.
+        Called with ``codebooks``, ``quantisers`` (what all chunks share) and ``chunks`` as stages.
 
     Returns
     -------
@@ -57,6 +57,7 @@ def encode_chunks(
     planned = PlannedScene()
     if len(scene.rows):
         planned = PROFILES[scene.config.profile](scene, quality_db, progress)
+        progress("quantisers", 1, 1)
     degree = scene.source.sh_degree
     codebooks = {
         number: _decoded_codebook(book, degree) for number, book in enumerate(planned.codebooks)

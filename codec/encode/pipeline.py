@@ -79,7 +79,8 @@ def encode(
         Needed for a size as target.
     progress : Progress
         Called with the stages ``plan views``, ``score``, ``reference views``, those of the order,
-        ``codebooks``, ``chunks`` or ``search``, ``compensate`` and ``predict``.
+        ``order``, ``codebooks``, ``quantisers``, ``chunks``, ``search``, ``compensate`` and
+        ``predict``. Those of a single step report it when it is done.
 
     Returns
     -------
@@ -153,6 +154,7 @@ def encode(
         references=references,
         progress=timed,
     )
+    timed("order", 1, 1)
     finishing = _Finishing(prepared, references if fits else None, tests or views, preset, timed)
     if target is None or not len(splats):
         encoded = encode_chunks(prepared, config.quality_db, progress=timed)
@@ -162,6 +164,7 @@ def encode(
     report = replace(
         report,
         seconds=timed.seconds,
+        cpu_seconds=timed.cpu_seconds,
         scored_views=timed.totals.get("score", 0),
         quality_db=hit.quality_db,
         trials=hit.trials,

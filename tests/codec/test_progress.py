@@ -9,6 +9,8 @@ from cogsplat.codec.progress import StageCost, TimedProgress, WholeProgress
 def clock(monkeypatch):
     now = [50.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    # One and a half cores are busy.
+    monkeypatch.setattr(progress.time, "process_time", lambda: 1.5 * now[0])
     return now
 
 
@@ -23,6 +25,7 @@ def test_seconds_belong_to_the_stage_that_reports_second(clock):
     clock[0] += 16
     timed("score", 3, 3)
     assert timed.seconds == {"score": 19.0, "order": 4.0}
+    assert timed.cpu_seconds == {"score": 28.5, "order": 6.0}
     assert list(timed.seconds) == ["score", "order"]
     assert timed.totals == {"score": 3, "order": 1}
     assert calls == [("score", 0, 2), ("score", 2, 2), ("order", 1, 1), ("score", 3, 3)]

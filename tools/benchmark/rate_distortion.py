@@ -22,6 +22,7 @@ from cogsplat.tools.evaluation.photos import Photos
 
 if TYPE_CHECKING:
     from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.encoded import EncodeReport
     from cogsplat.codec.scoring.contribution import Scores
 
 BASELINE: Final = "c3dgs-style npz"
@@ -170,6 +171,36 @@ class BenchPrefix:
 
 
 @dataclass(frozen=True)
+class StageTime:
+    """What one stage of one encode took, scoring left out.
+
+    Parameters
+    ----------
+    method : str
+    quality_db : float or None
+    stage : str
+        As `cogsplat.encode` reports it.
+    wall_s, cpu_s : float
+        Seconds by the clock, and of processors, all threads together.
+    """
+
+    method: str
+    quality_db: float | None
+    stage: str
+    wall_s: float
+    cpu_s: float
+
+    @property
+    def label(self) -> str:
+        """Method and nominal quality."""
+        return _label(self.method, self.quality_db)
+
+    def report(self) -> dict[str, object]:
+        """Return the figures as JSON has them."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
 class Bench:
     """Results of a benchmark on one scene.
 
@@ -178,10 +209,13 @@ class Bench:
     rows : tuple of Row
     prefixes : tuple of BenchPrefix
         Of one file of each profile, the one in the middle of its qualities.
+    stages : tuple of StageTime
+        Of the encode of the same files, in the order of the stages.
     """
 
     rows: tuple[Row, ...]
     prefixes: tuple[BenchPrefix, ...]
+    stages: tuple[StageTime, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +225,7 @@ class _Method:
     name: str
     quality_db: float | None
     extension: str
-    write: Callable[[Path], None]
+    write: Callable[[Path], EncodeReport | None]
     read: Callable[[Path], Splats]
     scored: bool
     prefixes: bool = False
@@ -235,15 +269,18 @@ def run(
     methods = [*_ours(given, profiles, qualities), *_foreign(given, formats)]
     rows: list[Row] = []
     prefixes: list[BenchPrefix] = []
+    stages: list[StageTime] = []
     progress("files", 0, len(methods))
     for number, method in enumerate(methods, start=1):
         path = folder / f"{number}{method.extension}"
-        row = _measure(given, method, path)
+        row, report = _measure(given, method, path)
         rows.append(row)
         if method.prefixes and not row.refused:
             prefixes += _prefixes(given, method, path)
+        if method.prefixes and report is not None:
+            stages += _stages(method, report)
         progress("files", number, len(methods))
-    return Bench(tuple(rows), tuple(prefixes))
+    return Bench(tuple(rows), tuple(prefixes), tuple(stages))
 
 
 def _ours(
@@ -274,9 +311,9 @@ def _ours(
     return methods
 
 
-def _encoder(given: BenchInput, config: EncodeConfig) -> Callable[[Path], None]:
-    def write(path: Path) -> None:
-        cogsplat.encode(
+def _encoder(given: BenchInput, config: EncodeConfig) -> Callable[[Path], EncodeReport]:
+    def write(path: Path) -> EncodeReport:
+        return cogsplat.encode(
             given.splats,
             path,
             cameras=given.scored_on,
@@ -320,12 +357,26 @@ def _writer(given: BenchInput, format_: Format) -> Callable[[Path], None]:
     return write
 
 
-def _measure(given: BenchInput, method: _Method, path: Path) -> Row:
+def _stages(method: _Method, report: EncodeReport) -> list[StageTime]:
+    return [
+        StageTime(
+            method.name,
+            method.quality_db,
+            stage,
+            round(wall_s, 3),
+            round(report.cpu_seconds[stage], 3),
+        )
+        for stage, wall_s in report.seconds.items()
+    ]
+
+
+def _measure(given: BenchInput, method: _Method, path: Path) -> tuple[Row, EncodeReport | None]:
+    """Return the figures of a method and, where it is one of ours, how its file was encoded."""
     start = time.perf_counter()
     try:
-        method.write(path)
+        report = method.write(path)
     except CogsplatError as error:
-        return Row(method.name, method.quality_db, refused=error.code)
+        return Row(method.name, method.quality_db, refused=error.code), None
     encode_s = time.perf_counter() - start + (given.score_s if method.scored else 0.0)
     decode_s = float("inf")
     for _ in range(_READS):
@@ -344,7 +395,7 @@ def _measure(given: BenchInput, method: _Method, path: Path) -> Row:
         photos_db = given.photos.psnr_db(decoded, given.background, threads=given.threads)
         loss_db = given.photos.source_db - photos_db
     size = path.stat().st_size
-    return Row(
+    row = Row(
         method=method.name,
         quality_db=method.quality_db,
         file_bytes=size,
@@ -360,6 +411,7 @@ def _measure(given: BenchInput, method: _Method, path: Path) -> Row:
         encode_s=encode_s,
         decode_s=decode_s,
     )
+    return row, report
 
 
 def prefix_sizes(file_bytes: int) -> list[int]:

@@ -20,7 +20,7 @@ from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_
 from cogsplat.tools.benchmark import ablation as bench_ablation
 from cogsplat.tools.benchmark import rate_distortion as benches
 from cogsplat.tools.benchmark.ablation import AblationTable
-from cogsplat.tools.benchmark.rate_distortion import Bench, BenchInput, Row
+from cogsplat.tools.benchmark.rate_distortion import Bench, BenchInput, Row, StageTime
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.pictures.svg_charts import Series, bar_chart, line_chart
 from cogsplat.tools.terminal.limits import limits_option
@@ -234,13 +234,15 @@ def bench(
         _write_pages(out, pages, force=force)
     if as_json:
         report = _ablation_report(found, about) if ablation else _bench_report(measured, about)
-        say_json({**report, "seconds": stages.rounded()})
+        seconds = {"seconds": stages.rounded(), "cpu_seconds": stages.cpu_rounded()}
+        say_json({**report, **seconds})
         return
     _tell_about(scene, given, what)
     if ablation:
         _tell_ablation(found)
     else:
         _tell_rows(measured.rows)
+        _tell_stages(measured.stages)
         _tell_prefixes(measured)
     if not quiet:
         say("")
@@ -357,6 +359,27 @@ def _tell_prefixes(measured: Bench) -> None:
     table(["received", *named], cells)
 
 
+def _tell_stages(stages: Sequence[StageTime]) -> None:
+    """Print where the time of an encode goes, stage by stage; scoring is told above."""
+    if not stages:
+        return
+    whole: dict[str, float] = {}
+    for stage in stages:
+        whole[stage.label] = whole.get(stage.label, 0.0) + stage.wall_s
+    say("")
+    cells = [
+        [
+            stage.label,
+            stage.stage,
+            f"{stage.wall_s:.2f}",
+            f"{100 * stage.wall_s / whole[stage.label]:.0f} %" if whole[stage.label] else "",
+            f"{stage.cpu_s:.2f}",
+        ]
+        for stage in stages
+    ]
+    table(["", "stage", "s", "share", "CPU s"], cells, left=2)
+
+
 def _tell_ablation(found: AblationTable) -> None:
     say(f" bytes at {found.held_out_db:.2f} dB held-out, without")
     cells = [
@@ -377,6 +400,7 @@ def _bench_report(measured: Bench, about: Mapping[str, object]) -> dict[str, obj
         **about,
         "methods": [row.report() for row in measured.rows],
         "prefixes": [prefix.report() for prefix in measured.prefixes],
+        "stages": [stage.report() for stage in measured.stages],
     }
 
 

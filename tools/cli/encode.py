@@ -457,4 +457,5 @@ def _report(
         "quality_db": None if config.profile == "near-lossless" else round(made.quality_db, 3),
         "trials": made.trials,
         "seconds": stages.rounded(),
+        "cpu_seconds": stages.cpu_rounded(),
     }

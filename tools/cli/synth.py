@@ -221,6 +221,7 @@ def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json
                     for prefix in made.prefixes
                 ],
                 "seconds": stages.rounded(),
+                "cpu_seconds": stages.cpu_rounded(),
             }
         )
         return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Final
@@ -142,4 +142,12 @@ class Stages(TimedProgress):
 
     def rounded(self) -> dict[str, float]:
         """Return the seconds of each stage, to milliseconds, as JSON output holds them."""
-        return {name: round(spent, 3) for name, spent in self.seconds.items()}
+        return _rounded(self.seconds)
+
+    def cpu_rounded(self) -> dict[str, float]:
+        """Return the processor seconds of each stage in the same way."""
+        return _rounded(self.cpu_seconds)
+
+
+def _rounded(seconds: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(spent, 3) for name, spent in seconds.items()}

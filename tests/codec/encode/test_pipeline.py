@@ -51,8 +51,11 @@ def test_a_scene_with_cameras_is_compensated_and_predicted(scene, views):
     # Every stage that reported has its time, in the order in which the stages began.
     names = list(dict.fromkeys(name for name, _, _ in stages))
     assert list(made.report.seconds) == names
-    assert names == ["score", "reference views", "gain", "chunks", "compensate", "predict"]
+    ordering = ["score", "reference views", "gain", "order"]
+    assert names == [*ordering, "quantisers", "chunks", "compensate", "predict"]
     assert all(seconds >= 0 for seconds in made.report.seconds.values())
+    assert list(made.report.cpu_seconds) == names
+    assert sum(made.report.cpu_seconds.values()) > 0
 
 
 def test_test_views_are_where_quality_is_predicted(scene, views):

@@ -106,6 +106,16 @@ def test_tables_hold_the_same(measured: Path) -> None:
             assert row == {k: "" if v is None else str(v) for k, v in expected.items()}
 
 
+def test_stages_of_one_encode_of_each_profile_are_timed(measured: Path) -> None:
+    stages = json.loads((measured / "bench.json").read_text())["stages"]
+    assert {(stage["method"], stage["quality_db"]) for stage in stages} == {("transform", 36.0)}
+    named = [stage["stage"] for stage in stages]
+    assert len(set(named)) == len(named)
+    assert named[-1] == "write"
+    assert {"gain", "quantisers", "chunks", "compensate", "predict"} <= set(named)
+    assert all(stage["wall_s"] >= 0 and stage["cpu_s"] >= 0 for stage in stages)
+
+
 def test_prefixes_end_with_the_whole_file(measured: Path) -> None:
     told = json.loads((measured / "bench.json").read_text())
     last = told["prefixes"][-1]

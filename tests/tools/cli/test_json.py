@@ -19,6 +19,7 @@ PAGE = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
 # Below these, keys are names of stages, attributes, reasons and so on.
 NAMED = {
     "seconds",
+    "cpu_seconds",
     "values",
     "mean_over_log",
     "mean_over_log.*",
