@@ -324,6 +324,7 @@ def encode(
     from .codec.encode.presets import PRESETS
     from .codec.encode.stage_costs import stage_costs
     from .formats.cogs import scene as cogs
+    from .formats.cogs.cameras import check_cameras
     from .formats.storage.atomic import check_output
 
     if preset not in PRESETS:
@@ -339,6 +340,8 @@ def encode(
     # Before minutes of work, not after.
     given = [x for x in (scene, cameras) if isinstance(x, str | os.PathLike)]
     check_output(path, force=force, inputs=given)
+    if stored_cameras:
+        check_cameras(stored_cameras)
     splats = scene if isinstance(scene, Splats) else read(scene)
     views = read_cameras(cameras) if isinstance(cameras, str | os.PathLike) else cameras
     writer = f"cogsplat {__version__}"

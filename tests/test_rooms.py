@@ -265,6 +265,7 @@ DOORS: dict[str, dict[str, str]] = {
         "inria": "write_cameras_json",
     },
     "formats.cogs": {
+        "cameras": "check_cameras",
         "canonical_msgpack": "MAX_DEPTH MAX_VALUES Value pack unpack",
         "layout": "MAGIC MAJOR MINOR PREAMBLE_BYTES SKIPPABLE_KIND SegmentKind unpack_preamble",
         "reader": "CogsFile open_cogs",

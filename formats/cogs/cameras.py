@@ -21,14 +21,14 @@ _MAX_NAME_BYTES = 255
 _CAMERA_BYTES = 1024
 
 
-def pack_cameras(cameras: Sequence[Camera]) -> bytes:
-    """Return the payload of a segment of cameras.
+def check_cameras(cameras: Sequence[Camera]) -> None:
+    """Refuse cameras that a file cannot hold.
 
     Raises
     ------
     DataError
-        ``too-many-cameras``: more than a file holds; ``bad-camera``: a name longer than 255 bytes
-        or that is no text.
+        ``too-many-cameras``: more than a file holds, or none; ``bad-camera``: a name longer than
+        255 bytes or that is no text.
     """
     if not 1 <= len(cameras) <= MAX_CAMERAS:
         raise DataError(
@@ -43,6 +43,17 @@ def pack_cameras(cameras: Sequence[Camera]) -> bytes:
                 f"camera {camera.name[:40]!r}: expected a name of at most {_MAX_NAME_BYTES} bytes "
                 "of UTF-8",
             )
+
+
+def pack_cameras(cameras: Sequence[Camera]) -> bytes:
+    """Return the payload of a segment of cameras.
+
+    Raises
+    ------
+    DataError
+        As `check_cameras`.
+    """
+    check_cameras(cameras)
     value: dict[str, canonical_msgpack.Value] = {
         "name": [camera.name for camera in cameras],
         "width": np.array([camera.width for camera in cameras], "<u2").tobytes(),

@@ -1,10 +1,12 @@
 """One small scene for all tests of the command line, and ways to run it."""
 
+import json
 import subprocess
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from running import SPLATS, VIEWS, Ran, Run, SmallScene, program
+from running import ROOT, SPLATS, VIEWS, Ran, Run, SmallScene, program
 
 import cogsplat
 from cogsplat.codec.rate.pruning import PruneConfig
@@ -57,3 +59,24 @@ def run_apart() -> Run:
         return Ran(done.returncode, done.stdout, done.stderr)
 
     return start
+
+
+@pytest.fixture
+def few_vectors(tmp_path: Path) -> Path:
+    """A folder with some of the vectors: those of refinements, and those of CRC and hash."""
+    vectors = ROOT / "tests" / "vectors"
+    manifest = json.loads((vectors / "manifest.json").read_text())
+    manifest["valid"] = [e for e in manifest["valid"] if e["name"] in ("refinements", "sh1")]
+    codes = ("segment-crc", "segment-hash")
+    manifest["invalid"] = [e for e in manifest["invalid"] if e["code"] in codes]
+    assert len(manifest["valid"]) == 2
+    assert {e["code"] for e in manifest["invalid"]} == set(codes)
+    folder = tmp_path / "vectors"
+    for kind, suffixes in (("valid", ("cogs", "f32")), ("invalid", ("cogs",))):
+        (folder / kind).mkdir(parents=True)
+        for entry in manifest[kind]:
+            for suffix in suffixes:
+                name = f"{entry['name']}.{suffix}"
+                (folder / kind / name).write_bytes((vectors / kind / name).read_bytes())
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder

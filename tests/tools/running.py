@@ -1,6 +1,7 @@
 """Ways to run the command line, and what its tests run it on."""
 
 import json
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -52,3 +53,23 @@ def program(arguments: Sequence[object], before: str = "") -> list[str]:
         "main()",
     ]
     return [sys.executable, "-c", "\n".join(lines)]
+
+
+# A decoder that answers as ours does but for one fault, given as Python that changes `answer`.
+_BROKEN = """
+import json, sys, time
+sys.path.insert(0, {root!r})
+from cogsplat.tools.conformance import decoder
+for line in sys.stdin:
+    request = json.loads(line)
+    answer = decoder.answer("numpy", request)
+    {fault}
+    print(json.dumps(answer), flush=True)
+"""
+
+
+def broken_decoder(folder: Path, fault: str) -> str:
+    """Write a decoder that has a fault into a folder; return the command line that runs it."""
+    script = folder / "decoder.py"
+    script.write_text(_BROKEN.format(root=str(ROOT), fault=fault))
+    return shlex.join([sys.executable, str(script)])

@@ -22,8 +22,9 @@ import numpy as np
 import cogsplat
 from cogsplat.codec.threads import thread_count
 from cogsplat.tools.synthetic.scene import synth, synth_cameras
-from cogsplat.tools.terminal.options import PATH, json_option, threads_option
+from cogsplat.tools.terminal.options import json_option, threads_option
 from cogsplat.tools.terminal.output import name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.standard_streams import PATH
 
 _ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 

@@ -36,7 +36,7 @@ from cogsplat.formats.cameras.files import read_cameras
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.scenes.ply.scene import write_ply
 from cogsplat.formats.storage.atomic import atomic_write
-from cogsplat.tools.terminal.options import PATH
+from cogsplat.tools.terminal.standard_streams import PATH
 
 _MODULES: Final = Path(__file__).resolve().parents[1] / "web" / "node_modules"
 _CONVERTER: Final = "@playcanvas/splat-transform/bin/cli.mjs"

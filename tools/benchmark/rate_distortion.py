@@ -19,6 +19,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.formats.scenes.registry import FORMATS, Format, read_scene
 from cogsplat.tools.evaluation import view_quality
 from cogsplat.tools.evaluation.photos import Photos
+from cogsplat.tools.terminal.standard_streams import call_file
 
 if TYPE_CHECKING:
     from cogsplat.codec.encode.config import EncodeConfig
@@ -372,6 +373,7 @@ def _stages(method: _Method, report: EncodeReport) -> list[StageTime]:
 
 def _measure(given: BenchInput, method: _Method, path: Path) -> tuple[Row, EncodeReport | None]:
     """Return the figures of a method and, where it is one of ours, how its file was encoded."""
+    call_file(path, _label(method.name, method.quality_db))
     start = time.perf_counter()
     try:
         report = method.write(path)

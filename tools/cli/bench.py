@@ -25,7 +25,6 @@ from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.pictures.svg_charts import Series, bar_chart, line_chart
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
-    PATH,
     background_option,
     cameras_option,
     eval_every_option,
@@ -34,9 +33,10 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text, table, title_of
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import Colour
 
 from .inputs import (
@@ -122,7 +122,7 @@ def decibels(text: str) -> tuple[float, ...]:
     "  cogsplat bench scene.ply --cameras cameras.json --out figures\n"
     "  cogsplat bench scene.ply --cameras cameras.json --ablation --qualities 40"
 )
-@click.argument("scene", type=PATH)
+@click.argument("scene", type=INPUT)
 @cameras_option(
     "Without it, views to score in are planned; test views are eval_cameras.json beside SCENE."
 )
@@ -226,7 +226,7 @@ def bench(
                     formats=formats,
                     progress=stages,
                 )
-    title = f"{scene.absolute().parent.name}/{scene.name}"
+    title = title_of(scene, in_folder=True)
     pages = (
         _ablation_pages(found, about, title) if ablation else _bench_pages(measured, about, title)
     )

@@ -15,7 +15,6 @@ from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.object_quality import ObjectQuality
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
-    PATH,
     background_option,
     cameras_option,
     compensate_option,
@@ -31,7 +30,7 @@ from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_jso
 from cogsplat.tools.terminal.output_names import PNG, check_name, format_option
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
-from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
+from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
 from cogsplat.tools.terminal.values import ChunkRange, Colour, picture_size
 
 from .inputs import (

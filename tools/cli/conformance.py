@@ -9,12 +9,13 @@ from pathlib import Path
 import click
 
 from cogsplat.codec.errors import StorageError
-from cogsplat.formats.storage.atomic import open_for_read
+from cogsplat.formats.storage.atomic import atomic_write, open_for_read, storage_errors
 from cogsplat.tools.conformance.differential import FuzzReport, fuzz, vector_files
 from cogsplat.tools.conformance.runner import Failure, Report, run
-from cogsplat.tools.terminal.options import PATH, json_option, quiet_option
+from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import counted, say, say_json, table
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import PATH
 
 _INVALID = 3
 _MOST_SHOWN = 40
@@ -66,7 +67,7 @@ def run_command(
     with Stages(shown=not (quiet or as_json)) as stages:
         report = run(shlex.split(decoder), folder, timeout_s=timeout, progress=stages)
     if as_json:
-        say_json(_json(report))
+        say_json({**_json(report), "seconds": stages.rounded()})
     else:
         _tell(report, quiet=quiet)
     if report.failures:
@@ -144,6 +145,10 @@ def fuzz_command(
     """
     if len(decoders) < 2:
         raise click.UsageError("one --decoder, expected two or more to compare")
+    if keep is not None:
+        # Before the mutants are made, not after.
+        with storage_errors(keep):
+            keep.mkdir(parents=True, exist_ok=True)
     sources = vector_files(vectors or _own_vectors())
     for path in files:
         with open_for_read(path) as file:
@@ -159,11 +164,11 @@ def fuzz_command(
             progress=stages,
         )
     if keep is not None:
-        keep.mkdir(parents=True, exist_ok=True)
         for case in report.disagreements:
-            (keep / f"{seed}-{case.number}.cogs").write_bytes(case.mutant.data)
+            with atomic_write(keep / f"{seed}-{case.number}.cogs", force=True) as file:
+                file.write(case.mutant.data)
     if as_json:
-        say_json(_fuzz_json(report))
+        say_json({**_fuzz_json(report), "seconds": stages.rounded()})
     else:
         _tell_fuzz(report, quiet=quiet)
     if report.disagreements:
@@ -220,7 +225,7 @@ def _tell(report: Report, *, quiet: bool) -> None:
 def _fuzz_json(report: FuzzReport) -> dict[str, object]:
     return {
         "decoders": [
-            asdict(decoder) | {"most_memory": memory}
+            asdict(decoder) | {"most_memory_bytes": memory}
             for decoder, memory in zip(report.decoders, report.most_memory, strict=True)
         ],
         "mutants": report.mutants,

@@ -19,7 +19,6 @@ from cogsplat.tools.evaluation.report_page import write_report
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
-    PATH,
     background_option,
     cameras_option,
     eval_every_option,
@@ -40,7 +39,7 @@ from cogsplat.tools.terminal.output_names import (
 )
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
-from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
+from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
 from cogsplat.tools.terminal.values import Colour, byte_count
 
 from .info import tell_attributes

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import cogsplat
-from cogsplat.codec.errors import DataError
+from cogsplat.codec.errors import DataError, printable
 from cogsplat.codec.order.orders import Unordered, order_rows
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.scenes.registry import WRITABLE
@@ -42,7 +42,6 @@ from cogsplat.tools.evaluation.tables import (
 )
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
-    PATH,
     background_option,
     cameras_option,
     eval_every_option,
@@ -57,6 +56,7 @@ from cogsplat.tools.terminal.options import (
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import Colour
 
 from .evaluation_options import codecs, objects, shares, sizes
@@ -81,7 +81,7 @@ from .order_options import OrderChoice, orders_option
     "  cogsplat eval both.ply --orders antimatter --by-object all --sizes none\n"
     "  cogsplat eval scene.ply --orders contribution,antimatter --codecs spz,splat",
 )
-@click.argument("scene", type=PATH)
+@click.argument("scene", type=INPUT)
 @cameras_option(
     "Without it, views to score in are planned; test views are eval_cameras.json beside SCENE."
 )
@@ -91,7 +91,7 @@ from .order_options import OrderChoice, orders_option
 @click.option(
     "--file",
     "files",
-    type=PATH,
+    type=INPUT,
     multiple=True,
     metavar="PATH",
     help="A COGS file of SCENE to measure by bytes, in place of encoding every order; may be given "
@@ -275,7 +275,7 @@ def evaluate(
         if cut:
             with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
                 made: list[tuple[str, Path, Curve | None]]
-                made = [(name_of(path), path, None) for path in files] or [
+                made = [(printable(name_of(path)), path, None) for path in files] or [
                     (curve.label, Path(folder) / f"{number}.cogs", curve)
                     for number, curve in enumerate(measured)
                 ]

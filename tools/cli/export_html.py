@@ -23,15 +23,15 @@ from cogsplat.tools.delivery.viewer_pages import (
 )
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
-    PATH,
     force_option,
     json_option,
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import counted, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output import counted, name_of, say, say_json, size_text, title_of
 from cogsplat.tools.terminal.output_names import HTML, check_name
 from cogsplat.tools.terminal.partial import partial_option
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath, is_standard_output
 
 from .inputs import given_files
 from .viewable import viewable
@@ -43,8 +43,8 @@ from .viewable import viewable
     "  cogsplat export-html scene.cogs page.html\n"
     "  cogsplat export-html scene.cogs site --folder",
 )
-@click.argument("scene", type=PATH, metavar="SCENE")
-@click.argument("out", type=PATH, metavar="OUT")
+@click.argument("scene", type=INPUT, metavar="SCENE")
+@click.argument("out", type=OutputPath(".html"), metavar="OUT")
 @click.option(
     "--folder",
     is_flag=True,
@@ -72,12 +72,14 @@ def export_html(
     than the scene. With --folder, the scene stays a file of its own and shows while it is fetched.
     A scene that is no .cogs is encoded first.
     """
+    if folder and is_standard_output(out):
+        raise click.UsageError("--folder with standard output, expected the name of a folder")
     inputs = list(given_files(scene))
     if not folder:
         check_name(out, HTML)
         check_output(out, force=force, inputs=inputs)
     shown = not (quiet or as_json)
-    title = scene.name
+    title = title_of(scene)
     with (
         _room_for(out, sorted([*linked_page(title), SCENE_NAME]), force, inputs, needed=folder),
         viewable(scene, threads=threads, shown=shown) as given,

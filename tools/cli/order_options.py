@@ -23,7 +23,7 @@ from cogsplat.codec.order.orders import (
 )
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
-from cogsplat.tools.terminal.options import PATH
+from cogsplat.tools.terminal.standard_streams import PATH
 
 from .inputs import given_cameras
 

@@ -16,7 +16,6 @@ from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.atomic import check_output, storage_errors
 from cogsplat.tools.terminal.options import (
-    PATH,
     force_option,
     json_option,
     quiet_option,
@@ -25,6 +24,7 @@ from cogsplat.tools.terminal.options import (
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text, table
 from cogsplat.tools.terminal.output_names import check_distinct
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import PATH
 
 _SPLATS = 120_000
 _MOST_SPLATS = 20_000_000

@@ -11,9 +11,10 @@ import click
 
 from cogsplat.tools.delivery.local_server import SceneServer
 from cogsplat.tools.terminal.limits import limits_option
-from cogsplat.tools.terminal.options import PATH, json_option, quiet_option, threads_option
-from cogsplat.tools.terminal.output import counted, name_of, say, say_json
+from cogsplat.tools.terminal.options import json_option, quiet_option, threads_option
+from cogsplat.tools.terminal.output import counted, name_of, say, say_json, title_of
 from cogsplat.tools.terminal.partial import partial_option
+from cogsplat.tools.terminal.standard_streams import INPUT
 
 from .viewable import drawable
 
@@ -26,10 +27,10 @@ _LARGEST_PORT = 65535
     "  cogsplat view scene.cogs --against scene.ply\n"
     "  cogsplat view scene.ply --no-open --port 8080"
 )
-@click.argument("scene", type=PATH, metavar="SCENE")
+@click.argument("scene", type=INPUT, metavar="SCENE")
 @click.option(
     "--against",
-    type=PATH,
+    type=INPUT,
     metavar="OTHER",
     help="Compare with another scene, of any format, at a line that can be moved.",
 )
@@ -65,7 +66,9 @@ def view(
         other = None
         if against is not None:
             other = open_things.enter_context(drawable(against, threads=threads)).path
-        server = open_things.enter_context(SceneServer(given.path, scene.name, port, against=other))
+        server = open_things.enter_context(
+            SceneServer(given.path, title_of(scene), port, against=other)
+        )
         if as_json:
             say_json({"url": server.url, "source": name_of(scene), "splats": given.splats})
         elif quiet:

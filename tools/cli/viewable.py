@@ -8,12 +8,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import click
-
 import cogsplat
 from cogsplat.formats.scenes.registry import is_cogs
 from cogsplat.tools.delivery.viewer_pages import SCENE_NAME
 from cogsplat.tools.terminal.limits import current_limits
+from cogsplat.tools.terminal.output import note
 from cogsplat.tools.terminal.partial import partial_accepted
 from cogsplat.tools.terminal.progress import Stages
 
@@ -56,7 +55,7 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
         return
     if shown:
         why = "has not arrived whole" if is_cogs(scene) else "is no COGS file"
-        click.echo(f"{scene} {why}: encoding it first, preset {PRESET}", err=True)
+        note(f"{scene} {why}: encoding it first, preset {PRESET}")
     with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
         path = Path(folder) / SCENE_NAME
         with Stages(shown=shown) as stages:

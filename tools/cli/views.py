@@ -18,7 +18,6 @@ from cogsplat.tools.pictures.contact_sheet import THUMBNAIL, contact_sheet
 from cogsplat.tools.pictures.png import write_png
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
-    PATH,
     force_option,
     json_option,
     quiet_option,
@@ -27,7 +26,7 @@ from cogsplat.tools.terminal.options import (
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
-from cogsplat.tools.terminal.standard_streams import INPUT
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 
 from .compare import fitted
 from .inputs import given_files, read_any
@@ -46,7 +45,7 @@ _MOST_VIEWS: Final = 1024
     "  cogsplat encode scene.ply scene.cogs --cameras views.json"
 )
 @click.argument("path", type=INPUT, metavar="SCENE")
-@click.argument("out", type=PATH, metavar="OUT.json|OUT.png")
+@click.argument("out", type=OutputPath(".json"), metavar="OUT.json|OUT.png")
 @click.option(
     "--count",
     type=click.IntRange(1, _MOST_VIEWS),

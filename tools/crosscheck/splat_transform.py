@@ -31,7 +31,8 @@ from cogsplat.formats.scenes.quantised_values import morton_order
 from cogsplat.formats.scenes.sog.scene import read_sog, write_sog
 from cogsplat.formats.storage.atomic import StrPath
 from cogsplat.tools.synthetic.scene import synth
-from cogsplat.tools.terminal.options import PATH, json_option
+from cogsplat.tools.terminal.options import json_option
+from cogsplat.tools.terminal.standard_streams import PATH
 
 from .spz import Finding, check_splat, check_spz, converted, findings_of, report
 

@@ -30,8 +30,9 @@ from cogsplat.formats.scenes.quantised_values import unit_opacities
 from cogsplat.formats.scenes.splat import read_splat, write_splat
 from cogsplat.formats.scenes.spz.scene import read_spz, write_spz
 from cogsplat.tools.synthetic.scene import synth
-from cogsplat.tools.terminal.options import PATH, json_option
+from cogsplat.tools.terminal.options import json_option
 from cogsplat.tools.terminal.output import say, say_json, table
+from cogsplat.tools.terminal.standard_streams import PATH
 
 F64 = NDArray[np.float64]
 

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from importlib.resources import files
 from typing import BinaryIO, Final
 
+from cogsplat.codec.errors import printable
+
 SCENE_NAME: Final = "scene.cogs"
 """Name of the scene's file beside a page."""
 
@@ -107,8 +109,10 @@ def _blocks(scene: BinaryIO) -> Iterator[bytes]:
 
 def _titled(title: str, attributes: str = "") -> str:
     page = _part("viewer.html").decode()
-    page = _replaced(page, _TITLE, f"<title>{html.escape(title)}</title>")
-    tag = f'<cogsplat-viewer id="page" label="{html.escape(title)}"{attributes}>'
+    # Names of files may hold what no page may, halves of characters among it.
+    text = html.escape(printable(title))
+    page = _replaced(page, _TITLE, f"<title>{text}</title>")
+    tag = f'<cogsplat-viewer id="page" label="{text}"{attributes}>'
     return _replaced(page, _VIEWER_TAG, tag)
 
 

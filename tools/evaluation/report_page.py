@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import printable
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import atomic_write
 from cogsplat.tools.pictures.png import to_image
 from cogsplat.tools.pictures.svg_charts import Series, line_chart
-from cogsplat.tools.terminal.output import size_text
+from cogsplat.tools.terminal.output import size_text, title_of
 
 from . import view_quality
 from .byte_inventory import ChunkSizes, StoredSize, chunk_sizes, stored_sizes
@@ -146,14 +147,14 @@ def render_page(given: ReportInput) -> str:
         ends = [chunk.head_offset + chunk.head_bytes for chunk in chunks]
         sizes = stored_sizes(file)
     curve = [(end, float(db)) for end, db in zip(ends, predicted, strict=True) if db]
-    name = escape(given.scene.name)
+    name = _escaped(title_of(given.scene))
     sections = [
         _tiles(given, kept, float(predicted[-1]) if len(predicted) else 0.0),
         "<h2>Quality as bytes arrive</h2>"
-        f"<p>PSNR against the source's own pictures in {escape(given.test_views)}; roaming views "
-        "stand back from those cameras and turn away. The predicted curve is what the encoder "
-        "wrote into the file, measured in views that it was given: of every chunk with its tail, "
-        "shown here where its head is complete.</p>",
+        f"<p>PSNR against the source's own pictures in {_escaped(given.test_views)}; roaming "
+        "views stand back from those cameras and turn away. The predicted curve is what the "
+        "encoder wrote into the file, measured in views that it was given: of every chunk with "
+        "its tail, shown here where its head is complete.</p>",
         f'<div class="plot">{_curves(given, curve)}</div>',
         _quality_table(given.qualities),
         "<h2>Pictures</h2>"
@@ -164,17 +165,22 @@ def render_page(given: ReportInput) -> str:
         "<h2>Chunks</h2>",
         _chunks(chunks, ends, predicted),
         "<h2>Settings</h2>",
-        _table(["", ""], [[escape(a), escape(b)] for a, b in given.settings], left=2),
-        f"<footer>cogsplat {escape(cogsplat.__version__)}</footer>",
+        _table(["", ""], [[_escaped(a), _escaped(b)] for a, b in given.settings], left=2),
+        f"<footer>cogsplat {_escaped(cogsplat.__version__)}</footer>",
     ]
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
         f"<title>{name}: encode report</title><style>{_STYLE}</style></head>\n<body><main>"
-        f"<h1>{name}</h1><p>as {escape(given.path.name)}</p>\n"
+        f"<h1>{name}</h1><p>as {_escaped(title_of(given.path))}</p>\n"
         + "\n".join(sections)
         + "\n</main></body></html>\n"
     )
+
+
+def _escaped(text: str) -> str:
+    # Names of files and cameras may hold controls and halves of characters, which no page may.
+    return escape(printable(text))
 
 
 def _tiles(given: ReportInput, kept: int, predicted_db: float) -> str:
@@ -194,7 +200,7 @@ def _tiles(given: ReportInput, kept: int, predicted_db: float) -> str:
         lost = given.photos.source_db - whole.photos_db
         tiles.append((f"{whole.photos_db:.2f} dB", f"against photos, {lost:.2f} dB lost"))
     cells = (
-        f'<div class="tile"><b>{escape(big)}</b><span>{escape(small)}</span></div>'
+        f'<div class="tile"><b>{_escaped(big)}</b><span>{_escaped(small)}</span></div>'
         for big, small in tiles
     )
     return f'<div class="tiles">{"".join(cells)}</div>'
@@ -265,7 +271,7 @@ def _pictures(given: ReportInput) -> list[str]:
         part = decode_share(given.path, share, threads=given.threads)
         text = f"{share:.0%}, {size_text(quality_.size_bytes)}: {len(part):,} splats"
         strip.append(_figure(render(part, camera, config), text))
-    parts.append(f"<p>{escape(camera.name)} as the bytes arrive.</p>")
+    parts.append(f"<p>{_escaped(camera.name)} as the bytes arrive.</p>")
     parts.append(_row(strip))
     return parts
 
@@ -281,7 +287,7 @@ def _figure(pixels: NDArray[np.floating], caption: str) -> str:
     page = io.BytesIO()
     image.save(page, format="PNG", optimize=True)
     data = base64.b64encode(page.getvalue()).decode()
-    text = escape(caption)
+    text = _escaped(caption)
     return (
         f'<figure><img alt="{text}" src="data:image/png;base64,{data}">'
         f"<figcaption>{text}</figcaption></figure>"
@@ -293,8 +299,8 @@ def _attributes(sizes: Sequence[StoredSize], splats: int) -> str:
     largest = max(size.stored_bytes for size in sizes)
     rows = [
         [
-            escape(size.segment),
-            escape(size.label),
+            _escaped(size.segment),
+            _escaped(size.label),
             f"{size.stored_bytes:,}",
             f"{size.stored_bytes / total:.1%}",
             f"{8 * size.stored_bytes / max(splats, 1):.2f}",

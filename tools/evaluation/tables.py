@@ -14,7 +14,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.splats import Splats
 from cogsplat.tools.pictures.svg_charts import Series, line_chart
-from cogsplat.tools.terminal.output import facts, name_of, say, size_text, table
+from cogsplat.tools.terminal.output import facts, name_of, say, size_text, table, title_of
 
 from .evaluator import Evaluator
 from .object_curves import ObjectPoint, object_charts
@@ -85,7 +85,7 @@ def written_pages(
     objects: Sequence[ObjectPoint] = (),
 ) -> dict[str, str]:
     """Return the plots, the table and the record of an evaluation, by file name."""
-    title = f"{given.path.absolute().parent.name}/{given.path.name}"
+    title = title_of(given.path, in_folder=True)
     pages: dict[str, str] = {}
     for kind in by:
         own = [point for point in points if point.by == kind]

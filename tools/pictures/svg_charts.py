@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import Final
 from xml.sax.saxutils import escape
 
+from cogsplat.codec.errors import printable
+
 # Picture and its margins, px.
 _WIDTH: Final = 860
 _HEIGHT: Final = 500
@@ -100,7 +102,7 @@ def line_chart(
         _text(_LEFT, 22, title, "start", _TITLE),
         _text(_LEFT + width / 2, _HEIGHT - 12, x_label, "middle"),
         f'<text transform="translate(18 {_TOP + height / 2:.1f}) rotate(-90)" '
-        f'text-anchor="middle">{escape(y_label)}</text>',
+        f'text-anchor="middle">{_escaped(y_label)}</text>',
     ]
     for tick in ticks:
         _, y = at(2**low, tick)
@@ -210,5 +212,10 @@ def _line(x1: float, y1: float, x2: float, y2: float, colour: str, width: int = 
     )
 
 
+def _escaped(text: str) -> str:
+    # XML has no controls, and UTF-8 no halves of characters; names of files may hold both.
+    return escape(printable(text))
+
+
 def _text(x: float, y: float, text: str, anchor: str, extra: str = "") -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" {extra}>{escape(text)}</text>'
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" {extra}>{_escaped(text)}</text>'

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Final, TypeVar
 
 import click
@@ -11,13 +10,10 @@ import click
 from cogsplat.codec.metrics import SSIM_BORDERS
 from cogsplat.codec.splats import MAX_SH_DEGREE
 
+from .standard_streams import PATH
 from .values import byte_count, chunk_range, colour, object_labels
 
 Command = TypeVar("Command", bound=Callable[..., object])
-
-# Whether a path exists is asked when it is opened, so that its absence is an error of input (exit
-# code 4) and not of usage.
-PATH: Final = click.Path(path_type=Path)
 
 # Beyond any machine's cores; systems refuse to start tens of thousands.
 _MOST_THREADS: Final = 1024

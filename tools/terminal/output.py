@@ -36,8 +36,13 @@ def say(text: str) -> None:
     _print(printable(with_streams_named(text)))
 
 
-def _print(text: str) -> None:
-    to_error = is_output_taken()
+def note(text: str) -> None:
+    """Print a line to standard error, as `say` does."""
+    _print(printable(with_streams_named(text)), to_error=True)
+
+
+def _print(text: str, *, to_error: bool | None = None) -> None:
+    to_error = is_output_taken() if to_error is None else to_error
     stream = sys.stderr if to_error else sys.stdout
     encoding = getattr(stream, "encoding", None) or "utf-8"
     click.echo(text.encode(encoding, "backslashreplace").decode(encoding), err=to_error)
@@ -98,6 +103,21 @@ def size_text(size_bytes: int) -> str:
 def counted(count: int, noun: str) -> str:
     """Return a number with its noun: ``1 chunk``, ``12,000 splats``."""
     return f"{count:,} {noun}" + ("" if count == 1 else "s")
+
+
+def title_of(path: Path, *, in_folder: bool = False) -> str:
+    """Return what pages and charts call a file: its name, or that of the stream it stands for.
+
+    Parameters
+    ----------
+    path : Path
+    in_folder : bool
+        Whether the name of its folder comes before its own.
+    """
+    named = name_of(path)
+    if named != os.fspath(path):
+        return named
+    return f"{path.absolute().parent.name}/{path.name}" if in_folder else path.name
 
 
 def name_of(path: Path) -> str:

@@ -45,6 +45,36 @@ class InputPath(click.Path):
         return streams.receive()
 
 
+class NamedPath(click.Path):
+    """A file or folder that no stream can stand for; ``-`` is refused.
+
+    Whether it exists is asked when it is opened, so that its absence is an error of input (exit
+    code 4) and not of usage.
+    """
+
+    def convert(
+        self,
+        value: str | os.PathLike[str],
+        param: click.Parameter | None,
+        ctx: click.Context | None,
+    ) -> Path:
+        """Return the path.
+
+        Raises
+        ------
+        click.BadParameter
+            It is ``-``.
+        """
+        if os.fspath(value) == STREAM:
+            self.fail(
+                f"{STREAM} for a stream, expected the name of a file or folder: {STREAM} stands "
+                f"only for a scene to read and for the result (./{STREAM} is a file of that name)",
+                param,
+                ctx,
+            )
+        return Path(os.fsdecode(super().convert(value, param, ctx)))
+
+
 class OutputPath(click.Path):
     """A file to write; with ``-`` it goes to standard output once it is complete.
 
@@ -76,6 +106,9 @@ class OutputPath(click.Path):
 INPUT: Final = InputPath(path_type=Path)
 """The type of a scene to read."""
 
+PATH: Final = NamedPath(path_type=Path)
+"""The type of every other file and folder."""
+
 
 class StandardStreams:
     """The streams of a command, and the files that stand for them.
@@ -90,6 +123,7 @@ class StandardStreams:
         self._folder = folder
         self._input: Path | None = None
         self._output: Path | None = None
+        self._names: dict[str, str] = {}
 
     def receive(self) -> Path:
         """Read standard input to its end, into a file.
@@ -104,6 +138,7 @@ class StandardStreams:
         if sys.stdin is None or sys.stdin.isatty():
             raise click.UsageError("standard input is a terminal, expected a file or a pipe")
         self._input = self._folder / "input"
+        self.call(self._input, _INPUT)
         with self._input.open("wb") as file:
             shutil.copyfileobj(sys.stdin.buffer, file)
         return self._input
@@ -121,6 +156,7 @@ class StandardStreams:
         if sys.stdout is None or sys.stdout.isatty():
             raise click.UsageError("standard output is a terminal, expected a file or a pipe")
         self._output = self._folder / f"output{suffix}"
+        self.call(self._output, _OUTPUT)
         return self._output
 
     @property
@@ -139,11 +175,14 @@ class StandardStreams:
                 shutil.copyfileobj(file, sys.stdout.buffer)
             sys.stdout.buffer.flush()
 
+    def call(self, path: Path, name: str) -> None:
+        """Let a name stand for a temporary file in what is printed."""
+        self._names[os.fspath(path)] = name
+
     def named(self, text: str) -> str:
-        """Return a text in which streams stand for the files in their place."""
-        for path, name in ((self._input, _INPUT), (self._output, _OUTPUT)):
-            if path is not None:
-                text = text.replace(os.fspath(path), name)
+        """Return a text in which names stand for the temporary files that have one."""
+        for path, name in self._names.items():
+            text = text.replace(path, name)
         return text
 
 
@@ -168,8 +207,23 @@ def is_output_taken() -> bool:
     return streams is not None and streams.is_output_taken
 
 
+def call_file(path: Path, name: str) -> None:
+    """Let the running command say a name in place of the path of a temporary file.
+
+    Parameters
+    ----------
+    path : Path
+        Its user has not given it and cannot see it.
+    name : str
+        What it holds.
+    """
+    streams = _streams(click.get_current_context(silent=True))
+    if streams is not None:
+        streams.call(path, name)
+
+
 def with_streams_named(text: str) -> str:
-    """Return a text of the running command in which streams have their names."""
+    """Return a text of the running command in which streams and temporary files have names."""
     streams = _streams(click.get_current_context(silent=True))
     return text if streams is None else streams.named(text)
 

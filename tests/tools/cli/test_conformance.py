@@ -1,53 +1,13 @@
 """conformance run: our own decoders pass, broken ones fail the clause that they break."""
 
-import json
 import shlex
 import sys
 from pathlib import Path
 
 import pytest
-from running import ROOT, Run
+from running import Run, broken_decoder
 
 from cogsplat.tools.conformance.decoder import KINDS
-
-# A decoder that answers as ours does but for one fault, given as Python that changes `answer`.
-BROKEN = """
-import json, sys, time
-sys.path.insert(0, {root!r})
-from cogsplat.tools.conformance import decoder
-for line in sys.stdin:
-    request = json.loads(line)
-    answer = decoder.answer("numpy", request)
-    {fault}
-    print(json.dumps(answer), flush=True)
-"""
-
-
-def command(tmp_path: Path, fault: str) -> str:
-    script = tmp_path / "decoder.py"
-    script.write_text(BROKEN.format(root=str(ROOT), fault=fault))
-    return shlex.join([sys.executable, str(script)])
-
-
-@pytest.fixture
-def few_vectors(tmp_path: Path) -> Path:
-    """A folder with some of the vectors: those of refinements, and those of CRC and hash."""
-    vectors = ROOT / "tests" / "vectors"
-    manifest = json.loads((vectors / "manifest.json").read_text())
-    manifest["valid"] = [e for e in manifest["valid"] if e["name"] in ("refinements", "sh1")]
-    codes = ("segment-crc", "segment-hash")
-    manifest["invalid"] = [e for e in manifest["invalid"] if e["code"] in codes]
-    assert len(manifest["valid"]) == 2
-    assert {e["code"] for e in manifest["invalid"]} == set(codes)
-    folder = tmp_path / "vectors"
-    for kind, suffixes in (("valid", ("cogs", "f32")), ("invalid", ("cogs",))):
-        (folder / kind).mkdir(parents=True)
-        for entry in manifest[kind]:
-            for suffix in suffixes:
-                name = f"{entry['name']}.{suffix}"
-                (folder / kind / name).write_bytes((vectors / kind / name).read_bytes())
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    return folder
 
 
 @pytest.mark.slow
@@ -94,7 +54,7 @@ def test_our_decoders_pass_all_vectors(run: Run, kind: str) -> None:
 def test_a_broken_decoder_fails_the_clause_that_it_breaks(
     run: Run, tmp_path: Path, few_vectors: Path, fault: str, clause: str
 ) -> None:
-    decoder = command(tmp_path, fault)
+    decoder = broken_decoder(tmp_path, fault)
     told = run("conformance", "run", "--decoder", decoder, "--vectors", few_vectors, "--json")
     assert told.code == 3, told.err
     clauses = told.json["clauses"]
@@ -107,7 +67,7 @@ def test_a_broken_decoder_fails_the_clause_that_it_breaks(
 
 
 def test_a_decoder_that_hangs_fails(run: Run, tmp_path: Path, few_vectors: Path) -> None:
-    decoder = command(tmp_path, "time.sleep(60) if request.get('partial') else None")
+    decoder = broken_decoder(tmp_path, "time.sleep(60) if request.get('partial') else None")
     told = run(
         "conformance", "run", "--decoder", decoder, "--vectors", few_vectors, "--timeout", "2",
         "--json",
@@ -136,7 +96,7 @@ def test_decoders_are_compared_over_mutants(run: Run, tmp_path: Path, few_vector
     assert told.code == 0, told.err
     assert "30 mutants" in told.out
     assert "0 disagreements" in told.out
-    worse = command(tmp_path, "answer.update(code='not-cogs') if 'code' in answer else None")
+    worse = broken_decoder(tmp_path, "answer.update(code='not-cogs') if 'code' in answer else None")
     arguments = (
         "conformance", "fuzz", "--decoder", ours, "--decoder", worse, "--vectors", few_vectors,
         "--count", "30",

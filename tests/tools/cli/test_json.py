@@ -1,12 +1,15 @@
 """Every command's JSON object: its keys are those of docs/json.md, and each means one thing."""
 
 import re
+import shlex
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import pytest
-from running import ROOT, Run, SmallScene, program
+from running import ROOT, Run, SmallScene, broken_decoder, program
 
 import cogsplat
 from cogsplat.codec.order.objects import with_labels
@@ -25,6 +28,8 @@ NAMED = {
     "mean_over_log.*",
     "left_out",
     "share_of_splats_holding",
+    "clauses",
+    "verdicts",
 }
 
 
@@ -39,6 +44,15 @@ def paths(value: object, at: str = "") -> Iterator[str]:
             yield from paths(inner, f"{at}[]")
     else:
         yield at
+
+
+def commands() -> set[str]:
+    """Return every command by its words, those inside groups as ``group command``."""
+    found = set()
+    for name, command in cli.commands.items():
+        inner = command.commands if isinstance(command, click.Group) else {}
+        found |= {f"{name} {sub}" for sub in inner} or {name}
+    return found
 
 
 def documented() -> dict[str, set[str]]:
@@ -100,10 +114,12 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
     return [command, *given[command], "--json"]
 
 
+# These do not end by themselves, or take a decoder: tests of their own look at their keys.
+APART = {"view", "conformance run", "conformance fuzz"}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "command", [name for name in cli.commands if name not in ("view", "conformance")]
-)
+@pytest.mark.parametrize("command", sorted(commands() - APART))
 def test_a_command_has_the_keys_of_the_page(
     run: Run,
     small: SmallScene,
@@ -129,14 +145,28 @@ def test_a_view_says_its_address_first(small: SmallScene) -> None:
     assert keys == documented()["view"]
 
 
+@pytest.mark.parametrize("command", ["run", "fuzz"])
+def test_a_decoder_with_a_fault_shows_all_keys_of_conformance(
+    run: Run, few_vectors: Path, tmp_path: Path, command: str
+) -> None:
+    ours = shlex.join([sys.executable, "-m", "cogsplat.tools.conformance.decoder", "numpy"])
+    worse = broken_decoder(tmp_path, "answer.update(code='not-cogs') if 'code' in answer else None")
+    words: list[object] = ["conformance", command, "--vectors", few_vectors, "--decoder", worse]
+    if command == "fuzz":
+        words += ["--decoder", ours, "--count", 10]
+    told = run(*words, "--json")
+    assert told.code == 3, told.out
+    assert set(paths(told.json)) == documented()[f"conformance {command}"]
+
+
 def test_every_command_and_key_is_explained_once() -> None:
-    commands = documented()
-    assert set(commands) == set(cli.commands) - {"conformance"}
+    explained = documented()
+    assert set(explained) == commands()
     keys = glossary()
     assert len(keys) == len(set(keys))
     used = {
         part.removesuffix("[]")
-        for listed in commands.values()
+        for listed in explained.values()
         for path in listed
         for part in path.split(".")
     }

@@ -1,8 +1,10 @@
 """Scenes from standard input and results to standard output, through the whole command line."""
 
 import io
+import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -13,7 +15,12 @@ from running import SmallScene, program
 
 import cogsplat
 from cogsplat.tools.cli.main import cli
-from cogsplat.tools.terminal.standard_streams import StandardStreams
+from cogsplat.tools.terminal.standard_streams import (
+    InputPath,
+    NamedPath,
+    OutputPath,
+    StandardStreams,
+)
 
 
 def piped(data: bytes, *arguments: object) -> tuple[int, bytes, str]:
@@ -54,6 +61,41 @@ def test_encoding_between_two_pipes(small: SmallScene) -> None:
     assert "smaller than standard input" in err
 
 
+def test_a_scene_from_standard_input_is_measured(small: SmallScene, tmp_path: Path) -> None:
+    ply, runner = small.ply.read_bytes(), CliRunner()
+    views = ["--cameras", str(small.cameras), "--out", str(tmp_path)]
+    brief = ["--orders", "source", "--shares", "10", "--sizes", "none"]
+    done = runner.invoke(cli, ["eval", "-", *views, *brief], input=ply)
+    assert done.exit_code == 0, done.output
+    assert done.stdout.startswith("standard input: ")
+    assert "standard input, held-out" in (tmp_path / "splats-held-out.svg").read_text()
+    brief = ["--profiles", "none", "--formats", "splat"]
+    done = runner.invoke(cli, ["bench", "-", *views, *brief], input=ply)
+    assert done.exit_code == 0, done.output
+    assert done.stdout.startswith("standard input: ")
+    assert "warning: splat: .splat cannot hold SH" in done.stderr
+    assert "standard input: " in (tmp_path / "rate-distortion.svg").read_text()
+
+
+def test_a_page_between_two_pipes(small: SmallScene, tmp_path: Path) -> None:
+    code, page, err = piped(small.cogs.read_bytes(), "export-html", "-", "-")
+    assert code == 0, err
+    assert err.startswith("standard output: ")
+    assert b"<title>standard input</title>" in page
+    named = tmp_path / "page.html"
+    assert CliRunner().invoke(cli, ["export-html", str(small.cogs), str(named)]).exit_code == 0
+    assert page == named.read_bytes().replace(b"scene.cogs", b"standard input")
+    code, page, err = piped(small.ply.read_bytes(), "export-html", "-", "-")
+    assert code == 0, err
+    assert err.startswith("standard input is no COGS file: encoding it first")
+
+
+def test_planned_cameras_go_to_standard_output(small: SmallScene) -> None:
+    code, out, err = piped(small.ply.read_bytes(), "views", "-", "-", "--count", "6", "-q")
+    assert (code, err) == (0, "")
+    assert len(json.loads(out)) >= 6
+
+
 @pytest.mark.parametrize("command", ["info", "stats", "validate"])
 def test_looking_at_standard_input(small: SmallScene, command: str) -> None:
     done = CliRunner().invoke(cli, [command, "-"], input=small.cogs.read_bytes())
@@ -77,12 +119,36 @@ def test_messages_speak_of_the_streams(small: SmallScene) -> None:
         (["convert", "-", "-"], "standard output without --format"),
         (["decode", "-", "-", "--json"], "--json and a result on standard output"),
         (["compare", "-", "-"], "- for two scenes"),
+        (["view", "-", "--against", "-"], "- for two scenes"),
+        (["export-html", "-", "-", "--folder"], "--folder with standard output"),
+        (["encode", "-", "-", "--cameras", "-"], "'--cameras': - for a stream"),
+        (["eval", "-", "--out", "-"], "'--out': - for a stream"),
+        (["synth", "-"], "'OUT.ply': - for a stream"),
     ],
 )
 def test_misuse_is_told(small: SmallScene, arguments: list[str], told: str) -> None:
     done = CliRunner().invoke(cli, arguments, input=small.cogs.read_bytes())
     assert (done.exit_code, done.stdout.partition("{")[0]) == (2, "")
     assert told in done.output
+
+
+def test_every_other_path_takes_no_stream() -> None:
+    """A folder called - would be made, a file called - looked for."""
+    kinds = (InputPath, OutputPath, NamedPath)
+    for command in leaves(cli):
+        for parameter in command.params:
+            if isinstance(parameter.type, click.Path):
+                assert isinstance(parameter.type, kinds), f"{command.name}: {parameter.name}"
+    assert NamedPath(path_type=Path).convert("./-", None, None) == Path("-")
+
+
+def leaves(group: click.Group) -> Iterator[click.Command]:
+    """Yield all commands, those inside groups included."""
+    for command in group.commands.values():
+        if isinstance(command, click.Group):
+            yield from leaves(command)
+        else:
+            yield command
 
 
 class Terminal(io.StringIO):
