@@ -35,7 +35,7 @@ MAX_FACTOR: Final = 2.0**32
 _GROUP_STARTS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 26)
 
 # Rows of sums and products that stay in the second-level cache.
-_BLOCK: Final = 1024
+_BLOCK: Final = 2048
 
 
 @dataclass(frozen=True)
@@ -224,50 +224,100 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     found = parse(stream, basis)
     ends = read_ends(stream, found.width)
     order, above = _by_falling_end(ends, found.width)
-    step, shrink = np.float32(found.step), np.float32(found.shrink)
+    parts = _parts(stream, found, above, basis)
+    count = above[0] if found.width else 0
+    sums = np.empty((min(_BLOCK, count), basis.shape[1]), np.float32)
+    products = np.empty_like(sums)
+    for start in range(0, count, _BLOCK):
+        stop = min(start + _BLOCK, count)
+        block = sums[: stop - start]
+        block[:] = 0
+        for part in parts:
+            first, last = max(part.first, start), min(part.last, stop)
+            if first < last:
+                product = products[: last - first]
+                part.write_products(first, product)
+                block[first - start : last - start] += product
+        out[order[start:stop]] = block
+    out[order[count:]] = 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One coordinate of rows that follow each other by falling ends.
+
+    Parameters
+    ----------
+    first, last : int
+        The rows, as a half-open range of ranks.
+    symbols : (last - first,) uint8
+        Of inner or of last codes.
+    table : (m,) float32
+        The coordinate of each symbol.
+    coordinates : (last - first,) float32 or None
+        Those of codes that take several bytes, in place of symbols and table.
+    row : (d,) float32
+        Of the basis.
+    """
+
+    first: int
+    last: int
+    symbols: U8
+    table: F32
+    coordinates: F32 | None
+    row: F32
+
+    def write_products(self, start: int, out: F32) -> None:
+        """Write what the rows from rank `start` on have on this coordinate, (rows, d) float32."""
+        own = slice(start - self.first, start - self.first + len(out))
+        if self.coordinates is not None:
+            np.multiply(self.coordinates[own, None], self.row, out=out)
+        elif 2 * len(self.table) <= len(out):
+            # Copies of rows that are there already take half the time of a product for each row.
+            products = self.table[:, None] * self.row
+            products.take(self.symbols[own], axis=0, out=out, mode="clip")
+        else:
+            np.multiply(self.table.take(self.symbols[own])[:, None], self.row, out=out)
+
+
+def _parts(stream: StoredStream, found: Parameters, above: list[int], basis: F32) -> list[_Part]:
+    """Return the rows of each coordinate in its order: inner ones, then those that end with it.
+
+    Parameters
+    ----------
+    stream : StoredStream
+    found : Parameters
+    above : list of int
+        How many rows have an end above 0, 1, … the width.
+    basis : (C, d) float32
+    """
+    factors = np.float32(found.step), np.float32(found.shrink)
     octets = np.arange(256, dtype=np.uint32)
-    tables = [_coordinate(octets + np.uint32(part), step, shrink) for part in range(2)]
-    ranked = np.zeros((above[0] if found.width else 0, basis.shape[1]), np.float32)
+    tables = [_coordinate(octets + np.uint32(offset), *factors) for offset in range(2)]
+    parts: list[_Part] = []
     plane = 1
     for number, group in enumerate(groups(found.width)):
-        counts = [above[j + 1] for j in group], [above[j] - above[j + 1] for j in group]
-        values: list[F32] = []
-        for part in range(2):
-            size = found.sizes[2 * number + part]
-            length = sum(counts[part])
-            parts = [stream.plane(plane + byte, length) for byte in range(size)]
+        own: list[list[_Part]] = [[], []]
+        spans = [(0, above[j + 1]) for j in group], [(above[j + 1], above[j]) for j in group]
+        for offset in range(2):
+            size = found.sizes[2 * number + offset]
+            length = sum(last - first for first, last in spans[offset])
+            planes = [stream.plane(plane + byte, length) for byte in range(size)]
             plane += size
-            values.append(_coordinates(parts, length, tables[part], part, (step, shrink)))
-        starts = [0, 0]
-        for j in group:
-            inner, outer = above[j + 1], above[j]
-            for part, rows in enumerate((ranked[:inner], ranked[inner:outer])):
-                stop = starts[part] + len(rows)
-                _add(rows, values[part][starts[part] : stop], basis[j])
-                starts[part] = stop
-    out[order[: len(ranked)]] = ranked
-    out[order[len(ranked) :]] = 0
-
-
-def _add(sums: F32, values: F32, row: F32) -> None:
-    """Add a basis row times its coordinates, by blocks of rows that stay in cache."""
-    product = np.empty((min(_BLOCK, len(sums)), sums.shape[1]), np.float32)
-    for start in range(0, len(sums), _BLOCK):
-        block = sums[start : start + _BLOCK]
-        part = product[: len(block)]
-        np.multiply(values[start : start + _BLOCK, None], row, out=part)
-        block += part
-
-
-def _coordinates(
-    planes: list[U8], rows: int, table: F32, offset: int, factors: tuple[np.float32, np.float32]
-) -> F32:
-    """Return (rows,) float32 coordinates from the planes of inner or of last codes."""
-    if not planes:
-        return np.full(rows, table[0])
-    if len(planes) == 1:
-        return table.take(planes[0])
-    return _coordinate(grid_planes.join_planes(planes, rows) + np.uint32(offset), *factors)
+            symbols = planes[0] if planes else np.zeros(length, np.uint8)
+            table = tables[offset][: int(symbols.max(initial=0)) + 1]
+            coordinates = None
+            if size > 1:
+                codes = grid_planes.join_planes(planes, length) + np.uint32(offset)
+                coordinates = _coordinate(codes, *factors)
+            at = 0
+            for j, (first, last) in zip(group, spans[offset], strict=True):
+                rows = slice(at, at + last - first)
+                at = rows.stop
+                exact = None if coordinates is None else coordinates[rows]
+                own[offset].append(_Part(first, last, symbols[rows], table, exact, basis[j]))
+        parts += [part for both in zip(*own, strict=True) for part in both]
+    return parts
 
 
 def _coordinate(codes: U32, step: np.float32, shrink: np.float32) -> F32:
