@@ -133,6 +133,7 @@ def test_what_a_file_takes_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 DOORS: dict[str, dict[str, str]] = {
     "codec": {
         "cameras": "Camera",
+        "compiling": "DeclaredKernel called_with compiled declared declared_in",
         "errors": (
             "Cancelled CogsplatError CogsplatWarning DataError FormatError LimitError "
             "MissingExtraError StorageError TruncatedError UnsupportedError printable"
@@ -155,6 +156,7 @@ DOORS: dict[str, dict[str, str]] = {
         "config": "Ablation EncodeConfig MAX_QUALITY_DB MIN_QUALITY_DB",
         "encoded": "EncodeReport EncodedChunk EncodedScene",
         "encoder": "encode_chunks",
+        "needed_kernels": "needed_kernels",
         "pipeline": "encode",
         "prefix_quality": "PrefixEvaluator",
         "prepared": "PreparedScene prepare",
@@ -235,7 +237,7 @@ DOORS: dict[str, dict[str, str]] = {
         "bit_fields": "pack",
         "byte_planes": "LENGTH_MASK pack_plane unpack_plane",
         "codebook_index": "gather read_indices write",
-        "compiled": "WORTH_LOADING prepare ready",
+        "compiled": "KERNEL_MODULES WORTH_LOADING prepare ready",
         "float32": "write",
         "grid": "ENTRY_BYTES Grid MAX_LEVELS MAX_VALUE fit",
         "grid_planes": "split_planes",

@@ -10,6 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.compiling import called_with
 from cogsplat.codec.render.jit import kernel
 
 from .adam import LEAST_SIZE, MEMORY, SQUARE_MEMORY
@@ -19,6 +20,10 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 
+@called_with(
+    "int64[::1], float64[:, ::1], float64[:, ::1], float32[:, ::1], float32[:, ::1], "
+    "float32[::1], float32[:, ::1], float32[::1]"
+)
 @kernel
 def draw_shifts(
     starts: I64,
@@ -56,6 +61,7 @@ def draw_shifts(
             drawn_opacities[i] = opacities[i] + np.float32(by_opacity)
 
 
+@called_with("int32[::1], float64[:], float64[::1], float64, float64[:, ::1]")
 @kernel
 def add_gradient(
     rows: NDArray[np.int32], by_scale: F64, by_opacity: F64, weight: float, gradients: F64
@@ -76,6 +82,11 @@ def add_gradient(
         gradients[rows[place], 1] += weight * by_opacity[place]
 
 
+@called_with(
+    "int64[::1], float64[:, ::1], float64[:, ::1], float64[::1], int64[::1], "
+    "float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], float64[:, ::1], "
+    "float64[:, ::1]"
+)
 @kernel
 def move_shifts(
     starts: I64,
@@ -134,6 +145,7 @@ def move_shifts(
             of_strengths[chunk, axis] = by_strength
 
 
+@called_with("float32[:, ::1], float64[::1], float64[:, ::1], uint8[::1], float32[:, ::1]")
 @kernel
 def choose_rows(shifts: F32, spread: F64, book: F64, codes: NDArray[np.uint8], own: F32) -> None:
     """Give every splat the row of a codebook that is nearest to its shift, the first of equals.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.compiling import called_with
 
 from .blending import (
     LANES,
@@ -34,6 +35,10 @@ _SQUARES, _PEAKS, _ROW = np.uintp(TILE), np.uintp(2 * TILE), np.uintp(3 * TILE)
 MOST_WEIGHTS = 2346
 
 
+@called_with(
+    "int64, int64[::1], int32[::1], float32[:, ::1], int32[:, ::1], int64, int64, float32, "
+    "float32[:, ::1], int64, int64"
+)
 @kernel
 def _weigh(
     lists_first: int,

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.compiling import called_with
+
 from .jit import kernel
 
 # Digits of 11 bits: their counts fit into the nearest cache, and six of them are a float64.
@@ -13,6 +15,7 @@ _DIGITS = 6
 _VALUES = 1 << _DIGIT_BITS
 
 
+@called_with("uint64[::1], int32[::1], uint64[::1], int32[::1], int64[:, ::1]")
 @kernel
 def _sort(
     keys: NDArray[np.uint64],

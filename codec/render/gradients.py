@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.splats import Splats
 
@@ -42,6 +43,10 @@ _SUMS = 2
 _BY_ALPHA, _BY_SCALE = (np.uintp(k * TILE) for k in range(_SUMS))
 
 
+@called_with(
+    "int64, int64, int64[::1], int32[::1], float32[:, ::1], int32[:, ::1], float32[:, ::1], "
+    "boolean[::1], float32[:, :, ::1], float32, float32[:, ::1]"
+)
 @kernel
 def _differentiate(
     lists_first: int,

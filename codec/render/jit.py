@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import TypeVar
 
-from numba import njit
+from cogsplat.codec.compiling import compiled
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -30,9 +30,8 @@ def kernel(function: Function) -> Function:
     runs and thread counts on one machine, but not between machines: decode arithmetic must not use
     them.
 
-    Compiled code is cached beside the module that defines the kernel, and is built anew when that
-    module changes. numba does not see changes in kernels that it calls from other modules: while
+    Compiled code is kept on disk (`compiling.compiled`), and is built anew when the kernel's module
+    changes. numba does not see changes in kernels that it calls from other modules: while
     such a module is being edited, set ``NUMBA_CACHE_DIR`` to a fresh folder.
     """
-    compiled = njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})(function)
-    return cast(Function, compiled)
+    return compiled(function, fuses=True)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.compiling import called_with
+
 from .blending import (
     BLUE,
     GREEN,
@@ -31,6 +33,10 @@ _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 
 
+@called_with(
+    "int64, int64, int64[::1], int32[::1], float32[:, ::1], int32[:, ::1], float32[:, ::1], "
+    "boolean[::1], float32[:, :, ::1], float32[:, ::1]"
+)
 @kernel
 def _measure(
     lists_first: int,

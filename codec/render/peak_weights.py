@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
 from cogsplat.codec.splats import Splats
 
@@ -22,6 +23,7 @@ _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 
 
+@called_with("float32[:, ::1], int32[:, ::1], int64, int64, float32[::1]")
 @kernel
 def _peaks(ellipse: F32, rows: NDArray[np.int32], width: int, height: int, peaks: F32) -> None:
     """Blend footprints nearest first over the whole picture and keep the largest weight of each.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
 from cogsplat.codec.splats import Splats
 
@@ -71,6 +72,11 @@ def slack(centre: float, extent: float) -> float:
     return _SLACK_PX + _SLACK * (abs(centre) + extent)
 
 
+@called_with(
+    "float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[::1], float64[:, ::1], "
+    "float64[::1], float64[::1], int64, int64, float64, boolean, float64, int32[::1], "
+    "float64[::1], float32[:, ::1], int32[:, ::1]"
+)
 @kernel
 def _project(
     means: NDArray[np.float32],

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
@@ -59,6 +60,10 @@ class RenderConfig:
         thread_count(self.threads)
 
 
+@called_with(
+    "int64, int64[::1], int32[::1], float32[:, ::1], int32[:, ::1], float32[:, ::1], "
+    "boolean[::1], float32[::1], boolean[::1], float32[:, :, ::1], int64, int64"
+)
 @kernel
 def _draw_tiles(
     lists_first: int,

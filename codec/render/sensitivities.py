@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry import sh
 from cogsplat.codec.splats import Splats
 
@@ -102,6 +103,10 @@ def from_columns(columns: NDArray[np.float64]) -> Sensitivities:
     )
 
 
+@called_with(
+    "int64, int64[::1], int32[::1], float32[:, ::1], int32[:, ::1], float32[:, ::1], "
+    "boolean[::1], int64, int64, float32[:, ::1], int64, int64"
+)
 @kernel
 def _moments(
     lists_first: int,
@@ -269,6 +274,11 @@ def _quartic(moments: NDArray[np.float64], c: float, p: float, q: float, r: floa
     return float(max(total, 0.0))
 
 
+@called_with(
+    "int32[::1], float32[:, ::1], float64[:, ::1], float64[:], float32[:, ::1], "
+    "float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[::1], float64[:, ::1], "
+    "float64[::1], float64[::1], int64, int64, boolean, float64[:, ::1]"
+)
 @kernel
 def _map(
     index: NDArray[np.int32],

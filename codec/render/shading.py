@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry import sh
 from cogsplat.codec.splats import Splats, sh_coefficients
 
@@ -18,6 +19,10 @@ sh_terms = kernel(sh.terms)
 """`sh.terms`, compiled for kernels."""
 
 
+@called_with(
+    "int32[::1], float32[:, ::1], float32[:, ::1], float32[:, :, ::1], float64[::1], int64, "
+    "float32[:, ::1]"
+)
 @kernel
 def _shade(
     index: NDArray[np.int32],

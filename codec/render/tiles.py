@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.compiling import called_with
 from cogsplat.codec.threads import ordered_map
 
 from .jit import kernel
@@ -98,6 +99,7 @@ def _tile_columns(
     return math.ceil(left) // TILE, math.floor(right) // TILE + 1
 
 
+@called_with("float32[:, ::1], int32[:, ::1], int64, int64, int64[::1]")
 @kernel
 def _count(
     ellipse: NDArray[np.float32],
@@ -116,6 +118,7 @@ def _count(
                 counts[tile] += 1
 
 
+@called_with("float32[:, ::1], int32[:, ::1], int64, int64, int64, int64, int64[::1], int32[::1]")
 @kernel
 def _fill(
     ellipse: NDArray[np.float32],
@@ -190,6 +193,7 @@ def tile_lists(
         first = last
 
 
+@called_with("int32[::1], float32[:, ::1], float64[:, ::1], int64")
 @kernel
 def gather(
     members: NDArray[np.int32],

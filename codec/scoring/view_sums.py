@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry import sh
 from cogsplat.codec.render.blend_weights import PEAK, SQUARE, WEIGHT
 from cogsplat.codec.render.jit import kernel
@@ -20,6 +21,11 @@ _BASES = sh_coefficients(MAX_SH_DEGREE)
 _GRAM_STRIDE = 8
 
 
+@called_with(
+    "int32[::1], float64[:, ::1], float32[:, ::1], float64[::1], float64, float64, int64, "
+    "boolean, boolean, float64[::1], float64[:, ::1], float64[::1], float64[::1], "
+    "float32[::1], int32[::1], int32[::1], float64[:, ::1], float64[:, ::1]"
+)
 @kernel
 def _add_view(
     index: NDArray[np.int32],
@@ -76,6 +82,7 @@ def _add_view(
                         gram[j, k] += share * values[j] * values[k]
 
 
+@called_with("int32[::1], float64[:, ::1], float64[:, ::1]")
 @kernel
 def _scatter(order: NDArray[np.int32], values: NDArray[np.float64], by_row: F64) -> None:
     for row in range(len(order)):
@@ -102,6 +109,7 @@ def ascending(footprints: Footprints, values: F64) -> F64:
     return by_row
 
 
+@called_with("int32[::1], float64[:, ::1], float64, float64[:, ::1]")
 @kernel
 def add_rows(index: NDArray[np.int32], values: F64, share: float, totals: F64) -> None:
     """Add values of some rows to those of a scene, without arrays in between.

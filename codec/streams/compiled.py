@@ -23,6 +23,12 @@ CompiledReader = Callable[[StoredStream, NDArray[np.float32], Inputs], bool]
 WORTH_LOADING: Final = 3_000_000
 """Splats from which loading numba and the kernels (0.4 s) pays within one decode (measured)."""
 
+KERNEL_MODULES: Final = tuple(
+    f"{__package__}.kernels_{name}"
+    for name in ("grid", "planes", "shn_transform", "sorted_means", "swing_twist")
+)
+"""Modules of the kernels that decoding calls, for `compiling.declared_in`."""
+
 _readers: Mapping[tuple[Attribute, Kind], CompiledReader] = {}
 
 

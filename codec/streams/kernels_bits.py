@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import TypeVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cogsplat.codec.compiling import compiled
 
 U8 = NDArray[np.uint8]
 U64 = NDArray[np.uint64]
@@ -18,8 +19,7 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 def exact(function: Function) -> Function:
     """Compile a function without fusing products and sums (SPEC 2.2), unlike `render.jit`."""
-    compiled = njit(nogil=True, cache=True, error_model="numpy")(function)
-    return cast(Function, compiled)
+    return compiled(function)
 
 
 def words(plane: U8) -> U64:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.compiling import called_with
+
 from . import grid_planes, quaternion, refinement_digits, scalar, sh0_transform
 from .grid import Grid
 from .inputs import Inputs
@@ -19,6 +21,9 @@ U8 = NDArray[np.uint8]
 U32 = NDArray[np.uint32]
 
 
+@called_with(
+    "Array(uint8, 1, 'C', True), float32[::1], float32[::1], uint32[::1], int64, float32[:, ::1]"
+)
 @exact
 def _grid_rows(planes: U8, minimum: F32, maximum: F32, levels: U32, extra: int, out: F32) -> bool:
     """Write (rows, c) values from byte planes end to end (SPEC 6.4).
@@ -75,6 +80,11 @@ def _spread_codes(codes: I32, width: np.float32, low: np.float32, column: int, o
         out[row, column] = run[row]
 
 
+@called_with(
+    "Array(uint8, 1, 'C', True), Tuple((float32[::1], float32[::1], uint32[::1])), int64, "
+    "int64[::1], Tuple((float32[::1], float32[::1], uint32[::1])), float32[:, ::1], "
+    "float32[:, ::1]"
+)
 @exact
 def _digit_rows(
     planes: U8,
@@ -142,6 +152,7 @@ def _digit_rows(
     return True
 
 
+@called_with("float32[:, ::1], float32[:, ::1]")
 @exact
 def _accumulate(differences: F32, out: F32) -> None:
     """Write log scales from their differences (SPEC 6.12)."""
@@ -152,6 +163,7 @@ def _accumulate(differences: F32, out: F32) -> None:
         out[row, 2] = differences[row, 0]
 
 
+@called_with("float32[:, ::1], float32[:, ::1], float32[:, ::1]")
 @exact
 def _on_axes(values: F32, axes: F32, out: F32) -> None:
     """Write sh0 from coordinates on axes (SPEC 6.13)."""

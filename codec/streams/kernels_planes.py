@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.compiling import called_with
+
 from .byte_planes import digit_tables, expand, packing_of
 from .kernels_bits import exact
 from .records import StoredStream
@@ -58,6 +60,7 @@ def _copy(packed: U8, start: int, out: U8, at: int, length: int) -> None:
         out[at + i] = packed[start + i]
 
 
+@called_with("Array(uint8, 1, 'C', True), int64[:, ::1], uint8[:, :, ::1], uint8[::1]")
 @exact
 def _unpack(packed: U8, spans: I64, tables: U8, out: U8) -> int:
     """Write planes end to end from packed ones (SPEC 6.3, 6.9), and what stands behind the last.

@@ -7,6 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.compiling import called_with
+
 from . import shn_transform
 from .inputs import Inputs
 from .kernels_bits import exact
@@ -38,6 +40,7 @@ def _code(planes: U8, at: int, count: int, stride: int) -> int:
     return code
 
 
+@called_with("Array(uint8, 1, 'C', True), int64")
 @exact
 def _above(ends: U8, width: int) -> I64:
     """Return how many rows have more coordinates than 0, 1, … `width`, and a 0 behind."""
@@ -50,6 +53,10 @@ def _above(ends: U8, width: int) -> I64:
     return counts
 
 
+@called_with(
+    "Array(uint8, 1, 'C', True), int64[::1], int64[::1], Array(uint8, 1, 'C', True), "
+    "Array(uint8, 1, 'C', True), float32[:, ::1], float32, float32, float32[:, ::1]"
+)
 @exact
 def _coefficients(
     ends: U8,

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry import morton
 
 from . import adaptive_step, refinement_bits, sorted_means
@@ -38,6 +39,9 @@ AXES_OF_BITS: Final = _axes_of_bits()
 """Three bits of each axis, 21 bits apart, of nine bits of a Morton code."""
 
 
+@called_with(
+    "Array(uint8, 1, 'C', True), float32[:, ::1], float32[::1], float32[::1], int64, uint8[::1]"
+)
 @exact
 def _plan(
     classes: U8, scales: F32, coefficients: F32, knees: F32, most: int, extra: U8
@@ -58,6 +62,10 @@ def _plan(
     return total if top <= _MORTON_BITS else -1, fields
 
 
+@called_with(
+    "Array(uint8, 1, 'C', True), uint64[::1], uint8[::1], uint64[::1], uint64[::1], "
+    "int64[::1], float32[:, ::1], float32[::1], int64, uint64[::1], float32[:, ::1]"
+)
 @exact
 def _means(
     classes: U8,

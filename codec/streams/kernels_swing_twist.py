@@ -7,6 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.compiling import called_with
+
 from . import adaptive_step, swing_twist
 from .adaptive_step import KNEES, MAX_EXTRA_BITS
 from .inputs import Inputs
@@ -23,6 +25,7 @@ _GROUPS: Final = swing_twist.SYMBOL_BITS + 1
 """Rows without extra bits, which have no plane, and those of each plane of symbols."""
 
 
+@called_with("float32[:, ::1], float32[:, ::1], float32[::1], int64, uint8[:, ::1], int64[:, ::1]")
 @exact
 def _plan(scales: F32, coefficients: F32, knees: F32, most: int, extra: U8, counts: I64) -> None:
     """Write the extra bits of swing and twist (SPEC 6.10), and what planes follow from them.
@@ -68,6 +71,9 @@ def _starts(planes: U8, counts: I64) -> tuple[I64, I64, bool]:
     return starts, bits, right
 
 
+@called_with(
+    "Array(uint8, 1, 'C', True), uint8[:, ::1], int64[:, ::1], float32[::1], float32[:, ::1]"
+)
 @exact
 def _rotations(planes: U8, extra: U8, counts: I64, steps: F32, out: F32) -> bool:
     """Write the unit quaternions of swing, swing and twist (SPEC 6.11).

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry.bounds import CUT_SIGMA
 from cogsplat.codec.geometry.frustum import ALPHA_MIN
 from cogsplat.codec.geometry.rotations import matrices, unit
@@ -55,6 +56,10 @@ def _crossing(
     return -od / dd, -math.log(1.0 - alpha)
 
 
+@called_with(
+    "float64[:, ::1], float64[:, :, ::1], float64[::1], float64[::1], float64[:, ::1], "
+    "float64[:, ::1], float64[::1], float64[::1], float64[::1]"
+)
 @kernel
 def _free_lengths(
     means: F64,
@@ -95,6 +100,10 @@ def _free_lengths(
                 break
 
 
+@called_with(
+    "float64[:, ::1], float64[:, :, ::1], float64[::1], float64[::1], float64[:, ::1], "
+    "float64[::1], float64[:, ::1], float64[::1]"
+)
 @kernel
 def _occlusion(
     means: F64,
@@ -186,6 +195,8 @@ class Occluders:
             Scene units, in steps of a 64th of the length; the length where nothing blocks the ray.
         """
         found = np.empty(len(origins), np.float64)
+        # Contiguous copies: the kernel is compiled for one kind of array.
+        origins, directions = (np.array(rays, order="C") for rays in (origins, directions))
 
         def trace(part: slice) -> None:
             _free_lengths(

@@ -134,6 +134,7 @@ def run(
     splats: int = 120_000,
     threads: int = 0,
     force: bool = False,
+    before_encoding: Callable[[Progress], None] | None = None,
     progress: Progress = silent,
 ) -> Demo:
     """Make a scene, encode it, decode it whole and in part, compare, and draw the film-strip.
@@ -148,6 +149,8 @@ def run(
         0 for all cores.
     force : bool
         Replace files of an earlier run.
+    before_encoding : callable, optional
+        Called with `progress` once the scene is made.
     progress : Progress
         Called with the stages of the way.
 
@@ -178,6 +181,8 @@ def run(
     write_cameras_json(cameras, files.cameras, force=force)
     progress("synth", 1, 1)
 
+    if before_encoding is not None:
+        before_encoding(progress)
     train, held = hold_out(cameras, EVERY)
     config = EncodeConfig(threads=threads)
     size = cogsplat.encode(

@@ -11,6 +11,7 @@ import click
 import cogsplat
 from cogsplat.codec.order.chunks import DEFAULT_LARGEST
 from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
+from cogsplat.codec.threads import thread_count
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.byte_inventory import stored_sizes
@@ -42,6 +43,7 @@ from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
 from cogsplat.tools.terminal.values import Colour, byte_count
 
+from .compile_ahead import CompileAhead
 from .info import tell_attributes
 from .inputs import (
     given_cameras,
@@ -258,6 +260,7 @@ def encode(
     chunks and compressed. The bytes do not depend on the number of threads.
     """
     from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.needed_kernels import needed_kernels
     from cogsplat.codec.encode.presets import PRESETS
     from cogsplat.codec.encode.rate_control import Target
     from cogsplat.codec.encode.stage_costs import stage_costs
@@ -293,7 +296,11 @@ def encode(
         check_distinct(out, report)
         inputs = given_files(scene, cameras, images, choice.masks)
         check_output(report, force=force, inputs=inputs)
-    with Stages(shown=not (quiet or as_json)) as stages:
+    kernels = needed_kernels(config, planned=cameras is None)
+    with (
+        Stages(shown=not (quiet or as_json)) as stages,
+        CompileAhead(kernels, thread_count(threads)) as ahead,
+    ):
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)
             given = read_any(scene, threads=threads)
@@ -308,6 +315,7 @@ def encode(
                 evaluation = FileEvaluation.gather(
                     scene, splats, cameras, eval_every, edits, images, background, threads=threads
                 )
+        ahead.finish(stages)
         if choice.first_view is not None and cameras is None:
             views = virtual_views(splats, threads=threads, progress=stages)
         numbered = [edits.camera(view) for view in given_cameras(cameras)] if cameras else views

@@ -53,6 +53,7 @@ from .synth import demo, synth
 from .validate import validate
 from .view import view
 from .views import views
+from .warm import warm
 
 _USAGE: Final = 2
 
@@ -329,6 +330,7 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     synth,
     demo,
     conformance,
+    warm,
 )
 for _command in _COMMANDS:
     cli.add_command(_command)

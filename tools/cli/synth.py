@@ -13,6 +13,7 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.order.objects import with_labels
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
+from cogsplat.codec.threads import thread_count
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.atomic import check_output, storage_errors
 from cogsplat.tools.terminal.options import (
@@ -25,6 +26,8 @@ from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_t
 from cogsplat.tools.terminal.output_names import check_distinct
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import PATH
+
+from .compile_ahead import CompileAhead
 
 _SPLATS = 120_000
 _MOST_SPLATS = 20_000_000
@@ -193,10 +196,21 @@ def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json
     and draw a film-strip of them.
     """
     from . import demonstration
+    from .warm import every_kernel
 
-    with Stages(shown=not (quiet or as_json)) as stages:
+    with (
+        Stages(shown=not (quiet or as_json)) as stages,
+        CompileAhead(every_kernel(planned=False), thread_count(threads)) as ahead,
+    ):
         stages.plan(demonstration.stage_costs(splats))
-        made = demonstration.run(out, splats=splats, threads=threads, force=force, progress=stages)
+        made = demonstration.run(
+            out,
+            splats=splats,
+            threads=threads,
+            force=force,
+            before_encoding=ahead.finish,
+            progress=stages,
+        )
     files = made.files
     if as_json:
         say_json(

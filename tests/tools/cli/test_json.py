@@ -110,6 +110,7 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
         "bench": [small.ply, *cameras, "--qualities", "35"],
         "synth": [out / "a.ply", "--splats", 1000],
         "demo": ["--out", out / "demo", "--splats", 1000],
+        "warm": [],
     }  # fmt: skip
     return [command, *given[command], "--json"]
 

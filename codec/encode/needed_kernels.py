@@ -1,0 +1,49 @@
+"""Which kernels an encode calls, so that they can be compiled before it does."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from cogsplat.codec.compiling import DeclaredKernel, declared_in
+from cogsplat.codec.order.orders import split_name
+
+from .config import EncodeConfig
+
+# Kernels that blend, which call the same inner ones, stand together; see the notes below.
+_BLENDING: Final = ("render.sensitivities", "render.blend_weights", "render.rasteriser")
+_GAIN: Final = ("render.marginal_gains",)
+_FIT: Final = ("render.gradients", "encode.shift_kernels")
+_PLANNING: Final = ("render.peak_weights", "views.occlusion")
+_OTHERS: Final = (
+    "render.shading",
+    "scoring.view_sums",
+    "render.depth_order",
+    "render.tiles",
+    "render.projection",
+)
+
+
+def needed_kernels(config: EncodeConfig, *, planned: bool) -> list[DeclaredKernel]:
+    """Return the kernels that an encode calls.
+
+    Parameters
+    ----------
+    config : EncodeConfig
+    planned : bool
+        Whether views are planned, because no cameras are given.
+
+    Notes
+    -----
+    Those that call the same inner kernels stand beside each other: what one process compiles of
+    them another need not compile as well.
+    """
+    near_lossless = config.profile == "near-lossless"
+    fits = config.compensate and not near_lossless
+    modules = [
+        *(_GAIN if split_name(config.order)[0] == "gain" else ()),
+        *(_BLENDING[1:] if near_lossless else _BLENDING),
+        *(_FIT if fits else ()),
+        *(_PLANNING if planned else ()),
+        *_OTHERS,
+    ]
+    return declared_in(f"cogsplat.codec.{module}" for module in modules)

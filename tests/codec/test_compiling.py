@@ -1,0 +1,90 @@
+"""Declared kernels: what is declared is what numba compiles, and where it keeps the code."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cogsplat.codec import compiling
+
+SOURCE = """
+from cogsplat.codec.compiling import called_with, compiled
+
+@called_with("int64, float32[::1]")
+@compiled
+def scaled(factor, values):
+    return factor * values.sum()
+"""
+
+
+@pytest.fixture
+def module(tmp_path, monkeypatch):
+    """Return the name of a module that declares one kernel, in a folder of its own."""
+    name = f"kernels_of_{tmp_path.name}".replace("-", "_")
+    (tmp_path / f"{name}.py").write_text(SOURCE)
+    monkeypatch.syspath_prepend(tmp_path)
+    # Beside the module, whatever folder the tests' own kernels are kept in.
+    from numba.core import config
+
+    monkeypatch.setattr(config, "CACHE_DIR", "")
+    yield name
+    compiling._DECLARED.pop(f"{name}:scaled", None)
+    sys.modules.pop(name, None)
+
+
+def test_a_kernel_is_compiled_with_its_types_and_kept(module):
+    (kernel,) = compiling.declared_in([module])
+    assert kernel.name == f"{module}:scaled"
+    assert compiling.declared(kernel.name) is kernel
+    assert not kernel.is_cached()
+    kernel.compile()
+    assert kernel.is_cached()
+    assert list(kernel.folder.glob("*.nbc"))
+    before = len(kernel.function.signatures)
+    assert kernel.function(2, np.ones(3, np.float32)) == 6.0
+    # The call found it compiled.
+    assert len(kernel.function.signatures) == before == 1
+
+
+def test_a_name_that_is_not_declared_is_not_found(module):
+    with pytest.raises(KeyError):
+        compiling.declared(f"{module}:other")
+
+
+def test_kernels_run_where_no_folder_can_be_written(module, monkeypatch):
+    from numba.core import caching
+
+    def refuse(*args):
+        raise RuntimeError("no locator available")
+
+    monkeypatch.setattr(caching, "FunctionCache", refuse)
+    monkeypatch.setattr("numba.core.dispatcher.FunctionCache", refuse)
+    (kernel,) = compiling.declared_in([module])
+    assert kernel.folder is None
+    assert not kernel.is_cached()
+    kernel.compile()
+    assert kernel.function(2, np.ones(3, np.float32)) == 6.0
+
+
+def test_without_compilation_it_is_plain_python(module):
+    code = (
+        f"from cogsplat.codec.compiling import declared_in\n(k,) = declared_in([{module!r}])\n"
+        "k.compile()\nassert k.folder is None\n"
+        "assert k.function(2, __import__('numpy').ones(3)) == 6"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", code],
+        env={"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": ":".join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert found.returncode == 0, found.stderr
+
+
+def test_the_core_imports_it_without_numba():
+    code = "import sys\nimport cogsplat.codec.compiling\nassert 'numba' not in sys.modules"
+    root = Path(__file__).resolve().parents[2]
+    subprocess.run([sys.executable, "-c", code], cwd=root, check=True)

@@ -1,0 +1,61 @@
+"""``cogsplat warm``: compile every kernel before the first command that needs it."""
+
+from __future__ import annotations
+
+import click
+
+from cogsplat.codec.compiling import DeclaredKernel, declared_in
+from cogsplat.codec.errors import StorageError
+from cogsplat.codec.streams.compiled import KERNEL_MODULES
+from cogsplat.codec.threads import thread_count
+from cogsplat.tools.terminal.options import json_option, quiet_option, threads_option
+from cogsplat.tools.terminal.output import counted, facts, say, say_json
+from cogsplat.tools.terminal.progress import Stages
+
+from .compile_ahead import CompileAhead
+
+
+def every_kernel(*, planned: bool) -> list[DeclaredKernel]:
+    """Return the kernels of all commands, those that plan views where `planned`."""
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.needed_kernels import needed_kernels
+
+    return needed_kernels(EncodeConfig(), planned=planned) + declared_in(KERNEL_MODULES)
+
+
+@click.command(epilog="\b\nExample:\n  cogsplat warm")
+@threads_option
+@quiet_option
+@json_option
+def warm(threads: int, quiet: bool, as_json: bool) -> None:
+    """Compile what encoding and fast decoding run, once for this machine.
+
+    Otherwise the first commands do so themselves, each what it needs. The machine code is kept in
+    the folder that NUMBA_CACHE_DIR names or, without it, beside the installed package or in the
+    user's cache folder.
+    """
+    with Stages(shown=not (quiet or as_json)) as stages:
+        kernels = every_kernel(planned=True)
+        folders = sorted({str(kernel.folder) for kernel in kernels if kernel.folder is not None})
+        if not folders:
+            raise StorageError(
+                "no-kernel-folder",
+                "no folder for compiled kernels can be written, neither beside the package nor in "
+                "the user's cache, expected NUMBA_CACHE_DIR to name one",
+            )
+        stages("import", 1, 1)
+        with CompileAhead(kernels, thread_count(threads)) as ahead:
+            ahead.finish(stages)
+    if as_json:
+        say_json(
+            {
+                "kernels": len(kernels),
+                "kernels_compiled": ahead.total,
+                "kernel_folders": folders,
+                "seconds": stages.rounded(),
+            }
+        )
+    elif not quiet:
+        there = len(kernels) - ahead.total
+        say(f"{counted(ahead.total, 'kernel')} compiled, {there} were there already")
+        facts(("folders", ", ".join(folders)), ("time", stages.line()))
