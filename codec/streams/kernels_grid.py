@@ -188,10 +188,10 @@ def _read_refined(
     fine, radices = refinement_digits.parse(digits, grid.components)
     count = sum(grid_planes.plane_counts(grid))
     stream.require_planes(count)
-    parts = [(stream, number, stream.rows) for number in range(count)]
-    parts += [(digits, number, stream.rows) for number in range(sum(r > 1 for r in radices))]
+    finer = sum(radix > 1 for radix in radices)
+    runs = [(stream, 0, [stream.rows] * count), (digits, 0, [stream.rows] * finer)]
     return _digit_rows(
-        join(parts),
+        join(runs),
         (grid.minimum, grid.maximum, grid.levels),
         count * stream.rows,
         np.array(radices, np.int64),

@@ -15,6 +15,7 @@ from cogsplat.codec.errors import FormatError, UnsupportedError
 
 from .byte_planes import LENGTH_MASK, pack_plane, unpack_plane
 from .limits import MAX_STREAMS
+from .stored_planes import StoredPlanes, locate
 
 U8 = NDArray[np.uint8]
 U32 = NDArray[np.uint32]
@@ -80,6 +81,7 @@ RECORD: Final = struct.Struct("<BBBBIHH")
 
 _COUNT: Final = struct.Struct("<H")
 _WORD: Final = struct.Struct("<I")
+_NO_WORDS: Final = np.zeros(0, np.uint32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +149,11 @@ class StoredStream:
         As in `Stream`.
     params : memoryview
     words : (p,) uint32
-    bodies : tuple of memoryview
-        Stored planes.
+        Of its planes.
+    planes : StoredPlanes
+        Those of the whole payload.
+    first : int
+        Which of these is the stream's first.
     where : str
         Names the stream in messages.
     """
@@ -159,13 +164,14 @@ class StoredStream:
     rows: int
     params: memoryview
     words: U32
-    bodies: tuple[memoryview, ...]
+    planes: StoredPlanes
+    first: int
     where: str
 
     @property
     def stored_bytes(self) -> int:
         """Bytes in the file: record, parameters, words and planes."""
-        planes = sum(len(body) for body in self.bodies)
+        planes = int((self.words & np.uint32(LENGTH_MASK)).sum(dtype=np.int64))
         return RECORD.size + len(self.params) + self.words.nbytes + planes
 
     @property
@@ -202,7 +208,7 @@ class StoredStream:
         """Return one plane, decompressed to `length` bytes."""
         where = f"{self.where}, plane {index}"
         word = int(self.words[index])
-        return unpack_plane(self.bodies[index], word, length, where)
+        return unpack_plane(self.planes.body(self.first + index), word, length, where)
 
 
 def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]:
@@ -237,7 +243,8 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
             clause="9.1",
         )
     position = _COUNT.size
-    heads: list[tuple[Attribute, Kind, int, int, memoryview, U32, str]] = []
+    heads: list[tuple[Attribute, Kind, int, int, memoryview, int, str]] = []
+    words: list[U32] = []
     seen: set[tuple[int, int]] = set()
     for index in range(count):
         label = f"{where}, stream {index}"
@@ -272,26 +279,27 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
             raise FormatError("stream-duplicate", f"{label}: a second time", clause="6.2")
         seen.add(key)
         params = payload[position : position + param_bytes]
-        words = np.frombuffer(payload, "<u4", planes, position + param_bytes)
-        heads.append((attribute, kind, flags, rows, params, words.astype(np.uint32), label))
+        words.append(np.frombuffer(payload, "<u4", planes, position + param_bytes))
+        heads.append((attribute, kind, flags, rows, params, planes, label))
         position = end
+    every = np.concatenate([_NO_WORDS, *words]).astype(np.uint32, copy=False)
+    located = locate(payload, every, position)
+    last = int(located.ends[-1]) if len(every) else position
     stored: list[StoredStream] = []
-    for attribute, kind, flags, rows, params, words, label in heads:
-        bodies: list[memoryview] = []
-        for word in words.tolist():
-            length = word & LENGTH_MASK
-            if position + length > len(payload):
-                raise _leaves(label, len(payload))
-            body = payload[position : position + length]
-            bodies.append(body)
-            position += length
+    first = 0
+    for attribute, kind, flags, rows, params, planes, label in heads:
+        stop = first + planes
+        if last > len(payload) and planes and int(located.ends[stop - 1]) > len(payload):
+            raise _leaves(label, len(payload))
+        own = every[first:stop]
         stored.append(
-            StoredStream(attribute, kind, flags, rows, params, words, tuple(bodies), label)
+            StoredStream(attribute, kind, flags, rows, params, own, located, first, label)
         )
-    if position != len(payload):
+        first = stop
+    if last != len(payload):
         raise FormatError(
             "stream-record",
-            f"{where}: {len(payload) - position} bytes behind the last plane, expected none",
+            f"{where}: {len(payload) - last} bytes behind the last plane, expected none",
             clause="6.1",
         )
     return stored

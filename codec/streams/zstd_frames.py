@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import threading
-from typing import Final
+from typing import Final, cast
 
+import numpy as np
 import zstandard
+from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError
 
 from .limits import MAX_WINDOW_BYTES
+
+U64 = NDArray[np.uint64]
 
 _MAGIC: Final = bytes.fromhex("28b52ffd")  # RFC 8878, 3.1.1
 
@@ -20,6 +24,11 @@ _RESERVED_BIT: Final = 0x08
 _SINGLE_SEGMENT_BIT: Final = 0x20
 _DICTIONARY_BYTES: Final = (0, 1, 2, 4)
 _SIZE_BYTES: Final = (0, 2, 4, 8)
+
+# Of zstandard's backends, that in C alone decompresses several frames in one call, during which
+# other threads run. The call makes a decompressor of its own, which takes as long as four frames.
+_MANY_AT_ONCE: Final = "multi_decompress_to_buffer" in zstandard.backend_features
+_WORTH_ONE_CALL: Final = 8
 
 _local = threading.local()
 
@@ -52,6 +61,34 @@ def decompress(stored: memoryview, length: int, where: str) -> bytes:
             "zstd-frame", f"{where}: a frame of {len(raw)} bytes, expected {length}", clause="6.3"
         )
     return raw
+
+
+def decompress_located(stored: memoryview, frames: U64, sizes: U64) -> bytes | None:
+    """Return the bytes of several frames one after the other; None where one is damaged.
+
+    Parameters
+    ----------
+    stored : memoryview
+        Holds the frames.
+    frames : (n, 2) uint64
+        Where each begins and how long it is. The caller has checked their headers, and that
+        nothing follows the last block of any.
+    sizes : (n,) uint64
+        Decoded length of each, bytes; above 0.
+    """
+    try:
+        if len(frames) < _WORTH_ONE_CALL or not _MANY_AT_ONCE:
+            whole = _decompressor().decompress
+            return b"".join([whole(stored[a : a + n]) for a, n in frames.tolist()])
+        source = zstandard.BufferWithSegments(stored, frames.astype("<u8").tobytes())
+        found = _decompressor().multi_decompress_to_buffer(
+            source, decompressed_sizes=sizes.astype("<u8").tobytes()
+        )
+    except zstandard.ZstdError:
+        # The caller decompresses them one by one, which tells what is wrong with which.
+        return None
+    # Segments are buffers, which their type does not say.
+    return b"".join(cast(list[bytes], [found[number] for number in range(len(found))]))
 
 
 def _check_header(stored: memoryview, length: int, where: str) -> None:
