@@ -380,6 +380,7 @@ TESTED_IN = {
     "codec/streams/kernels_sorted_means.py": "streams/test_kernels.py",
     "codec/streams/kernels_swing_twist.py": "streams/test_kernels.py",
     "codec/streams/limits.py": "streams/test_byte_planes.py",
+    "codec/streams/stored_planes.py": "streams/test_records.py",
     "codec/streams/zstd_frames.py": "streams/test_byte_planes.py",
     "formats/cameras/files.py": "cameras/test_nerfstudio.py",
     "formats/cogs/cameras.py": "cogs/test_extras.py",

@@ -7,24 +7,28 @@ from pathlib import Path
 import decoding
 import numpy as np
 import pytest
+import zstandard
 from encoding import encode, unseen
 
 import cogsplat.codec.streams as streams
-from cogsplat.codec.errors import CogsplatError
+from cogsplat.codec.errors import CogsplatError, FormatError
 from cogsplat.codec.geometry import rotations
 from cogsplat.codec.streams import (
     compiled,
+    kernels_planes,
     kinds,
     records,
     refinement_bits,
     scalar,
     sorted_means,
     swing_twist,
+    zstd_frames,
 )
 from cogsplat.codec.streams.adaptive_step import MAX_EXTRA_BITS, StepModel
-from cogsplat.codec.streams.byte_planes import DIGITS, pack_plane, unpack_plane
+from cogsplat.codec.streams.byte_planes import DIGITS, ZSTD_FLAG, pack_plane, unpack_plane
 from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.inputs import Inputs
+from cogsplat.codec.streams.records import StoredStream
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools.synthetic.scene import synth
@@ -101,6 +105,90 @@ def test_digits(radix, length, both):
         np.testing.assert_array_equal(found, plane)
 
 
+def payload_of(bodies, words):
+    """A payload of one float stream with these planes, however many it should have."""
+    record = records.RECORD.pack(
+        records.Attribute.QUATS, records.Kind.FLOAT, 4, 0, 700, len(words), 0
+    )
+    return b"".join([b"\1\0", record, np.array(words, "<u4").tobytes(), *bodies])
+
+
+def with_window(frame, size):
+    """The same blocks behind a header with a window of 8 MiB and a size of 4 bytes (RFC 8878)."""
+    blocks = frame[5 + (1, 2, 4)[frame[4] >> 6] :]
+    return frame[:4] + bytes([0x80, 13 << 3]) + size.to_bytes(4, "little") + blocks
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 16])
+@pytest.mark.parametrize("backend", ["many", "one"])
+def test_planes_together_are_those_one_by_one(count, backend, monkeypatch):
+    monkeypatch.setattr(zstd_frames, "_MANY_AT_ONCE", backend == "many")
+    rng = np.random.default_rng(count)
+    bodies, words, expected = [], [], []
+    for number in range(count):
+        plane = rng.integers(0, (2, 3, 5, 16, 40, 255)[number % 6], 700).astype(np.uint8)
+        if number % 3 == 2:
+            plane = np.repeat(plane[:1], 700)
+        word, stored = pack_plane(plane, digits=number % 4 != 3)
+        bodies.append(stored)
+        words.append(word)
+        expected.append(plane)
+    (stream,) = records.unpack(memoryview(payload_of(bodies, words)), "here", 700)
+    for first in range(count):
+        joined = kernels_planes.join_run(stream, first, [700] * (count - first))
+        assert joined.tobytes() == b"".join(p.tobytes() for p in expected[first:]) + b"\0\0"
+    whole = records.unpack(memoryview(payload_of(bodies, words)), "here", 700)[0].planes
+    assert [bytes(whole.body(n)) for n in range(count)] == [bytes(body) for body in bodies]
+
+
+@pytest.mark.parametrize("rows", [100, 700, 70_000, 300_000])
+def test_frames_of_any_size_and_kind_are_read(rows, monkeypatch):
+    """Sizes of 1, 2 and 4 bytes, several blocks, and headers that are left to the slow way."""
+    raw = np.random.default_rng(rows).integers(0, 60, rows).astype(np.uint8).tobytes()
+    usual = zstandard.ZstdCompressor(level=3).compress(raw)
+    frames = [usual, with_window(usual, rows)]
+    slow = []
+    plain = StoredStream.plane
+    monkeypatch.setattr(
+        StoredStream, "plane", lambda self, *which: slow.append(which) or plain(self, *which)
+    )
+    for frame, left_out in zip(frames, (0, 1), strict=True):
+        payload = payload_of([frame], [len(frame) | ZSTD_FLAG])
+        (stream,) = records.unpack(memoryview(payload), "here", 700)
+        slow.clear()
+        assert kernels_planes.join_run(stream, 0, [rows]).tobytes() == raw + b"\0\0"
+        assert len(slow) == left_out
+
+
+def damaged_frames():
+    raw = np.random.default_rng(1).integers(0, 60, 700).astype(np.uint8).tobytes()
+    frame = zstandard.ZstdCompressor(level=3).compress(raw)
+    yield "magic", b"\0" + frame[1:]
+    yield "behind", frame + b"\0"
+    yield "second", frame + frame
+    yield "cut", frame[:-3]
+    yield "header", frame[:6]
+    yield "size", zstandard.ZstdCompressor(level=3).compress(raw[:-1])
+    yield "checksum", zstandard.ZstdCompressor(level=3, write_checksum=True).compress(raw)
+    yield "reserved", frame[:7] + bytes([frame[7] | 6]) + frame[8:]
+
+
+@pytest.mark.parametrize(("name", "frame"), list(damaged_frames()))
+@pytest.mark.parametrize("count", [1, 9])
+def test_damage_is_refused_in_the_words_of_one_plane(name, frame, count):
+    good = pack_plane(np.arange(700).astype(np.uint8))[1]
+    good_word = len(good) | (ZSTD_FLAG if len(good) < 700 else 0)
+    bodies = [good] * (count - 1) + [frame]
+    words = [good_word] * (count - 1) + [len(frame) | ZSTD_FLAG]
+    (stream,) = records.unpack(memoryview(payload_of(bodies, words)), "here", 700)
+    with pytest.raises(FormatError) as alone:
+        stream.plane(count - 1, 700)
+    with pytest.raises(FormatError) as together:
+        kernels_planes.join_run(stream, 0, [700] * count)
+    assert together.value.code == alone.value.code
+    assert together.value.message == alone.value.message
+
+
 @pytest.mark.parametrize("levels", [(1, 2, 256), (257, 70_000, 1 << 24), (255, 65_536, 65_537)])
 def test_grids_of_every_width(levels, both):
     rng = np.random.default_rng(levels[1])
@@ -142,7 +230,7 @@ def test_adaptive_steps_at_every_number_of_extra_bits(offset, both):
 
     def read():
         out = [np.empty((rows, width), np.float32) for width in (4, 3, 3)]
-        stored = [records.unpack(memoryview(payload), "here", rows)[0] for payload in payloads]
+        stored = [records.unpack(memoryview(payload), "here", 700)[0] for payload in payloads]
         kinds.read(stored[0], out[0], Inputs(scales=scales))
         kinds.read(stored[1], out[1], Inputs(scales=scales[order]))
         kinds.read(stored[1], out[2], Inputs(scales=scales[order], refinement=stored[2]))
