@@ -74,15 +74,22 @@ class StageCost:
     inner : str
         For a search, whose trials nobody knows in advance: the stage that each trial goes through
         again. Empty for others.
+    parts : tuple of tuple of StageCost
+        For a stage each of whose steps goes through stages of its own, such as one that writes and
+        measures several files: the stages of each step. Their costs count, and `cost` is 0. Other
+        stages that are reported while such a stage works are those of its step.
     """
 
     stage: str
     cost: float
     steps: int | None = None
     inner: str = ""
+    parts: tuple[tuple[StageCost, ...], ...] = ()
 
     def whole(self, steps: int | None = None) -> float:
         """Return the cost of the whole stage, with as many steps as it reports."""
+        if self.parts:
+            return sum(cost.whole() for part in self.parts for cost in part)
         expected = self.steps if self.steps is None or steps is None else steps
         return self.cost if expected is None else self.cost * expected
 
@@ -117,6 +124,7 @@ class WholeProgress:
         self._weights = {cost.stage: cost.whole() for cost in costs}
         self._done = dict.fromkeys(self._costs, 0.0)
         self._trials = 0
+        self._steps: _Steps | None = None
         self._progress = progress
         self._whole = whole
         # The share and the cost that were behind us when the expected costs last changed.
@@ -132,7 +140,12 @@ class WholeProgress:
 
     def _count(self, stage: str, done: int, total: int) -> None:
         part = done / total if total else 1.0
-        if stage in self._outer:
+        if self._steps is not None and stage != self._steps.cost.stage:
+            stage, part = self._steps.cost.stage, self._steps.inside(stage, done, total)
+        elif stage in self._costs and self._costs[stage].parts:
+            self._steps = _Steps(self._costs[stage], done) if done < total else None
+            part = 1.0 if self._steps is None else self._steps.share()
+        elif stage in self._outer:
             stage, part = self._outer[stage], self._searched(part)
         elif stage not in self._costs:
             return
@@ -164,3 +177,33 @@ class WholeProgress:
 
     def _cost_done(self) -> float:
         return sum(self._weights[stage] * part for stage, part in self._done.items())
+
+
+class _Steps:
+    """A stage whose steps have stages of their own, while one of its steps works.
+
+    Parameters
+    ----------
+    cost : StageCost
+        With parts.
+    done : int
+        Steps that are over.
+    """
+
+    def __init__(self, cost: StageCost, done: int) -> None:
+        self.cost = cost
+        self._sizes = [sum(inner.whole() for inner in part) for part in cost.parts]
+        self._done = done
+        self._step = WholeProgress(cost.parts[done] if done < len(cost.parts) else ())
+
+    def inside(self, stage: str, done: int, total: int) -> float:
+        """Take a report of the step that works; return the share of all steps."""
+        self._step(stage, done, total)
+        return self.share()
+
+    def share(self) -> float:
+        """Return the share of all steps that is done."""
+        over = sum(self._sizes[: self._done])
+        if self._done < len(self._sizes):
+            over += self._sizes[self._done] * self._step.share
+        return over / sum(self._sizes)

@@ -163,7 +163,7 @@ DOORS: dict[str, dict[str, str]] = {
         "presets": "DEFAULT_PRESET PRESETS",
         "profiles.vq": "clip_strays",
         "rate_control": "Target",
-        "stage_costs": "render_cost stage_costs",
+        "stage_costs": "order_costs render_cost score_cost stage_costs",
     },
     "codec.geometry": {
         "bounds": "CUT_SIGMA box",

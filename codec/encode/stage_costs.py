@@ -2,7 +2,10 @@
 
 Seconds of processor time, measured with the synthetic scene at 5,000, 20,000 and 80,000 splats of
 SH degree 3, from 16 and 48 cameras of 480x360 pixels and from planned views, with the presets
-``fast`` and ``balanced``. Only their ratios count: a faster machine has the same shares.
+``fast`` and ``balanced``. Only their ratios count: a faster machine has the same shares. Measure
+again when a stage has become faster or slower: ``cogsplat encode --json`` has the processor time of
+every stage in ``cpu_seconds``; two sizes of a scene give what a stage costs for itself and for each
+splat.
 """
 
 from __future__ import annotations
@@ -31,7 +34,10 @@ _PREDICT: Final = (9.3e-7, 1.4e-6)
 # Of the whole, and for every splat; pixels are thinned.
 _GAIN: Final = (5.5, 6e-5)
 _COMPENSATE: Final = (1.35, 3.7e-5)
-_CHUNKS: Final = (0.05, 3e-5)
+_ORDER: Final = (1e-3, 7e-8)
+_QUANTISERS: Final = (0.2, 2e-6)
+_CHUNKS: Final = (0.05, 2e-5)
+_RENDER: Final = (8e-8, 4e-7)
 _CODEBOOKS: Final = (0.5, 5e-5)
 _WRITE: Final = (0.02, 2e-6)
 
@@ -82,25 +88,25 @@ def stage_costs(
         jitter = jitter and preset.planned_jitter
     seen = bool(cameras) or planned
     order = split_name(config.order)[0]
-    references = _of_view(_REFERENCE, pixels, splats)
     predictions = min(preset.prediction_views, len(cameras) if cameras else views)
     prediction = _of_view(_PREDICT, pixels, splats)
     costs = [StageCost("plan views", _PLAN)] if planned else []
     if not scored:
-        steps = views * (1 + preset.jitter_copies if jitter else 1)
-        costs.append(StageCost("score", _of_view(_SCORE, pixels, splats), steps))
+        costs.append(_scored(splats, views, pixels, preset, jitter=jitter))
     if seen and (fits or order == "gain"):
-        costs.append(StageCost("reference views", references, views))
+        costs.append(_referred(splats, views, pixels))
     if order == "gain":
-        costs.append(StageCost("gain", _of_scene(_GAIN, splats)))
+        costs.append(_gained(splats))
+    costs.append(StageCost("order", _of_scene(_ORDER, splats)))
     books = _of_scene(_CODEBOOKS, splats) if config.profile == "vq" else 0.0
+    quantisers = _of_scene(_QUANTISERS, splats)
     chunks = _of_scene(_CHUNKS, splats)
     if target is None:
         costs += [StageCost("codebooks", books)] if books else []
-        costs.append(StageCost("chunks", chunks))
+        costs += [StageCost("quantisers", quantisers), StageCost("chunks", chunks)]
     else:
         looked = min(WHOLE_VIEWS, views) if target.psnr_db is not None else 0
-        trial = books + chunks + looked * _ONE_RENDER * prediction
+        trial = books + quantisers + chunks + looked * _ONE_RENDER * prediction
         costs.append(StageCost("search", trial * _TRIALS, inner="chunks"))
     if seen and fits:
         costs.append(StageCost("compensate", _of_scene(_COMPENSATE, splats)))
@@ -118,7 +124,59 @@ def render_cost(splats: int, cameras: Sequence[Camera]) -> float:
     cameras : sequence of Camera
         At least one.
     """
-    return len(cameras) * _ONE_RENDER * _of_view(_PREDICT, _mean_pixels(cameras), splats)
+    return len(cameras) * _of_view(_RENDER, _mean_pixels(cameras), splats)
+
+
+def score_cost(
+    splats: int, preset: Preset, cameras: Sequence[Camera], *, jitter: bool = True
+) -> StageCost:
+    """Return what it costs to score a scene in some cameras, those that a preset takes of them.
+
+    Parameters
+    ----------
+    splats : int
+    preset : Preset
+    cameras : sequence of Camera
+        At least one.
+    jitter : bool
+        Whether jittered copies of them are scored as well.
+    """
+    views = len(preset.views(cameras))
+    return _scored(splats, views, _mean_pixels(cameras), preset, jitter=jitter)
+
+
+def order_costs(splats: int, order: str, cameras: Sequence[Camera]) -> list[StageCost]:
+    """Return what the stages of sorting a scene cost that has been scored.
+
+    Parameters
+    ----------
+    splats : int
+    order : str
+        As `order_rows` takes it.
+    cameras : sequence of Camera
+        That it was scored in; at least one.
+
+    Returns
+    -------
+    list of StageCost
+        None for an order that renders nothing: sorting alone takes no time beside scoring.
+    """
+    if split_name(order)[0] != "gain":
+        return []
+    return [_referred(splats, len(cameras), _mean_pixels(cameras)), _gained(splats)]
+
+
+def _scored(splats: int, views: int, pixels: float, preset: Preset, *, jitter: bool) -> StageCost:
+    steps = views * (1 + preset.jitter_copies if jitter else 1)
+    return StageCost("score", _of_view(_SCORE, pixels, splats), steps)
+
+
+def _referred(splats: int, views: int, pixels: float) -> StageCost:
+    return StageCost("reference views", _of_view(_REFERENCE, pixels, splats), views)
+
+
+def _gained(splats: int) -> StageCost:
+    return StageCost("gain", _of_scene(_GAIN, splats))
 
 
 def _mean_pixels(cameras: Sequence[Camera]) -> float:

@@ -94,3 +94,46 @@ def test_what_the_receiver_of_the_share_raises_stops_the_work():
 
     with pytest.raises(Cancelled):
         WholeProgress([StageCost("score", 1.0)], whole=stop)("score", 0, 1)
+
+
+def test_a_stage_may_go_through_stages_of_its_own_at_each_step():
+    encode = (StageCost("chunks", 3.0), StageCost("measure", 1.0))
+    files = StageCost("files", 0.0, parts=(encode, (StageCost("measure", 4.0),), encode))
+    assert files.whole() == 12.0
+    shares = []
+    whole = WholeProgress(
+        [StageCost("measure", 4.0), files, StageCost("write", 4.0)], whole=shares.append
+    )
+    reports = [
+        ("measure", 1, 1, 0.2),
+        ("files", 0, 3, 0.2),
+        ("chunks", 1, 3, 0.25),
+        ("chunks", 3, 3, 0.35),
+        ("measure", 1, 2, 0.375),
+        ("other", 1, 1, 0.375),
+        ("files", 1, 3, 0.4),
+        ("chunks", 3, 3, 0.4),
+        ("measure", 1, 4, 0.45),
+        # The second file is refused half-way, and the third begins.
+        ("files", 2, 3, 0.6),
+        ("measure", 2, 2, 0.8),
+        ("files", 3, 3, 0.8),
+        ("write", 1, 2, 0.9),
+        ("write", 2, 2, 1.0),
+    ]
+    for stage, done, total, share in reports:
+        whole(stage, done, total)
+        assert whole.share == pytest.approx(share), (stage, done)
+    assert shares == sorted(shares)
+
+
+def test_steps_beyond_those_expected_turn_nothing_back():
+    files = StageCost("files", 0.0, parts=((StageCost("measure", 4.0),),))
+    whole = WholeProgress([files, StageCost("write", 4.0)])
+    for done in range(3):
+        whole("files", done, 3)
+        whole("measure", 1, 1)
+        assert whole.share == 0.5
+    whole("files", 3, 3)
+    whole("write", 1, 1)
+    assert whole.share == 1.0

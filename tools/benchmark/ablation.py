@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 import cogsplat
-from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.progress import Progress, StageCost, silent
 from cogsplat.codec.views.view_sets import roam
 
 if TYPE_CHECKING:
@@ -23,8 +24,9 @@ if TYPE_CHECKING:
 
 Change = Callable[["EncodeConfig"], "EncodeConfig"]
 
-# The third measurement lies this far beyond the aim, so that two enclose it.
-_BEYOND_DB: Final = 0.3
+# Without each technique three files are measured. The second lies this far beyond the aim, so that
+# two enclose it.
+_BEYOND_DB: Final = (0.0, 0.3, 0.0)
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,27 @@ def changes(sh_degree: int) -> dict[str, Change]:
         config, order="source", refine=False, morton=False, prune=None, ablation=nothing
     )
     return named
+
+
+def stage_cost(splats: int, sh_degree: int, cameras: Sequence[Camera]) -> StageCost:
+    """Return what `run` will cost, as `codec.encode.stage_costs` counts.
+
+    Parameters
+    ----------
+    splats, sh_degree : int
+        Of the scene.
+    cameras : sequence of Camera
+        Test views; at least one.
+    """
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+    from cogsplat.codec.encode.stage_costs import render_cost, stage_costs
+
+    config = EncodeConfig(compensate=False, order="contribution")
+    encode = stage_costs(splats, config, PRESETS[DEFAULT_PRESET], scored=True)
+    # Test views, and two of each away from the path.
+    once = sum(cost.whole() for cost in encode) + 3 * render_cost(splats, cameras)
+    return StageCost("ablation", len(_BEYOND_DB) * once, len(changes(sh_degree)) + 1)
 
 
 def run(given: BenchInput, *, quality_db: float, progress: Progress = silent) -> AblationTable:
@@ -208,7 +231,7 @@ def _around(
     """Return three measurements; linear guesses bring the last two near the wanted PSNR."""
     points: list[_Point] = []
     at = quality_db
-    for beyond in (0.0, _BEYOND_DB, 0.0):
+    for beyond in _BEYOND_DB:
         points.append(measure(_legal(at)))
         missing = wanted_db - points[-1].held_out_db
         at += missing + math.copysign(beyond, missing)

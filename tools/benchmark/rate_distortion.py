@@ -14,10 +14,11 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.codec.metrics import PSNR_CAP_DB
-from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.progress import Progress, StageCost, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.scenes.registry import FORMATS, Format, read_scene
 from cogsplat.tools.evaluation import view_quality
+from cogsplat.tools.evaluation.measuring_costs import comparison_costs
 from cogsplat.tools.evaluation.photos import Photos
 from cogsplat.tools.terminal.standard_streams import call_file
 
@@ -39,6 +40,9 @@ QUALITIES: Final = {
 }
 
 _FIRST_PREFIX: Final = 32 << 10
+
+# Prefixes of a file that are expected: up to 512 KiB.
+_PREFIXES: Final = 5
 
 # Reads are timed so often, and the fastest counts: the first one loads code.
 _READS: Final = 2
@@ -232,6 +236,46 @@ class _Method:
     prefixes: bool = False
 
 
+def stage_cost(
+    splats: int,
+    scored_on: Sequence[Camera],
+    cameras: Sequence[Camera],
+    *,
+    profiles: Sequence[str],
+    qualities: Sequence[float] | None,
+    formats: Sequence[str],
+) -> StageCost:
+    """Return what `run` will cost, as `codec.encode.stage_costs` counts.
+
+    Parameters
+    ----------
+    splats : int
+        Of the scene.
+    scored_on, cameras : sequence of Camera
+        Views that it is scored in, and test views; at least one of each.
+    profiles, qualities, formats
+        As in `run`.
+    """
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+    from cogsplat.codec.encode.stage_costs import stage_costs
+
+    compared = comparison_costs(splats, cameras)
+    files: list[tuple[StageCost, ...]] = []
+    for profile in profiles:
+        config = EncodeConfig(profile=profile)
+        encode = stage_costs(
+            splats, config, PRESETS[DEFAULT_PRESET], cameras=scored_on, scored=True
+        )
+        steps = _steps(profile, qualities)
+        for index in range(len(steps)):
+            cut = _is_cut(profile, index, len(steps))
+            prefixes = _PREFIXES * compared[0].cost if cut else 0.0
+            files.append((*encode, *compared, StageCost("prefixes", prefixes)))
+    files += [tuple(compared)] * len(formats)
+    return StageCost("files", 0.0, parts=tuple(files))
+
+
 def run(
     given: BenchInput,
     folder: Path,
@@ -255,7 +299,8 @@ def run(
     formats : sequence of str
         Of `FOREIGN`.
     progress : Progress
-        Called with ``files``, those done and all.
+        Called with ``files``, those done and all, and with the stages of each: those of encoding,
+        ``held-out``, ``roam`` and ``prefixes``.
 
     Returns
     -------
@@ -267,33 +312,44 @@ def run(
     DataError
         As `view_quality.compare`.
     """
-    methods = [*_ours(given, profiles, qualities), *_foreign(given, formats)]
+    methods = [*_ours(given, profiles, qualities, progress), *_foreign(given, formats)]
     rows: list[Row] = []
     prefixes: list[BenchPrefix] = []
     stages: list[StageTime] = []
     progress("files", 0, len(methods))
     for number, method in enumerate(methods, start=1):
         path = folder / f"{number}{method.extension}"
-        row, report = _measure(given, method, path)
+        row, report = _measure(given, method, path, progress)
         rows.append(row)
         if method.prefixes and not row.refused:
-            prefixes += _prefixes(given, method, path)
+            prefixes += _prefixes(given, method, path, progress)
         if method.prefixes and report is not None:
             stages += _stages(method, report)
         progress("files", number, len(methods))
     return Bench(tuple(rows), tuple(prefixes), tuple(stages))
 
 
+def _steps(profile: str, qualities: Sequence[float] | None) -> Sequence[float | None]:
+    """Return the nominal qualities that a profile is measured at."""
+    return sorted(qualities or QUALITIES[profile]) if profile in QUALITIES else [None]
+
+
+def _is_cut(profile: str, index: int, count: int) -> bool:
+    """Whether prefixes of the file of one of a profile's qualities are measured."""
+    return index == count // 2 and profile in QUALITIES
+
+
 def _ours(
-    given: BenchInput, profiles: Sequence[str], qualities: Sequence[float] | None
+    given: BenchInput,
+    profiles: Sequence[str],
+    qualities: Sequence[float] | None,
+    progress: Progress,
 ) -> list[_Method]:
     from cogsplat.codec.encode.config import EncodeConfig
 
     methods: list[_Method] = []
     for profile in profiles:
-        steps: Sequence[float | None] = [None]
-        if profile in QUALITIES:
-            steps = sorted(qualities or QUALITIES[profile])
+        steps = _steps(profile, qualities)
         for index, quality_db in enumerate(steps):
             config = EncodeConfig(profile=profile, threads=given.threads)
             if quality_db is not None:
@@ -303,16 +359,18 @@ def _ours(
                     profile,
                     quality_db,
                     ".cogs",
-                    _encoder(given, config),
+                    _encoder(given, config, progress),
                     lambda path: cogsplat.decode(path, threads=given.threads),
                     scored=True,
-                    prefixes=index == len(steps) // 2 and profile in QUALITIES,
+                    prefixes=_is_cut(profile, index, len(steps)),
                 )
             )
     return methods
 
 
-def _encoder(given: BenchInput, config: EncodeConfig) -> Callable[[Path], EncodeReport]:
+def _encoder(
+    given: BenchInput, config: EncodeConfig, progress: Progress
+) -> Callable[[Path], EncodeReport]:
     def write(path: Path) -> EncodeReport:
         return cogsplat.encode(
             given.splats,
@@ -321,6 +379,7 @@ def _encoder(given: BenchInput, config: EncodeConfig) -> Callable[[Path], Encode
             scores=given.scores,
             config=config,
             force=True,
+            progress=progress,
         )
 
     return write
@@ -371,7 +430,9 @@ def _stages(method: _Method, report: EncodeReport) -> list[StageTime]:
     ]
 
 
-def _measure(given: BenchInput, method: _Method, path: Path) -> tuple[Row, EncodeReport | None]:
+def _measure(
+    given: BenchInput, method: _Method, path: Path, progress: Progress
+) -> tuple[Row, EncodeReport | None]:
     """Return the figures of a method and, where it is one of ours, how its file was encoded."""
     call_file(path, _label(method.name, method.quality_db))
     start = time.perf_counter()
@@ -391,6 +452,7 @@ def _measure(given: BenchInput, method: _Method, path: Path) -> tuple[Row, Encod
         given.cameras,
         background=given.background,
         threads=given.threads,
+        progress=progress,
     )
     photos_db = loss_db = None
     if given.photos is not None:
@@ -422,9 +484,13 @@ def prefix_sizes(file_bytes: int) -> list[int]:
     return [*(_FIRST_PREFIX << k for k in range(doublings)), file_bytes]
 
 
-def _prefixes(given: BenchInput, method: _Method, path: Path) -> list[BenchPrefix]:
+def _prefixes(
+    given: BenchInput, method: _Method, path: Path, progress: Progress
+) -> list[BenchPrefix]:
     prefixes: list[BenchPrefix] = []
-    for size in prefix_sizes(path.stat().st_size):
+    sizes = prefix_sizes(path.stat().st_size)
+    progress("prefixes", 0, len(sizes))
+    for size in sizes:
         decoded = cogsplat.decode(path, size_bytes=size, threads=given.threads)
         found = view_quality.view_qualities(
             given.splats,
@@ -437,4 +503,5 @@ def _prefixes(given: BenchInput, method: _Method, path: Path) -> list[BenchPrefi
         prefixes.append(
             BenchPrefix(method.name, method.quality_db, size, len(decoded), held_out_db)
         )
+        progress("prefixes", len(prefixes), len(sizes))
     return prefixes

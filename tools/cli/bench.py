@@ -8,14 +8,18 @@ import json
 import platform
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import click
 
+from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
+from cogsplat.codec.progress import StageCost
+from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import thread_count
+from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
 from cogsplat.tools.benchmark import ablation as bench_ablation
 from cogsplat.tools.benchmark import rate_distortion as benches
@@ -206,8 +210,23 @@ def bench(
         for name in _ABLATION_FILES if ablation else _FILES:
             check_output(out / name, force=force, inputs=given_files(scene, cameras, images))
     with Stages(shown=not (quiet or as_json)) as stages:
+
+        def work(
+            splats: Splats, scored_on: Sequence[Camera], test_views: Sequence[Camera]
+        ) -> StageCost:
+            if ablation:
+                return bench_ablation.stage_cost(len(splats), splats.sh_degree, test_views)
+            return benches.stage_cost(
+                len(splats),
+                scored_on,
+                test_views,
+                profiles=profiles,
+                qualities=qualities,
+                formats=formats,
+            )
+
         given, what = _gather(
-            scene, cameras, eval_every, images, background, threads=threads, stages=stages
+            scene, cameras, eval_every, images, background, work, threads=threads, stages=stages
         )
         about = _about(scene, given, what)
         with tempfile.TemporaryDirectory(prefix="cogsplat-bench-") as folder:
@@ -258,11 +277,14 @@ def _gather(
     eval_every: int,
     images: Path | None,
     background: Colour,
+    work: Callable[[Splats, Sequence[Camera], Sequence[Camera]], StageCost],
     *,
     threads: int,
     stages: Stages,
 ) -> tuple[BenchInput, str]:
+    """Read and score a scene; `work` says what comes then, for splats, scored and test views."""
     from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+    from cogsplat.codec.encode.stage_costs import score_cost
     from cogsplat.codec.scoring.contribution import score
 
     with stages.stage("read"):
@@ -272,14 +294,19 @@ def _gather(
         splats = usable_rows(drawn, scene)
         if not len(splats):
             raise DataError("no-splats", f"{scene}: 0 splats, expected some to measure")
-        test_views, what = evaluation_cameras(scene, splats, cameras, eval_every)
-        photos = None
-        if images is not None:
-            photos = read_photos(images, splats, test_views, background, threads=threads)
+    planned = None
+    if views is None:
+        planned = virtual_views(splats, threads=threads, progress=stages)
+        views = hold_out(planned, eval_every)[0] or planned
+    test_views, what = evaluation_cameras(scene, splats, cameras, eval_every, planned=planned)
+    photos = None
+    if images is not None:
+        photos = read_photos(images, splats, test_views, background, threads=threads)
     preset = PRESETS[DEFAULT_PRESET]
     config = preset.score_config("transform", threads=threads, colour_sensitivity=True)
+    scored_on = preset.views(views)
+    stages.plan([score_cost(len(splats), preset, views), work(splats, scored_on, test_views)])
     start = time.perf_counter()
-    scored_on = preset.views(virtual_views(splats) if views is None else views)
     scores = score(splats, scored_on, config, progress=stages)
     score_s = time.perf_counter() - start
     given = BenchInput(splats, scores, score_s, test_views, scored_on, photos, background, threads)

@@ -9,9 +9,11 @@ from pathlib import Path
 import click
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.progress import StageCost
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
+from cogsplat.tools.evaluation.measuring_costs import comparison_costs, objects_cost
 from cogsplat.tools.evaluation.object_quality import ObjectQuality
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
@@ -243,7 +245,13 @@ def compare(
         with stages.stage("read"):
             first = read_any(reference, threads=threads)
             second = read_any(other, part, threads=threads)
-            views, what = evaluation_cameras(reference, first.splats, cameras, eval_every)
+        views, what = evaluation_cameras(
+            reference, first.splats, cameras, eval_every, threads=threads, progress=stages
+        )
+        costs = comparison_costs(len(first.splats), views)
+        if by_object:
+            costs.append(StageCost("objects", objects_cost(len(first.splats), views, 1)))
+        stages.plan(costs)
         found = view_quality.compare(
             first.splats,
             second.splats,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import click
@@ -11,14 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 import cogsplat
+from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError, printable
-from cogsplat.codec.order.orders import Unordered, order_rows
+from cogsplat.codec.order.orders import OrderConfig, Unordered, order_rows
+from cogsplat.codec.progress import StageCost
+from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.evaluator import Evaluator
 from cogsplat.tools.evaluation.lpips import read_lpips
+from cogsplat.tools.evaluation.measuring_costs import references_cost
 from cogsplat.tools.evaluation.object_curves import ObjectPoint, object_curves
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.evaluation.progs_protocol import (
@@ -59,6 +63,7 @@ from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import Colour
 
+from .evaluation_costs import eval_costs
 from .evaluation_options import codecs, objects, shares, sizes
 from .inputs import (
     evaluation_cameras,
@@ -227,6 +232,26 @@ def evaluate(
     of_objects: list[ObjectPoint] = []
     strips: dict[str, list[Strip]] = {SPLATS: [], BYTES: []}
     with Stages(shown=not (quiet or as_json)) as stages:
+
+        def work(
+            splats: Splats, scored_on: Sequence[Camera], test_views: Sequence[Camera]
+        ) -> list[StageCost]:
+            return eval_costs(
+                splats,
+                scored_on,
+                test_views,
+                [curve.order for curve in curves(choice.names, OrderConfig(), octree_depths)],
+                sorts=bool(wanted or codecs),
+                shares=len(wanted),
+                objects=wanted_objects,
+                files=len(files),
+                cut=cut,
+                lengths=None if lengths is None else len(lengths),
+                codecs=len(codecs or ()),
+                quality_db=quality,
+                target_psnr=target_psnr,
+            )
+
         given = _gather(
             scene,
             cameras,
@@ -238,6 +263,7 @@ def evaluate(
             top_k,
             background,
             ssim_border,
+            work,
             threads=threads,
             stages=stages,
         )
@@ -252,15 +278,17 @@ def evaluate(
         measured = curves(choice.names, given.config, octree_depths)
         ordered: dict[str, NDArray[np.int64]] = {}
         if wanted or codecs:
+            stages("orders", 0, len(measured))
             for curve in measured:
-                with stages.stage("order"):
-                    ordered[curve.label] = order_rows(curve.order, unordered, curve.config)
-        if SPLATS in by:
-            for label, rows in ordered.items():
-                points += by_splats(
-                    given.evaluator, label, given.splats, rows, wanted, progress=stages
-                )
-                strips[SPLATS].append(Strip.of_order(label, given.splats, rows, STRIP_SHARES))
+                rows = order_rows(curve.order, unordered, curve.config)
+                if SPLATS in by:
+                    points += by_splats(
+                        given.evaluator, curve.label, given.splats, rows, wanted, progress=stages
+                    )
+                    strip = Strip.of_order(curve.label, given.splats, rows, STRIP_SHARES)
+                    strips[SPLATS].append(strip)
+                ordered[curve.label] = rows
+                stages("orders", len(ordered), len(measured))
         if wanted_objects is not None:
             of_objects = object_curves(
                 given.splats,
@@ -279,7 +307,8 @@ def evaluate(
                     (curve.label, Path(folder) / f"{number}.cogs", curve)
                     for number, curve in enumerate(measured)
                 ]
-                for name, path, encoded in made:
+                stages("files", 0, len(made))
+                for number, (name, path, encoded) in enumerate(made, start=1):
                     if encoded is not None:
                         _encode(given, encoded, path, quality, target_psnr, threads, stages)
                     size = path.stat().st_size if not files else _size_of(path)
@@ -297,19 +326,23 @@ def evaluate(
                     strips[BYTES].append(
                         Strip.of_file(name, path, found, compensate=compensate, threads=threads)
                     )
+                    stages("files", number, len(made))
         with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
-            for codec in codecs or ():
-                for label, rows in ordered.items():
-                    points += by_codec(
-                        given.evaluator,
-                        label,
-                        given.splats,
-                        rows,
-                        codec,
-                        wanted or SHARES,
-                        path=Path(folder) / codec,
-                        progress=stages,
-                    )
+            pairs = [(codec, label) for codec in codecs or () for label in ordered]
+            for number, (codec, label) in enumerate(pairs):
+                stages("codecs", number, len(pairs))
+                points += by_codec(
+                    given.evaluator,
+                    label,
+                    given.splats,
+                    ordered[label],
+                    codec,
+                    wanted or SHARES,
+                    path=Path(folder) / codec,
+                    progress=stages,
+                )
+            if pairs:
+                stages("codecs", len(pairs), len(pairs))
         pages = written_pages(given, points, by, of_objects)
         if out is not None:
             _write(out, pages, given, strips, force=force, stages=stages)
@@ -340,11 +373,14 @@ def _gather(
     top_k: int,
     background: Colour,
     ssim_border: str,
+    work: Callable[[Splats, Sequence[Camera], Sequence[Camera]], list[StageCost]],
     *,
     threads: int,
     stages: Stages,
 ) -> EvaluationInput:
+    """Read and score a scene; `work` says what that and all that comes then will cost."""
     from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+    from cogsplat.codec.encode.stage_costs import score_cost
     from cogsplat.codec.scoring.contribution import score
 
     with stages.stage("read"):
@@ -355,11 +391,19 @@ def _gather(
         lpips = None if lpips_weights is None else read_lpips(lpips_weights)
     splats = choice.labelled(splats, cameras, threads=threads, progress=stages)
     numbered = given_cameras(cameras) if cameras else []
+    planned = None
     if views is None:
-        numbered = virtual_views(splats, threads=threads, progress=stages)
+        numbered = planned = virtual_views(splats, threads=threads, progress=stages)
         views = hold_out(numbered, eval_every)[0] or numbered
     config = choice.config(numbered)
-    test_views, what = evaluation_cameras(path, splats, cameras, eval_every)
+    test_views, what = evaluation_cameras(path, splats, cameras, eval_every, planned=planned)
+    preset = PRESETS[DEFAULT_PRESET]
+    scored_on = preset.views(views)
+    scoring = score_cost(len(splats), preset, views, jitter=not no_jitter)
+    references = references_cost(len(splats), test_views)
+    stages.plan(
+        [StageCost("references", references), scoring, *work(splats, scored_on, test_views)]
+    )
     photos = None
     if images is not None:
         photos = read_photos(images, splats, test_views, background, threads=threads)
@@ -374,8 +418,6 @@ def _gather(
             ssim_border=ssim_border,
             threads=threads,
         )
-    preset = PRESETS[DEFAULT_PRESET]
-    scored_on = preset.views(views)
     settings = preset.score_config("transform", top_k=top_k, jitter=not no_jitter, threads=threads)
     scores = score(splats, scored_on, settings, progress=stages)
     return EvaluationInput(path, splats, scores, scored_on, what, config, evaluator, photos)

@@ -321,7 +321,14 @@ def virtual_views(splats: Splats, *, threads: int = 0, progress: Progress = sile
 
 
 def evaluation_cameras(
-    reference: Path, splats: Splats, path: Path | None, every: int
+    reference: Path,
+    splats: Splats,
+    path: Path | None,
+    every: int,
+    *,
+    planned: Sequence[Camera] | None = None,
+    threads: int = 0,
+    progress: Progress = silent,
 ) -> tuple[Sequence[Camera], str]:
     """Return the test views, and a phrase that says where they come from.
 
@@ -336,12 +343,18 @@ def evaluation_cameras(
         Cameras given.
     every : int
         Of cameras given and of virtual views, those with ``index % every == 0``; 0 for all.
+    planned : sequence of Camera, optional
+        The virtual views, where they are there already.
+    threads, progress
+        As in `virtual_views`.
     """
     beside = reference.parent / EVAL_CAMERAS
     if path is not None:
-        cameras, what = given_cameras(path), f"cameras of {path}"
+        cameras: Sequence[Camera] = given_cameras(path)
+        what = f"cameras of {path}"
     elif beside.is_file():
         return given_cameras(beside), f"cameras of {beside}"
     else:
-        cameras, what = virtual_views(splats), "virtual views"
+        what = "virtual views"
+        cameras = planned or virtual_views(splats, threads=threads, progress=progress)
     return (hold_out(cameras, every)[1] if every else cameras), what

@@ -14,6 +14,7 @@ from cogsplat.codec.progress import Progress, StageCost, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation import prefix_quality, report_page
+from cogsplat.tools.evaluation.measuring_costs import comparison_costs
 from cogsplat.tools.evaluation.photos import Photos, read_photos
 from cogsplat.tools.evaluation.prefix_quality import PrefixQuality
 from cogsplat.tools.terminal.output import facts, say, size_text, table
@@ -21,9 +22,6 @@ from cogsplat.tools.terminal.values import Colour
 
 from .inputs import evaluation_cameras
 from .scene_edits import SceneEdits
-
-# Of each view at each length: as it is and away from the path, source and file, and the SSIM.
-_RENDERS: Final = 5
 
 _SETTINGS: Final = (
     "profile",
@@ -99,10 +97,8 @@ class FileEvaluation:
 
     def stage_costs(self) -> list[StageCost]:
         """Return what `measure` will cost, for progress of the whole."""
-        from cogsplat.codec.encode.stage_costs import render_cost
-
-        once = render_cost(len(self.source), self.cameras)
-        return [StageCost("measure", len(prefix_quality.SHARES) * _RENDERS * once)]
+        once = sum(cost.whole() for cost in comparison_costs(len(self.source), self.cameras))
+        return [StageCost("measure", len(prefix_quality.SHARES) * once)]
 
     def measure(
         self, path: Path, *, threads: int = 0, progress: Progress = silent

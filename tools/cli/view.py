@@ -61,11 +61,13 @@ def view(
     A server on 127.0.0.1 gives the viewer and the scene, and nothing else, to browsers of this
     machine until Ctrl-C. A scene that is no .cogs is shown as it is, without being encoded.
     """
+    shown = not (quiet or as_json)
     with ExitStack() as open_things:
-        given = open_things.enter_context(drawable(scene, threads=threads))
+        given = open_things.enter_context(drawable(scene, threads=threads, shown=shown))
         other = None
         if against is not None:
-            other = open_things.enter_context(drawable(against, threads=threads)).path
+            drawn = drawable(against, threads=threads, shown=shown)
+            other = open_things.enter_context(drawn).path
         server = open_things.enter_context(
             SceneServer(given.path, title_of(scene), port, against=other)
         )

@@ -63,15 +63,18 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
                 found = usable_rows(read_any(scene, threads=threads).splats, scene)
             from cogsplat.codec.encode.config import EncodeConfig
             from cogsplat.codec.encode.presets import PRESETS
+            from cogsplat.codec.encode.stage_costs import stage_costs
 
             preset = PRESETS[PRESET]
             config = EncodeConfig(order=preset.order, compensate=preset.compensate, threads=threads)
+            stages.plan(stage_costs(len(found), config, preset))
             cogsplat.encode(found, path, preset=PRESET, config=config, progress=stages)
+            stages("write", 1, 1)
         yield Viewable(path, _splats_of(path), encoded=True)
 
 
 @contextmanager
-def drawable(scene: Path, *, threads: int) -> Iterator[Viewable]:
+def drawable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
     """Give a file that the viewer draws for as long as the block lasts, without encoding anything.
 
     Parameters
@@ -81,6 +84,8 @@ def drawable(scene: Path, *, threads: int) -> Iterator[Viewable]:
         temporary folder, in a hundredth of the time that encoding it takes: nothing is sent over
         a network, so that its size does not matter.
     threads : int
+    shown : bool
+        Whether standard error says how far that is.
 
     Raises
     ------
@@ -91,10 +96,13 @@ def drawable(scene: Path, *, threads: int) -> Iterator[Viewable]:
     if whole is not None:
         yield whole
         return
-    found = usable_rows(read_any(scene, threads=threads).splats, scene)
     with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
         path = Path(folder) / "scene.ply"
-        cogsplat.write(found, path)
+        with Stages(shown=shown) as stages:
+            with stages.stage("read"):
+                found = usable_rows(read_any(scene, threads=threads).splats, scene)
+            with stages.stage("write"):
+                cogsplat.write(found, path)
         count = len(found)
         # The arrays are as large as the file; nothing needs them while it is served.
         del found

@@ -117,8 +117,7 @@ class Stages(TimedProgress):
         if total <= 1:
             return
         now = time.monotonic()
-        due = now - self._written.setdefault(stage, now) >= _LINE_EVERY
-        if done == 0 or due:
+        if stage not in self._written or now - self._written[stage] >= _LINE_EVERY:
             self._written[stage] = now
             share = f", {self._whole.share:.0%} of all" if self._whole else ""
             click.echo(f"{stage} {done}/{total}{share}", err=True)
@@ -129,6 +128,11 @@ class Stages(TimedProgress):
         self(name, 0, 1)
         yield
         self(name, 1, 1)
+
+    @property
+    def share(self) -> float | None:
+        """Share of the whole work that is done; None until `plan` has said what that is."""
+        return None if self._whole is None else self._whole.share
 
     @property
     def total_seconds(self) -> float:

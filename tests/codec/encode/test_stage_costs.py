@@ -7,7 +7,7 @@ from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.rate_control import Target
-from cogsplat.codec.encode.stage_costs import render_cost, stage_costs
+from cogsplat.codec.encode.stage_costs import order_costs, render_cost, score_cost, stage_costs
 from cogsplat.codec.progress import WholeProgress
 
 
@@ -49,7 +49,7 @@ def test_the_stages_are_those_that_an_encode_reports(preset, given, target, prof
     )
     whole("write", 1, 1)
     expected = [cost.stage for cost in costs]
-    inner = {"chunks", "codebooks"} if target else set()
+    inner = {"chunks", "codebooks", "quantisers"} if target else set()
     assert list(dict.fromkeys(stage for stage in stages if stage not in inner)) == expected
     assert all(cost.cost > 0.0 for cost in costs)
     assert shares == sorted(shares)
@@ -75,4 +75,12 @@ def test_scores_that_are_there_cost_nothing():
     costs = stage_costs(100, EncodeConfig(), PRESETS["fast"], cameras=views(3), scored=True)
     assert "score" not in [cost.stage for cost in costs]
     alone = stage_costs(100, EncodeConfig(order="contribution"), PRESETS["fast"], scored=True)
-    assert [cost.stage for cost in alone] == ["chunks", "write"]
+    assert [cost.stage for cost in alone] == ["order", "quantisers", "chunks", "write"]
+
+
+def test_scoring_and_sorting_alone_cost_what_they_cost_in_an_encode():
+    preset, cameras = PRESETS["balanced"], views(20)
+    whole = {c.stage: c for c in stage_costs(900, EncodeConfig(), preset, cameras=cameras)}
+    assert score_cost(900, preset, cameras) == whole["score"]
+    assert order_costs(900, "gain", cameras) == [whole["reference views"], whole["gain"]]
+    assert order_costs(900, "contribution", cameras) == []

@@ -1,0 +1,27 @@
+"""What measuring costs grows with what is measured."""
+
+import pytest
+
+from cogsplat.tools.evaluation.measuring_costs import (
+    comparison_costs,
+    objects_cost,
+    references_cost,
+    versions_cost,
+)
+from cogsplat.tools.synthetic.scene import synth_cameras
+
+
+def test_costs_add_up_by_views_and_versions() -> None:
+    cameras = synth_cameras(4, 64, 48)
+    once = versions_cost(1000, cameras, 1)
+    assert versions_cost(1000, cameras, 3) == pytest.approx(3 * once)
+    assert versions_cost(1000, cameras * 2, 1) == pytest.approx(2 * once)
+    assert versions_cost(9000, cameras, 1) > once
+    assert versions_cost(1000, synth_cameras(4, 640, 480), 1) > 10 * once
+    held_out, roam = comparison_costs(1000, cameras)
+    assert (held_out.stage, roam.stage) == ("held-out", "roam")
+    assert roam.cost == pytest.approx(2 * held_out.cost)
+    # Two renders of each view in place of one.
+    assert once < held_out.cost + roam.cost < 2 * once
+    assert 0.0 < references_cost(1000, cameras) < once
+    assert objects_cost(1000, cameras, 2) > objects_cost(1000, cameras, 1) > 0.0
