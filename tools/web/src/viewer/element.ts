@@ -15,7 +15,7 @@ const BUDGET_OF_PHONES = 1_500_000;
 const QUIET_AFTER = 2500;
 
 const NOTHING: ViewerStatistics = {
-  state: "empty", splats: 0, totalSplats: 0, bytes: 0, frames: 0, drawMilliseconds: 0, sortMilliseconds: 0, upToDate: false,
+  state: "empty", splats: 0, totalSplats: 0, bytes: 0, frames: 0, drawMilliseconds: 0, pictureMilliseconds: 0, sortMilliseconds: 0, upToDate: false,
 };
 
 /**
@@ -30,13 +30,14 @@ const NOTHING: ViewerStatistics = {
  * | `sh-degree` | highest SH degree that is drawn, 0 to 3 |
  * | `splat-budget` | most splats that are fetched and drawn; 1,500,000 by default where fingers are the pointer |
  * | `pixel-ratio` | most device pixels for a CSS pixel; 2 by default |
+ * | `resolution` | `full` draws all pixels of moving and growing pictures too, where graphics are slow |
  * | `fill-holes` | `off` shows holes between splats while the scene arrives |
  * | `controls` | `none` shows no buttons |
  *
  * It fires `cogsplat-change` when `statistics` change. Leaving the page ends its workers and gives all memory back.
  */
 export class CogsplatViewer extends HTMLElement implements ViewerHandle {
-  static readonly observedAttributes = ["src", "against", "label", "background", "sh-degree", "splat-budget", "pixel-ratio", "fill-holes", "controls"];
+  static readonly observedAttributes = ["src", "against", "label", "background", "sh-degree", "splat-budget", "pixel-ratio", "resolution", "fill-holes", "controls"];
   /** How workers are started: from the programs beside this one, by default. */
   static workers: ViewerWorkers | undefined = workersBeside(import.meta.url);
 
@@ -172,6 +173,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
       const phone = matchMedia("(pointer: coarse)").matches;
       scene.limit(value === null ? (phone ? BUDGET_OF_PHONES : Infinity) : Number(value));
     } else if (name === "pixel-ratio") scene.mostPixelRatio = value === null ? 2 : Number(value);
+    else if (name === "resolution") scene.mayHaste = value !== "full";
     else if (name === "fill-holes") this.fillHoles = value !== "off";
     else if (name === "controls") this.find("#tools").hidden = value === "none";
     else if (name === "label") this.nameScenes();

@@ -55,6 +55,7 @@ export class Panel {
       ["Picture", `${canvas.width} × ${canvas.height} px`],
       ["Pictures drawn", statistics.frames.toLocaleString()],
       ["Main thread", `${statistics.drawMilliseconds.toFixed(1)} ms a picture`],
+      ["Graphics", `${statistics.pictureMilliseconds.toFixed(1)} ms a picture`],
       ["Sorting", `${statistics.sortMilliseconds.toFixed(1)} ms in a worker`],
     ];
     const body = this.table.tBodies[0]!;

@@ -1,5 +1,5 @@
 import {
-  COMPOSITE_SHADER, FRAGMENT_SHADER, QUADS_PER_INSTANCE, VERTEX_SHADER, WHOLE_PICTURE_SHADER,
+  COMPOSITE_SHADER, FRAGMENT_SHADER, SPLATS_PER_INSTANCE, VERTEX_SHADER, WHOLE_PICTURE_SHADER,
 } from "./shaders.js";
 import type { SplatLayer } from "./splat_layer.js";
 
@@ -116,15 +116,15 @@ export class SplatRenderer {
     ["splats", "order", "shifts", "sh1", "sh2", "sh3"].forEach((name, unit) => {
       gl.uniform1i(splats.at(name), unit < units ? unit : 0);
     });
-    const instances = Math.ceil(layer.drawnRows / QUADS_PER_INSTANCE);
-    gl.drawElementsInstanced(gl.TRIANGLES, 6 * QUADS_PER_INSTANCE, gl.UNSIGNED_SHORT, 0, instances);
+    const instances = Math.ceil(layer.drawnRows / SPLATS_PER_INSTANCE);
+    gl.drawArraysInstanced(gl.TRIANGLES, 0, 3 * SPLATS_PER_INSTANCE, instances);
     return whole;
   }
 
   private build(): [Program, Program, Target] {
     const { gl } = this;
     const programs = [new Program(gl, VERTEX_SHADER, FRAGMENT_SHADER), new Program(gl, WHOLE_PICTURE_SHADER, COMPOSITE_SHADER)] as const;
-    makeQuads(gl);
+    gl.bindVertexArray(gl.createVertexArray());
     return [...programs, new Target(gl)];
   }
 }
@@ -210,15 +210,4 @@ class Target {
     this.gl.deleteTexture(this.texture);
     this.gl.deleteFramebuffer(this.framebuffer);
   }
-}
-
-/** The indices of one instance's quads; the shader makes corners of the numbers of vertices. */
-function makeQuads(gl: WebGL2RenderingContext): void {
-  const indices = new Uint16Array(6 * QUADS_PER_INSTANCE);
-  for (let quad = 0; quad < QUADS_PER_INSTANCE; quad++) {
-    indices.set([0, 1, 2, 2, 1, 3].map((corner) => 4 * quad + corner), 6 * quad);
-  }
-  gl.bindVertexArray(gl.createVertexArray());
-  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, indices, gl.STATIC_DRAW);
 }

@@ -6,6 +6,7 @@ import { DepthSorter } from "./depth_sorter.js";
 import { bulkOf, depthAhead } from "./framing.js";
 import { Meter } from "./meter.js";
 import { OrbitCamera, type Vector } from "./orbit.js";
+import { PicturePace } from "./picture_pace.js";
 import { PlyFeed } from "./ply_feed.js";
 import { SplatRenderer, type PictureOptions } from "./renderer.js";
 import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
@@ -18,9 +19,10 @@ export type SceneSource = string | Blob | ByteSource;
 
 /** Work between two pictures on what compensation adds, ms: a picture has 16. */
 const WORK_MILLISECONDS = 5;
-/** A picture that takes longer while the camera moves is drawn in fewer pixels, ms. */
-const SLOW_PICTURE = 45;
-const LEAST_SCALE = 0.4;
+/** How long after the last change slow graphics draw all pixels while more is to come, ms. */
+const QUIET_MILLISECONDS = 300;
+/** Between two looks whether the graphics have finished a picture, ms. */
+const LOOK_MILLISECONDS = 4;
 
 /** What is told of a scene view. */
 export interface SceneViewHost {
@@ -40,7 +42,7 @@ interface Shown {
 }
 
 const EMPTY: ViewerStatistics = {
-  state: "empty", splats: 0, totalSplats: 0, bytes: 0, frames: 0, drawMilliseconds: 0, sortMilliseconds: 0, upToDate: false,
+  state: "empty", splats: 0, totalSplats: 0, bytes: 0, frames: 0, drawMilliseconds: 0, pictureMilliseconds: 0, sortMilliseconds: 0, upToDate: false,
 };
 
 /** Shows a scene on a canvas, and beside it a second one: loads, moves, draws on demand. */
@@ -54,7 +56,10 @@ export class SceneView {
   mostPixelRatio = 2;
   /** Device pixels for a CSS pixel, instead of those of the screen. */
   pixelRatio: number | undefined;
+  /** Whether slow graphics draw moving and growing pictures in fewer pixels. */
+  mayHaste = true;
   private readonly renderer: SplatRenderer;
+  private readonly pace: PicturePace;
   private readonly abort = new AbortController();
   private readonly observer: ResizeObserver;
   private main: Shown | undefined;
@@ -73,7 +78,10 @@ export class SceneView {
   private dirty = false;
   private lost = false;
   private lastFrame = 0;
-  private scale = 1;
+  private lastChange = 0;
+  /** Whether the last picture has all pixels, and shows all that had come. */
+  private isSharp = true;
+  private isWhole = true;
   private budget = Infinity;
   private readonly waiting: (() => void)[] = [];
   private picture: PictureOptions = { background: [0, 0, 0, 1], degree: 3, fill: 0, divide: 0.5 };
@@ -86,6 +94,7 @@ export class SceneView {
     private readonly workers: ViewerWorkers | undefined,
   ) {
     this.renderer = new SplatRenderer(canvas);
+    this.pace = new PicturePace(this.renderer.gl);
     const { signal } = this.abort;
     this.controls = new Controls(canvas, () => this.camera, () => {
       this.touched = true;
@@ -101,6 +110,7 @@ export class SceneView {
     }, { signal });
     canvas.addEventListener("webglcontextrestored", () => {
       this.lost = false;
+      this.pace.forget();
       this.renderer.restore();
       for (const layer of this.layers) layer.restore();
       host.restored();
@@ -206,10 +216,9 @@ export class SceneView {
   /** Draw a picture with the next frame of the browser. */
   readonly redraw = (): void => {
     this.dirty = true;
+    this.lastChange = performance.now();
     if (this.statistics.upToDate) this.note({ upToDate: false });
-    if (this.scheduled || this.abort.signal.aborted) return;
-    this.scheduled = true;
-    requestAnimationFrame(this.frame);
+    this.schedule();
   };
 
   /** End loading, workers and drawing, and give the memory back. */
@@ -314,36 +323,62 @@ export class SceneView {
     shown?.layer?.close();
   }
 
+  /** Have `frame` called with the next frame of the browser, or after some time. */
+  private schedule(after?: number): void {
+    if (this.scheduled || this.abort.signal.aborted) return;
+    this.scheduled = true;
+    if (after === undefined) requestAnimationFrame(this.frame);
+    else setTimeout(() => this.frame(performance.now()), after);
+  }
+
   private readonly frame = (time: number): void => {
     this.scheduled = false;
     if (this.abort.signal.aborted || this.lost) return;
-    const { canvas, controls } = this;
+    const { controls, layers, pace } = this;
+    const more = [this.main, this.other].map((shown) => shown?.feed.work(WORK_MILLISECONDS) ?? false).some(Boolean);
+    if (!pace.isFree) return this.schedule(LOOK_MILLISECONDS);
+    const isUploaded = layers.map((layer) => layer.upload()).every(Boolean);
+    // Pictures that take long wait for all that they are to show.
+    if (!isUploaded && pace.isSlow) {
+      pace.uploads();
+      return this.schedule();
+    }
     // A pause between two movements is no slow picture.
     const passed = Math.min(time - this.lastFrame, 100);
     this.lastFrame = time;
-    const steps = controls.step(passed / 1000);
-    this.scale = !controls.active ? 1 : passed > SLOW_PICTURE && passed < 100 ? Math.max(this.scale * 0.85, LEAST_SCALE) : this.scale;
-    this.dirty = false;
-    const more = [this.main, this.other].map((shown) => shown?.feed.work(WORK_MILLISECONDS) ?? false).some(Boolean);
-    const ratio = (this.pixelRatio ?? Math.min(devicePixelRatio, this.mostPixelRatio)) * this.scale;
-    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((px) => Math.max(1, Math.round(px * ratio))) as [number, number];
-    if (canvas.width !== width) canvas.width = width;
-    if (canvas.height !== height) canvas.height = height;
-    const whole = this.draw(width, height);
-    // `work` and `draw` ask for another frame where they left something; movement goes on by itself.
-    if (steps || more || this.scale < 1) this.redraw();
-    this.note({ upToDate: whole && !more && !this.dirty });
+    const moves = controls.step(passed / 1000);
+    if (moves) this.lastChange = time;
+    const hastes = moves || this.dirty;
+    if (hastes || !this.isSharp) {
+      // More is about to come, most often, and a picture of all pixels would hold it up.
+      const isBusy = controls.active || this.statistics.state === "streaming";
+      if (!hastes && isBusy && performance.now() - this.lastChange < QUIET_MILLISECONDS) return this.schedule(LOOK_MILLISECONDS);
+      this.dirty = false;
+      const scale = hastes && this.mayHaste && this.pixelRatio === undefined ? pace.scale : 1;
+      this.isSharp = scale === 1;
+      this.isWhole = this.draw(scale);
+      if (!isUploaded) this.dirty = true;
+    }
+    const isDrawn = !more && !moves && !this.dirty && this.isSharp;
+    if (!isDrawn) this.schedule();
+    else if (!pace.isIdle) this.schedule(LOOK_MILLISECONDS);
+    this.note({ upToDate: isDrawn && this.isWhole && pace.isIdle, pictureMilliseconds: pace.milliseconds });
     if (this.statistics.upToDate) for (const resolve of this.waiting.splice(0)) resolve();
   };
 
   /** Draw what has come; returns whether that is all, in the view asked for. */
-  private draw(width: number, height: number): boolean {
-    const { camera, renderer, layers, statistics } = this;
+  private draw(scale: number): boolean {
+    const { camera, canvas, renderer, layers, pace, statistics } = this;
+    const ratio = (this.pixelRatio ?? Math.min(devicePixelRatio, this.mostPixelRatio)) * scale;
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((px) => Math.max(1, Math.round(px * ratio))) as [number, number];
+    if (canvas.width !== width) canvas.width = width;
+    if (canvas.height !== height) canvas.height = height;
     if (camera === undefined || layers.length === 0) return statistics.state === "failed" || statistics.state === "empty";
     const start = performance.now();
     const arriving = statistics.state === "streaming" && this.fills;
     const fill = arriving ? 1 - Math.min(statistics.splats / statistics.totalSplats, 1) : 0;
     const whole = renderer.draw({ ...camera.view(height, width), origin: this.origin }, layers, { ...this.picture, fill });
+    if (this.drawnRows > 0) pace.given(start, scale);
     this.note({
       frames: statistics.frames + 1,
       drawMilliseconds: performance.now() - start,

@@ -1,5 +1,5 @@
 /** Splats of one instance: drivers pay for each instance, so that one for each splat is many times slower. */
-export const QUADS_PER_INSTANCE = 128;
+export const SPLATS_PER_INSTANCE = 128;
 /** Texels of a row of every texture that holds splats. */
 export const TEXTURE_WIDTH = 2048;
 
@@ -7,7 +7,7 @@ export const TEXTURE_WIDTH = 2048;
 export const SCALE_STEPS = 2048;
 export const OPACITY_STEPS = 1024;
 
-/** Reads packed splats (`src/scene/packed_splats.ts`), projects them (SPEC 8.7) and spans a quad over each. */
+/** Reads packed splats (`src/scene/packed_splats.ts`), projects them (SPEC 8.7) and spans a triangle over each. */
 export const VERTEX_SHADER = `#version 300 es
 precision highp float;
 precision highp int;
@@ -94,7 +94,7 @@ vec3 higherBands(int index, vec3 d) {
 
 void main() {
   gl_Position = vec4(0.0, 0.0, 2.0, 1.0); // outside, where nothing is to be drawn
-  int slot = gl_InstanceID * ${QUADS_PER_INSTANCE} + gl_VertexID / 4;
+  int slot = gl_InstanceID * ${SPLATS_PER_INSTANCE} + gl_VertexID / 3;
   if (slot >= count) return;
   int index = int(texelFetch(order, texel(slot), 0).x);
   uvec4 w = texelFetch(splats, texel(index), 0);
@@ -134,7 +134,9 @@ void main() {
   float longer = 0.5 * (a + c) + spread;
   float reach = sqrt(2.0 * log(opacity / ALPHA_MIN));
   vec2 direction = spread > 0.0 ? normalize(tilt > 0.0 ? vec2(tilt + spread, b) : vec2(b, spread - tilt)) : vec2(1.0, 0.0);
-  vec2 corner = vec2((gl_VertexID & 1) * 2 - 1, (gl_VertexID & 2) - 1) * reach;
+  int number = gl_VertexID % 3;
+  // A triangle around the circle that the ellipse is of: one costs less than the two of a square.
+  vec2 corner = (number == 0 ? vec2(0.0, 2.0) : vec2(number == 1 ? -1.7320508 : 1.7320508, -1.0)) * reach;
   vec2 px = corner.x * sqrt(longer) * direction + corner.y * sqrt(determinant / longer) * vec2(direction.y, -direction.x);
   vec2 centre = focal * p.xy / p.z;
   offset = corner;

@@ -36,7 +36,8 @@ export class SplatLayer {
   private sorting = false;
   private stale = true;
   private spare: Uint32Array | undefined;
-  private uploaded = false;
+  /** Direction of the last view. */
+  private forward: readonly number[] | undefined;
   private closed = false;
 
   /**
@@ -79,15 +80,15 @@ export class SplatLayer {
     this.arrived = Math.max(this.arrived, firstRow + packed.count);
     this.sorter.add(firstRow, packed.words);
     this.stale = true;
-    this.uploaded = false;
-    this.changed();
+    // What has come is drawn when it is sorted, which need not wait for a picture.
+    if (this.forward === undefined) this.changed();
+    else void this.sort(this.forward);
   }
 
   /** Note what compensation adds to rows. */
   shift(firstRow: number, count: number, shifts: Shifts | undefined): void {
     if (firstRow + count > this.capacity) return;
     this.textures.writeShifts(firstRow, count, shifts);
-    this.uploaded = false;
     this.changed();
   }
 
@@ -101,8 +102,12 @@ export class SplatLayer {
   /** Make the textures anew, because the graphics memory was lost. */
   restore(): void {
     this.textures.allocate(this.gl);
-    this.uploaded = false;
     this.changed();
+  }
+
+  /** Upload a part of what has changed; returns whether that was all. */
+  upload(): boolean {
+    return this.textures.upload(this.gl);
   }
 
   /**
@@ -112,12 +117,12 @@ export class SplatLayer {
    * @returns Whether all rows that have come are bound, in the order for the view.
    */
   prepare(forward: readonly number[]): boolean {
+    this.forward = [...forward];
     const before = this.sorted?.forward;
     const turned = before === undefined || before.reduce((sum, value, i) => sum + value * forward[i]!, 0) < SAME_DIRECTION;
-    if ((this.stale || turned) && this.rows > 0) void this.sort([...forward]);
-    this.uploaded = this.textures.bind(this.gl);
-    if (!this.uploaded) this.changed();
-    return this.uploaded && !this.sorting && (this.rows === 0 || !(this.stale || turned));
+    if ((this.stale || turned) && this.rows > 0) void this.sort(this.forward);
+    this.textures.bind(this.gl);
+    return !this.sorting && (this.rows === 0 || !(this.stale || turned));
   }
 
   close(): void {
@@ -138,5 +143,7 @@ export class SplatLayer {
     this.sorted = { rows, forward };
     this.sortMilliseconds = milliseconds;
     this.changed();
+    // Rows that came meanwhile wait for no picture either.
+    if (this.stale) void this.sort(this.forward!);
   }
 }

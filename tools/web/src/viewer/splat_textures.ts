@@ -2,8 +2,11 @@ import type { Shifts } from "../container/compensation.js";
 import { SH_WORDS, type PackedSplats } from "../scene/packed_splats.js";
 import { OPACITY_STEPS, SCALE_STEPS, TEXTURE_WIDTH } from "./shaders.js";
 
-/** Lines of a texture that are uploaded for one picture: a few MB, so that no picture waits long for them. */
-const LINES_A_PICTURE = 48;
+/**
+ * Bytes of textures that are uploaded at once. Browsers hand them on in a buffer of 16 MiB (Chromium's for WebGL), and
+ * who fills it waits until the graphics have taken something out.
+ */
+const BYTES_AT_ONCE = 4 << 20;
 
 /** A texture of unsigned integers, one texel a splat, with a copy in memory from which changed lines are uploaded. */
 class RowTexture {
@@ -36,25 +39,32 @@ class RowTexture {
     for (let line = Math.floor(first / TEXTURE_WIDTH); line < end; line++) this.changed.add(line);
   }
 
-  /**
-   * Bind to a unit, after uploading lines that have changed.
-   *
-   * @param lines - Most lines to upload.
-   * @returns Whether the texture holds all that has changed.
-   */
-  bind(gl: WebGL2RenderingContext, unit: number, lines: number): boolean {
-    gl.activeTexture(gl.TEXTURE0 + unit);
+  /** Upload lines that have changed, about so many bytes of them; returns how many there were. */
+  upload(gl: WebGL2RenderingContext, mostBytes: number): number {
+    if (this.changed.size === 0) return 0;
+    gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, this.texture!);
     const format = { 1: gl.RED_INTEGER, 2: gl.RG_INTEGER, 4: gl.RGBA_INTEGER }[this.channels];
     const size = TEXTURE_WIDTH * this.channels;
-    let left = lines;
+    let bytes = 0;
     for (const line of this.changed) {
-      if (left-- === 0) return false;
+      if (bytes >= mostBytes) break;
       this.changed.delete(line);
       const part = this.words.subarray(line * size, (line + 1) * size);
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, line, TEXTURE_WIDTH, 1, format, gl.UNSIGNED_INT, part);
+      bytes += part.byteLength;
     }
-    return true;
+    return bytes;
+  }
+
+  /** Whether the texture holds all that was written. */
+  get isUploaded(): boolean {
+    return this.changed.size === 0;
+  }
+
+  bind(gl: WebGL2RenderingContext, unit: number): void {
+    gl.activeTexture(gl.TEXTURE0 + unit);
+    gl.bindTexture(gl.TEXTURE_2D, this.texture!);
   }
 
   delete(gl: WebGL2RenderingContext): void {
@@ -115,16 +125,17 @@ export class SplatTextures {
     this.order.touch(0, rows);
   }
 
-  /**
-   * Bind all to units: splats, order, shifts, then the bands.
-   *
-   * @returns Whether they hold all that was written.
-   */
-  bind(gl: WebGL2RenderingContext): boolean {
+  /** Upload about as many bytes of what has changed as go to the graphics without waiting for them; returns whether that was all. */
+  upload(gl: WebGL2RenderingContext): boolean {
+    let left = BYTES_AT_ONCE;
     // An order is of use as a whole alone.
-    return this.all
-      .map((texture, unit) => texture.bind(gl, unit, texture === this.order ? Infinity : LINES_A_PICTURE))
-      .every((whole) => whole);
+    for (const texture of this.all) left -= texture.upload(gl, texture === this.order ? Infinity : left);
+    return this.all.every((texture) => texture.isUploaded);
+  }
+
+  /** Bind all to units: splats, order, shifts, then the bands. */
+  bind(gl: WebGL2RenderingContext): void {
+    this.all.forEach((texture, unit) => texture.bind(gl, unit));
   }
 
   delete(gl: WebGL2RenderingContext): void {

@@ -13,6 +13,7 @@ import { type ViewerWorkers } from "./viewer_workers.js";
  * | `sh-degree` | highest SH degree that is drawn, 0 to 3 |
  * | `splat-budget` | most splats that are fetched and drawn; 1,500,000 by default where fingers are the pointer |
  * | `pixel-ratio` | most device pixels for a CSS pixel; 2 by default |
+ * | `resolution` | `full` draws all pixels of moving and growing pictures too, where graphics are slow |
  * | `fill-holes` | `off` shows holes between splats while the scene arrives |
  * | `controls` | `none` shows no buttons |
  *

@@ -30,7 +30,10 @@ export declare class SceneView {
     mostPixelRatio: number;
     /** Device pixels for a CSS pixel, instead of those of the screen. */
     pixelRatio: number | undefined;
+    /** Whether slow graphics draw moving and growing pictures in fewer pixels. */
+    mayHaste: boolean;
     private readonly renderer;
+    private readonly pace;
     private readonly abort;
     private readonly observer;
     private main;
@@ -49,7 +52,10 @@ export declare class SceneView {
     private dirty;
     private lost;
     private lastFrame;
-    private scale;
+    private lastChange;
+    /** Whether the last picture has all pixels, and shows all that had come. */
+    private isSharp;
+    private isWhole;
     private budget;
     private readonly waiting;
     private picture;
@@ -95,6 +101,8 @@ export declare class SceneView {
     private progressed;
     private note;
     private close;
+    /** Have `frame` called with the next frame of the browser, or after some time. */
+    private schedule;
     private readonly frame;
     /** Draw what has come; returns whether that is all, in the view asked for. */
     private draw;

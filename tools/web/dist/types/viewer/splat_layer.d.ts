@@ -33,7 +33,8 @@ export declare class SplatLayer {
     private sorting;
     private stale;
     private spare;
-    private uploaded;
+    /** Direction of the last view. */
+    private forward;
     private closed;
     /**
      * @param ranges - What the codes of packed rows stand for.
@@ -55,6 +56,8 @@ export declare class SplatLayer {
     limit(rows: number): void;
     /** Make the textures anew, because the graphics memory was lost. */
     restore(): void;
+    /** Upload a part of what has changed; returns whether that was all. */
+    upload(): boolean;
     /**
      * Bind what is drawn, and have the rows sorted where they are not sorted for a view.
      *

@@ -17,11 +17,9 @@ export declare class SplatTextures {
     writeShifts(firstRow: number, count: number, shifts: Shifts | undefined): void;
     /** Set the order in which the first rows are drawn. */
     writeOrder(order: Uint32Array, rows: number): void;
-    /**
-     * Bind all to units: splats, order, shifts, then the bands.
-     *
-     * @returns Whether they hold all that was written.
-     */
-    bind(gl: WebGL2RenderingContext): boolean;
+    /** Upload about as many bytes of what has changed as go to the graphics without waiting for them; returns whether that was all. */
+    upload(gl: WebGL2RenderingContext): boolean;
+    /** Bind all to units: splats, order, shifts, then the bands. */
+    bind(gl: WebGL2RenderingContext): void;
     delete(gl: WebGL2RenderingContext): void;
 }

@@ -18,7 +18,9 @@ export interface ViewerStatistics {
     /** Duration of the last picture on the main thread and of the last sort in its worker, ms. */
     readonly drawMilliseconds: number;
     readonly sortMilliseconds: number;
-    /** Whether the canvas shows all that has arrived, in the view asked for. */
+    /** Duration of a picture, from its first command until the graphics had finished it, ms. */
+    readonly pictureMilliseconds: number;
+    /** Whether the canvas shows all that has arrived, in the view asked for and in all its pixels. */
     readonly upToDate: boolean;
     /** The sentence that a person is shown, where `state` is `failed`. */
     readonly error?: string;

@@ -1,0 +1,93 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { PicturePace } from "../src/viewer/picture_pace.js";
+
+/** Graphics that finish what they were given when they are told to. */
+class Graphics {
+  readonly SYNC_GPU_COMMANDS_COMPLETE = 1;
+  readonly TIMEOUT_EXPIRED = 2;
+  readonly CONDITION_SATISFIED = 3;
+  private readonly finished = new Set<object>();
+  private readonly given: object[] = [];
+
+  fenceSync(): object {
+    const sync = {};
+    this.given.push(sync);
+    return sync;
+  }
+
+  clientWaitSync(sync: object): number {
+    return this.finished.has(sync) ? this.CONDITION_SATISFIED : this.TIMEOUT_EXPIRED;
+  }
+
+  finish(): void {
+    this.finished.add(this.given.shift()!);
+  }
+
+  flush(): void {
+    // Commands are counted, not drawn.
+  }
+
+  deleteSync(sync: object): void {
+    assert.ok(this.finished.delete(sync), "a fence is given back once");
+  }
+}
+
+function started(): { readonly graphics: Graphics; readonly pace: PicturePace } {
+  const graphics = new Graphics();
+  return { graphics, pace: new PicturePace(graphics as unknown as WebGL2RenderingContext) };
+}
+
+/** Have a picture take some ms. */
+function take(graphics: Graphics, pace: PicturePace, milliseconds: number, scale: number): void {
+  pace.given(performance.now() - milliseconds, scale);
+  graphics.finish();
+  assert.ok(pace.isIdle);
+}
+
+test("no picture is begun while slow graphics work on one", () => {
+  const { graphics, pace } = started();
+  take(graphics, pace, 500, 1);
+  assert.ok(pace.isSlow && pace.isFree);
+  pace.given(performance.now(), 1);
+  assert.ok(!pace.isFree && !pace.isIdle);
+  graphics.finish();
+  assert.ok(pace.isFree && pace.isIdle);
+});
+
+test("quick graphics have one picture in reserve", () => {
+  const { graphics, pace } = started();
+  take(graphics, pace, 5, 1);
+  assert.ok(!pace.isSlow);
+  pace.given(performance.now(), 1);
+  assert.ok(pace.isFree);
+  pace.given(performance.now(), 1);
+  assert.ok(!pace.isFree);
+  pace.forget();
+  assert.ok(pace.isFree);
+});
+
+test("pictures in haste have as many pixels as there is time for, and grow slowly", () => {
+  const { graphics, pace } = started();
+  assert.ok(pace.scale < 0.5, "how quick the graphics are is not known at first");
+  const first = pace.scale;
+  take(graphics, pace, 1, first);
+  assert.ok(pace.scale > first && pace.scale <= 1.5 * first + 0.05);
+  for (let i = 0; i < 5; i++) take(graphics, pace, 5, pace.scale);
+  assert.equal(pace.scale, 1);
+  take(graphics, pace, 90, 1);
+  assert.ok(Math.abs(pace.scale - Math.SQRT1_2) < 0.03, `${pace.scale}`);
+  take(graphics, pace, 5000, 1);
+  assert.equal(pace.scale, first);
+});
+
+test("uploads keep the graphics busy and say nothing of pictures", () => {
+  const { graphics, pace } = started();
+  take(graphics, pace, 60, 1);
+  const { milliseconds, scale } = pace;
+  pace.uploads();
+  assert.ok(!pace.isFree);
+  graphics.finish();
+  assert.ok(pace.isFree);
+  assert.deepEqual([pace.milliseconds, pace.scale], [milliseconds, scale]);
+});
