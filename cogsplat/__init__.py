@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, entry_points, version
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from .codec.encode.encoded import EncodeReport as EncodeReport
     from .codec.encode.rate_control import Target as Target
     from .codec.scoring.contribution import ScoreConfig, Scores
+    from .codec.workspace import Workspace
 
 __all__ = [
     "Camera",
@@ -250,6 +252,8 @@ def encode(
     preset: str = "balanced",
     stored_cameras: Sequence[Camera] = (),
     test_views: Sequence[Camera] | None = None,
+    memory: int | str | None = None,
+    workspace: Workspace | None = None,
     force: bool = False,
     progress: Progress = silent,
     whole: Callable[[float], None] | None = None,
@@ -287,6 +291,13 @@ def encode(
     test_views : sequence of Camera, optional
         Views that a target is measured and quality is predicted in. By default some of the
         cameras, spread evenly, or test views planned with the others.
+    memory : int or str, optional
+        Most memory that the process may take, in bytes or as text such as ``"8GiB"``. Where the
+        arrays would take more, they are kept in files beside the output, which are mapped into
+        memory piece by piece: for a `scene` that is the path of a PLY, and a preset or
+        configuration that neither orders by gain nor compensates. The bytes do not depend on it.
+    workspace : Workspace, optional
+        Where arrays are kept, in place of what follows from `memory`.
     force : bool
         Replace an existing file.
     progress : Progress
@@ -325,6 +336,8 @@ def encode(
     from .codec.encode.stage_costs import stage_costs
     from .formats.cogs import scene as cogs
     from .formats.cogs.cameras import check_cameras
+    from .formats.scenes.memory_cap import working_memory
+    from .formats.scenes.registry import is_cogs, read_scene
     from .formats.storage.atomic import check_output
 
     if preset not in PRESETS:
@@ -342,7 +355,11 @@ def encode(
     check_output(path, force=force, inputs=given)
     if stored_cameras:
         check_cameras(stored_cameras)
-    splats = scene if isinstance(scene, Splats) else read(scene)
+    kept: AbstractContextManager[Workspace]
+    if workspace is not None:
+        kept = nullcontext(workspace)
+    else:
+        kept = working_memory(scene, config, _byte_count(memory), Path(path).absolute().parent)
     views = read_cameras(cameras) if isinstance(cameras, str | os.PathLike) else cameras
     writer = f"cogsplat {__version__}"
     first_view = config.ordering.first_view or (views[0] if views else None)
@@ -353,38 +370,45 @@ def encode(
         )
 
     aim = target or _target(target_psnr, target_size, scene)
-    if whole is not None:
-        costs = stage_costs(
-            len(splats),
+    with kept as workspace:
+        splats = scene
+        if not isinstance(splats, Splats):
+            splats = (
+                decode(splats) if is_cogs(splats) else read_scene(splats, zeros=workspace.zeros)
+            )
+        if whole is not None:
+            costs = stage_costs(
+                len(splats),
+                config,
+                chosen,
+                cameras=views,
+                jitter=score_config is None or score_config.jitter,
+                scored=scores is not None,
+                target=aim,
+            )
+            progress = WholeProgress(costs, progress, whole)
+        encoded = pipeline.encode(
+            splats,
             config,
-            chosen,
             cameras=views,
-            jitter=score_config is None or score_config.jitter,
-            scored=scores is not None,
+            scores=scores,
+            score_config=score_config,
+            preset=chosen,
             target=aim,
+            test_views=test_views or (),
+            size_of=size_of,
+            workspace=workspace,
+            progress=progress,
         )
-        progress = WholeProgress(costs, progress, whole)
-    encoded = pipeline.encode(
-        splats,
-        config,
-        cameras=views,
-        scores=scores,
-        score_config=score_config,
-        preset=chosen,
-        target=aim,
-        test_views=test_views or (),
-        size_of=size_of,
-        progress=progress,
-    )
-    writing = TimedProgress()
-    size_bytes = cogs.save(
-        encoded,
-        Path(path),
-        writer=writer,
-        first_view=first_view,
-        cameras=stored_cameras,
-        force=force,
-    )
+        writing = TimedProgress()
+        size_bytes = cogs.save(
+            encoded,
+            Path(path),
+            writer=writer,
+            first_view=first_view,
+            cameras=stored_cameras,
+            force=force,
+        )
     writing("write", 1, 1)
     if whole is not None:
         whole(1.0)
@@ -395,6 +419,18 @@ def encode(
         seconds={**report.seconds, **writing.seconds},
         cpu_seconds={**report.cpu_seconds, **writing.cpu_seconds},
     )
+
+
+def _byte_count(memory: int | str | None) -> int | None:
+    """Return a memory cap in bytes."""
+    from .formats.storage.byte_counts import parse_byte_count
+
+    if memory is None:
+        return None
+    found = parse_byte_count(str(memory))
+    if found.is_share:
+        raise ValueError(f"memory {memory!r}, expected bytes such as 8GiB")
+    return int(found.amount)
 
 
 def _target(psnr_db: float | None, size: int | str | None, scene: Splats | _Path) -> Target | None:

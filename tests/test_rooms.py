@@ -145,6 +145,7 @@ DOORS: dict[str, dict[str, str]] = {
             "MAX_SH_DEGREE SceneInfo Splats concatenate empty sh_coefficients"
         ),
         "threads": "ordered_map thread_count",
+        "workspace": "Gather IN_MEMORY Workspace Zeros",
     },
     "codec.clustering": {
         "few_rows": "train",
@@ -161,6 +162,7 @@ DOORS: dict[str, dict[str, str]] = {
         "prefix_quality": "PrefixEvaluator",
         "prepared": "PreparedScene prepare",
         "presets": "DEFAULT_PRESET PRESETS",
+        "memory": "memory_need",
         "profiles.vq": "clip_strays",
         "rate_control": "Target",
         "stage_costs": "order_costs render_cost score_cost stage_costs",
@@ -218,7 +220,7 @@ DOORS: dict[str, dict[str, str]] = {
         "tiles": "TileLists tile_lists",
     },
     "codec.scoring": {
-        "contribution": "LEAST_WEIGHT ScoreConfig Scores score unscored",
+        "contribution": "LEAST_WEIGHT MOST_BY_VIEW ScoreConfig Scores score unscored",
         "reference_views": "ReferenceViews render_references",
     },
     "codec.segments": {
@@ -279,6 +281,7 @@ DOORS: dict[str, dict[str, str]] = {
         "compressed_ply": "CHUNK_SPLATS read_compressed_ply write_compressed_ply",
         "gltf.scene": "read_gltf write_gltf",
         "ksplat": "read_ksplat",
+        "memory_cap": "working_memory",
         "ply.scene": "read_ply write_ply",
         "quantised_values": "morton_order unit_opacities",
         "registry": (
@@ -298,6 +301,7 @@ DOORS: dict[str, dict[str, str]] = {
         "limits": "Limits",
         "magic": "COGS_MAGIC describe",
         "pictures": "read_picture",
+        "scratch_files": "ScratchFiles",
         "siblings": "sibling",
         "source": "FileSource PrefixSource Readable Source source_of",
         "strict_json": "JsonObject parse_object",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -78,8 +79,7 @@ class ColourBasis:
 
     def coordinates(self, coefficients: F32) -> F64:
         """Return the coordinates (n, B) that come nearest to (n, K-1, 3) coefficients."""
-        flat = coefficients.reshape(len(coefficients), -1).astype(np.float64)
-        found: F64 = flat @ self.projection
+        found: F64 = _flat(coefficients) @ self.projection
         return found
 
     def encode(
@@ -111,6 +111,12 @@ class ColourBasis:
         return stream, coefficients - decoded
 
 
+def _flat(coefficients: F32) -> F64:
+    """Return (n, K-1, 3) coefficients as (n, 3(K-1))."""
+    flat: F64 = coefficients.reshape(-1, math.prod(coefficients.shape[1:])).astype(np.float64)
+    return flat
+
+
 def _round(values: F64) -> I64:
     codes = np.rint(values)
     codes[np.abs(values) < _DEAD_ZONE] = 0
@@ -118,7 +124,7 @@ def _round(values: F64) -> I64:
 
 
 def fit(
-    coefficients: F32,
+    coefficients_of: Callable[[slice], F32],
     energy: F64,
     basis_spread: F64,
     lagrangian: float,
@@ -130,18 +136,20 @@ def fit(
 
     Parameters
     ----------
-    coefficients : (N, K-1, 3) float32
+    coefficients_of : callable
+        Returns the coefficients of some rows, (n, K-1, 3) float32: a chunk's at a time, for those
+        of all rows in their order would be most of a second scene.
     energy : (N,) float64
         Positive.
     basis_spread : (15, 15) float64
         `Scores.basis_spread`: what sh0 can make up for is not in it.
     lagrangian : float
     chunks : sequence of slice
-        Their steps decide which rows any coordinate is coded on.
+        At least one. Their steps decide which rows any coordinate is coded on.
     principal : bool
         Otherwise the coefficients themselves, those that take most levels first.
     """
-    count = coefficients.shape[1]
+    count = coefficients_of(slice(0, 0)).shape[1]
     spread = basis_spread[:count, :count]
     even = _EVEN_SHARE if spread.any() else 1.0
     directions = (1 - even) * spread + even * _EVEN * np.eye(count)
@@ -149,11 +157,10 @@ def fit(
     values, vectors = np.linalg.eigh(directions)
     root = np.kron((vectors * np.sqrt(values)) @ vectors.T, np.eye(3))
     inverse = np.kron((vectors / np.sqrt(values)) @ vectors.T, np.eye(3))
-    flat = coefficients.reshape(len(coefficients), -1)
     moments = np.zeros(metric.shape)
     # Each chunk in units of its own step: what counts is how many levels a direction takes.
     for run in chunks:
-        part = flat[run].astype(np.float64)
+        part = _flat(coefficients_of(run))
         moments += (part.T @ part) / allocation.shn_step(lagrangian, energy[run]) ** 2
     moments = root @ moments @ root.T
     if principal:
@@ -173,7 +180,7 @@ def fit(
         if used == len(rows):
             break
         step = allocation.shn_step(lagrangian, energy[run])
-        coordinates = flat[run].astype(np.float64) @ projection[:, used:]
+        coordinates = _flat(coefficients_of(run)) @ projection[:, used:]
         coded = np.flatnonzero((np.abs(coordinates) >= _DEAD_ZONE * step).any(axis=0))
         used += int(coded[-1]) + 1 if len(coded) else 0
     return replace(basis, rows=basis.rows[:used])

@@ -19,7 +19,7 @@ from cogsplat.codec.segments.codebooks import (
 from cogsplat.codec.segments.heads import decode_head
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.segments.tails import decode_tail
-from cogsplat.codec.splats import Splats, empty
+from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
 from .config import require_quality
@@ -62,13 +62,15 @@ def encode_chunks(
     codebooks = {
         number: _decoded_codebook(book, degree) for number, book in enumerate(planned.codebooks)
     }
-    decoded = empty(degree, len(scene.rows), scene.source.info)
+    decoded = prepared.workspace.splats(len(scene.rows), degree, scene.source.info)
 
     def encode_one(number: int) -> EncodedChunk:
         run = scene.slices[number]
         payloads = planned.encode_chunk(run)
         reach = _decode_chunk(payloads, codebooks, decoded.take(run))
-        return _chunk(scene, number, payloads, reach)
+        chunk = _chunk(scene, number, payloads, reach)
+        prepared.workspace.settle()
+        return chunk
 
     chunks: list[EncodedChunk] = []
     count = len(scene.slices)
@@ -96,21 +98,25 @@ def _chunk(
 ) -> EncodedChunk:
     """Return the payloads of a chunk with its row of the chunk table."""
     run = scene.slices[number]
-    part = scene.rows[run]
-    extras = scene.ordered.extras
+    rows = scene.rows[run]
     attributes = None
-    if extras:
-        stored = {name: values[run][payloads.order] for name, values in extras.items()}
-        attributes = pack_attributes(stored)
+    if scene.source.extras:
+        stored = rows[payloads.order]
+        extras = scene.source.extras.items()
+        attributes = pack_attributes(
+            {name: scene.workspace.gather(values, stored) for name, values in extras}
+        )
     return EncodedChunk(
-        splats=len(part),
+        splats=len(rows),
         payloads=payloads,
         box=reach,
-        contribution=float(scene.scores.contribution[part].sum()),
+        contribution=float(scene.scores.contribution[rows].sum()),
         attributes=attributes,
         object=int(scene.objects[number]),
         tail_drop=segment_order.tail_drop(
-            scene.ordered.shN[run], scene.scores.energy[part], scene.scores.basis_spread
+            scene.workspace.gather(scene.source.shN, rows),
+            scene.scores.energy[rows],
+            scene.scores.basis_spread,
         ),
     )
 

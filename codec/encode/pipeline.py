@@ -21,6 +21,7 @@ from cogsplat.codec.scoring.reference_views import ReferenceViews, render_refere
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.planner import ViewPlan, plan
 from cogsplat.codec.views.view_sets import evenly
+from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 from .compensation_fit import blank, compensated
 from .config import EncodeConfig
@@ -51,6 +52,7 @@ def encode(
     target: Target | None = None,
     test_views: Sequence[Camera] = (),
     size_of: SizeOf | None = None,
+    workspace: Workspace = IN_MEMORY,
     progress: Progress = silent,
 ) -> EncodedScene:
     """Encode a scene: from arrays and cameras to payloads and tables.
@@ -77,6 +79,8 @@ def encode(
         or some of `cameras`.
     size_of : callable, optional
         Needed for a size as target.
+    workspace : Workspace
+        Where arrays as long as the scene are kept, and whether several views are drawn at once.
     progress : Progress
         Called with the stages ``plan views``, ``score``, ``reference views``, those of the order,
         ``order``, ``codebooks``, ``quantisers``, ``chunks``, ``search``, ``compensate`` and
@@ -130,7 +134,14 @@ def encode(
             views = preset.views(views)
         # An empty list of cameras is refused by `score`, not taken for none given.
         if cameras is not None or views:
-            scores = score(splats, views, settings, covering=covering, progress=timed)
+            scores = score(
+                splats,
+                views,
+                settings,
+                covering=covering,
+                workspace=workspace,
+                progress=timed,
+            )
     if report.views == "given" and scores is not None and len(splats):
         report = replace(report, coverage=float((scores.covered > 0).mean()))
     if report.views != "none" and len(splats):
@@ -152,6 +163,7 @@ def encode(
         views=views,
         jitter=settings.jitter,
         references=references,
+        workspace=workspace,
         progress=timed,
     )
     timed("order", 1, 1)
@@ -251,8 +263,13 @@ class _Finishing:
     @cached_property
     def evaluator(self) -> PrefixEvaluator:
         """Pictures of the source in the test views: drawn once, for a search and a prediction."""
-        views = evenly(self.test_views, WHOLE_VIEWS)
-        return PrefixEvaluator(self.prepared.source, views, self.prepared.config.threads)
+        prepared, views = self.prepared, evenly(self.test_views, WHOLE_VIEWS)
+        return PrefixEvaluator(
+            prepared.source,
+            views,
+            prepared.config.threads,
+            views_at_once=prepared.workspace.views_at_once,
+        )
 
     @property
     def fit(self) -> FitConfig:

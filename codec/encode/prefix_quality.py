@@ -45,6 +45,8 @@ class PrefixEvaluator:
         In the frame of the means; never held-out views, which judge the result.
     threads : int
         0 for all cores; the figures do not depend on it.
+    views_at_once : bool
+        Whether each core draws a view of its own; otherwise all draw one, which takes less memory.
 
     Raises
     ------
@@ -52,13 +54,21 @@ class PrefixEvaluator:
         ``no-cameras``.
     """
 
-    def __init__(self, source: Splats, views: Sequence[Camera], threads: int = 0) -> None:
+    def __init__(
+        self,
+        source: Splats,
+        views: Sequence[Camera],
+        threads: int = 0,
+        *,
+        views_at_once: bool = True,
+    ) -> None:
         if not views:
             raise DataError("no-cameras", "0 views to predict quality in, expected at least 1")
         self._views = list(views)
-        self._threads = thread_count(threads)
+        count = thread_count(threads)
+        self._threads, of_view = (count, 1) if views_at_once else (1, count)
         info = source.info
-        self._config = RenderConfig(info.kernel_px, info.antialiased, threads=1)
+        self._config = RenderConfig(info.kernel_px, info.antialiased, threads=of_view)
         pictures = ordered_map(partial(self._draw, source), range(len(views)), self._threads)
         self._expected = list(pictures)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,12 @@ from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.scoring.reference_views import ReferenceViews
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams.grid import MAX_VALUE
+from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 from .config import EncodeConfig
+
+# Rows whose values are looked at together: what is compared would be as large as the scene.
+_BLOCK: Final = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +37,8 @@ class LaidOutScene:
     ----------
     source : Splats
         The scene that is encoded.
-    ordered : Splats
-        The rows that stay, in chunk order.
     rows : (n,) int64
-        Where these rows stand in the source.
+        The rows of the source that stay, in chunk order.
     scores : Scores
         Of the source.
     slices : sequence of slice
@@ -43,15 +46,24 @@ class LaidOutScene:
     objects : (c,) uint32
         Label of the object that each chunk holds; zeros where chunks are not cut by object.
     config : EncodeConfig
+    workspace : Workspace
+        Where long arrays are kept.
     """
 
     source: Splats
-    ordered: Splats
     rows: NDArray[np.int64]
     scores: Scores
     slices: Sequence[slice]
     objects: NDArray[np.uint32]
     config: EncodeConfig
+    workspace: Workspace
+
+    def part(self, run: slice) -> Splats:
+        """Return the splats of a run of rows in chunk order, gathered from the source.
+
+        All of them at once would be a second scene in memory.
+        """
+        return self.workspace.take(self.source, self.rows[run])
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,14 +79,17 @@ class PreparedScene:
     scores : Scores
         Of the source.
     config : EncodeConfig
+    workspace : Workspace
+        Where what is decoded again is kept.
     """
 
     source: Splats
     rows: NDArray[np.int64]
     scores: Scores
     config: EncodeConfig
+    workspace: Workspace = IN_MEMORY
     # The layout that was made last. A search for a target often keeps the same splats in every
-    # trial, and gathering the rows of a large scene takes longer than comparing their numbers.
+    # trial, and arranging the rows of a large scene takes longer than comparing their numbers.
     _made: dict[str, tuple[NDArray[np.int64], LaidOutScene]] = field(
         default_factory=dict, init=False, repr=False
     )
@@ -86,7 +101,7 @@ class PreparedScene:
         rows = self.rows[kept[self.rows]]
         made = self._made.get("last")
         if made is None or not np.array_equal(made[0], rows):
-            made = rows, _lay_out(self.source, rows, self.scores, self.config)
+            made = rows, _lay_out(self, rows)
             self._made["last"] = made
         return made[1]
 
@@ -99,6 +114,7 @@ def prepare(
     views: Sequence[Camera] = (),
     jitter: bool = True,
     references: ReferenceViews | None = None,
+    workspace: Workspace = IN_MEMORY,
     progress: Progress = silent,
 ) -> PreparedScene:
     """Order a scene.
@@ -116,6 +132,8 @@ def prepare(
         Whether orders that render look from jittered copies of the views as well.
     references : ReferenceViews, optional
         Pictures of the scene in these views, where they have been drawn.
+    workspace : Workspace
+        As `PreparedScene` has it.
     progress : Progress
         Called by orders that render, with their own stages.
 
@@ -132,13 +150,12 @@ def prepare(
     scene = Unordered(splats, scores, views, config.threads, progress, jitter, references)
     inflated = config.ordering.inflated and config.compensate
     rows = order_rows(config.order, scene, replace(config.ordering, inflated=inflated))
-    return PreparedScene(splats, rows[kept[rows]], scores, config)
+    return PreparedScene(splats, rows[kept[rows]], scores, config, workspace)
 
 
-def _lay_out(
-    splats: Splats, rows: NDArray[np.int64], scores: Scores, config: EncodeConfig
-) -> LaidOutScene:
+def _lay_out(prepared: PreparedScene, rows: NDArray[np.int64]) -> LaidOutScene:
     """Cut rows in their order into chunks."""
+    splats, scores, config = prepared.source, prepared.scores, prepared.config
     if config.ordering.by_object:
         arranged = objects.arrange(
             rows,
@@ -157,12 +174,12 @@ def _lay_out(
         arranged = objects.Arrangement(rows, slices, np.zeros(len(slices), np.uint32))
     return LaidOutScene(
         source=splats,
-        ordered=splats.take(arranged.rows),
         rows=arranged.rows,
         scores=scores,
         slices=arranged.slices,
         objects=arranged.objects,
         config=config,
+        workspace=prepared.workspace,
     )
 
 
@@ -175,11 +192,12 @@ def _require_scores(scores: Scores, splats: int) -> None:
 
 def _require_storable(splats: Splats) -> None:
     for name in ("means", "scales", "opacities", "sh0", "shN"):
-        values = getattr(splats, name)
-        far = np.argwhere((np.abs(values) > MAX_VALUE) & np.isfinite(values))
-        if len(far):
-            raise DataError(
-                "value-range",
-                f"{name} of splat {far[0, 0]}: {values[tuple(far[0])]:g}, "
-                f"expected at most {MAX_VALUE:g} either way (SPEC 6.4)",
-            )
+        for start in range(0, len(splats), _BLOCK):
+            values = getattr(splats, name)[start : start + _BLOCK]
+            far = np.argwhere((np.abs(values) > MAX_VALUE) & np.isfinite(values))
+            if len(far):
+                raise DataError(
+                    "value-range",
+                    f"{name} of splat {start + far[0, 0]}: {values[tuple(far[0])]:g}, "
+                    f"expected at most {MAX_VALUE:g} either way (SPEC 6.4)",
+                )

@@ -44,16 +44,18 @@ def shown_energy(scores: Scores) -> F64:
     return np.maximum(scores.energy, scores.largest_energy / _VIEWS_PER_BEST)
 
 
-def floor_energy(scores: Scores) -> F64:
-    """Return (N,) energies of which none is zero.
+def floor_energy(scores: Scores, rows: NDArray[np.int64] | None = None) -> F64:
+    """Return (N,) energies of which none is zero, or (n,) of some rows as if there were no others.
 
     They are those of `shown_energy`. A splat that no scoring view shows at all may still be seen by
     a visitor: it counts as much as the faintest hundredth of those that were.
     """
-    seen = scores.energy[scores.energy > 0]
+    energy = scores.energy if rows is None else scores.energy[rows]
+    seen = energy[energy > 0]
     if len(seen) == 0:
-        return np.ones_like(scores.energy)
-    return np.maximum(shown_energy(scores), np.quantile(seen, 0.01))
+        return np.ones_like(energy)
+    shown = shown_energy(scores)
+    return np.maximum(shown if rows is None else shown[rows], np.quantile(seen, 0.01))
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry import sh
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.workspace import IN_MEMORY, Gather
 
 from .blending import (
     ALPHA_MAX,
@@ -87,19 +88,21 @@ class Sensitivities:
     rotations: NDArray[np.float64]
     sh0: NDArray[np.float64]
 
-    def take(self, rows: NDArray[np.integer]) -> Sensitivities:
-        """Return the sensitivities of some splats."""
-        return Sensitivities(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+    def take(self, rows: NDArray[np.int64], gather: Gather = IN_MEMORY.gather) -> Sensitivities:
+        """Return the sensitivities of some splats; `gather` as `Workspace.gather`."""
+        return Sensitivities(
+            *(gather(getattr(self, name), rows) for name in self.__dataclass_fields__)
+        )
 
 
 def from_columns(columns: NDArray[np.float64]) -> Sensitivities:
-    """Name the (N, 13) columns that `view_sensitivities` gives and callers add up."""
+    """Name the (N, 13) columns that `view_sensitivities` gives and callers add up: as views."""
     return Sensitivities(
-        opacities=columns[:, _OPACITY].copy(),
-        means=columns[:, _MEANS:_SCALES].copy(),
-        scales=columns[:, _SCALES:_ROTATIONS].copy(),
-        rotations=columns[:, _ROTATIONS:_SH0].copy(),
-        sh0=columns[:, _SH0:COLUMNS].copy(),
+        opacities=columns[:, _OPACITY],
+        means=columns[:, _MEANS:_SCALES],
+        scales=columns[:, _SCALES:_ROTATIONS],
+        rotations=columns[:, _ROTATIONS:_SH0],
+        sh0=columns[:, _SH0:COLUMNS],
     )
 
 

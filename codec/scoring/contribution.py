@@ -28,6 +28,7 @@ from cogsplat.codec.render.tiles import TileLists, tile_lists
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.views.view_sets import jitter
+from cogsplat.codec.workspace import IN_MEMORY, Gather, Workspace
 
 from .view_sums import ViewSums, add_rows, ascending
 
@@ -49,6 +50,13 @@ COVERING_SHARE = 1 / 3
 Covering views are looked for where an orbit shows nothing, and visitors seldom are there. At 1, 1/2
 and 1/4 the file of a trained figure is 8, 4 and 1.5 % larger at equal PSNR all around it than it is
 without covering views.
+"""
+
+
+MOST_BY_VIEW = 2_000_000
+"""Up to so many splats each core scores a view of its own; beyond, all cores share one.
+
+What is summed of a view takes up to 0.4 kB for each splat that it shows.
 """
 
 
@@ -159,20 +167,20 @@ class Scores:
     num_pixels: int
     sensitivities: Sensitivities | None = None
 
-    def take(self, rows: NDArray[np.integer]) -> Scores:
-        """Return the scores of some splats."""
+    def take(self, rows: NDArray[np.int64], gather: Gather = IN_MEMORY.gather) -> Scores:
+        """Return the scores of some splats; `gather` as `Workspace.gather`."""
         found = self.sensitivities
         return replace(
             self,
-            contribution=self.contribution[rows],
-            colour_sensitivity=self.colour_sensitivity[rows],
-            energy=self.energy[rows],
-            largest_energy=self.largest_energy[rows],
-            peak=self.peak[rows],
-            seen=self.seen[rows],
-            covered=self.covered[rows],
-            basis_mean=self.basis_mean[rows],
-            sensitivities=None if found is None else found.take(rows),
+            contribution=gather(self.contribution, rows),
+            colour_sensitivity=gather(self.colour_sensitivity, rows),
+            energy=gather(self.energy, rows),
+            largest_energy=gather(self.largest_energy, rows),
+            peak=gather(self.peak, rows),
+            seen=gather(self.seen, rows),
+            covered=gather(self.covered, rows),
+            basis_mean=gather(self.basis_mean, rows),
+            sensitivities=None if found is None else found.take(rows, gather),
         )
 
 
@@ -238,6 +246,8 @@ def _score_view(
         weigh(lists)
         add_moments(lists, footprints, colours, camera, threads, moments)
     columns = view_sensitivities(splats, camera, footprints, colours, moments, sums[:, SQUARE])
+    # Of a large view these take as much as the scene.
+    del moments, colours
     return _ViewScores(
         footprints.ascending(), ascending(footprints, sums), ascending(footprints, columns)
     )
@@ -260,6 +270,7 @@ def score(
     config: ScoreConfig | None = None,
     *,
     covering: Sequence[Camera] = (),
+    workspace: Workspace = IN_MEMORY,
     progress: Progress = silent,
 ) -> Scores:
     """Measure how much each splat weighs in the views of some cameras, in one pass over them.
@@ -278,6 +289,8 @@ def score(
         where the best view of a splat does, in ``largest_energy`` and ``peak``, with their weights
         w times `COVERING_SHARE`; and in ``seen`` and ``covered``. They count in no sum or mean, and
         have no jittered copies.
+    workspace : Workspace
+        Where the scores are kept, and whether several views are scored at once.
     progress : Progress
         Called with ``("score", views done, views)``; raising from it stops the work.
 
@@ -324,11 +337,11 @@ def score(
     shares += [(0.0, 0.0)] * len(covering)
     sensitive += [0.0] * len(covering)
 
-    totals = ViewSums(splats, config.colour_sensitivity)
+    totals = ViewSums(splats, config.colour_sensitivity, workspace.zeros)
     n = len(splats)
-    columns = np.zeros((n if config.sensitivity_every else 0, COLUMNS), np.float64)
+    columns = workspace.zeros((n if config.sensitivity_every else 0, COLUMNS), np.float64)
     threads = thread_count(config.threads)
-    by_view = len(views) >= threads
+    by_view = workspace.views_at_once and threads <= len(views) and n <= MOST_BY_VIEW
     results = ordered_map(
         lambda view: _score_view(
             splats, views[view], config, sensitive[view] > 0.0, 1 if by_view else threads
@@ -348,6 +361,7 @@ def score(
         totals.add(result.index, sums, camera.position, num_pixels, view_share, pixel_share)
         if result.columns is not None:
             add_rows(result.index, result.columns, sensitive[done], columns)
+        workspace.settle()
         progress("score", done + 1, len(views))
     if not totals.seen.any():
         raise DataError(

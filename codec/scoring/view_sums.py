@@ -12,6 +12,7 @@ from cogsplat.codec.render.jit import kernel
 from cogsplat.codec.render.projection import Footprints
 from cogsplat.codec.render.shading import sh_terms
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
+from cogsplat.codec.workspace import IN_MEMORY, Zeros
 
 F64 = NDArray[np.float64]
 
@@ -19,6 +20,10 @@ _BASES = sh_coefficients(MAX_SH_DEGREE)
 
 # The spread of view directions is a mean over the scene: one splat in so many is enough.
 _GRAM_STRIDE = 8
+
+
+# Rows whose means are taken together.
+_BLOCK = 1 << 16
 
 
 @called_with(
@@ -137,6 +142,8 @@ class ViewSums:
     splats : Splats
     colours : bool
         Whether `bases` are summed, 128 bytes a splat.
+    zeros : callable
+        Makes the arrays, as `Workspace.zeros` does.
 
     Attributes
     ----------
@@ -155,19 +162,22 @@ class ViewSums:
         Views in which a pixel shows the splat, and which its footprint reaches.
     """
 
-    def __init__(self, splats: Splats, colours: bool = True) -> None:
+    def __init__(
+        self, splats: Splats, colours: bool = True, zeros: Zeros = IN_MEMORY.zeros
+    ) -> None:
         n = len(splats)
+        self._zeros = zeros
         self._means = splats.means
         self._colours = colours
         self._directions = bool(splats.sh_degree)
-        self.contribution = np.zeros(n, np.float64)
-        self.energy = np.zeros(n, np.float64)
-        self.largest_energy = np.zeros(n, np.float64)
-        self.bases = np.zeros((n if colours else 0, _BASES), np.float64)
-        self.peak = np.zeros(n, np.float32)
-        self.seen = np.zeros(n, np.int32)
-        self.covered = np.zeros(n, np.int32)
-        self._basis_sum = np.zeros((n if self._directions else 0, _BASES - 1), np.float64)
+        self.contribution: F64 = zeros((n,), np.float64)
+        self.energy: F64 = zeros((n,), np.float64)
+        self.largest_energy: F64 = zeros((n,), np.float64)
+        self.bases: F64 = zeros((n if colours else 0, _BASES), np.float64)
+        self.peak: NDArray[np.float32] = zeros((n,), np.float32)
+        self.seen: NDArray[np.int32] = zeros((n,), np.int32)
+        self.covered: NDArray[np.int32] = zeros((n,), np.int32)
+        self._basis_sum: F64 = zeros((n if self._directions else 0, _BASES - 1), np.float64)
         self._gram = np.zeros((_BASES - 1, _BASES - 1), np.float64)
 
     def add(
@@ -223,10 +233,13 @@ class ViewSums:
         (N, 15) float32
             Zeros where no view sees a splat, and everywhere in scenes of SH degree 0.
         """
+        mean: NDArray[np.float32] = self._zeros((len(self.energy), _BASES - 1), np.float32)
         if not self._directions:
-            return np.zeros((len(self.energy), _BASES - 1), np.float32)
-        weight = np.where(self.energy > 0, self.energy, 1.0)
-        mean: NDArray[np.float32] = (self._basis_sum / weight[:, None]).astype(np.float32)
+            return mean
+        for start in range(0, len(mean), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            weight = np.where(self.energy[rows] > 0, self.energy[rows], 1.0)
+            mean[rows] = self._basis_sum[rows] / weight[:, None]
         return mean
 
     def basis_spread(self) -> F64:

@@ -14,6 +14,7 @@ from typing import Protocol
 
 from cogsplat.codec.errors import FormatError, UnsupportedError
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.workspace import IN_MEMORY, Zeros
 from cogsplat.formats.cogs.layout import MAGIC
 from cogsplat.formats.scenes.gltf.file import gltf_files
 from cogsplat.formats.scenes.gltf.scene import is_gltf, read_gltf, write_gltf
@@ -127,7 +128,9 @@ def is_cogs(path: StrPath) -> bool:
     return named and not any(format_.sniff(head) for format_ in FORMATS)
 
 
-def read_scene(path: StrPath, *, limits: Limits | None = None) -> Splats:
+def read_scene(
+    path: StrPath, *, limits: Limits | None = None, zeros: Zeros = IN_MEMORY.zeros
+) -> Splats:
     """Read a scene of any foreign format.
 
     Parameters
@@ -135,6 +138,8 @@ def read_scene(path: StrPath, *, limits: Limits | None = None) -> Splats:
     path : path
     limits : Limits, optional
         What the file may cost.
+    zeros : callable
+        Makes the arrays of a PLY, as `Workspace.zeros` does; those of other formats are in memory.
 
     Raises
     ------
@@ -146,7 +151,10 @@ def read_scene(path: StrPath, *, limits: Limits | None = None) -> Splats:
     StorageError
         As `open_for_read`.
     """
-    return format_of(path).read(path, limits=limits)
+    format_ = format_of(path)
+    if format_.read is read_ply:
+        return read_ply(path, limits=limits, zeros=zeros)
+    return format_.read(path, limits=limits)
 
 
 def scene_bytes(path: StrPath) -> int:

@@ -101,6 +101,7 @@ _GROUPS: Final = {
         "--chunk-splats",
         "--no-morton",
     ),
+    "Memory": ("--memory",),
     "Edits of the scene": (
         "--drop-invalid",
         "--sh",
@@ -213,6 +214,13 @@ _GROUPS: Final = {
     metavar="DIR",
     help="Photos named as the cameras are: measure against them, too.",
 )
+@click.option(
+    "--memory",
+    type=byte_count,
+    metavar="SIZE",
+    help="Most memory to take, such as 8GiB. A PLY that would take more with --preset fast is "
+    "worked through in files beside OUT. The bytes do not depend on it.",
+)
 @format_option(["cogs"], "Without it, a name that says another format is refused.")
 @background_option
 @edit_options
@@ -246,6 +254,7 @@ def encode(
     measure: bool,
     report: Path | None,
     images: Path | None,
+    memory: ByteCount | None,
     format_name: str | None,
     background: Colour,
     edits: SceneEdits,
@@ -265,6 +274,7 @@ def encode(
     from cogsplat.codec.encode.rate_control import Target
     from cogsplat.codec.encode.stage_costs import stage_costs
     from cogsplat.codec.rate.pruning import PruneConfig
+    from cogsplat.formats.scenes.memory_cap import working_memory
 
     if prune is not None and no_prune:
         raise click.UsageError("--prune and --no-prune: expected one of them")
@@ -273,6 +283,7 @@ def encode(
     if store_cameras and cameras is None:
         raise click.UsageError("--store-cameras without --cameras, expected cameras to store")
     _require_one_aim(profile, target_psnr, target_size)
+    cap = _memory_cap(memory, measures=measure or report is not None or images is not None)
     bound = PruneConfig() if prune is None else PruneConfig(peak=prune)
     chosen = PRESETS[preset]
     asked = click.get_current_context().get_parameter_source("order")
@@ -296,14 +307,18 @@ def encode(
         check_distinct(out, report)
         inputs = given_files(scene, cameras, images, choice.masks)
         check_output(report, force=force, inputs=inputs)
+    # Edits and labels by masks work on a copy in memory.
+    copied = edits.changes or choice.masks is not None
+    working = working_memory(scene, config, cap, out.absolute().parent, copied=copied)
     kernels = needed_kernels(config, planned=cameras is None)
     with (
         Stages(shown=not (quiet or as_json)) as stages,
+        working as workspace,
         CompileAhead(kernels, thread_count(threads)) as ahead,
     ):
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)
-            given = read_any(scene, threads=threads)
+            given = read_any(scene, threads=threads, zeros=workspace.zeros)
             labelled = choice.labelled(given.splats, cameras, threads=threads, progress=stages)
             splats = edits.apply(labelled, scene)
             if no_extras:
@@ -343,6 +358,7 @@ def encode(
             preset=preset,
             stored_cameras=list(numbered or []) if store_cameras else [],
             test_views=measured_in(numbered, eval_every) if cameras and numbered else None,
+            workspace=workspace,
             force=force,
             progress=stages,
         )
@@ -411,6 +427,20 @@ def _require_one_aim(
         raise click.UsageError(
             f"{named[0]} with --profile near-lossless, expected a profile for viewing"
         )
+
+
+def _memory_cap(memory: ByteCount | None, *, measures: bool) -> int | None:
+    """Return ``--memory`` in bytes."""
+    if memory is None:
+        return None
+    if memory.is_share:
+        raise click.UsageError("--memory as a share, expected bytes such as 8GiB")
+    if measures:
+        raise click.UsageError(
+            "--memory with --measure, --report or --images, expected `cogsplat eval` afterwards: "
+            "measuring holds two scenes in memory"
+        )
+    return int(memory.amount)
 
 
 def _scored(made: EncodeReport) -> str:

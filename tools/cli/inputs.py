@@ -16,6 +16,7 @@ from cogsplat.codec.errors import CogsplatWarning, DataError, LimitError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
+from cogsplat.codec.workspace import IN_MEMORY, Zeros
 from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes, scene_files
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.formats.storage.source import FileSource
@@ -117,9 +118,14 @@ class LoadedScene:
 
 
 def read_any(
-    path: Path, part: Selection | None = None, *, threads: int = 0, progress: Progress = silent
+    path: Path,
+    part: Selection | None = None,
+    *,
+    threads: int = 0,
+    zeros: Zeros = IN_MEMORY.zeros,
+    progress: Progress = silent,
 ) -> LoadedScene:
-    """Read a scene of any format, COGS included.
+    """Read a scene of any format, COGS included; a PLY into arrays that `zeros` makes.
 
     Raises
     ------
@@ -136,7 +142,7 @@ def read_any(
             f"{path}: is no COGS file, expected one with --chunks, --splats, --bytes, --object "
             "or --compensate"
         )
-    splats = read_scene(path, limits=current_limits())
+    splats = read_scene(path, limits=current_limits(), zeros=zeros)
     size = scene_bytes(path)
     rows = len(splats)
     if part.sh_degree is not None:

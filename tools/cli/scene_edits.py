@@ -59,6 +59,13 @@ class SceneEdits:
         return (self.scale, self.rotate, self.translate) != (1.0, _STILL, _STILL)
 
     @property
+    def changes(self) -> bool:
+        """Whether there is anything to edit."""
+        return (
+            self.drop_invalid or self.sh_degree is not None or self.crop is not None or self.moves
+        )
+
+    @property
     def rotation(self) -> F64:
         """The rotation as a matrix, (3, 3) float64."""
         return _rotation(self.rotate)

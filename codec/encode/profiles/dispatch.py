@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cogsplat.codec.encode.encoded import EncodedCodebook
 from cogsplat.codec.encode.prepared import LaidOutScene
@@ -16,6 +17,7 @@ from cogsplat.codec.rate import allocation, segment_order
 from cogsplat.codec.rate import costs as rate_costs
 from cogsplat.codec.rate.costs import Costs
 from cogsplat.codec.segments.payloads import Payloads
+from cogsplat.codec.splats import Splats
 
 from . import near_lossless, transform, vq
 
@@ -48,51 +50,60 @@ class Profile(Protocol):
 
 
 def _near_lossless(scene: LaidOutScene, quality_db: float, progress: Progress) -> PlannedScene:
-    ordered, config = scene.ordered.without_extras(), scene.config
-    bound = near_lossless.mean_bound(ordered, config.near_lossless)
+    config = scene.config
+    bound = near_lossless.mean_bound(scene.source.scales[scene.rows], config.near_lossless)
     return PlannedScene(
         encode_chunk=lambda run: near_lossless.encode_chunk(
-            ordered.take(run), bound, config.near_lossless, config.morton
+            scene.part(run).without_extras(), bound, config.near_lossless, config.morton
         )
     )
 
 
 def _transform(scene: LaidOutScene, quality_db: float, progress: Progress) -> PlannedScene:
-    ordered, config = vq.clip_strays(scene.ordered.without_extras()), scene.config
+    source, config, workspace = scene.source.without_extras(), scene.config, scene.workspace
     scores = (
         scene.scores if config.ablation.sensitivities else replace(scene.scores, sensitivities=None)
     )
-    known = replace(scores, sensitivities=None).take(scene.rows)
-    energy, contribution = rate_costs.floor_energy(known), known.contribution
+    energy = rate_costs.floor_energy(scores, scene.rows)
+
+    def part(run: slice) -> Splats:
+        return vq.clip_strays(workspace.take(source, scene.rows[run]))
+
+    def coefficients_of(run: slice) -> NDArray[np.float32]:
+        return vq.clipped_coefficients(workspace.gather(source.shN, scene.rows[run]))
 
     def own_costs(run: slice) -> Costs:
-        return rate_costs.costs(ordered.take(run), scores.take(scene.rows[run]), energy[run])
+        rows = scene.rows[run]
+        return rate_costs.costs(part(run), scores.take(rows, workspace.gather), energy[run])
 
     costs_of: Callable[[slice], Costs] = own_costs
     if not config.ablation.chunk_steps:
         level = own_costs(slice(0, len(scene.rows))).levelled()
         energy, costs_of = level.energy, level.take
     plan = transform.plan(
-        ordered,
+        source.sh_degree,
+        coefficients_of,
         costs_of,
         energy,
         scene.scores.basis_spread,
         allocation.lagrangian(scene.scores, quality_db),
         scene.slices,
         config.ablation,
-        contribution if config.refine else None,
+        scores.contribution[scene.rows] if config.refine else None,
         segment_order.MISSING_COMPENSATED if config.compensate else segment_order.MISSING_ALL,
     )
     codebooks = []
     if plan.basis is not None:
         codebooks = [EncodedCodebook("colour", len(plan.basis.rows), plan.basis_payloads)]
     return PlannedScene(
-        codebooks, lambda run: transform.encode_chunk(ordered, plan, run, config.morton)
+        codebooks, lambda run: transform.encode_chunk(part(run), plan, run, config.morton)
     )
 
 
 def _vq(scene: LaidOutScene, quality_db: float, progress: Progress) -> PlannedScene:
-    ordered, config = vq.clip_strays(scene.ordered.without_extras()), scene.config
+    # Codebooks are trained on all splats: this profile holds them a second time, in their order.
+    ordered = vq.clip_strays(scene.source.without_extras().take(scene.rows))
+    config = scene.config
     plan = vq.plan(
         ordered,
         rate_costs.floor_energy(scene.scores)[scene.rows],

@@ -60,11 +60,11 @@ class NearLosslessBounds:
             raise ValueError(f"bound quats {self.quats}, expected at least {_MIN_QUAT_BOUND}")
 
 
-def mean_bound(splats: Splats, bounds: NearLosslessBounds) -> float:
-    """Return the bound of means in scene units."""
-    if len(splats) == 0:
+def mean_bound(scales: F32, bounds: NearLosslessBounds) -> float:
+    """Return the bound of means in scene units, from the log scales of the scene, (N, 3)."""
+    if len(scales) == 0:
         return bounds.means
-    return float(bounds.means * np.exp(np.median(splats.scales.astype(np.float64))))
+    return float(bounds.means * np.exp(np.median(scales.astype(np.float64))))
 
 
 def encode_chunk(

@@ -64,7 +64,8 @@ class TransformPlan:
 
 
 def plan(
-    splats: Splats,
+    sh_degree: int,
+    coefficients_of: Callable[[slice], F32],
     costs_of: Callable[[slice], Costs],
     energy: F64,
     basis_spread: F64,
@@ -78,10 +79,12 @@ def plan(
 
     Parameters
     ----------
-    splats : Splats
-        Valid rows, at least one.
+    sh_degree : int
+        Of the scene, which has at least one row.
+    coefficients_of : callable
+        As `colour_transform.fit` takes it.
     costs_of : callable
-        Returns the costs of some of these rows. Costs of a whole scene take three times the memory
+        Returns the costs of some rows. Costs of a whole scene take three times the memory
         of its splats, so that they are made chunk by chunk.
     energy : (N,) float64
         Of these costs, of every row.
@@ -100,35 +103,34 @@ def plan(
         coarseness = head_coarseness(contribution, lagrangian, chunks, missing_all)
     basis: ColourBasis | None = None
     payloads: tuple[bytes, ...] = ()
-    if splats.sh_degree:
+    if sh_degree:
         spread = basis_spread if ablation.view_metric else np.zeros_like(basis_spread)
         limited = rate_costs.limited_energy(energy, lagrangian)
         basis = colour_transform.fit(
-            splats.shN, limited, spread, lagrangian, chunks, principal=ablation.colour_basis
+            coefficients_of, limited, spread, lagrangian, chunks, principal=ablation.colour_basis
         )
         payloads = tuple(records.pack([b], digits=ablation.digits) for b in basis.streams())
         views = {band: memoryview(data) for band, data in enumerate(payloads, start=1)}
-        stored = decode_colour_codebook(views, len(basis.rows), splats.sh_degree, "basis")
+        stored = decode_colour_codebook(views, len(basis.rows), sh_degree, "basis")
         basis = basis.stored_as(stored.shN)
     return TransformPlan(lagrangian, costs_of, basis, payloads, ablation, coarseness)
 
 
-def encode_chunk(splats: Splats, plan_: TransformPlan, run: slice, sort: bool) -> Payloads:
+def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> Payloads:
     """Return the head, the refinement and the tail of a chunk.
 
     Parameters
     ----------
-    splats : Splats
-        The planned scene.
+    part : Splats
+        The chunk's rows.
     plan_ : TransformPlan
     run : slice
-        The chunk's rows.
+        Where they stand in the planned scene.
     sort : bool
         Whether to sort by Morton code.
     """
     lagrangian, used = plan_.lagrangian, plan_.ablation
     coarseness = plan_.coarseness.get(run.start, FINE)
-    part = splats.take(run)
     costs = rate_costs.limited(plan_.costs_of(run), part.scales, lagrangian)
     angles, source_scales = swing_twist.decompose(rotations.unit(part.quats), part.scales)
     # Scales come first: how many bits means and rotations have follows from the decoded ones.

@@ -98,21 +98,26 @@ def codebook_rows(splats: int, per_row: int) -> int:
     return min(1 << (wanted.bit_length() - 1), MAX_ROWS)
 
 
+def clipped_coefficients(values: F32) -> F32:
+    """Return SH coefficients clipped to ±`MAX_COEFFICIENT`; the same array where none is beyond."""
+    return _clipped(values, MAX_COEFFICIENT)
+
+
 def clip_strays(splats: Splats) -> Splats:
     """Return the scene with scales clipped to ±`MAX_LOG_SCALE`, SH to ±`MAX_COEFFICIENT`."""
-    limits = {"scales": MAX_LOG_SCALE, "sh0": MAX_COEFFICIENT, "shN": MAX_COEFFICIENT}
-    clipped: dict[str, F32] = {}
-    for name, limit in limits.items():
-        values: F32 = getattr(splats, name)
-        # Looked at first, for hardly any scene has strays and shN is large.
-        if -float(values.min(initial=0)) > limit or float(values.max(initial=0)) > limit:
-            clipped[name] = np.clip(values, -limit, limit)
     return replace(
         splats,
-        scales=clipped.get("scales", splats.scales),
-        sh0=clipped.get("sh0", splats.sh0),
-        shN=clipped.get("shN", splats.shN),
+        scales=_clipped(splats.scales, MAX_LOG_SCALE),
+        sh0=clipped_coefficients(splats.sh0),
+        shN=clipped_coefficients(splats.shN),
     )
+
+
+def _clipped(values: F32, limit: float) -> F32:
+    # Looked at first, for hardly any scene has strays and shN is large.
+    if -float(values.min(initial=0)) > limit or float(values.max(initial=0)) > limit:
+        return np.clip(values, -limit, limit)
+    return values
 
 
 def plan(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from io import BufferedReader
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import StorageError, TruncatedError
 from cogsplat.codec.splats import Extra, SceneInfo, Splats
+from cogsplat.codec.workspace import IN_MEMORY, Zeros
 from cogsplat.formats.scenes.losses import warn_of_losses
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
@@ -45,7 +46,43 @@ _TYPE_NAMES = {
 }
 
 
-def read_ply(path: StrPath, *, limits: Limits | None = None) -> Splats:
+@dataclass(frozen=True)
+class PlyRows:
+    """How much a PLY holds, as its header says.
+
+    Parameters
+    ----------
+    splats : int
+    sh_degree : int
+    extra_bytes : int
+        Bytes of one splat's extra attributes, normals that may be padding among them.
+    """
+
+    splats: int
+    sh_degree: int
+    extra_bytes: int
+
+
+def ply_rows(path: StrPath) -> PlyRows:
+    """Return how much a PLY holds, without reading its rows.
+
+    Raises
+    ------
+    CogsplatError
+        As `read_ply` raises for the header.
+    """
+    where = os.fspath(path)
+    with storage_errors(path), open_for_read(path) as file:
+        vertex = read_header(file, where).vertex(where)
+    fields = match_fields(vertex, where)
+    others = extra_properties(vertex, fields, where)
+    extra_bytes = sum(int(prop.dtype[1:]) for prop in others)
+    return PlyRows(vertex.count, _DEGREES[len(fields["shN"])], extra_bytes)
+
+
+def read_ply(
+    path: StrPath, *, limits: Limits | None = None, zeros: Zeros = IN_MEMORY.zeros
+) -> Splats:
     """Read a 3DGS scene from a PLY file.
 
     Parameters
@@ -56,6 +93,8 @@ def read_ply(path: StrPath, *, limits: Limits | None = None) -> Splats:
         ``vertex`` first) take numpy alone, others plyfile.
     limits : Limits, optional
         What the file may cost.
+    zeros : callable
+        Makes the arrays, as `Workspace.zeros` does; rows are read into them block by block.
 
     Returns
     -------
@@ -104,12 +143,12 @@ def read_ply(path: StrPath, *, limits: Limits | None = None) -> Splats:
             beside_bytes=vertex.count * sum(int(prop.dtype[1:]) for prop in others),
         )
         arrays: dict[str, F32 | F64] = {
-            name: np.empty((vertex.count, len(p)), np.float32) for name, p in fields.items()
+            name: zeros((vertex.count, len(p)), np.float32) for name, p in fields.items()
         }
         if any(p.dtype == "f8" for p in vertex.properties if p.name in fields["means"]):
             arrays["means"] = np.empty((vertex.count, 3), np.float64)
         extras: dict[str, Extra] = {
-            prop.name: np.empty(vertex.count, prop.dtype) for prop in others
+            prop.name: zeros((vertex.count,), prop.dtype) for prop in others
         }
         if header.is_canonical:
             _read_rows(file, header, fields, arrays, extras, where)

@@ -38,7 +38,9 @@ def energy_of(rows=300, seed=3):
 def fitted(degree=3, lagrangian=1e-9, spread=None, **options):
     values = coefficients_of(degree)
     given = spread_of() if spread is None else spread
-    return values, colour_transform.fit(values, energy_of(), given, lagrangian, CHUNKS, **options)
+    return values, colour_transform.fit(
+        values.__getitem__, energy_of(), given, lagrangian, CHUNKS, **options
+    )
 
 
 def stored(basis, degree):
@@ -175,7 +177,7 @@ def test_views_get_the_directions_that_they_see():
 @pytest.mark.parametrize("degree", [1, 2, 3])
 def test_coefficients_of_zero_are_one_row_that_nobody_uses(degree):
     values = np.zeros((300, sh_coefficients(degree) - 1, 3), f32)
-    basis = colour_transform.fit(values, energy_of(), spread_of(), 1e-9, CHUNKS)
+    basis = colour_transform.fit(values.__getitem__, energy_of(), spread_of(), 1e-9, CHUNKS)
     assert len(basis.rows) == 1
     codebook = stored(basis, degree)
     stream, missed = basis.stored_as(codebook.shN).encode(values, energy_of(), 1e-9, 0)
@@ -200,7 +202,7 @@ def test_rows_that_no_chunk_would_use_are_left_out():
 @pytest.mark.parametrize("spread", [NOWHERE, spread_of()])
 def test_a_splat_or_two_have_a_basis(rows, spread):
     values, energy = coefficients_of(3, rows), energy_of(rows)
-    basis = colour_transform.fit(values, energy, spread, 1e-12, [slice(0, rows)])
+    basis = colour_transform.fit(values.__getitem__, energy, spread, 1e-12, [slice(0, rows)])
     codebook = stored(basis, 3)
     stream, missed = basis.stored_as(codebook.shN).encode(values, energy, 1e-12, 0)
     np.testing.assert_allclose(decoded(stream, codebook), values, atol=0.01)
@@ -212,7 +214,7 @@ def test_a_splat_or_two_have_a_basis(rows, spread):
 def test_steps_of_any_energy_fit_the_format(energy, scale):
     values = (coefficients_of(2) * f32(scale)).astype(f32)
     energies = np.full(300, energy)
-    basis = colour_transform.fit(values, energies, NOWHERE, 1e-9, CHUNKS)
+    basis = colour_transform.fit(values.__getitem__, energies, NOWHERE, 1e-9, CHUNKS)
     codebook = stored(basis, 2)
     stream, missed = basis.stored_as(codebook.shN).encode(values, energies, 1e-9, 0)
     out = decoded(stream, codebook)

@@ -1,0 +1,56 @@
+import pytest
+from encoding import unseen
+
+from cogsplat.codec.encode.memory import LEAST_RESIDENT, memory_need
+from cogsplat.codec.errors import LimitError
+
+MILLION = 1_000_000
+
+
+def test_ten_million_splats_fit_into_ten_gigabytes():
+    need = memory_need(10 * MILLION, 3, unseen())
+    assert need.scene == 10 * MILLION * 236
+    assert need.out_of_core < 5 * 10**9
+    assert need.resident_bytes(10 * 10**9) > 5 * 10**9
+    assert need.resident_bytes(need.in_memory) is None
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_the_least_that_works_leaves_room_for_a_few_pages(degree):
+    need = memory_need(MILLION, degree, unseen())
+    assert need.resident_bytes(need.out_of_core) == LEAST_RESIDENT
+    assert need.resident_bytes(need.out_of_core + 1000) == LEAST_RESIDENT + 1000
+    with pytest.raises(LimitError, match="expected at least") as refused:
+        need.resident_bytes(need.out_of_core - 1)
+    assert refused.value.code == "memory-cap"
+
+
+def test_more_splats_extras_and_a_scene_that_is_held_take_more():
+    plain = memory_need(MILLION, 3, unseen())
+    more = memory_need(2 * MILLION, 3, unseen())
+    labelled = memory_need(MILLION, 3, unseen(), extra_bytes=4)
+    held = memory_need(MILLION, 3, unseen(), held_bytes=236 * MILLION)
+    assert more.in_memory > plain.in_memory
+    assert more.out_of_core > plain.out_of_core
+    assert labelled.in_memory == plain.in_memory + 4 * MILLION
+    assert held.out_of_core == plain.out_of_core + 236 * MILLION
+    assert held.in_memory == plain.in_memory
+
+
+@pytest.mark.parametrize(
+    "config",
+    [unseen(order="gain"), unseen(compensate=True), unseen(profile="vq")],
+    ids=["gain", "compensation", "vq"],
+)
+def test_what_works_on_the_whole_scene_is_not_done_out_of_core(config):
+    need = memory_need(MILLION, 3, config)
+    assert need.out_of_core is None
+    assert need.resident_bytes(need.in_memory) is None
+    with pytest.raises(LimitError, match="preset fast") as refused:
+        need.resident_bytes(need.in_memory - 1)
+    assert refused.value.code == "memory-cap"
+
+
+def test_a_small_scene_takes_no_more_out_of_core_than_in_memory():
+    need = memory_need(1000, 3, unseen())
+    assert need.out_of_core == need.in_memory

@@ -1,0 +1,111 @@
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import cogsplat
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.memory import memory_need
+from cogsplat.codec.errors import LimitError, UnsupportedError
+from cogsplat.codec.workspace import IN_MEMORY
+from cogsplat.formats.scenes.memory_cap import working_memory
+from cogsplat.formats.storage.scratch_files import ScratchFiles
+from cogsplat.tools.synthetic.scene import synth, synth_cameras
+
+FAST = EncodeConfig(order="contribution", compensate=False)
+SPLATS = 70_000
+# Runs a capped encode and prints the most memory that the process ever had, kB.
+CAPPED = """
+import sys, cogsplat
+from pathlib import Path
+source, out, cameras, cap = sys.argv[1:]
+cogsplat.encode(source, out, cameras=cameras, preset="fast", memory=int(cap))
+status = Path("/proc/self/status").read_text()
+print(next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")))
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    from cogsplat.formats.cameras.inria import write_cameras_json
+
+    folder = tmp_path_factory.mktemp("capped")
+    cogsplat.write(synth(SPLATS), folder / "scene.ply")
+    write_cameras_json(synth_cameras(3, 64, 48), folder / "cameras.json")
+    cogsplat.encode(
+        folder / "scene.ply", folder / "free.cogs", cameras=folder / "cameras.json", preset="fast"
+    )
+    return folder
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells what is resident")
+def test_a_capped_encode_stays_below_its_cap_and_gives_the_same_bytes(folder):
+    need = memory_need(SPLATS, 3, FAST, extra_bytes=12)
+    cap = (need.in_memory + need.out_of_core) // 2
+    assert need.out_of_core < cap < need.in_memory
+    names = [str(folder / name) for name in ("scene.ply", "capped.cogs", "cameras.json")]
+    done = subprocess.run(
+        [sys.executable, "-c", CAPPED, *names, str(cap)], capture_output=True, text=True, check=True
+    )
+    assert (folder / "capped.cogs").read_bytes() == (folder / "free.cogs").read_bytes()
+    assert int(done.stdout) * 1024 <= cap
+
+
+def test_a_cap_that_is_too_small_is_refused_before_anything_is_read(folder):
+    with pytest.raises(LimitError, match="expected at least") as refused:
+        cogsplat.encode(folder / "scene.ply", folder / "no.cogs", preset="fast", memory="100MB")
+    assert refused.value.code == "memory-cap"
+    with pytest.raises(LimitError, match="preset fast"):
+        cogsplat.encode(folder / "scene.ply", folder / "no.cogs", memory="300MB")
+    with pytest.raises(ValueError, match="expected bytes"):
+        cogsplat.encode(folder / "scene.ply", folder / "no.cogs", memory="20%")
+    assert not (folder / "no.cogs").exists()
+
+
+def test_what_is_in_memory_already_counts(folder):
+    scene = cogsplat.read(folder / "scene.ply")
+    with working_memory(folder / "scene.ply", FAST, 505_000_000, folder) as mapped:
+        assert not mapped.views_at_once
+    for held in (scene, folder / "free.cogs"):
+        with (
+            pytest.raises(LimitError) as refused,
+            working_memory(held, FAST, 505_000_000, folder),
+        ):
+            pytest.fail("16 MB of splats were not counted")
+        assert refused.value.code == "memory-cap"
+        with working_memory(held, FAST, None, folder) as free:
+            assert free is IN_MEMORY
+
+
+def test_other_formats_do_not_say_how_much_they_hold(folder):
+    cogsplat.write(synth(500), folder / "scene.spz")
+    with (
+        pytest.raises(UnsupportedError) as refused,
+        working_memory(folder / "scene.spz", FAST, 10**9, folder),
+    ):
+        pytest.fail("a cap for SPZ")
+    assert refused.value.code == "memory-cap-format"
+
+
+def test_extras_are_mapped_as_well(tmp_path):
+    scene = synth(70_000, sh_degree=1)
+    labels = np.random.default_rng(3).integers(0, 5, len(scene)).astype(np.int32)
+    cogsplat.write(replace(scene, extras={"object": labels}), tmp_path / "scene.ply")
+    config = replace(FAST, profile="near-lossless")
+    views = synth_cameras(2, 64, 48)
+    for name, workspace in (("a.cogs", None), ("b.cogs", "mapped")):
+        with ScratchFiles(tmp_path, 1 << 20) as files:
+            kept = replace(IN_MEMORY, zeros=files.zeros, views_at_once=False, settle=files.settle)
+            cogsplat.encode(
+                tmp_path / "scene.ply",
+                tmp_path / name,
+                cameras=views,
+                config=config,
+                workspace=kept if workspace else None,
+            )
+    assert (tmp_path / "a.cogs").read_bytes() == (tmp_path / "b.cogs").read_bytes()
+    np.testing.assert_array_equal(
+        np.sort(cogsplat.decode(tmp_path / "a.cogs").extras["object"]), np.sort(labels)
+    )
