@@ -68,15 +68,17 @@ def test_what_is_in_memory_already_counts(folder):
     scene = cogsplat.read(folder / "scene.ply")
     with working_memory(folder / "scene.ply", FAST, 505_000_000, folder) as mapped:
         assert not mapped.views_at_once
-    for held in (scene, folder / "free.cogs"):
-        with (
-            pytest.raises(LimitError) as refused,
-            working_memory(held, FAST, 505_000_000, folder),
-        ):
-            pytest.fail("16 MB of splats were not counted")
-        assert refused.value.code == "memory-cap"
-        with working_memory(held, FAST, None, folder) as free:
-            assert free is IN_MEMORY
+    with pytest.raises(LimitError) as refused, working_memory(scene, FAST, 505_000_000, folder):
+        pytest.fail("16 MB of splats were not counted")
+    assert refused.value.code == "memory-cap"
+    cogs = folder / "free.cogs"
+    with cogsplat.open(cogs) as file:
+        rows = file.root.splats
+    need = memory_need(rows, 3, FAST, held_bytes=236 * rows)
+    with pytest.raises(LimitError), working_memory(cogs, FAST, need.out_of_core - 1, folder):
+        pytest.fail("a COGS file is decoded in memory")
+    with working_memory(scene, FAST, None, folder) as free:
+        assert free is IN_MEMORY
 
 
 def test_other_formats_do_not_say_how_much_they_hold(folder):
