@@ -197,7 +197,7 @@ def decode(
         scene (SPEC 8.5): larger and more opaque. Otherwise rows are as stored.
     limits : Limits, optional
     threads : int
-        0 uses all cores.
+        0 uses as many as pay.
     progress : Progress
 
     Returns

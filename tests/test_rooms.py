@@ -239,7 +239,7 @@ DOORS: dict[str, dict[str, str]] = {
         "bit_fields": "pack",
         "byte_planes": "LENGTH_MASK pack_plane unpack_plane",
         "codebook_index": "gather read_indices write",
-        "compiled": "KERNEL_MODULES WORTH_LOADING prepare ready",
+        "compiled": "KERNEL_MODULES prepare ready use",
         "float32": "write",
         "grid": "ENTRY_BYTES Grid MAX_LEVELS MAX_VALUE fit",
         "grid_planes": "split_planes",

@@ -1,7 +1,7 @@
 """The switch between decoding in numpy and with compiled kernels.
 
-Both give the same bits. numba is optional and slow to load, so that kernels are used where it is
-loaded already, or where there is enough to decode.
+Both give the same bits. numba is optional and slow to load: numpy decodes until the kernels are
+there, which are loaded on a thread of their own once a process decodes more than a little.
 """
 
 from __future__ import annotations
@@ -15,13 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .inputs import Inputs
+from .kernel_loading import KernelLoader
 from .records import Attribute, Kind, StoredStream
 
 CompiledReader = Callable[[StoredStream, NDArray[np.float32], Inputs], bool]
 """Writes the values of a stream as the reader in numpy does; False where something is wrong."""
 
 WORTH_LOADING: Final = 3_000_000
-"""Splats from which loading numba and the kernels (0.4 s) pays within one decode (measured)."""
+"""Splats from which loading numba and the kernels (0.5 s) pays within one decode (measured)."""
+
+WORTH_LOADING_AGAIN: Final = 150_000
+"""Splats of several decodes from which more of them are to be expected."""
 
 KERNEL_MODULES: Final = tuple(
     f"{__package__}.kernels_{name}"
@@ -30,6 +34,12 @@ KERNEL_MODULES: Final = tuple(
 """Modules of the kernels that decoding calls, for `compiling.declared_in`."""
 
 _readers: Mapping[tuple[Attribute, Kind], CompiledReader] = {}
+
+# Whether `use` has decided; until then kernels are used once they are loaded.
+_decided = False
+
+# Splats that this process has begun to decode.
+_begun = 0
 
 
 def ready() -> bool:
@@ -43,34 +53,50 @@ def reader(attribute: Attribute, kind: Kind) -> CompiledReader | None:
 
 
 def prepare(splats: int) -> None:
-    """Load the kernels if numba is loaded already, or is there and the work is worth it.
+    """Begin to load the kernels where numba is loaded already, or where the work is worth it.
+
+    Returns at once: what is read until they are there is read in numpy.
 
     Parameters
     ----------
     splats : int
         That are to be decoded.
     """
-    if ready() or (sys.modules.get("numba") is None and splats < WORTH_LOADING):
+    global _begun
+    before, _begun = _begun, _begun + splats
+    if _decided or ready():
         return
-    # The kernels read packed fields as machine words.
-    if sys.byteorder == "little":
-        use(True)
+    loaded = sys.modules.get("numba") is not None
+    again = before > 0 and before + splats >= WORTH_LOADING_AGAIN
+    if loaded or again or splats >= WORTH_LOADING:
+        LOADER.start()
 
 
 def use(wanted: bool) -> bool:
-    """Use compiled kernels from here on, or numpy alone.
+    """Use compiled kernels from here on, loaded now if they are not yet, or numpy alone.
 
     Returns
     -------
     bool
         Whether kernels are now in use: not without numba.
     """
-    global _readers
+    global _readers, _decided
+    _decided = True
     _readers = _load() if wanted else {}
     return ready()
 
 
+def _loaded() -> None:
+    """Use the kernels that have been loaded, unless `use` has decided."""
+    global _readers
+    if not _decided:
+        _readers = _load()
+
+
 def _load() -> Mapping[tuple[Attribute, Kind], CompiledReader]:
+    # The kernels read packed fields as machine words.
+    if sys.byteorder != "little":
+        return {}
     try:
         kernels = importlib.import_module(".kernels", __package__)
     except ImportError:
@@ -78,3 +104,7 @@ def _load() -> Mapping[tuple[Attribute, Kind], CompiledReader]:
         return {}
     found: Mapping[tuple[Attribute, Kind], CompiledReader] = kernels.READERS
     return found
+
+
+LOADER: Final = KernelLoader(KERNEL_MODULES, _loaded)
+"""Loads the kernels behind the work of other threads."""

@@ -50,8 +50,11 @@ _COMPENSATION_ROW_BYTES: Final = 96
 _MOST_NAMED: Final = 12
 
 # Below this, and without compiled kernels, threads wait for the interpreter's lock longer than
-# they save (measured: a scene of 80,000 splats takes a third longer on two threads).
-_WORTH_THREADS: Final = 500_000
+# they save (measured in numpy: a scene of 80,000 splats takes a third longer on two threads).
+_WORTH_THREADS: Final = 50_000
+
+# A third of the work with kernels is done under that lock: more threads wait for each other.
+_MOST_WORKERS: Final = 4
 
 
 @dataclass(frozen=True)
@@ -399,7 +402,7 @@ class CogsFile:
 
         # More workers take the working memory of a chunk each: as many as the limit has room for.
         room = 1 + (self._allowed - size) // max(scratch, 1)
-        workers = min(thread_count(threads or _workers(sum(counts))), room)
+        workers = min(thread_count(threads or _workers(sum(counts))), room, len(tasks) or 1)
         for done, _ in enumerate(ordered_map(decode_one, tasks, workers), start=1):
             progress("decode", done, len(tasks))
         return self.compensation().apply(out, len(wanted)) if compensate else out
@@ -618,8 +621,9 @@ def open_cogs(
 
 
 def _workers(splats: int) -> int:
-    """Return how many threads pay: 1, or 0 for all cores."""
-    return 0 if compiled.ready() and splats >= _WORTH_THREADS else 1
+    """Return how many threads pay."""
+    pays = compiled.ready() and splats >= _WORTH_THREADS
+    return min(thread_count(0), _MOST_WORKERS) if pays else 1
 
 
 def _row_bytes(degree: int) -> int:

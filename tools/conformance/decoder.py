@@ -70,11 +70,9 @@ def main(arguments: list[str]) -> int:
         print(f"expected one of {', '.join(KINDS)}", file=sys.stderr)
         return 2
     (kind,) = arguments
-    if kind == "compiled":
-        compiled.prepare(compiled.WORTH_LOADING)
-        if not compiled.ready():
-            print("numba is not installed, expected the extra `encode`", file=sys.stderr)
-            return 4
+    if kind == "compiled" and not compiled.use(True):
+        print("numba is not installed, expected the extra `encode`", file=sys.stderr)
+        return 4
     for line in sys.stdin:
         print(json.dumps(answer(kind, json.loads(line))), flush=True)
     return 0

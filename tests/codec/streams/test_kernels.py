@@ -46,8 +46,7 @@ def both():
     def call(function):
         compiled.use(False)
         plain = function()
-        compiled.prepare(compiled.WORTH_LOADING)
-        assert compiled.ready()
+        assert compiled.use(True)
         return plain, function()
 
     yield call
@@ -240,25 +239,52 @@ def test_adaptive_steps_at_every_number_of_extra_bits(offset, both):
         assert np.array_equal(plain.view(np.uint32), fast.view(np.uint32))
 
 
-def test_kernels_are_used_where_numba_is_loaded_or_the_work_is_large(monkeypatch):
-    before = compiled.ready()
-    numba = sys.modules["numba"]
-    try:
-        for loaded, splats, expected in (
-            (numba, 1, True),
-            (None, 1, False),
-            (None, compiled.WORTH_LOADING - 1, False),
-        ):
-            compiled.use(False)
-            monkeypatch.setitem(sys.modules, "numba", loaded)
-            compiled.prepare(splats)
-            assert compiled.ready() is expected
-        # Not to be had: numpy decodes, whatever the size.
-        for name in [n for n in sys.modules if n.startswith("cogsplat.codec.streams.kernels")]:
-            monkeypatch.delitem(sys.modules, name)
-            monkeypatch.delattr(streams, name.rpartition(".")[2])
+class Loader:
+    """Counts how often it is asked to load."""
+
+    def __init__(self):
+        self.starts = 0
+
+    def start(self):
+        self.starts += 1
+
+
+@pytest.mark.parametrize(
+    ("loaded", "decoded", "expected"),
+    [
+        (True, [1], 1),
+        (False, [1], 0),
+        (False, [compiled.WORTH_LOADING - 1], 0),
+        (False, [compiled.WORTH_LOADING], 1),
+        (False, [1, compiled.WORTH_LOADING_AGAIN - 2], 0),
+        (False, [1, compiled.WORTH_LOADING_AGAIN - 1], 1),
+    ],
+)
+def test_kernels_are_loaded_where_numba_is_or_the_work_is_large(
+    loaded, decoded, expected, monkeypatch
+):
+    loader = Loader()
+    monkeypatch.setattr(compiled, "LOADER", loader)
+    for name, value in (("_decided", False), ("_begun", 0), ("_readers", {})):
+        monkeypatch.setattr(compiled, name, value)
+    monkeypatch.setitem(sys.modules, "numba", sys.modules["numba"] if loaded else None)
+    for splats in decoded:
+        compiled.prepare(splats)
+    assert loader.starts == expected
+    for wanted in (False, True):
+        compiled.use(wanted)
         compiled.prepare(compiled.WORTH_LOADING)
-        assert not compiled.ready()
-    finally:
-        monkeypatch.undo()
-        compiled.use(before)
+        compiled._loaded()
+        assert loader.starts == expected
+        assert compiled.ready() is wanted
+
+
+def test_numpy_decodes_where_numba_is_not_to_be_had(monkeypatch):
+    for name in ("_decided", "_readers"):
+        monkeypatch.setattr(compiled, name, getattr(compiled, name))
+    monkeypatch.setitem(sys.modules, "numba", None)
+    for name in [n for n in sys.modules if n.startswith("cogsplat.codec.streams.kernels")]:
+        monkeypatch.delitem(sys.modules, name)
+        monkeypatch.delattr(streams, name.rpartition(".")[2])
+    assert not compiled.use(True)
+    assert not compiled.ready()
