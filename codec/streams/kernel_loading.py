@@ -79,8 +79,7 @@ class KernelLoader:
         self._interval_s = sys.getswitchinterval()
         sys.setswitchinterval(min(self._interval_s, _SWITCH_S))
         try:
-            if self._load_all():
-                self._finished()
+            self._load_all()
         except Exception as error:
             # Whatever numba finds in its way, numpy decodes as well; but not silently slower.
             warnings.warn(
@@ -91,19 +90,20 @@ class KernelLoader:
             sys.setswitchinterval(self._interval_s)
             self._ended = True
 
-    def _load_all(self) -> bool:
-        """Load one kernel after the other; False where the process was about to end before."""
+    def _load_all(self) -> None:
+        """Load one kernel after the other, unless the process is about to end before."""
         for module in self._modules:
             with self._step:
                 if self._stopped.is_set():
-                    return False
+                    return
                 kernels = declared_in([module])
             for kernel in kernels:
                 with self._step:
                     if self._stopped.is_set():
-                        return False
+                        return
                     kernel.compile()
-        return True
+        with self._step:
+            self._finished()
 
     def _stop(self) -> None:
         """Let the step under way end, and no other begin."""
