@@ -64,12 +64,12 @@ def view(
     shown = not (quiet or as_json)
     with ExitStack() as open_things:
         given = open_things.enter_context(drawable(scene, threads=threads, shown=shown))
-        other = None
+        other = other_title = None
         if against is not None:
             drawn = drawable(against, threads=threads, shown=shown)
-            other = open_things.enter_context(drawn).path
+            other, other_title = open_things.enter_context(drawn).path, title_of(against)
         server = open_things.enter_context(
-            SceneServer(given.path, title_of(scene), port, against=other)
+            SceneServer(given.path, title_of(scene), port, against=other, against_title=other_title)
         )
         if as_json:
             say_json({"url": server.url, "source": name_of(scene), "splats": given.splats})

@@ -66,6 +66,8 @@ class SceneServer(ThreadingHTTPServer):
         0 takes a free one.
     against : Path, optional
         A second one, which the page compares with the scene.
+    against_title : str, optional
+        What the page calls it.
 
     Raises
     ------
@@ -85,7 +87,13 @@ class SceneServer(ThreadingHTTPServer):
     allow_reuse_address = os.name == "posix"
 
     def __init__(
-        self, scene: Path, title: str, port: int = 0, *, against: Path | None = None
+        self,
+        scene: Path,
+        title: str,
+        port: int = 0,
+        *,
+        against: Path | None = None,
+        against_title: str | None = None,
     ) -> None:
         # Their own names stay here: they may say more than the page needs to know.
         named = {"scene": scene, "against": against}
@@ -94,7 +102,11 @@ class SceneServer(ThreadingHTTPServer):
             for name, path in named.items()
             if path is not None
         }
-        self._pages: Mapping[str, bytes] = linked_page(title, *self._scenes)
+        scene_name, against_name = [*self._scenes, None][:2]
+        assert scene_name is not None
+        self._pages: Mapping[str, bytes] = linked_page(
+            title, scene_name, against_name, against_title
+        )
         with storage_errors(f"{HOST}:{port}"):
             super().__init__((HOST, port), _Handler)
 

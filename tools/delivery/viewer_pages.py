@@ -37,7 +37,10 @@ _BLOCK_BYTES: Final = 3 << 20
 
 
 def linked_page(
-    title: str, scene: str = SCENE_NAME, against: str | None = None
+    title: str,
+    scene: str = SCENE_NAME,
+    against: str | None = None,
+    against_title: str | None = None,
 ) -> dict[str, bytes]:
     """Return the files of a page that fetches the scene beside it, by name.
 
@@ -51,6 +54,8 @@ def linked_page(
         Name of the scene's file, a ``.cogs`` or the PLY of 3DGS training, beside the page.
     against : str, optional
         Name of a second one, which the page compares with the scene.
+    against_title : str, optional
+        What the second one is called; its file's name by default.
 
     Returns
     -------
@@ -64,6 +69,8 @@ def linked_page(
     ['index.html', 'viewer.css', 'viewer.js', 'viewer_worker.js', 'worker.js']
     """
     second = "" if against is None else f' against="{html.escape(against)}"'
+    if against_title is not None:
+        second += f' against-label="{html.escape(printable(against_title))}"'
     page = _titled(title, f' src="{html.escape(scene)}"{second}')
     return {PAGE_NAME: page.encode(), **{name: _part(name) for name in _OTHERS}}
 

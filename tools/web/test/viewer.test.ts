@@ -3,6 +3,7 @@ import { test } from "node:test";
 import { loadKernels } from "../src/kernels/load.js";
 import { SceneFile } from "../src/scene/scene_file.js";
 import { sortByDepth } from "../src/viewer/depth_order.js";
+import { RowSorter } from "../src/viewer/depth_sorter.js";
 import { OrbitCamera } from "../src/viewer/orbit.js";
 import { vectorBytes } from "./vectors.js";
 
@@ -45,6 +46,18 @@ test("splats at one depth stay in their order", () => {
   const order = new Uint32Array(4);
   sortByDepth(new Float32Array(12).fill(3), 4, [0, 0, 1], order);
   assert.deepEqual(Array.from(order), [0, 1, 2, 3]);
+});
+
+test("rows sorted in slices are in the order that one sort gives", async () => {
+  const rows = 200_000;
+  const words = Uint32Array.from({ length: 4 * rows }, (_, i) => Math.imul(i + 1, 2_654_435_761) & 0x3fff3fff);
+  const sorter = new RowSorter(rows);
+  sorter.add(0, words);
+  const forward = [0.36, 0.48, 0.8];
+  const { order } = sorter.sort(rows, forward, undefined);
+  const sliced = await sorter.sortInSlices(rows, forward, undefined);
+  assert.deepEqual(sliced.order, order);
+  assert.equal(sliced.rows, rows);
 });
 
 test("the camera starts at the first view", () => {

@@ -22,7 +22,8 @@ const kernels = await loadKernels();
 async function responses(bytes: Uint8Array, mostRows = Infinity): Promise<PlyResponse[]> {
   const found: PlyResponse[] = [];
   const source = new Blob([bytes as Uint8Array<ArrayBuffer>]);
-  await readPly({ type: "ply", source, mostRows, ranges: DEFAULT_RANGES }, (response) => found.push(response));
+  const request = { type: "ply", source, mostRows, ranges: DEFAULT_RANGES, bitsPerSecond: Infinity } as const;
+  await readPly(request, new Meter(), (response) => found.push(response));
   return found;
 }
 
@@ -122,6 +123,24 @@ test("the bulk of a scene is where its small opaque splats are, not in its sky",
   assert.ok(Math.abs(moved.centre[0] + 5) < 0.01);
   assert.ok(Math.abs(depthAhead(packed, [0, 0, 0], [0, 0, -20], [0, 0, 1])! - 20) <= 1.01);
   assert.equal(depthAhead(packed, [0, 0, 0], [0, 0, -20], [0, 0, -1]), undefined);
+});
+
+test("a PLY comes no faster than the rate, and the page has its turn between two blocks", async () => {
+  const bytes = toPly(randomSplats(9000));
+  const meter = new Meter();
+  // 0.2 seconds for all of it.
+  meter.bitsPerSecond = (8 * bytes.length) / 0.2;
+  const source = new Blob([bytes as Uint8Array<ArrayBuffer>]);
+  let rests = 0;
+  const found: string[] = [];
+  const start = performance.now();
+  const request = { type: "ply", source, mostRows: Infinity, ranges: DEFAULT_RANGES, bitsPerSecond: Infinity } as const;
+  await readPly(request, meter, ({ type }) => found.push(type), async () => void rests++);
+  assert.ok(performance.now() - start >= 190);
+  assert.deepEqual([...new Set(found)], ["scene", "rows", "end"]);
+  assert.equal(rests, found.filter((type) => type === "rows").length);
+  assert.ok(rests >= 2);
+  assert.equal(meter.bytes, bytes.length);
 });
 
 test("a meter counts bytes and keeps to its rate", async (context) => {

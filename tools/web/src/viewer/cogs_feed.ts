@@ -1,14 +1,16 @@
 import { CogsplatError } from "../errors.js";
 import type { Answer, ByteSource, ReadOptions } from "../loader/byte_source.js";
+import { loadKernels } from "../kernels/load.js";
 import { sourceOf, StreamedScene, type OpenOptions } from "../loader/streamed_scene.js";
 import type { ChunkUpdate } from "../loader/stream_options.js";
 import type { ByteRange } from "../container/scene_index.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
-import { DecoderPool, type WorkerLike } from "../workers/decoder_pool.js";
+import { SlicedService, type ChunkService } from "../workers/decode_task.js";
+import { DecoderPool } from "../workers/decoder_pool.js";
 import { MeteredSource, type Meter } from "./meter.js";
 import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
 import type { SplatLayer } from "./splat_layer.js";
-import type { ViewerWorkers } from "./viewer_workers.js";
+import type { AllowedWorkers } from "./viewer_workers.js";
 
 /** Fills a layer from a COGS file while it is fetched. */
 export class CogsFeed implements SceneFeed {
@@ -32,13 +34,13 @@ export class CogsFeed implements SceneFeed {
   /**
    * @param source - A URL, a file or another source.
    * @param meter - Counts its bytes.
-   * @param workers - Makes workers; undefined decodes on the caller's thread.
+   * @param workers - Where the page allows none, chunks are decoded on the caller's thread, one at a time.
    * @param mostSplats - Chunks beyond are not fetched.
    */
   constructor(
     private readonly source: string | Blob | ByteSource,
     private readonly meter: Meter,
-    private readonly workers: ViewerWorkers | undefined,
+    private readonly workers: AllowedWorkers,
     private readonly mostSplats: number,
   ) {}
 
@@ -47,27 +49,37 @@ export class CogsFeed implements SceneFeed {
   }
 
   async run(host: FeedHost, signal: AbortSignal): Promise<void> {
-    const { workers } = this;
-    if (workers === undefined) return this.stream(host, { signal });
-    // A worker's program is fetched and compiled while the first bytes of the scene come, not after them.
-    let early: WorkerLike | undefined = workers.decoder();
-    // One that fails is dropped; the pool starts it again and tells of the failure.
-    early.onerror = () => (early = undefined);
-    const makeWorker = (): WorkerLike => {
-      const worker = early ?? workers.decoder();
-      early = undefined;
-      return worker;
-    };
+    this.host = host;
+    const source = (fresh: boolean): ByteSource => new MeteredSource(sourceOf(this.source, { fresh }), this.meter);
     try {
-      await this.stream(host, { signal, service: (index: DecoderIndex) => new DecoderPool(index, { makeWorker }) });
-    } finally {
-      early?.terminate();
+      await this.stream(source(false), signal);
+    } catch (error) {
+      if (!(error instanceof CogsplatError) || error.code !== "source-changed" || signal.aborted) throw error;
+      // The file was replaced while it was read: the new one is shown, around caches; one that changes again is not.
+      this.forget();
+      await this.stream(source(true), signal);
     }
   }
 
-  private async stream(host: FeedHost, options: OpenOptions & { readonly signal: AbortSignal }): Promise<void> {
-    const { signal } = options;
-    const source = new MeteredSource(sourceOf(this.source), this.meter);
+  /** Begin anew, with nothing shown. */
+  private forget(): void {
+    this.rowsOf.clear();
+    this.shifted.clear();
+    [this.splats, this.prefix, this.compensatedFor] = [0, 0, -1];
+    this.waiting = [];
+    this.shown = this.damage = this.scene = this.layer = undefined;
+    this.meter.bytes = 0;
+  }
+
+  private readonly service = async (index: DecoderIndex): Promise<ChunkService> => {
+    const { workers } = this;
+    const allowed = await workers.found;
+    if (allowed === undefined) return new SlicedService(index, await loadKernels());
+    return new DecoderPool(index, { makeWorker: () => workers.takeFirst() ?? allowed.decoder() });
+  };
+
+  private async stream(source: ByteSource, signal: AbortSignal): Promise<void> {
+    const options: OpenOptions = { signal, service: this.service };
     const scene = await StreamedScene.open(source, options).catch((error: unknown) => {
       // A file that ends early is shown as far as it goes.
       if (!(error instanceof CogsplatError) || error.code !== "file-truncated") throw error;
@@ -76,9 +88,10 @@ export class CogsFeed implements SceneFeed {
     });
     signal.throwIfAborted();
     this.scene = scene;
-    this.host = host;
     const { info } = scene;
-    this.layer = host.begin({ ...info, linear: info.colourSpace === "linear" }, info);
+    await this.workers.found;
+    signal.throwIfAborted();
+    this.layer = this.host!.begin({ ...info, linear: info.colourSpace === "linear" }, info);
     const stream = scene.stream({
       signal,
       format: "packed",

@@ -1,5 +1,7 @@
 /** Depths are sorted by half of their bits at a time. */
 const BUCKETS = 65_536;
+/** Rows of one step of a sort. */
+const STEP_ROWS = 65_536;
 
 /**
  * Rows from the farthest to the nearest, by a radix sort of their depths as float32; rows at one depth stay in order.
@@ -10,28 +12,45 @@ const BUCKETS = 65_536;
  * @param order - Receives the rows.
  */
 export function sortByDepth(means: Float32Array, rows: number, forward: readonly number[], order: Uint32Array): void {
+  for (const _ of sortSteps(means, rows, forward, order));
+}
+
+/** The same in steps of about a millisecond, between which other work can be done. */
+export function* sortSteps(means: Float32Array, rows: number, forward: readonly number[], order: Uint32Array): Generator<void> {
   const [fx, fy, fz] = forward as [number, number, number];
   const depths = new Float32Array(rows);
-  for (let i = 0; i < rows; i++) depths[i] = means[3 * i]! * fx + means[3 * i + 1]! * fy + means[3 * i + 2]! * fz;
+  for (let first = 0; first < rows; first += STEP_ROWS, yield) {
+    const end = Math.min(first + STEP_ROWS, rows);
+    for (let i = first; i < end; i++) depths[i] = means[3 * i]! * fx + means[3 * i + 1]! * fy + means[3 * i + 2]! * fz;
+  }
   const keys = new Uint32Array(depths.buffer);
   const low = new Uint32Array(BUCKETS + 1);
   const high = new Uint32Array(BUCKETS + 1);
-  for (let i = 0; i < rows; i++) {
-    // Bits of negative floats grow with the depth behind; those of positive ones are turned round to go before them.
-    const bits = keys[i]!;
-    const key = bits >>> 31 ? bits : bits ^ 0x7fffffff;
-    keys[i] = key;
-    low[(key & 0xffff) + 1]!++;
-    high[(key >>> 16) + 1]!++;
+  for (let first = 0; first < rows; first += STEP_ROWS, yield) {
+    const end = Math.min(first + STEP_ROWS, rows);
+    for (let i = first; i < end; i++) {
+      // Bits of negative floats grow with the depth behind; those of positive ones are turned round to go before them.
+      const bits = keys[i]!;
+      const key = bits >>> 31 ? bits : bits ^ 0x7fffffff;
+      keys[i] = key;
+      low[(key & 0xffff) + 1]!++;
+      high[(key >>> 16) + 1]!++;
+    }
   }
   for (let bucket = 0; bucket < BUCKETS; bucket++) {
     low[bucket + 1]! += low[bucket]!;
     high[bucket + 1]! += high[bucket]!;
   }
   const half = new Uint32Array(rows);
-  for (let i = 0; i < rows; i++) half[low[keys[i]! & 0xffff]!++] = i;
-  for (let i = 0; i < rows; i++) {
-    const row = half[i]!;
-    order[high[keys[row]! >>> 16]!++] = row;
+  for (let first = 0; first < rows; first += STEP_ROWS, yield) {
+    const end = Math.min(first + STEP_ROWS, rows);
+    for (let i = first; i < end; i++) half[low[keys[i]! & 0xffff]!++] = i;
+  }
+  for (let first = 0; first < rows; first += STEP_ROWS, yield) {
+    const end = Math.min(first + STEP_ROWS, rows);
+    for (let i = first; i < end; i++) {
+      const row = half[i]!;
+      order[high[keys[row]! >>> 16]!++] = row;
+    }
   }
 }

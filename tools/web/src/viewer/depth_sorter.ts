@@ -1,5 +1,5 @@
 import { packedMeans } from "../scene/packed_splats.js";
-import { sortByDepth } from "./depth_order.js";
+import { sortByDepth, sortSteps } from "./depth_order.js";
 import type { SortRequest, SortResponse } from "./sort_messages.js";
 import type { ViewerWorkers } from "./viewer_workers.js";
 
@@ -12,7 +12,10 @@ export interface DepthOrder {
   readonly milliseconds: number;
 }
 
-/** Sorts the rows of one scene by depth, in a worker; without workers where it is called. */
+/** Longest time that is sorted at once where the page runs, ms. */
+const SLICE_MILLISECONDS = 4;
+
+/** Sorts the rows of one scene by depth, in a worker; without workers where it is called, in slices. */
 export class DepthSorter {
   private readonly worker: Worker | undefined;
   private readonly local: RowSorter | undefined;
@@ -47,7 +50,7 @@ export class DepthSorter {
    * @param spare - An order that is no longer used; its memory is used again.
    */
   async sort(rows: number, forward: readonly number[], spare: Uint32Array | undefined): Promise<DepthOrder> {
-    if (this.local) return this.local.sort(rows, forward, spare);
+    if (this.local) return this.local.sortInSlices(rows, forward, spare);
     return new Promise((resolve) => {
       this.answer = resolve;
       this.send({ type: "sort", rows, forward, spare }, spare ? [spare.buffer as ArrayBuffer] : []);
@@ -79,6 +82,19 @@ export class RowSorter {
     const start = performance.now();
     const order = spare ?? new Uint32Array(this.rows);
     sortByDepth(this.means, rows, forward, order);
+    return { order, rows, milliseconds: performance.now() - start };
+  }
+
+  /** Sort, and let the page do other things meanwhile. */
+  async sortInSlices(rows: number, forward: readonly number[], spare: Uint32Array | undefined): Promise<DepthOrder> {
+    const start = performance.now();
+    const order = spare ?? new Uint32Array(this.rows);
+    let slice = start;
+    for (const _ of sortSteps(this.means, rows, forward, order)) {
+      if (performance.now() - slice < SLICE_MILLISECONDS) continue;
+      await new Promise((resolve) => setTimeout(resolve, 0));
+      slice = performance.now();
+    }
     return { order, rows, milliseconds: performance.now() - start };
   }
 }

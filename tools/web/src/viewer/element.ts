@@ -26,6 +26,7 @@ const NOTHING: ViewerStatistics = {
  * | `src` | URL of a `.cogs` file or of a PLY of splats; set it anew to show another scene |
  * | `against` | URL of a second one to compare with, left of a line that can be moved |
  * | `label` | what the scene is called, by assistive technology as well; the file's name by default |
+ * | `against-label` | what the second one is called; its file's name by default |
  * | `background` | a CSS colour behind the splats; black by default |
  * | `sh-degree` | highest SH degree that is drawn, 0 to 3 |
  * | `splat-budget` | most splats that are fetched and drawn; 1,500,000 by default where fingers are the pointer |
@@ -37,7 +38,7 @@ const NOTHING: ViewerStatistics = {
  * It fires `cogsplat-change` when `statistics` change. Leaving the page ends its workers and gives all memory back.
  */
 export class CogsplatViewer extends HTMLElement implements ViewerHandle {
-  static readonly observedAttributes = ["src", "against", "label", "background", "sh-degree", "splat-budget", "pixel-ratio", "resolution", "fill-holes", "controls"];
+  static readonly observedAttributes = ["src", "against", "label", "against-label", "background", "sh-degree", "splat-budget", "pixel-ratio", "resolution", "fill-holes", "controls"];
   /** How workers are started: from the programs beside this one, by default. */
   static workers: ViewerWorkers | undefined = workersBeside(import.meta.url);
 
@@ -176,7 +177,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     else if (name === "resolution") scene.mayHaste = value !== "full";
     else if (name === "fill-holes") this.fillHoles = value !== "off";
     else if (name === "controls") this.find("#tools").hidden = value === "none";
-    else if (name === "label") this.nameScenes();
+    else if (name === "label" || name === "against-label") this.nameScenes();
   }
 
   private listen(signal: AbortSignal): void {
@@ -299,7 +300,8 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     this.find("canvas").setAttribute("aria-label", name === "" ? "Splat scene" : `Splat scene ${name}`);
     const compares = otherSource !== undefined && (this.scene?.compares ?? false);
     this.find("#sceneName").textContent = name;
-    this.find("#otherName").textContent = nameOf(otherSource);
+    const given = otherSource instanceof File ? null : this.getAttribute("against-label");
+    this.find("#otherName").textContent = given ?? nameOf(otherSource);
     for (const id of ["#sceneName", "#otherName"]) this.find(id).hidden = !compares;
     if (this.divide) this.divide.shown = compares;
   }

@@ -1,10 +1,12 @@
 import { SourceError } from "../errors.js";
+import type { ByteSource } from "../loader/byte_source.js";
 import { DEFAULT_RANGES } from "../scene/packed_splats.js";
-import type { PlyRequest, PlyResponse } from "./ply_messages.js";
+import type { Meter } from "./meter.js";
+import type { PlyRequest, PlyResponse, RateRequest } from "./ply_messages.js";
 import { readPly } from "./ply_reader.js";
 import type { FeedHost, Prefix, SceneFeed } from "./scene_feed.js";
 import type { SplatLayer } from "./splat_layer.js";
-import type { ViewerWorkers } from "./viewer_workers.js";
+import type { AllowedWorkers } from "./viewer_workers.js";
 
 /** Fills a layer from a PLY of 3DGS training. */
 export class PlyFeed implements SceneFeed {
@@ -14,22 +16,29 @@ export class PlyFeed implements SceneFeed {
 
   /**
    * @param source - A URL or a file.
-   * @param workers - Makes the worker that reads; undefined reads on the caller's thread.
+   * @param meter - Says how fast its bytes may come, and counts them.
+   * @param workers - Where the page allows none, rows are read on the caller's thread, a block at a time.
    * @param mostSplats - Rows beyond are not read.
    */
   constructor(
     private readonly source: string | Blob,
-    private readonly workers: ViewerWorkers | undefined,
+    private readonly meter: Meter,
+    private readonly workers: AllowedWorkers,
     private readonly mostSplats: number,
   ) {}
 
   async run(host: FeedHost, signal: AbortSignal): Promise<void> {
-    const request: PlyRequest = { type: "ply", source: this.source, mostRows: this.mostSplats, ranges: DEFAULT_RANGES };
+    const allowed = await this.workers.found;
+    this.workers.close();
+    signal.throwIfAborted();
+    const { meter } = this;
+    let { bitsPerSecond } = meter;
+    const request: PlyRequest = { type: "ply", source: this.source, mostRows: this.mostSplats, ranges: DEFAULT_RANGES, bitsPerSecond };
     let splats = 0;
     let totalSplats = 0;
     let totalBytes: number | undefined;
     await new Promise<void>((resolve, reject) => {
-      const worker = this.workers?.viewer();
+      const worker = allowed?.viewer();
       const stop = (): void => {
         worker?.terminate();
         reject(signal.reason as Error);
@@ -45,6 +54,11 @@ export class PlyFeed implements SceneFeed {
           this.layer = host.begin(scene, info);
         } else if (response.type === "rows") {
           splats += response.packed.count;
+          // The rate can be changed while rows come.
+          if (worker !== undefined && bitsPerSecond !== meter.bitsPerSecond) {
+            bitsPerSecond = meter.bitsPerSecond;
+            worker.postMessage({ type: "rate", bitsPerSecond } satisfies RateRequest);
+          }
           host.rowsCame(response.packed, response.firstRow === 0);
           this.layer!.write(response.packed, response.firstRow);
           host.progressed({ splats, totalSplats, bytes: response.bytes, totalBytes, predictedDb: undefined });
@@ -56,7 +70,7 @@ export class PlyFeed implements SceneFeed {
         }
       };
       if (worker === undefined) {
-        void readPly(request, take);
+        void readPly(request, meter, take, () => new Promise((next) => setTimeout(next, 0)));
         return;
       }
       worker.onmessage = ({ data }: MessageEvent<PlyResponse>) => take(data);
@@ -77,4 +91,14 @@ export class PlyFeed implements SceneFeed {
   work(): boolean {
     return false;
   }
+}
+
+/** The source where it is a PLY: by the name of a URL, by the first bytes of a file. */
+export async function plyOf(source: string | Blob | ByteSource): Promise<string | Blob | undefined> {
+  if (typeof source === "string") {
+    return new URL(source, location.href).pathname.toLowerCase().endsWith(".ply") ? source : undefined;
+  }
+  if (!(source instanceof Blob)) return undefined;
+  const beginning = new TextDecoder("latin1").decode(await source.slice(0, 4).arrayBuffer());
+  return /^ply[\r\n]/.test(beginning) ? source : undefined;
 }

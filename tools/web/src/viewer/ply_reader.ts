@@ -1,10 +1,12 @@
 import { packBand, packSplats } from "../kernels/javascript_packing.js";
+import { readParts } from "../loader/byte_source.js";
 import { SH_WORDS, type PackedSplats, type PackRanges } from "../scene/packed_splats.js";
+import type { Meter } from "./meter.js";
 import { readPlyHeader, type PlyLayout } from "./ply_header.js";
 import type { PlyRequest, PlyResponse } from "./ply_messages.js";
 
-/** Rows that are packed and handed over at a time. */
-const ROWS = 16_384;
+/** Rows that are packed and handed over at a time: a few milliseconds. */
+const ROWS = 4096;
 /** Columns of a splat before its SH bands above DC. */
 const COLUMNS = 14;
 /** First coefficient, values and bits of each packed band. */
@@ -12,11 +14,16 @@ const BANDS = [[0, 9, 7], [9, 15, 8], [24, 21, 6]] as const;
 
 type Post = (response: PlyResponse, transfer: ArrayBuffer[]) => void;
 
-/** Read a PLY of 3DGS training as its bytes come, and post it in packed rows. */
-export async function readPly(request: PlyRequest, post: Post): Promise<void> {
+/**
+ * Read a PLY of 3DGS training as its bytes come, and post it in packed rows.
+ *
+ * @param meter - Its bytes come no faster than the meter's rate.
+ * @param rest - Awaited between two blocks of rows.
+ */
+export async function readPly(request: PlyRequest, meter: Meter, post: Post, rest = async (): Promise<void> => undefined): Promise<void> {
   try {
     const { stream, totalBytes } = await bytesOf(request.source);
-    await new PlyRows(request, totalBytes, post).read(stream);
+    await new PlyRows(request, totalBytes, post, rest).read(meter.through(readParts(stream, undefined)));
   } catch (error) {
     const status = error instanceof StatusError ? error.status : undefined;
     post({ type: "failed", status, message: error instanceof Error ? error.message : String(error) }, []);
@@ -50,26 +57,23 @@ class PlyRows {
     private readonly request: PlyRequest,
     private readonly totalBytes: number | undefined,
     private readonly post: Post,
+    private readonly rest: () => Promise<void>,
   ) {}
 
-  async read(stream: ReadableStream<Uint8Array>): Promise<void> {
-    const reader = stream.getReader();
+  async read(stream: AsyncIterable<Uint8Array>): Promise<void> {
     const parts: Uint8Array[] = [];
     let waiting = 0;
-    for (;;) {
-      const { value } = await reader.read();
-      if (value !== undefined) {
-        parts.push(value);
-        waiting += value.length;
-        this.bytes += value.length;
-      }
-      const wanted = this.layout === undefined ? 1 : ROWS * this.layout.stride;
-      if (value !== undefined && this.pending.length + waiting < wanted) continue;
+    for await (const part of stream) {
+      parts.push(part);
+      waiting += part.length;
+      this.bytes += part.length;
+      if (this.layout !== undefined && this.pending.length + waiting < ROWS * this.layout.stride) continue;
       this.pending = joined([this.pending, ...parts.splice(0)]);
       waiting = 0;
-      this.take(value === undefined);
-      if (value === undefined) break;
+      await this.take(false);
     }
+    this.pending = joined([this.pending, ...parts]);
+    await this.take(true);
     if (this.layout === undefined) throw new Error("This PLY ends within its header.");
     if (this.row < this.wantedRows) {
       throw new Error(`This PLY ends early: ${this.row.toLocaleString()} of ${this.layout.scene.splats.toLocaleString()} splats are there.`);
@@ -82,7 +86,7 @@ class PlyRows {
   }
 
   /** Pack what has come; less than a block only at the end. */
-  private take(last: boolean): void {
+  private async take(last: boolean): Promise<void> {
     if (this.layout === undefined) {
       this.layout = readPlyHeader(this.pending);
       if (this.layout === undefined) return;
@@ -104,6 +108,7 @@ class PlyRows {
       this.post({ type: "rows", firstRow: this.row, packed, bytes: this.bytes }, buffers);
       this.pending = this.pending.subarray(rows * layout.stride);
       this.row += rows;
+      await this.rest();
     }
   }
 }

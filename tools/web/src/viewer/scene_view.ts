@@ -7,12 +7,12 @@ import { bulkOf, depthAhead } from "./framing.js";
 import { Meter } from "./meter.js";
 import { OrbitCamera, type Vector } from "./orbit.js";
 import { PicturePace } from "./picture_pace.js";
-import { PlyFeed } from "./ply_feed.js";
+import { PlyFeed, plyOf } from "./ply_feed.js";
 import { SplatRenderer, type PictureOptions } from "./renderer.js";
 import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
 import { SplatLayer } from "./splat_layer.js";
 import type { ViewerPose, ViewerStatistics } from "./viewer_handle.js";
-import type { ViewerWorkers } from "./viewer_workers.js";
+import { AllowedWorkers, type ViewerWorkers } from "./viewer_workers.js";
 
 /** A URL, a file that the page has, or another source of the bytes of a `.cogs` file. */
 export type SceneSource = string | Blob | ByteSource;
@@ -38,6 +38,7 @@ export interface SceneViewHost {
 interface Shown {
   readonly feed: SceneFeed;
   readonly abort: AbortController;
+  readonly workers: AllowedWorkers;
   layer?: SplatLayer;
 }
 
@@ -241,9 +242,10 @@ export class SceneView {
     const run = ++this.runs[which];
     const ply = await plyOf(source);
     if (run !== this.runs[which]) return;
-    const feed = ply !== undefined ? new PlyFeed(ply, this.workers, this.budget)
-      : new CogsFeed(source, isMain ? this.meter : new Meter(), this.workers, this.budget);
-    const shown: Shown = { feed, abort };
+    const workers = new AllowedWorkers(this.workers);
+    const meter = isMain ? this.meter : new Meter();
+    const feed = ply !== undefined ? new PlyFeed(ply, meter, workers, this.budget) : new CogsFeed(source, meter, workers, this.budget);
+    const shown: Shown = { feed, abort, workers };
     this[which] = shown;
     try {
       await feed.run(isMain ? this.mainHost(shown) : this.otherHost(shown), abort.signal);
@@ -267,7 +269,8 @@ export class SceneView {
         this.home = undefined;
         this.reset();
         this.note({ state: "streaming", totalSplats: scene.splats });
-        return (shown.layer = this.layerOf(scene));
+        shown.layer?.close();
+        return (shown.layer = this.layerOf(scene, shown.workers.known));
       },
       rowsCame: (packed, first) => {
         if (!first || this.camera === undefined) return;
@@ -288,16 +291,19 @@ export class SceneView {
 
   private otherHost(shown: Shown): FeedHost {
     return {
-      begin: (scene) => (shown.layer = this.layerOf(scene)),
+      begin: (scene) => {
+        shown.layer?.close();
+        return (shown.layer = this.layerOf(scene, shown.workers.known));
+      },
       rowsCame: () => undefined,
       progressed: () => undefined,
     };
   }
 
-  private layerOf(scene: ConstructorParameters<typeof SplatLayer>[1]): SplatLayer {
+  private layerOf(scene: ConstructorParameters<typeof SplatLayer>[1], workers: ViewerWorkers | undefined): SplatLayer {
     const { gl } = this.renderer;
     const sorter = (rows: number): DepthSorter =>
-      new DepthSorter(rows, this.workers, (message) => this.host.failed(new Error(message), "scene"));
+      new DepthSorter(rows, workers, (message) => this.host.failed(new Error(message), "scene"));
     return new SplatLayer(gl, scene, DEFAULT_RANGES, this.budget, sorter, this.redraw);
   }
 
@@ -321,6 +327,7 @@ export class SceneView {
     this[which] = undefined;
     shown?.abort.abort();
     shown?.layer?.close();
+    shown?.workers.close();
   }
 
   /** Have `frame` called with the next frame of the browser, or after some time. */
@@ -386,14 +393,4 @@ export class SceneView {
     });
     return whole;
   }
-}
-
-/** The source where it is a PLY: by the name of a URL, by the first bytes of a file. */
-async function plyOf(source: SceneSource): Promise<string | Blob | undefined> {
-  if (typeof source === "string") {
-    return new URL(source, location.href).pathname.toLowerCase().endsWith(".ply") ? source : undefined;
-  }
-  if (!(source instanceof Blob)) return undefined;
-  const beginning = new TextDecoder("latin1").decode(await source.slice(0, 4).arrayBuffer());
-  return /^ply[\r\n]/.test(beginning) ? source : undefined;
 }

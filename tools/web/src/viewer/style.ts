@@ -56,6 +56,6 @@ kbd { font: inherit; padding: 0 5px; border: 1px solid var(--edge); border-radiu
 .over::after { content: "Drop to show · with Shift to compare"; position: absolute; inset: 12px; display: grid; place-content: center; border: 2px dashed #fff; border-radius: 14px; color: #fff; background: #0008; pointer-events: none; }
 [hidden] { display: none !important; }
 @media (pointer: coarse) { .tools button, .close { width: 44px; height: 44px; padding: 10px; } .keys { display: none; } }
-@container (max-width: 480px) { .panel { left: 12px; width: auto; } output { bottom: 72px; } .strip { bottom: 108px; } .strip canvas { width: 96px; height: 72px; } }
+@container (max-width: 480px) { .panel { left: 12px; width: auto; } output { bottom: 72px; } .strip { bottom: 134px; } .strip canvas { width: 96px; height: 72px; } }
 @media (prefers-reduced-motion: reduce) { * { transition: none !important; } .spinner { animation-duration: 4s; } }
 `;

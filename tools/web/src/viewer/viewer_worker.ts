@@ -1,17 +1,19 @@
 // The program of a viewer's worker: it sorts the rows of one scene, or reads one PLY.
 import { RowSorter } from "./depth_sorter.js";
+import { Meter } from "./meter.js";
 import { readPly } from "./ply_reader.js";
-import type { PlyRequest, PlyResponse } from "./ply_messages.js";
+import type { PlyRequest, PlyResponse, RateRequest } from "./ply_messages.js";
 import type { SortRequest, SortResponse } from "./sort_messages.js";
 
 /** The worker's own side of the messages; `lib.webworker` cannot stand beside `lib.dom`. */
 interface WorkerScope {
-  onmessage: ((event: MessageEvent<SortRequest | PlyRequest>) => void) | null;
+  onmessage: ((event: MessageEvent<SortRequest | PlyRequest | RateRequest>) => void) | null;
   postMessage(message: SortResponse | PlyResponse, transfer: ArrayBuffer[]): void;
 }
 
 const scope = globalThis as unknown as WorkerScope;
 let sorter: RowSorter | undefined;
+const meter = new Meter();
 
 scope.onmessage = ({ data }) => {
   if (data.type === "allocate") sorter = new RowSorter(data.rows);
@@ -20,6 +22,7 @@ scope.onmessage = ({ data }) => {
     const sorted = sorter!.sort(data.rows, data.forward, data.spare);
     scope.postMessage(sorted, [sorted.order.buffer as ArrayBuffer]);
   } else {
-    void readPly(data, (response, transfer) => scope.postMessage(response, transfer));
+    meter.bitsPerSecond = data.bitsPerSecond;
+    if (data.type === "ply") void readPly(data, meter, (response, transfer) => scope.postMessage(response, transfer));
   }
 };

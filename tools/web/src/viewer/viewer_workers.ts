@@ -23,3 +23,49 @@ export function workersOfTexts(decoder: string, viewer: string): ViewerWorkers {
   };
   return { decoder: start(decoder), viewer: start(viewer) };
 }
+
+/** Workers as far as the page allows them. */
+export class AllowedWorkers {
+  /** The workers; undefined where a policy of the page refuses them, or their program cannot be had. */
+  readonly found: Promise<ViewerWorkers | undefined>;
+  /** The same, once it is known. */
+  known: ViewerWorkers | undefined;
+  private first: WorkerLike | undefined;
+
+  /** Start a decoder's worker at once: its program comes while the first bytes of a scene do. */
+  constructor(workers: ViewerWorkers | undefined) {
+    this.found = workers === undefined ? Promise.resolve(undefined) : this.start(workers);
+  }
+
+  /** Take the worker that was started first, where it was not taken yet. */
+  takeFirst(): WorkerLike | undefined {
+    const { first } = this;
+    this.first = undefined;
+    return first;
+  }
+
+  close(): void {
+    this.takeFirst()?.terminate();
+  }
+
+  private start(workers: ViewerWorkers): Promise<ViewerWorkers | undefined> {
+    return new Promise((resolve) => {
+      try {
+        const worker = workers.decoder();
+        this.first = worker;
+        // Most browsers tell of a refusal by an event, some by an exception.
+        worker.onerror = () => {
+          this.close();
+          resolve(undefined);
+        };
+        worker.onmessage = () => {
+          this.known = workers;
+          resolve(workers);
+        };
+      } catch {
+        // The constructor throws SecurityError: there are none, and work is done in slices where the page runs.
+        resolve(undefined);
+      }
+    });
+  }
+}

@@ -60,3 +60,15 @@ export class InlineService implements ChunkService {
     // The memory goes with this object.
   }
 }
+
+/** Decodes where it is called, a chunk in a task of its own, so that the page stays awake where it may start no workers. */
+export class SlicedService extends InlineService {
+  private last: Promise<unknown> = Promise.resolve();
+
+  override async decode(task: DecodeTask): Promise<DecodedChunk> {
+    const turn = this.last.then(() => new Promise((resolve) => setTimeout(resolve, 0)));
+    this.last = turn;
+    await turn;
+    return this.decodeNow(task);
+  }
+}

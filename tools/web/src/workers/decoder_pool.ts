@@ -71,6 +71,7 @@ export class DecoderPool implements ChunkService {
   }
 
   private answered(response: Response): void {
+    if ("ready" in response) return;
     const task = this.tasks.get(response.id);
     if (task === undefined) return;
     this.tasks.delete(response.id);

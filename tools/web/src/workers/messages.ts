@@ -8,8 +8,9 @@ export type Request =
   | { readonly type: "codebook"; readonly codebook: number; readonly kind: number; readonly payload: Uint8Array }
   | { readonly type: "chunk"; readonly id: number; readonly task: DecodeTask };
 
-/** What a worker answers: a chunk, or why there is none. */
+/** What a worker answers: that its program runs, then chunks, or why there is none. */
 export type Response =
+  | { readonly ready: true }
   | { readonly id: number; readonly decoded: DecodedChunk }
   | { readonly id: number; readonly code: ReasonCode | undefined; readonly message: string; readonly offset: number | undefined };
 

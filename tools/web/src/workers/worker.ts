@@ -11,6 +11,8 @@ interface WorkerScope {
 }
 
 const scope = globalThis as unknown as WorkerScope;
+// Pages that may refuse workers learn by it that this one runs.
+scope.postMessage({ ready: true }, []);
 /** Compiled while the first bytes of the scene come. */
 const loading = loadKernels();
 let service: Promise<InlineService> | undefined;

@@ -1,7 +1,7 @@
 import type { ByteSource } from "../loader/byte_source.js";
 import { type Meter } from "./meter.js";
 import type { FeedHost, Prefix, SceneFeed } from "./scene_feed.js";
-import type { ViewerWorkers } from "./viewer_workers.js";
+import type { AllowedWorkers } from "./viewer_workers.js";
 /** Fills a layer from a COGS file while it is fetched. */
 export declare class CogsFeed implements SceneFeed {
     private readonly source;
@@ -27,12 +27,15 @@ export declare class CogsFeed implements SceneFeed {
     /**
      * @param source - A URL, a file or another source.
      * @param meter - Counts its bytes.
-     * @param workers - Makes workers; undefined decodes on the caller's thread.
+     * @param workers - Where the page allows none, chunks are decoded on the caller's thread, one at a time.
      * @param mostSplats - Chunks beyond are not fetched.
      */
-    constructor(source: string | Blob | ByteSource, meter: Meter, workers: ViewerWorkers | undefined, mostSplats: number);
+    constructor(source: string | Blob | ByteSource, meter: Meter, workers: AllowedWorkers, mostSplats: number);
     get hasFirstView(): boolean;
     run(host: FeedHost, signal: AbortSignal): Promise<void>;
+    /** Begin anew, with nothing shown. */
+    private forget;
+    private readonly service;
     private stream;
     work(milliseconds: number): boolean;
     prefixes(count: number): Prefix[];

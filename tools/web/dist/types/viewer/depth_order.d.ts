@@ -7,3 +7,5 @@
  * @param order - Receives the rows.
  */
 export declare function sortByDepth(means: Float32Array, rows: number, forward: readonly number[], order: Uint32Array): void;
+/** The same in steps of about a millisecond, between which other work can be done. */
+export declare function sortSteps(means: Float32Array, rows: number, forward: readonly number[], order: Uint32Array): Generator<void>;

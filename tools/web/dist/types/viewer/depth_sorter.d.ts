@@ -7,7 +7,7 @@ export interface DepthOrder {
     /** How long it took, ms. */
     readonly milliseconds: number;
 }
-/** Sorts the rows of one scene by depth, in a worker; without workers where it is called. */
+/** Sorts the rows of one scene by depth, in a worker; without workers where it is called, in slices. */
 export declare class DepthSorter {
     private readonly worker;
     private readonly local;
@@ -37,4 +37,6 @@ export declare class RowSorter {
     constructor(rows: number);
     add(firstRow: number, words: Uint32Array): void;
     sort(rows: number, forward: readonly number[], spare: Uint32Array | undefined): DepthOrder;
+    /** Sort, and let the page do other things meanwhile. */
+    sortInSlices(rows: number, forward: readonly number[], spare: Uint32Array | undefined): Promise<DepthOrder>;
 }

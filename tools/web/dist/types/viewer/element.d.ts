@@ -9,6 +9,7 @@ import { type ViewerWorkers } from "./viewer_workers.js";
  * | `src` | URL of a `.cogs` file or of a PLY of splats; set it anew to show another scene |
  * | `against` | URL of a second one to compare with, left of a line that can be moved |
  * | `label` | what the scene is called, by assistive technology as well; the file's name by default |
+ * | `against-label` | what the second one is called; its file's name by default |
  * | `background` | a CSS colour behind the splats; black by default |
  * | `sh-degree` | highest SH degree that is drawn, 0 to 3 |
  * | `splat-budget` | most splats that are fetched and drawn; 1,500,000 by default where fingers are the pointer |

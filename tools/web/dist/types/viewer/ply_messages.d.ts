@@ -5,6 +5,13 @@ export interface PlyRequest {
     readonly source: Blob | string;
     readonly mostRows: number;
     readonly ranges: PackRanges;
+    /** Most bits a second that come, Infinity as fast as they can. */
+    readonly bitsPerSecond: number;
+}
+/** A change of the rate while a PLY is read. */
+export interface RateRequest {
+    readonly type: "rate";
+    readonly bitsPerSecond: number;
 }
 /** What the header says of a scene. */
 export interface PlyScene {

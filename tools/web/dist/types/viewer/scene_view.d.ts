@@ -4,7 +4,7 @@ import { Meter } from "./meter.js";
 import { type PictureOptions } from "./renderer.js";
 import type { Prefix } from "./scene_feed.js";
 import type { ViewerPose, ViewerStatistics } from "./viewer_handle.js";
-import type { ViewerWorkers } from "./viewer_workers.js";
+import { type ViewerWorkers } from "./viewer_workers.js";
 /** A URL, a file that the page has, or another source of the bytes of a `.cogs` file. */
 export type SceneSource = string | Blob | ByteSource;
 /** What is told of a scene view. */

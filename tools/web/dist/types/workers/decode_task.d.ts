@@ -41,3 +41,8 @@ export declare class InlineService implements ChunkService {
     decodeNow({ payloads, rows, needs, degree, format, ranges }: DecodeTask): DecodedChunk;
     close(): void;
 }
+/** Decodes where it is called, a chunk in a task of its own, so that the page stays awake where it may start no workers. */
+export declare class SlicedService extends InlineService {
+    private last;
+    decode(task: DecodeTask): Promise<DecodedChunk>;
+}

@@ -15,8 +15,10 @@ export type Request = {
     readonly id: number;
     readonly task: DecodeTask;
 };
-/** What a worker answers: a chunk, or why there is none. */
+/** What a worker answers: that its program runs, then chunks, or why there is none. */
 export type Response = {
+    readonly ready: true;
+} | {
     readonly id: number;
     readonly decoded: DecodedChunk;
 } | {
