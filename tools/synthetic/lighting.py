@@ -36,8 +36,8 @@ _BANDS = ((0, 1), (1, 4), (4, 9), (9, 16))
 # (1 - t)²(1 + t) in Legendre polynomials: 0 face on, 1 at grazing angles, never negative.
 _RIM = (2.0 / 3.0, -2.0 / 5.0, -2.0 / 3.0, 2.0 / 5.0)
 
-# Rows baked at a time: the intermediates stay in the cache.
-_BLOCK = 8192
+BLOCK = 8192
+"""Rows that `bake` works on at a time: the intermediates stay in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +82,8 @@ def bake(surfels: Surfels, occluders: Occluders, rng: np.random.Generator) -> F3
     """
     n = len(surfels.spread)
     coefficients = np.empty((n, 16, 3), np.float32)
-    for start in range(0, n, _BLOCK):
-        rows = slice(start, min(start + _BLOCK, n))
+    for start in range(0, n, BLOCK):
+        rows = slice(start, min(start + BLOCK, n))
         coefficients[rows] = _bake_block(surfels, rows, occluders, rng)
     return coefficients
 

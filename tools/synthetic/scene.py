@@ -8,21 +8,25 @@ higher SH bands, splats that no view sees, floaters, quaternions of any length, 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
+from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, empty
 
 from . import landscape as land
 from . import objects
-from .lighting import TO_SCENE, Occluders, bake
+from .lighting import BLOCK, TO_SCENE, Occluders, bake
 from .materials import Surfels, collected, shares
 from .shapes import dot, unit
 
 F64 = NDArray[np.float64]
 Maker = Callable[[int, np.random.Generator], Surfels]
+
+# Rows that are made at a time: whole blocks of `bake`, which draws its noise block by block.
+_BLOCK = 8 * BLOCK
 
 LABELS = ("ground", "teapot", "knot", "marbles", "tree", "house", "surroundings")
 """What each label of `synth_labels` means, by its number."""
@@ -91,11 +95,18 @@ def synth(splats: int = 120_000, seed: int = 7, sh_degree: int = 3) -> Splats:
         raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
     rng, counts, order = _layout(splats, seed)
     parts = [make(count, rng) for (_, _, make), count in zip(_PARTS, counts, strict=True) if count]
-    return splats_of(collected(parts).take(order), objects.occluders(), rng, sh_degree)
+    surfels = collected(parts)
+    # Surfels take nearly as much as the splats that are made of them.
+    parts.clear()
+    return splats_of(surfels, objects.occluders(), rng, sh_degree, order)
 
 
 def splats_of(
-    surfels: Surfels, occluders: Occluders, rng: np.random.Generator, sh_degree: int
+    surfels: Surfels,
+    occluders: Occluders,
+    rng: np.random.Generator,
+    sh_degree: int,
+    order: NDArray[np.intp] | None = None,
 ) -> Splats:
     """Return lit surfels as the splats that training would make of them.
 
@@ -109,23 +120,28 @@ def splats_of(
         Source of the noise of training and of the order of axes.
     sh_degree : int
         0 to 3.
+    order : (n,) int, optional
+        Order of the rows; as they are where it is not given.
 
     Returns
     -------
     Splats
-        n rows in the same order, axes "RDF".
+        n rows in that order, axes "RDF".
     """
-    quats, scales = _orientation(surfels, rng)
-    sh = bake(surfels, occluders, rng)
-    unit_opacities = surfels.opacities_unit
-    return Splats(
-        means=(surfels.patch.points * TO_SCENE).astype(np.float32),
-        scales=scales,
-        quats=quats,
-        opacities=np.log(unit_opacities / (1.0 - unit_opacities)).astype(np.float32),
-        sh0=np.ascontiguousarray(sh[:, 0]),
-        shN=np.ascontiguousarray(sh[:, 1:]),
-    ).with_sh_degree(sh_degree)
+    n = len(surfels.spread)
+    splats = empty(sh_degree, n)
+    turns = _Turns.drawn(n, rng)
+    for start in range(0, n, _BLOCK):
+        rows = slice(start, min(start + _BLOCK, n))
+        part = surfels.take(rows if order is None else order[rows])
+        out = splats.take(rows)
+        out.quats[:], out.scales[:] = _orientation(part, turns.take(rows))
+        sh = bake(part, occluders, rng)
+        out.means[:] = part.patch.points * TO_SCENE
+        out.opacities[:] = np.log(part.opacities_unit / (1.0 - part.opacities_unit))
+        out.sh0[:] = sh[:, 0]
+        out.shN[:] = sh[:, 1 : 1 + splats.shN.shape[1]]
+    return splats
 
 
 def synth_labels(splats: int = 120_000, seed: int = 7) -> NDArray[np.uint16]:
@@ -244,22 +260,42 @@ def _looking(forward: F64) -> F64:
     return np.stack([right, np.cross(forward, right), forward])
 
 
-def _orientation(
-    surfels: Surfels, rng: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+@dataclass(frozen=True)
+class _Turns:
+    """What is random about the axes of n splats.
+
+    Parameters
+    ----------
+    first : (n,) int64
+        Axis that comes first, 0 to 2.
+    norm : (n,) float64
+        Norm of the quaternion, 0.5 to 2, with its sign.
+    """
+
+    first: NDArray[np.int64]
+    norm: F64
+
+    @classmethod
+    def drawn(cls, n: int, rng: np.random.Generator) -> _Turns:
+        first = rng.integers(0, 3, n)
+        norm = np.clip(np.exp(0.25 * rng.standard_normal(n)), 0.5, 2.0)
+        norm *= rng.choice([-1.0, 1.0], n)
+        return cls(first, norm)
+
+    def take(self, rows: slice) -> _Turns:
+        return _Turns(self.first[rows], self.norm[rows])
+
+
+def _orientation(surfels: Surfels, turns: _Turns) -> tuple[F64, F64]:
     """Return quaternions (n, 4) of norms 0.5 to 2 and log scales (n, 3) in scene axes."""
-    n = len(surfels.spread)
     normals, tangents = surfels.patch.normals, surfels.patch.tangents
     axes = np.stack([tangents, np.cross(normals, tangents), normals], axis=1) * TO_SCENE
     # Training keeps no axis for the thin direction: it may be any of the three.
-    first = rng.integers(0, 3, n)[:, None]
-    chosen = (first + np.arange(3)) % 3
+    chosen = (turns.first[:, None] + np.arange(3)) % 3
     axes = np.take_along_axis(axes, chosen[:, :, None], axis=1)
     scales = np.log(np.take_along_axis(surfels.sizes, chosen, axis=1))
-    norm = np.clip(np.exp(0.25 * rng.standard_normal(n)), 0.5, 2.0)
-    norm *= rng.choice([-1.0, 1.0], n)
-    quats = _quaternions(axes) * norm[:, None]
-    return quats.astype(np.float32), scales.astype(np.float32)
+    quats = _quaternions(axes) * turns.norm[:, None]
+    return quats, scales
 
 
 def _quaternions(axes: F64) -> F64:
