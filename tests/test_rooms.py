@@ -282,7 +282,7 @@ DOORS: dict[str, dict[str, str]] = {
         "gltf.scene": "read_gltf write_gltf",
         "ksplat": "read_ksplat",
         "memory_cap": "working_memory",
-        "ply.scene": "read_ply write_ply",
+        "ply.scene": "read_ply write_ply write_ply_parts",
         "quantised_values": "morton_order unit_opacities",
         "registry": (
             "FORMATS Format WRITABLE format_of format_to_write is_cogs read_scene scene_bytes "

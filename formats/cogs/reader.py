@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Final
 
@@ -14,10 +14,10 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import FormatError, LimitError, TruncatedError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.segments import codebooks, heads, tails
-from cogsplat.codec.segments.attributes import AttributeType, unpack_attributes
+from cogsplat.codec.segments.attributes import unpack_attributes
 from cogsplat.codec.segments.codebooks import Codebook
 from cogsplat.codec.segments.compensation import Compensation, Layer
-from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, empty, sh_coefficients
+from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from cogsplat.codec.streams import compiled
 from cogsplat.codec.streams.limits import MAX_PLANE_BYTES
 from cogsplat.codec.streams.shn_transform import MAX_BASIS_ROWS
@@ -27,12 +27,9 @@ from cogsplat.formats.storage.source import PrefixSource, Source
 
 from . import cameras as cogs_cameras
 from . import compensation as cogs_compensation
+from .decoded_rows import allocate, row_bytes
 from .index import I64, Index, codebook_kinds, read_index
 from .layout import SegmentKind
-from .root import Root
-
-# Means, scales, quats, opacities and sh0 of one splat, float32.
-_HEAD_ROW_BYTES: Final = 4 * (3 + 3 + 4 + 1 + 3)
 
 # Working memory of one chunk while it is decoded, for each of its rows (measured: 30 to 130 bytes,
 # planes, codes and copies of one attribute at a time).
@@ -48,6 +45,9 @@ _COMPENSATION_ROW_BYTES: Final = 96
 
 # Labels that a message lists.
 _MOST_NAMED: Final = 12
+
+PART_SPLATS: Final = 1 << 18
+"""Splats that are decoded together where a file is decoded in parts: enough for threads to pay."""
 
 # Below this, and without compiled kernels, threads wait for the interpreter's lock longer than
 # they save (measured in numpy: a scene of 80,000 splats takes a third longer on two threads).
@@ -368,9 +368,7 @@ class CogsFile:
         """
         if sh_degree is not None and not 0 <= sh_degree <= MAX_SH_DEGREE:
             raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
-        wanted = list(range(self.complete_chunks()) if chunks is None else chunks)
-        for chunk in wanted:
-            self._require_chunk(chunk)
+        wanted = self._wanted(chunks)
         if compensate and wanted != list(range(len(wanted))):
             raise ValueError(
                 f"chunks {wanted[:8]} compensated, expected the first ones of the file in order"
@@ -378,10 +376,9 @@ class CogsFile:
         degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)
         counts = [int(self.chunks.splats[chunk]) for chunk in wanted]
         kinds = self.root.attributes if extras and all(map(self.has_extras, wanted)) else ()
-        row_bytes = _row_bytes(degree) + sum(kind.row_bytes for kind in kinds)
-        row_bytes += _COMPENSATION_ROW_BYTES if compensate else 0
+        each = row_bytes(degree, kinds) + (_COMPENSATION_ROW_BYTES if compensate else 0)
         scratch = self._scratch_bytes(max(counts, default=0), degree)
-        size = sum(counts) * row_bytes + scratch
+        size = sum(counts) * each + scratch
         # Before codebooks are read, so that a file that is too large is refused at once.
         self._limits.require_splats(sum(counts), self.name)
         self._check_size(size, f"{sum(counts)} splats")
@@ -390,7 +387,7 @@ class CogsFile:
             self._load_codebooks(chunk, degree)
         self._check_size(size, f"{sum(counts)} splats")
         compiled.prepare(sum(counts))
-        out = _allocate(sum(counts), degree, self.root, kinds)
+        out = allocate(sum(counts), degree, self.root, kinds)
         stops = np.cumsum(counts).tolist()
         tasks = [
             (chunk, out.take(slice(stop - count, stop)))
@@ -406,6 +403,59 @@ class CogsFile:
         for done, _ in enumerate(ordered_map(decode_one, tasks, workers), start=1):
             progress("decode", done, len(tasks))
         return self.compensation().apply(out, len(wanted)) if compensate else out
+
+    def decode_parts(
+        self,
+        chunks: Iterable[int] | None = None,
+        *,
+        sh_degree: int | None = None,
+        refine: bool = True,
+        most_splats: int = PART_SPLATS,
+        threads: int = 0,
+        progress: Progress = silent,
+    ) -> Iterator[Splats]:
+        """Decode chunks as `decode` does, a few at a time: memory does not grow with the file.
+
+        Parameters
+        ----------
+        chunks, sh_degree, refine, threads, progress
+            As in `decode`.
+        most_splats : int
+            Splats of a part, at most, unless one chunk has more.
+
+        Yields
+        ------
+        Splats
+            Whole chunks; joined they are what `decode` returns. All have the same extra attributes.
+
+        Raises
+        ------
+        CogsplatError
+            As `decode`; a file that is too large as a whole is refused before the first part.
+        """
+        wanted = self._wanted(chunks)
+        extras = all(map(self.has_extras, wanted))
+        degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)
+        counts = [int(self.chunks.splats[chunk]) for chunk in wanted]
+        kinds = self.root.attributes if extras else ()
+        self._limits.require_splats(sum(counts), self.name)
+        self._check_size(sum(counts) * row_bytes(degree, kinds), f"{sum(counts)} splats")
+        compiled.prepare(sum(counts))
+        first = 0
+        while first < len(wanted):
+            stop, rows = first + 1, counts[first]
+            while stop < len(wanted) and rows + counts[stop] <= most_splats:
+                rows += counts[stop]
+                stop += 1
+            yield self.decode(
+                wanted[first:stop],
+                sh_degree=sh_degree,
+                refine=refine,
+                extras=extras,
+                threads=threads,
+            )
+            progress("decode", stop, len(wanted))
+            first = stop
 
     def iter_chunks(self, *, sh_degree: int | None = None, refine: bool = True) -> Iterator[Splats]:
         """Decode the complete chunks one by one."""
@@ -446,11 +496,10 @@ class CogsFile:
         LimitError
             ``decoded-size``.
         """
-        row_bytes = _row_bytes(self.root.sh_degree)
-        row_bytes += sum(kind.row_bytes for kind in self.root.attributes)
+        each = row_bytes(self.root.sh_degree, self.root.attributes)
         counts = self.chunks.splats.tolist()
         scratch = self._scratch_bytes(max(counts, default=0), self.root.sh_degree)
-        self._check_size(sum(counts) * row_bytes + scratch, f"{sum(counts)} splats")
+        self._check_size(sum(counts) * each + scratch, f"{sum(counts)} splats")
 
     def rows_of(self, chunk: int) -> ChunkRows:
         """Return where a chunk's segments stand in the segment table."""
@@ -470,6 +519,12 @@ class CogsFile:
         """Return the rows of the segments of a kind that belong to a chunk or codebook."""
         mask = (self.segments.kind == kind) & (self.segments.owner == owner)
         return [int(row) for row in np.flatnonzero(mask)]
+
+    def _wanted(self, chunks: Iterable[int] | None) -> list[int]:
+        wanted = list(range(self.complete_chunks()) if chunks is None else chunks)
+        for chunk in wanted:
+            self._require_chunk(chunk)
+        return wanted
 
     def _require_chunk(self, chunk: int) -> None:
         if not 0 <= chunk < self._index.all_chunks:
@@ -624,22 +679,3 @@ def _workers(splats: int) -> int:
     """Return how many threads pay."""
     pays = compiled.ready() and splats >= _WORTH_THREADS
     return min(thread_count(0), _MOST_WORKERS) if pays else 1
-
-
-def _row_bytes(degree: int) -> int:
-    """Return the bytes of one decoded splat, extra attributes left out."""
-    return _HEAD_ROW_BYTES + 12 * (sh_coefficients(degree) - 1)
-
-
-def _allocate(rows: int, degree: int, root: Root, kinds: Sequence[AttributeType]) -> Splats:
-    blank = empty(degree, 0, root.info)
-    return replace(
-        blank,
-        means=np.empty((rows, 3), np.float32),
-        scales=np.empty((rows, 3), np.float32),
-        quats=np.empty((rows, 4), np.float32),
-        opacities=np.empty(rows, np.float32),
-        sh0=np.empty((rows, 3), np.float32),
-        shN=np.empty((rows, sh_coefficients(degree) - 1, 3), np.float32),
-        extras={kind.name: kind.allocate(rows) for kind in kinds},
-    )

@@ -9,6 +9,10 @@ from pathlib import Path
 import click
 
 from cogsplat.codec.errors import CogsplatWarning
+from cogsplat.codec.progress import Progress
+from cogsplat.codec.splats import Splats
+from cogsplat.formats.cogs.reader import CogsFile
+from cogsplat.formats.scenes.ply.scene import write_ply, write_ply_parts
 from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
@@ -22,14 +26,14 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.output_names import scene_format
+from cogsplat.tools.terminal.output_names import scene_format, written_bytes
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import ChunkRange
 
-from .inputs import LoadedScene, Selection, decode_part
+from .inputs import LoadedScene, Selection, decode_part, decode_part_by
 from .scene_output import write_any
 
 
@@ -79,17 +83,24 @@ def decode(
     refine = not no_refine
     part = Selection(chunks, least_splats, size, sh_degree, objects, refine, compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
-        scene = decode_part(cogs, part, threads=threads, progress=stages)
-        written = write_any(
-            scene.splats,
-            out,
-            format_.name,
-            force=force,
-            cameras=None,
-            threads=threads,
-            stages=stages,
-            writing=writing,
-        )
+        if format_.name == "ply" and not compensate:
+            scene, decoded = _decode_into_ply(
+                cogs, part, out, absolute=writing.absolute, force=force, threads=threads, to=stages
+            )
+            size_bytes = written_bytes(out, format_)
+        else:
+            scene = decode_part(cogs, part, threads=threads, progress=stages)
+            decoded = len(scene.splats)
+            size_bytes = write_any(
+                scene.splats,
+                out,
+                format_.name,
+                force=force,
+                cameras=None,
+                threads=threads,
+                stages=stages,
+                writing=writing,
+            ).size_bytes
     if scene.without_tails:
         first, last = scene.without_tails[0], scene.without_tails[-1]
         span = f"chunk {first}" if first == last else f"chunks {first} to {last}"
@@ -107,19 +118,55 @@ def decode(
             stacklevel=1,
         )
     if as_json:
-        say_json(_report(cogs, scene, out, written.size_bytes, stages))
+        say_json(_report(cogs, scene, decoded, out, size_bytes, stages))
     elif not quiet:
-        _tell(scene, out, written.size_bytes, stages)
+        _tell(scene, decoded, out, size_bytes, stages)
+
+
+def _decode_into_ply(
+    cogs: Path,
+    part: Selection,
+    out: Path,
+    *,
+    absolute: bool,
+    force: bool,
+    threads: int,
+    to: Progress,
+) -> tuple[LoadedScene, int]:
+    """Decode a part of a file into a PLY, a few chunks at a time.
+
+    Returns
+    -------
+    scene : LoadedScene
+        Without rows.
+    rows : int
+        Splats that were written.
+    """
+    rows = 0
+
+    def stream(file: CogsFile, chunks: Sequence[int]) -> Splats:
+        nonlocal rows
+        rows = sum(int(file.chunks.splats[chunk]) for chunk in chunks)
+        if not rows:
+            nothing = file.decode(chunks, sh_degree=part.sh_degree)
+            write_ply(nothing, out, force=force, absolute=absolute)
+            return nothing
+        parts = file.decode_parts(
+            chunks, sh_degree=part.sh_degree, refine=part.refine, threads=threads, progress=to
+        )
+        return write_ply_parts(parts, rows, out, force=force, absolute=absolute)
+
+    return decode_part_by(stream, cogs, part), rows
 
 
 def _report(
-    source: Path, scene: LoadedScene, out: Path, written: int, stages: Stages
+    source: Path, scene: LoadedScene, decoded: int, out: Path, written: int, stages: Stages
 ) -> dict[str, object]:
     return {
         "output": name_of(out),
         "source": name_of(source),
         "bytes": written,
-        "splats": len(scene.splats),
+        "splats": decoded,
         "source_splats": scene.file_splats,
         "sh_degree": scene.splats.sh_degree,
         "chunks": len(scene.chunks),
@@ -138,9 +185,9 @@ def _span(chunks: Sequence[int]) -> tuple[int, int]:
     return (chunks[0], chunks[-1] + 1) if chunks else (0, 0)
 
 
-def _tell(scene: LoadedScene, out: Path, written: int, stages: Stages) -> None:
-    found, (first, last) = len(scene.splats), _span(scene.chunks)
-    say(f"{out}: {found:,} of {scene.file_splats:,} splats, {size_text(written)}")
+def _tell(scene: LoadedScene, decoded: int, out: Path, written: int, stages: Stages) -> None:
+    first, last = _span(scene.chunks)
+    say(f"{out}: {decoded:,} of {scene.file_splats:,} splats, {size_text(written)}")
     span = f"{first}:{last} of {scene.file_chunks}"
     if len(scene.chunks) < last - first:
         span = f"{len(scene.chunks)} in {span}"

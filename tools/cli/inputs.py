@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -17,6 +17,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
+from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes, scene_files
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.formats.storage.source import FileSource
@@ -150,6 +151,10 @@ def read_any(
     return LoadedScene(splats, size, size, range(0), 0, rows, (), None)
 
 
+Decode = Callable[[CogsFile, Sequence[int]], Splats]
+"""Decodes chunks of a file; what it returns may have no rows where these went elsewhere."""
+
+
 def decode_part(
     path: Path, part: Selection, *, threads: int = 0, progress: Progress = silent
 ) -> LoadedScene:
@@ -161,6 +166,28 @@ def decode_part(
         A range of chunks, or an object, that the file does not have.
     CogsplatError
         The file cannot be read or breaks SPEC.
+    """
+
+    def whole(file: CogsFile, chunks: Sequence[int]) -> Splats:
+        return file.decode(
+            chunks,
+            sh_degree=part.sh_degree,
+            refine=part.refine,
+            compensate=part.compensate,
+            threads=threads,
+            progress=progress,
+        )
+
+    return decode_part_by(whole, path, part)
+
+
+def decode_part_by(decode: Decode, path: Path, part: Selection) -> LoadedScene:
+    """Have a COGS file or a part of it decoded, and say what its file states.
+
+    Raises
+    ------
+    click.UsageError, CogsplatError
+        As `decode_part`.
     """
     source = FileSource(path)
     size_bytes = None if part.size is None else part.size.of(source.size)
@@ -176,14 +203,7 @@ def decode_part(
         except ValueError as error:
             # Its message begins with the name of the condition, which is the option's.
             raise click.UsageError(f"--{error}") from error
-        splats = file.decode(
-            chunks,
-            sh_degree=part.sh_degree,
-            refine=part.refine,
-            compensate=part.compensate,
-            threads=threads,
-            progress=progress,
-        )
+        splats = decode(file, chunks)
         if not file.complete_chunks() and file.source_bytes < file.file_length:
             warnings.warn(
                 f"{path}: no chunk is complete in the first {file.source_bytes} bytes",

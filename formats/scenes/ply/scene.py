@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from io import BufferedReader
 
@@ -259,6 +259,45 @@ def write_ply(
     CogsplatWarning
         An extra has a name that no property can have.
     """
+    write_ply_parts([splats], len(splats), path, force=force, absolute=absolute)
+
+
+def write_ply_parts(
+    parts: Iterable[Splats],
+    count: int,
+    path: StrPath,
+    *,
+    force: bool = False,
+    absolute: bool = False,
+) -> Splats:
+    """Write a scene that comes in parts, as `write_ply` writes it; one part is held at a time.
+
+    Parameters
+    ----------
+    parts : iterable of Splats
+        At least one, of one SH degree and with the same extras; `info` is the first one's.
+    count : int
+        Rows of all parts.
+    path, force, absolute
+        As in `write_ply`.
+
+    Returns
+    -------
+    Splats
+        No rows: SH degree, `info` and extras of what was written.
+
+    Raises
+    ------
+    DataError, StorageError
+        As `write_ply`.
+    ValueError
+        No parts, or another number of rows than `count`.
+    """
+    coming = iter(parts)
+    splats = next(coming, None)
+    if splats is None:
+        raise ValueError("no parts, expected at least one")
+    like = splats.take(slice(0, 0))
     rest = splats.shN.shape[1]
     fields = splat_fields(3 * rest)
     drawn = {name for group in fields.values() for name in group}
@@ -279,7 +318,7 @@ def write_ply(
             "ply",
             "format binary_little_endian 1.0",
             *(f"comment {comment}" for comment in scene_comments(info)),
-            f"element vertex {len(splats)}",
+            f"element vertex {count}",
             *(f"property {_TYPE_NAMES[dtype]} {name}" for name, dtype in dtypes.items()),
             "end_header\n",
         ]
@@ -287,23 +326,33 @@ def write_ply(
     row = np.dtype([(name, f"<{dtype}") for name, dtype in dtypes.items()])
     columns = _columns(list(dtypes), fields)
     rows = max(1, _BLOCK_BYTES // row.itemsize)
-    buffer = np.zeros(min(rows, len(splats)), row)
+    buffer = np.zeros(min(rows, count), row)
     uniform = set(dtypes.values()) == {"f4"}
+    written = 0
     with atomic_write(path, force) as file:
         file.write(header.encode("ascii"))
-        for start in range(0, len(splats), rows):
-            block = buffer[: min(rows, len(splats) - start)]
-            stop = start + len(block)
-            for field, group in columns.items():
-                values = getattr(splats, field)[start:stop].reshape(len(block), -1)
-                if absolute and field == "means":
-                    values = values.astype(np.float64) + origin
-                if uniform:
-                    block.view(_LITTLE_FLOAT).reshape(len(block), len(dtypes))[:, group] = values
-                else:
-                    for column, name in enumerate(fields[field]):
-                        block[name] = values[:, column]
-            for name, extra in extras.items():
-                block[name] = extra[start:stop]
-            file.write(block.view(np.uint8).data)
+        while splats is not None:
+            for start in range(0, len(splats), rows):
+                block = buffer[: min(rows, len(splats) - start)]
+                stop = start + len(block)
+                for field, group in columns.items():
+                    values = getattr(splats, field)[start:stop].reshape(len(block), -1)
+                    if absolute and field == "means":
+                        values = values.astype(np.float64) + origin
+                    if uniform:
+                        flat = block.view(_LITTLE_FLOAT).reshape(len(block), len(dtypes))
+                        flat[:, group] = values
+                    else:
+                        for column, name in enumerate(fields[field]):
+                            block[name] = values[:, column]
+                for name, extra in extras.items():
+                    block[name] = extra[start:stop]
+                file.write(block.view(np.uint8).data)
+            written += len(splats)
+            splats = next(coming, None)
+            if splats is not None:
+                extras, _ = extra_columns(splats.extras, drawn)
+        if written != count:
+            raise ValueError(f"{written} rows in all parts, expected {count}")
     warn_of_losses(path, "ply", losses)
+    return like

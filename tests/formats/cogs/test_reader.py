@@ -7,6 +7,7 @@ import pytest
 from cogs_samples import assert_same, encoded, file_of
 
 from cogsplat.codec.errors import Cancelled, FormatError, LimitError, TruncatedError
+from cogsplat.codec.splats import concatenate
 from cogsplat.formats.cogs import scene as cogs
 from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.reader import open_cogs
@@ -108,6 +109,31 @@ def test_chunks_in_random_order_are_rows_of_the_whole(data):
         assert_same(file.decode(order), whole, rows)
         for chunk, splats in enumerate(file.iter_chunks()):
             assert_same(splats, whole, slice(ends[chunk], ends[chunk + 1]))
+
+
+@pytest.mark.parametrize("most_splats", [1, 150, 10_000])
+def test_parts_joined_are_the_whole(data, most_splats):
+    with open_cogs(BytesSource(data)) as file:
+        whole, calls = file.decode(), []
+        parts = list(
+            file.decode_parts(most_splats=most_splats, progress=lambda *call: calls.append(call))
+        )
+        assert_same(concatenate(parts), whole)
+        largest = int(file.chunks.splats.max())
+        assert all(len(part) <= max(most_splats, largest) for part in parts)
+        assert len(calls) == len(parts)
+        assert calls[-1] == ("decode", file.num_chunks, file.num_chunks)
+        some = list(file.decode_parts([1, 0], sh_degree=0, refine=False, most_splats=most_splats))
+        assert_same(concatenate(some), file.decode([1, 0], sh_degree=0, refine=False))
+        assert list(file.decode_parts([])) == []
+
+
+def test_a_file_that_is_too_large_as_a_whole_gives_no_part(data):
+    with open_cogs(BytesSource(data), limits=Limits(splats=200)) as file:
+        assert file.root.splats > 200
+        with pytest.raises(LimitError) as refused:
+            next(file.decode_parts(most_splats=10))
+    assert refused.value.code == "too-many-splats"
 
 
 def test_several_threads_may_decode_one_file(data):

@@ -427,3 +427,31 @@ def test_compare_measures_objects_and_draws_the_difference(run: Run, tmp_path: P
     told = run("compare", b, a, *common, "--by-object", "--json")
     assert told.code == 3
     assert run("compare", a, b, *common, "--difference", tmp_path / "d.ply").code == 2
+
+
+@pytest.mark.parametrize(
+    "options",
+    [[], ["--chunks", "0:1"], ["--chunks", "1:1"], ["--sh", "0"], ["--absolute"]],
+    ids=str,
+)
+def test_a_ply_written_while_decoding_is_that_of_the_whole(
+    run: Run, small: SmallScene, tmp_path: Path, options: list[str]
+) -> None:
+    shown = run("decode", small.cogs, tmp_path / "out.ply", *options)
+    assert shown.code == 0, shown.err
+    chunks = {"0:1": (0, 1), "1:1": (1, 1)}.get(options[1] if len(options) > 1 else "")
+    splats = cogsplat.decode(small.cogs, chunks=chunks, sh_degree=0 if "--sh" in options else None)
+    cogsplat.write(splats, tmp_path / "whole.ply", absolute="--absolute" in options)
+    assert (tmp_path / "out.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+    assert f"{len(splats):,} of" in shown.out
+
+
+def test_a_cap_that_is_too_small_ends_an_encode(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    shown = run("encode", small.ply, tmp_path / "out.cogs", "--memory", "64MiB")
+    assert shown.code == 5
+    assert "expected at least" in shown.err
+    for options in (["--memory", "20%"], ["--memory", "8GiB", "--measure"]):
+        assert run("encode", small.ply, tmp_path / "out.cogs", *options).code == 2
+    assert list(tmp_path.iterdir()) == []

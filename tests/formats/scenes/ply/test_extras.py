@@ -1,5 +1,6 @@
 """What a PLY's vertices hold beside their splats: kept, typed, written back; far-off doubles."""
 
+import itertools
 import warnings
 from dataclasses import replace
 
@@ -14,7 +15,7 @@ from hypothesis.extra import numpy as hnp
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.splats import EXTRA_DTYPES
 from cogsplat.formats.scenes.ply.extras import as_origin
-from cogsplat.formats.scenes.ply.scene import read_ply, write_ply
+from cogsplat.formats.scenes.ply.scene import read_ply, write_ply, write_ply_parts
 
 N = 700
 
@@ -206,3 +207,27 @@ def test_what_has_no_far_centre_stays(means):
     kept, origin = as_origin(means, "here")
     assert kept is means
     assert origin == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("absolute", [False, True])
+def test_parts_are_written_as_the_whole(tmp_path, absolute):
+    rng = np.random.default_rng(8)
+    labels = rng.integers(0, 9, 700).astype(np.int16)
+    whole = replace(scene(700, 2), extras={"object": labels, "flow": rng.normal(size=(700, 2))})
+    write_ply(whole, tmp_path / "whole.ply", absolute=absolute)
+    cuts = (0, 300, 300, 301, 700)
+    parts = [whole.take(slice(a, b)) for a, b in itertools.pairwise(cuts)]
+    like = write_ply_parts(iter(parts), 700, tmp_path / "parts.ply", absolute=absolute)
+    assert (tmp_path / "parts.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+    assert len(like) == 0
+    assert like.sh_degree == 2
+    assert set(like.extras) == {"object", "flow"}
+
+
+@pytest.mark.parametrize("count", [1, 699, 701])
+def test_parts_of_other_counts_leave_no_file(tmp_path, count):
+    with pytest.raises(ValueError, match=f"700 rows in all parts, expected {count}"):
+        write_ply_parts([scene(300, 0), scene(400, 0)], count, tmp_path / "out.ply")
+    with pytest.raises(ValueError, match="no parts"):
+        write_ply_parts([], 0, tmp_path / "out.ply")
+    assert list(tmp_path.iterdir()) == []
