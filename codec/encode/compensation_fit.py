@@ -13,10 +13,16 @@ from cogsplat.codec.order import prefix_inflation
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring.reference_views import ReferenceViews
-from cogsplat.codec.segments.compensation import Compensation, Layer
+from cogsplat.codec.segments.compensation import (
+    OPACITY_STEP,
+    SCALE_STEP,
+    Compensation,
+    Layer,
+)
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
+from .arriving_prefixes import arriving
 from .encoded import EncodedScene
 from .measured_prefixes import interpolated, measured_prefixes
 from .shift_optimiser import FitConfig, ShiftOptimiser, codebook_rows, coded_splats
@@ -83,6 +89,7 @@ def fit(
     effective_splats: int,
     config: FitConfig | None = None,
     *,
+    prefixes: Sequence[Splats] | None = None,
     progress: Progress = silent,
 ) -> Compensation:
     """Fit the compensation of a scene's prefixes to its own pictures.
@@ -98,6 +105,9 @@ def fit(
     effective_splats : int
         Of the source (`prefix_inflation.effective_splats`): how long a prefix is, in these.
     config : FitConfig, optional
+    prefixes : sequence of Splats, optional
+        Of each layer (`plan_layers`), as they are drawn where nothing is added to them; those of
+        `splats` where this is not given.
     progress : Progress
         Called with ``("compensate", steps done, steps)``.
 
@@ -119,10 +129,10 @@ def fit(
     counts = np.array(chunk_splats, np.int64)
     if not layers:
         return Compensation((), counts)
-    size = int(counts[: layers[-1]].sum())
-    prefix = splats.take(slice(0, size))
-    optimiser = ShiftOptimiser(prefix, chunk_splats, layers, effective_splats, config)
     ends = np.cumsum(counts)
+    if prefixes is None:
+        prefixes = [splats.take(slice(0, int(ends[chunks - 1]))) for chunks in layers]
+    optimiser = ShiftOptimiser(prefixes, chunk_splats, layers, effective_splats, config)
     every = [_iterations_between(int(ends[chunks - 1])) for chunks in layers]
     total = config.iterations * len(layers)
     progress("compensate", 0, total)
@@ -131,10 +141,9 @@ def fit(
             optimiser.quantise()
         rate = min(1.0, 2.0 * (1.0 - iteration / config.iterations))
         views = references.sample(config.views, iteration)
-        colours = optimiser.shade(views, references)
         for number in range(len(layers)):
             if (iteration + number) % every[number] == 0:
-                optimiser.step(number, rate, references, views, colours)
+                optimiser.step(number, rate, references, views)
             progress("compensate", iteration * len(layers) + number + 1, total)
     if not optimiser.is_quantised:
         optimiser.quantise()
@@ -153,7 +162,7 @@ def compensated(
     *,
     progress: Progress = silent,
 ) -> EncodedScene:
-    """Return an encoded scene with compensation fitted to its prefixes.
+    """Return an encoded scene with compensation fitted to its prefixes, as they arrive.
 
     Parameters
     ----------
@@ -169,14 +178,48 @@ def compensated(
     config = config or FitConfig()
     counts = [chunk.splats for chunk in encoded.chunks]
     effective_splats = prefix_inflation.effective_splats(contribution)
-    if not plan_layers(counts, effective_splats):
+    layers = plan_layers(counts, effective_splats)
+    if not layers:
         return encoded
     splats = encoded.decoded
-    found = fit(splats, counts, references, effective_splats, config, progress=progress)
-    prefix_mse = errors(found, splats, references, threads=config.threads)
-    steps = config.iterations * len(plan_layers(counts, effective_splats))
-    progress("compensate", steps, steps)
-    return replace(encoded, compensation=found, prefix_mse=prefix_mse)
+    progress("compensate", 0, config.iterations * len(layers))
+    # The order of the segments says what is there of each prefix. It follows from errors, and those
+    # of the fitted compensation would put segments into places that are no better.
+    start = usual(counts, effective_splats)
+    prefix_mse = errors(start, splats, references, threads=config.threads)
+    encoded = replace(encoded, prefix_mse=prefix_mse)
+    found = fit(
+        splats,
+        counts,
+        references,
+        effective_splats,
+        config,
+        prefixes=arriving(encoded, layers, _LONG_LAYER),
+        progress=progress,
+    )
+    return replace(encoded, compensation=found)
+
+
+def usual(chunk_splats: Sequence[int], effective_splats: int) -> Compensation:
+    """Return the compensation that a fit begins with: the typical inflation of every prefix.
+
+    Parameters
+    ----------
+    chunk_splats, effective_splats
+        As `fit` takes them.
+    """
+    layers = plan_layers(chunk_splats, effective_splats)
+    ends = np.cumsum(chunk_splats)
+    found = []
+    for chunks in layers:
+        typical = prefix_inflation.typical(int(ends[chunks - 1]) / effective_splats)
+        scales = np.full(chunks, round(typical.scales / SCALE_STEP), np.int8)
+        opacities = np.full(chunks, round(typical.opacities / OPACITY_STEP), np.int8)
+        found.append(replace(_unchanged(chunks), scales=scales, opacities=opacities))
+    unchanged = _unchanged_chunks(chunk_splats, effective_splats, layers)
+    if unchanged:
+        found.append(_unchanged(unchanged))
+    return Compensation(tuple(found), np.array(chunk_splats, np.int64))
 
 
 def errors(

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.rate.segment_order import ChunkParts, Part
+from cogsplat.codec.rate import segment_order
+from cogsplat.codec.rate.segment_order import ChunkParts, Part, Place, Placed
 from cogsplat.codec.segments.compensation import Compensation
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
@@ -140,8 +141,9 @@ class EncodedScene:
     compensation : Compensation or None
         How prefixes are changed so that they look most like the whole scene.
     prefix_mse : (c + 1,) float64 or None
-        Mean squared error of pictures of nothing, of the first chunk, and so on to the whole, for
-        what the splats behind are missing; None where that was not measured.
+        Mean squared error of pictures of nothing, of the first chunk, and so on to the whole, with
+        the usual inflation, for what the splats behind are missing; None where that was not
+        measured.
     report : EncodeReport
     """
 
@@ -155,3 +157,31 @@ class EncodedScene:
     compensation: Compensation | None = None
     prefix_mse: NDArray[np.float64] | None = None
     report: EncodeReport = field(default_factory=EncodeReport)
+
+    def placed(self) -> list[Place]:
+        """Return the segments that splats need in the order of the file, shape codebooks aside."""
+        if self.prefix_mse is None:
+            contribution = np.array([chunk.contribution for chunk in self.chunks])
+            missing = segment_order.unsent_shares(contribution)
+        else:
+            missing = segment_order.measured_shares(self.prefix_mse)
+        parts = [chunk.parts for chunk in self.chunks]
+        return segment_order.order(parts, missing, self._colour_bytes)
+
+    def placed_bytes(self, place: Place) -> int:
+        """Return the bytes of one of the segments of `placed`, or of all colour codebooks."""
+        if place.what is Placed.CODEBOOKS:
+            return self._colour_bytes
+        payloads = self.chunks[place.chunk].payloads
+        payload = {
+            Placed.HEAD: payloads.head,
+            Placed.REFINEMENT: payloads.refinement,
+            Placed.TAIL: payloads.tail,
+        }[place.what]
+        return len(payload or b"")
+
+    @property
+    def _colour_bytes(self) -> int:
+        """Bytes of the colour codebooks."""
+        books = [book.payloads for book in self.codebooks if book.attribute == "colour"]
+        return sum(len(payload) for payloads in books for payload in payloads)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -108,8 +107,8 @@ class ShiftOptimiser:
 
     Parameters
     ----------
-    splats : Splats
-        Of the last layer's prefix, as they are decoded.
+    prefixes : sequence of Splats
+        Of each layer, as they are drawn where what is added to them is not.
     chunk_splats : sequence of int
         Splats of each chunk of the scene.
     layers : sequence of int
@@ -121,14 +120,13 @@ class ShiftOptimiser:
 
     def __init__(
         self,
-        splats: Splats,
+        prefixes: Sequence[Splats],
         chunk_splats: Sequence[int],
         layers: Sequence[int],
         effective_splats: int,
         config: FitConfig,
     ) -> None:
-        self._splats = splats
-        self._bare = splats.without_extras().with_sh_degree(0)
+        self._prefixes = list(prefixes)
         self._layers = list(layers)
         self._config = config
         ends = np.cumsum(chunk_splats)
@@ -144,8 +142,9 @@ class ShiftOptimiser:
         self._moments = np.zeros((2, self._coded, 2), np.float32)
         self._counts = np.zeros(chunks, np.int64)
         self._codes = np.zeros(self._coded, np.uint8)
-        self._gradients = np.empty((len(splats), 2))
-        self._drawn = np.empty((len(splats), 3), np.float32), np.empty(len(splats), np.float32)
+        size = self._sizes[-1]
+        self._gradients = np.empty((size, 2))
+        self._drawn = np.empty((size, 3), np.float32), np.empty(size, np.float32)
         self._chunk_shifts = np.zeros((len(layers), chunks, 2))
         self._strengths = np.zeros((len(layers), chunks, 2))
         for number, (count, size) in enumerate(zip(layers, self._sizes, strict=True)):
@@ -175,20 +174,12 @@ class ShiftOptimiser:
             first = size
         self._choose_rows(self._coded)
 
-    def shade(self, views: Sequence[int], references: ReferenceViews) -> list[NDArray[np.float32]]:
-        """Return the colours of all splats in some views; no shift changes them."""
-        rows = np.arange(len(self._splats), dtype=np.int32)
-        cameras = [references.cameras[view] for view in views]
-        threads = thread_count(self._config.threads)
-        return list(ordered_map(partial(row_colours, self._splats, rows), cameras, threads))
-
     def step(
         self,
         number: int,
         rate: float,
         references: ReferenceViews,
         views: Sequence[int],
-        colours: Sequence[NDArray[np.float32]],
     ) -> None:
         """Move the shifts of one layer against the gradient of its pictures' errors.
 
@@ -201,19 +192,17 @@ class ShiftOptimiser:
         references : ReferenceViews
         views : sequence of int
             Reference views that are rendered.
-        colours : sequence of (n, 3) float32
-            `shade` in each of them.
         """
         size, count = self._sizes[number], self._layers[number]
         starts = self._starts[: count + 1]
         chunk_shifts, strengths = self._chunk_shifts[number], self._strengths[number]
-        bare, (scales, opacities) = self._bare, self._drawn
+        bare, (scales, opacities) = self._prefixes[number], self._drawn
         coded = min(size, self._coded)
         own = self._own[:coded]
         draw_shifts(
             starts, chunk_shifts, strengths, own, bare.scales, bare.opacities, scales, opacities
         )
-        gradients = self._measure(size, references, views, colours)
+        gradients = self._measure(number, references, views)
         self._counts[:count] += 1
         of_chunks, of_strengths = np.zeros((2, *chunk_shifts.shape))
         means, squares = self._moments
@@ -263,25 +252,26 @@ class ShiftOptimiser:
 
     def _measure(
         self,
-        size: int,
+        number: int,
         references: ReferenceViews,
         views: Sequence[int],
-        colours: Sequence[NDArray[np.float32]],
     ) -> F64:
-        """Return the gradient of the views' mean log error by the shifts of a prefix, (n, 2)."""
-        scales, opacities = self._drawn
-        prefix = self._bare.take(slice(0, size))
-        drawn = replace(prefix, scales=scales[:size], opacities=opacities[:size])
+        """Return the gradient of the views' mean log error by the shifts of a layer, (n, 2)."""
+        size, (scales, opacities) = self._sizes[number], self._drawn
+        prefix = self._prefixes[number]
+        shapes = prefix.without_extras().with_sh_degree(0)
+        drawn = replace(shapes, scales=scales[:size], opacities=opacities[:size])
+        rows = np.arange(size, dtype=np.int32)
         found = ordered_map(
-            lambda seen: gradient(
+            lambda view: gradient(
                 drawn,
-                seen[1],
-                references.cameras[seen[0]],
-                references.pictures[seen[0]],
-                kernel_px=references.kernels[seen[0]],
+                row_colours(prefix, rows, references.cameras[view]),
+                references.cameras[view],
+                references.pictures[view],
+                kernel_px=references.kernels[view],
                 near_plane=references.near_plane,
             ),
-            zip(views, colours, strict=True),
+            views,
             thread_count(self._config.threads),
         )
         gradients = self._gradients[:size]

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.encoded import EncodedChunk, EncodedScene
-from cogsplat.codec.rate import segment_order
 from cogsplat.codec.rate.segment_order import Place, Placed
 from cogsplat.codec.segments.attributes import types_of
 from cogsplat.codec.segments.payloads import Payloads
@@ -128,11 +127,7 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
         else:
             for kind, payload in zip(layout.COLOUR_BANDS, book.payloads, strict=False):
                 codebooks.append(Segment(kind, number, payload))
-    for place in segment_order.order(
-        [chunk.parts for chunk in scene.chunks],
-        _missing(scene),
-        sum(len(book.payload) for book in codebooks),
-    ):
+    for place in scene.placed():
         if place.what is Placed.CODEBOOKS:
             out += codebooks
         else:
@@ -145,12 +140,6 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
         if chunk.attributes is not None:
             out.append(Segment(SegmentKind.ATTRIBUTES, number, chunk.attributes))
     return out
-
-
-def _missing(scene: EncodedScene) -> NDArray[np.float64]:
-    if scene.prefix_mse is not None:
-        return segment_order.measured_shares(scene.prefix_mse)
-    return segment_order.unsent_shares(np.array([chunk.contribution for chunk in scene.chunks]))
 
 
 def _layers(scene: EncodedScene) -> dict[int, list[Segment]]:

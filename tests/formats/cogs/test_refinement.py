@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from encoding import encode, unseen
 
+from cogsplat.codec.encode.arriving_prefixes import arriving
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.scoring.contribution import unscored
 from cogsplat.formats.cogs import scene
@@ -138,3 +139,17 @@ def test_boxes_hold_coarse_splats_too():
     with open_cogs(BytesSource(data)) as file, pytest.raises(FormatError) as caught:
         file.verify()
     assert caught.value.code == "chunk-box"
+
+
+def test_prefixes_as_they_arrive_are_those_of_a_file_cut_between_two_heads():
+    made, data = encoded(), file_of()
+    segments = scene.segments(made)
+    sizes = [len(segment.payload) for segment in segments]
+    ends = len(data) - sum(sizes) + np.cumsum(sizes)
+    heads = [row for row, part in enumerate(segments) if part.kind == SegmentKind.HEAD]
+    prefixes = range(1, len(made.chunks))
+    for chunks, prefix in zip(prefixes, arriving(made, prefixes, N), strict=True):
+        # The end of its last head, and of what stands before the next one.
+        half = (ends[heads[chunks - 1]] + ends[heads[chunks] - 1]) // 2
+        with open_cogs(BytesSource(data), size_bytes=int(half)) as part:
+            cogs_samples.assert_same(part.decode(), prefix)
