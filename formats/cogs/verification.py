@@ -183,7 +183,8 @@ def findings(
     list of Finding
         In the order in which the checks find them. A file whose preamble, root or tables break a
         rule gives the first such rule alone, because nothing behind them has a meaning then. A file
-        that is short gives ``file-truncated`` and what is wrong with the part that is there.
+        that is short gives ``file-truncated`` and what is wrong with the part that is there, one
+        that is long ``file-trailing`` and what is wrong with the part before that.
 
     Raises
     ------
@@ -202,12 +203,16 @@ def findings(
     try:
         file = open_cogs(source, limits=limits)
     except CogsplatError as error:
-        if error.code != "file-truncated":
-            return [_finding(error, None)]
-        if not partial:
-            found.append(_finding(error, None))
+        # What is short breaks its rule where it ends.
+        first = _finding(error, source.size if isinstance(error, TruncatedError) else None)
+        if error.code not in ("file-truncated", "file-trailing"):
+            return [first]
+        if error.code == "file-trailing" or not partial:
+            found.append(first)
+        # A file that is long is checked up to where it should end.
+        end = first.offset if error.code == "file-trailing" else None
         try:
-            file = open_cogs(source, partial=True, limits=limits)
+            file = open_cogs(source, partial=True, size_bytes=end, limits=limits)
         except CogsplatError as second:
             return [*found, _finding(second, None)]
     steps = list(checks(file))

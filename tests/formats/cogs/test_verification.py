@@ -32,8 +32,33 @@ def test_invalid_files_have_the_stated_one_first(entry):
 def test_a_short_file_is_checked_as_far_as_it_goes():
     data = bytearray((VECTORS / "valid" / "chunks.cogs").read_bytes()[:3700])
     data[800] ^= 1
-    codes = [finding.code for finding in findings(BytesSource(bytes(data)))]
-    assert codes == ["file-truncated", "segment-crc"]
+    found = findings(BytesSource(bytes(data)))
+    assert [finding.code for finding in found] == ["file-truncated", "segment-crc"]
+    assert found[0].offset == 3700
+    (alone,) = findings(BytesSource(bytes(data)), partial=True)
+    assert alone == found[1]
+
+
+@pytest.mark.parametrize("length", [0, 40, 300])
+def test_a_file_that_ends_in_its_index_says_where(length):
+    data = (VECTORS / "valid" / "chunks.cogs").read_bytes()[:length]
+    (finding,) = findings(BytesSource(data))
+    assert finding.code in ("preamble-truncated", "root-truncated")
+    assert finding.offset is not None
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_long_file_is_checked_up_to_where_it_should_end(partial):
+    data = bytearray((VECTORS / "valid" / "chunks.cogs").read_bytes())
+    end = len(data)
+    (alone,) = findings(BytesSource(bytes(data) + b"more"), partial=partial)
+    assert (alone.code, alone.offset) == ("file-trailing", end)
+    # A byte that slips in moves all that follows.
+    data.insert(end - 100, 0)
+    found = findings(BytesSource(bytes(data)), partial=partial)
+    assert [finding.code for finding in found] == ["file-trailing", "segment-crc"]
+    assert found[0].offset == end
+    assert found[1].offset < end
 
 
 def test_a_source_that_cannot_be_read_is_no_finding():

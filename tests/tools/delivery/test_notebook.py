@@ -59,7 +59,11 @@ def test_it_answers_with_bytes_and_names(small: SmallScene) -> None:
         assert answer(file, read) == ({"type": "bytes", "id": 7}, [data[100:150]])
         behind = answer(file, {**read, "offset": len(data) - 10})
         assert behind == ({"type": "bytes", "id": 7}, [data[-10:]])
-        for wrong in ({**read, "offset": -1}, {**read, "length": 1 << 40}):
+        for wrong in (
+            {**read, "offset": -1},
+            {**read, "length": 1 << 40},
+            {**read, "offset": 10**30},
+        ):
             assert answer(file, wrong)[0]["type"] == "failed"
         for other in (None, "read", {"type": "read"}, {**read, "offset": "0"}):
             assert answer(file, other)[0] == {
