@@ -72,7 +72,8 @@ class EncodeConfig:
     profile : str
         One of `PROFILE_NAMES`.
     quality_db : float
-        Nominal PSNR, dB, of the profiles for viewing: sets all their steps.
+        Nominal PSNR, dB, of the profiles for viewing: sets all their steps. Where views are
+        planned, the steps are corrected to what is measured in planned test views.
     order : str
         One of `orders.ORDERS`, alone or with one of `orders.POSE_RULES`.
     ordering : OrderConfig

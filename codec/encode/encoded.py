@@ -89,9 +89,10 @@ class EncodeReport:
         Views that splats were scored in, jittered copies included; 0 where scores were given.
     quality_db : float
         Nominal quality of the result, dB: the configuration's, or what the search for a target
-        found.
+        found; where views were planned, such a search finds the mean of `test_psnr_db`.
     trials : int
-        Times that the chunks were encoded; more than one only for a target.
+        Times that the chunks were encoded; more than one for a target, and where views were planned
+        and the PSNR of the first in the test views was far from the nominal quality.
     size_bytes : int
         Length of the file; 0 until a container was written.
     views : str

@@ -30,7 +30,7 @@ from .encoder import encode_chunks
 from .prefix_quality import WHOLE_VIEWS, PrefixEvaluator, predicted, whole_measured
 from .prepared import PreparedScene, prepare
 from .presets import DEFAULT_PRESET, PRESETS, Preset
-from .rate_control import Hit, Target, to_finished_size, to_psnr
+from .rate_control import Hit, Target, to_finished_size, to_nominal, to_psnr
 from .shift_optimiser import FitConfig
 
 LEAST_COVERAGE: Final[Mapping[str, float]] = MappingProxyType({"planned": 0.9, "given": 0.75})
@@ -61,8 +61,9 @@ def encode(
     ----------
     splats : Splats
     config : EncodeConfig
-        An order that renders (``gain``) and compensation need cameras, given or planned: with
-        `scores` alone the order is refused and no compensation is fitted.
+        Where views are planned, its nominal quality is the PSNR in the test views, to about 1 dB
+        (`rate_control.to_nominal`). An order that renders (``gain``) and compensation need cameras,
+        given or planned: with `scores` alone the order is refused and no compensation is fitted.
     cameras : sequence of Camera, optional
         Views to score in, in the frame of the means. Without them, and without `scores`, views
         are planned around the splats.
@@ -83,8 +84,9 @@ def encode(
         Where arrays as long as the scene are kept, and whether several views are drawn at once.
     progress : Progress
         Called with the stages ``plan views``, ``score``, ``reference views``, those of the order,
-        ``order``, ``codebooks``, ``quantisers``, ``chunks``, ``search``, ``compensate`` and
-        ``predict``. Those of a single step report it when it is done.
+        ``order``, ``codebooks``, ``quantisers``, ``chunks``, ``search`` around these where there
+        may be several encodes, ``compensate`` and ``predict``. Those of a single step report it
+        when it is done.
 
     Returns
     -------
@@ -168,11 +170,17 @@ def encode(
     )
     timed("order", 1, 1)
     finishing = _Finishing(prepared, references if fits else None, tests or views, preset, timed)
-    if target is None or not len(splats):
+    if target is None and report.views == "planned" and config.profile != "near-lossless":
+        hit = to_nominal(finishing.measured, config.quality_db, _mean_test_psnr_db, progress=timed)
+        hit = replace(hit, encoded=finishing.finish(hit.encoded))
+    elif target is None or not len(splats):
         encoded = encode_chunks(prepared, config.quality_db, progress=timed)
         hit = Hit(finishing.finish(encoded), config.quality_db, 0.0, 1)
     else:
         hit = _search(prepared, target, finishing, size_of)
+        if report.views == "planned":
+            # What `to_nominal` takes to come near to this.
+            hit = replace(hit, quality_db=_mean_test_psnr_db(hit.encoded))
     report = replace(
         report,
         seconds=timed.seconds,
@@ -278,6 +286,12 @@ class _Finishing:
             iterations=self.preset.fit_iterations, threads=self.prepared.config.threads
         )
 
+    def measured(self, quality_db: float) -> EncodedScene:
+        """Return the scene at a nominal quality, its report with the PSNR in each test view."""
+        return whole_measured(
+            encode_chunks(self.prepared, quality_db, progress=self.progress), self.evaluator
+        )
+
     def finish(self, encoded: EncodedScene) -> EncodedScene:
         """Return a scene with compensation and predicted quality."""
         if self.references is not None:
@@ -306,6 +320,10 @@ class _Finishing:
         return encoded
 
 
+def _mean_test_psnr_db(encoded: EncodedScene) -> float:
+    return float(np.mean(encoded.report.test_psnr_db))
+
+
 def _search(
     prepared: PreparedScene, target: Target, finishing: _Finishing, size_of: SizeOf | None
 ) -> Hit:
@@ -323,10 +341,5 @@ def _search(
         )
     if not finishing.test_views:
         raise ValueError("a PSNR as target and no cameras, expected views to see it in")
-    hit = to_psnr(
-        lambda quality_db: whole_measured(encode_chunks(prepared, quality_db), finishing.evaluator),
-        target.psnr_db or 0.0,
-        lambda encoded: float(np.mean(encoded.report.test_psnr_db)),
-        progress=progress,
-    )
+    hit = to_psnr(finishing.measured, target.psnr_db or 0.0, _mean_test_psnr_db, progress=progress)
     return replace(hit, encoded=finishing.finish(hit.encoded))

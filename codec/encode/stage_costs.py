@@ -41,9 +41,10 @@ _RENDER: Final = (8e-8, 4e-7)
 _CODEBOOKS: Final = (0.5, 5e-5)
 _WRITE: Final = (0.02, 2e-6)
 
-# Encodes that a search for a target takes on average, and the share of a prediction, which renders
-# several prefixes, that one render of a view costs.
+# Encodes that a search for a target and a nominal quality in planned views take on average, and the
+# share of a prediction, which renders several prefixes, that one render of a view costs.
 _TRIALS: Final = 3
+_NOMINAL_TRIALS: Final = 2
 _ONE_RENDER: Final = 0.33
 
 
@@ -101,13 +102,15 @@ def stage_costs(
     books = _of_scene(_CODEBOOKS, splats) if config.profile == "vq" else 0.0
     quantisers = _of_scene(_QUANTISERS, splats)
     chunks = _of_scene(_CHUNKS, splats)
-    if target is None:
+    nominal = planned and config.profile != "near-lossless"
+    if target is None and not nominal:
         costs += [StageCost("codebooks", books)] if books else []
         costs += [StageCost("quantisers", quantisers), StageCost("chunks", chunks)]
     else:
-        looked = min(WHOLE_VIEWS, views) if target.psnr_db is not None else 0
+        looked = min(WHOLE_VIEWS, views) if target is None or target.psnr_db is not None else 0
         trial = books + quantisers + chunks + looked * _ONE_RENDER * prediction
-        costs.append(StageCost("search", trial * _TRIALS, inner="chunks"))
+        trials = _NOMINAL_TRIALS if target is None else _TRIALS
+        costs.append(StageCost("search", trial * trials, inner="chunks"))
     if seen and fits:
         costs.append(StageCost("compensate", _of_scene(_COMPENSATE, splats)))
     if seen:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .low_discrepancy import STEPS_3D, sequence
-from .pose import Pose
+from .pose import Pose, level_axes
 
 F64 = NDArray[np.float64]
 
@@ -29,9 +29,10 @@ _ELEVATIONS = (-0.15, 0.6)
 # And of a turntable: as far as orbit controls let a visitor turn, who may look into things from
 # above.
 _WHOLE_ELEVATIONS = (-0.3, 0.9)
-# Every other pose stands where the near plane cuts nothing off. At the others it may cut the
-# object, as it does for a visitor who comes close, but only up to this share of the radius in front
-# of the centre.
+# Every other pose of an orbit stands where the near plane cuts nothing off. At the others it may
+# cut the object, as it does for a visitor who comes close, but only up to this share of the radius
+# in front of the centre. It cuts nothing off before a turntable: what stands open shows its inside,
+# and how bad that looks depends on the plane and not on the file.
 _CUT_SHARE: Final = 0.5
 
 
@@ -76,6 +77,27 @@ def orbit_target(means: F64, counts: F64) -> OrbitTarget:
     return OrbitTarget(centre, _quantile(far, counts, _OBJECT_SHARE), _quantile(far, counts, 0.99))
 
 
+def bounding_box(means: F64, counts: F64) -> F64:
+    """Return the box that leaves out a hundredth of a scene at each of its sides.
+
+    Parameters
+    ----------
+    means : (n, 3) float64
+        Scene units; at least one.
+    counts : (n,) float64
+        Splats that each stands for.
+
+    Returns
+    -------
+    (2, 3) float64
+        Its lowest and its highest corner, scene units.
+    """
+    corners = [
+        [_quantile(means[:, axis], counts, share) for axis in range(3)] for share in (0.01, 0.99)
+    ]
+    return np.array(corners)
+
+
 def bounding_ball(means: F64, counts: F64) -> OrbitTarget:
     """Return the ball that holds all but a hundredth of a scene, thin parts far out included.
 
@@ -89,10 +111,7 @@ def bounding_ball(means: F64, counts: F64) -> OrbitTarget:
     counts : (n,) float64
         Splats that each stands for.
     """
-    corners = [
-        [_quantile(means[:, axis], counts, share) for axis in range(3)] for share in (0.01, 0.99)
-    ]
-    centre = np.mean(corners, axis=0)
+    centre = bounding_box(means, counts).mean(axis=0)
     reach = _quantile(np.linalg.norm(means - centre, axis=1), counts, 0.99)
     return OrbitTarget(centre, reach, reach)
 
@@ -114,7 +133,8 @@ def turntable(target: OrbitTarget, count: int, down: F64, near_plane: float) -> 
     """
     distances = (_WHOLE_CLOSEST, _WHOLE_FURTHEST)
     numbers = np.arange(-count, 0)
-    return _around(target, numbers, down, near_plane, distances, _WHOLE_ELEVATIONS)
+    clear = np.full(count, near_plane + target.reach)
+    return _around(target, numbers, down, clear, distances, _WHOLE_ELEVATIONS)
 
 
 def orbit(target: OrbitTarget, count: int, down: F64, near_plane: float) -> list[Pose]:
@@ -135,33 +155,31 @@ def orbit(target: OrbitTarget, count: int, down: F64, near_plane: float) -> list
     list of Pose
         All look at the centre. The first n of them cover the directions as evenly as all do.
     """
-    distances = (_CLOSEST, _FURTHEST)
-    return _around(target, np.arange(count), down, near_plane, distances, _ELEVATIONS)
+    numbers = np.arange(count)
+    clear = near_plane + np.where(numbers % 2, target.reach, _CUT_SHARE * target.radius)
+    return _around(target, numbers, down, clear, (_CLOSEST, _FURTHEST), _ELEVATIONS)
 
 
 def _around(
     target: OrbitTarget,
     numbers: NDArray[np.int64],
     down: F64,
-    near_plane: float,
+    clear: F64,
     radii: tuple[float, float],
     elevations: tuple[float, float],
 ) -> list[Pose]:
-    """Return the poses of these numbers of the sequence; the near plane may cut every other one."""
+    """Return the poses of these numbers of the sequence, each at least so far from the centre."""
     up = -down if down.any() else np.array([0.0, 1.0, 0.0])
-    side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    side /= np.linalg.norm(side)
-    other = np.cross(up, side)
+    side, other = level_axes(up)
     poses: list[Pose] = []
-    for number, (height, azimuth, step) in zip(
-        numbers.tolist(), sequence(numbers, STEPS_3D).tolist(), strict=True
+    for least, (height, azimuth, step) in zip(
+        clear.tolist(), sequence(numbers, STEPS_3D).tolist(), strict=True
     ):
         rise = elevations[0] + (elevations[1] - elevations[0]) * height
         ring, angle = math.sqrt(1.0 - rise * rise), 2.0 * math.pi * azimuth
         back = rise * up + ring * (math.cos(angle) * side + math.sin(angle) * other)
         distance = target.radius * radii[0] * (radii[1] / radii[0]) ** step
-        clear = near_plane + (target.reach if number % 2 else _CUT_SHARE * target.radius)
-        zoom = max(1.0, clear / distance)
+        zoom = max(1.0, least / distance)
         poses.append(Pose(target.centre + zoom * distance * back, -back, zoom))
     return poses
 

@@ -28,10 +28,10 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
 from .coverage import SeenSplats, additions
-from .low_discrepancy import STEPS_2D, sequence
+from .low_discrepancy import STEPS_2D, STEPS_3D, sequence
 from .occlusion import Occluders
-from .orbit import OrbitTarget, bounding_ball, orbit, orbit_target, turntable
-from .pose import Lens, Pose, down_of
+from .orbit import OrbitTarget, bounding_ball, bounding_box, orbit, orbit_target, turntable
+from .pose import Lens, Pose, down_of, level_axes
 from .subsample import Subsample, subsample
 
 F64 = NDArray[np.float64]
@@ -109,11 +109,15 @@ _ORBIT_TRIES: Final = 24
 # averages away errors that a visitor sees.
 _TEST_VIEWS: Final = 32
 _TEST_VIEW_SCALE: Final = 1.2
-# Of so many times as many places of visitors those are taken from where nothing is nearer than this
-# share of the median vicinity's radius, and that look less steeply up or down than this cosine.
+# Of so many times as many places of visitors those are taken that look up or down by at most this
+# angle from the usual pitch, and from where nothing is nearer than this share of the median
+# vicinity's radius. Of these, the half is taken that splats leave most room: within the second
+# share of that radius they block the fewest directions. A visitor stands in the room, not in a
+# chest that stands in it.
 _VISITORS_DRAWN: Final = 8
+_STEEPEST_DEG: Final = 30.0
 _CLEARANCE: Final = 0.2
-_STEEPEST: Final = 0.7
+_ROOM: Final = 0.5
 
 # At most this share of the splats may lie outside all views. For the others up to one more view for
 # each eight is added, from places that were chosen.
@@ -409,19 +413,39 @@ class _Planner:
         if self._isolated:
             whole = bounding_ball(means, counts)
             return turntable(whole, _TEST_VIEWS, self.down, self._config.near_plane)
-        # Drawn as candidates are, but none of them is one.
-        drawn = self._propose(_VISITORS_DRAWN * _TEST_VIEWS, counts)
+        count = _VISITORS_DRAWN * _TEST_VIEWS
+        # Outside they are drawn as candidates are, but none of them is one.
+        drawn = self._visitors(count) if self._from_inside else self._propose(count, counts)
         places = np.array([pose.position for pose in drawn])
         around = self._coarse.occlusion(places, np.full(len(drawn), np.inf))
-        near = self._coarse.occlusion(
-            places, np.full(len(drawn), _CLEARANCE * self._vicinity_radius)
+        near, room = (
+            self._coarse.occlusion(places, np.full(len(drawn), share * self._vicinity_radius))
+            for share in (_CLEARANCE, _ROOM)
         )
-        level = np.array([abs(float(pose.forward @ self.down)) < _STEEPEST for pose in drawn])
+        pitches = np.array([_pitch_deg(pose, self.down) for pose in drawn])
+        level = np.abs(pitches - _LEVEL_DEG) < _STEEPEST_DEG
         right_side = (around > _INSIDE_OCCLUSION) == self._from_inside
+        fits = right_side & level & (near == 0.0)
+        if fits.any():
+            fits &= room <= np.median(room[fits])
         # The clearest places where none is clear; all where none is on the right side.
-        unfit = np.lexsort((np.arange(len(drawn)), near > 0.0, ~level, ~right_side))
+        unfit = np.lexsort((np.arange(len(drawn)), ~fits, near > 0.0, ~level, ~right_side))
         fitting = sorted(unfit[:_TEST_VIEWS].tolist())
         return [drawn[row] for row in fitting]
+
+    def _visitors(self, count: int) -> list[Pose]:
+        """Return poses anywhere in the box of the scene that look about level in any direction."""
+        box = bounding_box(self._means, self._scene.counts)
+        numbers = np.arange(count)
+        places = box[0] + sequence(numbers, STEPS_3D) * (box[1] - box[0])
+        looks = sequence(numbers, STEPS_2D)
+        pitches = np.radians(_LEVEL_DEG + _STEEPEST_DEG * (2.0 * looks[:, 0] - 1.0))
+        angles = 2.0 * np.pi * looks[:, 1]
+        down = self.down if self.down.any() else np.array([0.0, 1.0, 0.0])
+        side, other = level_axes(down)
+        level = np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
+        forward = np.cos(pitches)[:, None] * level + np.sin(pitches)[:, None] * down
+        return [Pose(place, look, 1.0) for place, look in zip(places, forward, strict=True)]
 
     def _typical_detail(self) -> float:
         """Return the median, over splats, of size over the distance of a picture of the vicinity.
@@ -497,8 +521,7 @@ class _Planner:
         distances = np.linalg.norm(self._means[index] - pose.position, axis=1) / pose.zoom
         # Splats that are too far away to be resolved share pixels.
         resolved = np.minimum(1.0, self._scene.sizes[index] / (distances * self._detail)) ** 2
-        pitch = math.asin(min(1.0, max(-1.0, float(pose.forward @ self.down))))
-        level = math.cos(pitch - math.radians(_LEVEL_DEG)) ** 2
+        level = math.cos(math.radians(_pitch_deg(pose, self.down) - _LEVEL_DEG)) ** 2
         share = _LEAST_LEVEL + (1.0 - _LEAST_LEVEL) * level
         return _Candidate(pose, index, peaks, (share * peaks * resolved).astype(np.float32))
 
@@ -646,6 +669,11 @@ class _Planner:
             extra.append(best_pose)
             uncovered &= ~in_picture(self._means, best_pose.camera(lens, self.down), near_plane)
         return extra
+
+
+def _pitch_deg(pose: Pose, down: F64) -> float:
+    """Return by what angle a pose looks down, degrees; 0 where no direction is known to be down."""
+    return math.degrees(math.asin(min(1.0, max(-1.0, float(pose.forward @ down)))))
 
 
 def _systematic(weights: F64, count: int) -> NDArray[np.intp]:

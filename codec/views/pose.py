@@ -87,6 +87,19 @@ class Pose:
         )
 
 
+def level_axes(up: F64) -> tuple[F64, F64]:
+    """Return two directions at right angles to `up` and to each other: unit vectors, (3,) float64.
+
+    Parameters
+    ----------
+    up : (3,) float64
+        Unit vector; up or down.
+    """
+    side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    side /= np.linalg.norm(side)
+    return side, np.cross(up, side)
+
+
 def down_of(axes: str) -> F64:
     """Return the direction that a frame calls down.
 

@@ -137,7 +137,8 @@ _GROUPS: Final = {
     default=40.0,
     show_default=True,
     metavar="DB",
-    help="Nominal PSNR of the profiles for viewing.",
+    help="Nominal PSNR of the profiles for viewing. Without --cameras it is corrected to what is "
+    "measured in planned test views, to about 1 dB.",
 )
 @click.option(
     "--target-psnr",

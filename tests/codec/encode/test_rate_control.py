@@ -13,8 +13,11 @@ from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.rate_control import (
     MAX_ROUNDS,
     MAX_TRIALS,
+    NOMINAL_TOLERANCE_DB,
+    NOMINAL_TRIALS,
     Target,
     to_finished_size,
+    to_nominal,
     to_psnr,
     to_size,
 )
@@ -93,6 +96,37 @@ def test_a_psnr_is_found_on_curves_of_any_kind(function, goal):
     assert hit.trials == len(curve.tried) <= MAX_TRIALS
     assert abs(hit.value - goal) <= 0.1
     assert function(hit.quality_db) == hit.value == hit.encoded
+
+
+@pytest.mark.parametrize(
+    ("function", "most"),
+    [
+        (lambda q: q + 0.9, 1),
+        (lambda q: q + 9.5, 3),
+        (lambda q: 0.8 * q - 6.0, 3),
+        # Seen of a lamp of 6,000 splats without cameras.
+        (lambda q: float(np.interp(q, [0, 26.88, 31.46, 40], [10, 34.37, 43.23, 50.49])), 4),
+    ],
+)
+def test_a_nominal_quality_is_what_is_measured(function, most):
+    curve = Curve(function)
+    hit = to_nominal(curve, 40.0, itself)
+    assert abs(hit.value - 40.0) <= NOMINAL_TOLERANCE_DB
+    assert curve.tried[0] == hit.quality_db == 40.0
+    assert hit.trials == len(curve.tried) <= most
+
+
+def test_a_nominal_quality_out_of_reach_is_no_error():
+    hit = to_nominal(Curve(lambda q: 60.0), 40.0, itself)
+    assert hit.value == hit.encoded == 60.0
+    assert hit.trials <= NOMINAL_TRIALS + 1
+
+
+def test_the_nearest_of_several_qualities_is_encoded_again():
+    curve = Curve(lambda q: {0: 44.0, 1: 20.0}.get(len(curve.tried) - 1, 42.0 if q > 36 else 30.0))
+    hit = to_nominal(curve, 40.0, itself)
+    assert hit.value == 42.0
+    assert hit.trials == len(curve.tried)
 
 
 @pytest.mark.parametrize("each", [3, 6.2, 12, 40])

@@ -119,6 +119,17 @@ def test_test_views_of_a_room_are_from_inside_and_none_is_scored() -> None:
     assert_apart(found.test_views, found.views + found.covering_views)
 
 
+def test_test_views_of_a_room_look_about_level_and_not_from_inside_its_furniture() -> None:
+    half, chest = np.array([2.5, 1.3, 2.0]), np.array([0.7, 0.7, 0.7])
+    found = plan(concatenate([box(half, 3000), box(chest, 1200)]), SMALL).test_views
+    at = places(found)
+    assert (np.abs(at) < half).all()
+    assert not (np.abs(at) < chest).all(axis=1).any()
+    pitches = np.degrees(np.arcsin([camera.rotation[2, 1] for camera in found]))
+    assert pitches.min() >= -15.0 - 1e-6
+    assert pitches.max() <= 45.0 + 1e-6
+
+
 def assert_apart(test_views: list[Camera], views: list[Camera]) -> None:
     apart = np.linalg.norm(places(test_views)[:, None] - places(views)[None], axis=2)
     assert apart.min() > 1e-3
