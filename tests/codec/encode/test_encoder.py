@@ -352,7 +352,9 @@ def test_progress_counts_every_stage_to_its_end(profile):
     calls = []
     settings = config(profile=profile, chunk_splats=100)
     encode(oracle.scene(15, n=500), None, settings, progress=lambda *call: calls.append(call))
-    expected = [("codebooks", done, 2) for done in range(3)] if profile == "vq" else []
+    expected = [("order", 1, 1)]
+    expected += [("codebooks", done, 2) for done in range(3)] if profile == "vq" else []
+    expected += [("quantisers", 1, 1)]
     assert calls == expected + [("chunks", done, 5) for done in range(6)]
 
 
