@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+from typing import Final, TypeVar
 
 import click
 
@@ -17,8 +19,29 @@ from cogsplat.tools.terminal.output import counted, say, say_json, table
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import PATH
 
+Command = TypeVar("Command", bound=Callable[..., object])
+
 _INVALID = 3
 _MOST_SHOWN = 40
+
+
+_VECTORS: Final = click.option(
+    "--vectors",
+    type=PATH,
+    metavar="DIR",
+    help="Folder of the vectors; tests/vectors of this checkout where it is one.",
+)
+
+
+def _timeout_option(what: str) -> Callable[[Command], Command]:
+    return click.option(
+        "--timeout",
+        type=click.FloatRange(min=0, min_open=True),
+        default=30.0,
+        show_default=True,
+        metavar="SECONDS",
+        help=f"Longest time for one {what}.",
+    )
 
 
 @click.group()
@@ -39,20 +62,8 @@ def conformance() -> None:
     metavar="CMD",
     help="Command line of the decoder under test; docs/conformance.md has the protocol.",
 )
-@click.option(
-    "--vectors",
-    type=PATH,
-    metavar="DIR",
-    help="Folder of the vectors; tests/vectors of this checkout where it is one.",
-)
-@click.option(
-    "--timeout",
-    type=click.FloatRange(min=0, min_open=True),
-    default=30.0,
-    show_default=True,
-    metavar="SECONDS",
-    help="Longest time for one file.",
-)
+@_VECTORS
+@_timeout_option("file")
 @quiet_option
 @json_option
 def run_command(
@@ -104,26 +115,14 @@ def run_command(
     metavar="NUMBER",
     help="Begin with this mutant of the run.",
 )
-@click.option(
-    "--vectors",
-    type=PATH,
-    metavar="DIR",
-    help="Folder of the vectors; tests/vectors of this checkout where it is one.",
-)
+@_VECTORS
 @click.option(
     "--keep",
     type=PATH,
     metavar="DIR",
     help="Folder to write the mutants to of which decoders say different things.",
 )
-@click.option(
-    "--timeout",
-    type=click.FloatRange(min=0, min_open=True),
-    default=30.0,
-    show_default=True,
-    metavar="SECONDS",
-    help="Longest time for one mutant.",
-)
+@_timeout_option("mutant")
 @quiet_option
 @json_option
 def fuzz_command(

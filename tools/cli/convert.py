@@ -105,10 +105,7 @@ class _Done:
 
 def _report(done: _Done) -> dict[str, object]:
     return {
-        "output": name_of(done.out),
-        "format": done.written.format,
-        "bytes": done.written.size_bytes,
-        "splats": done.written.splats,
+        **done.written.report(done.out),
         "source_splats": len(done.given.splats),
         "splats_edited_out": len(done.given.splats) - len(done.splats),
         "sh_degree": done.splats.sh_degree,
@@ -119,10 +116,7 @@ def _report(done: _Done) -> dict[str, object]:
 
 def _tell(done: _Done, stages: Stages) -> None:
     stored, given = done.written.splats, len(done.given.splats)
-    say(
-        f"{done.out}: {done.written.format}, {size_text(done.written.size_bytes)}, "
-        f"from {size_text(done.given.file_bytes)}"
-    )
+    say(f"{done.written.line(done.out)}, from {size_text(done.given.file_bytes)}")
     count = f"{stored:,}" if stored == given else f"{stored:,} of {given:,}"
     facts(
         ("splats", f"{count}, {done.written.size_bytes / max(stored, 1):.2f} B each"),

@@ -26,7 +26,7 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output import facts, name_of, say, say_json
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
@@ -160,10 +160,7 @@ def decimate(
     if as_json:
         say_json(
             {
-                "output": name_of(out),
-                "format": written.format,
-                "bytes": written.size_bytes,
-                "splats": written.splats,
+                **written.report(out),
                 "source": name_of(path),
                 "source_splats": len(given),
                 "kept_by": by,
@@ -172,7 +169,7 @@ def decimate(
             }
         )
     elif not quiet:
-        say(f"{out}: {written.format}, {size_text(written.size_bytes)}")
+        say(written.line(out))
         share = _share(priority, target, by)
         facts(
             ("splats", f"{written.splats:,} of {len(given):,}"),

@@ -26,7 +26,9 @@ from cogsplat.tools.terminal.options import (
     force_option,
     jitter_option,
     json_option,
+    quality_option,
     quiet_option,
+    target_psnr_option,
     threads_option,
     top_k_option,
 )
@@ -131,21 +133,13 @@ _GROUPS: Final = {
     help="transform, vq: for viewing, by a shared transform or by codebooks. near-lossless: every "
     "attribute within a bound, for archives.",
 )
-@click.option(
-    "--quality",
-    type=click.FloatRange(10, 90),
-    default=40.0,
-    show_default=True,
-    metavar="DB",
-    help="Nominal PSNR of the profiles for viewing. Without --cameras it is corrected to what is "
-    "measured in planned test views, to about 1 dB.",
+@quality_option(
+    "Nominal PSNR of the profiles for viewing. Without --cameras it is corrected to what is "
+    "measured in planned test views, to about 1 dB."
 )
-@click.option(
-    "--target-psnr",
-    type=click.FloatRange(5, 90),
-    metavar="DB",
-    help="Search for the quality that gives this mean PSNR in some of the views of --cameras or, "
-    "without it, in test views planned around the scene. Other views may be harder or easier.",
+@target_psnr_option(
+    "Search for the quality that gives this mean PSNR in some of the views of --cameras or, "
+    "without it, in test views planned around the scene. Other views may be harder or easier."
 )
 @click.option(
     "--target-size",

@@ -52,8 +52,10 @@ from cogsplat.tools.terminal.options import (
     force_option,
     jitter_option,
     json_option,
+    quality_option,
     quiet_option,
     ssim_border_option,
+    target_psnr_option,
     threads_option,
     top_k_option,
 )
@@ -139,20 +141,8 @@ from .order_options import OrderChoice, orders_option
     is_flag=True,
     help="Measure prefixes of files with prefix compensation.",
 )
-@click.option(
-    "--quality",
-    type=click.FloatRange(10, 90),
-    default=40.0,
-    show_default=True,
-    metavar="DB",
-    help="Nominal PSNR of the files that are encoded.",
-)
-@click.option(
-    "--target-psnr",
-    type=click.FloatRange(5, 90),
-    metavar="DB",
-    help="Encode every file to this PSNR instead, in other views than the test views.",
-)
+@quality_option("Nominal PSNR of the files that are encoded.")
+@target_psnr_option("Encode every file to this PSNR instead, in other views than the test views.")
 @click.option(
     "--out",
     type=PATH,

@@ -21,7 +21,7 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
@@ -138,10 +138,7 @@ def filter_scene(
     if as_json:
         say_json(
             {
-                "output": name_of(out),
-                "format": written.format,
-                "bytes": written.size_bytes,
-                "splats": written.splats,
+                **written.report(out),
                 "source": name_of(path),
                 "source_splats": len(given),
                 "left_out": {
@@ -152,7 +149,7 @@ def filter_scene(
             }
         )
     elif not quiet:
-        say(f"{out}: {written.format}, {size_text(written.size_bytes)}")
+        say(written.line(out))
         facts(
             ("splats", f"{written.splats:,} of {len(given):,}"),
             ("invalid", counted(invalid, "splat") if invalid else ""),

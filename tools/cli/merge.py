@@ -24,7 +24,7 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
@@ -151,10 +151,7 @@ def merge(
     if as_json:
         say_json(
             {
-                "output": name_of(out),
-                "format": written.format,
-                "bytes": written.size_bytes,
-                "splats": written.splats,
+                **written.report(out),
                 "sh_degree": merged.sh_degree,
                 "objects": [
                     {"object": label, "source": name_of(path), "source_splats": count}
@@ -164,10 +161,7 @@ def merge(
             }
         )
     elif not quiet:
-        say(
-            f"{out}: {written.format}, {size_text(written.size_bytes)}, "
-            f"{counted(written.splats, 'splat')}"
-        )
+        say(f"{written.line(out)}, {counted(written.splats, 'splat')}")
         facts(
             *(
                 (f"object {label}", f"{path}, {counted(count, 'splat')}")

@@ -14,6 +14,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import storage_errors
+from cogsplat.tools.terminal.output import name_of, size_text
 from cogsplat.tools.terminal.output_names import scene_format, written_bytes
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting
@@ -41,6 +42,19 @@ class WrittenScene:
     format: str
     size_bytes: int
     splats: int
+
+    def report(self, out: Path) -> dict[str, object]:
+        """Return what JSON output says of the file that was written."""
+        return {
+            "output": name_of(out),
+            "format": self.format,
+            "bytes": self.size_bytes,
+            "splats": self.splats,
+        }
+
+    def line(self, out: Path) -> str:
+        """Return what the first line of the summary says of it."""
+        return f"{out}: {self.format}, {size_text(self.size_bytes)}"
 
 
 def output_format(out: Path, writing: SceneWriting) -> str:

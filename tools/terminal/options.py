@@ -96,6 +96,27 @@ def background_option(command: Command) -> Command:
     )(command)
 
 
+def quality_option(what: str) -> Callable[[Command], Command]:
+    """Add ``--quality``; `what` is the help text.
+
+    The range and the default are those of `EncodeConfig`, which takes a compiler to import; a test
+    compares them.
+    """
+    return click.option(
+        "--quality",
+        type=click.FloatRange(10, 90),
+        default=40.0,
+        show_default=True,
+        metavar="DB",
+        help=what,
+    )
+
+
+def target_psnr_option(what: str) -> Callable[[Command], Command]:
+    """Add ``--target-psnr``; `what` is the help text."""
+    return click.option("--target-psnr", type=click.FloatRange(5, 90), metavar="DB", help=what)
+
+
 def jitter_option(command: Command) -> Command:
     """Add ``--no-jitter``."""
     return click.option(

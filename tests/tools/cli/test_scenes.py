@@ -13,6 +13,7 @@ import cogsplat
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.tools.cli.encode import encode
+from cogsplat.tools.cli.evaluate import evaluate
 from cogsplat.tools.cli.score import score
 from cogsplat.tools.synthetic.scene import synth, synth_cameras
 
@@ -41,7 +42,12 @@ def option(command: click.Command, name: str) -> click.Option:
 
 
 def test_choices_and_defaults_are_the_encoder_s_own() -> None:
-    from cogsplat.codec.encode.config import PROFILE_NAMES, EncodeConfig
+    from cogsplat.codec.encode.config import (
+        MAX_QUALITY_DB,
+        MIN_QUALITY_DB,
+        PROFILE_NAMES,
+        EncodeConfig,
+    )
     from cogsplat.codec.rate.pruning import PruneConfig
     from cogsplat.codec.scoring.contribution import LEAST_WEIGHT, ScoreConfig
 
@@ -51,7 +57,11 @@ def test_choices_and_defaults_are_the_encoder_s_own() -> None:
     assert tuple(profile.type.choices) == tuple(PROFILE_NAMES)
     assert profile.default == config.profile
     assert order.default == config.order
-    assert option(encode, "quality").default == config.quality_db
+    for command in (encode, evaluate):
+        quality = option(command, "quality")
+        assert quality.default == config.quality_db
+        assert isinstance(quality.type, click.FloatRange)
+        assert (quality.type.min, quality.type.max) == (MIN_QUALITY_DB, MAX_QUALITY_DB)
     assert option(encode, "chunk_splats").default == config.chunk_splats
     assert option(encode, "prune").show_default == str(PruneConfig().peak)
     assert config.prune == PruneConfig()
