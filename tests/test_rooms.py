@@ -213,8 +213,7 @@ DOORS: dict[str, dict[str, str]] = {
         "projection": "Footprints project",
         "rasteriser": "RenderConfig render render_tiles render_views",
         "sensitivities": (
-            "COLUMNS MOMENTS PAIRS_AT_ONCE Sensitivities add_moments from_columns "
-            "view_sensitivities"
+            "COLUMNS PAIRS_AT_ONCE Sensitivities add_moments from_columns view_sensitivities"
         ),
         "shading": "footprint_colours row_colours sh_terms",
         "tiles": "TileLists tile_lists",

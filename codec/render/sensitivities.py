@@ -242,8 +242,8 @@ def add_moments(
         The camera of the footprints.
     threads : int
         At least 1. The sums do not depend on it.
-    moments : (M, 9) float64
-        Σ over pixels and channels, see `_moments`; changed in place.
+    moments : (M, 13) float64
+        Σ over pixels and channels in the first nine columns, see `_moments`; changed in place.
     """
     pair_sums = np.empty((len(lists.members), MOMENTS), np.float32)
     everything = np.ones(len(footprints), np.bool_)
@@ -278,7 +278,7 @@ def _quartic(moments: NDArray[np.float64], c: float, p: float, q: float, r: floa
 
 
 @called_with(
-    "int32[::1], float32[:, ::1], float64[:, ::1], float64[:], float32[:, ::1], "
+    "int32[::1], float32[:, ::1], float64[:], float32[:, ::1], "
     "float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[::1], float64[:, ::1], "
     "float64[::1], float64[::1], int64, int64, boolean, float64[:, ::1]"
 )
@@ -286,7 +286,6 @@ def _quartic(moments: NDArray[np.float64], c: float, p: float, q: float, r: floa
 def _map(
     index: NDArray[np.int32],
     ellipse: NDArray[np.float32],
-    moments: NDArray[np.float64],
     squares: NDArray[np.float64],
     colours: NDArray[np.float32],
     means: NDArray[np.float32],
@@ -301,7 +300,11 @@ def _map(
     antialiased: bool,
     columns: NDArray[np.float64],
 ) -> None:
-    """Turn the moments of footprints into sums of squared derivatives by stored values."""
+    """Turn the moments of footprints into sums of squared derivatives by stored values, in place.
+
+    Rows of `columns` hold the moments before and the sums after.
+    """
+    m = np.empty(MOMENTS, np.float64)
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     guard_x = GUARD * width / (2.0 * fx)
     guard_y = GUARD * height / (2.0 * fy)
@@ -315,10 +318,13 @@ def _map(
     variances = np.empty(3, np.float64)
     for row in range(len(index)):
         i = index[row]
+        for k in range(MOMENTS):
+            m[k] = columns[row, k]
+        for k in range(COLUMNS):
+            columns[row, k] = 0.0
         for channel in range(3):
             if colours[row, channel] > 0.0:
                 columns[row, _SH0 + channel] = sh.C0 * sh.C0 / 3.0 * squares[row]
-        m = moments[row]
         if not m[M00] > 0.0:
             continue
         rest = 1.0 / (1.0 + math.exp(float(opacities[i])))
@@ -414,27 +420,27 @@ def view_sensitivities(
     moments: NDArray[np.float64],
     squares: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Turn the moments of one view into the sensitivities of the stored values.
+    """Turn the moments of one view into the sensitivities of the stored values, in place.
 
     Parameters
     ----------
     splats, camera, footprints, colours
         What the moments were measured on.
-    moments : (M, 9) float64
-        From `add_moments`, over all tiles.
+    moments : (M, 13) float64
+        From `add_moments`, over all tiles. Overwritten: of a large view, two such arrays would take
+        as much as the scene.
     squares : (M,) float64
         Sum over pixels of the squared weight of each footprint.
 
     Returns
     -------
     (M, 13) float64
-        By footprint, what `from_columns` names; sums over pixels, mean over channels.
+        The array `moments`: by footprint, what `from_columns` names; sums over pixels, mean over
+        channels.
     """
-    columns = np.zeros((len(footprints), COLUMNS), np.float64)
     _map(
         footprints.index,
         footprints.ellipse,
-        moments,
         squares,
         colours,
         splats.means,
@@ -447,6 +453,6 @@ def view_sensitivities(
         camera.width,
         camera.height,
         splats.info.antialiased,
-        columns,
+        moments,
     )
-    return columns
+    return moments

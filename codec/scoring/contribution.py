@@ -16,7 +16,6 @@ from cogsplat.codec.render.blend_weights import PEAK, SQUARE, WEIGHT, add_weight
 from cogsplat.codec.render.projection import project
 from cogsplat.codec.render.sensitivities import (
     COLUMNS,
-    MOMENTS,
     PAIRS_AT_ONCE,
     Sensitivities,
     add_moments,
@@ -210,19 +209,28 @@ class _ViewScores:
         Rows of the scene, ascending.
     sums : (M, 3) float64
         Of the weights, from `add_weights`.
+    columns_index : (M,) int32
+        Rows of the scene that `columns` are of.
     columns : (M, 13) float64 or None
         For `Sensitivities`, where they are asked for.
     """
 
     index: NDArray[np.int32]
     sums: NDArray[np.float64]
+    columns_index: NDArray[np.int32]
     columns: NDArray[np.float64] | None
 
 
 def _score_view(
-    splats: Splats, camera: Camera, config: ScoreConfig, sensitive: bool, threads: int
+    splats: Splats,
+    camera: Camera,
+    config: ScoreConfig,
+    *,
+    sensitive: bool,
+    threads: int,
+    frugal: bool,
 ) -> _ViewScores:
-    """Score one view, with sensitivities where `sensitive`."""
+    """Score one view, with sensitivities where `sensitive`, in less memory where `frugal`."""
     footprints = project(
         splats,
         camera,
@@ -239,18 +247,19 @@ def _score_view(
     if not sensitive:
         for lists in tile_lists(footprints, camera.width, camera.height):
             weigh(lists)
-        return _ViewScores(footprints.ascending(), ascending(footprints, sums), None)
+        index = footprints.ascending()
+        return _ViewScores(index, ascending(footprints, sums), index, None)
     colours = footprint_colours(splats, camera, footprints)
-    moments = np.zeros((len(footprints), MOMENTS), np.float64)
+    moments = np.zeros((len(footprints), COLUMNS), np.float64)
     for lists in tile_lists(footprints, camera.width, camera.height, PAIRS_AT_ONCE):
         weigh(lists)
         add_moments(lists, footprints, colours, camera, threads, moments)
     columns = view_sensitivities(splats, camera, footprints, colours, moments, sums[:, SQUARE])
-    # Of a large view these take as much as the scene.
-    del moments, colours
-    return _ViewScores(
-        footprints.ascending(), ascending(footprints, sums), ascending(footprints, columns)
-    )
+    index, by_row = footprints.ascending(), ascending(footprints, sums)
+    if frugal:
+        # Nearest first they are added more slowly, and are not copied.
+        return _ViewScores(index, by_row, footprints.index, columns)
+    return _ViewScores(index, by_row, index, ascending(footprints, columns))
 
 
 def _sensitive(count: int, every: int) -> list[bool]:
@@ -344,7 +353,12 @@ def score(
     by_view = workspace.views_at_once and threads <= len(views) and n <= MOST_BY_VIEW
     results = ordered_map(
         lambda view: _score_view(
-            splats, views[view], config, sensitive[view] > 0.0, 1 if by_view else threads
+            splats,
+            views[view],
+            config,
+            sensitive=sensitive[view] > 0.0,
+            threads=1 if by_view else threads,
+            frugal=not by_view,
         ),
         range(len(views)),
         threads if by_view else 1,
@@ -360,7 +374,7 @@ def score(
             sums[:, SQUARE] *= COVERING_SHARE**2
         totals.add(result.index, sums, camera.position, num_pixels, view_share, pixel_share)
         if result.columns is not None:
-            add_rows(result.index, result.columns, sensitive[done], columns)
+            add_rows(result.columns_index, result.columns, sensitive[done], columns)
         workspace.settle()
         progress("score", done + 1, len(views))
     if not totals.seen.any():
