@@ -9,6 +9,7 @@ from cogsplat.codec.errors import LimitError
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.scoring.contribution import MOST_BY_VIEW
 from cogsplat.codec.splats import sh_coefficients
+from cogsplat.codec.threads import thread_count
 
 from .config import EncodeConfig
 
@@ -22,12 +23,12 @@ _ROW: Final = 56
 # Bytes of a splat's scores, sensitivities and mean SH bases among them.
 _SCORES: Final = 328
 
-# Most bytes that a view under way takes for each splat that it shows: footprint, colour, moments,
-# sensitivities.
-_VIEW: Final = 380
-
-# Two views are worked on, and two more may wait to be added, of which the sums alone are left.
-_VIEWS_AT_ONCE: Final = 2.6
+# Most bytes that the one view under way takes for each splat that it shows, if that is all of them:
+# footprint, colour, sums, sensitivities. A view takes more where each core has one of its own, and
+# two more may wait to be added, of which the sums and sensitivities are left.
+_VIEW: Final = 260
+_VIEW_OF_EACH_CORE: Final = 320
+_WAITING: Final = 2 * 132
 
 # Rows, energies and marks that stay in memory whatever is mapped, and the payloads.
 _KEPT: Final = 60
@@ -110,7 +111,10 @@ def memory_need(
     row = _ROW + 12 * (sh_coefficients(sh_degree) - 1)
     scene = splats * (row + extra_bytes)
     whole = scene + splats * (row + _SCORES + _KEPT)
-    in_memory = _BASE + whole + int(min(splats, MOST_BY_VIEW) * _VIEW * _VIEWS_AT_ONCE)
+    views, threads = _VIEW, thread_count(config.threads)
+    if threads > 1 and splats <= MOST_BY_VIEW:
+        views = threads * _VIEW_OF_EACH_CORE + _WAITING
+    in_memory = _BASE + whole + splats * views
     renders = split_name(config.order)[0] == "gain" or config.compensate
     if renders:
         in_memory += splats * _GAIN

@@ -16,7 +16,13 @@ from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.order.prefix_inflation import effective_splats
 from cogsplat.codec.progress import Progress, TimedProgress, silent
-from cogsplat.codec.scoring.contribution import ScoreConfig, Scores, score, unscored
+from cogsplat.codec.scoring.contribution import (
+    MOST_BY_VIEW,
+    ScoreConfig,
+    Scores,
+    score,
+    unscored,
+)
 from cogsplat.codec.scoring.reference_views import ReferenceViews, render_references
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.planner import ViewPlan, plan
@@ -276,7 +282,7 @@ class _Finishing:
             prepared.source,
             views,
             prepared.config.threads,
-            views_at_once=prepared.workspace.views_at_once,
+            views_at_once=prepared.workspace.views_at_once and len(prepared.source) <= MOST_BY_VIEW,
         )
 
     @property
