@@ -128,7 +128,8 @@ def decibels(text: str) -> tuple[float, ...]:
 )
 @click.argument("scene", type=INPUT)
 @cameras_option(
-    "Without it, views to score in are planned; test views are eval_cameras.json beside SCENE."
+    "Without it, views to score in are planned, and test views are eval_cameras.json beside SCENE, "
+    "else some of the planned ones."
 )
 @eval_every_option(8, "Measure in, and keep from scoring, the")
 @click.option(
@@ -195,7 +196,7 @@ def bench(
 ) -> None:
     """Compare COGS profiles with foreign formats on SCENE.
 
-    All are written, read back and measured in the same views against renders of the source.
+    SCENE is written in each, read back and measured in the same views against renders of SCENE.
     Seconds are of this machine and of one run; those of our profiles include scoring. Bytes per
     splat count the source's splats, pruned ones included.
     """

@@ -90,7 +90,8 @@ from .order_options import OrderChoice, orders_option
 )
 @click.argument("scene", type=INPUT)
 @cameras_option(
-    "Without it, views to score in are planned; test views are eval_cameras.json beside SCENE."
+    "Without it, views to score in are planned, and test views are eval_cameras.json beside SCENE, "
+    "else some of the planned ones."
 )
 @eval_every_option(8, "Measure in, and keep from scoring, the")
 @orders_option
@@ -199,10 +200,10 @@ def evaluate(
 ) -> None:
     """Measure prefixes of SCENE under several orders of its splats.
 
-    Beginnings of every order against the full render: at shares of the splats, nothing quantised,
-    and at lengths of a file that really ends there. Mean PSNR of held-out views, the worst of them,
-    and the mean of roaming views, which stand back and turn away; each also as one figure, its mean
-    over the logarithm of splats or bytes.
+    Each order is cut after shares of its splats, nothing quantised, and a COGS file in that order
+    after some of its bytes; what is left is compared with the full render. Measured are the mean
+    PSNR of held-out views, the worst of them, and the mean of roaming views, which stand back and
+    turn away; each also as one figure, its mean over the logarithm of splats or bytes.
     """
     cut = bool(files) or lengths != ()
     by = ([SPLATS] if wanted else []) + ([BYTES] if cut or codecs else [])

@@ -45,7 +45,7 @@ _MOST_SPLATS = 20_000_000
     default=_SPLATS,
     show_default=True,
     metavar="N",
-    help="Size of the scene; from about 10,000 it is whole.",
+    help="Size of the scene; with fewer than about 10,000 its surfaces have gaps.",
 )
 @click.option(
     "--seed",

@@ -28,9 +28,9 @@ def every_kernel(*, planned: bool) -> list[DeclaredKernel]:
 @quiet_option
 @json_option
 def warm(threads: int, quiet: bool, as_json: bool) -> None:
-    """Compile what encoding and fast decoding run, once for this machine.
+    """Compile for this machine what all commands run, ahead of them.
 
-    Otherwise the first commands do so themselves, each what it needs. The machine code is kept in
+    Otherwise the first commands compile what they need themselves. The machine code is kept in
     the folder that NUMBA_CACHE_DIR names or, without it, beside the installed package or in the
     user's cache folder.
     """
