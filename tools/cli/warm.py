@@ -28,7 +28,7 @@ def every_kernel(*, planned: bool) -> list[DeclaredKernel]:
 @quiet_option
 @json_option
 def warm(threads: int, quiet: bool, as_json: bool) -> None:
-    """Compile for this machine what all commands run, ahead of them.
+    """Compile what all commands run, ahead of the first of them.
 
     Otherwise the first commands compile what they need themselves. The machine code is kept in
     the folder that NUMBA_CACHE_DIR names or, without it, beside the installed package or in the
