@@ -28,6 +28,7 @@ from .codec.errors import (
     TruncatedError,
     UnsupportedError,
 )
+from .codec.executor import Executor
 from .codec.progress import Progress, TimedProgress, WholeProgress, silent
 from .codec.splats import SceneInfo, Splats
 from .formats.cogs.reader import CogsFile, open_cogs
@@ -255,6 +256,7 @@ def encode(
     memory: int | str | None = None,
     workspace: Workspace | None = None,
     force: bool = False,
+    executor: Executor | None = None,
     progress: Progress = silent,
     whole: Callable[[float], None] | None = None,
 ) -> EncodeReport:
@@ -300,6 +302,9 @@ def encode(
         Where arrays are kept, in place of what follows from `memory`.
     force : bool
         Replace an existing file.
+    executor : Executor, optional
+        What runs the work of single views and chunks, such as `codec.executor.LocalThreads` or
+        `tools.cluster.dask_executor.DaskExecutor`; threads of this process where it is not given.
     progress : Progress
         Called with a stage, the steps of it that are done, and all its steps. Raising `Cancelled`
         from it stops the work and leaves no file.
@@ -398,6 +403,7 @@ def encode(
             test_views=test_views or (),
             size_of=size_of,
             workspace=workspace,
+            executor=executor,
             progress=progress,
         )
         writing = TimedProgress()

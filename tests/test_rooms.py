@@ -138,6 +138,7 @@ DOORS: dict[str, dict[str, str]] = {
             "Cancelled CogsplatError CogsplatWarning DataError FormatError LimitError "
             "MissingExtraError StorageError TruncatedError UnsupportedError printable"
         ),
+        "executor": "Executor LocalThreads",
         "metrics": "PSNR_CAP_DB SSIM_BORDERS psnr ssim",
         "progress": "Progress StageCost TimedProgress WholeProgress silent",
         "splats": (
@@ -205,7 +206,7 @@ DOORS: dict[str, dict[str, str]] = {
     "codec.render": {
         "blend_weights": "PEAK SQUARE WEIGHT add_weights",
         "blending": "ALPHA_MAX",
-        "gradients": "gradient",
+        "gradients": "Gradient gradient",
         "jit": "kernel",
         "label_votes": "label_votes",
         "marginal_gains": "marginal_gains",

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.order import prefix_inflation
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render
@@ -20,7 +22,6 @@ from cogsplat.codec.segments.compensation import (
     Layer,
 )
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.threads import ordered_map, thread_count
 
 from .arriving_prefixes import arriving
 from .encoded import EncodedScene
@@ -90,6 +91,7 @@ def fit(
     config: FitConfig | None = None,
     *,
     prefixes: Sequence[Splats] | None = None,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Compensation:
     """Fit the compensation of a scene's prefixes to its own pictures.
@@ -108,6 +110,8 @@ def fit(
     prefixes : sequence of Splats, optional
         Of each layer (`plan_layers`), as they are drawn where nothing is added to them; those of
         `splats` where this is not given.
+    executor : Executor, optional
+        What runs the work of single views; threads of this process where it is not given.
     progress : Progress
         Called with ``("compensate", steps done, steps)``.
 
@@ -129,10 +133,11 @@ def fit(
     counts = np.array(chunk_splats, np.int64)
     if not layers:
         return Compensation((), counts)
+    executor = executor or LocalThreads(config.threads)
     ends = np.cumsum(counts)
     if prefixes is None:
         prefixes = [splats.take(slice(0, int(ends[chunks - 1]))) for chunks in layers]
-    optimiser = ShiftOptimiser(prefixes, chunk_splats, layers, effective_splats, config)
+    optimiser = ShiftOptimiser(prefixes, chunk_splats, layers, effective_splats, config, executor)
     every = [_iterations_between(int(ends[chunks - 1])) for chunks in layers]
     total = config.iterations * len(layers)
     progress("compensate", 0, total)
@@ -160,6 +165,7 @@ def compensated(
     contribution: NDArray[np.float64],
     config: FitConfig | None = None,
     *,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> EncodedScene:
     """Return an encoded scene with compensation fitted to its prefixes, as they arrive.
@@ -172,6 +178,8 @@ def compensated(
     contribution : (N,) float64
         Of the source's splats.
     config : FitConfig, optional
+    executor : Executor, optional
+        What runs the work of single views; threads of this process where it is not given.
     progress : Progress
         Called with the stage ``compensate``.
     """
@@ -182,11 +190,12 @@ def compensated(
     if not layers:
         return encoded
     splats = encoded.decoded
+    executor = executor or LocalThreads(config.threads)
     progress("compensate", 0, config.iterations * len(layers))
     # The order of the segments says what is there of each prefix. It follows from errors, and those
     # of the fitted compensation would put segments into places that are no better.
     start = usual(counts, effective_splats)
-    prefix_mse = errors(start, splats, references, threads=config.threads)
+    prefix_mse = errors(start, splats, references, executor=executor)
     encoded = replace(encoded, prefix_mse=prefix_mse)
     found = fit(
         splats,
@@ -195,6 +204,7 @@ def compensated(
         effective_splats,
         config,
         prefixes=arriving(encoded, layers, _LONG_LAYER),
+        executor=executor,
         progress=progress,
     )
     return replace(encoded, compensation=found)
@@ -222,8 +232,33 @@ def usual(chunk_splats: Sequence[int], effective_splats: int) -> Compensation:
     return Compensation(tuple(found), np.array(chunk_splats, np.int64))
 
 
+def _far(
+    view: int,
+    splats: Splats,
+    references: ReferenceViews,
+    compensation: Compensation,
+    *,
+    size: int,
+    chunks: int,
+) -> float:
+    """Return the mean squared error of a compensated prefix in the reference view of a number."""
+    prefix = compensation.apply(splats.take(slice(0, size)), chunks)
+    config = RenderConfig(
+        references.kernels[view],
+        prefix.info.antialiased,
+        near_plane=references.near_plane,
+        threads=1,
+    )
+    drawn = np.clip(render(prefix, references.cameras[view], config), 0.0, 1.0)
+    return float(np.mean(np.square(drawn - references.pictures[view], dtype=np.float64)))
+
+
 def errors(
-    compensation: Compensation, splats: Splats, references: ReferenceViews, *, threads: int = 0
+    compensation: Compensation,
+    splats: Splats,
+    references: ReferenceViews,
+    *,
+    executor: Executor | None = None,
 ) -> F64:
     """Measure how far compensated prefixes are from the whole.
 
@@ -233,8 +268,8 @@ def errors(
     splats : Splats
         All of the scene's, as they are decoded.
     references : ReferenceViews
-    threads : int
-        0 for every core this process may use.
+    executor : Executor, optional
+        What runs the work of single views; threads of this process where it is not given.
 
     Returns
     -------
@@ -247,19 +282,13 @@ def errors(
     counts = compensation.chunk_splats.tolist()
     ends = np.concatenate([[0], np.cumsum(compensation.chunk_splats)])
 
+    runner = executor or LocalThreads()
+
     def error(chunks: int) -> float:
-        prefix = compensation.apply(splats.take(slice(0, int(ends[chunks]))), chunks)
-
-        def far(view: int) -> float:
-            picture = references.pictures[view]
-            kernel_px, near_plane = references.kernels[view], references.near_plane
-            info = prefix.info
-            config = RenderConfig(kernel_px, info.antialiased, near_plane=near_plane, threads=1)
-            drawn = np.clip(render(prefix, references.cameras[view], config), 0.0, 1.0)
-            return float(np.mean(np.square(drawn - picture, dtype=np.float64)))
-
-        each = list(ordered_map(far, views, thread_count(threads)))
-        return float(weights @ np.array(each))
+        far = partial(_far, size=int(ends[chunks]), chunks=chunks)
+        return float(
+            weights @ np.array(list(runner.map(far, views, splats, references, compensation)))
+        )
 
     measured = measured_prefixes(counts, _MEASURED_PREFIXES)
     roots = np.sqrt([error(chunks) for chunks in measured.tolist()])

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.geometry.bounds import box
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.rate import segment_order
@@ -19,8 +21,7 @@ from cogsplat.codec.segments.codebooks import (
 from cogsplat.codec.segments.heads import decode_head
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.segments.tails import decode_tail
-from cogsplat.codec.splats import Splats
-from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.codec.splats import Splats, empty
 
 from .config import require_quality
 from .encoded import EncodedChunk, EncodedCodebook, EncodedScene
@@ -29,7 +30,11 @@ from .profiles.dispatch import PROFILES, PlannedScene
 
 
 def encode_chunks(
-    prepared: PreparedScene, quality_db: float, *, progress: Progress = silent
+    prepared: PreparedScene,
+    quality_db: float,
+    *,
+    executor: Executor | None = None,
+    progress: Progress = silent,
 ) -> EncodedScene:
     """Encode a prepared scene at a nominal quality in place of its configuration's.
 
@@ -38,6 +43,8 @@ def encode_chunks(
     prepared : PreparedScene
     quality_db : float
         Nominal PSNR, 10 to 90 dB.
+    executor : Executor, optional
+        What encodes the chunks; threads of this process where it is not given.
     progress : Progress
         Called with ``codebooks``, ``quantisers`` (what all chunks share) and ``chunks`` as stages.
 
@@ -64,19 +71,16 @@ def encode_chunks(
     }
     decoded = prepared.workspace.splats(len(scene.rows), degree, scene.source.info)
 
-    def encode_one(number: int) -> EncodedChunk:
-        run = scene.slices[number]
-        payloads = planned.encode_chunk(run)
-        reach = _decode_chunk(payloads, codebooks, decoded.take(run))
-        chunk = _chunk(scene, number, payloads, reach)
-        prepared.workspace.settle()
-        return chunk
-
     chunks: list[EncodedChunk] = []
     count = len(scene.slices)
     progress("chunks", 0, count)
-    for chunk in ordered_map(encode_one, range(count), thread_count(scene.config.threads)):
-        chunks.append(chunk)
+    executor = executor or LocalThreads(scene.config.threads)
+    plan = _Plan(planned, codebooks, empty(degree, 0, scene.source.info))
+    made = executor.map(_encode_chunk, scene.slices, plan)
+    for number, (payloads, reach, rows) in enumerate(made):
+        _write_rows(rows, decoded.take(scene.slices[number]))
+        prepared.workspace.settle()
+        chunks.append(_chunk(scene, number, payloads, reach))
         progress("chunks", len(chunks), count)
     boxes = np.array([chunk.box for chunk in chunks]).reshape(-1, 6)
     whole = np.zeros(6)
@@ -91,6 +95,28 @@ def encode_chunks(
         chunks=chunks,
         decoded=decoded,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What encoding a chunk takes: `blank` is a scene without rows, for the decoded ones."""
+
+    planned: PlannedScene
+    codebooks: Mapping[int, Codebook]
+    blank: Splats
+
+
+def _write_rows(rows: Splats, out: Splats) -> None:
+    for name in ("means", "scales", "quats", "opacities", "sh0", "shN"):
+        getattr(out, name)[:] = getattr(rows, name)
+
+
+def _encode_chunk(run: slice, plan: _Plan) -> tuple[Payloads, NDArray[np.float64], Splats]:
+    """Encode the rows of a chunk; return its payloads, the box it reaches and its decoded rows."""
+    payloads = plan.planned.encode_chunk(run)
+    rows = empty(plan.blank.sh_degree, run.stop - run.start, plan.blank.info)
+    reach = _decode_chunk(payloads, plan.codebooks, rows)
+    return payloads, reach, rows
 
 
 def _chunk(

@@ -13,6 +13,7 @@ import numpy as np
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatWarning, DataError
+from cogsplat.codec.executor import Executor
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.order.prefix_inflation import effective_splats
 from cogsplat.codec.progress import Progress, TimedProgress, silent
@@ -59,6 +60,7 @@ def encode(
     test_views: Sequence[Camera] = (),
     size_of: SizeOf | None = None,
     workspace: Workspace = IN_MEMORY,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> EncodedScene:
     """Encode a scene: from arrays and cameras to payloads and tables.
@@ -88,6 +90,9 @@ def encode(
         Needed for a size as target.
     workspace : Workspace
         Where arrays as long as the scene are kept, and whether several views are drawn at once.
+    executor : Executor, optional
+        What runs the work of single views and chunks; `EncodeConfig.threads` threads of this
+        process where it is not given.
     progress : Progress
         Called with the stages ``plan views``, ``score``, ``reference views``, those of the order,
         ``order``, ``codebooks``, ``quantisers``, ``chunks``, ``search`` around these where there
@@ -98,7 +103,7 @@ def encode(
     -------
     EncodedScene
         With a report of the stages, the views and the predicted quality. The same bytes for any
-        number of threads.
+        number of threads and for any executor on processors of one kind.
 
     Raises
     ------
@@ -121,6 +126,8 @@ def encode(
     (1, 100)
     """
     _require_consistent(config, cameras, scores, target, size_of)
+    if executor is not None and not workspace.views_at_once:
+        raise ValueError("an executor and a workspace in files, expected one of them")
     timed = TimedProgress(progress)
     splats.require_valid()
     settings = score_config or preset.score_config(config.profile, threads=config.threads)
@@ -130,7 +137,7 @@ def encode(
         report = replace(report, test_views="given")
     if scores is None and len(splats):
         if cameras is None:
-            planned = _planned(splats, config, preset, timed)
+            planned = _planned(splats, config, preset, executor, timed)
             views, covering = planned.views, planned.covering_views
             settings = replace(settings, jitter=settings.jitter and preset.planned_jitter)
             if views:
@@ -148,6 +155,7 @@ def encode(
                 settings,
                 covering=covering,
                 workspace=workspace,
+                executor=executor,
                 progress=timed,
             )
     if report.views == "given" and scores is not None and len(splats):
@@ -162,7 +170,12 @@ def encode(
     # Both the order and the fit compare prefixes with pictures of the whole scene.
     if len(splats) and views and (fits or split_name(config.order)[0] == "gain"):
         references = render_references(
-            splats, views, jittered=settings.jitter, threads=config.threads, progress=timed
+            splats,
+            views,
+            jittered=settings.jitter,
+            threads=config.threads,
+            executor=executor,
+            progress=timed,
         )
     prepared = prepare(
         splats,
@@ -172,15 +185,18 @@ def encode(
         jitter=settings.jitter,
         references=references,
         workspace=workspace,
+        executor=executor,
         progress=timed,
     )
     timed("order", 1, 1)
-    finishing = _Finishing(prepared, references if fits else None, tests or views, preset, timed)
+    finishing = _Finishing(
+        prepared, references if fits else None, tests or views, preset, executor, timed
+    )
     if target is None and report.views == "planned" and config.profile != "near-lossless":
         hit = to_nominal(finishing.measured, config.quality_db, _mean_test_psnr_db, progress=timed)
         hit = replace(hit, encoded=finishing.finish(hit.encoded))
     elif target is None or not len(splats):
-        encoded = encode_chunks(prepared, config.quality_db, progress=timed)
+        encoded = encode_chunks(prepared, config.quality_db, executor=executor, progress=timed)
         hit = Hit(finishing.finish(encoded), config.quality_db, 0.0, 1)
     else:
         hit = _search(prepared, target, finishing, size_of)
@@ -239,13 +255,20 @@ def _require_consistent(
         raise ValueError("a size as target without size_of, expected what measures a file")
 
 
-def _planned(splats: Splats, config: EncodeConfig, preset: Preset, progress: Progress) -> ViewPlan:
+def _planned(
+    splats: Splats,
+    config: EncodeConfig,
+    preset: Preset,
+    executor: Executor | None,
+    progress: Progress,
+) -> ViewPlan:
     """Return views to score in and test views, of a scene that came without cameras.
 
     There are none where a scene shows nothing and is to be stored without loss all the same.
     """
     try:
-        return plan(splats, preset.plan_config(config.threads), progress=progress)
+        settings = preset.plan_config(config.threads)
+        return plan(splats, settings, executor=executor, progress=progress)
     except DataError as error:
         if error.code != "empty-scene" or config.profile != "near-lossless":
             raise
@@ -265,6 +288,7 @@ class _Finishing:
         Views to predict in; empty where nothing is predicted.
     preset : Preset
         How many of these are rendered, and how long compensation is fitted.
+    executor : Executor or None
     progress : Progress
     """
 
@@ -272,6 +296,7 @@ class _Finishing:
     references: ReferenceViews | None
     test_views: Sequence[Camera]
     preset: Preset
+    executor: Executor | None
     progress: Progress
 
     @cached_property
@@ -283,6 +308,7 @@ class _Finishing:
             views,
             prepared.config.threads,
             views_at_once=prepared.workspace.views_at_once and len(prepared.source) <= MOST_BY_VIEW,
+            executor=self.executor,
         )
 
     @property
@@ -294,16 +320,22 @@ class _Finishing:
 
     def measured(self, quality_db: float) -> EncodedScene:
         """Return the scene at a nominal quality, its report with the PSNR in each test view."""
-        return whole_measured(
-            encode_chunks(self.prepared, quality_db, progress=self.progress), self.evaluator
+        encoded = encode_chunks(
+            self.prepared, quality_db, executor=self.executor, progress=self.progress
         )
+        return whole_measured(encoded, self.evaluator)
 
     def finish(self, encoded: EncodedScene) -> EncodedScene:
         """Return a scene with compensation and predicted quality."""
         if self.references is not None:
             contribution = self.prepared.scores.contribution
             encoded = compensated(
-                encoded, self.references, contribution, self.fit, progress=self.progress
+                encoded,
+                self.references,
+                contribution,
+                self.fit,
+                executor=self.executor,
+                progress=self.progress,
             )
         if self.test_views and len(encoded.chunks):
             encoded = predicted(
@@ -337,7 +369,7 @@ def _search(
     progress = finishing.progress
     if target.size_bytes is not None and size_of is not None:
         return to_finished_size(
-            partial(encode_chunks, prepared),
+            partial(encode_chunks, prepared, executor=finishing.executor),
             len(prepared.rows),
             target.size_bytes,
             lambda encoded: size_of(finishing.foresee(encoded)),

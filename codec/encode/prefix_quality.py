@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
+from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render_tiles
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.codec.threads import thread_count
 from cogsplat.codec.views.view_sets import evenly
 
 from .encoded import EncodedScene
@@ -35,6 +36,15 @@ _PIXELS: Final = 1 << 17
 _PREFIXES: Final = 8
 
 
+def _draw(
+    view: Camera, splats: Splats, *, config: RenderConfig, size: int | None = None
+) -> NDArray[np.float32]:
+    """Return the pixels of a view that are compared, (P, 3): of all splats, or of the first."""
+    splats = splats.take(slice(0, size))
+    every = max(1, view.width * view.height // _PIXELS)
+    return render_tiles(splats, view, every, config)
+
+
 class PrefixEvaluator:
     """Measures the PSNR of scenes against pictures of the source in some views.
 
@@ -47,6 +57,8 @@ class PrefixEvaluator:
         0 for all cores; the figures do not depend on it.
     views_at_once : bool
         Whether each core draws a view of its own; otherwise all draw one, which takes less memory.
+    executor : Executor, optional
+        What runs the work of single views; threads of this process where it is not given.
 
     Raises
     ------
@@ -61,28 +73,28 @@ class PrefixEvaluator:
         threads: int = 0,
         *,
         views_at_once: bool = True,
+        executor: Executor | None = None,
     ) -> None:
         if not views:
             raise DataError("no-cameras", "0 views to predict quality in, expected at least 1")
         self._views = list(views)
         count = thread_count(threads)
-        self._threads, of_view = (count, 1) if views_at_once else (1, count)
+        by_view = views_at_once or executor is not None
+        self._executor = executor or LocalThreads(count if by_view else 1)
         info = source.info
-        self._config = RenderConfig(info.kernel_px, info.antialiased, threads=of_view)
-        pictures = ordered_map(partial(self._draw, source), range(len(views)), self._threads)
-        self._expected = list(pictures)
-
-    def _draw(self, splats: Splats, number: int) -> NDArray[np.float32]:
-        """Return the pixels of a view that are compared, (P, 3)."""
-        view = self._views[number]
-        every = max(1, view.width * view.height // _PIXELS)
-        return render_tiles(splats, view, every, self._config)
+        self._config = RenderConfig(
+            info.kernel_px, info.antialiased, threads=1 if by_view else count
+        )
+        draw = partial(_draw, config=self._config)
+        self._expected = list(self._executor.map(draw, views, source))
 
     def psnr_db(self, splats: Splats) -> float:
         """Return the mean PSNR of a scene against the source, dB, at most 100."""
         return float(np.mean(self.views_db(splats)))
 
-    def views_db(self, splats: Splats, views: Sequence[int] | None = None) -> list[float]:
+    def views_db(
+        self, splats: Splats, views: Sequence[int] | None = None, *, size: int | None = None
+    ) -> list[float]:
         """Return the PSNR of a scene against the source in each view, dB, at most 100.
 
         Parameters
@@ -90,13 +102,18 @@ class PrefixEvaluator:
         splats : Splats
         views : sequence of int, optional
             Numbers of the views to draw; all of them where it is not given.
+        size : int, optional
+            How many of the splats are drawn, from the first on; all where it is not given.
         """
         numbers = range(len(self._views)) if views is None else views
 
-        def compare(number: int) -> float:
-            return float(psnr(self._expected[number], self._draw(splats, number)))
-
-        return list(ordered_map(compare, numbers, self._threads))
+        seen = [self._views[number] for number in numbers]
+        draw = partial(_draw, config=self._config, size=size)
+        found = self._executor.map(draw, seen, splats)
+        return [
+            float(psnr(self._expected[number], pixels))
+            for number, pixels in zip(numbers, found, strict=True)
+        ]
 
     def prefixes_db(
         self,
@@ -132,8 +149,8 @@ class PrefixEvaluator:
             if chunks == len(counts) and whole_db is not None:
                 values.append(whole_db)
             else:
-                prefix = encoded.decoded.take(slice(0, sum(counts[:chunks])))
-                values.append(float(np.mean(self.views_db(prefix, views))))
+                size = sum(counts[:chunks])
+                values.append(float(np.mean(self.views_db(encoded.decoded, views, size=size))))
             progress("predict", done, len(measured))
         return [float(x) for x in interpolated(counts, measured, np.array(values))]
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
+from cogsplat.codec.executor import Executor
 from cogsplat.codec.order import chunks as chunking
 from cogsplat.codec.order import objects
 from cogsplat.codec.order.orders import Unordered, order_rows
@@ -115,6 +116,7 @@ def prepare(
     jitter: bool = True,
     references: ReferenceViews | None = None,
     workspace: Workspace = IN_MEMORY,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> PreparedScene:
     """Order a scene.
@@ -134,6 +136,8 @@ def prepare(
         Pictures of the scene in these views, where they have been drawn.
     workspace : Workspace
         As `PreparedScene` has it.
+    executor : Executor, optional
+        What runs the work of single views; threads of this process where it is not given.
     progress : Progress
         Called by orders that render, with their own stages.
 
@@ -147,7 +151,7 @@ def prepare(
     _require_storable(splats)
     _require_scores(scores, len(splats))
     kept = kept_rows(splats, scores, config.dropping(), 0.0)
-    scene = Unordered(splats, scores, views, config.threads, progress, jitter, references)
+    scene = Unordered(splats, scores, views, config.threads, progress, jitter, references, executor)
     inflated = config.ordering.inflated and config.compensate
     rows = order_rows(config.order, scene, replace(config.ordering, inflated=inflated))
     return PreparedScene(splats, rows[kept[rows]], scores, config, workspace)

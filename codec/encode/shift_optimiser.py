@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.clustering import few_rows
+from cogsplat.codec.executor import Executor
 from cogsplat.codec.order import prefix_inflation
-from cogsplat.codec.render.gradients import gradient
+from cogsplat.codec.render.gradients import Gradient, gradient
 from cogsplat.codec.render.shading import row_colours
 from cogsplat.codec.scoring.reference_views import ReferenceViews
 from cogsplat.codec.segments.compensation import (
@@ -21,7 +22,7 @@ from cogsplat.codec.segments.compensation import (
     Layer,
 )
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.codec.threads import thread_count
 
 from .adam import Adam
 from .shift_kernels import add_gradient, choose_rows, draw_shifts, move_shifts
@@ -98,6 +99,30 @@ def codebook_rows(code_bits: int, splats: int) -> int:
     return min(1 << code_bits, max(splats, 1))
 
 
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """What a step draws the splats of a prefix with: log scales, (n, 3), and logits, (n,)."""
+
+    scales: NDArray[np.float32]
+    opacities: NDArray[np.float32]
+
+
+def _view_gradient(
+    view: int, prefix: Splats, references: ReferenceViews, drawn: _Drawn
+) -> Gradient:
+    """Return the gradient of the reference view of a number by what a prefix is drawn with."""
+    camera = references.cameras[view]
+    shapes = prefix.without_extras().with_sh_degree(0)
+    return gradient(
+        replace(shapes, scales=drawn.scales, opacities=drawn.opacities),
+        row_colours(prefix, np.arange(len(prefix), dtype=np.int32), camera),
+        camera,
+        references.pictures[view],
+        kernel_px=references.kernels[view],
+        near_plane=references.near_plane,
+    )
+
+
 class ShiftOptimiser:
     """The shifts of one scene while they are fitted.
 
@@ -116,6 +141,8 @@ class ShiftOptimiser:
     effective_splats : int
         Of the source (`prefix_inflation.effective_splats`).
     config : FitConfig
+    executor : Executor
+        What measures gradients in single views.
     """
 
     def __init__(
@@ -125,7 +152,9 @@ class ShiftOptimiser:
         layers: Sequence[int],
         effective_splats: int,
         config: FitConfig,
+        executor: Executor,
     ) -> None:
+        self._executor = executor
         self._prefixes = list(prefixes)
         self._layers = list(layers)
         self._config = config
@@ -257,23 +286,10 @@ class ShiftOptimiser:
         views: Sequence[int],
     ) -> F64:
         """Return the gradient of the views' mean log error by the shifts of a layer, (n, 2)."""
-        size, (scales, opacities) = self._sizes[number], self._drawn
-        prefix = self._prefixes[number]
-        shapes = prefix.without_extras().with_sh_degree(0)
-        drawn = replace(shapes, scales=scales[:size], opacities=opacities[:size])
-        rows = np.arange(size, dtype=np.int32)
-        found = ordered_map(
-            lambda view: gradient(
-                drawn,
-                row_colours(prefix, rows, references.cameras[view]),
-                references.cameras[view],
-                references.pictures[view],
-                kernel_px=references.kernels[view],
-                near_plane=references.near_plane,
-            ),
-            views,
-            thread_count(self._config.threads),
-        )
+        size = self._sizes[number]
+        # A new object for each step: what is shared must not change.
+        drawn = _Drawn(*(values[:size] for values in self._drawn))
+        found = self._executor.map(_view_gradient, views, self._prefixes[number], references, drawn)
         gradients = self._gradients[:size]
         gradients[:] = 0.0
         for view, result in zip(views, found, strict=True):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.marginal_gains import marginal_gains
@@ -18,7 +19,7 @@ from cogsplat.codec.render.shading import footprint_colours
 from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.scoring.reference_views import ReferenceViews, render_references
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.codec.threads import thread_count
 
 from . import prefix_inflation
 
@@ -159,48 +160,79 @@ def _places(priority: NDArray[np.float64]) -> NDArray[np.int64]:
     return places
 
 
-def gains(
-    pool: Pool,
-    present: NDArray[np.bool_],
-    references: ReferenceViews,
-    views: Sequence[int],
-    threads: int,
-) -> NDArray[np.float64]:
-    """Return the marginal gain of every splat of a pool: by how much it lowers the squared error.
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """What the gains of one stage are measured of.
 
     Parameters
     ----------
-    pool : Pool
-        n splats.
+    rows : (n,) int32
+        Of the scene, ascending.
     present : (n,) bool
         Those in the prefix.
+    by : Inflation or None
+        How they are inflated.
+    """
+
+    rows: NDArray[np.int32]
+    present: NDArray[np.bool_]
+    by: prefix_inflation.Inflation | None = None
+    # Made where gains are measured, when it is first asked for: it is far larger than the rows.
+    _made: dict[str, Pool] = field(default_factory=dict, init=False, repr=False)
+
+    def pool(self, splats: Splats) -> Pool:
+        """Return the pool of its rows; the same object every time."""
+        made = self._made.get("pool")
+        if made is None:
+            made = self._made.setdefault("pool", pool_of(splats, self.rows, self.by))
+        return made
+
+
+def _view_gains(
+    view: int, splats: Splats, references: ReferenceViews, stage: Stage
+) -> tuple[NDArray[np.int32], NDArray[np.float64], float]:
+    """Measure the gains of a stage in the reference view of a number."""
+    return view_gains(
+        stage.pool(splats),
+        stage.present,
+        references.cameras[view],
+        references.pictures[view],
+        kernel_px=references.kernels[view],
+        near_plane=references.near_plane,
+    )
+
+
+def gains(
+    splats: Splats,
+    references: ReferenceViews,
+    stage: Stage,
+    views: Sequence[int],
+    executor: Executor,
+) -> NDArray[np.float64]:
+    """Return the marginal gain of every splat of a stage: by how much it lowers the squared error.
+
+    Parameters
+    ----------
+    splats : Splats
     references : ReferenceViews
+    stage : Stage
+        n splats.
     views : sequence of int
         Numbers of the reference views to measure in.
-    threads : int
-        At least 1. The gains do not depend on it.
+    executor : Executor
+        What measures in single views. The gains do not depend on it.
 
     Returns
     -------
     (n,) float64
         Weighted sum over the views of the gain per pixel, summed over channels.
     """
-    total = np.zeros(len(pool.rows), np.float64)
-    found = ordered_map(
-        lambda view: view_gains(
-            pool,
-            present,
-            references.cameras[view],
-            references.pictures[view],
-            kernel_px=references.kernels[view],
-            near_plane=references.near_plane,
-        ),
-        views,
-        threads,
-    )
+    total = np.zeros(len(stage.rows), np.float64)
+    found = executor.map(_view_gains, views, splats, references, stage)
     for view, (rows, gain, _) in zip(views, found, strict=True):
         camera = references.cameras[view]
-        total[rows] += references.weights[view] / (camera.width * camera.height) * gain
+        weight = references.weights[view]
+        total[rows] += weight / (camera.width * camera.height) * gain
     return total
 
 
@@ -210,6 +242,7 @@ def gain_rows(
     references: ReferenceViews,
     config: GainConfig | None = None,
     *,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> NDArray[np.int64]:
     """Order a scene by marginal gain, measured in given reference views.
@@ -221,6 +254,8 @@ def gain_rows(
         Of these splats.
     references : ReferenceViews
     config : GainConfig, optional
+    executor : Executor, optional
+        What runs the work of single views; threads of this process where it is not given.
     progress : Progress
         Called with ``("gain", splats placed, splats to place)``.
 
@@ -237,7 +272,7 @@ def gain_rows(
     splats that hide or overlap it are missing, so that it may matter more, or less.
     """
     config = config or GainConfig()
-    threads = thread_count(config.threads)
+    executor = executor or LocalThreads(config.threads)
     count = len(splats)
     volume = np.exp(_VOLUME * splats.scales.astype(np.float64).sum(axis=1))
     by_contribution = _places(scores.contribution)
@@ -268,7 +303,8 @@ def gain_rows(
             else None
         )
         views = references.sample(_LATE_VIEWS if late else _VIEWS, len(stages))
-        gain = gains(pool_of(splats, rows, by), present, references, views, threads)
+        stage = Stage(rows.astype(np.int32), present, by)
+        gain = gains(splats, references, stage, views, executor)
         gain[present] = -np.inf
         # Ties, such as splats that these views do not show, come by contribution.
         picked = rows[np.lexsort((by_contribution[rows], -gain))[:wanted]]
@@ -288,13 +324,14 @@ def gain_order(
     config: GainConfig | None = None,
     *,
     references: ReferenceViews | None = None,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> NDArray[np.int64]:
     """Order a scene by marginal gain in the views of some cameras.
 
     Parameters
     ----------
-    splats, scores, config, progress
+    splats, scores, config, executor, progress
         As in `gain_rows`; progress also that of `reference_views.render_references`.
     cameras : sequence of Camera
         In the frame of the means. Without any, or without splats, the order is by contribution.
@@ -311,6 +348,11 @@ def gain_order(
         return np.argsort(-scores.contribution, kind="stable").astype(np.int64)
     if references is None:
         references = render_references(
-            splats, cameras, jittered=config.jitter, threads=config.threads, progress=progress
+            splats,
+            cameras,
+            jittered=config.jitter,
+            threads=config.threads,
+            executor=executor,
+            progress=progress,
         )
-    return gain_rows(splats, scores, references, config, progress=progress)
+    return gain_rows(splats, scores, references, config, executor=executor, progress=progress)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatWarning
+from cogsplat.codec.executor import Executor
 from cogsplat.codec.geometry import frustum
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
@@ -128,6 +129,8 @@ class Unordered:
         Whether orders that render also use jittered copies of the views.
     references : ReferenceViews or None
         Reference views of these cameras; None where they have not been rendered.
+    executor : Executor or None
+        What runs the work of single views; None for threads of this process.
     """
 
     splats: Splats
@@ -137,6 +140,7 @@ class Unordered:
     progress: Progress = field(default=silent)
     jitter: bool = True
     references: ReferenceViews | None = None
+    executor: Executor | None = None
 
 
 Order = Callable[[Unordered, OrderConfig], NDArray[np.int64]]
@@ -175,6 +179,7 @@ def _by_gain(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
         scene.views,
         GainConfig(inflated=config.inflated, jitter=scene.jitter, threads=scene.threads),
         references=scene.references,
+        executor=scene.executor,
         progress=scene.progress,
     )
     return chunks.sort_runs(rows, scene.scores.contribution)
@@ -358,5 +363,5 @@ def _seen_from(scene: Unordered, camera: Camera) -> Unordered:
     # All weights count, not a pixel's K largest alone: a splat that others cover has no other view
     # to make up for it, and in a short prefix these others are missing.
     config = ScoreConfig(top_k=0, jitter=False, threads=scene.threads)
-    scores = score(scene.splats, [camera], config)
+    scores = score(scene.splats, [camera], config, executor=scene.executor)
     return replace(scene, scores=scores, views=[camera], references=None)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
+from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.blend_weights import PEAK, SQUARE, WEIGHT, add_weights
@@ -25,7 +27,7 @@ from cogsplat.codec.render.sensitivities import (
 from cogsplat.codec.render.shading import footprint_colours
 from cogsplat.codec.render.tiles import TileLists, tile_lists
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
-from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.codec.threads import thread_count
 from cogsplat.codec.views.view_sets import jitter
 from cogsplat.codec.workspace import IN_MEMORY, Gather, Workspace
 
@@ -222,15 +224,18 @@ class _ViewScores:
 
 
 def _score_view(
+    view: tuple[Camera, bool],
     splats: Splats,
-    camera: Camera,
-    config: ScoreConfig,
     *,
-    sensitive: bool,
+    config: ScoreConfig,
     threads: int,
     frugal: bool,
 ) -> _ViewScores:
-    """Score one view, with sensitivities where `sensitive`, in less memory where `frugal`."""
+    """Score a view of one camera, with sensitivities where its second value says so.
+
+    In less memory where `frugal`.
+    """
+    camera, sensitive = view
     footprints = project(
         splats,
         camera,
@@ -280,6 +285,7 @@ def score(
     *,
     covering: Sequence[Camera] = (),
     workspace: Workspace = IN_MEMORY,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Scores:
     """Measure how much each splat weighs in the views of some cameras, in one pass over them.
@@ -300,6 +306,8 @@ def score(
         have no jittered copies.
     workspace : Workspace
         Where the scores are kept, and whether several views are scored at once.
+    executor : Executor, optional
+        What runs the work of single views; threads of this process where it is not given.
     progress : Progress
         Called with ``("score", views done, views)``; raising from it stops the work.
 
@@ -350,18 +358,15 @@ def score(
     n = len(splats)
     columns = workspace.zeros((n if config.sensitivity_every else 0, COLUMNS), np.float64)
     threads = thread_count(config.threads)
-    by_view = workspace.views_at_once and threads <= len(views) and n <= MOST_BY_VIEW
-    results = ordered_map(
-        lambda view: _score_view(
-            splats,
-            views[view],
-            config,
-            sensitive=sensitive[view] > 0.0,
-            threads=1 if by_view else threads,
-            frugal=not by_view,
-        ),
-        range(len(views)),
-        threads if by_view else 1,
+    by_view = executor is not None or (
+        workspace.views_at_once and threads <= len(views) and n <= MOST_BY_VIEW
+    )
+    if executor is None:
+        executor = LocalThreads(threads if by_view else 1)
+    results = executor.map(
+        partial(_score_view, config=config, threads=1 if by_view else threads, frugal=not by_view),
+        zip(views, (share > 0.0 for share in sensitive), strict=True),
+        splats,
     )
     progress("score", 0, len(views))
     for done, result in enumerate(results):

@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.render.rasteriser import RenderConfig, render_views
+from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.threads import thread_count
 from cogsplat.codec.views.low_discrepancy import STEP_1D
 from cogsplat.codec.views.view_sets import jitter
 
@@ -101,6 +104,18 @@ def _thinned(views: Sequence[Camera], most: int) -> list[Camera]:
     return [views[k * len(views) // most] for k in range(most)]
 
 
+def _picture(
+    view: tuple[Camera, float], splats: Splats, *, near_plane: float, threads: int
+) -> NDArray[np.float32]:
+    """Return the picture of a camera with its kernel, px²."""
+    camera, kernel_px = view
+    config = RenderConfig(
+        kernel_px, splats.info.antialiased, near_plane=near_plane, threads=threads
+    )
+    picture = render(splats, camera, config)
+    return np.clip(picture, np.float32(0.0), np.float32(1.0), out=picture)
+
+
 def render_references(
     splats: Splats,
     cameras: Sequence[Camera],
@@ -108,6 +123,7 @@ def render_references(
     jittered: bool = True,
     near_plane: float = NEAR,
     threads: int = 0,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> ReferenceViews:
     """Render the full scene in its reference views.
@@ -125,6 +141,8 @@ def render_references(
         Means at or before this camera-space depth are not drawn, scene units.
     threads : int
         0 for every core this process may use. The pictures do not depend on it.
+    executor : Executor, optional
+        What runs the work of single views; threads of this process where it is not given.
     progress : Progress
         Called with ``("reference views", views done, views)``; raising from it stops the work.
 
@@ -157,23 +175,19 @@ def render_references(
     info = splats.info
     views = [camera for camera, _ in reduced]
     kernels = [info.kernel_px / (factor * factor) for _, factor in reduced]
+    threads = thread_count(threads)
+    by_view = executor is not None or len(views) >= threads
+    if executor is None:
+        executor = LocalThreads(threads if by_view else 1)
     pictures: list[NDArray[np.float32]] = []
-    # Views of one kernel are drawn together, at most 16 at once to bound memory and progress.
-    start = 0
     progress("reference views", 0, len(views))
-    while start < len(views):
-        stop = start
-        while stop < len(views) and kernels[stop] == kernels[start] and stop < start + 16:
-            stop += 1
-        config = RenderConfig(
-            kernel_px=kernels[start],
-            antialiased=info.antialiased,
-            near_plane=near_plane,
-            threads=threads,
-        )
-        drawn = render_views(splats, views[start:stop], config)
-        pictures += [np.clip(picture, np.float32(0.0), np.float32(1.0)) for picture in drawn]
-        start = stop
+    drawn = executor.map(
+        partial(_picture, near_plane=near_plane, threads=1 if by_view else threads),
+        zip(views, kernels, strict=True),
+        splats,
+    )
+    for picture in drawn:
+        pictures.append(picture)
         progress("reference views", len(pictures), len(views))
     weights = np.concatenate(
         [np.full(len(members), 1.0 / len(members)) for members in (chosen, copies) if members]

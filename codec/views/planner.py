@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
+from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR, in_picture
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.render.peak_weights import peak_weights
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.codec.threads import thread_count
 
+from .candidates import LEVEL_DEG, Candidate, CandidateDrawing, draw_candidate, pitch_deg
 from .coverage import SeenSplats, additions
 from .low_discrepancy import STEPS_2D, STEPS_3D, sequence
 from .occlusion import Occluders
@@ -90,14 +91,9 @@ _TARGET_SIZES, _TARGET_SHARE = 4.0, 0.1
 # Views of the other side count at least this much: what only they show deserves a few views.
 _LEAST_SIDE: Final = 0.1
 
-# A splat whose peak weight is at most _FAINT is not seen. Exposure beyond _SHOWN adds little: the
-# gain is logarithmic, so that views spread over the scene as its detail does.
-_FAINT: Final = 0.02
+# Exposure beyond this adds little: the gain is logarithmic, so that views spread over the scene as
+# its detail does.
 _SHOWN: Final = 0.1
-# Visitors look about level and rather down than up. A view at right angles to this pitch counts a
-# tenth.
-_LEVEL_DEG: Final = 15.0
-_LEAST_LEVEL: Final = 0.1
 
 # An object is isolated where, from half of the poses of an orbit, splats block at most this share
 # of the directions (the object itself fills about as much), and its radius is less than so many
@@ -207,28 +203,6 @@ class ViewPlan:
     coverage: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    """What a view from one pose would show.
-
-    Parameters
-    ----------
-    pose : Pose
-    index : (n,) int32
-        Rows of the subsample that are seen.
-    peaks : (n,) float32
-        Peak weight of each in a pixel.
-    exposure : (n,) float32
-        How well each is shown: its peak weight, but less where it is too small to be resolved and
-        where the view is steep. 0 to 1.
-    """
-
-    pose: Pose
-    index: NDArray[np.int32]
-    peaks: NDArray[np.float32]
-    exposure: NDArray[np.float32]
-
-
 def plan_views(
     splats: Splats, config: ViewPlanConfig | None = None, *, progress: Progress = silent
 ) -> list[Camera]:
@@ -262,7 +236,11 @@ def plan_views(
 
 
 def plan(
-    splats: Splats, config: ViewPlanConfig | None = None, *, progress: Progress = silent
+    splats: Splats,
+    config: ViewPlanConfig | None = None,
+    *,
+    executor: Executor | None = None,
+    progress: Progress = silent,
 ) -> ViewPlan:
     """Plan the views to score and to test a scene on that came without cameras.
 
@@ -275,6 +253,8 @@ def plan(
         Rows that cannot be drawn are left out.
     config : ViewPlanConfig or None
         None for the defaults.
+    executor : Executor, optional
+        What runs the work of single views; threads of this process where it is not given.
     progress : Progress
         Called with ``("plan views", candidates drawn, candidates)``; raising from it stops the
         work.
@@ -298,7 +278,8 @@ def plan(
         raise DataError(
             "empty-scene", f"none of {len(splats)} splats can be drawn, expected at least 1"
         )
-    planner = _Planner(subsample(bare.take(usable), _SUBSAMPLE_SPLATS), config, progress)
+    executor = executor or LocalThreads(config.threads)
+    planner = _Planner(subsample(bare.take(usable), _SUBSAMPLE_SPLATS), config, executor, progress)
     poses, covering = planner.plan()
     lens, down = config.lens(), planner.down
 
@@ -321,11 +302,16 @@ class _Planner:
     scene : Subsample
         M splats.
     config : ViewPlanConfig
+    executor : Executor
+        What draws the candidates.
     progress : Progress
     """
 
-    def __init__(self, scene: Subsample, config: ViewPlanConfig, progress: Progress) -> None:
+    def __init__(
+        self, scene: Subsample, config: ViewPlanConfig, executor: Executor, progress: Progress
+    ) -> None:
         self._scene = scene
+        self._executor = executor
         self._config = config
         self._progress = progress
         self._means = scene.splats.means.astype(np.float64)
@@ -343,14 +329,16 @@ class _Planner:
         # What the views cover, once they are chosen.
         self.coverage = 1.0
         self._proposed = 0
-        self._candidates: list[_Candidate] = []
+        self._candidates: list[Candidate] = []
         # Whether each candidate's place is inside of something, and what such a view counts.
         self._inside: list[bool] = []
         self._side_weight = {False: 1.0, True: 1.0}
         # How well the chosen views show each splat together.
         self._exposure = np.zeros(len(scene))
         scale = math.sqrt(_CANDIDATE_PIXELS / (config.width * config.height))
-        self._small = config.lens(min(scale, 1.0))
+        lens = config.lens(min(scale, 1.0))
+        drawing = CandidateDrawing(scene, self._detail, lens, self.down, config.near_plane)
+        self._drawing = drawing
 
     def plan(self) -> tuple[list[Pose], list[Pose]]:
         """Return the poses of the views, those that show most first, and of the covering views."""
@@ -363,7 +351,7 @@ class _Planner:
         self._weigh_sides()
         around = self._orbit_poses()
         # What the orbit shows needs no covering views.
-        orbiting = list(ordered_map(self._candidate, around, thread_count(self._config.threads)))
+        orbiting = list(self._executor.map(draw_candidate, around, self._drawing))
         for found in orbiting:
             self._exposure[found.index] += found.exposure
         views -= len(around)
@@ -422,8 +410,8 @@ class _Planner:
             self._coarse.occlusion(places, np.full(len(drawn), share * self._vicinity_radius))
             for share in (_CLEARANCE, _ROOM)
         )
-        pitches = np.array([_pitch_deg(pose, self.down) for pose in drawn])
-        level = np.abs(pitches - _LEVEL_DEG) < _STEEPEST_DEG
+        pitches = np.array([pitch_deg(pose, self.down) for pose in drawn])
+        level = np.abs(pitches - LEVEL_DEG) < _STEEPEST_DEG
         right_side = (around > _INSIDE_OCCLUSION) == self._from_inside
         fits = right_side & level & (near == 0.0)
         if fits.any():
@@ -439,7 +427,7 @@ class _Planner:
         numbers = np.arange(count)
         places = box[0] + sequence(numbers, STEPS_3D) * (box[1] - box[0])
         looks = sequence(numbers, STEPS_2D)
-        pitches = np.radians(_LEVEL_DEG + _STEEPEST_DEG * (2.0 * looks[:, 0] - 1.0))
+        pitches = np.radians(LEVEL_DEG + _STEEPEST_DEG * (2.0 * looks[:, 0] - 1.0))
         angles = 2.0 * np.pi * looks[:, 1]
         down = self.down if self.down.any() else np.array([0.0, 1.0, 0.0])
         side, other = level_axes(down)
@@ -502,28 +490,14 @@ class _Planner:
 
     def _draw_candidates(self, poses: Sequence[Pose]) -> None:
         """Draw a small picture from each pose and add the candidates."""
-        threads = thread_count(self._config.threads)
         total = (_FIRST_ROUND + _SECOND_ROUND) * self._config.views
-        for found in ordered_map(self._candidate, poses, threads):
+        for found in self._executor.map(draw_candidate, poses, self._drawing):
             self._candidates.append(found)
             if len(self._candidates) % self._config.views == 0:
                 self._progress("plan views", len(self._candidates), total)
         places = np.array([pose.position for pose in poses])
         occlusion = self._coarse.occlusion(places, np.full(len(poses), np.inf))
         self._inside += (occlusion > _INSIDE_OCCLUSION).tolist()
-
-    def _candidate(self, pose: Pose) -> _Candidate:
-        """Draw one small picture and measure what it shows."""
-        camera = pose.camera(self._small, self.down)
-        index, peaks = peak_weights(self._scene.splats, camera, self._config.near_plane)
-        clear = peaks > _FAINT
-        index, peaks = index[clear], peaks[clear]
-        distances = np.linalg.norm(self._means[index] - pose.position, axis=1) / pose.zoom
-        # Splats that are too far away to be resolved share pixels.
-        resolved = np.minimum(1.0, self._scene.sizes[index] / (distances * self._detail)) ** 2
-        level = math.cos(math.radians(_pitch_deg(pose, self.down) - _LEVEL_DEG)) ** 2
-        share = _LEAST_LEVEL + (1.0 - _LEAST_LEVEL) * level
-        return _Candidate(pose, index, peaks, (share * peaks * resolved).astype(np.float32))
 
     def _weigh_sides(self) -> None:
         """Decide how much views from inside and from outside of walls count."""
@@ -608,14 +582,14 @@ class _Planner:
             self._exposure[found.index] += self._side_weight[self._inside[row]] * found.exposure
             chosen.append(row)
 
-    def _cover(self, chosen: Sequence[int], orbiting: Sequence[_Candidate]) -> list[int]:
+    def _cover(self, chosen: Sequence[int], orbiting: Sequence[Candidate]) -> list[int]:
         """Return the candidates that cover the rest of what is visible; note how much is covered.
 
         Parameters
         ----------
         chosen : sequence of int
             Candidates that are views already.
-        orbiting : sequence of _Candidate
+        orbiting : sequence of Candidate
             Views that are not among the candidates.
         """
         seen = [
@@ -669,11 +643,6 @@ class _Planner:
             extra.append(best_pose)
             uncovered &= ~in_picture(self._means, best_pose.camera(lens, self.down), near_plane)
         return extra
-
-
-def _pitch_deg(pose: Pose, down: F64) -> float:
-    """Return by what angle a pose looks down, degrees; 0 where no direction is known to be down."""
-    return math.degrees(math.asin(min(1.0, max(-1.0, float(pose.forward @ down)))))
 
 
 def _systematic(weights: F64, count: int) -> NDArray[np.intp]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -14,6 +15,7 @@ from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
 from cogsplat.codec.threads import thread_count
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
+from cogsplat.tools.cluster.dask_executor import connected
 from cogsplat.tools.evaluation.byte_inventory import stored_sizes
 from cogsplat.tools.evaluation.prefix_quality import PrefixQuality
 from cogsplat.tools.evaluation.report_page import write_report
@@ -28,6 +30,7 @@ from cogsplat.tools.terminal.options import (
     json_option,
     quality_option,
     quiet_option,
+    scheduler_option,
     target_psnr_option,
     threads_option,
     top_k_option,
@@ -222,6 +225,7 @@ _GROUPS: Final = {
 @partial_option
 @limits_option
 @threads_option
+@scheduler_option
 @force_option
 @quiet_option
 @json_option
@@ -254,6 +258,7 @@ def encode(
     background: Colour,
     edits: SceneEdits,
     threads: int,
+    scheduler: str | None,
     force: bool,
     quiet: bool,
     as_json: bool,
@@ -278,6 +283,8 @@ def encode(
     if store_cameras and cameras is None:
         raise click.UsageError("--store-cameras without --cameras, expected cameras to store")
     _require_one_aim(profile, target_psnr, target_size)
+    if scheduler is not None and memory is not None:
+        raise click.UsageError("--memory and --scheduler: expected one of them")
     cap = _memory_cap(memory, measures=measure or report is not None or images is not None)
     bound = PruneConfig() if prune is None else PruneConfig(peak=prune)
     chosen = PRESETS[preset]
@@ -310,6 +317,7 @@ def encode(
         Stages(shown=not (quiet or as_json)) as stages,
         working as workspace,
         CompileAhead(kernels, thread_count(threads)) as ahead,
+        ExitStack() as stack,
     ):
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)
@@ -343,6 +351,10 @@ def encode(
         if evaluation is not None:
             costs += evaluation.stage_costs()
         stages.plan(costs)
+        executor = None
+        if scheduler is not None:
+            executor = stack.enter_context(connected(scheduler, workers=threads))
+            stages("connect", 1, 1)
         made = cogsplat.encode(
             splats,
             out,
@@ -355,6 +367,7 @@ def encode(
             test_views=measured_in(numbered, eval_every) if cameras and numbered else None,
             workspace=workspace,
             force=force,
+            executor=executor,
             progress=stages,
         )
         stages("write", 1, 1)

@@ -151,19 +151,22 @@ def _failures_told(as_json: bool, group: click.Context | None = None) -> Iterato
         raise click.exceptions.Exit(_USAGE) from None
     except CogsplatError as error:
         arrives = not isinstance(error, _OutputError)
-        hint = _extra_hint() if isinstance(error, MissingExtraError) else _hint(error.code, group)
+        hint = (
+            _extra_hint(error) if isinstance(error, MissingExtraError) else _hint(error.code, group)
+        )
         _tell(error.code, error.message, error.exit_code, as_json and arrives, hint)
         raise click.exceptions.Exit(error.exit_code) from None
 
 
-def _extra_hint() -> str:
+def _extra_hint(error: CogsplatError) -> str:
     """Return how the extra is installed where the package is not from an index."""
     root = _checkout()
     if root is None:
         return ""
     place = "." if root == Path.cwd() else os.fspath(root)
+    extra = "dask" if "[dask]" in error.message else "encode"
     return (
-        f"from this checkout: pip install -e '{place}[encode]' "
+        f"from this checkout: pip install -e '{place}[{extra}]' "
         "--config-settings editable_mode=compat"
     )
 

@@ -49,6 +49,16 @@ def threads_option(command: Command) -> Command:
     )(command)
 
 
+def scheduler_option(command: Command) -> Command:
+    """Add ``--scheduler``."""
+    return click.option(
+        "--scheduler",
+        metavar="ADDRESS|local",
+        help="Have the workers of this Dask scheduler do the work, such as tcp://10.0.0.1:8786; "
+        "local starts --threads processes here. The result does not depend on it.",
+    )(command)
+
+
 def cameras_option(without: str) -> Callable[[Command], Command]:
     """Add ``--cameras``; `without` is the help text on what happens without it."""
     return click.option(

@@ -9,6 +9,7 @@ from cogsplat.codec.encode.compensation_fit import blank, errors, fit, plan_laye
 from cogsplat.codec.encode.measured_prefixes import measured_prefixes
 from cogsplat.codec.encode.shift_optimiser import FitConfig
 from cogsplat.codec.errors import Cancelled
+from cogsplat.codec.executor import LocalThreads
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.order import prefix_inflation
 from cogsplat.codec.order.marginal_gain import GainConfig, gain_order
@@ -150,7 +151,7 @@ def test_config_is_checked(wrong):
 def test_errors_of_prefixes_are_those_of_their_pictures(scene):
     splats, _, references, effective_splats = scene
     found = fit(splats, _COUNTS, references, effective_splats, FitConfig(iterations=3))
-    prefix_mse = errors(found, splats, references, threads=2)
+    prefix_mse = errors(found, splats, references, executor=LocalThreads(2))
     assert len(prefix_mse) == len(_COUNTS) + 1
     assert prefix_mse[0] == pytest.approx(np.mean([np.mean(p**2) for p in references.pictures]))
     assert prefix_mse[-1] < 1e-12

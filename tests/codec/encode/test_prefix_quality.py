@@ -126,7 +126,12 @@ def test_a_whole_that_was_measured_for_a_target_is_not_drawn_again(monkeypatch):
     assert once.report.test_psnr_db == tuple(evaluator.views_db(encoded.decoded))
     drawn = []
     draw = evaluator.views_db
-    monkeypatch.setattr(evaluator, "views_db", lambda s, v=None: drawn.append(len(s)) or draw(s, v))
+
+    def counted(splats, views=None, size=None):
+        drawn.append(len(splats) if size is None else size)
+        return draw(splats, views, size=size)
+
+    monkeypatch.setattr(evaluator, "views_db", counted)
     found = predicted(once, evaluator)
     assert drawn == [120, 240, 360, 480]
     assert found.chunks[-1].quality_db == pytest.approx(np.mean(once.report.test_psnr_db))

@@ -3,10 +3,12 @@ import oracle
 import pytest
 
 from cogsplat.codec.errors import Cancelled
+from cogsplat.codec.executor import LocalThreads
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.order import chunks, prefix_inflation
 from cogsplat.codec.order.marginal_gain import (
     GainConfig,
+    Stage,
     gain_order,
     gain_rows,
     gains,
@@ -106,7 +108,8 @@ def test_gains_weigh_the_views(scene):
     references = render_references(splats, cameras, jittered=False)
     present = np.arange(len(splats)) % 2 == 0
     pool = pool_of(splats, np.arange(len(splats)))
-    total = gains(pool, present, references, [0, 2], threads=1)
+    stage = Stage(np.arange(len(splats), dtype=np.int32), present)
+    total = gains(splats, references, stage, [0, 2], LocalThreads(1))
     expected = np.zeros(len(splats))
     for view in (0, 2):
         camera = references.cameras[view]

@@ -1,0 +1,226 @@
+"""Encoding on Dask: the bytes of a local encode, whoever works and whoever is lost."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from running import Run, SmallScene
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.errors import Cancelled, DataError, MissingExtraError, StorageError
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.splats import Splats
+from cogsplat.tools.synthetic.scene import synth, synth_cameras
+
+pytest.importorskip("distributed")
+
+from cogsplat.tools.cluster import dask_executor
+from cogsplat.tools.cluster.dask_executor import DaskExecutor, connected
+
+pytestmark = [
+    pytest.mark.slow,
+    # Sockets that Dask's event loop closes after the test; what it deprecates of Python's.
+    pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning"),
+    pytest.mark.skipif(os.name != "posix", reason="ends processes by signals"),
+]
+
+CONFIG = EncodeConfig(chunk_splats=200, threads=1)
+
+
+@pytest.fixture(scope="module")
+def scene() -> tuple[Splats, list[Camera]]:
+    return synth(1200), synth_cameras(4, 48, 36)
+
+
+@pytest.fixture(scope="module")
+def expected(scene: tuple[Splats, list[Camera]], tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The file of threads of this process."""
+    path = tmp_path_factory.mktemp("local") / "a.cogs"
+    cogsplat.encode(scene[0], path, cameras=scene[1], config=CONFIG)
+    return path.read_bytes()
+
+
+def encoded(
+    scene: tuple[Splats, list[Camera]],
+    executor: DaskExecutor,
+    folder: Path,
+    progress: Progress = silent,
+) -> bytes:
+    path = folder / "b.cogs"
+    cogsplat.encode(
+        scene[0], path, cameras=scene[1], config=CONFIG, executor=executor, progress=progress
+    )
+    return path.read_bytes()
+
+
+@contextmanager
+def cluster(folder: Path, workers: int) -> Iterator[tuple[str, list["subprocess.Popen[bytes]"]]]:
+    """Start a scheduler and workers; yield its address and the processes, the scheduler first."""
+    file = folder / "scheduler.json"
+    dask = [sys.executable, "-m", "dask"]
+    started = []
+
+    def start(*words: str) -> None:
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        started.append(subprocess.Popen([*dask, *words, "--scheduler-file", str(file)], **quiet))
+
+    try:
+        start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+        while not file.exists() or not file.read_text():
+            assert started[0].poll() is None
+            time.sleep(0.05)
+        for _ in range(workers):
+            start("worker", "--nthreads", "1", "--no-nanny", "--no-dashboard")
+        yield json.loads(file.read_text())["address"], started
+    finally:
+        for process in started:
+            process.kill()
+        for process in started:
+            process.wait()
+
+
+def once_at(stage: str, step: int, act: Callable[[], object]) -> Progress:
+    """Return a progress that acts when a stage has come so far."""
+    done = []
+
+    def report(name: str, at: int, total: int) -> None:
+        if name == stage and at >= step and not done:
+            done.append(name)
+            act()
+
+    return report
+
+
+@pytest.mark.parametrize("workers", [1, 2, 4])
+def test_bytes_are_those_of_a_local_encode(
+    scene: tuple[Splats, list[Camera]], expected: bytes, tmp_path: Path, workers: int
+) -> None:
+    with connected("local", workers=workers) as executor:
+        assert encoded(scene, executor, tmp_path) == expected
+
+
+def test_views_are_planned_and_targets_met_alike(
+    scene: tuple[Splats, list[Camera]], tmp_path: Path
+) -> None:
+    options = {"config": CONFIG, "preset": "fast", "target_size": 30_000}
+    cogsplat.encode(scene[0], tmp_path / "a.cogs", **options)
+    with connected("local", workers=2) as executor:
+        cogsplat.encode(scene[0], tmp_path / "b.cogs", executor=executor, **options)
+    assert (tmp_path / "a.cogs").read_bytes() == (tmp_path / "b.cogs").read_bytes()
+
+
+def test_what_is_shared_is_brought_once_and_let_go_of() -> None:
+    shared = np.ones(4)
+    with connected("local", workers=1) as executor:
+        # A number goes along with each task.
+        assert list(executor.map(pow, [2, 3], 2)) == [4, 9]
+        assert not executor._brought
+        assert list(executor.map(np.dot, [2, 3], shared))[1].tolist() == [3.0] * 4
+        before = executor._brought[id(shared)][1].key
+        assert len(list(executor.map(np.dot, [2, 3], shared))) == 2
+        assert executor._brought[id(shared)][1].key == before
+        key = id(shared)
+        del shared
+        assert key not in executor._brought
+
+
+def test_errors_of_the_work_come_back_as_they_are() -> None:
+    with connected("local", workers=1) as executor:
+        found = executor.map(_refuse, [1, -1])
+        assert next(found) == 1
+        with pytest.raises(DataError, match="-1, expected 0 or more"):
+            next(found)
+
+
+def _refuse(item: int) -> int:
+    if item < 0:
+        raise DataError("negative", f"{item}, expected 0 or more")
+    return item
+
+
+def test_a_worker_that_ends_midway_changes_nothing(
+    scene: tuple[Splats, list[Camera]], expected: bytes, tmp_path: Path
+) -> None:
+    with cluster(tmp_path, 2) as (address, started), connected(address) as executor:
+        executor._client.wait_for_workers(2, timeout=60)
+        end = once_at("gain", 100, lambda: started[1].send_signal(signal.SIGKILL))
+        assert encoded(scene, executor, tmp_path, end) == expected
+        assert started[1].wait() == -signal.SIGKILL
+
+
+def test_what_the_only_worker_held_is_brought_again(
+    scene: tuple[Splats, list[Camera]], expected: bytes, tmp_path: Path
+) -> None:
+    with connected("local", workers=1) as executor:
+
+        def end() -> None:
+            (pid,) = executor._client.run(os.getpid).values()
+            os.kill(pid, signal.SIGKILL)
+
+        assert encoded(scene, executor, tmp_path, once_at("gain", 100, end)) == expected
+
+
+def test_a_scheduler_that_ends_is_told(
+    scene: tuple[Splats, list[Camera]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with cluster(tmp_path, 1) as (address, started), connected(address) as executor:
+        end = once_at("gain", 100, lambda: started[0].send_signal(signal.SIGKILL))
+        with pytest.raises(StorageError) as error:
+            encoded(scene, executor, tmp_path, end)
+    assert error.value.code == "scheduler-lost"
+    assert error.value.exit_code == 4
+    assert not (tmp_path / "b.cogs").exists()
+
+
+def test_cancelling_drops_what_waits(scene: tuple[Splats, list[Camera]], tmp_path: Path) -> None:
+    def stop() -> None:
+        raise Cancelled
+
+    with connected("local", workers=1) as executor:
+        with pytest.raises(Cancelled):
+            encoded(scene, executor, tmp_path, once_at("score", 2, stop))
+        deadline = time.monotonic() + 30
+        while any(executor._client.processing().values()) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert not any(executor._client.processing().values())
+    assert not (tmp_path / "b.cogs").exists()
+
+
+def test_no_scheduler_and_no_workers_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dask_executor, "_PATIENCE_S", 1.0)
+    with pytest.raises(StorageError, match="no answer") as error, connected("tcp://127.0.0.1:9"):
+        pass
+    assert error.value.code == "scheduler-unreachable"
+    with (
+        cluster(tmp_path, 0) as (address, _),
+        pytest.raises(StorageError, match="no workers"),
+        connected(address),
+    ):
+        pass
+
+
+def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingExtraError, match=r"cogsplat\[dask\]"), connected("local"):
+        pass
+
+
+def test_the_command_takes_a_scheduler(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    words = ["encode", small.ply, "--cameras", small.cameras, "--preset", "fast", "--threads", 2]
+    plain = run(*words, tmp_path / "a.cogs", "--json")
+    there = run(*words, tmp_path / "b.cogs", "--json", "--scheduler", "local")
+    assert (plain.code, there.code) == (0, 0), there.out
+    assert "connect" in there.json["seconds"]  # type: ignore[operator]
+    assert (tmp_path / "a.cogs").read_bytes() == (tmp_path / "b.cogs").read_bytes()

@@ -1,0 +1,218 @@
+"""Run the encoder's work on Dask: on processes of this machine, or on a cluster."""
+
+from __future__ import annotations
+
+import logging
+import pickle
+import weakref
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+from cogsplat.codec.errors import MissingExtraError, StorageError
+from cogsplat.codec.threads import thread_count
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+LOCAL: Final = "local"
+"""In place of an address: processes of this machine."""
+
+# How long a scheduler and its first worker are waited for, seconds.
+_PATIENCE_S: Final = 20.0
+
+# Tasks that wait for each thread of the workers, so that none is idle while results are taken.
+_AHEAD: Final = 2
+
+
+class DaskExecutor:
+    """An `Executor` on the workers of a Dask scheduler.
+
+    What calls share is brought to the workers once, and stays there for as long as the object
+    lives. A task whose worker ends is run again on another one. The scheduler keeps a copy, packed.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Connected; whoever made it closes it.
+
+    Examples
+    --------
+    .. code-block:: python
+
+        from cogsplat.tools.cluster.dask_executor import connected
+
+        if __name__ == "__main__":
+            with connected("local") as executor:
+                cogsplat.encode("scene.ply", "scene.cogs", executor=executor)
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        # What the workers hold, by the identity of the object here.
+        self._brought: dict[int, tuple[weakref.ref[object], Future]] = {}
+
+    def map(
+        self, function: Callable[..., Result], items: Iterable[Item], *shared: object
+    ) -> Iterator[Result]:
+        """As `codec.executor.Executor.map`.
+
+        Raises
+        ------
+        StorageError
+            ``scheduler-lost`` where the scheduler does not answer any more; ``worker-lost`` where
+            one task ended several workers.
+        """
+        waiting: deque[Future] = deque()
+        try:
+            most = _AHEAD * self._threads() + 1
+            for item in items:
+                with self._told():
+                    held = [self._bring(value) for value in shared]
+                    waiting.append(self._client.submit(function, item, *held, pure=False))
+                if len(waiting) >= most:
+                    yield self._result(waiting.popleft())
+            while waiting:
+                yield self._result(waiting.popleft())
+        finally:
+            self._cancel(list(waiting))
+
+    def _threads(self) -> int:
+        """Return how many threads all workers have, at least 1."""
+        with self._told():
+            threads: Mapping[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
+
+    def _bring(self, value: object) -> object:
+        """Return the future of the workers' copy of a value; bring it there the first time.
+
+        Numbers and other values that cannot be referred to weakly go along with each task.
+        """
+        if type(value).__weakrefoffset__ == 0:
+            return value
+        import cloudpickle
+
+        known = self._brought.get(id(value))
+        if known is not None and known[0]() is value:
+            return known[1]
+        # As a task that unpacks it: should every worker that has a copy end, the scheduler runs the
+        # task again. Scattered values would be lost.
+        future = self._client.submit(pickle.loads, cloudpickle.dumps(value), pure=False)
+        key = id(value)
+        # Dropping the future lets go of the copies.
+        gone = weakref.ref(value, lambda _: self._brought.pop(key, None))
+        self._brought[key] = gone, future
+        return future
+
+    def _result(self, future: Future) -> Any:
+        from distributed import KilledWorker
+        from distributed.client import FutureCancelledError
+
+        with self._told():
+            try:
+                return future.result()
+            except KilledWorker as error:
+                raise StorageError(
+                    "worker-lost",
+                    "a task ended every worker that began it, perhaps for want of memory, "
+                    f"expected one to finish it: {error}",
+                ) from None
+            except FutureCancelledError as error:
+                # Nobody else cancels: the scheduler is gone, or another one is in its place.
+                raise _scheduler_lost() from error
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Turn the errors of a connection that ended into ours."""
+        from distributed.comm import CommClosedError
+
+        try:
+            yield
+        except (CommClosedError, ConnectionError) as error:
+            raise _scheduler_lost() from error
+
+    def _cancel(self, futures: list[Future]) -> None:
+        """Drop tasks that nobody waits for."""
+        if not futures or self._client.status != "running":
+            return
+        # Without a scheduler there is nothing to cancel, and what is raised already says so.
+        with suppress(OSError, TimeoutError):
+            self._client.cancel(futures)
+
+
+def _scheduler_lost() -> StorageError:
+    return StorageError(
+        "scheduler-lost",
+        "the Dask scheduler does not answer any more, expected it to stay until the work is done",
+    )
+
+
+@contextmanager
+def connected(scheduler: str, *, workers: int = 0) -> Iterator[DaskExecutor]:
+    """Connect to a Dask scheduler, or start one with workers on this machine.
+
+    Parameters
+    ----------
+    scheduler : str
+        An address such as ``tcp://10.0.0.1:8786``, or ``local``.
+    workers : int
+        Processes of ``local``, of one thread each; 0 for one a core.
+
+    Yields
+    ------
+    DaskExecutor
+        What was brought to the workers is let go of at the end, and ``local`` is shut down.
+
+    Raises
+    ------
+    MissingExtraError
+        ``needs-extra``: Dask is not installed.
+    StorageError
+        ``scheduler-unreachable``: no scheduler, or one without workers.
+    """
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            "needs-extra",
+            "this takes Dask, which is not installed; it needs the extra: "
+            "pip install 'cogsplat[dask]'",
+        ) from error
+    # Scenes go along with tasks that unpack them; by default Dask warns of tasks so large.
+    with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"}):
+        if scheduler == LOCAL:
+            with (
+                LocalCluster(
+                    n_workers=thread_count(workers),
+                    threads_per_worker=1,
+                    # The machine's memory is theirs together, as it is that of threads.
+                    memory_limit=0,
+                    dashboard_address="127.0.0.1:0",
+                    silence_logs=logging.CRITICAL,
+                ) as cluster,
+                Client(cluster, set_as_default=False) as client,
+            ):
+                yield DaskExecutor(client)
+            return
+        try:
+            client = Client(scheduler, timeout=_PATIENCE_S, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise _unreachable(scheduler, "no answer") from error
+        with client:
+            try:
+                client.wait_for_workers(1, timeout=_PATIENCE_S)
+            except TimeoutError as error:
+                raise _unreachable(scheduler, "no workers") from error
+            yield DaskExecutor(client)
+
+
+def _unreachable(scheduler: str, found: str) -> StorageError:
+    return StorageError(
+        "scheduler-unreachable",
+        f"{scheduler}: {found} within {_PATIENCE_S:g} s, expected a Dask scheduler with a worker",
+    )
