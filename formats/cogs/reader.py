@@ -366,9 +366,25 @@ class CogsFile:
         LimitError
             ``decoded-size``, ``too-many-splats``: more than `Limits` allow.
         """
+        wanted = self._wanted(chunks)
+        compiled.prepare(int(self.chunks.splats[wanted].sum()))
+        return self._decode(
+            wanted, sh_degree, refine, extras, compensate, threads=threads, progress=progress
+        )
+
+    def _decode(
+        self,
+        wanted: list[int],
+        sh_degree: int | None,
+        refine: bool,
+        extras: bool,
+        compensate: bool = False,
+        *,
+        threads: int,
+        progress: Progress = silent,
+    ) -> Splats:
         if sh_degree is not None and not 0 <= sh_degree <= MAX_SH_DEGREE:
             raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
-        wanted = self._wanted(chunks)
         if compensate and wanted != list(range(len(wanted))):
             raise ValueError(
                 f"chunks {wanted[:8]} compensated, expected the first ones of the file in order"
@@ -386,7 +402,6 @@ class CogsFile:
         for chunk in wanted:
             self._load_codebooks(chunk, degree)
         self._check_size(size, f"{sum(counts)} splats")
-        compiled.prepare(sum(counts))
         out = allocate(sum(counts), degree, self.root, kinds)
         stops = np.cumsum(counts).tolist()
         tasks = [
@@ -447,13 +462,7 @@ class CogsFile:
             while stop < len(wanted) and rows + counts[stop] <= most_splats:
                 rows += counts[stop]
                 stop += 1
-            yield self.decode(
-                wanted[first:stop],
-                sh_degree=sh_degree,
-                refine=refine,
-                extras=extras,
-                threads=threads,
-            )
+            yield self._decode(wanted[first:stop], sh_degree, refine, extras, threads=threads)
             progress("decode", stop, len(wanted))
             first = stop
 

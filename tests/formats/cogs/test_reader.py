@@ -8,6 +8,7 @@ from cogs_samples import assert_same, encoded, file_of
 
 from cogsplat.codec.errors import Cancelled, FormatError, LimitError, TruncatedError
 from cogsplat.codec.splats import concatenate
+from cogsplat.codec.streams import compiled
 from cogsplat.formats.cogs import scene as cogs
 from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.reader import open_cogs
@@ -401,3 +402,11 @@ def test_a_page_that_is_not_there_hides_its_chunks():
         assert caught.value.code == "file-truncated"
         with pytest.raises(ValueError, match="expected 0 to 4"):
             part.decode([total])
+
+
+def test_parts_count_once_towards_loading_kernels(monkeypatch):
+    counted = []
+    monkeypatch.setattr(compiled, "prepare", counted.append)
+    with open_cogs(BytesSource(file_of("transform"))) as file:
+        assert sum(map(len, file.decode_parts(most_splats=1))) == file.root.splats
+        assert counted == [file.root.splats]
