@@ -50,7 +50,8 @@ COVERING_SHARE = 1 / 3
 
 Covering views are looked for where an orbit shows nothing, and visitors seldom are there. At 1, 1/2
 and 1/4 the file of a trained figure is 8, 4 and 1.5 % larger at equal PSNR all around it than it is
-without covering views.
+without covering views. At 1/8 an open shell has 2 dB less in views from all around than its test
+views predict; at 1/4 and more they agree within 0.1 dB.
 """
 
 
