@@ -10,6 +10,7 @@ import collections
 import io
 import math
 import pickle
+import pickletools
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -61,7 +62,12 @@ _DAMAGE: Final = (
     AttributeError,
     NotImplementedError,
     RuntimeError,
+    OverflowError,
 )
+
+# Opcodes that store an object under a number, for which the unpickler of CPython keeps an array up
+# to that number: eight bytes of pickle could take gigabytes.
+_STORES: Final = frozenset({"PUT", "BINPUT", "LONG_BINPUT"})
 
 
 @dataclass(frozen=True)
@@ -153,7 +159,14 @@ def _unpickled(archive: zipfile.ZipFile) -> object:
     if name is None:
         raise zipfile.BadZipFile("no pickle in the zip")
     folder = name[: -len("data.pkl")]
-    stream = io.BytesIO(_stored(archive, name, _MOST_PICKLE_BYTES))
+    data = _stored(archive, name, _MOST_PICKLE_BYTES)
+    for opcode, number, position in pickletools.genops(data):
+        if opcode.name in _STORES and isinstance(number, int) and number > len(data):
+            raise pickle.UnpicklingError(
+                f"an object numbered {number} at byte {position} of {len(data)}, expected numbers "
+                "from 0 on"
+            )
+    stream = io.BytesIO(data)
     return _Tensors(stream, lambda key: _stored(archive, f"{folder}data/{key}", _MOST_BYTES)).load()
 
 

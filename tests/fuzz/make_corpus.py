@@ -7,6 +7,7 @@ finds is added to the folder of its target by hand, under a name that says what 
 import json
 import sys
 import tempfile
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -114,6 +115,13 @@ def harm(folder: Path) -> Iterator[tuple[str, str, bytes]]:
     parts = [(folder / f"{name}.txt").read_bytes() for name in ("cameras", "images")]
     yield "colmap_txt", "long_line", joined(*parts)
     yield "colmap_txt", "model", joined(parts[0], b"1 1 0 0 0 0 0 0 1 a b.png\n1 2 3\n")
+    # An object stored under the number 2²⁶, and a frame of 2⁶⁴ - 1 bytes.
+    pickles = {"large_memo": b"\x80\x02}r\x00\x00\x00\x04."}
+    pickles["large_frame"] = b"\x80\x04\x95" + b"\xff" * 8 + b"}."
+    for name, pickled in pickles.items():
+        with zipfile.ZipFile(folder / "a.pt", "w") as archive:
+            archive.writestr(zipfile.ZipInfo("archive/data.pkl"), pickled)
+        yield "pt", name, (folder / "a.pt").read_bytes()
     path = hostile.png_with_text_bomb(folder / "v.png", side=4, inflated=8 * mib)
     yield "mask", "text_that_inflates", path.read_bytes()
     yield "mask", "eps", hostile.eps(path, side=4).read_bytes()

@@ -45,6 +45,8 @@ REFUSALS = {
     ("transforms_json", "one_picture"): "",
     ("colmap_txt", "long_line"): "colmap-malformed",
     ("colmap_txt", "format_characters_in_a_name"): "camera-model",
+    ("pt", "large_memo"): "torch-file",
+    ("pt", "large_frame"): "torch-file",
     ("mask", "text_that_inflates"): "mask",
     ("mask", "eps"): "mask",
 }

@@ -55,6 +55,29 @@ def test_hostile_pickles_build_nothing(tmp_path: Path, state: object) -> None:
     assert caught.value.code == "torch-file"
 
 
+@pytest.mark.parametrize(
+    "pickled",
+    [
+        # Objects stored under numbers that make the unpickler of CPython keep 1 GiB and 480 MB.
+        b"\x80\x02}r\x00\x00\x00\x04.",
+        b"\x80\x02}p30000000\n.",
+        # Lengths beyond any memory.
+        b"\x80\x04\x8e" + b"\xff" * 8 + b".",
+        b"\x80\x04\x95" + b"\xff" * 8 + b"}.",
+    ],
+    ids=["memo", "memo in digits", "bytes", "frame"],
+)
+def test_numbers_in_a_pickle_that_would_take_memory_are_refused(
+    tmp_path: Path, pickled: bytes
+) -> None:
+    path = tmp_path / "weights.pth"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("archive/data.pkl", pickled)
+    with pytest.raises(DataError) as caught:
+        read_state_dict(path)
+    assert caught.value.code == "torch-file"
+
+
 @pytest.mark.parametrize("length", [0, 1, 10, 100, 400])
 def test_files_that_are_none_are_refused(tmp_path: Path, length: int) -> None:
     path = tmp_path / "weights.npz"
