@@ -1,6 +1,6 @@
-// A COGS scene in PlayCanvas: playcanvas.html?scene=URL
+// A COGS scene in PlayCanvas: playcanvas.html?scene=URL, with &rules=own by the engine's own rules instead of those of SPEC 8.7
 import { DecoderPool, StreamedScene } from "cogsplat";
-import { streamToPlayCanvas } from "cogsplat/playcanvas";
+import { drawBySpec, streamToPlayCanvas } from "cogsplat/playcanvas";
 import * as pc from "playcanvas";
 import { firstPose } from "./pose.js";
 
@@ -14,10 +14,11 @@ app.setCanvasFillMode(pc.FILLMODE_FILL_WINDOW);
 app.setCanvasResolution(pc.RESOLUTION_AUTO);
 app.start();
 const camera = new pc.Entity();
-camera.addComponent("camera", { clearColor: new pc.Color(0, 0, 0), nearClip: 0.05, farClip: 1000 });
+camera.addComponent("camera", { clearColor: new pc.Color(0, 0, 0), nearClip: 0.2, farClip: 1000 });
 app.root.addChild(camera);
 
 const scene = await StreamedScene.open(url, { service: (index) => new DecoderPool(index) });
+if (parameters.get("rules") !== "own") drawBySpec(pc, app, scene);
 const shown = streamToPlayCanvas(scene, pc, app.graphicsDevice, {
   degree: Number(parameters.get("degree") ?? 3),
   onUpload: (rows) => (output.textContent = `${rows.toLocaleString()} of ${scene.info.splats.toLocaleString()} splats`),

@@ -1,7 +1,7 @@
-// A COGS scene in Spark: spark.html?scene=URL
+// A COGS scene in Spark: spark.html?scene=URL, with &rules=own by the renderer's own rules instead of those of SPEC 8.7
 import * as spark from "@sparkjsdev/spark";
 import { DecoderPool, StreamedScene } from "cogsplat";
-import { streamToSpark } from "cogsplat/spark";
+import { drawBySpec, streamToSpark } from "cogsplat/spark";
 import * as THREE from "three";
 import { firstPose } from "./pose.js";
 
@@ -12,13 +12,15 @@ const url = parameters.get("scene") ?? "scene.cogs";
 
 const renderer = new THREE.WebGLRenderer({ canvas, antialias: false });
 const world = new THREE.Scene();
-const camera = new THREE.PerspectiveCamera(50, 1, 0.05, 1000);
+const camera = new THREE.PerspectiveCamera(50, 1, 0.2, 1000);
 // Without `accumExtSplats` Spark packs every picture's splats coarser than they were uploaded. A splat reaches to where it
 // adds 1/255, which is 3.33 standard deviations, and large ones fill the picture.
 const reach = { maxStdDev: 3.33, minAlpha: 1 / 255, maxPixelRadius: 4096, clipXY: 3 };
-world.add(new spark.SparkRenderer({ renderer, accumExtSplats: true, ...reach }));
+const splatRenderer = new spark.SparkRenderer({ renderer, accumExtSplats: true, ...reach });
+world.add(splatRenderer);
 
 const scene = await StreamedScene.open(url, { service: (index) => new DecoderPool(index) });
+if (parameters.get("rules") !== "own") drawBySpec(splatRenderer, scene);
 const shown = streamToSpark(scene, spark, {
   degree: Number(parameters.get("degree") ?? 3),
   onUpload: (rows) => (output.textContent = `${rows.toLocaleString()} of ${scene.info.splats.toLocaleString()} splats`),

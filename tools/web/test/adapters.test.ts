@@ -1,9 +1,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { axesMatrix, axesRotation } from "../src/adapters/axes.js";
-import { streamToPlayCanvas } from "../src/adapters/playcanvas.js";
+import { drawBySpec as drawPlayCanvasBySpec, streamToPlayCanvas } from "../src/adapters/playcanvas.js";
 import { toPly } from "../src/adapters/ply.js";
-import { streamToSpark, type SparkExtSplats } from "../src/adapters/spark.js";
+import { drawBySpec as drawSparkBySpec, streamToSpark, type SparkExtSplats } from "../src/adapters/spark.js";
 import { placeOf, type AdapterOptions } from "../src/adapters/texel_stream.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
@@ -206,3 +206,45 @@ function rotate([x, y, z, w]: readonly number[], v: readonly number[]): number[]
   const u = cross(q, t);
   return v.map((value, i) => value + w! * t[i]! + u[i]!);
 }
+
+const KERNEL = { info: { antialiased: false, kernelPx: 0.3 } as never };
+
+test("spark: a shader that is known gets the Jacobian of SPEC 8.7, another one stays and leaves splats out", () => {
+  const line = "vec2 J2 = -(J1 * viewCenter.xy) * invZ;";
+  const settings = (vertexShader: string) => ({
+    material: { vertexShader, needsUpdate: false }, preBlurAmount: 0, blurAmount: 0.3, sortRadial: true, maxStdDev: 2.8,
+    minAlpha: 0, maxPixelRadius: 512, clipXY: 1.4,
+  });
+  const known = settings(`before; ${line} after;`);
+  assert.ok(drawSparkBySpec(known, KERNEL));
+  assert.match(known.material.vertexShader, /^before; .*clamp\(.*; after;$/);
+  assert.ok(known.material.needsUpdate && known.clipXY > 100 && !known.sortRadial);
+  // Without antialiasing the kernel makes splats larger, and their opacities stay as they are.
+  assert.deepEqual([known.preBlurAmount, known.blurAmount], [0.3, 0]);
+  assert.ok(Math.abs(Math.exp(-0.5 * known.maxStdDev ** 2) - 1 / 255) < 1e-9);
+  const other = settings("another shader");
+  assert.ok(!drawSparkBySpec(other, { info: { antialiased: true, kernelPx: 0.1 } as never }));
+  assert.equal(other.material.vertexShader, "another shader");
+  assert.equal(other.clipXY, 3);
+  assert.deepEqual([other.preBlurAmount, other.blurAmount], [0, 0.1]);
+});
+
+test("playcanvas: shaders that are known are edited together or not at all", () => {
+  const known = new Map([
+    ["gsplatPS", "normExp(A) * gaussianColor.a if (A > 1.0)"],
+    ["gsplatCommonVS", "float clip = min(1.0, sqrt(max(0.0, log(alpha / alphaClipValue))) * 0.5);"],
+    ["gsplatCornerVS", "a + 0.3; b + 0.3; vec2 J2 = -J1 / vp.z * vp.xy; min(1024.0, min(viewport_size.x, viewport_size.y))"],
+  ]);
+  const draw = (own: Map<string, string>) => {
+    const edited = new Map<string, string>();
+    const gsplat = { minPixelSize: 2, antiAlias: true, material: { getShaderChunks: () => edited } };
+    const isKnown = drawPlayCanvasBySpec({ ShaderChunks: { get: () => own } }, { graphicsDevice: {}, scene: { gsplat } }, KERNEL);
+    assert.deepEqual([gsplat.minPixelSize, gsplat.antiAlias], [0, false]);
+    return { isKnown, edited };
+  };
+  const { isKnown, edited } = draw(known);
+  assert.ok(isKnown);
+  assert.deepEqual([...edited.keys()], [...known.keys()]);
+  assert.match(edited.get("gsplatCornerVS")!, /^a \+ 1\.2; b \+ 1\.2; .*clamp\(/);
+  assert.deepEqual(draw(new Map([...known, ["gsplatPS", "another"]])), { isKnown: false, edited: new Map() });
+});

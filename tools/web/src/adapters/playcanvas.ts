@@ -6,6 +6,7 @@
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import { texelWidths } from "../scene/texels.js";
 import { axesRotation } from "./axes.js";
+import { editShader, glslFloat } from "./shader_edits.js";
 import { ownAbort, placeOf, sceneArrays, streamTexels, wantedDegree, type AdapterOptions, type AdapterStream } from "./texel_stream.js";
 
 export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
@@ -50,6 +51,72 @@ export interface PlayCanvasScene<C extends PlayCanvasContainer> extends AdapterS
   readonly rotation: readonly [number, number, number, number];
   /** Position of the entity. */
   readonly position: readonly [number, number, number];
+}
+
+/** Parts of shaders, by their names. */
+export interface PlayCanvasChunks {
+  get(name: string): string | undefined;
+  set(name: string, text: string): unknown;
+}
+
+/** What `drawBySpec` uses of the module `playcanvas`. */
+export interface PlayCanvasShaders {
+  readonly ShaderChunks: { get(device: never, language: "glsl"): PlayCanvasChunks };
+}
+
+/** What `drawBySpec` sets of an application. */
+export interface PlayCanvasSettings {
+  readonly graphicsDevice: unknown;
+  readonly scene: {
+    readonly gsplat: {
+      minPixelSize: number;
+      antiAlias: boolean;
+      readonly material: { getShaderChunks(language: "glsl"): PlayCanvasChunks };
+    };
+  };
+}
+
+/**
+ * Have PlayCanvas draw more nearly by the rules of SPEC 8.7, in WebGL: Gaussians to where they add 1/255, the scene's
+ * kernel, and the Jacobian of a point within 1.3 times the picture. The engine orders depths in steps, 1,024 of them for
+ * small scenes, which nothing changes.
+ *
+ * Call it before the first picture. It holds for all splats of the application.
+ *
+ * @returns Whether the engine's shaders are known; those of another version are left as they are.
+ *
+ * @example
+ * ```ts
+ * app.start();
+ * drawBySpec(pc, app, scene);
+ * ```
+ */
+export function drawBySpec(pc: PlayCanvasShaders, app: PlayCanvasSettings, { info }: Pick<StreamedScene, "info">): boolean {
+  const { gsplat } = app.scene;
+  gsplat.minPixelSize = 0;
+  gsplat.antiAlias = info.antialiased;
+  const own = pc.ShaderChunks.get(app.graphicsDevice as never, "glsl");
+  // The engine counts in half pixels, where variances are four times as large.
+  const kernel = glslFloat(4 * info.kernelPx);
+  const edits = {
+    gsplatPS: [
+      ["normExp(A) * gaussianColor.a", "min(0.99, exp(A * -4.0) * gaussianColor.a)"],
+      ["if (A > 1.0)", "if (A > 1.4)"],
+    ],
+    gsplatCommonVS: [["float clip = min(1.0, sqrt(max(0.0, log(alpha / alphaClipValue))) * 0.5);", "float clip = sqrt(max(0.0, log(alpha / alphaClipValue))) * 0.5;"]],
+    gsplatCornerVS: [
+      ["+ 0.3", `+ ${kernel}`],
+      [
+        "vec2 J2 = -J1 / vp.z * vp.xy;",
+        "vec2 edge = 1.3 / vec2(center.projMat00, abs(center.projMat11)); vec2 J2 = -J1 * clamp(vp.xy / vp.z, -edge, edge);",
+      ],
+      ["min(1024.0, min(viewport_size.x, viewport_size.y))", "1e6"],
+    ],
+  } as const;
+  const edited = Object.entries(edits).map(([name, pairs]) => [name, editShader(own.get(name) ?? "", pairs)] as const);
+  if (edited.some(([, text]) => text === undefined)) return false;
+  for (const [name, text] of edited) gsplat.material.getShaderChunks("glsl").set(name, text!);
+  return true;
 }
 
 /** How the engine's shader reads a splat; it reads the bands as those of its own uncompressed splats. */

@@ -5,6 +5,7 @@
  */
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import { axesRotation } from "./axes.js";
+import { editShader } from "./shader_edits.js";
 import { ownAbort, placeOf, sceneArrays, streamTexels, wantedDegree, type AdapterOptions, type AdapterStream } from "./texel_stream.js";
 
 export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
@@ -40,6 +41,60 @@ export interface SparkModule<M extends SparkMesh> {
 export interface SparkScene<M extends SparkMesh> extends AdapterStream {
   /** Add it to a three.js scene; it fills as chunks arrive. */
   readonly mesh: M;
+}
+
+/** What `drawBySpec` sets of Spark's `SparkRenderer`. */
+export interface SparkSettings {
+  readonly material: { vertexShader: string; needsUpdate: boolean };
+  preBlurAmount: number;
+  blurAmount: number;
+  sortRadial: boolean;
+  maxStdDev: number;
+  minAlpha: number;
+  maxPixelRadius: number;
+  clipXY: number;
+}
+
+/** A splat reaches to where it adds 1/255 (SPEC 8.7). */
+const ALPHA_MIN = 1 / 255;
+/** The Jacobian of the projection is that of a point within 1.3 times the picture (SPEC 8.7), which Spark leaves out. */
+const CLAMPED_JACOBIAN = [
+  [
+    "vec2 J2 = -(J1 * viewCenter.xy) * invZ;",
+    "vec2 edge = 1.3 * 0.5 * scaledRenderSize / focal; vec2 J2 = J1 * clamp(-viewCenter.xy * invZ, -edge, edge);",
+  ],
+] as const;
+
+/**
+ * Have Spark draw by the rules of SPEC 8.7: sorted by depth, with the scene's kernel, every splat to where it adds 1/255.
+ *
+ * Call it before the first picture. A renderer has one kernel for all of its scenes. In a version of Spark whose shader is
+ * not known, splats that are centred far beside the picture are left out instead, because they would fill it.
+ *
+ * @param renderer - A `SparkRenderer`, made with `accumExtSplats: true`.
+ * @returns Whether all rules are kept.
+ *
+ * @example
+ * ```ts
+ * const renderer = new spark.SparkRenderer({ renderer: webgl, accumExtSplats: true });
+ * drawBySpec(renderer, scene);
+ * world.add(renderer);
+ * ```
+ */
+export function drawBySpec(renderer: SparkSettings, { info }: Pick<StreamedScene, "info">): boolean {
+  // What is added before Spark compares determinants leaves opacities as they are.
+  renderer.preBlurAmount = info.antialiased ? 0 : info.kernelPx;
+  renderer.blurAmount = info.antialiased ? info.kernelPx : 0;
+  renderer.sortRadial = false;
+  renderer.maxStdDev = Math.sqrt(2 * Math.log(1 / ALPHA_MIN));
+  renderer.minAlpha = ALPHA_MIN;
+  renderer.maxPixelRadius = 1e6;
+  const shader = editShader(renderer.material.vertexShader, CLAMPED_JACOBIAN);
+  renderer.clipXY = shader === undefined ? 3 : 1e6;
+  if (shader === undefined) return false;
+  renderer.material.vertexShader = shader;
+  renderer.material.needsUpdate = true;
+  return true;
 }
 
 /** Spark's textures are so many splats wide, and whole lines of them are made. */

@@ -21,7 +21,7 @@ button { font: inherit; color: inherit; }
 @keyframes turn { to { transform: rotate(1turn); } }
 .line { position: absolute; left: 0; right: 0; bottom: 0; height: 3px; background: #fff2; transition: opacity .6s; }
 .line > div { height: 100%; width: 100%; background: var(--accent); transform: scaleX(0); transform-origin: left; }
-output { position: absolute; left: 12px; bottom: 14px; padding: 5px 11px; font-variant-numeric: tabular-nums; pointer-events: none;
+output { text-wrap: balance; position: absolute; left: 12px; bottom: 14px; padding: 5px 11px; font-variant-numeric: tabular-nums; pointer-events: none;
   transition: opacity .6s; max-width: calc(100% - 24px); }
 .quiet .line, .quiet output, .empty .line, .empty output, .failed .line { opacity: 0; }
 .tools { position: absolute; right: 12px; bottom: 14px; display: flex; gap: 2px; padding: 3px; }

@@ -54,6 +54,46 @@ export interface PlayCanvasScene<C extends PlayCanvasContainer> extends AdapterS
     /** Position of the entity. */
     readonly position: readonly [number, number, number];
 }
+/** Parts of shaders, by their names. */
+export interface PlayCanvasChunks {
+    get(name: string): string | undefined;
+    set(name: string, text: string): unknown;
+}
+/** What `drawBySpec` uses of the module `playcanvas`. */
+export interface PlayCanvasShaders {
+    readonly ShaderChunks: {
+        get(device: never, language: "glsl"): PlayCanvasChunks;
+    };
+}
+/** What `drawBySpec` sets of an application. */
+export interface PlayCanvasSettings {
+    readonly graphicsDevice: unknown;
+    readonly scene: {
+        readonly gsplat: {
+            minPixelSize: number;
+            antiAlias: boolean;
+            readonly material: {
+                getShaderChunks(language: "glsl"): PlayCanvasChunks;
+            };
+        };
+    };
+}
+/**
+ * Have PlayCanvas draw more nearly by the rules of SPEC 8.7, in WebGL: Gaussians to where they add 1/255, the scene's
+ * kernel, and the Jacobian of a point within 1.3 times the picture. The engine orders depths in steps, 1,024 of them for
+ * small scenes, which nothing changes.
+ *
+ * Call it before the first picture. It holds for all splats of the application.
+ *
+ * @returns Whether the engine's shaders are known; those of another version are left as they are.
+ *
+ * @example
+ * ```ts
+ * app.start();
+ * drawBySpec(pc, app, scene);
+ * ```
+ */
+export declare function drawBySpec(pc: PlayCanvasShaders, app: PlayCanvasSettings, { info }: Pick<StreamedScene, "info">): boolean;
 /**
  * Stream a scene into a resource of PlayCanvas, all SH bands included.
  *

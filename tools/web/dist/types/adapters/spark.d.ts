@@ -43,6 +43,37 @@ export interface SparkScene<M extends SparkMesh> extends AdapterStream {
     /** Add it to a three.js scene; it fills as chunks arrive. */
     readonly mesh: M;
 }
+/** What `drawBySpec` sets of Spark's `SparkRenderer`. */
+export interface SparkSettings {
+    readonly material: {
+        vertexShader: string;
+        needsUpdate: boolean;
+    };
+    preBlurAmount: number;
+    blurAmount: number;
+    sortRadial: boolean;
+    maxStdDev: number;
+    minAlpha: number;
+    maxPixelRadius: number;
+    clipXY: number;
+}
+/**
+ * Have Spark draw by the rules of SPEC 8.7: sorted by depth, with the scene's kernel, every splat to where it adds 1/255.
+ *
+ * Call it before the first picture. A renderer has one kernel for all of its scenes. In a version of Spark whose shader is
+ * not known, splats that are centred far beside the picture are left out instead, because they would fill it.
+ *
+ * @param renderer - A `SparkRenderer`, made with `accumExtSplats: true`.
+ * @returns Whether all rules are kept.
+ *
+ * @example
+ * ```ts
+ * const renderer = new spark.SparkRenderer({ renderer: webgl, accumExtSplats: true });
+ * drawBySpec(renderer, scene);
+ * world.add(renderer);
+ * ```
+ */
+export declare function drawBySpec(renderer: SparkSettings, { info }: Pick<StreamedScene, "info">): boolean;
 /**
  * Stream a scene into a mesh of Spark (three.js).
  *
