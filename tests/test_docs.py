@@ -135,6 +135,8 @@ def run_command(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
             assert extra[1] in project["optional-dependencies"]
         case ["mkdir", "-p", folder]:
             Path(folder).mkdir(parents=True, exist_ok=True)
+        case ["echo", text, ">", path]:
+            Path(path).write_text(f"{text}\n", encoding="utf-8")
         case ["cogsplat" | ".venv/bin/cogsplat", *arguments]:
             run_program(arguments)
         case ["python" | ".venv/bin/python", "-m", module, *arguments]:

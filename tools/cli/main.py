@@ -34,6 +34,7 @@ from cogsplat.tools.terminal.standard_streams import (
     with_streams_named,
 )
 
+from .batch import batch
 from .bench import bench
 from .compare import compare, render
 from .conformance import conformance
@@ -313,6 +314,7 @@ def cli() -> None:
 
 _COMMANDS: Final[Sequence[click.Command]] = (
     encode,
+    batch,
     decode,
     convert,
     merge,

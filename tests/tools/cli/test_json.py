@@ -1,5 +1,6 @@
 """Every command's JSON object: its keys are those of docs/json.md, and each means one thing."""
 
+import json
 import re
 import shlex
 import subprocess
@@ -23,6 +24,7 @@ PAGE = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
 NAMED = {
     "seconds",
     "cpu_seconds",
+    "counts",
     "values",
     "mean_over_log",
     "mean_over_log.*",
@@ -111,6 +113,7 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
         "synth": [out / "a.ply", "--splats", 1000],
         "demo": ["--out", out / "demo", "--splats", 1000],
         "warm": [],
+        "batch": [out / "scenes.jsonl"],
     }  # fmt: skip
     return [command, *given[command], "--json"]
 
@@ -132,6 +135,8 @@ def test_a_command_has_the_keys_of_the_page(
     cameras = synthetic.synth_cameras(48, 64, 48)
     for module in (synthetic, demonstration):
         monkeypatch.setattr(module, "synth_cameras", lambda: cameras)
+    entry = {"input": str(small.ply), "output": "b.cogs", "options": {"preset": "fast"}}
+    (tmp_path / "scenes.jsonl").write_text(json.dumps(entry) + "\n")
     told = run(*arguments(command, small, labelled, tmp_path))
     assert told.code == 0, told.out
     assert set(paths(told.json)) - {"warnings"} == documented()[command]

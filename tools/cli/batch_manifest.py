@@ -1,0 +1,126 @@
+"""The manifest of ``cogsplat batch``: which scenes are encoded, and how."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from cogsplat.codec.errors import DataError, FormatError
+from cogsplat.formats.scenes.registry import is_cogs, scene_files
+from cogsplat.formats.storage.atomic import open_for_read
+
+_KEYS: Final = frozenset({"input", "output", "options"})
+_CODE: Final = "bad-manifest"
+
+
+@dataclass(frozen=True)
+class BatchScene:
+    """One scene of a manifest.
+
+    Parameters
+    ----------
+    input, output : str
+        Paths as the manifest has them, from its own folder.
+    words : tuple of str
+        Options of ``cogsplat encode``.
+    """
+
+    input: str
+    output: str
+    words: tuple[str, ...]
+
+    def fingerprint(self, folder: Path) -> str:
+        """Return SHA-256, in hexadecimal, of the input's bytes, the output's name and the options.
+
+        Parameters
+        ----------
+        folder : Path
+            Of the manifest.
+
+        Raises
+        ------
+        CogsplatError
+            The input cannot be read.
+        """
+        digest = hashlib.sha256(json.dumps([self.output, self.words]).encode())
+        path = folder / self.input
+        for part in [path] if is_cogs(path) else scene_files(path):
+            with open_for_read(part) as file:
+                digest.update(hashlib.file_digest(file, "sha256").digest())
+        return digest.hexdigest()
+
+
+def read_manifest(path: Path, options: frozenset[str]) -> list[BatchScene]:
+    """Read a manifest: JSON lines, or TOML with a table ``[[scene]]`` for each scene.
+
+    Parameters
+    ----------
+    path : Path
+        TOML where its name ends in ``.toml``.
+    options : frozenset of str
+        Names of the options that a scene may have, without the leading dashes.
+
+    Raises
+    ------
+    FormatError
+        ``bad-manifest``: not such a file; a key or an option that is not known.
+    DataError
+        ``same-output``: two scenes of one output.
+    """
+    with open_for_read(path) as file:
+        data = file.read()
+    try:
+        text = data.decode()
+        if path.suffix == ".toml":
+            found = tomllib.loads(text).get("scene", [])
+            tables = [(f"scene {n}", table) for n, table in enumerate(found, start=1)]
+        else:
+            lines = [(f"line {n}", line) for n, line in enumerate(text.splitlines(), start=1)]
+            tables = [(where, json.loads(line)) for where, line in lines if line.strip()]
+    except (ValueError, RecursionError) as error:
+        raise FormatError(
+            _CODE, f"{path}: {error}, expected JSON lines, or TOML in a file called .toml"
+        ) from None
+    scenes = [_scene(table, f"{path}: {where}", options) for where, table in tables]
+    outputs = [scene.output for scene in scenes]
+    for output in outputs:
+        if outputs.count(output) > 1:
+            raise DataError(
+                "same-output", f"{path}: {outputs.count(output)} scenes with output {output!r}"
+            )
+    return scenes
+
+
+def _scene(table: object, where: str, options: frozenset[str]) -> BatchScene:
+    if not isinstance(table, dict):
+        raise FormatError(_CODE, f"{where}: {type(table).__name__}, expected an object")
+    unknown = sorted(set(table) - _KEYS)
+    if unknown:
+        raise FormatError(_CODE, f"{where}: key {unknown[0]!r}, expected some of {sorted(_KEYS)}")
+    paths = [table.get("input"), table.get("output")]
+    if not all(isinstance(value, str) and value for value in paths):
+        raise FormatError(
+            _CODE, f"{where}: input {paths[0]!r}, output {paths[1]!r}, expected paths"
+        )
+    given = table.get("options", {})
+    if not isinstance(given, dict):
+        raise FormatError(_CODE, f"{where}: options {given!r}, expected an object")
+    words: list[str] = []
+    for name, value in given.items():
+        if name not in options:
+            raise FormatError(
+                _CODE, f"{where}: option {name!r}, expected one of `cogsplat encode`'s"
+            )
+        if isinstance(value, bool):
+            words += [f"--{name}"] * value
+        elif isinstance(value, str | int | float):
+            words.append(f"--{name}={value}")
+        else:
+            raise FormatError(
+                _CODE, f"{where}: option {name} of {value!r}, expected text, a number or true"
+            )
+    return BatchScene(str(paths[0]), str(paths[1]), tuple(words))
