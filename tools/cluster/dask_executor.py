@@ -69,23 +69,47 @@ class DaskExecutor:
         """
         waiting: deque[Future] = deque()
         try:
-            most = _AHEAD * self._threads() + 1
-            for item in items:
+            # By turns: left to itself, the scheduler gives most tasks to the worker that has the
+            # scene already.
+            turns = self._threads()
+            for turn, item in enumerate(items):
                 with self._told():
                     held = [self._bring(value) for value in shared]
-                    waiting.append(self._client.submit(function, item, *held, pure=False))
-                if len(waiting) >= most:
+                    future = self._client.submit(
+                        function,
+                        item,
+                        *held,
+                        pure=False,
+                        workers=turns[turn % len(turns)],
+                        # Should that one end.
+                        allow_other_workers=True,
+                    )
+                waiting.append(future)
+                if len(waiting) > _AHEAD * len(turns):
                     yield self._result(waiting.popleft())
             while waiting:
                 yield self._result(waiting.popleft())
         finally:
             self._cancel(list(waiting))
 
-    def _threads(self) -> int:
-        """Return how many threads all workers have, at least 1."""
+    def _threads(self) -> list[str]:
+        """Return the address of the worker of every thread, workers by turns.
+
+        Raises
+        ------
+        StorageError
+            ``worker-lost``: none is left for as long as a scheduler is waited for.
+        """
         with self._told():
+            try:
+                self._client.wait_for_workers(1, timeout=_PATIENCE_S)
+            except TimeoutError:
+                raise StorageError(
+                    "worker-lost", "the scheduler has no workers left, expected at least 1"
+                ) from None
             threads: Mapping[str, int] = self._client.nthreads()
-        return max(1, sum(threads.values()))
+        most = max(threads.values(), default=0)
+        return [address for turn in range(most) for address in threads if threads[address] > turn]
 
     def _bring(self, value: object) -> object:
         """Return the future of the workers' copy of a value; bring it there the first time.
