@@ -80,8 +80,10 @@ export interface PlayCanvasSettings {
 }
 /**
  * Have PlayCanvas draw more nearly by the rules of SPEC 8.7, in WebGL: Gaussians to where they add 1/255, the scene's
- * kernel, and the Jacobian of a point within 1.3 times the picture. The engine orders depths in steps, 1,024 of them for
- * small scenes, which nothing changes.
+ * kernel, and the Jacobian of a point within 1.3 times the picture. In WebGL the engine (2.23.3, its
+ * `gsplat-unified-sort-worker`) sorts by whole-numbered keys: 2^b + 1 of them, where b is log₂ of a quarter of the number of
+ * splats, rounded and held between 10 and 20, so 1,025 up to 5,792 splats. Splats of one key are drawn in an order that has
+ * nothing to do with their depths. No setting changes the number of keys.
  *
  * Call it before the first picture. It holds for all splats of the application.
  *
