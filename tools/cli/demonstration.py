@@ -131,7 +131,7 @@ def stage_costs(splats: int) -> list[StageCost]:
 def run(
     folder: Path,
     *,
-    splats: int = 120_000,
+    splats: int,
     threads: int = 0,
     force: bool = False,
     before_encoding: Callable[[Progress], None] | None = None,

@@ -30,6 +30,8 @@ from cogsplat.tools.terminal.standard_streams import PATH
 from .compile_ahead import CompileAhead
 
 _SPLATS = 120_000
+# As many as show every object whole, and few enough for half a minute on two cores.
+_DEMO_SPLATS = 80_000
 _MOST_SPLATS = 20_000_000
 
 
@@ -180,7 +182,7 @@ def _mask_path(folder: Path, camera: Camera) -> Path:
 @click.option(
     "--splats",
     type=click.IntRange(1000, _MOST_SPLATS),
-    default=_SPLATS,
+    default=_DEMO_SPLATS,
     show_default=True,
     metavar="N",
     help="Size of the scene.",
