@@ -22,7 +22,7 @@ from cogsplat.codec.streams import (
     sorted_means,
 )
 from cogsplat.codec.streams.kinds import KINDS
-from cogsplat.formats.cogs import cameras, canonical_msgpack, layout, reader, root
+from cogsplat.formats.cogs import cameras, canonical_msgpack, decoded_rows, layout, reader, root
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.tools import make_vectors
 from cogsplat.tools.conformance import tolerance, valid
@@ -291,7 +291,7 @@ def test_decoded_bytes_are_counted_as_stated():
     assert f"{Limits().expansion} bytes more for each byte" in text
     assert f"{Limits().allowed(0) >> 20} MiB" in text
     for number in (
-        reader._HEAD_ROW_BYTES,
+        decoded_rows._HEAD_ROW_BYTES,
         reader._SCRATCH_ROW_BYTES,
         reader._SCRATCH_COORDINATE_BYTES,
         reader._COMPENSATION_ROW_BYTES,

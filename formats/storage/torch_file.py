@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import DataError
 
 from .atomic import StrPath, open_for_read, storage_errors
-from .zip_directory import open_zip
+from .zip_directory import check_entry, open_zip
 
 F32 = NDArray[np.float32]
 
@@ -180,6 +180,7 @@ def _stored(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
             f"{name[:60]} of {entry.compress_size} bytes, {entry.file_size} unpacked, expected it "
             f"stored and at most {most} bytes"
         )
+    check_entry(archive, entry)
     return archive.read(entry)
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Callable
-from typing import BinaryIO, cast
+from typing import BinaryIO, Final, cast
 
 from cogsplat.codec.errors import CogsplatError
+
+# Of the header before an entry's bytes, which its name and extra fields follow (APPNOTE 4.3.7).
+_LOCAL_HEADER_BYTES: Final = 30
 
 
 def open_zip(
@@ -38,6 +41,23 @@ def open_zip(
     archive = zipfile.ZipFile(cast("BinaryIO", rationed))
     rationed.is_over = True
     return archive
+
+
+def check_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
+    """Refuse an entry that reaches into the next one, as newer versions of `zipfile` do.
+
+    Its bytes would be inflated once for each entry that claims them.
+
+    Raises
+    ------
+    zipfile.BadZipFile
+        The entry ends behind the start of another one, or of the directory.
+    """
+    starts = [other.header_offset for other in archive.infolist()]
+    end = min([at for at in starts if at > entry.header_offset], default=archive.start_dir)
+    found = entry.header_offset + _LOCAL_HEADER_BYTES + entry.compress_size
+    if found > end:
+        raise zipfile.BadZipFile(f"an entry that ends at byte {found} or later, the next at {end}")
 
 
 class _RationedFile:

@@ -64,7 +64,15 @@ def sog_of_one_entry(folder: Path, *, side: int, count: int, inflated: int) -> P
     entry += bytes(max(0, inflated - len(entry)))
     files = {"meta.json": json.dumps(sog_meta(count, "i.webp")).encode(), "i.webp": entry}
     path = folder / "one_entry.sog"
-    path.write_bytes(lying_zip(files, {"i.webp": inflated // 32 + 64}))
+    path.write_bytes(lying_zip(files, {}))
+    return path
+
+
+def sog_of_overlapping_entries(folder: Path) -> Path:
+    """A bundle whose directory says that an image goes on where the directory begins."""
+    files = {"meta.json": json.dumps(sog_meta(9, "i.webp")).encode(), "i.webp": flat_webp(16)}
+    path = folder / "overlapping.sog"
+    path.write_bytes(lying_zip(files, {"i.webp": 4096}))
     return path
 
 

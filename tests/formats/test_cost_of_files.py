@@ -37,6 +37,10 @@ SCENES: dict[str, tuple[Maker, str]] = {
         lambda folder: hostile.sog_of_one_entry(folder, side=16, count=9, inflated=32 * MIB),
         "sog-zip-ratio",
     ),
+    "an entry of a ZIP that reaches into the next": (
+        hostile.sog_of_overlapping_entries,
+        "sog-zip",
+    ),
     "a ZIP directory without end": (
         lambda folder: hostile.sog_of_many_entries(folder, entries=30_000),
         "sog-zip-directory",

@@ -80,6 +80,8 @@ def harm(folder: Path) -> Iterator[tuple[str, str, bytes]]:
     yield "sog", "one_entry_inflated_for_every_image", path.read_bytes()
     path = hostile.sog_of_one_entry(folder, side=1024, count=mib, inflated=mib)
     yield "sog", "a_million_splats_in_one_colour", path.read_bytes()
+    path = hostile.sog_of_overlapping_entries(folder)
+    yield "sog", "overlapping_entries", path.read_bytes()
     path = hostile.sog_of_many_entries(folder, entries=400)
     yield "sog", "many_entries", path.read_bytes()
     path = hostile.gltf_of_shared_accessors(folder, splats=100, primitives=40)

@@ -27,6 +27,7 @@ MUTATIONS = int(os.environ.get("COGSPLAT_FUZZ", "40"))
 REFUSALS = {
     ("sog", "one_entry_inflated_for_every_image"): "sog-zip-ratio",
     ("sog", "a_million_splats_in_one_colour"): "too-many-splats",
+    ("sog", "overlapping_entries"): "sog-zip",
     ("sog", "many_entries"): "sog-missing-file",
     ("glb", "shared_accessors"): "gltf-too-many-instances",
     ("glb", "matrix_1e308"): "gltf-shear",

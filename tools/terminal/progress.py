@@ -117,7 +117,8 @@ class Stages(TimedProgress):
         if total <= 1:
             return
         now = time.monotonic()
-        if stage not in self._written or now - self._written[stage] >= _LINE_EVERY:
+        due = now - self._written.setdefault(stage, now) >= _LINE_EVERY
+        if done == 0 or due:
             self._written[stage] = now
             share = f", {self._whole.share:.0%} of all" if self._whole else ""
             click.echo(f"{stage} {done}/{total}{share}", err=True)

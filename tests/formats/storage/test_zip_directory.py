@@ -6,7 +6,7 @@ import zipfile
 import pytest
 
 from cogsplat.codec.errors import LimitError
-from cogsplat.formats.storage.zip_directory import open_zip
+from cogsplat.formats.storage.zip_directory import check_entry, open_zip
 
 
 def bundle(entries: int) -> io.BytesIO:
@@ -37,3 +37,14 @@ def test_a_large_directory_is_refused_before_its_entries_are_made() -> None:
 def test_damage_is_what_zipfile_says() -> None:
     with pytest.raises(zipfile.BadZipFile):
         open_zip(io.BytesIO(b"PK\3\4 and no directory"), 1 << 12, refusal)
+
+
+def test_entries_that_reach_into_the_next_are_refused() -> None:
+    with zipfile.ZipFile(bundle(3)) as archive:
+        for entry in archive.infolist():
+            check_entry(archive, entry)
+        for number, reach in ((0, 10), (2, 10)):
+            entry = archive.infolist()[number]
+            entry.compress_size += reach
+            with pytest.raises(zipfile.BadZipFile, match="an entry that ends at byte"):
+                check_entry(archive, entry)
