@@ -165,6 +165,12 @@ test("a memory budget leaves the last chunks out", async () => {
   assert.deepEqual([...last.keys()].sort(), [0, 1]);
 });
 
+test("a budget of splats leaves the last chunks out", async () => {
+  const { index } = new SceneFile(PADDED, kernels());
+  const { last } = await streamFrom(PADDED, undefined, { splatBudget: index.chunks.splats[0]! + index.chunks.splats[1]! });
+  assert.deepEqual([...last.keys()].sort(), [0, 1]);
+});
+
 test("packed chunks have the words of every band", async () => {
   const { last } = await streamFrom(PADDED, undefined, { format: "packed", degree: 2 });
   for (const { packed, count } of last.values()) {

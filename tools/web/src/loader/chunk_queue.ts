@@ -1,6 +1,7 @@
 import type { SceneIndex } from "../container/scene_index.js";
 import type { PackRanges } from "../scene/packed_splats.js";
 import type { ChunkService, ChunkFormat } from "../workers/decode_task.js";
+import { KeptHeads, withBands } from "./kept_heads.js";
 import type { ChunkUpdate } from "./stream_options.js";
 
 /** What is decoded and how. */
@@ -19,9 +20,11 @@ interface Given {
 
 /**
  * Collects the payloads of chunks and decodes each chunk when its head and the codebooks that it needs are there, and
- * again when its refinement or its tail has come.
+ * again when its refinement has come; of a tail that comes later the coefficients alone are decoded, where what the head
+ * was decoded to could be kept.
  */
 export class ChunkQueue {
+  private readonly heads = new KeptHeads();
   private readonly payloads = new Map<number, Uint8Array>();
   private readonly codebooks = new Set<number>();
   /** Segments that cannot be had. */
@@ -38,6 +41,16 @@ export class ChunkQueue {
     private readonly emit: (update: Omit<ChunkUpdate, "prefix">) => void,
     private readonly fail: (error: unknown, chunk: number) => void,
   ) {}
+
+  /** Keep no more than so many bytes of decoded heads whose tails are still to come. */
+  keepAtMost(bytes: number): void {
+    this.heads.keepAtMost(bytes);
+  }
+
+  /** Bytes of decoded heads whose tails are still to come. */
+  get keptBytes(): number {
+    return this.heads.bytes;
+  }
 
   /** Chunks from here on are decoded as their payloads come. */
   expect(chunk: number): void {
@@ -116,12 +129,17 @@ export class ChunkQueue {
     }
     const rows = this.index.chunks.splats[chunk]!;
     this.decoding.add(chunk);
-    const payloads = {
-      chunk,
-      head: this.payloads.get(head)!,
-      tail: withTail ? this.payloads.get(tail)! : undefined,
-      refinement: refined ? this.payloads.get(refinement)! : undefined,
-    };
+    const kept = this.heads.take(chunk);
+    const tailPayload = withTail ? this.payloads.get(tail)! : undefined;
+    const isTailAlone = kept !== undefined && tailPayload !== undefined && before?.refined === refined;
+    const payloads = isTailAlone
+      ? { chunk, tail: tailPayload }
+      : {
+          chunk,
+          head: this.payloads.get(head)!,
+          tail: tailPayload,
+          refinement: refined ? this.payloads.get(refinement)! : undefined,
+        };
     this.given.set(chunk, { tail: withTail, refined });
     if (final) this.close(chunk);
     this.service
@@ -130,7 +148,9 @@ export class ChunkQueue {
         (decoded) => {
           this.decoding.delete(chunk);
           const firstRow = this.firstRow(chunk);
-          this.emit({ chunk, firstRow, count: rows, tail: withTail, refined, ...decoded });
+          const whole = isTailAlone ? withBands(kept, decoded.bands!) : decoded;
+          if (!withTail && this.expectsTail(chunk)) this.heads.keep(chunk, whole);
+          this.emit({ chunk, firstRow, count: rows, tail: withTail, refined, ...whole });
           this.decode(chunk);
         },
         (error: unknown) => {
@@ -139,6 +159,13 @@ export class ChunkQueue {
           this.fail(error, chunk);
         },
       );
+  }
+
+  /** Whether a chunk's tail may still come. */
+  private expectsTail(chunk: number): boolean {
+    const { tail } = this.index.chunkSegments(chunk);
+    if (!this.open.has(chunk) || this.options.degree === 0) return false;
+    return tail >= 0 ? !this.isLost(tail, this.options.degree) : !this.index.complete;
   }
 
   /** Whether a segment and the codebooks that it needs are there. */
@@ -155,6 +182,7 @@ export class ChunkQueue {
   /** Forget a chunk's payloads: nothing more comes of it. */
   private close(chunk: number): void {
     this.open.delete(chunk);
+    this.heads.take(chunk);
     this.given.delete(chunk);
     const { head, refinement, tail } = this.index.chunkSegments(chunk);
     for (const segment of [head, refinement, tail]) this.payloads.delete(segment);

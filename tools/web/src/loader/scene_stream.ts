@@ -17,6 +17,9 @@ const FIRST_REQUEST = 262_144;
 /** Updates that may wait for the caller before no more is fetched. */
 const MAX_WAITING = 64;
 
+/** Most bytes of decoded heads that wait for their tails: those of two million packed splats. */
+const MOST_KEPT_BYTES = 32 * 2 ** 20;
+
 /** What a stream reads from; shared by all streams of a scene. */
 export interface StreamSource {
   readonly index: SceneIndex;
@@ -45,6 +48,7 @@ export class SceneStream {
   private waits = 0;
   private requestBytes = FIRST_REQUEST;
   private budget: number;
+  private splatBudget: number;
   private plannedChunks = 0;
   private pagesDone = false;
   private failure: { readonly error: unknown } | undefined;
@@ -63,6 +67,7 @@ export class SceneStream {
     const format = options.format ?? "splats";
     this.rowBytes = bytesPerSplat(format, this.degree);
     this.budget = options.memoryBudget ?? Infinity;
+    this.splatBudget = options.splatBudget ?? Infinity;
     const { signal } = options;
     if (signal?.aborted) this.abort.abort(signal.reason);
     else signal?.addEventListener("abort", this.onAbort);
@@ -139,9 +144,12 @@ export class SceneStream {
     this.plannedChunks = this.index.chunkCount;
     const ordered = priority === undefined ? chunks : this.byPriority(chunks, priority);
     const taken = ordered.filter((chunk) => {
-      this.budget -= this.index.chunks.splats[chunk]! * this.rowBytes;
-      return this.budget >= 0;
+      const splats = this.index.chunks.splats[chunk]!;
+      this.budget -= splats * this.rowBytes;
+      this.splatBudget -= splats;
+      return this.budget >= 0 && this.splatBudget >= 0;
     });
+    this.queue.keepAtMost(Math.min(MOST_KEPT_BYTES, Math.max(this.budget, 0)));
     for (const chunk of taken) this.queue.expect(chunk);
     const layers = this.options.compensate ? this.index.compensation : [];
     const segments = [...layers, ...this.queue.allMissing()].filter((segment) => !this.asked.has(segment));

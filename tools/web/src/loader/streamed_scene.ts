@@ -137,10 +137,10 @@ export class StreamedScene {
   }
 
   /** Refuse a scene whose rows and codebooks take more memory than the caller allows, before anything is fetched. */
-  private checkSize({ degree = 3, memoryBudget = Infinity }: StreamOptions): void {
+  private checkSize({ degree = 3, memoryBudget = Infinity, splatBudget = Infinity }: StreamOptions): void {
     const { scene, codebooks, fileLength } = this.index;
     const used = Math.min(degree, scene.shDegree);
-    const rows = Math.min(scene.splats * bytesPerSplat("splats", used), memoryBudget);
+    const rows = Math.min(Math.min(scene.splats, splatBudget) * bytesPerSplat("splats", used), memoryBudget);
     const books = codebooks.reduce((sum, book) => sum + 4 * book.rows * (book.attribute === "shape" ? 7 : shnFloats(used)), 0);
     const most = this.options.maxDecodedBytes ?? defaultLimit(fileLength);
     if (rows + books > most) throw new CogsplatError("decoded-size", `${rows + books} decoded bytes, at most ${most}`);

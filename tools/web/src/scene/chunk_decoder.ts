@@ -17,6 +17,13 @@ export interface ChunkPayloads {
   readonly tail?: Uint8Array | undefined;
 }
 
+/** The tail of a chunk whose head was decoded before. */
+export interface TailPayload {
+  readonly chunk: number;
+  readonly head?: undefined;
+  readonly tail: Uint8Array;
+}
+
 /** What the decoder has to know of the file: a part of its index that can be sent to a worker. */
 export type DecoderIndex = Pick<SceneIndex, "scene" | "codebooks">;
 
@@ -67,17 +74,26 @@ export class ChunkDecoder {
       const head = new Payload(k, payloads.head, rows, "head");
       const refinement = payloads.refinement && new Payload(k, payloads.refinement, rows, "refinement");
       const columns = readHead(k, head, refinement, rows, needs.head, codebooks);
-      const tail =
-        payloads.tail && degree > 0
-          ? readTail(
-              k, new Payload(k, payloads.tail, rows, "tail"), needs.tail, codebooks, this.index.scene.shDegree,
-              degree,
-            )
-          : undefined;
+      const tail = payloads.tail && degree > 0 ? this.tailOf(payloads.tail, rows, needs.tail, degree) : undefined;
       return use(columns, tail);
     } finally {
       k.release(mark);
     }
+  }
+
+  /** Decode a tail and hand it to a function; its memory is given back afterwards. */
+  private withTail<T>({ tail }: TailPayload, rows: number, needs: number, degree: number, use: (tail: TailSource) => T): T {
+    const mark = this.k.mark();
+    try {
+      return use(this.tailOf(tail, rows, needs, degree));
+    } finally {
+      this.k.release(mark);
+    }
+  }
+
+  private tailOf(payload: Uint8Array, rows: number, needs: number, degree: number): TailSource {
+    const { k, codebooks, index } = this;
+    return readTail(k, new Payload(k, payload, rows, "tail"), needs, codebooks, index.scene.shDegree, degree);
   }
 
   /** Decode a chunk to the bit (SPEC 2.3). */
@@ -85,14 +101,6 @@ export class ChunkDecoder {
     payloads: ChunkPayloads, rows: number, needs: { readonly head: number; readonly tail: number }, degree: number,
   ): Splats {
     return this.withChunk(payloads, rows, needs, degree, (head, tail) => {
-      const { k } = this;
-      const floats = shnFloats(degree);
-      const shN = new Float32Array(rows * floats);
-      if (tail !== undefined) {
-        const target = k.alloc(4 * rows * floats);
-        writeShn(k, tail, rows, degree, target);
-        shN.set(k.f32.subarray(target >>> 2, (target >>> 2) + rows * floats));
-      }
       return {
         count: rows,
         shDegree: degree,
@@ -101,9 +109,22 @@ export class ChunkDecoder {
         quats: this.rows(head.quats, rows),
         opacities: this.rows([head.opacities], rows),
         sh0: this.rows(head.sh0, rows),
-        shN,
+        shN: tail === undefined ? new Float32Array(rows * shnFloats(degree)) : this.shN(tail, rows, degree),
       };
     });
+  }
+
+  /**
+   * Decode the coefficients above DC of a chunk alone, to the bit.
+   *
+   * @param payload - The tail, whose CRC was checked.
+   * @param rows - Splats of the chunk.
+   * @param needs - Codebooks that the tail needs.
+   * @param degree - SH degree wanted, above 0 and at most the scene's.
+   * @returns For each row 3·((degree + 1)² − 1) values.
+   */
+  decodeShN(payload: TailPayload, rows: number, needs: number, degree: number): Float32Array {
+    return this.withTail(payload, rows, needs, degree, (tail) => this.shN(tail, rows, degree));
   }
 
   /**
@@ -120,22 +141,23 @@ export class ChunkDecoder {
       const columns = [...head.means, ...head.scales, ...head.quats, head.opacities, ...head.sh0];
       const splats = k.alloc(16 * rows);
       k.packSplats(addressTable(k, columns), rows, ranges.rgbMin, ranges.rgbMax, splats);
-      const bands = SH_WORDS.slice(0, degree).map((words) => ({ words: words * rows, address: k.alloc(4 * words * rows) }));
-      if (tail !== undefined) {
-        const shN = k.alloc(4 * rows * shnFloats(degree));
-        writeShn(k, tail, rows, degree, shN);
-        const [sh1, sh2, sh3] = [0, 1, 2].map((band) => bands[band]?.address ?? 0) as [number, number, number];
-        k.packShn(shN, rows, degree, ranges.shRange, sh1, sh2, sh3);
-      }
       return {
         count: rows,
         words: k.u32.slice(splats >>> 2, (splats >>> 2) + 4 * rows),
-        sh: bands.map(({ words, address }) => {
-          return tail === undefined ? new Uint32Array(words) : k.u32.slice(address >>> 2, (address >>> 2) + words);
-        }),
+        sh:
+          tail === undefined
+            ? SH_WORDS.slice(0, degree).map((words) => new Uint32Array(words * rows))
+            : this.packedBands(tail, rows, degree, ranges),
         ranges,
       };
     });
+  }
+
+  /**
+   * Decode the packed bands of a chunk alone (SPEC 8.6); the parameters are those of `decodeShN` and `decodePacked`.
+   */
+  decodePackedBands(payload: TailPayload, rows: number, needs: number, degree: number, ranges: PackRanges): Uint32Array[] {
+    return this.withTail(payload, rows, needs, degree, (tail) => this.packedBands(tail, rows, degree, ranges));
   }
 
   /** Decode a chunk's extra attributes (SPEC 5.7). */
@@ -146,6 +168,24 @@ export class ChunkDecoder {
     } finally {
       this.k.release(mark);
     }
+  }
+
+  private shN(tail: TailSource, rows: number, degree: number): Float32Array {
+    const { k } = this;
+    const floats = rows * shnFloats(degree);
+    const target = k.alloc(4 * floats);
+    writeShn(k, tail, rows, degree, target);
+    return k.f32.slice(target >>> 2, (target >>> 2) + floats);
+  }
+
+  private packedBands(tail: TailSource, rows: number, degree: number, { shRange }: PackRanges): Uint32Array[] {
+    const { k } = this;
+    const bands = SH_WORDS.slice(0, degree).map((words) => ({ words: words * rows, address: k.alloc(4 * words * rows) }));
+    const shN = k.alloc(4 * rows * shnFloats(degree));
+    writeShn(k, tail, rows, degree, shN);
+    const [sh1, sh2, sh3] = [0, 1, 2].map((band) => bands[band]?.address ?? 0) as [number, number, number];
+    k.packShn(shN, rows, degree, shRange, sh1, sh2, sh3);
+    return bands.map(({ words, address }) => k.u32.slice(address >>> 2, (address >>> 2) + words));
   }
 
   private rows(columns: readonly number[], rows: number): Float32Array {

@@ -1,7 +1,7 @@
 import type { Shifts } from "../container/compensation.js";
 import { fromHalf, toHalf } from "./half_floats.js";
 import { opacityOf, shiftedOpacity } from "./opacities.js";
-import type { Splats } from "./splats.js";
+import type { ShRows, Splats } from "./splats.js";
 import type { TexelArray, Texels, TexelWidth } from "./texels.js";
 
 // Textures as those of PlayCanvas' uncompressed splats, but for the rotation: theirs loses turns of nearly 180°.
@@ -39,7 +39,7 @@ export function packPlayCanvas(splats: Splats, arrays: readonly TexelArray[]): v
     transformA[4 * i + 3] = smallestThree(quats.subarray(4 * i, 4 * i + 4));
     for (let axis = 0; axis < 3; axis++) transformB[4 * i + axis] = toHalf(Math.exp(Math.min(scales[3 * i + axis]!, LARGEST_LOG_SCALE)));
   }
-  if (splats.shDegree > 0) packBands(splats, bands);
+  if (splats.shDegree > 0) packPlayCanvasBands(splats, bands);
 }
 
 /** The three smaller components of a unit quaternion in 10 bits each, and two bits that name the largest. */
@@ -57,8 +57,11 @@ function smallestThree(quat: Float32Array): number {
   return word;
 }
 
-/** Each row's coefficients of its largest magnitude, which stands in the first word. */
-function packBands({ count, shN, shDegree }: Splats, bands: readonly Uint32Array[]): void {
+/**
+ * Pack the coefficients above DC of rows, into the textures behind the first three: each row's coefficients of its
+ * largest magnitude, which stands in the first word.
+ */
+export function packPlayCanvasBands({ count, shN, shDegree }: ShRows, bands: readonly Uint32Array[]): void {
   const coefficients = (shDegree + 1) ** 2 - 1;
   const largest = new Float32Array(1);
   const bits = new Uint32Array(largest.buffer);

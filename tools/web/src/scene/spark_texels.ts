@@ -1,7 +1,7 @@
 import type { Shifts } from "../container/compensation.js";
 import { fromHalf, toHalf } from "./half_floats.js";
 import { opacityOf, shiftedOpacity } from "./opacities.js";
-import type { Splats } from "./splats.js";
+import type { ShRows, Splats } from "./splats.js";
 import type { TexelArray, Texels, TexelWidth } from "./texels.js";
 
 // Two textures of four u32 a splat, as Spark's `ExtSplats` has them:
@@ -30,7 +30,7 @@ const SH_C0 = 0.28209479177387814;
 /** Pack rows; `arrays` are as long as `SPARK_WIDTHS` says. */
 export function packSpark(splats: Splats, arrays: readonly Uint32Array<ArrayBuffer>[]): void {
   const [centers, shapes, ...bands] = arrays as [Uint32Array<ArrayBuffer>, Uint32Array<ArrayBuffer>, ...Uint32Array[]];
-  const { count, means, scales, quats, opacities, sh0, shN } = splats;
+  const { count, means, scales, quats, opacities, sh0 } = splats;
   const floats = new Float32Array(centers.buffer, centers.byteOffset, centers.length);
   for (let i = 0; i < count; i++) {
     floats.set(means.subarray(3 * i, 3 * i + 3), 4 * i);
@@ -42,7 +42,12 @@ export function packSpark(splats: Splats, arrays: readonly Uint32Array<ArrayBuff
     shapes[4 * i + 2] = scale(1) | (scale(2) << 16);
     shapes[4 * i + 3] = rotation(quats[4 * i]!, quats[4 * i + 1]!, quats[4 * i + 2]!, quats[4 * i + 3]!);
   }
-  const coefficients = (splats.shDegree + 1) ** 2 - 1;
+  packSparkBands(splats, bands);
+}
+
+/** Pack the coefficients above DC of rows, into the textures behind the first two. */
+export function packSparkBands({ count, shDegree, shN }: ShRows, bands: readonly Uint32Array[]): void {
+  const coefficients = (shDegree + 1) ** 2 - 1;
   for (let i = 0; i < count; i++) {
     for (let k = 0; k < coefficients; k++) {
       const at = 3 * (coefficients * i + k);

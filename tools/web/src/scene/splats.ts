@@ -17,6 +17,9 @@ export interface Splats {
   readonly shN: Float32Array;
 }
 
+/** Coefficients above DC alone. */
+export type ShRows = Pick<Splats, "count" | "shDegree" | "shN">;
+
 /** The rows of several scenes of one SH degree, one after the other. */
 export function concatenate(parts: readonly Splats[], shDegree: number): Splats {
   const join = (arrays: Float32Array[]) => {

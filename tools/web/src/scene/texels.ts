@@ -1,7 +1,7 @@
 import type { Shifts } from "../container/compensation.js";
-import { packPlayCanvas, PLAYCANVAS_WIDTHS, shiftPlayCanvas } from "./playcanvas_texels.js";
-import { packSpark, shiftSpark, SPARK_WIDTHS } from "./spark_texels.js";
-import type { Splats } from "./splats.js";
+import { packPlayCanvas, packPlayCanvasBands, PLAYCANVAS_WIDTHS, shiftPlayCanvas } from "./playcanvas_texels.js";
+import { packSpark, packSparkBands, shiftSpark, SPARK_WIDTHS } from "./spark_texels.js";
+import type { ShRows, Splats } from "./splats.js";
 
 /** Whose textures chunks are decoded to: those of Spark's `ExtSplats`, or of PlayCanvas' uncompressed splats. */
 export type TexelLayout = "spark" | "playcanvas";
@@ -33,7 +33,11 @@ export function texelWidths(layout: TexelLayout, degree: number): readonly Texel
 
 /** Arrays of a layout for so many splats, all zeros: splats that are not drawn. */
 export function makeTexelArrays(layout: TexelLayout, degree: number, splats: number): TexelArray[] {
-  return texelWidths(layout, degree).map(({ width, bytes }) => {
+  return makeArrays(texelWidths(layout, degree), splats);
+}
+
+function makeArrays(widths: readonly TexelWidth[], splats: number): TexelArray[] {
+  return widths.map(({ width, bytes }) => {
     return bytes === 4 ? new Uint32Array(width * splats) : new Uint16Array(width * splats);
   });
 }
@@ -44,6 +48,19 @@ export function packTexels(layout: TexelLayout, splats: Splats): Texels {
   if (layout === "spark") packSpark(splats, arrays as Uint32Array<ArrayBuffer>[]);
   else packPlayCanvas(splats, arrays);
   return { count: splats.count, layout, arrays };
+}
+
+/** The textures of a layout that hold no coefficients above DC; they stand first. */
+export function headTextures(layout: TexelLayout): number {
+  return texelWidths(layout, 0).length;
+}
+
+/** Pack coefficients above DC alone, into the textures behind those that hold none; the degree is above 0. */
+export function packBandTexels(layout: TexelLayout, rows: ShRows): TexelArray[] {
+  const bands = makeArrays(texelWidths(layout, rows.shDegree).slice(headTextures(layout)), rows.count);
+  const pack = layout === "spark" ? packSparkBands : packPlayCanvasBands;
+  pack(rows, bands as Uint32Array<ArrayBuffer>[]);
+  return bands;
 }
 
 /**

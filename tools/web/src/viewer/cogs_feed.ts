@@ -96,7 +96,7 @@ export class CogsFeed implements SceneFeed {
       signal,
       format: "packed",
       compensate: true,
-      memoryBudget: Math.min(this.layer.capacity, this.mostSplats) * bytesOf(info.shDegree),
+      splatBudget: Math.min(this.layer.capacity, this.mostSplats),
       onDamage: (error) => (this.damage ??= error),
     });
     this.report();
@@ -195,11 +195,6 @@ export class CogsFeed implements SceneFeed {
 /** 0 says that nothing was predicted (SPEC 5.4). */
 function predicted(quality: number | undefined): number | undefined {
   return quality === undefined || quality === 0 ? undefined : quality;
-}
-
-/** Bytes that a packed row takes. */
-function bytesOf(degree: number): number {
-  return 16 + [0, 8, 24, 40][degree]!;
 }
 
 /** A source that does not say how long its file is, so that one that was cut off is taken as far as it goes. */

@@ -1,15 +1,16 @@
 import type { KernelsMaker } from "../kernels/load.js";
-import { ChunkDecoder, type ChunkPayloads, type DecoderIndex } from "../scene/chunk_decoder.js";
+import { ChunkDecoder, type ChunkPayloads, type DecoderIndex, type TailPayload } from "../scene/chunk_decoder.js";
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { Splats } from "../scene/splats.js";
-import { packTexels, type TexelLayout, type Texels } from "../scene/texels.js";
+import { packBandTexels, packTexels, type TexelArray, type TexelLayout, type Texels } from "../scene/texels.js";
 
 /** What chunks are decoded to: arrays to the bit, 16 bytes and packed bands, or the textures of a renderer. */
 export type ChunkFormat = "splats" | "packed" | TexelLayout;
 
 /** One chunk to decode; everything in it can be sent to a worker. */
 export interface DecodeTask {
-  readonly payloads: ChunkPayloads;
+  /** Without a head, bands alone are decoded. */
+  readonly payloads: ChunkPayloads | TailPayload;
   readonly rows: number;
   readonly needs: { readonly head: number; readonly tail: number };
   readonly degree: number;
@@ -18,11 +19,16 @@ export interface DecodeTask {
   readonly ranges: PackRanges;
 }
 
-/** A decoded chunk: one of the three, as the task asked. */
+/** Coefficients above DC: all of `splats`, or a band of `packed` or of a renderer's textures. */
+export type BandArray = Float32Array | Uint32Array | TexelArray;
+
+/** A decoded chunk: one of the four, as the task asked. */
 export interface DecodedChunk {
   readonly splats?: Splats;
   readonly packed?: PackedSplats;
   readonly texels?: Texels;
+  /** Of a task without a head: `shN`, the packed bands, or the textures behind those that hold none. */
+  readonly bands?: readonly BandArray[];
 }
 
 /** Decodes the chunks of one scene, here or in workers. */
@@ -51,6 +57,11 @@ export class InlineService implements ChunkService {
 
   /** Decode without a promise, as a worker does. */
   decodeNow({ payloads, rows, needs, degree, format, ranges }: DecodeTask): DecodedChunk {
+    if (payloads.head === undefined) {
+      if (format === "packed") return { bands: this.decoder.decodePackedBands(payloads, rows, needs.tail, degree, ranges) };
+      const shN = this.decoder.decodeShN(payloads, rows, needs.tail, degree);
+      return { bands: format === "splats" ? [shN] : packBandTexels(format, { count: rows, shDegree: degree, shN }) };
+    }
     if (format === "packed") return { packed: this.decoder.decodePacked(payloads, rows, needs, degree, ranges) };
     const splats = this.decoder.decode(payloads, rows, needs, degree);
     return format === "splats" ? { splats } : { texels: packTexels(format, splats) };

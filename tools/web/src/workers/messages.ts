@@ -15,11 +15,12 @@ export type Response =
   | { readonly id: number; readonly code: ReasonCode | undefined; readonly message: string; readonly offset: number | undefined };
 
 /** The buffers of a decoded chunk, which are handed over instead of copied. */
-export function buffersOf({ splats, packed, texels }: DecodedChunk): ArrayBuffer[] {
+export function buffersOf({ splats, packed, texels, bands }: DecodedChunk): ArrayBuffer[] {
   const arrays = [
     ...(splats ? [splats.means, splats.scales, splats.quats, splats.opacities, splats.sh0, splats.shN] : []),
     ...(packed ? [packed.words, ...packed.sh] : []),
     ...(texels ? texels.arrays : []),
+    ...(bands ?? []),
   ];
   return arrays.map((array) => array.buffer as ArrayBuffer);
 }

@@ -11,7 +11,8 @@ export interface DecodeOptions {
 }
 /**
  * Collects the payloads of chunks and decodes each chunk when its head and the codebooks that it needs are there, and
- * again when its refinement or its tail has come.
+ * again when its refinement has come; of a tail that comes later the coefficients alone are decoded, where what the head
+ * was decoded to could be kept.
  */
 export declare class ChunkQueue {
     private readonly index;
@@ -19,6 +20,7 @@ export declare class ChunkQueue {
     private readonly options;
     private readonly emit;
     private readonly fail;
+    private readonly heads;
     private readonly payloads;
     private readonly codebooks;
     /** Segments that cannot be had. */
@@ -28,6 +30,10 @@ export declare class ChunkQueue {
     /** Chunks that were not yet given with all that they have. */
     private readonly open;
     constructor(index: SceneIndex, service: ChunkService, options: DecodeOptions, emit: (update: Omit<ChunkUpdate, "prefix">) => void, fail: (error: unknown, chunk: number) => void);
+    /** Keep no more than so many bytes of decoded heads whose tails are still to come. */
+    keepAtMost(bytes: number): void;
+    /** Bytes of decoded heads whose tails are still to come. */
+    get keptBytes(): number;
     /** Chunks from here on are decoded as their payloads come. */
     expect(chunk: number): void;
     /** The segments that the expected chunks still need, by chunk. */
@@ -43,6 +49,8 @@ export declare class ChunkQueue {
     /** Whether every chunk that was expected has been given, or cannot be. */
     get idle(): boolean;
     private decode;
+    /** Whether a chunk's tail may still come. */
+    private expectsTail;
     /** Whether a segment and the codebooks that it needs are there. */
     private ready;
     private isLost;

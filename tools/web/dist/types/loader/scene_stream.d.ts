@@ -33,6 +33,7 @@ export declare class SceneStream {
     private waits;
     private requestBytes;
     private budget;
+    private splatBudget;
     private plannedChunks;
     private pagesDone;
     private failure;

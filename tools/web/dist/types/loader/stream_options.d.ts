@@ -27,8 +27,13 @@ export interface StreamOptions {
     readonly format?: ChunkFormat;
     /** What the codes of packed chunks stand for. */
     readonly ranges?: Partial<PackRanges>;
-    /** Most bytes of rows that are given out; chunks beyond are not fetched. */
+    /**
+     * Most bytes of rows that are given out; chunks beyond are not fetched. What they leave may hold decoded heads until
+     * their tails come.
+     */
     readonly memoryBudget?: number;
+    /** Most splats that are given out; chunks beyond are not fetched. */
+    readonly splatBudget?: number;
     /** Fetch the layers of compensation too, for `StreamedScene.compensation`. */
     readonly compensate?: boolean;
     /** Told of what cannot be had, and of which chunk it is; what is there is drawn without it. */

@@ -12,6 +12,12 @@ export interface ChunkPayloads {
     readonly refinement?: Uint8Array | undefined;
     readonly tail?: Uint8Array | undefined;
 }
+/** The tail of a chunk whose head was decoded before. */
+export interface TailPayload {
+    readonly chunk: number;
+    readonly head?: undefined;
+    readonly tail: Uint8Array;
+}
 /** What the decoder has to know of the file: a part of its index that can be sent to a worker. */
 export type DecoderIndex = Pick<SceneIndex, "scene" | "codebooks">;
 /** Decodes the chunks of one scene; codebooks stay in its memory from chunk to chunk. */
@@ -41,11 +47,24 @@ export declare class ChunkDecoder {
         readonly head: number;
         readonly tail: number;
     }, degree: number, use: (head: HeadColumns, tail: TailSource | undefined) => T): T;
+    /** Decode a tail and hand it to a function; its memory is given back afterwards. */
+    private withTail;
+    private tailOf;
     /** Decode a chunk to the bit (SPEC 2.3). */
     decode(payloads: ChunkPayloads, rows: number, needs: {
         readonly head: number;
         readonly tail: number;
     }, degree: number): Splats;
+    /**
+     * Decode the coefficients above DC of a chunk alone, to the bit.
+     *
+     * @param payload - The tail, whose CRC was checked.
+     * @param rows - Splats of the chunk.
+     * @param needs - Codebooks that the tail needs.
+     * @param degree - SH degree wanted, above 0 and at most the scene's.
+     * @returns For each row 3·((degree + 1)² − 1) values.
+     */
+    decodeShN(payload: TailPayload, rows: number, needs: number, degree: number): Float32Array;
     /**
      * Decode a chunk into what a renderer uploads (SPEC 8.6).
      *
@@ -55,7 +74,13 @@ export declare class ChunkDecoder {
         readonly head: number;
         readonly tail: number;
     }, degree: number, ranges: PackRanges): PackedSplats;
+    /**
+     * Decode the packed bands of a chunk alone (SPEC 8.6); the parameters are those of `decodeShN` and `decodePacked`.
+     */
+    decodePackedBands(payload: TailPayload, rows: number, needs: number, degree: number, ranges: PackRanges): Uint32Array[];
     /** Decode a chunk's extra attributes (SPEC 5.7). */
     attributes(payload: Uint8Array, rows: number): Map<string, AttributeArray>;
+    private shN;
+    private packedBands;
     private rows;
 }

@@ -16,5 +16,7 @@ export interface Splats {
     /** Coefficients above DC, coefficient by coefficient, channels innermost. */
     readonly shN: Float32Array;
 }
+/** Coefficients above DC alone. */
+export type ShRows = Pick<Splats, "count" | "shDegree" | "shN">;
 /** The rows of several scenes of one SH degree, one after the other. */
 export declare function concatenate(parts: readonly Splats[], shDegree: number): Splats;

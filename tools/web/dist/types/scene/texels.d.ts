@@ -1,5 +1,5 @@
 import type { Shifts } from "../container/compensation.js";
-import type { Splats } from "./splats.js";
+import type { ShRows, Splats } from "./splats.js";
 /** Whose textures chunks are decoded to: those of Spark's `ExtSplats`, or of PlayCanvas' uncompressed splats. */
 export type TexelLayout = "spark" | "playcanvas";
 /** An array for one texture of a renderer, some elements a splat. */
@@ -24,6 +24,10 @@ export declare function texelWidths(layout: TexelLayout, degree: number): readon
 export declare function makeTexelArrays(layout: TexelLayout, degree: number, splats: number): TexelArray[];
 /** Pack splats into the textures of a renderer, within the tolerances of SPEC 8.6. */
 export declare function packTexels(layout: TexelLayout, splats: Splats): Texels;
+/** The textures of a layout that hold no coefficients above DC; they stand first. */
+export declare function headTextures(layout: TexelLayout): number;
+/** Pack coefficients above DC alone, into the textures behind those that hold none; the degree is above 0. */
+export declare function packBandTexels(layout: TexelLayout, rows: ShRows): TexelArray[];
 /**
  * Write rows into arrays of a whole scene, with what compensation adds to them (SPEC 8.5).
  *

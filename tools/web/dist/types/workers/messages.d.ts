@@ -28,4 +28,4 @@ export type Response = {
     readonly offset: number | undefined;
 };
 /** The buffers of a decoded chunk, which are handed over instead of copied. */
-export declare function buffersOf({ splats, packed, texels }: DecodedChunk): ArrayBuffer[];
+export declare function buffersOf({ splats, packed, texels, bands }: DecodedChunk): ArrayBuffer[];

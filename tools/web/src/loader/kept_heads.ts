@@ -1,0 +1,78 @@
+import { headTextures } from "../scene/texels.js";
+import type { BandArray, DecodedChunk } from "../workers/decode_task.js";
+
+/**
+ * What the heads of chunks were decoded to, until their tails come, which are then decoded alone.
+ *
+ * Heads are kept as they come until the limit is reached; those beyond it are decoded again with their tails.
+ */
+export class KeptHeads {
+  private readonly heads = new Map<number, DecodedChunk>();
+  private limit = 0;
+  /** Bytes of all that is kept. */
+  bytes = 0;
+
+  /** Keep no more than so many bytes; the heads that came last, whose tails come last as well, are dropped first. */
+  keepAtMost(bytes: number): void {
+    this.limit = bytes;
+    for (const chunk of [...this.heads.keys()].reverse()) {
+      if (this.bytes <= bytes) return;
+      this.take(chunk);
+    }
+  }
+
+  /** Keep a copy of a chunk without its coefficients above DC, where there is room; the chunk itself is the caller's. */
+  keep(chunk: number, decoded: DecodedChunk): void {
+    this.take(chunk);
+    if (this.bytes + headBytes(decoded) > this.limit) return;
+    this.heads.set(chunk, copyHead(decoded));
+    this.bytes += headBytes(decoded);
+  }
+
+  /** What was kept of a chunk, which is kept no longer. */
+  take(chunk: number): DecodedChunk | undefined {
+    const head = this.heads.get(chunk);
+    if (head === undefined) return undefined;
+    this.heads.delete(chunk);
+    this.bytes -= headBytes(head);
+    return head;
+  }
+}
+
+/** A chunk of what was kept of it and of its bands. */
+export function withBands({ splats, packed, texels }: DecodedChunk, bands: readonly BandArray[]): DecodedChunk {
+  return {
+    ...(splats && { splats: { ...splats, shN: bands[0] as Float32Array } }),
+    ...(packed && { packed: { ...packed, sh: bands as readonly Uint32Array[] } }),
+    ...(texels && { texels: { ...texels, arrays: [...texels.arrays, ...(bands as typeof texels.arrays)] } }),
+  };
+}
+
+function copyHead({ splats, packed, texels }: DecodedChunk): DecodedChunk {
+  return {
+    ...(splats && {
+      splats: {
+        ...splats,
+        means: splats.means.slice(),
+        scales: splats.scales.slice(),
+        quats: splats.quats.slice(),
+        opacities: splats.opacities.slice(),
+        sh0: splats.sh0.slice(),
+        shN: new Float32Array(0),
+      },
+    }),
+    ...(packed && { packed: { ...packed, words: packed.words.slice(), sh: [] } }),
+    ...(texels && {
+      texels: { ...texels, arrays: texels.arrays.slice(0, headTextures(texels.layout)).map((array) => array.slice()) },
+    }),
+  };
+}
+
+function headBytes({ splats, packed, texels }: DecodedChunk): number {
+  const arrays = [
+    ...(splats ? [splats.means, splats.scales, splats.quats, splats.opacities, splats.sh0] : []),
+    ...(packed ? [packed.words] : []),
+    ...(texels ? texels.arrays.slice(0, headTextures(texels.layout)) : []),
+  ];
+  return arrays.reduce((sum, array) => sum + array.byteLength, 0);
+}
