@@ -31,7 +31,7 @@ from .compile_ahead import CompileAhead
 
 _SPLATS = 120_000
 # As many as show every object whole, and few enough for half a minute on two cores.
-_DEMO_SPLATS = 80_000
+_DEMO_SPLATS = 60_000
 _MOST_SPLATS = 20_000_000
 
 

@@ -32,6 +32,10 @@ LEAST_DB = {"spark": 25.0, "playcanvas": 17.0}
 # With the rules of SPEC 8.7. In WebGL PlayCanvas 2.23.3 sorts up to 5,792 splats by 1,025 keys,
 # most of them for depths near the camera (its gsplat-unified-sort-worker).
 BY_SPEC_DB = {"spark": 38.0, "playcanvas": 28.0}
+# A picture has come to rest when so many, so far apart, are equal.
+_EQUAL_PICTURES = 3
+_SORTING_MS = 200
+_MOST_PICTURES = 60
 SAME_DB = {"spark": 40.0, "playcanvas": 34.0}
 
 
@@ -114,7 +118,16 @@ def wait_frames(page: Page, count: int = 12) -> None:
 
 
 def shown(page: Page) -> NDArray[np.float32]:
-    return picture(page)
+    """Return the picture once it stays the same: renderers sort beside it, however long it takes."""
+    found, same = picture(page), 0
+    for _ in range(_MOST_PICTURES):
+        wait_frames(page)
+        page.wait_for_timeout(_SORTING_MS)
+        last, found = found, picture(page)
+        same = same + 1 if np.array_equal(found, last) else 0
+        if same == _EQUAL_PICTURES:
+            return found
+    raise AssertionError(f"the picture still changes after {_MOST_PICTURES} others")
 
 
 def open_page(page: Page, site: str, renderer: str, rules: str = "spec") -> None:
