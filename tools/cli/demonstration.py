@@ -19,7 +19,7 @@ from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.atomic import check_output, storage_errors
 from cogsplat.tools.synthetic.scene import synth, synth_cameras
 
-SHARES: Final = (0.02, 0.05, 0.10, 0.25, 1.0)
+SHARES: Final = (0.03, 0.06, 0.12, 0.25, 1.0)
 """Shares of the file that the film-strip shows."""
 
 EVERY: Final = 8

@@ -194,7 +194,7 @@ def _mask_path(folder: Path, camera: Camera) -> Path:
 def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json: bool) -> None:
     """Encode a synthetic scene and decode prefixes of it.
 
-    Make it, encode it, decode 2, 5, 10, 25 and 100 % of the bytes, compare each with the original,
+    Make it, encode it, decode 3, 6, 12, 25 and 100 % of the bytes, compare each with the original,
     and draw a film-strip of them.
     """
     from . import demonstration

@@ -118,7 +118,7 @@ def wait_frames(page: Page, count: int = 12) -> None:
 
 
 def shown(page: Page) -> NDArray[np.float32]:
-    """Return the picture once it stays the same: renderers sort beside it, however long it takes."""
+    """Return the picture once it stays the same: renderers sort beside it, as long as it takes."""
     found, same = picture(page), 0
     for _ in range(_MOST_PICTURES):
         wait_frames(page)
