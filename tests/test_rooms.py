@@ -306,7 +306,7 @@ DOORS: dict[str, dict[str, str]] = {
         "source": "FileSource PrefixSource Readable Source source_of",
         "strict_json": "JsonObject parse_object",
         "torch_file": "CODE TorchTensor open_torch read_state_dict",
-        "zip_directory": "check_entry open_zip",
+        "zip_directory": "open_entry open_zip",
     },
 }
 

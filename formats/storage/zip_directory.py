@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Callable
-from typing import BinaryIO, Final, cast
+from typing import IO, BinaryIO, Final, cast
 
 from cogsplat.codec.errors import CogsplatError
 
@@ -43,21 +43,36 @@ def open_zip(
     return archive
 
 
-def check_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
-    """Refuse an entry that reaches into the next one, as newer versions of `zipfile` do.
+def open_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> IO[bytes]:
+    """Open an entry that does not reach into the next one, as newer versions of `zipfile` do.
 
-    Its bytes would be inflated once for each entry that claims them.
+    The bytes of one that does would be inflated once for each entry that claims them.
+
+    Parameters
+    ----------
+    archive : zipfile.ZipFile
+        Of `open_zip`.
+    entry : zipfile.ZipInfo
+        One of its directory.
+
+    Returns
+    -------
+    IO of bytes
+        What the entry inflates to, for the caller to close.
 
     Raises
     ------
     zipfile.BadZipFile
         The entry ends behind the start of another one, or of the directory.
+    Exception
+        Whatever `zipfile.ZipFile.open` raises for a damaged entry.
     """
     starts = [other.header_offset for other in archive.infolist()]
     end = min([at for at in starts if at > entry.header_offset], default=archive.start_dir)
     found = entry.header_offset + _LOCAL_HEADER_BYTES + entry.compress_size
     if found > end:
         raise zipfile.BadZipFile(f"an entry that ends at byte {found} or later, the next at {end}")
+    return archive.open(entry)
 
 
 class _RationedFile:
