@@ -429,14 +429,9 @@ def encode(
 
 def _byte_count(memory: int | str | None) -> int | None:
     """Return a memory cap in bytes."""
-    from .formats.storage.byte_counts import parse_byte_count
+    from .formats.storage.byte_counts import parse_bytes
 
-    if memory is None:
-        return None
-    found = parse_byte_count(str(memory))
-    if found.is_share:
-        raise ValueError(f"memory {memory!r}, expected bytes such as 8GiB")
-    return int(found.amount)
+    return None if memory is None else parse_bytes(str(memory))
 
 
 def _target(psnr_db: float | None, size: int | str | None, scene: Splats | _Path) -> Target | None:

@@ -295,7 +295,7 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "formats.storage": {
         "atomic": "StrPath atomic_write check_output open_for_read storage_error storage_errors",
-        "byte_counts": "ByteCount parse_byte_count",
+        "byte_counts": "ByteCount parse_byte_count parse_bytes",
         "images": "MAX_SIDE decode_image encode_image image_size picture_size",
         "json_stream": "JsonStream MAX_VALUE_BYTES",
         "limits": "Limits",

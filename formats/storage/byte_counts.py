@@ -64,3 +64,27 @@ def parse_byte_count(text: str) -> ByteCount:
     if match and unit in _UNITS:
         return ByteCount(Fraction(match[1]) * _UNITS[unit], is_share=False)
     raise ValueError(f"{text!r}, expected bytes such as 65536, 64KiB, 1.5MB or 20%")
+
+
+def parse_bytes(text: str) -> int:
+    """Parse ``65536``, ``64KiB`` or ``1.5MB`` where there is no file to take a share of.
+
+    Returns
+    -------
+    int
+        Bytes, rounded down.
+
+    Raises
+    ------
+    ValueError
+        It is none of them, or a share such as ``20%``.
+
+    Examples
+    --------
+    >>> parse_bytes("1.5KiB")
+    1536
+    """
+    found = parse_byte_count(text)
+    if found.is_share:
+        raise ValueError(f"{text!r}, expected bytes such as 65536, 64KiB or 1.5MB")
+    return int(found.amount)

@@ -22,14 +22,13 @@ import cogsplat
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.scenes.ply.scene import write_ply_parts
 from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
-from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.formats.storage.source import FileSource
 from cogsplat.tools.pictures.svg_charts import Series, line_chart
 from cogsplat.tools.synthetic.scene import synth, synth_cameras
 from cogsplat.tools.terminal.options import force_option, json_option, threads_option
 from cogsplat.tools.terminal.output import say, say_json, table
 from cogsplat.tools.terminal.standard_streams import PATH
-from cogsplat.tools.terminal.values import byte_count
+from cogsplat.tools.terminal.values import number_of_bytes
 
 _STATUS: Final = Path("/proc/self/status")
 
@@ -246,7 +245,7 @@ def _counts(text: str) -> list[int]:
     default="fast",
     show_default=True,
 )
-@click.option("--memory", type=byte_count, metavar="SIZE", help="Cap of each encode.")
+@click.option("--memory", type=number_of_bytes, metavar="SIZE", help="Cap of each encode.")
 @click.option("--out", type=PATH, metavar="DIR", help="Where two charts go.")
 @threads_option
 @force_option
@@ -255,7 +254,7 @@ def main(
     counts: list[int],
     views: int,
     preset: str,
-    memory: ByteCount | None,
+    memory: int | None,
     out: Path | None,
     threads: int,
     force: bool,
@@ -267,12 +266,11 @@ def main(
             out.mkdir(parents=True, exist_ok=True)
         for name in (_TIME_CHART, _MEMORY_CHART):
             check_output(out / name, force=force)
-    cap = None if memory is None else int(memory.amount)
     steps: list[Step] = []
     with tempfile.TemporaryDirectory(dir=out) as folder:
         for splats in counts:
             steps += measure(
-                splats, Path(folder), views=views, preset=preset, memory=cap, threads=threads
+                splats, Path(folder), views=views, preset=preset, memory=memory, threads=threads
             )
     if out is not None:
         for name, chart in charts(steps).items():

@@ -46,7 +46,7 @@ from cogsplat.tools.terminal.output_names import (
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
-from cogsplat.tools.terminal.values import Colour, byte_count
+from cogsplat.tools.terminal.values import Colour, byte_count, number_of_bytes
 
 from .compile_ahead import CompileAhead
 from .info import tell_attributes
@@ -214,7 +214,7 @@ _GROUPS: Final = {
 )
 @click.option(
     "--memory",
-    type=byte_count,
+    type=number_of_bytes,
     metavar="SIZE",
     help="Most memory to take, such as 8GiB. A PLY that would take more with --preset fast is "
     "worked through in files beside OUT. The bytes do not depend on it.",
@@ -253,7 +253,7 @@ def encode(
     measure: bool,
     report: Path | None,
     images: Path | None,
-    memory: ByteCount | None,
+    memory: int | None,
     format_name: str | None,
     background: Colour,
     edits: SceneEdits,
@@ -285,7 +285,11 @@ def encode(
     _require_one_aim(profile, target_psnr, target_size)
     if scheduler is not None and memory is not None:
         raise click.UsageError("--memory and --scheduler: expected one of them")
-    cap = _memory_cap(memory, measures=measure or report is not None or images is not None)
+    if memory is not None and (measure or report is not None or images is not None):
+        raise click.UsageError(
+            "--memory with --measure, --report or --images, expected `cogsplat eval` afterwards: "
+            "measuring holds two scenes in memory"
+        )
     bound = PruneConfig() if prune is None else PruneConfig(peak=prune)
     chosen = PRESETS[preset]
     asked = click.get_current_context().get_parameter_source("order")
@@ -311,7 +315,7 @@ def encode(
         check_output(report, force=force, inputs=inputs)
     # Edits and labels by masks work on a copy in memory.
     copied = edits.changes or choice.masks is not None
-    working = working_memory(scene, config, cap, out.absolute().parent, copied=copied)
+    working = working_memory(scene, config, memory, out.absolute().parent, copied=copied)
     kernels = needed_kernels(config, planned=cameras is None)
     with (
         Stages(shown=not (quiet or as_json)) as stages,
@@ -435,20 +439,6 @@ def _require_one_aim(
         raise click.UsageError(
             f"{named[0]} with --profile near-lossless, expected a profile for viewing"
         )
-
-
-def _memory_cap(memory: ByteCount | None, *, measures: bool) -> int | None:
-    """Return ``--memory`` in bytes."""
-    if memory is None:
-        return None
-    if memory.is_share:
-        raise click.UsageError("--memory as a share, expected bytes such as 8GiB")
-    if measures:
-        raise click.UsageError(
-            "--memory with --measure, --report or --images, expected `cogsplat eval` afterwards: "
-            "measuring holds two scenes in memory"
-        )
-    return int(memory.amount)
 
 
 def _scored(made: EncodeReport) -> str:

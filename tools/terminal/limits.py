@@ -11,7 +11,7 @@ import click
 
 from cogsplat.formats.storage.limits import Limits
 
-from .values import byte_count
+from .values import number_of_bytes
 
 Command = TypeVar("Command", bound=Callable[..., object])
 
@@ -58,7 +58,7 @@ def limits_of(text: str) -> Limits:
             raise click.BadParameter(f"{name} twice, expected it once")
         seen.add(name)
         if name == "memory":
-            limits = replace(limits, decoded_bytes=_bytes(value))
+            limits = replace(limits, decoded_bytes=number_of_bytes(value))
         elif name == "expansion":
             limits = replace(limits, expansion=_count(value), foreign_expansion=_count(value))
         elif name == "splats":
@@ -73,13 +73,6 @@ def limits_of(text: str) -> Limits:
 def _keep(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
     if value is not None:
         context.meta[_KEY] = limits_of(value)
-
-
-def _bytes(text: str) -> int:
-    found = byte_count(text)
-    if found.is_share:
-        raise click.BadParameter(f"memory={text}, expected bytes such as 2GiB")
-    return int(found.amount)
 
 
 def _count(text: str) -> int:

@@ -9,7 +9,7 @@ from typing import Final
 
 import click
 
-from cogsplat.formats.storage.byte_counts import ByteCount, parse_byte_count
+from cogsplat.formats.storage.byte_counts import ByteCount, parse_byte_count, parse_bytes
 
 _RANGE: Final = re.compile(r"([0-9]{0,9}):([0-9]{0,9})")
 _SIZE: Final = re.compile(r"([0-9]{1,6})[x×]([0-9]{1,6})", re.IGNORECASE)
@@ -58,6 +58,20 @@ def byte_count(text: str) -> ByteCount:
     """
     try:
         return parse_byte_count(text)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+
+
+def number_of_bytes(text: str) -> int:
+    """Parse ``65536``, ``64KiB`` or ``1.5MB``, no share.
+
+    Raises
+    ------
+    click.BadParameter
+        It is none of them.
+    """
+    try:
+        return parse_bytes(text)
     except ValueError as error:
         raise click.BadParameter(str(error)) from None
 

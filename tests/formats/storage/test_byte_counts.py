@@ -2,7 +2,7 @@
 
 import pytest
 
-from cogsplat.formats.storage.byte_counts import parse_byte_count
+from cogsplat.formats.storage.byte_counts import parse_byte_count, parse_bytes
 
 
 @pytest.mark.parametrize(
@@ -20,3 +20,14 @@ def test_counts_and_shares(text, of_a_million):
 def test_what_is_none_is_refused(text):
     with pytest.raises(ValueError, match="expected bytes such as"):
         parse_byte_count(text)
+
+
+@pytest.mark.parametrize(("text", "expected"), [("0", 0), ("64 KiB", 65536), ("0.3b", 0)])
+def test_bytes_without_a_file(text, expected):
+    assert parse_bytes(text) == expected
+
+
+@pytest.mark.parametrize("text", ["20%", "0%", "many"])
+def test_a_share_needs_a_file(text):
+    with pytest.raises(ValueError, match=f"{text}.*expected bytes such as"):
+        parse_bytes(text)

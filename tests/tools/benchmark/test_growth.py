@@ -57,3 +57,9 @@ def test_sizes_that_are_none_are_misuse(text: str) -> None:
     done = CliRunner().invoke(main, ["--splats", text])
     assert done.exit_code == 2
     assert "expected numbers" in done.stderr
+
+
+def test_a_share_of_no_file_is_no_cap() -> None:
+    done = CliRunner().invoke(main, ["--splats", "600", "--memory", "20%"])
+    assert done.exit_code == 2
+    assert "expected bytes such as" in done.stderr
