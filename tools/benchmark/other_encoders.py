@@ -14,8 +14,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -25,21 +23,19 @@ from pathlib import Path
 from typing import Final
 
 import click
-import numpy as np
 
 import cogsplat
-from cogsplat.codec.cameras import Camera
-from cogsplat.codec.metrics import psnr
-from cogsplat.codec.render.rasteriser import render_views
 from cogsplat.codec.splats import Splats, concatenate
+from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.files import read_cameras
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.scenes.ply.scene import write_ply
 from cogsplat.formats.storage.atomic import atomic_write
+from cogsplat.tools.crosscheck import converter
+from cogsplat.tools.evaluation.view_quality import mean_psnr_db, view_qualities
 from cogsplat.tools.terminal.standard_streams import PATH
 
 _MODULES: Final = Path(__file__).resolve().parents[1] / "web" / "node_modules"
-_CONVERTER: Final = "@playcanvas/splat-transform/bin/cli.mjs"
 _MODULE: Final = "cogsplat.tools.benchmark.other_encoders"
 _HELD_OUT: Final = 8
 # Streamed SOG holds the scene in levels of detail; these shares of the splats are its usual three.
@@ -104,11 +100,10 @@ def encoders(node_modules: Path, sh_iterations: int = 10) -> list[Encoder]:
     sh_iterations : int
         Of the clustering of SH in SOG; the converter's own default is 10.
     """
-    converter = node_modules / _CONVERTER
     found = [Encoder("c3dgs-style npz", _npz_command, "scene.npz", _read_npz)]
-    if not converter.is_file():
+    if not converter.is_installed(node_modules):
         return found
-    start = ["node", str(converter), "-q", "-w", "-g", "cpu", "-i", str(sh_iterations)]
+    start = converter.command(node_modules, "-g", "cpu", "-i", str(sh_iterations))
 
     def plain(scene: Path, cameras: Path, target: Path) -> list[str]:
         return [*start, str(scene), str(target)]
@@ -150,7 +145,7 @@ def _read_finest_level(folder: Path) -> Splats:
     return concatenate([cogsplat.read(part / "meta.json") for part in sorted(folder.glob("0_*"))])
 
 
-def timed(command: Sequence[str]) -> float:
+def timed(command: list[str]) -> float:
     """Run a command and return its seconds.
 
     Raises
@@ -159,38 +154,14 @@ def timed(command: Sequence[str]) -> float:
         It failed; the message ends with what it said.
     """
     start = time.perf_counter()
-    done = subprocess.run(
-        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
-    )
-    seconds = time.perf_counter() - start
-    if done.returncode:
-        raise click.ClickException(f"{' '.join(command)}:\n{done.stdout}{done.stderr}")
-    return seconds
-
-
-class Judge:
-    """Measures scenes against their source in held-out views.
-
-    Parameters
-    ----------
-    source : Splats
-    cameras : sequence of Camera
-    """
-
-    def __init__(self, source: Splats, cameras: Sequence[Camera]) -> None:
-        self._cameras = list(cameras)
-        self._wanted = [np.clip(picture, 0, 1) for picture in render_views(source, self._cameras)]
-
-    def quality_db(self, splats: Splats) -> float:
-        """Return the mean PSNR of the views."""
-        drawn = (np.clip(picture, 0, 1) for picture in render_views(splats, self._cameras))
-        return statistics.fmean(psnr(*pair) for pair in zip(drawn, self._wanted, strict=True))
+    converter.run(command)
+    return time.perf_counter() - start
 
 
 def compare(
     scene: Path,
     cameras: Path,
-    judge: Judge,
+    quality_db: Callable[[Splats], float],
     others: Sequence[Encoder],
     presets: Sequence[str] = PRESETS,
 ) -> Iterator[Written]:
@@ -202,7 +173,8 @@ def compare(
         A PLY.
     cameras : Path
         Views for encoders that take any, none of those that are judged.
-    judge : Judge
+    quality_db : callable
+        Gives the mean PSNR of a scene in held-out views.
     others : sequence of Encoder
     presets : sequence of str
         Of ``cogsplat encode``.
@@ -223,14 +195,14 @@ def compare(
             folder.mkdir()
             seconds = timed(other.command(scene, cameras, folder / other.target))
             size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-            found = Written(other.name, seconds, size, judge.quality_db(other.read(folder)))
+            found = Written(other.name, seconds, size, quality_db(other.read(folder)))
             yield found
             for preset in presets:
                 path = Path(name) / f"{preset}.cogs"
                 start = [sys.executable, "-m", "cogsplat.tools.cli.main", "encode", "--quiet"]
                 aim = ["--preset", preset, "--target-psnr", f"{found.held_out_db:.2f}"]
                 seconds = timed([*start, str(scene), str(path), "--cameras", str(cameras), *aim])
-                size, db = path.stat().st_size, judge.quality_db(cogsplat.decode(path))
+                size, db = path.stat().st_size, quality_db(cogsplat.decode(path))
                 yield Written(f"COGS {preset}", seconds, size, db, like=other.name)
 
 
@@ -260,20 +232,23 @@ def main(
     if write_npz is not None:
         _write_npz(scene, cameras, write_npz)
         return
-    views = read_cameras(cameras)
+    views, held_out = hold_out(read_cameras(cameras), _HELD_OUT)
     source = cogsplat.read(scene)
-    judge = Judge(source, views[::_HELD_OUT])
     others = encoders(node_modules, sh_iterations)
     wanted = [name.strip() for name in only.split(",") if name.strip()]
     others = [other for other in others if not wanted or other.name in wanted]
     if not others:
         raise click.BadParameter(f"{only!r}, none of these is there", param_hint="--only")
     rows: list[Written] = []
+
+    def quality_db(splats: Splats) -> float:
+        return mean_psnr_db(view_qualities(source, splats, held_out))
+
     with tempfile.TemporaryDirectory() as name:
         ply, given = Path(name) / "scene.ply", Path(name) / "cameras.json"
         write_ply(source, ply)
-        write_cameras_json([view for i, view in enumerate(views) if i % _HELD_OUT], given)
-        for found in compare(ply, given, judge, others):
+        write_cameras_json(views, given)
+        for found in compare(ply, given, quality_db, others):
             rows.append(found)
             click.echo(json.dumps(asdict(found)))
     if out is not None:

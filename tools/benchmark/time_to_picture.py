@@ -32,6 +32,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.geometry.transforms import convert_axes
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.splats import SceneInfo, Splats
+from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.files import read_cameras
 from cogsplat.formats.scenes.registry import FORMATS
 from cogsplat.formats.scenes.spz.scene import SPZ_AXES, write_spz
@@ -367,13 +368,11 @@ def main(
 ) -> None:  # fmt: skip
     """Measure how soon SCENE can be seen, in COGS and in other formats."""
     source = cogsplat.read(scene)
-    views = read_cameras(cameras)
-    held_out = views[::_HELD_OUT]
+    given, held_out = hold_out(read_cameras(cameras), _HELD_OUT)
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         if cogs is None:
             cogs = Path(folder) / "scene.cogs"
-            given = [view for i, view in enumerate(views) if i % _HELD_OUT]
             cogsplat.encode(source, cogs, cameras=given)
         files = contenders(source, cogs, Path(folder))
         rates = [float(rate) for rate in mbit.split(",")]

@@ -34,7 +34,8 @@ from cogsplat.tools.synthetic.scene import synth
 from cogsplat.tools.terminal.options import json_option
 from cogsplat.tools.terminal.standard_streams import PATH
 
-from .spz import Finding, check_splat, check_spz, converted, findings_of, report
+from .converter import converted
+from .spz import Finding, check_splat, check_spz, findings_of, report
 
 F64 = NDArray[np.float64]
 Read = Callable[[StrPath], Splats]

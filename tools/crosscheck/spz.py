@@ -9,7 +9,6 @@ comes from.
 from __future__ import annotations
 
 import struct
-import subprocess
 import sys
 import tempfile
 import warnings
@@ -34,9 +33,10 @@ from cogsplat.tools.terminal.options import json_option
 from cogsplat.tools.terminal.output import say, say_json, table
 from cogsplat.tools.terminal.standard_streams import PATH
 
+from .converter import converted, run
+
 F64 = NDArray[np.float64]
 
-_CONVERTER: Final = "@playcanvas/splat-transform/bin/cli.mjs"
 _VIEWER: Final = "@mkkellogg/gaussian-splats-3d/build/gaussian-splats-3d.module.js"
 
 _LIBRARY: Final = "@adobe/spz/dist/spz.js"
@@ -173,20 +173,6 @@ def findings_of(
     ]
 
 
-def converted(modules: Path, source: Path, target: Path, *options: str) -> Path:
-    """Convert a scene to `target` with PlayCanvas' converter, and return `target`."""
-    _node(str(modules / _CONVERTER), "-q", "-w", *options, str(source), str(target))
-    return target
-
-
-def _node(*arguments: str) -> None:
-    done = subprocess.run(
-        ["node", *arguments], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        raise click.ClickException(f"node {' '.join(arguments)}:\n{done.stdout}{done.stderr}")
-
-
 def _clipped(splats: Splats) -> Splats:
     """Return the scene clipped to the ranges of SPZ and .ksplat: steps then bound every error."""
     return Splats(
@@ -249,7 +235,7 @@ def check_spz_frames(modules: Path, scene: Splats, folder: Path) -> list[Finding
         paths.append(path)
     script = folder / "read_spz.mjs"
     script.write_text(_READ_SPZ, encoding="utf-8")
-    _node(str(script), str((modules / _LIBRARY).resolve()), *map(str, (plain, *paths)))
+    run(["node", str(script), str((modules / _LIBRARY).resolve()), *map(str, (plain, *paths))])
     findings = []
     for number, path in enumerate(paths, 1):
         read = read_spz(path)
@@ -327,7 +313,7 @@ def check_ksplat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
         for level in range(3):
             path = folder / f"{level}{degree}.ksplat"
             module = str((modules / _VIEWER).resolve())
-            _node(str(script), module, str(source), str(level), str(degree), str(path))
+            run(["node", str(script), module, *map(str, (source, level, degree, path))])
             read = read_ksplat(path)
             there = read_ply(converted(modules, path, path.with_suffix(".ply")))
             check = f".ksplat level {level}, SH {degree}"
