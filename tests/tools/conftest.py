@@ -1,11 +1,14 @@
-"""One small scene for all tests of the command line, and ways to run it."""
+"""One small scene for all tests of the tools, ways to run the command line on it, a browser."""
 
 import json
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from chromium import chromium
 from click.testing import CliRunner, Result
+from playwright.sync_api import Browser
 from running import ROOT, SPLATS, VIEWS, Ran, Run, SmallScene, program
 
 import cogsplat
@@ -27,6 +30,12 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> SmallScene:
     config = EncodeConfig(chunk_splats=300, prune=PruneConfig(peak=0.001))
     cogsplat.encode(splats, scene.cogs, cameras=cameras, config=config)
     return scene
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as browser:
+        yield browser
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import base64
 import sys
-from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import nbclient
 import nbformat
 import numpy as np
 import pytest
-from chromium import chromium
 from playwright.sync_api import Browser
 from running import SmallScene
 
@@ -103,12 +101,6 @@ def test_a_notebook_shows_what_open_returns(small: SmallScene, tmp_path: Path) -
     (output,) = notebook.cells[0].outputs
     assert "application/vnd.jupyter.widget-view+json" in output.data
     assert "splats" in output.data["text/plain"]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.mark.slow

@@ -9,9 +9,9 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
-from chromium import PATIENCE_MS, chromium, picture
+from chromium import PATIENCE_MS, picture
 from numpy.typing import NDArray
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Page
 from running import ROOT, SmallScene, installed
 
 import cogsplat
@@ -64,22 +64,6 @@ def site(tmp_path_factory: pytest.TempPathFactory, small: SmallScene) -> Iterato
     server.shutdown()
     thread.join()
     server.server_close()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture
-def page(browser: Browser) -> Iterator[Page]:
-    thrown: list[str] = []
-    page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
-    page.on("pageerror", lambda error: thrown.append(str(error)))
-    yield page
-    page.close()
-    assert thrown == []
 
 
 def camera(number: int) -> Camera:

@@ -1,12 +1,11 @@
 """What people do with the viewer: settings, keys, film strip, comparison, fingers."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import chromium, look_from, picture, statistics, wait_until
+from chromium import look_from, picture, statistics, wait_until
 from faulty_server import FaultyServer
 from numpy.typing import NDArray
 from playwright.sync_api import Browser, Locator, Page, expect
@@ -28,31 +27,6 @@ PHONE = {"width": 390, "height": 844}
 COMPLETE = "s.state === 'complete' && s.upToDate"
 SAME_DB = 38.0
 OTHER_DB = 30.0
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture
-def page(browser: Browser) -> Iterator[Page]:
-    """A page that must not throw."""
-    thrown: list[str] = []
-    page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
-    page.on("pageerror", lambda error: thrown.append(str(error)))
-    yield page
-    page.close()
-    assert thrown == []
-
-
-@pytest.fixture
-def server(small: SmallScene) -> Iterator[FaultyServer]:
-    files = {**linked_page("scene"), "scene.cogs": small.cogs.read_bytes()}
-    with running(FaultyServer(files)) as server:
-        yield server
-        server.hold_at(float("inf"))
 
 
 def camera() -> Camera:

@@ -5,14 +5,13 @@ import json
 import signal
 import subprocess
 import threading
-from collections.abc import Iterator
 from http import HTTPStatus
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import chromium, look_from, picture, statistics, wait_until
+from chromium import look_from, picture, statistics, wait_until
 from faulty_server import FaultyServer
 from numpy.typing import NDArray
 from playwright.sync_api import Browser, Page, expect
@@ -30,31 +29,6 @@ pytestmark = pytest.mark.slow
 
 WIDTH, HEIGHT = 320, 240
 COMPLETE = "s.state === 'complete' && s.upToDate"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture
-def server(small: SmallScene) -> Iterator[FaultyServer]:
-    files = {**linked_page("scene"), "scene.cogs": small.cogs.read_bytes()}
-    with running(FaultyServer(files)) as server:
-        yield server
-        server.hold_at(float("inf"))
-
-
-@pytest.fixture
-def page(browser: Browser) -> Iterator[Page]:
-    """A page that must not throw: faults of the way are shown, not raised."""
-    thrown: list[str] = []
-    page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
-    page.on("pageerror", lambda error: thrown.append(str(error)))
-    yield page
-    page.close()
-    assert thrown == []
 
 
 def camera(width: int = WIDTH, height: int = HEIGHT) -> Camera:

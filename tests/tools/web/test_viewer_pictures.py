@@ -1,12 +1,11 @@
 """The viewer's pictures in a real browser equal our own renders of what has arrived."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import chromium, look_from, picture, wait_until
+from chromium import look_from, picture, wait_until
 from faulty_server import FaultyServer
 from numpy.typing import NDArray
 from playwright.sync_api import Browser, Page
@@ -45,12 +44,6 @@ class Shown:
         """Render what is in the first bytes of the file, 0 to 1."""
         part = cogsplat.decode(self.path, size_bytes=size_bytes, compensate=True)
         return np.clip(render(part, self.camera), 0, 1)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")
