@@ -176,7 +176,7 @@ DOORS: dict[str, dict[str, str]] = {
         "merging": "merge",
         "morton": "MAX_LEVELS deinterleave interleave spatial_order",
         "rotations": "from_matrices largest_w matrices multiply unit",
-        "sh": "C0 COLOUR_OFFSET basis terms",
+        "sh": ("C0 C1 C2_XX_YY C2_XY C2_ZZ C3_0 C3_1 C3_2 C3_3 C3_XX_YY COLOUR_OFFSET basis terms"),
         "transforms": "AxesChange axes_change convert_axes transform transform_camera",
     },
     "codec.order": {
@@ -205,19 +205,22 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "codec.render": {
         "blend_weights": "PEAK SQUARE WEIGHT add_weights",
-        "blending": "ALPHA_MAX",
+        "blending": (
+            "ALPHA_MAX BLUE GREEN LANES PIXELS PLANES PLANES_COMPARED RED REST blend_pixel "
+            "blend_tile footprint_in_tile open_pixels rows_in_tile tile_area"
+        ),
         "gradients": "Gradient gradient",
         "jit": "kernel",
         "label_votes": "label_votes",
         "marginal_gains": "marginal_gains",
         "peak_weights": "peak_weights",
-        "projection": "Footprints project",
+        "projection": "FLAT Footprints GUARD NARROW SHEAR project",
         "rasteriser": "RenderConfig render render_tiles render_views",
         "sensitivities": (
             "COLUMNS PAIRS_AT_ONCE Sensitivities add_moments from_columns view_sensitivities"
         ),
         "shading": "footprint_colours row_colours sh_terms",
-        "tiles": "TileLists tile_lists",
+        "tiles": "TILE TileLists gather tile_lists",
     },
     "codec.scoring": {
         "contribution": "LEAST_WEIGHT MOST_BY_VIEW ScoreConfig Scores score unscored",
@@ -351,6 +354,23 @@ def test_only_tools_take_the_facade(path: Path) -> None:
     assert [name for module, name in TAKEN[path] if module == FACADE] == []
 
 
+def test_training_alone_takes_torch() -> None:
+    """Whoever imports it waits for seconds, and it comes with the extra `train` only."""
+    takers = {
+        name_of(path)
+        for path in MODULES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in (
+            [alias.name for alias in node.names]
+            if isinstance(node, ast.Import)
+            else [node.module or ""] * (node.level == 0)
+        )
+        if name.split(".")[0] == "torch"
+    }
+    assert takers == {"codec/fit/autograd.py"}
+
+
 @pytest.mark.parametrize(
     "path", [path for path in MODULES if path.name == "__init__.py"], ids=name_of
 )
@@ -368,6 +388,8 @@ TESTED_IN = {
     "codec/encode/presets.py": "encode/test_pipeline.py",
     "codec/encode/profiles/means.py": "encode/profiles/test_transform.py",
     "codec/encode/shift_optimiser.py": "encode/test_compensation_fit.py",
+    "codec/fit/splat_kernels.py": "fit/test_drawing.py",
+    "codec/fit/tile_kernels.py": "fit/test_drawing.py",
     "codec/rate/costs.py": "rate/test_allocation.py",
     "codec/segments/bands.py": "segments/test_heads.py",
     "codec/segments/codebooks.py": "segments/test_heads.py",

@@ -1,0 +1,99 @@
+"""`rendered`: pictures for PyTorch, which differentiates them through `codec.fit.drawing`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.render.rasteriser import RenderConfig
+from cogsplat.codec.splats import SceneInfo, Splats
+
+from .drawing import Gradients, draw
+
+
+def _array(tensor: torch.Tensor) -> np.ndarray[Any, np.dtype[np.float32]]:
+    found: np.ndarray[Any, np.dtype[np.float32]] = tensor.detach().cpu().numpy()
+    return found
+
+
+class _Render(torch.autograd.Function):  # type: ignore[misc]
+    """Draws six tensors; its backward pass gives the derivatives by all of them."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, camera: Camera, config: RenderConfig, *tensors: torch.Tensor
+    ) -> torch.Tensor:
+        ctx.save_for_backward(*tensors)
+        values: dict[str, Any] = dict(zip(Gradients.names(), map(_array, tensors), strict=True))
+        ctx.drawing = draw(Splats(**values), camera, config)
+        return torch.from_numpy(ctx.drawing.picture).to(tensors[0].device)
+
+    @staticmethod
+    def backward(ctx: Any, *by_outputs: torch.Tensor) -> tuple[Any, ...]:
+        # Asked for so that PyTorch refuses tensors that changed since they were drawn.
+        means = ctx.saved_tensors[0]
+        gradients = Gradients.zeros(ctx.drawing.splats)
+        ctx.drawing.backward(_array(by_outputs[0].contiguous()), gradients)
+        values = [getattr(gradients, name) for name in Gradients.names()]
+        return (None, None, *(torch.from_numpy(value).to(means.device) for value in values))
+
+
+def rendered(
+    means: torch.Tensor,
+    scales: torch.Tensor,
+    quats: torch.Tensor,
+    opacities: torch.Tensor,
+    sh0: torch.Tensor,
+    shN: torch.Tensor,
+    camera: Camera,
+    config: RenderConfig | None = None,
+) -> torch.Tensor:
+    """Render splats so that PyTorch can differentiate the picture by all of them.
+
+    Parameters
+    ----------
+    means : (N, 3) float32 tensor
+        Scene units.
+    scales : (N, 3) float32 tensor
+        Natural logarithms.
+    quats : (N, 4) float32 tensor
+        wxyz, any non-zero norm.
+    opacities : (N,) float32 tensor
+        Logits.
+    sh0, shN : (N, 3), (N, K-1, 3) float32 tensor
+        SH coefficients.
+    camera : Camera
+        In the frame of the means.
+    config : RenderConfig or None
+        None for 3DGS' kernel of 0.3 px², without anti-aliasing, over black.
+
+    Returns
+    -------
+    (H, W, 3) float32 tensor
+        On the device of the means; drawn on the processor.
+
+    Raises
+    ------
+    DataError
+        ``bad-shape`` or ``bad-dtype``, as of `Splats`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from cogsplat.codec.fit.autograd import rendered
+    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
+    >>> splats, camera = synth(500), synth_cameras(1, 64, 48)[0]
+    >>> names = ("means", "scales", "quats", "opacities", "sh0", "shN")
+    >>> tensors = [torch.from_numpy(getattr(splats, name)).requires_grad_() for name in names]
+    >>> rendered(*tensors, camera).square().mean().backward()
+    >>> bool(tensors[0].grad.abs().max() > 0)
+    True
+    """
+    info = SceneInfo()
+    config = config or RenderConfig(kernel_px=info.kernel_px)
+    tensors = (means, scales, quats, opacities, sh0, shN)
+    picture: torch.Tensor = _Render.apply(camera, config, *tensors)
+    return picture

@@ -1,0 +1,55 @@
+import numpy as np
+import oracle
+import pytest
+import torch
+
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.fit.autograd import rendered
+from cogsplat.codec.fit.drawing import Gradients, draw
+
+
+def tensors(splats):
+    return [torch.from_numpy(getattr(splats, name)).requires_grad_() for name in Gradients.names()]
+
+
+def test_torch_has_the_picture_and_the_derivatives_of_a_drawing():
+    splats, camera = oracle.scene(1, n=40), oracle.camera()
+    drawing = draw(splats, camera)
+    wanted = Gradients.zeros(splats)
+    drawing.backward(2 * drawing.picture, wanted)
+    values = tensors(splats)
+    picture = rendered(*values, camera)
+    np.testing.assert_array_equal(picture.detach().numpy(), drawing.picture)
+    picture.square().sum().backward()
+    for name, value in zip(Gradients.names(), values, strict=True):
+        np.testing.assert_array_equal(value.grad.numpy(), getattr(wanted, name), err_msg=name)
+
+
+def test_an_optimiser_of_torch_descends():
+    splats, camera = oracle.scene(2, n=40), oracle.camera()
+    target = torch.full((camera.height, camera.width, 3), 0.4)
+    values = tensors(splats)
+    adam = torch.optim.Adam(values, lr=0.02)
+    errors = []
+    for _ in range(20):
+        adam.zero_grad()
+        error = (rendered(*values, camera) - target).square().mean()
+        error.backward()
+        adam.step()
+        errors.append(error.item())
+    assert errors[-1] < 0.5 * errors[0]
+
+
+def test_values_that_changed_after_they_were_drawn_are_refused():
+    values = tensors(oracle.scene(3, n=20))
+    loss = rendered(*values, oracle.camera()).sum()
+    with torch.no_grad():
+        values[0] += 1.0
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        loss.backward()
+
+
+def test_tensors_of_other_types_are_refused():
+    values = tensors(oracle.scene(4, n=20))
+    with pytest.raises(DataError, match="float32"):
+        rendered(values[0].double(), *values[1:], oracle.camera())

@@ -1,0 +1,132 @@
+"""Pictures are those of the rasteriser, and their derivatives those of an oracle in float64."""
+
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+import torch
+import torch_oracle
+
+from cogsplat.codec.fit.drawing import Gradients, draw
+from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.splats import Splats
+
+BACKGROUND = (0.613, 0.01, 0.398)
+
+
+def derivatives(splats: Splats, camera, target, **settings):
+    """Return the oracle's derivatives of a squared error by every stored value."""
+    values = {
+        name: torch.from_numpy(getattr(splats, name).astype(np.float64)).requires_grad_()
+        for name in Gradients.names()
+    }
+    seen = torch_oracle.picture(values, camera, **settings)
+    (seen - torch.from_numpy(target.astype(np.float64))).square().sum().backward()
+    found = {name: value.grad.numpy() for name, value in values.items()}
+    return seen.detach().numpy(), found
+
+
+def small_scene(seed: int, degree: int, opacity: float = 1.5):
+    splats = oracle.scene(seed, n=30, degree=degree, opacity=opacity)
+    camera = oracle.camera(angle=seed + 0.3, width=37, height=21, focal=24.0, shift=1.5)
+    rng = np.random.default_rng(seed)
+    target = rng.uniform(size=(camera.height, camera.width, 3)).astype(np.float32)
+    return splats, camera, target
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize(("seed", "degree"), [(0, 0), (1, 1), (2, 2), (3, 3), (4, 3)])
+def test_derivatives_are_those_of_the_oracle(seed, degree, antialiased):
+    splats, camera, target = small_scene(seed, degree)
+    config = RenderConfig(kernel_px=0.3, antialiased=antialiased, background=BACKGROUND)
+    drawing = draw(splats, camera, config)
+    seen, expected = derivatives(
+        splats, camera, target, kernel_px=0.3, antialiased=antialiased, background=BACKGROUND
+    )
+    # A pixel at which alpha is within rounding of 1/255 may fall to either side.
+    same = np.abs(drawing.picture - seen) < 1e-4
+    assert same.mean() > 0.999
+    found = Gradients.zeros(splats)
+    drawing.backward(2 * (drawing.picture - target), found)
+    for name, wanted in expected.items():
+        size = np.abs(wanted).max(initial=1e-9)
+        off = np.abs(getattr(found, name) - wanted)
+        assert np.sum(off > 2e-3 * size) <= 0.01 * off.size, f"{name}: {off.max(initial=0):.2g} off"
+
+
+def test_derivatives_of_one_splat_are_its_finite_differences():
+    splats = oracle.scene(5, n=1, degree=3)
+    splats.means[:] = [[0.1, -0.1, 0.2]]
+    splats.scales[:] = [[-0.9, -1.4, -1.1]]
+    splats.opacities[:] = 1.0
+    camera = oracle.camera(angle=0.4, width=40, height=30, focal=26.0)
+    weights = np.random.default_rng(5).normal(size=(30, 40, 3))
+    # Only where the splat is well above the cut at 1/255, so that no pixel comes or goes.
+    weights[draw(splats, camera).picture.max(axis=2) < 0.02] = 0.0
+    found = Gradients.zeros(splats)
+    draw(splats, camera).backward(weights.astype(np.float32), found)
+    for name in Gradients.names():
+        values = getattr(splats, name)
+        for place in np.ndindex(values.shape):
+            step = np.zeros_like(values)
+            step[place] = 2e-3
+            up, down = (
+                oracle.view(replace(splats, **{name: values + sign * step}), camera).image
+                for sign in (1, -1)
+            )
+            wanted = np.sum(weights * (up - down)) / 4e-3
+            assert getattr(found, name)[place] == pytest.approx(wanted, rel=0.01, abs=0.01), name
+
+
+def test_picture_is_that_of_the_rasteriser_whatever_the_threads():
+    splats = oracle.scene(6, n=300)
+    camera = oracle.camera(width=90, height=70, focal=70.0)
+    found = []
+    for threads in (1, 3):
+        config = RenderConfig(background=BACKGROUND, threads=threads)
+        drawing = draw(splats, camera, config)
+        np.testing.assert_array_equal(drawing.picture, render(splats, camera, config))
+        gradients = Gradients.zeros(splats)
+        drawing.backward(drawing.picture - 0.5, gradients)
+        found.append(gradients)
+    for name in Gradients.names():
+        one, three = (getattr(gradients, name) for gradients in found)
+        assert np.abs(one).max() > 0
+        np.testing.assert_array_equal(one, three, err_msg=name)
+
+
+def test_gradients_of_two_pictures_add_up_and_clear():
+    splats, camera, target = small_scene(7, 2)
+    drawing = draw(splats, camera)
+    once, twice = Gradients.zeros(splats), Gradients.zeros(splats)
+    centres = drawing.backward(drawing.picture - target, once)
+    for _ in range(2):
+        drawing.backward(drawing.picture - target, twice)
+    for name in Gradients.names():
+        np.testing.assert_allclose(getattr(twice, name), 2 * getattr(once, name), rtol=1e-6)
+    assert centres.shape == (len(drawing.footprints), 2)
+    assert np.abs(centres).max() > 0
+    twice.clear()
+    assert not any(getattr(twice, name).any() for name in Gradients.names())
+
+
+def test_degrees_that_are_not_drawn_have_no_derivatives():
+    splats, camera, target = small_scene(8, 3)
+    drawing = draw(splats, camera, RenderConfig(sh_degree=1))
+    found = Gradients.zeros(splats)
+    drawing.backward(drawing.picture - target, found)
+    assert np.abs(found.shN[:, :3]).max() > 0
+    assert not found.shN[:, 3:].any()
+
+
+def test_opacities_that_are_infinite_and_splats_out_of_sight_do_not_move():
+    splats, camera, target = small_scene(9, 1)
+    splats.opacities[:2] = [np.inf, -np.inf]
+    splats.means[2] = camera.position - 5.0 * camera.rotation[2]
+    found = Gradients.zeros(splats)
+    drawing = draw(splats, camera)
+    drawing.backward(drawing.picture - target, found)
+    assert not found.opacities[:2].any()
+    assert not any(getattr(found, name)[2].any() for name in Gradients.names())
+    assert all(np.isfinite(getattr(found, name)).all() for name in Gradients.names())
