@@ -483,6 +483,7 @@ def write(
     format_name: str | None = None,
     absolute: bool = False,
     spz_precision: str | None = None,
+    spz_version: int | None = None,
 ) -> None:
     """Write a scene in the format that the extension of `path` names; `encode` writes COGS.
 
@@ -500,11 +501,14 @@ def write(
     spz_precision : str, optional
         For SPZ: ``"fine"``, the default, stores the centres of small scenes in finer steps than
         other programs do; ``"usual"`` stores them in the same, for a smaller file.
+    spz_version : int, optional
+        For SPZ: 4, the default, or 3 or 2 for programs that read no newer ones.
 
     Raises
     ------
     ValueError
-        `absolute` with another format than PLY, `spz_precision` with another than SPZ.
+        `absolute` with another format than PLY, `spz_precision` or `spz_version` with another than
+        SPZ.
     CogsplatError
         The extension names no format that can be written, or the file cannot be.
 
@@ -525,6 +529,7 @@ def write(
         format_name=format_name,
         absolute=absolute,
         spz_precision=spz_precision,
+        spz_version=spz_version,
     )
 
 

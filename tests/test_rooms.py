@@ -293,7 +293,7 @@ DOORS: dict[str, dict[str, str]] = {
         ),
         "sog.scene": "read_sog write_sog",
         "splat": "read_splat write_splat",
-        "spz.scene": "SPZ_AXES read_spz write_spz",
+        "spz.scene": "SPZ_AXES VERSIONS read_spz write_spz",
         "spz.values": "PRECISIONS",
     },
     "formats.storage": {

@@ -425,6 +425,7 @@ class CogsFile:
         *,
         sh_degree: int | None = None,
         refine: bool = True,
+        extras: bool = True,
         most_splats: int = PART_SPLATS,
         threads: int = 0,
         progress: Progress = silent,
@@ -433,7 +434,7 @@ class CogsFile:
 
         Parameters
         ----------
-        chunks, sh_degree, refine, threads, progress
+        chunks, sh_degree, refine, extras, threads, progress
             As in `decode`.
         most_splats : int
             Splats of a part, at most, unless one chunk has more.
@@ -449,7 +450,7 @@ class CogsFile:
             As `decode`; a file that is too large as a whole is refused before the first part.
         """
         wanted = self._wanted(chunks)
-        extras = all(map(self.has_extras, wanted))
+        extras = extras and all(map(self.has_extras, wanted))
         degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)
         counts = [int(self.chunks.splats[chunk]) for chunk in wanted]
         kinds = self.root.attributes if extras else ()

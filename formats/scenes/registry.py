@@ -22,7 +22,8 @@ from cogsplat.formats.scenes.ply.header import is_ply
 from cogsplat.formats.scenes.ply.scene import read_ply, write_ply
 from cogsplat.formats.scenes.sog.scene import is_sog, read_sog, sog_files, write_sog
 from cogsplat.formats.scenes.spz.container import is_spz
-from cogsplat.formats.scenes.spz.scene import read_spz, write_spz
+from cogsplat.formats.scenes.spz.scene import DEFAULT_VERSION, read_spz, write_spz
+from cogsplat.formats.scenes.spz.values import PRECISIONS
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.magic import describe
@@ -219,6 +220,7 @@ def write_scene(
     format_name: str | None = None,
     absolute: bool = False,
     spz_precision: str | None = None,
+    spz_version: int | None = None,
 ) -> None:
     """Write a scene in a foreign format.
 
@@ -234,11 +236,14 @@ def write_scene(
         As `write_ply`, which alone knows it.
     spz_precision : str, optional
         As the precision of `write_spz`, which alone knows it.
+    spz_version : int, optional
+        As the version of `write_spz`.
 
     Raises
     ------
     ValueError
-        `absolute` and another format than PLY, `spz_precision` and another than SPZ.
+        `absolute` and another format than PLY, `spz_precision` or `spz_version` and another than
+        SPZ.
     FormatError, UnsupportedError
         As `format_to_write`.
     StorageError
@@ -250,10 +255,12 @@ def write_scene(
             raise ValueError(f"absolute centres in {format_.name}, expected ply")
         write_ply(splats, path, force=force, absolute=True)
         return
-    if spz_precision is not None:
+    if spz_precision is not None or spz_version is not None:
         if format_.write is not write_spz:
-            raise ValueError(f"a precision of SPZ in {format_.name}, expected spz")
-        write_spz(splats, path, force=force, precision=spz_precision)
+            raise ValueError(f"a precision or version of SPZ in {format_.name}, expected spz")
+        precision = PRECISIONS[0] if spz_precision is None else spz_precision
+        version = DEFAULT_VERSION if spz_version is None else spz_version
+        write_spz(splats, path, force=force, precision=precision, version=version)
         return
     write = format_.write
     assert write is not None

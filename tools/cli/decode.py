@@ -81,7 +81,9 @@ def decode(
     writing.require(out, format_.name)
     check_output(out, force=force, inputs=[cogs])
     refine = not no_refine
-    part = Selection(chunks, least_splats, size, sh_degree, objects, refine, compensate)
+    part = Selection(
+        chunks, least_splats, size, sh_degree, objects, refine, compensate, writing.extras
+    )
     with Stages(shown=not (quiet or as_json)) as stages:
         if format_.name == "ply" and not compensate:
             scene, decoded = _decode_into_ply(
@@ -148,11 +150,16 @@ def _decode_into_ply(
         nonlocal rows
         rows = sum(int(file.chunks.splats[chunk]) for chunk in chunks)
         if not rows:
-            nothing = file.decode(chunks, sh_degree=part.sh_degree)
+            nothing = file.decode(chunks, sh_degree=part.sh_degree, extras=part.extras)
             write_ply(nothing, out, force=force, absolute=absolute)
             return nothing
         parts = file.decode_parts(
-            chunks, sh_degree=part.sh_degree, refine=part.refine, threads=threads, progress=to
+            chunks,
+            sh_degree=part.sh_degree,
+            refine=part.refine,
+            extras=part.extras,
+            threads=threads,
+            progress=to,
         )
         return write_ply_parts(parts, rows, out, force=force, absolute=absolute)
 

@@ -45,6 +45,7 @@ from cogsplat.tools.terminal.output_names import (
 )
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.scene_writing import no_extras_option
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
 from cogsplat.tools.terminal.values import Colour, byte_count, number_of_bytes
 
@@ -184,11 +185,7 @@ _GROUPS: Final = {
     "every pixel of every view.",
 )
 @click.option("--no-prune", is_flag=True, help="Keep every splat.")
-@click.option(
-    "--no-extras",
-    is_flag=True,
-    help="Leave out what the splats carry beside what is drawn: labels, normals and so on.",
-)
+@no_extras_option
 @click.option(
     "--store-cameras", is_flag=True, help="Store the cameras of --cameras in the file, all of them."
 )

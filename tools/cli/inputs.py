@@ -55,6 +55,8 @@ class Selection:
         Whether refinements are read.
     compensate : bool
         Whether prefix compensation is applied.
+    extras : bool
+        Whether attributes are read that nothing draws.
     """
 
     chunks: ChunkRange | None = None
@@ -64,6 +66,7 @@ class Selection:
     objects: tuple[int, ...] | None = None
     refine: bool = True
     compensate: bool = False
+    extras: bool = True
 
     def __post_init__(self) -> None:
         given = {"--chunks": self.chunks, "--splats": self.least_splats, "--bytes": self.size}
@@ -173,6 +176,7 @@ def decode_part(
             chunks,
             sh_degree=part.sh_degree,
             refine=part.refine,
+            extras=part.extras,
             compensate=part.compensate,
             threads=threads,
             progress=progress,
@@ -221,7 +225,9 @@ def decode_part_by(decode: Decode, path: Path, part: Selection) -> LoadedScene:
             without_tails=tuple(missing) if splats.sh_degree else (),
             first_view=file.root.first_view,
             lost_extras=tuple(
-                kind.name for kind in file.root.attributes if kind.name not in splats.extras
+                kind.name
+                for kind in file.root.attributes
+                if part.extras and kind.name not in splats.extras
             ),
             unrefined=tuple(chunk for chunk in chunks if not file.has_refinement(chunk)),
         )

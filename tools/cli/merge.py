@@ -33,7 +33,7 @@ from cogsplat.tools.terminal.values import Vector, vector
 
 from .inputs import given_files, read_any
 from .scene_edits import SceneEdits, scale_factor
-from .scene_output import OUTPUT_FORMATS, output_format, write_any
+from .scene_output import COGS_NAME, OUTPUT_FORMATS, output_format, write_any
 
 Value = TypeVar("Value")
 
@@ -113,6 +113,10 @@ def merge(
     if len(sources) < 2:
         raise click.UsageError(f"{sources[0]} alone, expected two scenes or more, then the output")
     name = output_format(out, writing)
+    if name == COGS_NAME and not writing.extras:
+        raise click.UsageError(
+            f"--no-extras with {out}, expected the labels of objects by which a .cogs is cut"
+        )
     edits = _edits(len(sources), dict(scales), dict(turns), dict(shifts))
     check_output(out, force=force, inputs=chain.from_iterable(map(given_files, sources)))
     with Stages(shown=not (quiet or as_json)) as stages:

@@ -115,7 +115,7 @@ def write_any(
     stages : Stages
         Gets the stages of encoding and of writing.
     writing : SceneWriting, optional
-        What one format alone knows.
+        What one format alone knows, and whether extra attributes are written.
     by_object : bool
         For a COGS file: whether each chunk holds splats of one object alone.
 
@@ -124,6 +124,9 @@ def write_any(
     CogsplatError
         The scene cannot be encoded or written.
     """
+    how = writing or SceneWriting()
+    if not how.extras:
+        splats = splats.without_extras()
     if name == COGS_NAME:
         from cogsplat.codec.encode.config import EncodeConfig
         from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
@@ -145,7 +148,6 @@ def write_any(
             stored = int(file.root.splats)
         with storage_errors(out):
             return WrittenScene(name, out.stat().st_size, stored)
-    how = writing or SceneWriting()
     with stages.stage("write"):
         cogsplat.write(
             splats,
@@ -154,5 +156,6 @@ def write_any(
             format_name=name,
             absolute=how.absolute,
             spz_precision=how.spz_precision,
+            spz_version=how.spz_version,
         )
     return WrittenScene(name, written_bytes(out, scene_format(out, name)), len(splats))

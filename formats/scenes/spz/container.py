@@ -391,12 +391,12 @@ def _records(zone: memoryview, where: str) -> tuple[tuple[int, bytes], ...]:
 
 
 def pack(header: SpzHeader, streams: Sequence[U8]) -> list[bytes]:
-    """Wrap streams as version 3 or 4, without extensions.
+    """Wrap streams as version 2, 3 or 4, without extensions.
 
     Parameters
     ----------
     header : SpzHeader
-        Version 3 or 4.
+        Version 2, 3 or 4.
     streams : sequence of (count, row bytes) uint8
         In the order of `STREAMS`.
 
@@ -406,7 +406,7 @@ def pack(header: SpzHeader, streams: Sequence[U8]) -> list[bytes]:
         The file in pieces; the same for the same input, whatever the number of threads.
     """
     fields = (MAGIC, header.version, header.count, header.sh_degree, header.fractional_bits)
-    if header.version == 3:
+    if header.version < 4:
         deflater = zlib.compressobj(_ZLIB_LEVEL, zlib.DEFLATED, 31, _ZLIB_MEMORY)
         pieces = [deflater.compress(_HEADER.pack(*fields, header.flags, 0))]
         pieces += [deflater.compress(stream.tobytes()) for stream in streams]

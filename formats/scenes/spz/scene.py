@@ -1,4 +1,4 @@
-"""SPZ scenes: versions 1 to 4 read, 3 and 4 written (github.com/nianticlabs/spz)."""
+"""SPZ scenes: versions 1 to 4 read, 2 to 4 written (github.com/nianticlabs/spz)."""
 
 from __future__ import annotations
 
@@ -18,6 +18,11 @@ from .container import FLAG_ANTIALIASED, FLAG_EXTENSIONS, SpzFile, is_spz, pack,
 from .values import PRECISIONS, decode, encode
 
 __all__ = ["is_spz", "read_spz", "write_spz"]
+
+VERSIONS: Final = (2, 3, 4)
+"""Those that are written."""
+
+DEFAULT_VERSION: Final = 4
 
 SPZ_AXES: Final = "RUB"
 """Frame of values in a file that does not say otherwise."""
@@ -132,7 +137,7 @@ def write_spz(
     path: StrPath,
     *,
     force: bool = False,
-    version: int = 4,
+    version: int = DEFAULT_VERSION,
     sh1_bits: int = 5,
     sh_rest_bits: int = 4,
     precision: str = "fine",
@@ -148,7 +153,8 @@ def write_spz(
     force : bool
         Whether an existing file may be replaced.
     version : int
-        4 (zstd), or 3 (gzip) for older readers. Values are the same in both.
+        4 (zstd), or 3 (gzip) for older readers, with the same values, or 2 (gzip) for those that
+        read no quaternions of ten bits a component.
     sh1_bits, sh_rest_bits : int
         Bits that SH coefficients of degree 1 and above keep, 1 to 8; defaults as everybody's.
     precision : str
@@ -174,12 +180,13 @@ def write_spz(
     -----
     Steps: means 2^-12 scene units, finer in small scenes with the precision ``"fine"``, and coarser
     in large ones; scales 1/16;
-    opacities 1/255 of the activated value; sh0 0.026; quaternions 0.0014 per component;
+    opacities 1/255 of the activated value; sh0 0.026; quaternions 0.0014 per component, 0.0078 in
+    version 2, where the w of a turn by nearly half a circle is off by up to 0.12;
     coefficients of degree 1 1/16 and 1/8 above. Ranges: scales -10 to 5.94, sh0 ±3.33,
     coefficients -1 to 1.
     """
-    if version not in (3, 4):
-        raise ValueError(f"SPZ version {version}, expected 3 or 4")
+    if version not in VERSIONS:
+        raise ValueError(f"SPZ version {version}, expected one of {VERSIONS}")
     for bits in (sh1_bits, sh_rest_bits):
         if not 1 <= bits <= 8:
             raise ValueError(f"{bits} bits for SH coefficients, expected 1 to 8")

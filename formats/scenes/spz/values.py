@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.geometry.rotations import unit
 from cogsplat.codec.geometry.transforms import AxesChange
 from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo, Splats, empty, sh_coefficients
 from cogsplat.codec.threads import ordered_map, thread_count
@@ -185,7 +186,7 @@ def encode(
     splats : Splats
         In the frame of the file, all rows valid.
     version : int
-        3 or 4, whose values are the same.
+        2, whose quaternions are coarser; 3 or 4, whose values are the same.
     sh1_bits, sh_rest_bits : int
         Bits that SH coefficients of degree 1 and above keep, 1 to 8.
     precision : str
@@ -227,7 +228,7 @@ def encode(
         opacity_bytes(splats.opacities)[:, None],
         to_byte("sh0", sh0),
         to_byte("scales", scales),
-        _pack_smallest_three(splats.quats),
+        (_pack_smallest_three if version >= 3 else _pack_first_three)(splats.quats),
         to_byte("shN", sh),
     ]
     header = SpzHeader(
@@ -249,4 +250,12 @@ def _pack_smallest_three(quats: F32) -> U8:
     steps = np.minimum(steps, _SMALLEST_STEPS) | (np.signbit(three).astype(np.uint32) << 9)
     packed = index << 30 | steps[:, 0] << 20 | steps[:, 1] << 10 | steps[:, 2]
     stored: U8 = packed.astype("<u4").view(np.uint8).reshape(-1, 4)
+    return stored
+
+
+def _pack_first_three(quats: F32) -> U8:
+    wxyz = unit(quats)
+    # The component that is not stored, w, is read as a root: 0 or more.
+    xyz = np.where(wxyz[:, :1] < 0, -wxyz[:, 1:], wxyz[:, 1:])
+    stored: U8 = np.rint((xyz.astype(np.float64) + 1) * 127.5).astype(np.uint8)
     return stored

@@ -1,5 +1,6 @@
 """convert, and what is done to a scene on its way."""
 
+import gzip
 from dataclasses import replace
 from pathlib import Path
 
@@ -279,5 +280,18 @@ def test_spz_in_the_precision_of_other_programs_is_smaller(run: Run, tmp_path: P
     told = run("convert", source, tmp_path / "out.ply", "--spz-precision", "usual")
     assert told.code == 2
     assert "--spz-precision" in told.err
-    with pytest.raises(ValueError, match="a precision of SPZ in ply, expected spz"):
+    with pytest.raises(ValueError, match="a precision or version of SPZ in ply, expected spz"):
         cogsplat.write(scene, tmp_path / "out.ply", spz_precision="usual")
+
+
+def test_spz_in_versions_for_older_programs(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    for version in (2, 3):
+        out = tmp_path / f"{version}.spz"
+        told = run("convert", small.ply, out, "--spz-version", version)
+        assert (told.code, told.err) == (0, "")
+        head = gzip.decompress(out.read_bytes())[:8]
+        assert head == b"NGSP" + version.to_bytes(4, "little")
+    assert run("convert", small.ply, tmp_path / "1.spz", "--spz-version", 1).code == 2
+    told = run("decode", small.cogs, tmp_path / "out.ply", "--spz-version", 2)
+    assert told.code == 2
+    assert "--spz-version" in told.err

@@ -158,3 +158,40 @@ def test_a_prefix_without_attributes_says_so(
     told = run("decode", cogs, out, "--splats", 100, "--force")
     assert "attributes" not in told.err
     assert set(cogsplat.read(out).extras) == set(labelled[1].extras)
+
+
+def test_commands_that_write_leave_them_out_on_demand(
+    run: Run, small: SmallScene, labelled: tuple[Path, Splats], tmp_path: Path
+) -> None:
+    source, _ = labelled
+    cogs = tmp_path / "labelled.cogs"
+    common = ["--cameras", small.cameras, "--preset", "fast", "--quiet"]
+    assert run("encode", source, cogs, *common).code == 0
+    written = {
+        "convert": ["convert", source, tmp_path / "convert.ply"],
+        "decode": ["decode", cogs, tmp_path / "decode.ply"],
+        "merge": ["merge", source, source, tmp_path / "merge.ply"],
+        "filter": ["filter", source, tmp_path / "filter.ply", "--min-opacity", 0.01],
+        "decimate": ["decimate", source, tmp_path / "decimate.ply", "--to", 100,
+                     "--cameras", small.cameras],
+    }  # fmt: skip
+    for name, arguments in written.items():
+        told = run(*arguments, "--no-extras", "--quiet")
+        assert (told.code, told.err) == (0, ""), name
+        found = cogsplat.read(tmp_path / f"{name}.ply")
+        assert len(found) > 0
+        assert not found.extras, name
+    # A format that holds none has nothing to say of them then.
+    assert "cannot hold the attributes" in run("convert", source, tmp_path / "a.spz").err
+    told = run("convert", source, tmp_path / "b.spz", "--no-extras")
+    assert (told.code, told.err) == (0, "")
+    enlarged = run("decode", cogs, tmp_path / "larger.ply", "--compensate", "--no-extras", "-q")
+    assert (enlarged.code, enlarged.err) == (0, "")
+    assert not cogsplat.read(tmp_path / "larger.ply").extras
+    smaller = run("convert", source, tmp_path / "again.cogs", "--no-extras", *common[:2], "-q")
+    assert (smaller.code, smaller.err) == (0, "")
+    with cogsplat.open(tmp_path / "again.cogs") as file:
+        assert not file.root.attributes
+    told = run("merge", source, source, tmp_path / "merged.cogs", "--no-extras")
+    assert told.code == 2
+    assert "expected the labels of objects" in told.err

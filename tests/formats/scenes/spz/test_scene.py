@@ -300,7 +300,7 @@ def test_half_float_nan_passes_through(tmp_path: Path) -> None:
         assert splats.invalid_rows().tolist() == [count > 3, *[True] * (count - 1)]
 
 
-@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("version", [2, 3, 4])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("sh_bits", [(5, 4), (8, 8), (1, 1)])
 def test_written_within_the_steps(
@@ -323,8 +323,18 @@ def test_written_within_the_steps(
     assert back.opacities[:2].tolist() == [math.inf, -math.inf]
     one, other = unit(back.quats), unit(splats.quats)
     other *= np.sign((one * other).sum(axis=1, keepdims=True))
-    # The largest component is at least 1/2, so three errors of half a step count at most √3 times.
-    assert np.abs(one - other).max() <= 0.5 * math.sqrt(0.5) / 511 * 3
+    if version == 2:
+        # Three components in bytes from -1 to 1; w is a root, off by most where it is 0.
+        other *= np.where(other[:, :1] < 0, -1, 1)
+        one = back.quats
+        half_step = 0.5 / 127.5 + 1e-6
+        assert np.abs(one - other)[:, 1:].max() <= half_step
+        greatest = 2 * math.sqrt(3) * half_step + 3 * half_step**2
+        assert np.abs(one - other)[:, 0].max() <= math.sqrt(greatest)
+        assert (one[:, 0] >= 0).all()
+    else:
+        # The largest component is at least 1/2: three errors of half a step count at most √3 times.
+        assert np.abs(one - other).max() <= 0.5 * math.sqrt(0.5) / 511 * 3
     if degree:
         # Half a step each side of a level, and at the top the missing level of 1.
         steps = np.repeat([2.0 ** (1 - first), 2.0 ** (1 - rest)], [3, REST[degree] - 3])
@@ -332,11 +342,17 @@ def test_written_within_the_steps(
         assert (off("shN") <= limit * (1 + 1e-5)).all()
 
 
-def test_versions_3_and_4_hold_the_same(tmp_path: Path) -> None:
+def test_versions_hold_the_same_but_for_the_quaternions_of_2(tmp_path: Path) -> None:
     splats = replace(scene(), info=SceneInfo(antialiased=True))
-    for version in (3, 4):
+    for version in (2, 3, 4):
         write_spz(splats, tmp_path / f"{version}.spz", version=version)
-    assert (tmp_path / "3.spz").read_bytes()[:2] == b"\x1f\x8b"
+    second, third = (gzip.decompress((tmp_path / f"{v}.spz").read_bytes()) for v in (2, 3))
+    # Header, then 9 + 1 + 3 + 3 bytes a splat before quaternions of 3 or 4, and SH behind them.
+    start, count = 16 + 16 * len(splats), len(splats)
+    assert (second[:8], third[:8]) == (b"NGSP\2\0\0\0", b"NGSP\3\0\0\0")
+    assert (
+        second[8:start] + second[start + 3 * count :] == third[8:start] + third[start + 4 * count :]
+    )
     assert (tmp_path / "4.spz").read_bytes()[:8] == b"NGSP\4\0\0\0"
     three, four = (read_spz(tmp_path / f"{version}.spz") for version in (3, 4))
     assert three.info == four.info == splats.info
@@ -344,7 +360,7 @@ def test_versions_3_and_4_hold_the_same(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(three, name), getattr(four, name), name)
 
 
-@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("version", [2, 3, 4])
 def test_same_bytes_every_time(tmp_path: Path, version: int) -> None:
     a, b = tmp_path / "a.spz", tmp_path / "b.spz"
     write_spz(scene(), a, version=version)
@@ -365,7 +381,7 @@ def test_written_again_nothing_more_is_lost(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-@pytest.mark.parametrize("version", [3, 4])
+@pytest.mark.parametrize("version", [2, 3, 4])
 @pytest.mark.parametrize("count", [0, 1])
 def test_small_scenes(tmp_path: Path, count: int, version: int, degree: int) -> None:
     write_spz(scene(count, degree), tmp_path / "a.spz", version=version)
@@ -437,8 +453,8 @@ def test_rows_that_cannot_be_drawn_are_not_written(tmp_path: Path) -> None:
 
 
 def test_misuse(tmp_path: Path) -> None:
-    for version in (1, 2, 5):
-        with pytest.raises(ValueError, match="expected 3 or 4"):
+    for version in (1, 5):
+        with pytest.raises(ValueError, match=r"expected one of \(2, 3, 4\)"):
             write_spz(scene(1), tmp_path / "a.spz", version=version)
     for bits in (0, 9):
         with pytest.raises(ValueError, match="expected 1 to 8"):
