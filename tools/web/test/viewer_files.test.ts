@@ -4,6 +4,7 @@ import { test } from "node:test";
 import { toPly } from "../src/adapters/ply.js";
 import { CogsplatError, SourceError } from "../src/errors.js";
 import { loadKernels } from "../src/kernels/load.js";
+import { toHalf } from "../src/scene/half_floats.js";
 import { DEFAULT_RANGES, unpackSplats, type PackedSplats } from "../src/scene/packed_splats.js";
 import { SceneFile } from "../src/scene/scene_file.js";
 import { concatenate, type Splats } from "../src/scene/splats.js";
@@ -13,6 +14,7 @@ import { sizeText } from "../src/viewer/numbers.js";
 import { readPlyHeader } from "../src/viewer/ply_header.js";
 import type { PlyResponse } from "../src/viewer/ply_messages.js";
 import { readPly } from "../src/viewer/ply_reader.js";
+import { OrbitCamera } from "../src/viewer/orbit.js";
 import { NoWebGlError } from "../src/viewer/renderer.js";
 import { describe } from "../src/viewer/sentences.js";
 import { vectorBytes } from "./vectors.js";
@@ -123,6 +125,35 @@ test("the bulk of a scene is where its small opaque splats are, not in its sky",
   assert.ok(Math.abs(moved.centre[0] + 5) < 0.01);
   assert.ok(Math.abs(depthAhead(packed, [0, 0, 0], [0, 0, -20], [0, 0, 1])! - 20) <= 1.01);
   assert.equal(depthAhead(packed, [0, 0, 0], [0, 0, -20], [0, 0, -1]), undefined);
+});
+
+test("an object alone is framed as a whole, but for a splat that floats far off", () => {
+  // A person: 2 high (the y axis), 0.6 wide.
+  const rows = 1001;
+  const words = new Uint32Array(4 * rows);
+  for (let i = 0; i < rows; i++) {
+    const at = i === rows - 1 ? [0, 50, 0] : [0.3 * Math.cos(i), (2 * i) / (rows - 1) - 1, 0.3 * Math.sin(i)];
+    words[4 * i] = 255 << 24;
+    words[4 * i + 1] = toHalf(at[0]!) | (toHalf(at[1]!) << 16);
+    words[4 * i + 2] = toHalf(at[2]!);
+    words[4 * i + 3] = 60 | (60 << 8) | (60 << 16);
+  }
+  const bulk = bulkOf({ count: rows, words, sh: [], ranges: DEFAULT_RANGES }, [0, 0, 0])!;
+  assert.ok(Math.hypot(...bulk.centre) < 0.05);
+  assert.ok(bulk.radius > 1.2 && bulk.radius < 1.6);
+  // From where the camera stands then, every splat but that one is in the picture, on a phone that is held upright too.
+  const { scene } = new SceneFile(vectorBytes("valid", "sh0"), kernels());
+  for (const [width, height] of [[640, 420], [300, 650]] as const) {
+    const camera = new OrbitCamera({ ...scene, firstView: undefined });
+    camera.frame(bulk.centre, bulk.radius);
+    const { rotation: r, translation: t, focal } = camera.view(height, width);
+    for (const [x, y, z] of [[0.3, 1, 0], [-0.3, -1, 0], [0, 1, 0.3], [0, -1, -0.3], [0, 1, -0.3]] as const) {
+      const p = [0, 1, 2].map((row) => r[3 * row]! * x + r[3 * row + 1]! * y + r[3 * row + 2]! * z + t[row]!);
+      assert.ok(p[2]! > 0);
+      assert.ok(Math.abs((focal[0] * p[0]!) / p[2]!) < width / 2);
+      assert.ok(Math.abs((focal[1] * p[1]!) / p[2]!) < height / 2);
+    }
+  }
 });
 
 test("a PLY comes no faster than the rate, and the page has its turn between two blocks", async () => {

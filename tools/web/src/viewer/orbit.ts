@@ -8,6 +8,8 @@ export type Axes = [Vector, Vector, Vector];
 
 /** Vertical field of view where the scene has no first view, radians. */
 const FIELD_OF_VIEW = 1;
+/** Width of the part of such a picture that is never cut off, as a share of its height: of phones held upright the field of view grows. */
+const UPRIGHT_WIDTH = 0.7;
 const RADIANS_PER_PIXEL = 0.005;
 
 /** Height and, where it is known, width of the picture that focal lengths are given for, px. */
@@ -31,7 +33,7 @@ export class OrbitCamera {
     this.axes = [cross(this.down, forward), this.down, forward];
     const focal = 0.5 / Math.tan(FIELD_OF_VIEW / 2);
     this.focal = [focal, focal];
-    this.picture = { height: 1 };
+    this.picture = { height: 1, width: UPRIGHT_WIDTH };
     this.distance = size * focal;
     this.target = lo.map((value, i) => (value + hi[i]!) / 2) as Vector;
     if (scene.firstView) {

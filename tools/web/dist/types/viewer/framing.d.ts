@@ -7,7 +7,7 @@ export interface Bulk {
     readonly radius: number;
 }
 /**
- * Where most of some splats is, by quantiles of each axis.
+ * What of some splats a picture is to show: an object as a whole, of all else where most of it is.
  *
  * @param zero - Where the zero of the result is, in the space of the packed means.
  */
