@@ -16,6 +16,7 @@ from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
 from cogsplat.codec.threads import thread_count
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.tools.synthetic.floor_plan import MOST_ROOMS, SPLATS_PER_ROOM
 from cogsplat.tools.terminal.options import (
     force_option,
     json_option,
@@ -44,10 +45,15 @@ _MOST_SPLATS = 20_000_000
 @click.option(
     "--splats",
     type=click.IntRange(1, _MOST_SPLATS),
-    default=_SPLATS,
-    show_default=True,
     metavar="N",
-    help="Size of the scene; with fewer than about 10,000 its surfaces have gaps.",
+    help="Size of the scene; with fewer than about 10,000, or 20,000 a room, its surfaces have "
+    f"gaps.  [default: {_SPLATS}, or {SPLATS_PER_ROOM} a room]",
+)
+@click.option(
+    "--rooms",
+    type=click.IntRange(1, MOST_ROOMS),
+    metavar="N",
+    help="Make a house of so many furnished rooms instead, of which each view shows a part.",
 )
 @click.option(
     "--seed",
@@ -73,6 +79,13 @@ _MOST_SPLATS = 20_000_000
     help="Where its cameras go.  [default: OUT.cameras.json]",
 )
 @click.option(
+    "--walk",
+    type=PATH,
+    metavar="PATH",
+    help="With --rooms: where the cameras of a walk through all rooms go.  "
+    "[default: OUT.walk.json]",
+)
+@click.option(
     "--objects",
     is_flag=True,
     help="Label three objects, 1 to 3, in the attribute 'object'; the rest is 0.",
@@ -88,10 +101,12 @@ _MOST_SPLATS = 20_000_000
 @json_option
 def synth(
     out: Path,
-    splats: int,
+    splats: int | None,
+    rooms: int | None,
     seed: int,
     sh_degree: int,
     cameras: Path | None,
+    walk: Path | None,
     objects: bool,
     masks: Path | None,
     force: bool,
@@ -100,16 +115,27 @@ def synth(
 ) -> None:
     """Make a synthetic test scene, and its cameras.
 
-    Objects on a terrace, with gloss and clutter, seen from 48 cameras of its own. The same options
-    give the same bytes.
+    Objects on a terrace, with gloss and clutter, seen from 48 cameras of its own. With --rooms, a
+    house: eight cameras in each room, and those of a visitor who walks through all of them. The
+    same options give the same bytes.
     """
+    from cogsplat.tools.synthetic import rooms as houses
     from cogsplat.tools.synthetic import scene as scenes
 
+    if rooms is not None and (objects or masks is not None):
+        raise click.UsageError("--objects and --masks are of the scene without --rooms")
+    if rooms is None and walk is not None:
+        raise click.UsageError("--walk is of a scene with --rooms")
+    splats = splats or (_SPLATS if rooms is None else min(rooms * SPLATS_PER_ROOM, _MOST_SPLATS))
     cameras = cameras or out.with_suffix(".cameras.json")
-    check_distinct(out, cameras)
-    for path in (out, cameras):
+    walked: list[Camera] = []
+    if rooms is not None:
+        walk = walk or out.with_suffix(".walk.json")
+        walked = houses.rooms_walk(rooms, seed)
+    check_distinct(out, cameras, walk)
+    for path in (out, cameras, *([] if walk is None else [walk])):
         check_output(path, force=force)
-    views = scenes.synth_cameras()
+    views = scenes.synth_cameras() if rooms is None else houses.rooms_cameras(rooms, seed)
     if masks is not None:
         with storage_errors(masks):
             masks.mkdir(parents=True, exist_ok=True)
@@ -117,12 +143,18 @@ def synth(
             check_output(_mask_path(masks, camera), force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("synth"):
-            scene = scenes.synth(splats, seed=seed, sh_degree=sh_degree)
-            labels = scenes.synth_objects(splats, seed)
+            if rooms is None:
+                scene = scenes.synth(splats, seed=seed, sh_degree=sh_degree)
+                labels = scenes.synth_objects(splats, seed)
+            else:
+                scene = houses.synth_rooms(rooms, splats, seed=seed, sh_degree=sh_degree)
+                labels = np.zeros(0, np.uint8)
         written = with_labels(scene, labels) if objects else scene
         with stages.stage("write"):
             cogsplat.write(written, out, force=force)
             write_cameras_json(views, cameras, force=force)
+            if walk is not None:
+                write_cameras_json(walked, walk, force=force)
         if masks is not None:
             with stages.stage("masks"):
                 _write_masks(masks, scene, labels, views, force=force)
@@ -138,6 +170,9 @@ def synth(
                 "seed": seed,
                 "cameras": name_of(cameras),
                 "views": len(views),
+                "rooms": rooms or 0,
+                "walk": None if walk is None else name_of(walk),
+                "walk_poses": len(walked),
                 "objects": list(scenes.OBJECTS) if objects else [],
                 "masks": None if masks is None else name_of(masks),
                 "seconds": stages.rounded(),
@@ -148,6 +183,7 @@ def synth(
         named = [f"{number} {name}" for number, name in enumerate(scenes.OBJECTS, start=1)]
         facts(
             ("cameras", f"{cameras}, {len(views)} views"),
+            ("walk", f"{walk}, {len(walked)} poses" if walk else ""),
             ("objects", ", ".join(named) if objects else ""),
             ("masks", str(masks) if masks else ""),
             ("time", stages.line()),

@@ -15,6 +15,7 @@ from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.tools.cli.encode import encode
 from cogsplat.tools.cli.evaluate import evaluate
 from cogsplat.tools.cli.score import score
+from cogsplat.tools.synthetic.rooms import synth_rooms
 from cogsplat.tools.synthetic.scene import synth, synth_cameras
 
 ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
@@ -407,6 +408,35 @@ def test_synth_touches_nothing_when_one_of_its_files_exists(run: Run, tmp_path: 
     (tmp_path / "scene.cameras.json").write_text("[]")
     assert run("synth", tmp_path / "scene.ply", "--splats", 9).code == 2
     assert not (tmp_path / "scene.ply").exists()
+
+
+def test_synth_makes_a_house_with_a_walk_through_it(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "house.ply"
+    told = run("synth", out, "--rooms", 3, "--splats", 700, "--seed", 4, "--sh", 1, "--json")
+    assert told.code == 0, told.err
+    assert_same(cogsplat.read(out), synth_rooms(3, 700, seed=4, sh_degree=1))
+    assert (told.json["rooms"], told.json["views"]) == (3, 24)
+    assert len(cogsplat.read_cameras(tmp_path / "house.cameras.json")) == 24
+    walk = cogsplat.read_cameras(tmp_path / "house.walk.json")
+    assert len(walk) == told.json["walk_poses"] > 10
+    told = run("synth", tmp_path / "b.ply", "--rooms", 1, "--splats", 9, "--walk", tmp_path / "w")
+    assert told.code == 0
+    assert str(tmp_path / "w") in told.out
+
+
+@pytest.mark.parametrize("option", [("--objects",), ("--masks", "m"), ("--cameras", "h.walk.json")])
+def test_synth_refuses_what_a_house_has_not(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("synth", "h.ply", "--rooms", 2, "--splats", 9, *option).code == 2
+    assert not (tmp_path / "h.ply").exists()
+
+
+def test_synth_walks_through_houses_only(run: Run, tmp_path: Path) -> None:
+    told = run("synth", tmp_path / "a.ply", "--splats", 9, "--walk", tmp_path / "walk.json")
+    assert told.code == 2
+    assert not (tmp_path / "a.ply").exists()
 
 
 def test_compare_measures_objects_and_draws_the_difference(run: Run, tmp_path: Path) -> None:
