@@ -1,5 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { millisecondsLeft } from "../src/viewer/arrival_forecast.js";
 import { PicturePace } from "../src/viewer/picture_pace.js";
 
 /** Graphics that finish what they were given when they are told to. */
@@ -40,7 +41,7 @@ function started(): { readonly graphics: Graphics; readonly pace: PicturePace } 
 
 /** Have a picture take some ms. */
 function take(graphics: Graphics, pace: PicturePace, milliseconds: number, scale: number): void {
-  pace.given(performance.now() - milliseconds, scale);
+  pace.given(performance.now() - milliseconds, { scale, splats: 1000 });
   graphics.finish();
   assert.ok(pace.isIdle);
 }
@@ -49,7 +50,7 @@ test("no picture is begun while slow graphics work on one", () => {
   const { graphics, pace } = started();
   take(graphics, pace, 500, 1);
   assert.ok(pace.isSlow && pace.isFree);
-  pace.given(performance.now(), 1);
+  pace.given(performance.now(), { scale: 1, splats: 1000 });
   assert.ok(!pace.isFree && !pace.isIdle);
   graphics.finish();
   assert.ok(pace.isFree && pace.isIdle);
@@ -59,9 +60,9 @@ test("quick graphics have one picture in reserve", () => {
   const { graphics, pace } = started();
   take(graphics, pace, 5, 1);
   assert.ok(!pace.isSlow);
-  pace.given(performance.now(), 1);
+  pace.given(performance.now(), { scale: 1, splats: 1000 });
   assert.ok(pace.isFree);
-  pace.given(performance.now(), 1);
+  pace.given(performance.now(), { scale: 1, splats: 1000 });
   assert.ok(!pace.isFree);
   pace.forget();
   assert.ok(pace.isFree);
@@ -90,4 +91,30 @@ test("uploads keep the graphics busy and say nothing of pictures", () => {
   graphics.finish();
   assert.ok(pace.isFree);
   assert.deepEqual([pace.milliseconds, pace.scale], [milliseconds, scale]);
+});
+
+test("more splats are expected to take longer, up to ten times", () => {
+  const { graphics, pace } = started();
+  pace.splats = 1000;
+  assert.ok(pace.isSlow, "nothing is known yet");
+  take(graphics, pace, 20, 1);
+  const { milliseconds } = pace;
+  assert.ok(!pace.isSlow);
+  for (const [splats, longer] of [[10, 1], [1500, 1.5], [4000, 4], [1e6, 10]] as const) {
+    pace.splats = splats;
+    assert.equal(pace.expected, longer * milliseconds);
+  }
+  assert.ok(pace.isSlow, "a picture of so many is not begun lightly");
+});
+
+test("the rest is expected to come as fast as what has come, bytes and splats", () => {
+  const half = { splats: 50, totalSplats: 100, bytes: 500, totalBytes: 1000 };
+  assert.equal(millisecondsLeft(half, 200), 200);
+  assert.equal(millisecondsLeft({ ...half, bytes: 1000 }, 200), 200, "splats are still to be decoded");
+  assert.equal(millisecondsLeft({ ...half, splats: 100 }, 300), 300, "bands are still to come");
+  assert.equal(millisecondsLeft(half, 4000), 4000, "a link that stands still is not waited for");
+  assert.equal(millisecondsLeft({ ...half, splats: 100, bytes: 1010 }, 200), 0);
+  for (const unknown of [{ splats: 0 }, { bytes: 0 }, { totalBytes: undefined }]) {
+    assert.equal(millisecondsLeft({ ...half, ...unknown }, 200), Infinity);
+  }
 });

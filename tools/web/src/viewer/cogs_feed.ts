@@ -68,7 +68,7 @@ export class CogsFeed implements SceneFeed {
     [this.splats, this.prefix, this.compensatedFor] = [0, 0, -1];
     this.waiting = [];
     this.shown = this.damage = this.scene = this.layer = undefined;
-    this.meter.bytes = 0;
+    this.meter.reset();
   }
 
   private readonly service = async (index: DecoderIndex): Promise<ChunkService> => {

@@ -5,15 +5,24 @@ import type { Answer, ByteSource, ReadOptions } from "../loader/byte_source.js";
 export class Meter {
   /** Bytes that have come. */
   bytes = 0;
+  /** When the first of them came, by `performance.now`. */
+  since: number | undefined;
   /** Most bits a second; Infinity as fast as they come. */
   bitsPerSecond = Infinity;
   /** When all bytes so far would have come at the rate, ms. */
   private due = 0;
 
+  /** Count from nothing on. */
+  reset(): void {
+    this.bytes = 0;
+    this.since = undefined;
+  }
+
   /** The same parts, counted, and no faster than the rate. */
   async *through(parts: AsyncIterable<Uint8Array>): AsyncGenerator<Uint8Array> {
     for await (const part of parts) {
       const now = performance.now();
+      this.since ??= now;
       this.due = Math.max(this.due, now) + (8000 * part.length) / this.bitsPerSecond;
       if (this.due > now) await new Promise((resolve) => setTimeout(resolve, this.due - now));
       this.bytes += part.length;

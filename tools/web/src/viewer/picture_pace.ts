@@ -4,14 +4,24 @@ const SLOW_PICTURE = 45;
 const LEAST_SCALE = 0.4;
 /** By how much that share grows from one picture to the next, at most. */
 const MOST_GROWTH = 1.5;
+/** More splats take longer, in proportion where they are many; at most so many times, because every picture takes some time. */
+const MOST_LONGER = 10;
+/** What the first picture is expected to take, ms. */
+const FIRST_PICTURE = 100;
 /** Shares are rounded to this step, because every change makes textures anew. */
 const SCALE_STEP = 0.05;
 
-/** Commands that were given; those of a picture have its size, as a share of the pixels of each side. */
+/** A picture: pixels of each side, as a share of all, and its splats. */
+interface Picture {
+  readonly scale: number;
+  readonly splats: number;
+}
+
+/** Commands that were given. */
 interface UnderWay {
   readonly sync: WebGLSync;
   readonly begun: number;
-  readonly scale: number | undefined;
+  readonly picture: Picture | undefined;
 }
 
 /**
@@ -23,13 +33,23 @@ export class PicturePace {
   milliseconds = 0;
   /** Pixels of each side that pictures in haste have, as a share of all; few until it is known how long a picture takes. */
   scale = LEAST_SCALE;
+  /** Splats of the next picture, as far as they have come. */
+  splats = 0;
+  /** Splats of the last picture. */
+  private drawn = 0;
   private readonly underWay: UnderWay[] = [];
 
   constructor(private readonly gl: WebGL2RenderingContext) {}
 
+  /** How long the next picture takes by what the last one took, ms. */
+  get expected(): number {
+    if (this.milliseconds === 0) return FIRST_PICTURE;
+    return this.milliseconds * Math.min(Math.max(this.splats / Math.max(this.drawn, 1), 1), MOST_LONGER);
+  }
+
   /** Whether the graphics take so long that work between pictures matters. */
   get isSlow(): boolean {
-    return this.milliseconds > SLOW_PICTURE || this.milliseconds === 0;
+    return this.expected > SLOW_PICTURE;
   }
 
   /** Whether nothing is left to finish. */
@@ -48,10 +68,9 @@ export class PicturePace {
    * Note that the commands of a picture were given.
    *
    * @param begun - When the first of them was, by `performance.now`.
-   * @param scale - Pixels of each side, as a share of all.
    */
-  given(begun: number, scale: number): void {
-    this.follow(begun, scale);
+  given(begun: number, picture: Picture): void {
+    this.follow(begun, picture);
   }
 
   /** Note that textures are uploaded, which is no picture but takes its time too. */
@@ -59,11 +78,11 @@ export class PicturePace {
     this.follow(performance.now(), undefined);
   }
 
-  private follow(begun: number, scale: number | undefined): void {
+  private follow(begun: number, picture: Picture | undefined): void {
     const { gl } = this;
     const sync = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
-    if (sync !== null) this.underWay.push({ sync, begun, scale });
+    if (sync !== null) this.underWay.push({ sync, begun, picture });
   }
 
   /** Forget pictures of graphics that were lost. */
@@ -74,12 +93,13 @@ export class PicturePace {
   private look(): void {
     const { gl, underWay } = this;
     while (underWay.length > 0 && gl.clientWaitSync(underWay[0]!.sync, 0, 0) !== gl.TIMEOUT_EXPIRED) {
-      const { sync, begun, scale } = underWay.shift()!;
+      const { sync, begun, picture } = underWay.shift()!;
       gl.deleteSync(sync);
-      if (scale === undefined) continue;
+      if (picture === undefined) continue;
       this.milliseconds = performance.now() - begun;
+      this.drawn = picture.splats;
       // Most of the work of slow graphics is for pixels.
-      const wanted = scale * Math.sqrt(SLOW_PICTURE / Math.max(this.milliseconds, 1));
+      const wanted = picture.scale * Math.sqrt(SLOW_PICTURE / Math.max(this.milliseconds, 1));
       // The next one may show more splats than this one did.
       const next = Math.min(wanted, this.scale * MOST_GROWTH, 1);
       this.scale = Math.max(Math.round(next / SCALE_STEP) * SCALE_STEP, LEAST_SCALE);

@@ -1,5 +1,6 @@
 import type { ByteSource } from "../loader/byte_source.js";
 import { DEFAULT_RANGES } from "../scene/packed_splats.js";
+import { millisecondsLeft } from "./arrival_forecast.js";
 import { CogsFeed } from "./cogs_feed.js";
 import { Controls } from "./controls.js";
 import { DepthSorter } from "./depth_sorter.js";
@@ -172,7 +173,7 @@ export class SceneView {
     this.close("other");
     this.camera = undefined;
     this.touched = false;
-    this.meter.bytes = 0;
+    this.meter.reset();
     this.statistics = { ...EMPTY, state: "opening" };
     this.host.changed();
     await this.run("main", source);
@@ -343,6 +344,7 @@ export class SceneView {
     if (this.abort.signal.aborted || this.lost) return;
     const { controls, layers, pace } = this;
     const more = [this.main, this.other].map((shown) => shown?.feed.work(WORK_MILLISECONDS) ?? false).some(Boolean);
+    pace.splats = layers.reduce((sum, layer) => sum + layer.rows, 0);
     if (!pace.isFree) return this.schedule(LOOK_MILLISECONDS);
     const isUploaded = layers.map((layer) => layer.upload()).every(Boolean);
     // Pictures that take long wait for all that they are to show.
@@ -357,9 +359,11 @@ export class SceneView {
     if (moves) this.lastChange = time;
     const hastes = moves || this.dirty;
     if (hastes || !this.isSharp) {
-      // More is about to come, most often, and a picture of all pixels would hold it up.
-      const isBusy = controls.active || this.statistics.state === "streaming";
-      if (!hastes && isBusy && performance.now() - this.lastChange < QUIET_MILLISECONDS) return this.schedule(LOOK_MILLISECONDS);
+      // More is about to come, most often, and a picture of all pixels would hold it up; any picture, where more comes before it is finished.
+      const isSorting = layers.some((layer) => layer.isSorting);
+      const isBusy = controls.active || isSorting || this.statistics.state === "streaming";
+      const waits = !hastes || (!moves && !controls.active && pace.isSlow && (isSorting || this.restComesSoon()));
+      if (isBusy && waits && performance.now() - this.lastChange < QUIET_MILLISECONDS) return this.schedule(LOOK_MILLISECONDS);
       this.dirty = false;
       const scale = hastes && this.mayHaste && this.pixelRatio === undefined ? pace.scale : 1;
       this.isSharp = scale === 1;
@@ -373,6 +377,13 @@ export class SceneView {
     if (this.statistics.upToDate) for (const resolve of this.waiting.splice(0)) resolve();
   };
 
+  /** Whether the graphics would still work on a picture when the rest of the scene is there. */
+  private restComesSoon(): boolean {
+    const { meter, pace, statistics } = this;
+    if (statistics.state !== "streaming" || meter.since === undefined) return false;
+    return millisecondsLeft({ ...statistics, bytes: meter.bytes }, performance.now() - meter.since) < pace.expected;
+  }
+
   /** Draw what has come; returns whether that is all, in the view asked for. */
   private draw(scale: number): boolean {
     const { camera, canvas, renderer, layers, pace, statistics } = this;
@@ -385,7 +396,7 @@ export class SceneView {
     const arriving = statistics.state === "streaming" && this.fills;
     const fill = arriving ? 1 - Math.min(statistics.splats / statistics.totalSplats, 1) : 0;
     const whole = renderer.draw({ ...camera.view(height, width), origin: this.origin }, layers, { ...this.picture, fill });
-    if (this.drawnRows > 0) pace.given(start, scale);
+    if (this.drawnRows > 0) pace.given(start, { scale, splats: layers.reduce((sum, layer) => sum + layer.drawnRows, 0) });
     this.note({
       frames: statistics.frames + 1,
       drawMilliseconds: performance.now() - start,

@@ -73,6 +73,11 @@ export class SplatLayer {
     return this.sorted?.rows ?? 0;
   }
 
+  /** Whether an order is being made that shows more than the last one. */
+  get isSorting(): boolean {
+    return this.sorting;
+  }
+
   /** Put a chunk's rows where they belong. */
   write(packed: PackedSplats, firstRow: number): void {
     if (firstRow + packed.count > this.capacity) return;

@@ -4,10 +4,14 @@ import type { Answer, ByteSource, ReadOptions } from "../loader/byte_source.js";
 export declare class Meter {
     /** Bytes that have come. */
     bytes: number;
+    /** When the first of them came, by `performance.now`. */
+    since: number | undefined;
     /** Most bits a second; Infinity as fast as they come. */
     bitsPerSecond: number;
     /** When all bytes so far would have come at the rate, ms. */
     private due;
+    /** Count from nothing on. */
+    reset(): void;
     /** The same parts, counted, and no faster than the rate. */
     through(parts: AsyncIterable<Uint8Array>): AsyncGenerator<Uint8Array>;
 }

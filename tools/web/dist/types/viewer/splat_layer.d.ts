@@ -48,6 +48,8 @@ export declare class SplatLayer {
     get rows(): number;
     /** Rows that the last picture was made of. */
     get drawnRows(): number;
+    /** Whether an order is being made that shows more than the last one. */
+    get isSorting(): boolean;
     /** Put a chunk's rows where they belong. */
     write(packed: PackedSplats, firstRow: number): void;
     /** Note what compensation adds to rows. */
