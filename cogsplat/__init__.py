@@ -286,8 +286,8 @@ def encode(
     target : Target, optional
         Either of these as one value.
     preset : str
-        One of `codec.encode.presets.PRESETS`: how many views are looked at and, where no `config`
-        is given, the order and whether compensation is fitted.
+        One of `codec.encode.presets.PRESETS`: how many views are looked at, and how much work goes
+        into the order by marginal gain and into compensation.
     stored_cameras : sequence of Camera
         Stored in the file for its readers; nothing else depends on them.
     test_views : sequence of Camera, optional
@@ -296,8 +296,8 @@ def encode(
     memory : int or str, optional
         Most memory that the process may take, in bytes or as text such as ``"8GiB"``. Where the
         arrays would take more, they are kept in files beside the output, which are mapped into
-        memory piece by piece: for a `scene` that is the path of a PLY, and a preset or
-        configuration that neither orders by gain nor compensates. The bytes do not depend on it.
+        memory piece by piece: for a `scene` that is the path of a PLY, and any profile but ``vq``.
+        The bytes do not depend on it.
     workspace : Workspace, optional
         Where arrays are kept, in place of what follows from `memory`.
     force : bool
@@ -352,7 +352,7 @@ def encode(
     if not isinstance(scene, Splats | str | os.PathLike):
         raise TypeError(f"a {type(scene).__name__}, expected Splats or the path of a scene")
     chosen = PRESETS[preset]
-    config = config or EncodeConfig(order=chosen.order, compensate=chosen.compensate)
+    config = config or EncodeConfig()
     if quality is not None:
         config = replace(config, quality_db=quality)
     # Before minutes of work, not after.

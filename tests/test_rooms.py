@@ -182,6 +182,7 @@ DOORS: dict[str, dict[str, str]] = {
     "codec.order": {
         "baselines": "antimatter descending",
         "chunks": "DEFAULT_LARGEST plan_chunks sort_runs",
+        "gain_effort": "GainEffort",
         "objects": "ATTRIBUTE Arrangement arrange labels_of ranked with_labels",
         "objects_from_masks": "assign",
         "octree": "MAX_DEPTH",
@@ -224,7 +225,7 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "codec.scoring": {
         "contribution": "LEAST_WEIGHT MOST_BY_VIEW ScoreConfig Scores score unscored",
-        "reference_views": "ReferenceViews render_references",
+        "reference_views": "PICTURE_PIXELS ReferenceViews render_references",
     },
     "codec.segments": {
         "attributes": "AttributeType attribute_bytes pack_attributes types_of unpack_attributes",

@@ -43,9 +43,9 @@ _LONG_LAYER: Final = 1 << 16
 _RAREST: Final = 3
 # From this share of the iterations on, splats have the shifts of codebook rows.
 _QUANTISED_FROM: Final = 0.6
-# Views and prefixes that errors are measured in and of, at most. Nothing but the place of segments
-# in the file depends on errors.
-_MEASURED_VIEWS: Final = 8
+# Views that errors are measured in, for each that an iteration of the fit renders, and prefixes
+# that they are measured of, at most. Nothing but the place of segments in the file depends on them.
+_MEASURED_VIEWS: Final = 2
 _MEASURED_PREFIXES: Final = 10
 
 
@@ -195,7 +195,9 @@ def compensated(
     # The order of the segments says what is there of each prefix. It follows from errors, and those
     # of the fitted compensation would put segments into places that are no better.
     start = usual(counts, effective_splats)
-    prefix_mse = errors(start, splats, references, executor=executor)
+    prefix_mse = errors(
+        start, splats, references, views=_MEASURED_VIEWS * config.views, executor=executor
+    )
     encoded = replace(encoded, prefix_mse=prefix_mse)
     found = fit(
         splats,
@@ -258,6 +260,7 @@ def errors(
     splats: Splats,
     references: ReferenceViews,
     *,
+    views: int = 8,
     executor: Executor | None = None,
 ) -> F64:
     """Measure how far compensated prefixes are from the whole.
@@ -268,6 +271,8 @@ def errors(
     splats : Splats
         All of the scene's, as they are decoded.
     references : ReferenceViews
+    views : int
+        How many of them are drawn, about.
     executor : Executor, optional
         What runs the work of single views; threads of this process where it is not given.
 
@@ -277,8 +282,8 @@ def errors(
         Mean squared error of pictures without chunks, of the first, and so on to all. At most 10
         are measured; of those between, square roots are interpolated.
     """
-    views = references.sample(_MEASURED_VIEWS, 0)
-    weights = references.weights[views] / references.weights[views].sum()
+    sampled = references.sample(views, 0)
+    weights = references.weights[sampled] / references.weights[sampled].sum()
     counts = compensation.chunk_splats.tolist()
     ends = np.concatenate([[0], np.cumsum(compensation.chunk_splats)])
 
@@ -287,7 +292,7 @@ def errors(
     def error(chunks: int) -> float:
         far = partial(_far, size=int(ends[chunks]), chunks=chunks)
         return float(
-            weights @ np.array(list(runner.map(far, views, splats, references, compensation)))
+            weights @ np.array(list(runner.map(far, sampled, splats, references, compensation)))
         )
 
     measured = measured_prefixes(counts, _MEASURED_PREFIXES)
@@ -309,7 +314,7 @@ def blank(
     layers = plan_layers(chunk_splats, effective_splats)
     ends = np.cumsum(chunk_splats)
     sizes = [int(ends[chunks - 1]) for chunks in layers]
-    coded = coded_splats(sizes, effective_splats, config.code_bits)
+    coded = coded_splats(sizes, effective_splats, config)
     found = []
     first = 0
     for chunks, size in zip(layers, sizes, strict=True):

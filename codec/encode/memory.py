@@ -33,8 +33,10 @@ _WAITING: Final = 2 * 132
 # Rows, energies and marks that stay in memory whatever is mapped, and the payloads.
 _KEPT: Final = 60
 
-# What the order by gain and the fit of compensation take for each splat beside the scene.
+# What the order by gain and the fit of compensation take for each splat beside the scene: with a
+# view on each core, and out of core, where they draw one view at a time, after those are scored.
 _GAIN: Final = 400
+_GAIN_OUT_OF_CORE: Final = 110
 
 LEAST_RESIDENT: Final = 64 << 20
 """Bytes of mapped arrays that must have room in memory: with fewer, pages come and go too often."""
@@ -49,8 +51,8 @@ class MemoryNeed:
     in_memory : int
         With all arrays in memory.
     out_of_core : int or None
-        With the scene, its scores and what is decoded of it in mapped files; None where the
-        configuration has steps that work on the whole scene at once.
+        With the scene, its scores and what is decoded of it in mapped files; None for the profile
+        ``vq``, which trains codebooks on the whole scene at once.
     scene : int
         Of both, the scene itself.
     """
@@ -77,9 +79,8 @@ class MemoryNeed:
         if self.out_of_core is None:
             raise LimitError(
                 "memory-cap",
-                f"a memory cap of {_gb(cap)}, expected at least {_gb(self.in_memory)}: only "
-                "encodes by contribution or another order that does not render, without "
-                "compensation, such as --preset fast, and not by vq, work out of core",
+                f"a memory cap of {_gb(cap)}, expected at least {_gb(self.in_memory)}: the profile "
+                "vq does not work out of core",
             )
         if cap < self.out_of_core:
             raise LimitError(
@@ -118,9 +119,12 @@ def memory_need(
     renders = split_name(config.order)[0] == "gain" or config.compensate
     if renders:
         in_memory += splats * _GAIN
-    if renders or config.profile == "vq":
+    if config.profile == "vq":
         return MemoryNeed(in_memory + splats * row, None, scene)
     least = _BASE + LEAST_RESIDENT + splats * (_VIEW + _KEPT) + held_bytes
+    if renders:
+        in_memory += splats * row
+        least += splats * _GAIN_OUT_OF_CORE
     return MemoryNeed(in_memory, min(least, in_memory), scene)
 
 

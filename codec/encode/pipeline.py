@@ -13,7 +13,7 @@ import numpy as np
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatWarning, DataError
-from cogsplat.codec.executor import Executor
+from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.order.prefix_inflation import effective_splats
 from cogsplat.codec.progress import Progress, TimedProgress, silent
@@ -166,15 +166,18 @@ def encode(
         # There are no pictures to fit it to, so nothing may count on it.
         config = replace(config, compensate=False)
     fits = config.compensate and config.profile != "near-lossless"
+    # With arrays in files, one view is worked on after the other, as in scoring.
+    by_view = executor if workspace.views_at_once else LocalThreads(1)
     references = None
     # Both the order and the fit compare prefixes with pictures of the whole scene.
     if len(splats) and views and (fits or split_name(config.order)[0] == "gain"):
         references = render_references(
             splats,
             views,
-            jittered=settings.jitter,
+            jittered=settings.jitter and preset.reference_jitter,
+            pixels=preset.reference_pixels,
             threads=config.threads,
-            executor=executor,
+            executor=by_view,
             progress=timed,
         )
     prepared = prepare(
@@ -184,8 +187,9 @@ def encode(
         views=views,
         jitter=settings.jitter,
         references=references,
+        effort=preset.gain,
         workspace=workspace,
-        executor=executor,
+        executor=by_view,
         progress=timed,
     )
     timed("order", 1, 1)
@@ -314,9 +318,7 @@ class _Finishing:
     @property
     def fit(self) -> FitConfig:
         """Configuration of the fit."""
-        return FitConfig(
-            iterations=self.preset.fit_iterations, threads=self.prepared.config.threads
-        )
+        return self.preset.fit_config(self.prepared.config.threads)
 
     def measured(self, quality_db: float) -> EncodedScene:
         """Return the scene at a nominal quality, its report with the PSNR in each test view."""
@@ -328,13 +330,13 @@ class _Finishing:
     def finish(self, encoded: EncodedScene) -> EncodedScene:
         """Return a scene with compensation and predicted quality."""
         if self.references is not None:
-            contribution = self.prepared.scores.contribution
+            at_once = self.prepared.workspace.views_at_once
             encoded = compensated(
                 encoded,
                 self.references,
-                contribution,
+                self.prepared.scores.contribution,
                 self.fit,
-                executor=self.executor,
+                executor=self.executor if at_once else LocalThreads(1),
                 progress=self.progress,
             )
         if self.test_views and len(encoded.chunks):

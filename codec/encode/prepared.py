@@ -14,6 +14,7 @@ from cogsplat.codec.errors import DataError
 from cogsplat.codec.executor import Executor
 from cogsplat.codec.order import chunks as chunking
 from cogsplat.codec.order import objects
+from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.order.orders import Unordered, order_rows
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.rate import allocation
@@ -115,6 +116,7 @@ def prepare(
     views: Sequence[Camera] = (),
     jitter: bool = True,
     references: ReferenceViews | None = None,
+    effort: GainEffort | None = None,
     workspace: Workspace = IN_MEMORY,
     executor: Executor | None = None,
     progress: Progress = silent,
@@ -134,6 +136,8 @@ def prepare(
         Whether orders that render look from jittered copies of the views as well.
     references : ReferenceViews, optional
         Pictures of the scene in these views, where they have been drawn.
+    effort : GainEffort, optional
+        How much work goes into the order by marginal gain.
     workspace : Workspace
         As `PreparedScene` has it.
     executor : Executor, optional
@@ -151,7 +155,17 @@ def prepare(
     _require_storable(splats)
     _require_scores(scores, len(splats))
     kept = kept_rows(splats, scores, config.dropping(), 0.0)
-    scene = Unordered(splats, scores, views, config.threads, progress, jitter, references, executor)
+    scene = Unordered(
+        splats,
+        scores,
+        views,
+        config.threads,
+        progress,
+        jitter,
+        references,
+        executor,
+        effort or GainEffort(),
+    )
     inflated = config.ordering.inflated and config.compensate
     rows = order_rows(config.order, scene, replace(config.ordering, inflated=inflated))
     return PreparedScene(splats, rows[kept[rows]], scores, config, workspace)

@@ -29,9 +29,6 @@ from .shift_kernels import add_gradient, choose_rows, draw_shifts, move_shifts
 
 F64 = NDArray[np.float64]
 
-# Splats behind this, times `prefix_inflation.effective_splats`, get no codes: their prefixes are
-# nearly whole.
-_CODED: Final = 0.65
 # Largest shift of a code, either way: of the log scale, and of the logit.
 _LIMITS: Final = np.array([0.9, 6.0])
 # Shifts of scales and of opacities that change pictures about equally: the unit of distances
@@ -63,6 +60,9 @@ class FitConfig:
         For each layer.
     views : int
         Views that each iteration renders.
+    coded_share : float
+        Splats behind this, times `prefix_inflation.effective_splats`, get no codes; 0 or more. By
+        default those whose prefixes are nearly whole.
     threads : int
         0 for every core this process may use. The result does not depend on it.
     """
@@ -70,6 +70,7 @@ class FitConfig:
     code_bits: int = 3
     iterations: int = 16
     views: int = 4
+    coded_share: float = 0.65
     threads: int = 0
 
     def __post_init__(self) -> None:
@@ -77,10 +78,12 @@ class FitConfig:
             raise ValueError(f"code_bits {self.code_bits}, expected 0 to 8")
         if self.iterations < 1 or self.views < 1:
             raise ValueError(f"{self}, expected at least 1 iteration and 1 view")
+        if not self.coded_share >= 0:
+            raise ValueError(f"coded_share {self.coded_share}, expected 0 or more")
         thread_count(self.threads)
 
 
-def coded_splats(sizes: Sequence[int], effective_splats: int, code_bits: int) -> int:
+def coded_splats(sizes: Sequence[int], effective_splats: int, config: FitConfig) -> int:
     """Return how many splats, from the first, have codes: those of the layers that end early.
 
     Parameters
@@ -88,10 +91,10 @@ def coded_splats(sizes: Sequence[int], effective_splats: int, code_bits: int) ->
     sizes : sequence of int
         Splats of each layer's prefix, ascending.
     effective_splats : int
-    code_bits : int
+    config : FitConfig
     """
-    coded = [size for size in sizes if size <= _CODED * effective_splats]
-    return coded[-1] if coded and code_bits else 0
+    coded = [size for size in sizes if size <= config.coded_share * effective_splats]
+    return coded[-1] if coded and config.code_bits else 0
 
 
 def codebook_rows(code_bits: int, splats: int) -> int:
@@ -164,7 +167,7 @@ class ShiftOptimiser:
         self._starts = np.concatenate([[0], ends[:chunks]]).astype(np.int64)
         # The first layer that each chunk is in.
         self._first_layer = np.searchsorted(self._sizes, ends[:chunks], side="left")
-        self._coded = coded_splats(self._sizes, effective_splats, config.code_bits)
+        self._coded = coded_splats(self._sizes, effective_splats, config)
         # What gradients move, what splats are drawn with, and the moments of the gradients.
         self._splat_shifts = np.zeros((self._coded, 2), np.float32)
         self._own = np.zeros((self._coded, 2), np.float32)

@@ -10,16 +10,19 @@ splat.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.progress import StageCost
+from cogsplat.codec.scoring.reference_views import PICTURE_PIXELS
 
 from .config import EncodeConfig
 from .prefix_quality import WHOLE_VIEWS
-from .presets import Preset
+from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .rate_control import Target
 
 # Planned views have this size, and planning adds some to those that a preset asks for.
@@ -31,9 +34,13 @@ _PLAN: Final = 2.0
 _SCORE: Final = (1.4e-7, 1.1e-6)
 _REFERENCE: Final = (6e-8, 9e-7)
 _PREDICT: Final = (9.3e-7, 1.4e-6)
-# Of the whole, and for every splat; pixels are thinned.
+# What of reference views is drawn without jittered copies, of which each view has two.
+_WITHOUT_COPIES: Final = 1 / 3
+# Of the whole, and for every splat, as `balanced` does it; pixels are thinned.
 _GAIN: Final = (5.5, 6e-5)
 _COMPENSATE: Final = (1.35, 3.7e-5)
+# The first prefix of the order by gain, as a share of the scene.
+_FIRST_PREFIX: Final = 1 / 8000
 _ORDER: Final = (1e-3, 7e-8)
 _QUANTISERS: Final = (0.2, 2e-6)
 _CHUNKS: Final = (0.05, 2e-5)
@@ -95,9 +102,11 @@ def stage_costs(
     if not scored:
         costs.append(_scored(splats, views, pixels, preset, jitter=jitter))
     if seen and (fits or order == "gain"):
-        costs.append(_referred(splats, views, pixels))
+        share = preset.reference_pixels / PICTURE_PIXELS
+        drawn = 1.0 if preset.reference_jitter else _WITHOUT_COPIES
+        costs.append(_referred(splats, views, drawn * share * pixels, drawn))
     if order == "gain":
-        costs.append(_gained(splats))
+        costs.append(_gained(splats, preset))
     costs.append(StageCost("order", _of_scene(_ORDER, splats)))
     books = _of_scene(_CODEBOOKS, splats) if config.profile == "vq" else 0.0
     quantisers = _of_scene(_QUANTISERS, splats)
@@ -112,7 +121,7 @@ def stage_costs(
         trials = _NOMINAL_TRIALS if target is None else _TRIALS
         costs.append(StageCost("search", trial * trials, inner="chunks"))
     if seen and fits:
-        costs.append(StageCost("compensate", _of_scene(_COMPENSATE, splats)))
+        costs.append(_fitted(splats, preset))
     if seen:
         costs.append(StageCost("predict", prediction, predictions))
     return [*costs, StageCost("write", _of_scene(_WRITE, splats))]
@@ -166,7 +175,8 @@ def order_costs(splats: int, order: str, cameras: Sequence[Camera]) -> list[Stag
     """
     if split_name(order)[0] != "gain":
         return []
-    return [_referred(splats, len(cameras), _mean_pixels(cameras)), _gained(splats)]
+    preset = PRESETS[DEFAULT_PRESET]
+    return [_referred(splats, len(cameras), _mean_pixels(cameras)), _gained(splats, preset)]
 
 
 def _scored(splats: int, views: int, pixels: float, preset: Preset, *, jitter: bool) -> StageCost:
@@ -174,19 +184,35 @@ def _scored(splats: int, views: int, pixels: float, preset: Preset, *, jitter: b
     return StageCost("score", _of_view(_SCORE, pixels, splats), steps)
 
 
-def _referred(splats: int, views: int, pixels: float) -> StageCost:
-    return StageCost("reference views", _of_view(_REFERENCE, pixels, splats), views)
+def _referred(splats: int, views: int, pixels: float, drawn: float = 1.0) -> StageCost:
+    return StageCost("reference views", _of_view(_REFERENCE, pixels, drawn * splats), views)
 
 
-def _gained(splats: int) -> StageCost:
-    return StageCost("gain", _of_scene(_GAIN, splats))
+def _gained(splats: int, preset: Preset) -> StageCost:
+    work = _draws(preset.gain) / _draws(GainEffort())
+    fixed, each = _GAIN
+    fixed *= preset.reference_pixels / PICTURE_PIXELS
+    return StageCost("gain", work * _of_scene((fixed, each), splats))
+
+
+def _draws(effort: GainEffort) -> float:
+    """Return about how many views are drawn while a scene is ordered by gain."""
+    return effort.views * math.log(effort.until / _FIRST_PREFIX) / math.log1p(effort.growth)
+
+
+def _fitted(splats: int, preset: Preset) -> StageCost:
+    usual = PRESETS[DEFAULT_PRESET]
+    work = preset.fit_iterations * preset.fit_views / (usual.fit_iterations * usual.fit_views)
+    fixed, each = _COMPENSATE
+    fixed *= preset.reference_pixels / PICTURE_PIXELS
+    return StageCost("compensate", work * _of_scene((fixed, each), splats))
 
 
 def _mean_pixels(cameras: Sequence[Camera]) -> float:
     return sum(camera.width * camera.height for camera in cameras) / len(cameras)
 
 
-def _of_view(cost: tuple[float, float], pixels: float, splats: int) -> float:
+def _of_view(cost: tuple[float, float], pixels: float, splats: float) -> float:
     return cost[0] * pixels + cost[1] * splats
 
 

@@ -22,19 +22,16 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import thread_count
 
 from . import prefix_inflation
+from .gain_effort import GainEffort
 
-# Growth of the prefix in one stage, and its first size as a share of the scene. The fewer splats
-# join at once, the less redundant they are among themselves. From a sweep on a captured room; finer
-# stages give 0.2 dB more and take time in proportion.
-_GROWTH: Final = 0.16
+# First size of the prefix as a share of the scene.
 _FIRST: Final = 1 / 8000
 _MOST_FIRST: Final = 16
-# Growth in one stage once the prefix holds this share of the scene: what is still missing there is
-# spread over the picture, and splats that join together are rarely redundant.
+# Least growth in one stage once the prefix holds this share of the scene: what is still missing
+# there is spread over the picture, and splats that join together are rarely redundant.
 _LATE: Final = 0.25
 _LATE_GROWTH: Final = 0.3
-# Views in which gains are measured in one stage; each stage samples others.
-_VIEWS: Final = 20
+# Views in which gains are measured in one such stage, at most.
 _LATE_VIEWS: Final = 12
 # Candidates of a stage, in multiples of the prefix, and at least so many: the best by contribution,
 # or by contribution times a power of the volume. Splats further down gain too little to be measured
@@ -49,8 +46,6 @@ _LEAST_POOL: Final = 4000
 _RANDOM_SHARE: Final = 0.45
 _RANDOM_FROM: Final = 4
 _RANDOM_UNTIL: Final = 0.25
-# Beyond this share of the scene the rest follows by contribution: gains no longer differ.
-_UNTIL: Final = 0.6
 # Exponent of the volume in the second choice of candidates, which favours large splats as the
 # orders antimatter and sgss do.
 _VOLUME: Final = 0.2
@@ -69,11 +64,14 @@ class GainConfig:
         Also measure gains in jittered copies of the cameras (`view_sets.jitter`).
     threads : int
         0 for every core this process may use. The order does not depend on it.
+    effort : GainEffort
+        How much of the scene is ordered by gain, in what stages and views.
     """
 
     inflated: bool = True
     jitter: bool = True
     threads: int = 0
+    effort: GainEffort = field(default_factory=GainEffort)
 
     def __post_init__(self) -> None:
         thread_count(self.threads)
@@ -281,13 +279,14 @@ def gain_rows(
     stages: list[NDArray[np.int64]] = []
     placed = 0
     effective_splats = prefix_inflation.effective_splats(scores.contribution)
-    until = int(_UNTIL * count)
+    effort = config.effort
+    until = int(effort.until * count)
     first = min(max(1, round(_FIRST * count)), _MOST_FIRST)
     rng = np.random.default_rng(0)
     progress("gain", 0, until)
     while placed < until:
         late = placed >= _LATE * count
-        growth = _LATE_GROWTH if late else _GROWTH
+        growth = max(effort.growth, _LATE_GROWTH) if late else effort.growth
         wanted = min(max(first, int(placed * growth)), until - placed)
         candidates = ~chosen & (place < max(_POOL * (placed + wanted), _LEAST_POOL))
         if len(stages) >= _RANDOM_FROM and placed + wanted < _RANDOM_UNTIL * count:
@@ -302,7 +301,8 @@ def gain_rows(
             if config.inflated
             else None
         )
-        views = references.sample(_LATE_VIEWS if late else _VIEWS, len(stages))
+        most_views = min(effort.views, _LATE_VIEWS) if late else effort.views
+        views = references.sample(most_views, len(stages))
         stage = Stage(rows.astype(np.int32), present, by)
         gain = gains(splats, references, stage, views, executor)
         gain[present] = -np.inf

@@ -19,6 +19,7 @@ from cogsplat.codec.splats import Splats
 
 from . import baselines, chunks, octree
 from . import first_view as view_rules
+from .gain_effort import GainEffort
 
 if TYPE_CHECKING:
     from cogsplat.codec.scoring.contribution import Scores
@@ -131,6 +132,8 @@ class Unordered:
         Reference views of these cameras; None where they have not been rendered.
     executor : Executor or None
         What runs the work of single views; None for threads of this process.
+    effort : GainEffort
+        How much work goes into ``gain``.
     """
 
     splats: Splats
@@ -141,6 +144,7 @@ class Unordered:
     jitter: bool = True
     references: ReferenceViews | None = None
     executor: Executor | None = None
+    effort: GainEffort = field(default_factory=GainEffort)
 
 
 Order = Callable[[Unordered, OrderConfig], NDArray[np.int64]]
@@ -177,7 +181,12 @@ def _by_gain(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
         scene.splats,
         scene.scores,
         scene.views,
-        GainConfig(inflated=config.inflated, jitter=scene.jitter, threads=scene.threads),
+        GainConfig(
+            inflated=config.inflated,
+            jitter=scene.jitter,
+            threads=scene.threads,
+            effort=scene.effort,
+        ),
         references=scene.references,
         executor=scene.executor,
         progress=scene.progress,

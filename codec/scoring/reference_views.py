@@ -33,7 +33,7 @@ class ReferenceViews:
     Parameters
     ----------
     cameras : sequence of Camera
-        Reduced to at most `PICTURE_PIXELS` px.
+        Reduced to at most `PICTURE_PIXELS` px, or fewer.
     kernels : sequence of float
         Variance added to projected covariances, px² of each reduced picture.
     pictures : sequence of (H, W, 3) float32
@@ -81,9 +81,9 @@ class ReferenceViews:
         return chosen
 
 
-def _reduced(camera: Camera) -> tuple[Camera, int]:
-    """Return a camera of the same view in at most `PICTURE_PIXELS`, and the reduction factor."""
-    factor = math.ceil(math.sqrt(camera.width * camera.height / PICTURE_PIXELS))
+def _reduced(camera: Camera, pixels: int) -> tuple[Camera, int]:
+    """Return a camera of the same view in at most so many pixels, and the reduction factor."""
+    factor = math.ceil(math.sqrt(camera.width * camera.height / pixels))
     factor = max(1, min(factor, camera.width, camera.height))
     small = replace(
         camera,
@@ -121,6 +121,7 @@ def render_references(
     cameras: Sequence[Camera],
     *,
     jittered: bool = True,
+    pixels: int = PICTURE_PIXELS,
     near_plane: float = NEAR,
     threads: int = 0,
     executor: Executor | None = None,
@@ -137,6 +138,8 @@ def render_references(
         `MOST_VIEWS`, evenly spread ones are taken.
     jittered : bool
         Whether jittered copies of the cameras (`view_sets.jitter`) are drawn as well.
+    pixels : int
+        Most pixels of one picture, at least 1.
     near_plane : float
         Means at or before this camera-space depth are not drawn, scene units.
     threads : int
@@ -153,7 +156,7 @@ def render_references(
     Raises
     ------
     ValueError
-        No cameras.
+        No cameras, or no pixels.
 
     Examples
     --------
@@ -165,13 +168,15 @@ def render_references(
     """
     if not cameras:
         raise ValueError("0 cameras, expected at least 1")
+    if pixels < 1:
+        raise ValueError(f"{pixels} pixels, expected at least 1")
     if jittered:
         # Each camera has two jittered copies.
         chosen = _thinned(cameras, MOST_VIEWS // 3)
         copies = jitter(splats, chosen)
     else:
         chosen, copies = _thinned(cameras, MOST_VIEWS), []
-    reduced = [_reduced(camera) for camera in [*chosen, *copies]]
+    reduced = [_reduced(camera, pixels) for camera in [*chosen, *copies]]
     info = splats.info
     views = [camera for camera, _ in reduced]
     kernels = [info.kernel_px / (factor * factor) for _, factor in reduced]

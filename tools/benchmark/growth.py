@@ -173,14 +173,12 @@ def _encode(
     scene: Path, out: Path, views: int, preset: str, memory: int | None, threads: int
 ) -> None:
     from cogsplat.codec.encode.config import EncodeConfig
-    from cogsplat.codec.encode.presets import PRESETS
 
-    chosen = PRESETS[preset]
     cogsplat.encode(
         scene,
         out,
         cameras=synth_cameras(views, 200, 150),
-        config=EncodeConfig(order=chosen.order, compensate=chosen.compensate, threads=threads),
+        config=EncodeConfig(threads=threads),
         preset=preset,
         memory=memory,
         force=True,

@@ -156,9 +156,9 @@ _GROUPS: Final = {
     type=click.Choice(["fast", "balanced", "best"]),
     default="balanced",
     show_default=True,
-    help="fast scores one given view in three, at most 20, or plans fewer views, and orders by "
-    "contribution "
-    "without compensation; best plans most views, measures every one in full and takes longest.",
+    help="fast scores one given view in three, at most 20, or plans fewer views, and orders only a "
+    "tenth of the splats by gain, in small pictures; best plans most views, measures every one in "
+    "full and takes longest.",
 )
 @order_options
 @click.option(
@@ -213,8 +213,8 @@ _GROUPS: Final = {
     "--memory",
     type=number_of_bytes,
     metavar="SIZE",
-    help="Most memory to take, such as 8GiB. A PLY that would take more with --preset fast is "
-    "worked through in files beside OUT. The bytes do not depend on it.",
+    help="Most memory to take, such as 8GiB. A PLY that would take more is worked through in files "
+    "beside OUT, but not by --profile vq. The bytes do not depend on it.",
 )
 @format_option(["cogs"], "Without it, a name that says another format is refused.")
 @background_option
@@ -289,9 +289,6 @@ def encode(
         )
     bound = PruneConfig() if prune is None else PruneConfig(peak=prune)
     chosen = PRESETS[preset]
-    asked = click.get_current_context().get_parameter_source("order")
-    if asked is click.core.ParameterSource.DEFAULT:
-        choice = choice.over(chosen.order)
     config = EncodeConfig(
         profile=profile,
         quality_db=quality,
@@ -299,7 +296,7 @@ def encode(
         chunk_splats=chunk_splats,
         morton=not no_morton,
         refine=not no_refine,
-        compensate=chosen.compensate and not no_compensation,
+        compensate=not no_compensation,
         prune=None if no_prune else bound,
         threads=threads,
     )

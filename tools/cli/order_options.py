@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -73,11 +73,6 @@ class OrderChoice:
     def base(self) -> str:
         """Name of the first order without its rule for a first view."""
         return split_name(self.name)[0]
-
-    def over(self, base: str) -> OrderChoice:
-        """Return the same choice with another order under the rule for a first view."""
-        rule = split_name(self.name)[1]
-        return replace(self, names=(f"{base}+{rule}" if rule else base,))
 
     def config(self, cameras: Sequence[Camera]) -> OrderConfig:
         """Return the order configuration for a scene.

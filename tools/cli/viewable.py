@@ -66,7 +66,7 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
             from cogsplat.codec.encode.stage_costs import stage_costs
 
             preset = PRESETS[PRESET]
-            config = EncodeConfig(order=preset.order, compensate=preset.compensate, threads=threads)
+            config = EncodeConfig(threads=threads)
             stages.plan(stage_costs(len(found), config, preset))
             cogsplat.encode(found, path, preset=PRESET, config=config, progress=stages)
             stages("write", 1, 1)

@@ -38,16 +38,19 @@ def test_more_splats_extras_and_a_scene_that_is_held_take_more():
     assert held.in_memory == plain.in_memory
 
 
-@pytest.mark.parametrize(
-    "config",
-    [unseen(order="gain"), unseen(compensate=True), unseen(profile="vq")],
-    ids=["gain", "compensation", "vq"],
-)
-def test_what_works_on_the_whole_scene_is_not_done_out_of_core(config):
-    need = memory_need(MILLION, 3, config)
+@pytest.mark.parametrize("more", [{"order": "gain"}, {"compensate": True}])
+def test_an_order_by_gain_and_compensation_take_more(more):
+    plain = memory_need(MILLION, 3, unseen(threads=2))
+    need = memory_need(MILLION, 3, unseen(threads=2, **more))
+    assert need.in_memory > plain.in_memory
+    assert plain.out_of_core < need.out_of_core < 0.9 * 10**9
+
+
+def test_codebooks_are_not_trained_out_of_core():
+    need = memory_need(MILLION, 3, unseen(profile="vq"))
     assert need.out_of_core is None
     assert need.resident_bytes(need.in_memory) is None
-    with pytest.raises(LimitError, match="preset fast") as refused:
+    with pytest.raises(LimitError, match="profile vq") as refused:
         need.resident_bytes(need.in_memory - 1)
     assert refused.value.code == "memory-cap"
 

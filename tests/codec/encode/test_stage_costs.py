@@ -29,8 +29,6 @@ def test_the_stages_are_those_that_an_encode_reports(preset, given, target, prof
     chosen = PRESETS[preset]
     config = EncodeConfig(
         profile=profile,
-        order=chosen.order,
-        compensate=chosen.compensate,
         chunk_splats=32,
         threads=1,
     )

@@ -6,6 +6,7 @@ from cogsplat.codec.errors import Cancelled
 from cogsplat.codec.executor import LocalThreads
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.order import chunks, prefix_inflation
+from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.order.marginal_gain import (
     GainConfig,
     Stage,
@@ -65,6 +66,17 @@ def test_short_prefixes_show_more_than_those_by_contribution(scene, inflated):
 
     for share in (0.05, 0.1):
         assert quality(by_gain, share) > quality(by_contribution, share) + 0.3
+
+
+def test_behind_the_share_that_is_ordered_by_gain_splats_come_by_contribution(scene):
+    splats, cameras, scores = scene
+    effort = GainEffort(until=0.1, growth=0.5, views=2)
+    rows = gain_order(splats, scores, cameras, GainConfig(jitter=False, effort=effort))
+    by_contribution = np.argsort(-scores.contribution, kind="stable")
+    first = len(splats) // 10
+    rest = by_contribution[~np.isin(by_contribution, rows[:first])]
+    np.testing.assert_array_equal(rows[first:], rest)
+    assert set(rows[:first]) != set(by_contribution[:first])
 
 
 def test_a_copy_in_the_same_place_waits(scene):

@@ -31,6 +31,18 @@ def test_reference_views_show_the_scene_small(scene):
         assert picture.max() <= 1
 
 
+def test_reference_views_may_be_smaller(scene):
+    splats, cameras = scene
+    some = splats.take(np.arange(3))
+    large = [replace(c, width=4 * 310, height=4 * 200, fx=900.0, fy=900.0) for c in cameras]
+    references = render_references(some, large, jittered=False, pixels=PICTURE_PIXELS // 4)
+    for camera, kernel_px in zip(references.cameras, references.kernels, strict=True):
+        assert camera.width * camera.height <= PICTURE_PIXELS // 4
+        assert kernel_px == pytest.approx(0.3 / 100)
+    with pytest.raises(ValueError, match="0 pixels"):
+        render_references(some, large, pixels=0)
+
+
 def test_reference_views_bound_their_views(scene):
     splats, cameras = scene
     references = render_references(splats.take(np.arange(3)), cameras * 100)

@@ -73,7 +73,7 @@ def test_choices_and_defaults_are_the_encoder_s_own() -> None:
     assert ScoreConfig().jitter
 
 
-def test_presets_choose_the_order_unless_one_is_asked_for(
+def test_presets_order_by_gain_unless_another_order_is_asked_for(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     def encoded(*options: object) -> bytes:
@@ -84,8 +84,9 @@ def test_presets_choose_the_order_unless_one_is_asked_for(
 
     fast = encoded("--preset", "fast")
     plain = ("--order", "contribution", "--no-compensation")
-    assert fast == encoded("--preset", "fast", *plain)
-    assert fast != encoded("--preset", "fast", "--order", "source")
+    assert fast == encoded("--preset", "fast", "--order", "gain")
+    assert fast != encoded("--preset", "fast", *plain)
+    assert fast != encoded()
     assert encoded() == encoded("--order", "gain")
     assert encoded() != encoded(*plain)
 
