@@ -192,6 +192,13 @@ DOORS: dict[str, dict[str, str]] = {
         ),
         "prefix_inflation": "effective_splats typical",
     },
+    "codec.partition": {
+        "basic_cuboids": "BasicCuboids basic_cuboids",
+        "box_costs": "Box BoxCosts box_costs waste",
+        "cuboid_program": "cheapest_partition",
+        "grid_trees": "kd_partition octree_partition",
+        "guillotine": "cut_costs",
+    },
     "codec.rate": {
         "allocation": "equal_step lagrangian own_steps shn_step",
         "costs": "Costs SH0_BASIS SH0_COST SH0_WEIGHT costs floor_energy limited limited_energy",

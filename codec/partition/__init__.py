@@ -1,0 +1,1 @@
+"""Cells: the scene's space cut into boxes that a client can fetch one by one."""
