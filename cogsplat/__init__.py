@@ -32,8 +32,9 @@ from .codec.executor import Executor
 from .codec.progress import Progress, TimedProgress, WholeProgress, silent
 from .codec.splats import SceneInfo, Splats
 from .formats.cogs.reader import CogsFile, open_cogs
+from .formats.cogs.sources import cogs_source
 from .formats.storage.limits import Limits
-from .formats.storage.source import Readable, source_of
+from .formats.storage.source import Readable
 
 if TYPE_CHECKING:
     from .codec.encode.config import EncodeConfig as EncodeConfig
@@ -102,10 +103,10 @@ def open(
     Parameters
     ----------
     path : path, bytes, binary file object or Source
-        A local file, a file in memory, an open file that can seek, or anything with `name`, `size`,
-        `read(offset, length)` and `close`.
+        A local file or folder (SPEC 3.4), a file in memory, an open file that can seek, or anything
+        with `name`, `size`, `read(offset, length)` and `close`.
     partial : bool
-        Accept a file that is still being received.
+        Accept a file that is still being received, or a folder that lacks segments.
     size_bytes : int, optional
         Take the file as if its transfer had stopped after so many bytes.
     limits : Limits, optional
@@ -134,7 +135,7 @@ def open(
     True
     """
     _show_in_notebooks()
-    source = source_of(path)
+    source = cogs_source(path)
     try:
         return open_cogs(source, partial=partial, size_bytes=size_bytes, limits=limits)
     except BaseException:

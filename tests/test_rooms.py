@@ -282,10 +282,14 @@ DOORS: dict[str, dict[str, str]] = {
     "formats.cogs": {
         "cameras": "check_cameras",
         "canonical_msgpack": "MAX_DEPTH MAX_VALUES Value pack unpack",
+        "folder_map": "MANIFEST_NAME MANIFEST_SUFFIX",
+        "folder_source": "FolderSource names_folder",
+        "folder_writer": "check_manifest_name pack_cogs unpack_cogs",
         "layout": "MAGIC MAJOR MINOR PREAMBLE_BYTES SKIPPABLE_KIND SegmentKind unpack_preamble",
         "reader": "CogsFile open_cogs",
         "scene": "save size_bytes",
-        "verification": "Finding findings",
+        "sources": "cogs_source",
+        "verification": "Finding finding_of findings",
         "writer": "Segment",
     },
     "formats.scenes": {
@@ -305,16 +309,20 @@ DOORS: dict[str, dict[str, str]] = {
         "spz.values": "PRECISIONS",
     },
     "formats.storage": {
-        "atomic": "StrPath atomic_write check_output open_for_read storage_error storage_errors",
+        "atomic": (
+            "StrPath atomic_write check_output open_for_read storage_error storage_errors sync_all"
+        ),
         "byte_counts": "ByteCount parse_byte_count parse_bytes",
         "images": "MAX_SIDE decode_image encode_image image_size picture_size",
         "json_stream": "JsonStream MAX_VALUE_BYTES",
         "limits": "Limits",
-        "magic": "COGS_MAGIC describe",
+        "magic": "COGS_MAGIC MANIFEST_MAGIC describe",
         "pictures": "read_picture",
         "scratch_files": "ScratchFiles",
         "siblings": "sibling",
-        "source": "FileSource PrefixSource Readable Source source_of",
+        "source": (
+            "FileSource PrefixSource Readable Source is_there opening_bytes source_of stored_bytes"
+        ),
         "strict_json": "JsonObject parse_object",
         "torch_file": "CODE TorchTensor open_torch read_state_dict",
         "zip_directory": "open_entry open_zip",

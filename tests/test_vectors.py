@@ -5,12 +5,14 @@ import itertools
 import json
 import random
 import re
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cogsplat.codec.errors import CogsplatError, TruncatedError
+from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools import make_vectors
@@ -19,6 +21,8 @@ VECTORS = Path(__file__).resolve().parent / "vectors"
 MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))
 VALID = MANIFEST["valid"]
 INVALID = MANIFEST["invalid"]
+FOLDERS = MANIFEST["folders"]
+INVALID_FOLDERS = MANIFEST["invalid_folders"]
 ARRAYS = MANIFEST["arrays"]
 
 
@@ -78,6 +82,13 @@ def test_there_are_files_and_the_manifest_lists_them_all():
     for entry in VALID:
         listed |= {f"valid/{entry['name']}.cogs", f"valid/{entry['name']}.f32"}
     listed |= {f"invalid/{entry['name']}.cogs" for entry in INVALID}
+    # What the objects of a folder are called follows from their bytes.
+    named = {f"folders/{entry['name']}" for entry in FOLDERS}
+    named |= {f"invalid-folders/{entry['name']}" for entry in INVALID_FOLDERS}
+    inside = {path for path in VECTORS.glob("*folders/**/*") if path.is_file()}
+    assert {path.relative_to(VECTORS).as_posix().rsplit("/segments")[0].removesuffix(
+        f"/{path.name}") for path in inside} == named  # fmt: skip
+    listed |= {path.relative_to(VECTORS).as_posix() for path in inside}
     there = {path.relative_to(VECTORS).as_posix() for path in VECTORS.rglob("*") if path.is_file()}
     assert there == listed
     assert len(VALID) >= 12
@@ -263,10 +274,39 @@ def test_invalid_file_is_refused_as_a_part_too(entry):
         assert error.code == entry["code"]
 
 
+@pytest.mark.parametrize("entry", FOLDERS, ids=name_of)
+def test_folder_is_the_file_that_it_stands_for(entry):
+    for manifest, name in entry["manifests"].items():
+        source = FolderSource(VECTORS / "folders" / entry["name"] / manifest)
+        data = (VECTORS / "valid" / f"{name}.cogs").read_bytes()
+        assert source.read(0, source.size) == data
+        with open_cogs(source) as file:
+            file.verify()
+
+
+@pytest.mark.parametrize("entry", INVALID_FOLDERS, ids=name_of)
+def test_invalid_folder_is_refused_with_its_code(entry):
+    stages = ["open", "decode"]
+
+    def up_to(stage, partial=False):
+        with closing(FolderSource(VECTORS / "invalid-folders" / entry["name"])) as source:
+            file = open_cogs(source, partial=partial)
+            if stage != "open":
+                file.decode()
+
+    for stage in itertools.takewhile(lambda s: s != entry["stage"], stages):
+        up_to(stage)
+    error = refusal(lambda: up_to(entry["stage"]))
+    assert error is not None
+    assert (error.code, clause_of(error)) == (entry["code"], entry["clause"])
+    as_part = refusal(lambda: up_to("decode", partial=True))
+    assert (as_part is None) == entry["partial"]
+
+
 def test_every_clause_that_can_be_broken_has_files():
     covered = {clause for entry in VALID for clause in entry["clauses"]}
-    broken = {entry["clause"] for entry in INVALID}
-    rules = {f"{chapter}.{part}" for chapter, last in ((3, 3), (5, 9), (6, 17), (7, 4))
+    broken = {entry["clause"] for entry in [*INVALID, *INVALID_FOLDERS]}
+    rules = {f"{chapter}.{part}" for chapter, last in ((3, 4), (5, 9), (6, 17), (7, 4))
              for part in range(1, last + 1)}  # fmt: skip
     assert rules - covered - broken == set()
     assert {"4.1", "4.2", "4.3", "4.4"} <= broken

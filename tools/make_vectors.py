@@ -23,6 +23,7 @@ from cogsplat.formats.cogs.layout import MAJOR, MINOR
 from cogsplat.tools.conformance import (
     boxes,
     extras,
+    folders,
     msgpack_faults,
     order_in_payloads,
     order_of_refusals,
@@ -123,6 +124,16 @@ def levels() -> dict[str, str]:
     }
 
 
+def valid_folders() -> list[folders.ValidFolder]:
+    """Return the folders to decode, in the order of the manifest."""
+    return folders.valid({vector.name: vector.data for vector in valid()})
+
+
+def invalid_folders() -> list[folders.InvalidFolder]:
+    """Return the folders to refuse, in the order of the manifest."""
+    return folders.invalid({vector.name: vector.data for vector in valid()})
+
+
 def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
@@ -199,6 +210,17 @@ def _invalid_entry(vector: Invalid, level: str) -> dict[str, Json]:
     }
 
 
+def _invalid_folder_entry(folder: folders.InvalidFolder) -> dict[str, Json]:
+    return {
+        "name": folder.name,
+        "note": folder.note,
+        "code": folder.code,
+        "clause": folder.clause,
+        "stage": folder.stage,
+        "partial": folder.partial,
+    }
+
+
 def _manifest_text(manifest: Mapping[str, Json]) -> str:
     """Return the manifest as JSON, one vector a line."""
     parts = []
@@ -227,12 +249,23 @@ def make() -> tuple[dict[str, Json], dict[str, bytes]]:
     for refused in invalid():
         bad.append(_invalid_entry(refused, level_of[refused.name]))
         files[f"invalid/{refused.name}.cogs"] = refused.data
+    good_folders: list[Json] = []
+    for folder in valid_folders():
+        stands_for: dict[str, Json] = {**folder.stands_for}
+        good_folders.append({"name": folder.name, "note": folder.note, "manifests": stands_for})
+        files |= {f"folders/{folder.name}/{name}": x for name, x in folder.objects.items()}
+    bad_folders: list[Json] = []
+    for broken in invalid_folders():
+        bad_folders.append(_invalid_folder_entry(broken))
+        files |= {f"invalid-folders/{broken.name}/{n}": x for n, x in broken.objects.items()}
     manifest: dict[str, Json] = {
         "format": f"{MAJOR}.{MINOR}",
         "zstd": ".".join(str(part) for part in zstandard.ZSTD_VERSION),
         "arrays": list(ATTRIBUTES),
         "valid": good,
         "invalid": bad,
+        "folders": good_folders,
+        "invalid_folders": bad_folders,
     }
     return manifest, files
 
@@ -252,7 +285,16 @@ def spec_blocks() -> dict[str, str]:
         "worked": "\n".join(["```text", *worked_example.lines(), "```"]),
         "valid": "\n".join(listed),
         "invalid": "\n".join(refused),
+        "folders": "\n".join(_folder_lists()),
     }
+
+
+def _folder_lists() -> list[str]:
+    lines = ["| folder | what |", "|---|---|"]
+    lines += [f"| `{folder.name}` | {folder.note} |" for folder in valid_folders()]
+    lines += ["", "| folder to refuse | reason code | what |", "|---|---|---|"]
+    lines += [f"| `{f.name}` | `{f.code}` | {f.note} |" for f in invalid_folders()]
+    return lines
 
 
 def with_blocks(text: str, blocks: Mapping[str, str]) -> str:
@@ -281,7 +323,7 @@ def differences() -> list[str]:
         }
 
     found = []
-    for part in ("valid", "invalid"):
+    for part in ("valid", "invalid", "folders", "invalid_folders"):
         new: Json = manifest[part]
         old = compared(committed[part])
         fresh = compared(json.loads(json.dumps(new)))
@@ -290,7 +332,9 @@ def differences() -> list[str]:
             for name in sorted(old.keys() | fresh.keys())
             if old.get(name) != fresh.get(name)
         ]
-    there = {path.relative_to(VECTORS).as_posix() for path in VECTORS.glob("*/*") if path.is_file()}
+    there = {
+        path.relative_to(VECTORS).as_posix() for path in VECTORS.rglob("*/*") if path.is_file()
+    }
     found += [f"{name}: not a vector, or missing" for name in sorted(there ^ files.keys())]
     for name in sorted(there & files.keys()):
         content = (VECTORS / name).read_bytes()
@@ -309,12 +353,11 @@ def differences() -> list[str]:
 def write() -> None:
     """Write all vectors, the manifest and SPEC's generated blocks; remove obsolete vectors."""
     manifest, files = make()
-    for folder in ("valid", "invalid"):
-        (VECTORS / folder).mkdir(parents=True, exist_ok=True)
-        for path in (VECTORS / folder).iterdir():
-            if path.relative_to(VECTORS).as_posix() not in files:
-                path.unlink()
+    for path in VECTORS.rglob("*/*"):
+        if path.is_file() and path.relative_to(VECTORS).as_posix() not in files:
+            path.unlink()
     for name, content in files.items():
+        (VECTORS / name).parent.mkdir(parents=True, exist_ok=True)
         (VECTORS / name).write_bytes(content)
     (VECTORS / "manifest.json").write_text(_manifest_text(manifest), encoding="utf-8")
     text = SPEC.read_text(encoding="utf-8")
@@ -331,6 +374,7 @@ def main() -> int:
         return 1 if found else 0
     write()
     print(f"{len(valid())} valid and {len(invalid())} must-reject files in {VECTORS}")
+    print(f"{len(valid_folders())} valid and {len(invalid_folders())} must-reject folders")
     return 0
 
 

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import FormatError
-from cogsplat.formats.cogs.layout import MAGIC
+from cogsplat.formats.cogs.folder_map import MANIFEST_NAME
 from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.cogs.sources import cogs_source
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.formats.storage.source import FileSource
+from cogsplat.formats.storage.magic import COGS_MAGIC, MANIFEST_MAGIC
 
 from .colmap import find_model, read_colmap
 from .inria import read_cameras_json, write_cameras_json
@@ -54,6 +55,8 @@ def read_cameras(path: StrPath, *, limits: Limits | None = None) -> list[Camera]
         As `open_for_read`.
     """
     where = os.fspath(path)
+    if (Path(path) / MANIFEST_NAME).is_file():
+        return _stored_cameras(path, limits or Limits())
     if Path(path).is_dir():
         model = find_model(Path(path))
         if model is not None:
@@ -74,7 +77,7 @@ def read_cameras(path: StrPath, *, limits: Limits | None = None) -> list[Camera]
         return read_cameras_json(path, limits=limits)
     if first == b"{":
         return read_transforms(path, limits=limits)
-    if head.startswith(MAGIC):
+    if head.startswith((COGS_MAGIC, MANIFEST_MAGIC)):
         return _stored_cameras(path, limits or Limits())
     raise FormatError(
         "unknown-cameras",
@@ -84,7 +87,7 @@ def read_cameras(path: StrPath, *, limits: Limits | None = None) -> list[Camera]
 
 
 def _stored_cameras(path: StrPath, limits: Limits) -> list[Camera]:
-    source = FileSource(Path(path))
+    source = cogs_source(path)
     try:
         with open_cogs(source, limits=limits) as file:
             cameras = file.cameras()

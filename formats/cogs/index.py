@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError, TruncatedError
-from cogsplat.formats.storage.source import Source
+from cogsplat.formats.storage.source import Source, opening_bytes
 
 from . import canonical_msgpack, layout
 from . import root as cogs_root
@@ -77,7 +77,7 @@ def codebook_kinds(attribute: str, degree: int) -> tuple[SegmentKind, ...]:
 def read_index(source: Source, *, partial: bool) -> Index:
     """Read preamble, root and pages; raises as `reader.open_cogs` says."""
     name = source.name
-    first = source.read(0, min(layout.FIRST_READ, source.size))
+    first = source.read(0, opening_bytes(source, layout.FIRST_READ))
     preamble = layout.unpack_preamble(first[: layout.PREAMBLE_BYTES], name)
     root_end = layout.PREAMBLE_BYTES + preamble.root_length
     if len(first) < root_end:

@@ -23,11 +23,12 @@ from cogsplat.codec.streams.limits import MAX_PLANE_BYTES
 from cogsplat.codec.streams.shn_transform import MAX_BASIS_ROWS
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.formats.storage.source import PrefixSource, Source
+from cogsplat.formats.storage.source import PrefixSource, Source, is_there, stored_bytes
 
 from . import cameras as cogs_cameras
 from . import compensation as cogs_compensation
 from .decoded_rows import allocate, row_bytes
+from .gaps import gap_bytes, require_all
 from .index import I64, Index, codebook_kinds, read_index
 from .layout import SegmentKind
 
@@ -96,10 +97,10 @@ class CogsFile:
         self._source = source
         self._index = index
         self._limits = limits
-        self._allowed = limits.allowed(source.size)
+        self._allowed = limits.allowed(stored_bytes(source))
         self.root = index.root
         self.file_length = index.file_length
-        self.missing_bytes = max(0, index.file_length - source.size)
+        self.missing_bytes = max(0, index.file_length - source.size) + gap_bytes(source, index)
         self.segments = index.segments
         self.chunks = index.chunks
         self.offsets = index.offsets
@@ -132,8 +133,8 @@ class CogsFile:
 
     @property
     def source_bytes(self) -> int:
-        """Bytes that the source holds, of which a partial one lacks some of the file's."""
-        return self._source.size
+        """Bytes of the file that the source holds; a partial one lacks some."""
+        return self.file_length - self.missing_bytes
 
     def read_bytes(self, offset: int, length: int) -> bytes:
         """Return bytes of the file as they are stored; fewer where it ends or has not arrived.
@@ -163,7 +164,7 @@ class CogsFile:
 
     def is_present(self, row: int) -> bool:
         """Whether a segment, by its row in the segment table, has arrived whole."""
-        return bool(self.offsets[row] + self.segments.length[row] <= self._source.size)
+        return is_there(self._source, int(self.offsets[row]), int(self.segments.length[row]))
 
     def has_tail(self, chunk: int, sh_degree: int = MAX_SH_DEGREE) -> bool:
         """Whether a chunk's shN can be decoded up to an SH degree, or there is none to decode."""
@@ -682,7 +683,10 @@ def open_cogs(
         if size_bytes < 0:
             raise ValueError(f"size_bytes {size_bytes}, expected 0 or more")
         source, partial = PrefixSource(source, size_bytes), True
-    return CogsFile(source, read_index(source, partial=partial), limits or Limits())
+    index = read_index(source, partial=partial)
+    if not partial:
+        require_all(source, index)
+    return CogsFile(source, index, limits or Limits())
 
 
 def _workers(splats: int) -> int:

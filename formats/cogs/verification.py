@@ -33,6 +33,10 @@ if TYPE_CHECKING:
 _CLAUSE: Final = re.compile(r"\(SPEC (\d+(?:\.\d+)?)\)")
 
 
+# What a source that has not arrived whole lacks: its end, or objects of a folder.
+_NOT_THERE: Final = ("file-truncated", "segment-missing")
+
+
 @dataclass(frozen=True)
 class Check:
     """One check of an open file.
@@ -93,7 +97,7 @@ def checks(file: CogsFile) -> Iterator[Check]:
     """
     yield Check("decoded size", 0, file.require_size)
     for row in range(len(file.segments)):
-        yield Check(f"segment {row}", int(file.offsets[row]), partial(_hash, file, row))
+        yield Check(f"segment {row}", int(file.offsets[row]), partial(read_verified, file, row))
     for book in range(len(file.root.codebooks)):
         # Codebooks that no chunk needs are part of the file too.
         kinds = (SegmentKind.SHAPE_CODEBOOK, SegmentKind.COLOUR_BAND1)
@@ -136,8 +140,18 @@ def _chunk_checks(file: CogsFile, chunk: int) -> Iterator[Check]:
         )
 
 
-def _hash(file: CogsFile, row: int) -> None:
-    digest = hashlib.sha256(file.read_segment(row)).digest()[:HASH_BYTES]
+def read_verified(file: CogsFile, row: int) -> memoryview:
+    """Return a segment's bytes, their CRC and their hash checked.
+
+    Raises
+    ------
+    TruncatedError
+        As `CogsFile.read_segment`.
+    FormatError
+        ``segment-crc``, ``segment-hash``, and as `CogsFile.read_segment`.
+    """
+    data = file.read_segment(row)
+    digest = hashlib.sha256(data).digest()[:HASH_BYTES]
     if digest != file.segments.hash[row].tobytes():
         raise FormatError(
             "segment-hash",
@@ -145,6 +159,7 @@ def _hash(file: CogsFile, row: int) -> None:
             clause="5.3",
             offset=int(file.offsets[row]),
         )
+    return data
 
 
 def _require_inside(file: CogsFile, chunk: int, means: np.ndarray, offset: int) -> None:
@@ -204,8 +219,9 @@ def findings(
         file = open_cogs(source, limits=limits)
     except CogsplatError as error:
         # What is short breaks its rule where it ends.
-        first = _finding(error, source.size if isinstance(error, TruncatedError) else None)
-        if error.code not in ("file-truncated", "file-trailing"):
+        short = isinstance(error, TruncatedError) and error.code != "segment-missing"
+        first = finding_of(error, source.size if short else None)
+        if error.code not in (*_NOT_THERE, "file-trailing"):
             return [first]
         if error.code == "file-trailing" or not partial:
             found.append(first)
@@ -214,15 +230,15 @@ def findings(
         try:
             file = open_cogs(source, partial=True, size_bytes=end, limits=limits)
         except CogsplatError as second:
-            return [*found, _finding(second, None)]
+            return [*found, finding_of(second)]
     steps = list(checks(file))
     for done, check in enumerate(steps, start=1):
         try:
             check.run()
         except CogsplatError as error:
-            finding = _finding(error, check.offset)
+            finding = finding_of(error, check.offset)
             # A broken segment fails again wherever it is used, and so does what is not there.
-            truncated = finding.code == "file-truncated"
+            truncated = finding.code in _NOT_THERE
             if not truncated and all(
                 (finding.code, finding.offset) != (other.code, other.offset) for other in found
             ):
@@ -231,7 +247,14 @@ def findings(
     return found
 
 
-def _finding(error: CogsplatError, offset: int | None) -> Finding:
+def finding_of(error: CogsplatError, offset: int | None = None) -> Finding:
+    """Return a refusal as a finding; `offset` is where the file breaks the rule, if that is known.
+
+    Raises
+    ------
+    StorageError
+        `error` itself where it says nothing about the file.
+    """
     if isinstance(error, StorageError):
         raise error
     stated = _CLAUSE.search(error.message)

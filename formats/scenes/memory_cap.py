@@ -13,11 +13,11 @@ from cogsplat.codec.errors import UnsupportedError
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.workspace import IN_MEMORY, Workspace
 from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.cogs.sources import cogs_source
 from cogsplat.formats.scenes.ply.header import is_ply
 from cogsplat.formats.scenes.ply.scene import ply_rows
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
 from cogsplat.formats.storage.scratch_files import ScratchFiles
-from cogsplat.formats.storage.source import source_of
 
 from .registry import is_cogs
 
@@ -96,7 +96,7 @@ def _rows_of(scene: Splats | StrPath) -> _Rows:
         extras = sum(values.nbytes for values in scene.extras.values()) // max(len(scene), 1)
         return _Rows(len(scene), scene.sh_degree, extras, is_held=True)
     if is_cogs(scene):
-        with open_cogs(source_of(scene)) as file:
+        with open_cogs(cogs_source(scene)) as file:
             kinds = sum(kind.row_bytes for kind in file.root.attributes)
             return _Rows(file.root.splats, file.root.sh_degree, kinds, is_held=True)
     with storage_errors(scene), open_for_read(scene) as file:

@@ -15,7 +15,7 @@ from typing import Protocol
 from cogsplat.codec.errors import FormatError, UnsupportedError
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
-from cogsplat.formats.cogs.layout import MAGIC
+from cogsplat.formats.cogs.folder_map import MANIFEST_NAME, MANIFEST_SUFFIX
 from cogsplat.formats.scenes.gltf.file import gltf_files
 from cogsplat.formats.scenes.gltf.scene import is_gltf, read_gltf, write_gltf
 from cogsplat.formats.scenes.ply.header import is_ply
@@ -26,7 +26,7 @@ from cogsplat.formats.scenes.spz.scene import DEFAULT_VERSION, read_spz, write_s
 from cogsplat.formats.scenes.spz.values import PRECISIONS
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.formats.storage.magic import describe
+from cogsplat.formats.storage.magic import COGS_MAGIC, MANIFEST_MAGIC, describe
 
 from .compressed_ply import is_compressed_ply, read_compressed_ply, write_compressed_ply
 from .ksplat import read_ksplat
@@ -113,7 +113,7 @@ WRITABLE: tuple[str, ...] = tuple(format_.name for format_ in FORMATS if format_
 
 
 def is_cogs(path: StrPath) -> bool:
-    """Tell whether a file is a COGS container, which is not read here.
+    """Tell whether a path is a COGS file, a COGS folder or its manifest, which are not read here.
 
     A damaged one counts by its extension, so that the container's reader can say what is wrong.
 
@@ -122,10 +122,12 @@ def is_cogs(path: StrPath) -> bool:
     StorageError
         As `open_for_read`.
     """
-    head = _head(path)
-    if head.startswith(MAGIC):
+    if (Path(path) / MANIFEST_NAME).is_file():
         return True
-    named = os.fspath(path).lower().endswith(".cogs")
+    head = _head(path)
+    if head.startswith((COGS_MAGIC, MANIFEST_MAGIC)):
+        return True
+    named = os.fspath(path).lower().endswith((".cogs", MANIFEST_SUFFIX))
     return named and not any(format_.sniff(head) for format_ in FORMATS)
 
 
@@ -198,7 +200,7 @@ def format_of(path: StrPath) -> Format:
         As `open_for_read`.
     """
     head = _head(path)
-    if head.startswith(MAGIC):
+    if head.startswith((COGS_MAGIC, MANIFEST_MAGIC)):
         raise FormatError(
             "cogs-file", f"{os.fspath(path)}: is a COGS file, expected a foreign scene"
         )

@@ -7,8 +7,12 @@ from typing import Final
 COGS_MAGIC: Final = b"\x89COGS\r\n\x1a"
 """First bytes of a COGS file (SPEC 3.1): not ASCII, and line ends that a text transfer breaks."""
 
+MANIFEST_MAGIC: Final = b"\x89COGM\r\n\x1a"
+"""First bytes of the manifest of a folder (SPEC 3.4)."""
+
 _MAGICS: Final = (
     (COGS_MAGIC, "a COGS file"),
+    (MANIFEST_MAGIC, "the manifest of a COGS folder"),
     (COGS_MAGIC[::-1], "a COGS magic in reverse byte order"),
     (b"version https://git-lfs", "a Git LFS pointer in place of the file"),
     (b"ply", "a PLY file"),

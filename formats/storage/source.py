@@ -14,7 +14,16 @@ from .atomic import open_for_read
 
 
 class Source(Protocol):
-    """A protocol for reading byte ranges, from files, memory, HTTP or object stores."""
+    """A protocol for reading byte ranges, from files, memory, HTTP or object stores.
+
+    Notes
+    -----
+    A source may have more, which `opening_bytes`, `is_there` and `stored_bytes` ask for: an
+    attribute `opening_bytes`, how many bytes are asked of it first; a method
+    ``holds(offset, length)``, whether bytes within its size are there, where some may be missing in
+    the middle; and an attribute `stored_bytes`, the bytes that it is kept in, where these are fewer
+    than its size.
+    """
 
     @property
     def name(self) -> str:
@@ -188,9 +197,41 @@ class PrefixSource:
         _check_end(self, offset, length)
         return self._source.read(offset, length)
 
+    @property
+    def opening_bytes(self) -> int:
+        """How many bytes are asked for first."""
+        return opening_bytes(self._source, self._size)
+
+    def holds(self, offset: int, length: int) -> bool:
+        """Whether bytes within the size are there."""
+        return is_there(self._source, offset, length)
+
+    @property
+    def stored_bytes(self) -> int:
+        """Bytes that the source is kept in."""
+        return min(self._size, stored_bytes(self._source))
+
     def close(self) -> None:
         """Close the source behind this one."""
         self._source.close()
+
+
+def opening_bytes(source: Source, most: int) -> int:
+    """Return how many bytes to ask of a source first: `most`, where it does not say otherwise."""
+    return min(source.size, int(getattr(source, "opening_bytes", most)))
+
+
+def is_there(source: Source, offset: int, length: int) -> bool:
+    """Whether a source has all of a range of bytes."""
+    if offset + length > source.size:
+        return False
+    holds = getattr(source, "holds", None)
+    return holds is None or bool(holds(offset, length))
+
+
+def stored_bytes(source: Source) -> int:
+    """Return the bytes that a source is kept in; its size, where it does not say otherwise."""
+    return int(getattr(source, "stored_bytes", source.size))
 
 
 def _check_end(source: Source, offset: int, length: int) -> None:

@@ -1,6 +1,7 @@
 """One small scene for all tests of the tools, ways to run the command line on it, a browser."""
 
 import json
+import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -72,13 +73,17 @@ def run_apart() -> Run:
 
 @pytest.fixture
 def few_vectors(tmp_path: Path) -> Path:
-    """A folder with some of the vectors: those of refinements, and those of CRC and hash."""
+    """A folder with some of the vectors: of refinements, of CRC and hash, and two folders."""
     vectors = ROOT / "tests" / "vectors"
     manifest = json.loads((vectors / "manifest.json").read_text())
-    manifest["valid"] = [e for e in manifest["valid"] if e["name"] in ("refinements", "sh1")]
+    names = ("refinements", "sh1", "one-splat")
+    manifest["valid"] = [e for e in manifest["valid"] if e["name"] in names]
     codes = ("segment-crc", "segment-hash")
     manifest["invalid"] = [e for e in manifest["invalid"] if e["code"] in codes]
-    assert len(manifest["valid"]) == 2
+    manifest["folders"] = [e for e in manifest["folders"] if e["name"] == "one-splat"]
+    manifest["invalid_folders"] = [e for e in manifest["invalid_folders"] if e["code"] in codes]
+    assert len(manifest["valid"]) == 3
+    assert len(manifest["folders"]) == len(manifest["invalid_folders"]) == 1
     assert {e["code"] for e in manifest["invalid"]} == set(codes)
     folder = tmp_path / "vectors"
     for kind, suffixes in (("valid", ("cogs", "f32")), ("invalid", ("cogs",))):
@@ -87,5 +92,8 @@ def few_vectors(tmp_path: Path) -> Path:
             for suffix in suffixes:
                 name = f"{entry['name']}.{suffix}"
                 (folder / kind / name).write_bytes((vectors / kind / name).read_bytes())
+    shutil.copytree(vectors / "folders" / "one-splat", folder / "folders" / "one-splat")
+    broken = manifest["invalid_folders"][0]["name"]
+    shutil.copytree(vectors / "invalid-folders" / broken, folder / "invalid-folders" / broken)
     (folder / "manifest.json").write_text(json.dumps(manifest))
     return folder

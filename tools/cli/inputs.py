@@ -18,9 +18,9 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
 from cogsplat.formats.cogs.reader import CogsFile
+from cogsplat.formats.cogs.sources import cogs_source
 from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes, scene_files
 from cogsplat.formats.storage.byte_counts import ByteCount
-from cogsplat.formats.storage.source import FileSource
 from cogsplat.tools.terminal.limits import current_limits
 from cogsplat.tools.terminal.partial import partial_accepted
 from cogsplat.tools.terminal.values import ChunkRange
@@ -193,7 +193,7 @@ def decode_part_by(decode: Decode, path: Path, part: Selection) -> LoadedScene:
     click.UsageError, CogsplatError
         As `decode_part`.
     """
-    source = FileSource(path)
+    source = cogs_source(path)
     size_bytes = None if part.size is None else part.size.of(source.size)
     with cogsplat.open(
         source, partial=partial_accepted(), size_bytes=size_bytes, limits=current_limits()
@@ -244,7 +244,9 @@ def given_files(scene: Path, *others: Path | None) -> Iterator[Path]:
         Files, and folders of which all files are yielded: cameras, photos, masks.
     """
     yield scene
-    if not is_cogs(scene):
+    if scene.is_dir():
+        yield from (inner for inner in scene.rglob("*") if inner.is_file())
+    elif not is_cogs(scene):
         yield from scene_files(scene)
     for path in others:
         if path is not None and path.is_dir():

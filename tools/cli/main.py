@@ -45,6 +45,7 @@ from .encode import encode
 from .evaluate import evaluate
 from .export_html import export_html
 from .filter import filter_scene
+from .folders import pack, unpack
 from .info import info
 from .merge import merge
 from .order import order
@@ -69,6 +70,7 @@ _STOP_SIGNALS: Final = ("SIGTERM", "SIGHUP")
 _HINTS: Final = {
     "exists": ("--force", "--force replaces it"),
     "file-truncated": ("--partial", "--partial takes the chunks that are complete"),
+    "segment-missing": ("--partial", "--partial takes the chunks that are complete"),
     "invalid-rows": ("--drop-invalid", "--drop-invalid leaves those splats out"),
     "decoded-size": ("--limits", "--limits memory=8GiB,expansion=4096, or other sizes, allows it"),
     "too-many-splats": ("--limits", "--limits splats=100M, or another number, allows it"),
@@ -322,6 +324,8 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     decimate,
     view,
     export_html,
+    unpack,
+    pack,
     info,
     validate,
     stats,

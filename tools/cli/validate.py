@@ -7,8 +7,9 @@ from pathlib import Path
 
 import click
 
-from cogsplat.formats.cogs.verification import Finding, findings
-from cogsplat.formats.storage.source import FileSource
+from cogsplat.codec.errors import CogsplatError, StorageError
+from cogsplat.formats.cogs.sources import cogs_source
+from cogsplat.formats.cogs.verification import Finding, finding_of, findings
 from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import counted, name_of, say, say_json
@@ -30,20 +31,14 @@ _INVALID = 3
 @quiet_option
 @json_option
 def validate(path: Path, quiet: bool, as_json: bool) -> None:
-    """Check a COGS file against every rule of SPEC.md.
+    """Check a COGS file or folder against every rule of SPEC.md.
 
     All segments are read, hashed and decoded, and all broken rules are listed, each with its reason
     code, the clause of SPEC.md and the byte offset. Exit status 3 where there are any. With
     --partial, a file that is short is no finding.
     """
-    source = FileSource(path)
-    try:
-        with Stages(shown=not (quiet or as_json)) as stages:
-            found = findings(
-                source, partial=partial_accepted(), limits=current_limits(), progress=stages
-            )
-    finally:
-        source.close()
+    with Stages(shown=not (quiet or as_json)) as stages:
+        found = _findings(path, stages)
     if as_json:
         say_json(
             {
@@ -63,6 +58,22 @@ def validate(path: Path, quiet: bool, as_json: bool) -> None:
             say(f"{name_of(path)}: {counted(len(found), 'finding')}")
     if found:
         raise click.exceptions.Exit(_INVALID)
+
+
+def _findings(path: Path, stages: Stages) -> list[Finding]:
+    try:
+        source = cogs_source(path)
+    except StorageError:
+        raise
+    except CogsplatError as error:
+        # The manifest of a folder, which is read first.
+        return [finding_of(error)]
+    try:
+        return findings(
+            source, partial=partial_accepted(), limits=current_limits(), progress=stages
+        )
+    finally:
+        source.close()
 
 
 def _line(finding: Finding) -> str:

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cogsplat
+from cogsplat.formats.cogs.folder_source import names_folder
+from cogsplat.formats.cogs.folder_writer import pack_cogs
 from cogsplat.formats.scenes.registry import is_cogs
 from cogsplat.tools.delivery.viewer_pages import SCENE_NAME
 from cogsplat.tools.terminal.limits import current_limits
@@ -49,10 +51,10 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
     CogsplatError
         The scene cannot be read.
     """
-    whole = _whole_cogs(scene)
-    if whole is not None:
-        yield whole
-        return
+    with _whole_cogs(scene) as whole:
+        if whole is not None:
+            yield whole
+            return
     if shown:
         why = "has not arrived whole" if is_cogs(scene) else "is no COGS file"
         note(f"{scene} {why}: encoding it first, preset {PRESET}")
@@ -92,10 +94,10 @@ def drawable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
     CogsplatError
         The scene cannot be read.
     """
-    whole = _whole_cogs(scene)
-    if whole is not None:
-        yield whole
-        return
+    with _whole_cogs(scene) as whole:
+        if whole is not None:
+            yield whole
+            return
     with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
         path = Path(folder) / "scene.ply"
         with Stages(shown=shown) as stages:
@@ -109,14 +111,24 @@ def drawable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
         yield Viewable(path, count, encoded=True)
 
 
-def _whole_cogs(scene: Path) -> Viewable | None:
-    """Return a COGS file that has arrived whole as it is; None for any other."""
+@contextmanager
+def _whole_cogs(scene: Path) -> Iterator[Viewable | None]:
+    """Give a COGS file that has arrived whole as it is, a folder packed; None for any other."""
     if not is_cogs(scene):
-        return None
-    with cogsplat.open(scene, partial=partial_accepted(), limits=current_limits()) as file:
+        yield None
+        return
+    with (
+        cogsplat.open(scene, partial=partial_accepted(), limits=current_limits()) as file,
+        tempfile.TemporaryDirectory(prefix="cogsplat-") as folder,
+    ):
         if file.missing_bytes:
-            return None
-        return Viewable(scene, file.root.splats, encoded=False)
+            yield None
+            return
+        path = scene
+        if names_folder(scene):
+            path = Path(folder) / SCENE_NAME
+            pack_cogs(file, path)
+        yield Viewable(path, file.root.splats, encoded=False)
 
 
 def _splats_of(path: Path) -> int:

@@ -15,10 +15,13 @@ import numpy as np
 import cogsplat
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.codec.streams import compiled
+from cogsplat.formats.cogs.folder_map import MANIFEST_SUFFIX
+from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import FileSource
 
 from . import reference_decoder
+from .folders import packed
 from .protocol import Answer
 
 ARRAYS: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
@@ -34,6 +37,7 @@ def hello(kind: str) -> Answer:
         # The second decoder is for valid and whole files only.
         "refuses": kind != "reference",
         "partial": kind != "reference",
+        "folders": True,
     }
 
 
@@ -45,7 +49,8 @@ def answer(kind: str, request: Answer) -> Answer:
     if kind == "reference":
         return _reference(path, out, request)
     try:
-        source = FileSource(path)
+        # By the name, as the request means it; commands look at the first bytes.
+        source = FolderSource(path) if path.suffix == MANIFEST_SUFFIX else FileSource(path)
         with open_cogs(source, partial=bool(request["partial"])) as file:
             if request["verify"]:
                 file.verify()
@@ -58,7 +63,11 @@ def answer(kind: str, request: Answer) -> Answer:
 
 
 def _reference(path: Path, out: Path, request: Answer) -> Answer:
-    scene = reference_decoder.decode(path.read_bytes(), refine=bool(request["refine"]))
+    data = path.read_bytes()
+    if path.suffix == MANIFEST_SUFFIX:
+        objects = {f"segments/{x.name}": x.read_bytes() for x in path.parent.glob("segments/*")}
+        data = packed({path.name: data, **objects}, path.name)
+    scene = reference_decoder.decode(data, refine=bool(request["refine"]))
     rows = [np.array(scene.rows[name], np.float32).astype("<f4").tobytes() for name in ARRAYS]
     out.write_bytes(b"".join(rows))
     return {"ok": True, "splats": sum(scene.chunk_splats)}

@@ -33,6 +33,7 @@ def preambles() -> list[Invalid]:
         magic("magic-ply", b"ply\nformat binary_little_endian 1.0\n" + zeros * 8, "a PLY file"),
         magic("magic-gzip", b"\x1f\x8b\x08" + zeros * 8, "gzip"),
         magic("magic-reversed", MAGIC[::-1] + good[8:], "the magic in reverse byte order"),
+        magic("magic-manifest", b"\x89COGM\r\n\x1a" + good[8:], "the manifest of a folder"),
         magic("magic-text", good.replace(b"\r\n", b"\n", 1), "sent as text: CR LF became LF"),
         Invalid(
             "preamble-flip",

@@ -38,6 +38,8 @@ class Hello:
         Whether it is to be tried with files that must be refused.
     partial : bool
         Whether it is to be tried with files that are cut short.
+    folders : bool
+        Whether it is to be tried with folders.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Hello:
     level: str
     refuses: bool
     partial: bool
+    folders: bool = False
 
 
 class DecoderProcess:
@@ -191,6 +194,7 @@ class DecoderProcess:
             str(level),
             answer.get("refuses") is not False,
             answer.get("partial") is not False,
+            answer.get("folders") is True,
         )
 
     def decode(

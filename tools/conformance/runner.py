@@ -104,13 +104,21 @@ def run(
         hello = decoder.hello()
         judge = _Judge(decoder, hello, vectors, Path(folder), list(manifest["arrays"]))
         invalid = manifest["invalid"] if hello.refuses else []
-        total = len(manifest["valid"]) + len(invalid)
+        folders = manifest["folders"] if hello.folders else []
+        bad_folders = manifest["invalid_folders"] if hello.folders and hello.refuses else []
+        total = sum(map(len, (manifest["valid"], invalid, folders, bad_folders)))
         for done, entry in enumerate(manifest["valid"], start=1):
             judge.valid(entry)
             progress("vectors", done, total)
         for done, entry in enumerate(invalid, start=1 + len(manifest["valid"])):
             judge.invalid(entry)
             progress("vectors", done, total)
+        files = {entry["name"]: entry for entry in manifest["valid"]}
+        for entry in folders:
+            judge.folder(entry, files)
+        for entry in bad_folders:
+            judge.invalid_folder(entry)
+        progress("vectors", total, total)
     return judge.report()
 
 
@@ -234,9 +242,28 @@ class _Judge:
         """Try a file to refuse: with its code, or by a viewer with any."""
         if LEVELS.index(str(entry["level"])) > LEVELS.index(self._hello.level):
             return
+        self._refused(f"invalid/{entry['name']}", ".cogs", entry)
+
+    def folder(self, entry: Entry, files: Mapping[str, Entry]) -> None:
+        """Try a folder to decode, by each of its manifests."""
+        for manifest, stands_for in _texts(entry["manifests"]).items():
+            path = self._vectors / "folders" / str(entry["name"]) / manifest
+            arrays = self._vectors / "valid" / f"{stands_for}.f32"
+            given, wrong = self._decoded(path, verify=self._hello.level == "verifier")
+            whole = self._split(arrays, files[stands_for])
+            wrong = wrong or self._difference(given, whole)
+            self._note(
+                f"folders/{entry['name']}/{manifest}", ("3.4",), f"as {stands_for}.cogs", wrong
+            )
+
+    def invalid_folder(self, entry: Entry) -> None:
+        """Try a folder to refuse: with its code, or by a viewer with any."""
+        self._refused(f"invalid-folders/{entry['name']}", "/manifest.cogsm", entry)
+
+    def _refused(self, vector: str, rest: str, entry: Entry) -> None:
         verifies = self._hello.level == "verifier"
-        name, code = str(entry["name"]), str(entry["code"])
-        path = self._vectors / "invalid" / f"{name}.cogs"
+        code = str(entry["code"])
+        path = self._vectors / f"{vector}{rest}"
         self._out.unlink(missing_ok=True)
         answer, reason = self._decoder.decode(path, self._out, verify=verifies)
         if answer is None:
@@ -247,7 +274,7 @@ class _Judge:
             found = ""
         else:
             found = f"refused with {answer.get('code')!r}"
-        self._note(f"invalid/{name}", (str(entry["clause"]),), f"refused with {code!r}", found)
+        self._note(vector, (str(entry["clause"]),), f"refused with {code!r}", found)
 
 
 def _prefixes(entry: Entry) -> list[tuple[int, int, list[int], list[int]]]:
@@ -279,6 +306,11 @@ def _prefix_rows(
 
 def _list(value: object) -> list[object]:
     assert isinstance(value, list)
+    return value
+
+
+def _texts(value: object) -> dict[str, str]:
+    assert isinstance(value, dict)
     return value
 
 

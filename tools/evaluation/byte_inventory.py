@@ -18,7 +18,7 @@ from cogsplat.formats.cogs.layout import (
     unpack_preamble,
 )
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.formats.storage.source import FileSource
+from cogsplat.formats.cogs.sources import cogs_source
 
 _INDEX: Final = "index"
 
@@ -84,7 +84,7 @@ class ChunkSizes:
 
 def format_version(path: Path) -> str:
     """Return the version of the format that a COGS file states, such as ``0.1``."""
-    source = FileSource(path)
+    source = cogs_source(path)
     try:
         preamble = unpack_preamble(source.read(0, PREAMBLE_BYTES), source.name)
     finally:

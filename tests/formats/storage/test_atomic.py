@@ -21,6 +21,7 @@ from cogsplat.formats.storage.atomic import (
     check_output,
     open_for_read,
     storage_errors,
+    sync_all,
 )
 
 needs_permissions = pytest.mark.skipif(
@@ -404,6 +405,24 @@ def test_a_killed_writer_leaves_no_target(tmp_path: Path) -> None:
     assert left.name.endswith(".tmp")
     write(target, b"whole")
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_many_files_are_synced_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[str] = []
+    monkeypatch.setattr(os, "fsync", lambda descriptor: synced.append("one"))
+    paths = [tmp_path / f"{number}.bin" for number in range(3)]
+    for path in paths:
+        with atomic_write(path, durable=False) as file:
+            file.write(b"x")
+    assert synced == []
+    monkeypatch.setattr(os, "sync", lambda: synced.append("all"), raising=False)
+    sync_all(paths)
+    assert synced == ["all"]
+    # As on Windows, which has no call for all of them.
+    monkeypatch.delattr(os, "sync")
+    sync_all(paths)
+    assert synced == ["all", "one", "one", "one"]
+    assert {path.read_bytes() for path in paths} == {b"x"}
 
 
 def test_open_for_read(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from running import ROOT, Run, SmallScene, broken_decoder, program
 
 import cogsplat
 from cogsplat.codec.order.objects import with_labels
+from cogsplat.formats.cogs.folder_writer import unpack_cogs
 from cogsplat.tools.cli import demonstration
 from cogsplat.tools.cli.main import cli
 from cogsplat.tools.synthetic import scene as synthetic
@@ -84,6 +85,14 @@ def labelled(small: SmallScene, tmp_path: Path) -> Path:
     return path
 
 
+def folder_of(small: SmallScene, out: Path) -> Path:
+    """Return a folder of the scene, which `out` does not have yet under that name."""
+    folder = out.parent / f"{out.name}-unpacked"
+    with cogsplat.open(small.cogs) as file:
+        unpack_cogs(file, folder, force=True)
+    return folder
+
+
 def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> list[object]:
     """Return what a command is run with: everything that adds keys."""
     cameras = ["--cameras", small.cameras]
@@ -97,6 +106,8 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
         "filter": [small.ply, out / "a.ply", "--min-opacity", 0.1],
         "decimate": [small.ply, out / "a.ply", "--to", "50%", "--by", "antimatter"],
         "export-html": [small.cogs, out / "a.html"],
+        "unpack": [small.cogs, out / "folder"],
+        "pack": [folder_of(small, out), out / "b.cogs"],
         "info": [small.cogs],
         "validate": [small.cogs],
         "stats": [small.cogs],

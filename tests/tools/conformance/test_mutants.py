@@ -216,7 +216,7 @@ READER = [
     ),
     Mutant(
         "hashes are not checked",
-        verification._hash,
+        verification.read_verified,
         "if digest != file.segments.hash[row].tobytes():",
         "if False:",
         ("5.3",),

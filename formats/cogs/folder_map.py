@@ -1,0 +1,357 @@
+"""Where the bytes of a file lie in the folder that stands for it: manifest and segments (SPEC 3.4).
+
+Nothing is read here, so that folders on disk, over HTTP and in object stores share these rules.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from bisect import bisect_right
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import FormatError, TruncatedError
+from cogsplat.formats.storage.magic import MANIFEST_MAGIC, describe
+
+from . import canonical_msgpack, layout
+from . import root as cogs_root
+from .root import Root, SegmentTable
+
+MANIFEST_NAME: Final = "manifest.cogsm"
+"""The manifest's name where a folder is named and no manifest in it."""
+
+MANIFEST_SUFFIX: Final = ".cogsm"
+
+SEGMENT_FOLDER: Final = "segments"
+
+# What servers call application/octet-stream without being told.
+_SEGMENT_SUFFIX: Final = ".bin"
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A run of bytes of a file, within one object of its folder.
+
+    Parameters
+    ----------
+    name : str
+        The object, relative to the manifest's folder; empty for the manifest itself.
+    offset, length : int
+        The bytes within the object.
+    object_bytes : int
+        Bytes of the whole object.
+    """
+
+    name: str
+    offset: int
+    length: int
+    object_bytes: int
+
+
+@dataclass(frozen=True)
+class PageRange:
+    """An index page that must be known before pieces can be named.
+
+    Parameters
+    ----------
+    page : int
+    offset, length : int
+        Its bytes within the manifest.
+    """
+
+    page: int
+    offset: int
+    length: int
+
+
+@dataclass(frozen=True)
+class IndexPlace:
+    """Where one index and its segments lie in the file.
+
+    Parameters
+    ----------
+    start : int
+        First byte of the index: of the preamble for the root, of the page for a page.
+    segments : int
+        First byte behind it, where its segments begin.
+    end : int
+        First byte behind its segments.
+    """
+
+    start: int
+    segments: int
+    end: int
+
+
+def segment_name(hash_bytes: bytes) -> str:
+    """Return the name of a segment's object by the hash that its table states.
+
+    Examples
+    --------
+    >>> segment_name(bytes(range(16)))
+    'segments/000102030405060708090a0b0c0d0e0f.bin'
+    """
+    return f"{SEGMENT_FOLDER}/{hash_bytes.hex()}{_SEGMENT_SUFFIX}"
+
+
+def is_manifest(head: bytes) -> bool:
+    """Tell by its first bytes whether a file is a manifest."""
+    return head.startswith(MANIFEST_MAGIC)
+
+
+def places(root_end: int, root: Root) -> list[IndexPlace]:
+    """Return where the root and each page lie in the file, with their segments (SPEC 5.1, 5.6)."""
+    end = root_end + int(root.segments.length.sum(dtype=np.uint64))
+    found = [IndexPlace(0, root_end, end)]
+    for page in root.pages:
+        start = end
+        end = start + page.length + page.span
+        found.append(IndexPlace(start, start + page.length, end))
+    return found
+
+
+def with_magic(preamble: bytes, magic: bytes) -> bytes:
+    """Return a preamble with another magic, its CRC made to fit."""
+    head = magic + preamble[len(magic) : layout.PREAMBLE_BYTES - 4]
+    return head + struct.pack("<I", zlib.crc32(head))
+
+
+def file_preamble(manifest_head: bytes, name: str) -> bytes:
+    """Return the preamble of the file that a manifest stands for.
+
+    Parameters
+    ----------
+    manifest_head : bytes
+        First bytes of the manifest, 64 or more.
+    name : str
+        Names the manifest in messages.
+
+    Raises
+    ------
+    FormatError
+        ``not-cogs``: another magic; ``preamble-crc``, ``preamble-reserved``, ``root-length``,
+        ``file-length``.
+    TruncatedError
+        ``preamble-truncated``.
+    UnsupportedError
+        ``version-major``, ``version-minor``.
+    """
+    head = manifest_head[: layout.PREAMBLE_BYTES]
+    if head[: len(MANIFEST_MAGIC)] != MANIFEST_MAGIC[: len(head)]:
+        raise FormatError(
+            "not-cogs",
+            f"{name}: is {describe(head)}, expected the manifest of a COGS folder",
+            clause="3.4",
+            offset=0,
+        )
+    if len(head) < layout.PREAMBLE_BYTES:
+        raise TruncatedError(
+            "preamble-truncated",
+            f"{name}: ends after {len(head)} bytes, expected a preamble of {layout.PREAMBLE_BYTES}",
+            clause="3.4",
+            offset=0,
+            needed=layout.PREAMBLE_BYTES,
+        )
+    (crc,) = struct.unpack_from("<I", head, layout.PREAMBLE_BYTES - 4)
+    if zlib.crc32(head[:-4]) != crc:
+        raise FormatError(
+            "preamble-crc", f"{name}: the preamble's CRC does not match", clause="3.4", offset=60
+        )
+    preamble = with_magic(head, layout.MAGIC)
+    # Checks all that a file's preamble is checked for.
+    layout.unpack_preamble(preamble, name)
+    return preamble
+
+
+class FolderMap:
+    """The bytes of a file, mapped to the objects of its folder.
+
+    Parameters
+    ----------
+    manifest_head : bytes
+        First bytes of the manifest: preamble and root, or more.
+    name : str
+        Names the manifest in messages.
+
+    Attributes
+    ----------
+    preamble : bytes
+        The 64 bytes that the file begins with; the manifest's differ in magic and CRC.
+    file_length : int
+        Bytes of the file.
+    manifest_bytes : int
+        Bytes of the manifest.
+    root_end : int
+        First byte behind the root, in the file and in the manifest.
+
+    Raises
+    ------
+    FormatError, TruncatedError, UnsupportedError
+        As `file_preamble`; ``root-truncated``, ``root-crc``, and what breaks SPEC 4 and 5.
+    """
+
+    def __init__(self, manifest_head: bytes, name: str) -> None:
+        self.name = name
+        self.preamble = file_preamble(manifest_head, name)
+        stated = layout.unpack_preamble(self.preamble, name)
+        self.file_length = stated.file_length
+        self.root_end = layout.PREAMBLE_BYTES + stated.root_length
+        if len(manifest_head) < self.root_end:
+            raise TruncatedError(
+                "root-truncated",
+                f"{name}: {len(manifest_head)} bytes, expected a root up to byte {self.root_end}",
+                clause="3.4",
+                needed=self.root_end,
+            )
+        data = manifest_head[layout.PREAMBLE_BYTES : self.root_end]
+        if zlib.crc32(data) != stated.root_crc:
+            raise FormatError(
+                "root-crc",
+                f"{name}: the root's CRC does not match",
+                clause="3.4",
+                offset=layout.PREAMBLE_BYTES,
+            )
+        where = f"{name}: root"
+        self._root = cogs_root.parse_root(canonical_msgpack.unpack(data, where), where)
+        self._places = places(self.root_end, self._root)
+        self._starts = [place.start for place in self._places]
+        self._tables: dict[int, _Segments] = {
+            0: _Segments(self._root.segments, self._places[0].segments)
+        }
+
+    @property
+    def manifest_bytes(self) -> int:
+        """Bytes of the manifest: preamble, root and pages."""
+        return self.root_end + sum(page.length for page in self._root.pages)
+
+    def check_manifest_size(self, size: int) -> None:
+        """Refuse a manifest of another length than its root states.
+
+        Raises
+        ------
+        TruncatedError
+            ``file-truncated``.
+        FormatError
+            ``file-trailing``.
+        """
+        if size < self.manifest_bytes:
+            raise TruncatedError(
+                "file-truncated",
+                f"{self.name}: {size} bytes, expected {self.manifest_bytes}",
+                clause="3.4",
+                offset=size,
+                needed=self.manifest_bytes,
+            )
+        if size > self.manifest_bytes:
+            raise FormatError(
+                "file-trailing",
+                f"{self.name}: {size} bytes, expected {self.manifest_bytes}",
+                clause="3.4",
+                offset=self.manifest_bytes,
+            )
+
+    def pages_for(self, offset: int, length: int) -> list[PageRange]:
+        """Return the pages that `pieces` needs for a range of the file and does not know yet."""
+        return [
+            PageRange(number - 1, self._page_offset(number - 1), place.segments - place.start)
+            for number, place in self._within(offset, length)
+            if number not in self._tables and place.segments < offset + length
+        ]
+
+    def add_page(self, page: int, data: bytes) -> None:
+        """Take the bytes of an index page.
+
+        Raises
+        ------
+        FormatError, UnsupportedError
+            ``page-crc``, ``page-entry``, and what breaks SPEC 5.
+        """
+        where = f"{self.name}: index page {page}"
+        entry = self._root.pages[page]
+        if zlib.crc32(data) != entry.crc:
+            raise FormatError(
+                "page-crc",
+                f"{where}: its CRC does not match",
+                clause="5.6",
+                offset=self._page_offset(page),
+            )
+        table, _ = cogs_root.parse_page(canonical_msgpack.unpack(data, where), entry, where)
+        self._tables[page + 1] = _Segments(table, self._places[page + 1].segments)
+
+    def pieces(self, offset: int, length: int) -> list[Piece]:
+        """Return where the bytes of a range of the file lie, in order.
+
+        The first 64 bytes of the file are `preamble`, not what the manifest begins with.
+
+        Parameters
+        ----------
+        offset, length : int
+            Within the file. The pages that `pages_for` returns for it have been added.
+
+        Returns
+        -------
+        list of Piece
+            Their lengths sum to `length`.
+
+        Raises
+        ------
+        FormatError
+            ``segments-length``: the segments end before the file does.
+        """
+        found: list[Piece] = []
+        end = offset + length
+        if end > self._places[-1].end:
+            raise FormatError(
+                "segments-length",
+                f"{self.name}: index and segments end at byte {self._places[-1].end}, the file "
+                f"at {self.file_length}",
+                clause="5.1",
+            )
+        for number, place in self._within(offset, length):
+            first, last = max(offset, place.start), min(end, place.segments)
+            if first < last:
+                at = first - place.start + (self._page_offset(number - 1) if number else 0)
+                found.append(Piece("", at, last - first, self.manifest_bytes))
+            first, last = max(offset, place.segments), min(end, place.end)
+            if first < last:
+                found += self._tables[number].pieces(first, last)
+        return found
+
+    def _page_offset(self, page: int) -> int:
+        """Return where a page begins in the manifest."""
+        return self.root_end + sum(entry.length for entry in self._root.pages[:page])
+
+    def _within(self, offset: int, length: int) -> list[tuple[int, IndexPlace]]:
+        """Return the indexes that have bytes in a range, themselves or their segments."""
+        first = max(0, bisect_right(self._starts, offset) - 1)
+        end = offset + length
+        return [
+            (number, place)
+            for number, place in enumerate(self._places[first:], start=first)
+            if place.start < end and place.end > offset
+        ]
+
+
+class _Segments:
+    """The segments of one index, by their places in the file."""
+
+    def __init__(self, table: SegmentTable, start: int) -> None:
+        self._hashes = table.hash
+        self._lengths: NDArray[np.int64] = table.length.astype(np.int64)
+        self._ends: NDArray[np.int64] = start + np.cumsum(self._lengths)
+
+    def pieces(self, first: int, last: int) -> list[Piece]:
+        """Return the parts of segments between two bytes of the file."""
+        found = []
+        row = int(np.searchsorted(self._ends, first, side="right"))
+        while first < last:
+            size, end = int(self._lengths[row]), int(self._ends[row])
+            stop = min(end, last)
+            name = segment_name(self._hashes[row].tobytes())
+            found.append(Piece(name, first - (end - size), stop - first, size))
+            first, row = stop, row + 1
+        return found

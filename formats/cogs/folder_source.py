@@ -1,0 +1,204 @@
+"""A folder of a manifest and segments on disk, read as the file that it stands for (SPEC 3.4)."""
+
+from __future__ import annotations
+
+import os
+import stat
+import threading
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+from cogsplat.codec.errors import FormatError, TruncatedError
+from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.source import FileSource
+
+from . import layout
+from .folder_map import (
+    MANIFEST_NAME,
+    SEGMENT_FOLDER,
+    FolderMap,
+    Piece,
+    is_manifest,
+)
+
+# Not there on Windows, where links need rights that few have.
+_NO_LINKS: Final = getattr(os, "O_NOFOLLOW", 0)
+
+
+def _open_no_link(path: str, flags: int) -> int:
+    return os.open(path, flags | _NO_LINKS)
+
+
+def manifest_path(path: StrPath) -> Path:
+    """Return the manifest that a path names: itself, or the one in a folder."""
+    given = Path(path)
+    return given / MANIFEST_NAME if given.is_dir() else given
+
+
+def names_folder(path: StrPath) -> bool:
+    """Tell whether a path is a folder, or a file that begins as a manifest.
+
+    Raises
+    ------
+    StorageError
+        ``not-found``, ``not-a-file``, ``permission`` or ``io``.
+    """
+    if Path(path).is_dir():
+        return True
+    with open_for_read(path) as file, storage_errors(path):
+        return is_manifest(file.read(layout.PREAMBLE_BYTES))
+
+
+class FolderSource:
+    """A source whose bytes are those of the file that a folder stands for.
+
+    Parameters
+    ----------
+    path : path
+        The folder, of which `folder_map.MANIFEST_NAME` is read, or a manifest in it.
+
+    Attributes
+    ----------
+    size : int
+        Bytes of that file, whether or not all of its segments are there.
+
+    Raises
+    ------
+    StorageError
+        ``not-found``, ``not-a-file``, ``permission`` or ``io``.
+    FormatError, TruncatedError, UnsupportedError
+        The manifest breaks SPEC 3.4, or its root SPEC 4 and 5.
+
+    Notes
+    -----
+    Safe to read from several threads. An object is opened for each read, links are not followed.
+    """
+
+    def __init__(self, path: StrPath) -> None:
+        manifest = manifest_path(path)
+        self.name = str(path)
+        self._folder = manifest.parent
+        self._manifest = FileSource(manifest)
+        try:
+            head = self._manifest.read(0, min(layout.MAX_ROOT_END, self._manifest.size))
+            self._map = FolderMap(head, self._manifest.name)
+            self._map.check_manifest_size(self._manifest.size)
+        except BaseException:
+            self._manifest.close()
+            raise
+        self._lock = threading.Lock()
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file that the folder stands for."""
+        return self._map.file_length
+
+    @property
+    def opening_bytes(self) -> int:
+        """Bytes of preamble and root, which no segment is needed for."""
+        return self._map.root_end
+
+    @property
+    def stored_bytes(self) -> int:
+        """Bytes of the manifest and of all objects beside it, at most the size of the file."""
+        return min(self.size, self._map.manifest_bytes + sum(self._objects.values()))
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return exactly `length` bytes from `offset` of the file.
+
+        Raises
+        ------
+        TruncatedError
+            ``file-truncated``: the file ends before; ``segment-missing``: an object is not there.
+        FormatError
+            ``segment-object``: an object has another length than its segment, or is no file;
+            ``page-crc`` and what else breaks SPEC 5 in a page.
+        StorageError
+            ``permission`` or ``io``.
+        """
+        if offset < 0 or length < 0:
+            raise ValueError(f"offset {offset} and length {length}, expected none negative")
+        if offset + length > self.size:
+            raise TruncatedError(
+                "file-truncated",
+                f"{self.name}: {self.size} bytes, expected {offset + length} for the {length} "
+                f"bytes at byte {offset}",
+                offset=offset,
+                needed=offset + length,
+            )
+        parts = [self._bytes_of(piece) for piece in self._pieces(offset, length)]
+        return parts[0] if len(parts) == 1 else b"".join(parts)
+
+    def holds(self, offset: int, length: int) -> bool:
+        """Whether the objects of a range were there when this was first asked."""
+        return all(
+            not piece.name or piece.name in self._objects for piece in self._pieces(offset, length)
+        )
+
+    def close(self) -> None:
+        """Close the manifest."""
+        self._manifest.close()
+
+    @cached_property
+    def _objects(self) -> dict[str, int]:
+        """Bytes of all objects when they were first looked at, by name; 0 of what is no file."""
+        folder = self._folder / SEGMENT_FOLDER
+        if not folder.is_dir():
+            return {}
+        with storage_errors(folder), os.scandir(folder) as entries:
+            return {
+                f"{SEGMENT_FOLDER}/{entry.name}": entry.stat(follow_symlinks=False).st_size
+                if entry.is_file(follow_symlinks=False)
+                else 0
+                for entry in entries
+            }
+
+    def _pieces(self, offset: int, length: int) -> list[Piece]:
+        with self._lock:
+            for page in self._map.pages_for(offset, length):
+                self._map.add_page(page.page, self._manifest.read(page.offset, page.length))
+            return self._map.pieces(offset, length)
+
+    def _bytes_of(self, piece: Piece) -> bytes:
+        if piece.name:
+            return self._object_bytes(piece)
+        data = self._manifest.read(piece.offset, piece.length)
+        if piece.offset < layout.PREAMBLE_BYTES:
+            # The file's own preamble stands in the place of the manifest's.
+            own = self._map.preamble[piece.offset : piece.offset + piece.length]
+            data = own + data[len(own) :]
+        return data
+
+    def _object_bytes(self, piece: Piece) -> bytes:
+        path = self._folder / piece.name
+        if path.parent.is_symlink():
+            raise self._refused(piece, "is behind a link")
+        with storage_errors(path):
+            try:
+                status = path.lstat()
+            except (FileNotFoundError, NotADirectoryError):
+                raise TruncatedError(
+                    "segment-missing",
+                    f"{self.name}: {piece.name} is not there, expected a segment of "
+                    f"{piece.object_bytes} bytes",
+                    clause="3.4",
+                ) from None
+            # Asked before opening, because opening a pipe waits for its other end.
+            if not stat.S_ISREG(status.st_mode):
+                raise self._refused(piece, "is a link, a folder or a device")
+            if status.st_size != piece.object_bytes:
+                raise self._refused(piece, f"has {status.st_size} bytes")
+            with open(path, "rb", opener=_open_no_link) as file:
+                file.seek(piece.offset)
+                data = file.read(piece.length)
+        if len(data) != piece.length:
+            raise self._refused(piece, "became shorter while it was read")
+        return data
+
+    def _refused(self, piece: Piece, what: str) -> FormatError:
+        return FormatError(
+            "segment-object",
+            f"{self.name}: {piece.name} {what}, expected a file of {piece.object_bytes} bytes",
+            clause="3.4",
+        )

@@ -1,0 +1,44 @@
+"""Segments that a source lacks within its size, as a folder may lack objects (SPEC 3.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cogsplat.codec.errors import TruncatedError
+from cogsplat.formats.storage.source import Source, is_there
+
+from .folder_map import segment_name
+from .index import Index
+
+
+def gap_bytes(source: Source, index: Index) -> int:
+    """Return the bytes of the segments that a source lacks within its size; 0 for a file."""
+    return sum(int(index.segments.length[row]) for row in _gaps(source, index))
+
+
+def require_all(source: Source, index: Index) -> None:
+    """Refuse a source that lacks segments within its size.
+
+    Raises
+    ------
+    TruncatedError
+        ``segment-missing``.
+    """
+    missing = list(_gaps(source, index))
+    if missing:
+        first = segment_name(index.segments.hash[missing[0]].tobytes())
+        raise TruncatedError(
+            "segment-missing",
+            f"{source.name}: {len(missing)} of {len(index.segments)} segments are not there, "
+            f"expected all; the first is {first}",
+            clause="3.4",
+        )
+
+
+def _gaps(source: Source, index: Index) -> Iterator[int]:
+    if not hasattr(source, "holds"):
+        return
+    ends = zip(index.offsets.tolist(), index.segments.length.tolist(), strict=True)
+    for row, (offset, length) in enumerate(ends):
+        if offset + length <= source.size and not is_there(source, offset, length):
+            yield row

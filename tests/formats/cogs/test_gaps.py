@@ -1,0 +1,34 @@
+"""Segments that a source lacks within its size."""
+
+import pytest
+from cogs_samples import file_of
+
+from cogsplat.codec.errors import TruncatedError
+from cogsplat.formats.cogs.gaps import gap_bytes, require_all
+from cogsplat.formats.cogs.index import read_index
+from cogsplat.formats.storage.source import BytesSource
+
+
+class Holed(BytesSource):
+    """A source that says it lacks what begins at some bytes."""
+
+    def __init__(self, data: bytes, holes: set[int]) -> None:
+        super().__init__(data)
+        self._holes = holes
+
+    def holds(self, offset: int, length: int) -> bool:
+        return offset not in self._holes
+
+
+def test_gaps_are_counted_and_refused_by_name() -> None:
+    data = file_of("vq")
+    plain = BytesSource(data)
+    index = read_index(plain, partial=False)
+    assert gap_bytes(plain, index) == 0
+    require_all(plain, index)
+    source = Holed(data, {int(index.offsets[2]), int(index.offsets[5])})
+    assert gap_bytes(source, index) == index.segments.length[[2, 5]].sum()
+    with pytest.raises(TruncatedError, match=f"2 of {len(index.segments)}") as refused:
+        require_all(source, index)
+    assert index.segments.hash[2].tobytes().hex() in refused.value.message
+    assert refused.value.code == "segment-missing"

@@ -1,0 +1,73 @@
+"""``cogsplat unpack`` and ``cogsplat pack``, and other commands on folders."""
+
+import json
+from pathlib import Path
+
+import pytest
+from running import Run, SmallScene
+
+
+@pytest.fixture
+def folder(run: Run, small: SmallScene, tmp_path: Path) -> Path:
+    assert run("unpack", small.cogs, tmp_path / "scene").code == 0
+    return tmp_path / "scene"
+
+
+def test_a_file_goes_and_comes_back(
+    run: Run, small: SmallScene, folder: Path, tmp_path: Path
+) -> None:
+    again = run("unpack", small.cogs, folder, "--name", "second.cogsm", "--json").json
+    count = len(list((folder / "segments").iterdir()))
+    assert (again["segments_written"], again["segments_shared"]) == (0, again["segments"])
+    assert again["bytes"] == (folder / "second.cogsm").stat().st_size
+    assert again["segments"] >= count
+    packed = run("pack", folder, tmp_path / "back.cogs", "--json").json
+    assert packed["bytes"] == small.cogs.stat().st_size
+    assert (tmp_path / "back.cogs").read_bytes() == small.cogs.read_bytes()
+    assert "there already" in run("unpack", small.cogs, folder, "--force").out
+
+
+def test_other_commands_read_folders(
+    run: Run, small: SmallScene, folder: Path, tmp_path: Path
+) -> None:
+    out = [tmp_path / "a.ply", tmp_path / "b.ply"]
+    assert run("decode", small.cogs, out[0]).code == 0
+    assert run("decode", folder, out[1]).code == 0
+    assert out[0].read_bytes() == out[1].read_bytes()
+    told = run("info", folder, "--json").json
+    assert told["bytes"] == small.cogs.stat().st_size
+    assert run("validate", folder / "manifest.cogsm").code == 0
+    assert run("stats", folder).code == 0
+    assert run("convert", folder, tmp_path / "c.spz").code == 0
+    page = run("export-html", folder, tmp_path / "page", "--json").json
+    assert page["encoded"] is False
+
+
+def test_faults_of_folders_are_findings(run: Run, folder: Path) -> None:
+    largest = max((folder / "segments").iterdir(), key=lambda path: path.stat().st_size)
+    content = largest.read_bytes()
+    largest.unlink()
+    refused = run("info", folder)
+    assert refused.code == 3
+    assert refused.err.splitlines()[-2].endswith("[segment-missing]")
+    assert refused.err.splitlines()[-1].startswith("--partial takes")
+    assert run("info", folder, "--partial").code == 0
+    largest.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    found = run("validate", folder, "--json")
+    assert found.code == 3
+    assert [x["code"] for x in json.loads(found.out)["findings"]] == ["segment-crc"]
+    manifest = folder / "manifest.cogsm"
+    manifest.write_bytes(manifest.read_bytes()[:-1])
+    found = run("validate", folder, "--json")
+    assert found.code == 3
+    assert [x["code"] for x in json.loads(found.out)["findings"]] == ["root-truncated"]
+
+
+def test_misuse_is_told(run: Run, small: SmallScene, folder: Path, tmp_path: Path) -> None:
+    assert run("unpack", small.cogs, folder).code == 2
+    refused = run("unpack", small.cogs, folder, "--name", "../out.cogsm")
+    assert refused.code == 2
+    assert "expected a file name" in refused.err
+    assert run("pack", folder, small.cogs).code == 2
+    assert run("pack", folder, folder / "manifest.cogsm", "--force").code == 2
+    assert run("pack", tmp_path / "nothing", tmp_path / "out.cogs").code == 4
