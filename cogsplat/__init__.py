@@ -31,8 +31,9 @@ from .codec.errors import (
 from .codec.executor import Executor
 from .codec.progress import Progress, TimedProgress, WholeProgress, silent
 from .codec.splats import SceneInfo, Splats
-from .formats.cogs.reader import CogsFile, open_cogs
-from .formats.cogs.sources import cogs_source
+from .formats.cogs.opening import open_place, with_place
+from .formats.cogs.reader import CogsFile
+from .formats.network.options import NetworkOptions
 from .formats.storage.limits import Limits
 from .formats.storage.source import Readable
 
@@ -55,6 +56,7 @@ __all__ = [
     "FormatError",
     "LimitError",
     "Limits",
+    "NetworkOptions",
     "SceneInfo",
     "Splats",
     "StorageError",
@@ -97,26 +99,31 @@ def open(
     partial: bool = False,
     size_bytes: int | None = None,
     limits: Limits | None = None,
+    network: NetworkOptions | None = None,
 ) -> CogsFile:
     """Open a COGS file without decoding it.
 
     Parameters
     ----------
-    path : path, bytes, binary file object or Source
-        A local file or folder (SPEC 3.4), a file in memory, an open file that can seek, or anything
-        with `name`, `size`, `read(offset, length)` and `close`.
+    path : path, URL, bytes, binary file object or Source
+        A local file or folder (SPEC 3.4), a file on a web server as the text of its URL
+        (``https://``, with the extra ``http``), a file in memory, an open file that can seek, or
+        anything with `name`, `size`, `read(offset, length)` and `close`.
     partial : bool
         Accept a file that is still being received, or a folder that lacks segments.
     size_bytes : int, optional
         Take the file as if its transfer had stopped after so many bytes.
     limits : Limits, optional
         What may be allocated for it.
+    network : NetworkOptions, optional
+        How a URL is read: headers, retries, waiting.
 
     Returns
     -------
     CogsFile
         A context manager: `CogsFile.root` and `CogsFile.chunks` are its tables,
-        `CogsFile.select` chooses chunks, `CogsFile.decode` decodes them. As the last value of a
+        `CogsFile.select` chooses chunks, `CogsFile.decode` decodes them, `CogsFile.stream` gives
+        them as their bytes come. As the last value of a
         notebook's cell it is shown as a viewer, with the extra ``notebook``.
 
     Raises
@@ -135,12 +142,7 @@ def open(
     True
     """
     _show_in_notebooks()
-    source = cogs_source(path)
-    try:
-        return open_cogs(source, partial=partial, size_bytes=size_bytes, limits=limits)
-    except BaseException:
-        source.close()
-        raise
+    return open_place(path, partial=partial, size_bytes=size_bytes, limits=limits, network=network)
 
 
 def _show_in_notebooks() -> None:
@@ -173,6 +175,7 @@ def decode(
     refine: bool = True,
     compensate: bool = False,
     limits: Limits | None = None,
+    network: NetworkOptions | None = None,
     threads: int = 0,
     progress: Progress = silent,
 ) -> Splats:
@@ -180,7 +183,7 @@ def decode(
 
     Parameters
     ----------
-    path : path, bytes, binary file object or Source
+    path : path, URL, bytes, binary file object or Source
         As in `open`.
     chunks : tuple of (int or None, int or None), optional
         Half-open range of chunks; None leaves an end open.
@@ -198,6 +201,8 @@ def decode(
         Whether to change the splats of the first chunks so that they look most like the whole
         scene (SPEC 8.5): larger and more opaque. Otherwise rows are as stored.
     limits : Limits, optional
+    network : NetworkOptions, optional
+        How a URL is read. A file that changes while it is read is read once more.
     threads : int
         0 uses as many as pay.
     progress : Progress
@@ -228,7 +233,8 @@ def decode(
         raise ValueError("more than one of chunks, splats and size_bytes")
     if threads < 0:
         raise ValueError(f"threads {threads}, expected 0 or more")
-    with open(path, size_bytes=size_bytes, limits=limits) as file:
+
+    def whole(file: CogsFile) -> Splats:
         return file.decode(
             file.select(chunks=chunks, objects=objects, splats=splats),
             sh_degree=sh_degree,
@@ -237,6 +243,8 @@ def decode(
             threads=threads,
             progress=progress,
         )
+
+    return with_place(whole, path, size_bytes=size_bytes, limits=limits, network=network)
 
 
 def encode(

@@ -11,15 +11,18 @@ import re
 import shlex
 import sys
 import tomllib
+from collections.abc import AsyncIterator
 from pathlib import Path
 from types import ModuleType
 
+import httpx
 import pytest
 from click.testing import CliRunner
 
 import cogsplat
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.formats.cameras.inria import write_cameras_json
+from cogsplat.formats.network.http_transport import HttpTransport
 from cogsplat.tools import check, make_vectors
 from cogsplat.tools.cli import demonstration
 from cogsplat.tools.cli.main import cli
@@ -34,6 +37,27 @@ TRANSCRIPT = ("", "text")  # Pictures and dumps: nothing that could run.
 SMALL = {"synth": ("--splats", "3000"), "demo": ("--splats", "2000")}
 # What belongs to the large scene in a command, and what stands for it with the small one.
 REPLACED = {"500KiB": "60KiB", "10000": "1500"}
+
+
+@pytest.fixture(autouse=True)
+def web(small_scene: dict[str, bytes], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Answer requests for any URL with the small scene, from no network."""
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        data = small_scene["scene.cogs"]
+        first, last = request.headers["Range"].removeprefix("bytes=").split("-")
+        part = data[int(first) : int(last) + 1]
+        span = f"bytes {first}-{int(first) + len(part) - 1}/{len(data)}"
+
+        async def body() -> AsyncIterator[bytes]:
+            yield part
+
+        return httpx.Response(206, headers={"Content-Range": span}, content=body())
+
+    def new_client(transport: HttpTransport) -> httpx.AsyncClient:
+        return httpx.AsyncClient(transport=httpx.MockTransport(answer))
+
+    monkeypatch.setattr(HttpTransport, "_new_client", new_client)
 
 
 @pytest.fixture

@@ -286,11 +286,19 @@ DOORS: dict[str, dict[str, str]] = {
         "folder_source": "FolderSource names_folder",
         "folder_writer": "check_manifest_name pack_cogs unpack_cogs",
         "layout": "MAGIC MAJOR MINOR PREAMBLE_BYTES SKIPPABLE_KIND SegmentKind unpack_preamble",
+        "opening": "open_place source_of_place with_place",
         "reader": "CogsFile open_cogs",
         "scene": "save size_bytes",
         "sources": "cogs_source",
         "verification": "Finding finding_of findings",
         "writer": "Segment",
+    },
+    "formats.network": {
+        "download": "download",
+        "opening": "open_url",
+        "options": "NetworkOptions",
+        "traffic": "Traffic",
+        "urls": "is_url shown",
     },
     "formats.scenes": {
         "compressed_ply": "CHUNK_SPLATS read_compressed_ply write_compressed_ply",
@@ -321,7 +329,8 @@ DOORS: dict[str, dict[str, str]] = {
         "scratch_files": "ScratchFiles",
         "siblings": "sibling",
         "source": (
-            "FileSource PrefixSource Readable Source is_there opening_bytes source_of stored_bytes"
+            "Cancel FileSource PrefixSource Readable RemoteSource Source is_there opening_bytes "
+            "prefetching source_of stored_bytes"
         ),
         "strict_json": "JsonObject parse_object",
         "torch_file": "CODE TorchTensor open_torch read_state_dict",
@@ -428,6 +437,8 @@ TESTED_IN = {
     "formats/cogs/cameras.py": "cogs/test_extras.py",
     "formats/cogs/index.py": "cogs/test_reader.py",
     "formats/cogs/msgpack_map.py": "cogs/test_root.py",
+    "formats/cogs/stored_file.py": "cogs/test_reader.py",
+    "formats/network/range_reader.py": "network/test_range_source.py",
     "formats/scenes/gltf/file.py": "scenes/gltf/test_scene.py",
     "formats/scenes/ply/foreign_layouts.py": "scenes/ply/test_scene.py",
     "formats/scenes/ply/header.py": "scenes/ply/test_scene.py",

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from types import TracebackType
-from typing import Final
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.errors import FormatError, LimitError, TruncatedError
+from cogsplat.codec.errors import LimitError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.segments import codebooks, heads, tails
 from cogsplat.codec.segments.attributes import unpack_attributes
@@ -23,14 +21,24 @@ from cogsplat.codec.streams.limits import MAX_PLANE_BYTES
 from cogsplat.codec.streams.shn_transform import MAX_BASIS_ROWS
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.formats.storage.source import PrefixSource, Source, is_there, stored_bytes
+from cogsplat.formats.storage.source import (
+    Cancel,
+    PrefixSource,
+    RemoteSource,
+    Source,
+    stored_bytes,
+)
 
 from . import cameras as cogs_cameras
 from . import compensation as cogs_compensation
 from .decoded_rows import allocate, row_bytes
-from .gaps import gap_bytes, require_all
-from .index import I64, Index, codebook_kinds, read_index
-from .layout import SegmentKind
+from .fetch_order import ranges_to_decode
+from .gaps import require_all
+from .index import Index, read_index
+from .stored_file import StoredFile
+
+if TYPE_CHECKING:
+    from .chunk_stream import ChunkStream
 
 # Working memory of one chunk while it is decoded, for each of its rows (measured: 30 to 130 bytes,
 # planes, codes and copies of one attribute at a time).
@@ -44,9 +52,6 @@ _FIRST_COORDINATES: Final = 26
 # Of one splat while compensation is applied: shifts of two layers and the codes' entries.
 _COMPENSATION_ROW_BYTES: Final = 96
 
-# Labels that a message lists.
-_MOST_NAMED: Final = 12
-
 PART_SPLATS: Final = 1 << 18
 """Splats that are decoded together where a file is decoded in parts: enough for threads to pay."""
 
@@ -58,24 +63,7 @@ _WORTH_THREADS: Final = 50_000
 _MOST_WORKERS: Final = 4
 
 
-@dataclass(frozen=True)
-class ChunkRows:
-    """Rows of the segment table that belong to one chunk.
-
-    Parameters
-    ----------
-    head : int
-    refinement, tail, attributes : int or None
-        None where the chunk has none.
-    """
-
-    head: int
-    refinement: int | None
-    tail: int | None
-    attributes: int | None
-
-
-class CogsFile:
+class CogsFile(StoredFile):
     """An open file: its root, its tables, and its chunks on demand.
 
     Use `open_cogs`. A context manager; safe to decode from several threads.
@@ -94,97 +82,10 @@ class CogsFile:
     """
 
     def __init__(self, source: Source, index: Index, limits: Limits) -> None:
-        self._source = source
-        self._index = index
+        super().__init__(source, index)
         self._limits = limits
         self._allowed = limits.allowed(stored_bytes(source))
-        self.root = index.root
-        self.file_length = index.file_length
-        self.missing_bytes = max(0, index.file_length - source.size) + gap_bytes(source, index)
-        self.segments = index.segments
-        self.chunks = index.chunks
-        self.offsets = index.offsets
         self._codebooks: dict[tuple[int, int], Codebook] = {}
-
-    def __enter__(self) -> CogsFile:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the source."""
-        self._source.close()
-
-    @property
-    def name(self) -> str:
-        """Names the file in messages."""
-        return self._source.name
-
-    @property
-    def num_chunks(self) -> int:
-        """Chunks the tables list; a partial file may lack the last pages' chunks."""
-        return len(self.chunks)
-
-    @property
-    def source_bytes(self) -> int:
-        """Bytes of the file that the source holds; a partial one lacks some."""
-        return self.file_length - self.missing_bytes
-
-    def read_bytes(self, offset: int, length: int) -> bytes:
-        """Return bytes of the file as they are stored; fewer where it ends or has not arrived.
-
-        Raises
-        ------
-        StorageError
-            They cannot be read.
-        ValueError
-            A negative offset or length.
-        """
-        if offset < 0 or length < 0:
-            raise ValueError(f"{length} bytes from byte {offset}, expected no negative number")
-        return self._source.read(offset, max(0, min(length, self._source.size - offset)))
-
-    @property
-    def page_bytes(self) -> int:
-        """Bytes of all index pages."""
-        return sum(page.length for page in self.root.pages)
-
-    def complete_chunks(self) -> int:
-        """Return how many chunks, counted from the first, have heads that can be decoded."""
-        for chunk in range(self.num_chunks):
-            if not self._complete(int(self._index.heads[chunk]), 0):
-                return chunk
-        return self.num_chunks
-
-    def is_present(self, row: int) -> bool:
-        """Whether a segment, by its row in the segment table, has arrived whole."""
-        return is_there(self._source, int(self.offsets[row]), int(self.segments.length[row]))
-
-    def has_tail(self, chunk: int, sh_degree: int = MAX_SH_DEGREE) -> bool:
-        """Whether a chunk's shN can be decoded up to an SH degree, or there is none to decode."""
-        row = int(self._index.tails[chunk])
-        return row < 0 or self._complete(row, min(sh_degree, self.root.sh_degree))
-
-    def has_refinement(self, chunk: int) -> bool:
-        """Whether a chunk's values can be decoded as fine as the whole file has them."""
-        row = int(self._index.refinements[chunk])
-        return row < 0 or self.is_present(row)
-
-    def has_extras(self, chunk: int) -> bool:
-        """Whether the extra attributes of a chunk's splats can be decoded."""
-        row = int(self._index.attributes[chunk])
-        return row >= 0 and self.is_present(row)
-
-    @property
-    def camera_row(self) -> int | None:
-        """Row of the segment of cameras, None where the file has none."""
-        return self._index.cameras if self._index.cameras >= 0 else None
 
     def cameras(self) -> list[Camera]:
         """Return the cameras stored in the file; an empty list where there are none.
@@ -237,89 +138,6 @@ class CogsFile:
         rest = self.root.splats - int(counts.sum())
         whole = np.concatenate([counts, [rest]]) if rest else counts
         return Compensation(tuple(layers), whole.astype(np.int64))
-
-    def select(
-        self,
-        *,
-        chunks: tuple[int | None, int | None] | None = None,
-        objects: Iterable[int] | None = None,
-        splats: int | None = None,
-    ) -> list[int]:
-        """Return the numbers of the chunks that make up a part of the scene, in file order.
-
-        Conditions that are given together all hold; `splats` counts what the others leave.
-
-        Parameters
-        ----------
-        chunks : tuple of (int or None, int or None), optional
-            Half-open range of chunks; None leaves an end open. By default all chunks that are
-            complete.
-        objects : iterable of int, optional
-            Labels of objects: only chunks that hold one of them.
-        splats : int, optional
-            Whole chunks from the first until they hold at least so many splats.
-
-        Returns
-        -------
-        list of int
-            As `decode` takes them.
-
-        Raises
-        ------
-        ValueError
-            A range that does not lie within the file's chunks, a label that no chunk has, or a
-            negative number of splats.
-        """
-        selected = list(range(self.complete_chunks()))
-        if chunks is not None:
-            first = 0 if chunks[0] is None else chunks[0]
-            last = self.num_chunks if chunks[1] is None else chunks[1]
-            if not 0 <= first <= last <= self.num_chunks:
-                raise ValueError(
-                    f"chunks {first}:{last}, expected a range within 0:{self.num_chunks}"
-                )
-            selected = list(range(first, last))
-        if objects is not None:
-            own = self._chunks_of(set(objects))
-            selected = [chunk for chunk in selected if chunk in own]
-        if splats is not None:
-            if splats < 0:
-                raise ValueError(f"splats {splats}, expected 0 or more")
-            ends = np.cumsum(self.chunks.splats[selected].astype(np.int64))
-            selected = selected[: int(np.searchsorted(ends, splats)) + 1] if splats else []
-        return selected
-
-    def _chunks_of(self, objects: set[int]) -> set[int]:
-        labels = self.chunks.object.tolist()
-        there = sorted(set(labels))
-        for label in sorted(objects):
-            if label not in there:
-                some = ", ".join(map(str, there[:_MOST_NAMED])) + " …" * (len(there) > _MOST_NAMED)
-                raise ValueError(f"object {label}, expected some of {some}")
-        return {chunk for chunk, label in enumerate(labels) if label in objects}
-
-    def read_segment(self, row: int) -> memoryview:
-        """Return a segment's bytes, its CRC checked.
-
-        Raises
-        ------
-        TruncatedError
-            ``file-truncated``: a partial source does not hold it.
-        FormatError
-            ``segment-crc``.
-        """
-        offset = int(self.offsets[row])
-        length = int(self.segments.length[row])
-        data = self._source.read(offset, length)
-        if zlib.crc32(data) != int(self.segments.crc[row]):
-            raise FormatError(
-                "segment-crc",
-                f"{self.name}: segment {row} at byte {offset}, {length} bytes: "
-                "its CRC does not match the table's",
-                clause="5.3",
-                offset=offset,
-            )
-        return memoryview(data)
 
     def decode(
         self,
@@ -399,25 +217,26 @@ class CogsFile:
         # Before codebooks are read, so that a file that is too large is refused at once.
         self._limits.require_splats(sum(counts), self.name)
         self._check_size(size, f"{sum(counts)} splats")
-        # Codebooks first, on this thread, so that the workers only read them.
-        for chunk in wanted:
-            self._load_codebooks(chunk, degree)
-        self._check_size(size, f"{sum(counts)} splats")
-        out = allocate(sum(counts), degree, self.root, kinds)
-        stops = np.cumsum(counts).tolist()
-        tasks = [
-            (chunk, out.take(slice(stop - count, stop)))
-            for chunk, count, stop in zip(wanted, counts, stops, strict=True)
-        ]
+        with self._fetching(wanted, degree, refine=refine, extras=bool(kinds)):
+            # Codebooks first, on this thread, so that the workers only read them.
+            for chunk in wanted:
+                self._load_codebooks(chunk, degree)
+            self._check_size(size, f"{sum(counts)} splats")
+            out = allocate(sum(counts), degree, self.root, kinds)
+            stops = np.cumsum(counts).tolist()
+            tasks = [
+                (chunk, out.take(slice(stop - count, stop)))
+                for chunk, count, stop in zip(wanted, counts, stops, strict=True)
+            ]
 
-        def decode_one(task: tuple[int, Splats]) -> None:
-            self._decode_chunk(*task, refine=refine)
+            def decode_one(task: tuple[int, Splats]) -> None:
+                self._decode_chunk(*task, refine=refine)
 
-        # More workers take the working memory of a chunk each: as many as the limit has room for.
-        room = 1 + (self._allowed - size) // max(scratch, 1)
-        workers = min(thread_count(threads or _workers(sum(counts))), room, len(tasks) or 1)
-        for done, _ in enumerate(ordered_map(decode_one, tasks, workers), start=1):
-            progress("decode", done, len(tasks))
+            # More workers take the working memory of a chunk each: as many as the limit allows.
+            room = 1 + (self._allowed - size) // max(scratch, 1)
+            workers = min(thread_count(threads or _workers(sum(counts))), room, len(tasks) or 1)
+            for done, _ in enumerate(ordered_map(decode_one, tasks, workers), start=1):
+                progress("decode", done, len(tasks))
         return self.compensation().apply(out, len(wanted)) if compensate else out
 
     def decode_parts(
@@ -459,14 +278,64 @@ class CogsFile:
         self._check_size(sum(counts) * row_bytes(degree, kinds), f"{sum(counts)} splats")
         compiled.prepare(sum(counts))
         first = 0
-        while first < len(wanted):
-            stop, rows = first + 1, counts[first]
-            while stop < len(wanted) and rows + counts[stop] <= most_splats:
-                rows += counts[stop]
-                stop += 1
-            yield self._decode(wanted[first:stop], sh_degree, refine, extras, threads=threads)
-            progress("decode", stop, len(wanted))
-            first = stop
+        with self._fetching(wanted, degree, refine=refine, extras=bool(kinds)):
+            while first < len(wanted):
+                stop, rows = first + 1, counts[first]
+                while stop < len(wanted) and rows + counts[stop] <= most_splats:
+                    rows += counts[stop]
+                    stop += 1
+                yield self._decode(wanted[first:stop], sh_degree, refine, extras, threads=threads)
+                progress("decode", stop, len(wanted))
+                first = stop
+
+    def stream(
+        self,
+        *,
+        priority: Callable[[int], float] | None = None,
+        sh_degree: int | None = None,
+        refine: bool = True,
+    ) -> ChunkStream:
+        """Decode chunks as their bytes come, each at first as coarse as what is there of it.
+
+        Parameters
+        ----------
+        priority : callable, optional
+            Of the number of a chunk: chunks of larger values come first, those below 0 not at all.
+            By default segments come in the order of the file, which shows most for its bytes.
+        sh_degree : int, optional
+            Highest SH degree wanted.
+        refine : bool
+            Whether to read refinements.
+
+        Returns
+        -------
+        ChunkStream
+            An iterator, with ``for`` and with ``async for``, of `ChunkUpdate`; a context manager
+            that ends its requests.
+
+        Examples
+        --------
+        >>> import cogsplat
+        >>> with cogsplat.open("scene.cogs") as file, file.stream() as updates:
+        ...     whole = sum(len(update.splats) for update in updates if update.is_complete)
+        ...     whole == file.root.splats
+        True
+        """
+        # Imported late: a stream is made of what this class reads.
+        from .chunk_stream import ChunkStream
+
+        degree = MAX_SH_DEGREE if sh_degree is None else sh_degree
+        if not 0 <= degree <= MAX_SH_DEGREE:
+            raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
+        return ChunkStream(
+            self,
+            self._source,
+            self._index,
+            self._limits,
+            priority=priority,
+            sh_degree=min(degree, self.root.sh_degree),
+            refine=refine,
+        )
 
     def iter_chunks(self, *, sh_degree: int | None = None, refine: bool = True) -> Iterator[Splats]:
         """Decode the complete chunks one by one."""
@@ -512,62 +381,21 @@ class CogsFile:
         scratch = self._scratch_bytes(max(counts, default=0), self.root.sh_degree)
         self._check_size(sum(counts) * each + scratch, f"{sum(counts)} splats")
 
-    def rows_of(self, chunk: int) -> ChunkRows:
-        """Return where a chunk's segments stand in the segment table."""
-        index = self._index
-
-        def row(table: I64) -> int | None:
-            return int(table[chunk]) if table[chunk] >= 0 else None
-
-        return ChunkRows(
-            int(index.heads[chunk]),
-            row(index.refinements),
-            row(index.tails),
-            row(index.attributes),
+    def _fetching(
+        self, chunks: Sequence[int], degree: int, *, refine: bool, extras: bool
+    ) -> AbstractContextManager[Cancel]:
+        """Have what chunks take fetched ahead, in a few requests, as long as the block lasts."""
+        if not isinstance(self._source, RemoteSource):
+            return nullcontext(lambda: None)
+        return self._source.prefetch(
+            ranges_to_decode(self._index, chunks, sh_degree=degree, refine=refine, extras=extras)
         )
-
-    def segment_rows(self, kind: SegmentKind, owner: int) -> list[int]:
-        """Return the rows of the segments of a kind that belong to a chunk or codebook."""
-        mask = (self.segments.kind == kind) & (self.segments.owner == owner)
-        return [int(row) for row in np.flatnonzero(mask)]
 
     def _wanted(self, chunks: Iterable[int] | None) -> list[int]:
         wanted = list(range(self.complete_chunks()) if chunks is None else chunks)
         for chunk in wanted:
             self._require_chunk(chunk)
         return wanted
-
-    def _require_chunk(self, chunk: int) -> None:
-        if not 0 <= chunk < self._index.all_chunks:
-            raise ValueError(f"chunk {chunk}, expected 0 to {self._index.all_chunks - 1}")
-        if chunk >= self.num_chunks:
-            raise self._not_there(f"chunk {chunk}: the index page that lists it")
-
-    def _not_there(self, what: str) -> TruncatedError:
-        return TruncatedError(
-            "file-truncated",
-            f"{self.name}: {what} is behind the {self._source.size} bytes there are, "
-            f"expected {self.file_length}",
-            clause="3.3",
-            needed=self.file_length,
-        )
-
-    def _complete(self, row: int, degree: int) -> bool:
-        """Whether a segment and the codebooks it needs are there, up to an SH degree."""
-        return self.is_present(row) and all(
-            self._codebook_rows(book, degree) is not None for book in self._needed(row)
-        )
-
-    def _needed(self, row: int) -> list[int]:
-        needs = int(self.segments.needs[row])
-        return [book for book in range(len(self.root.codebooks)) if needs >> book & 1]
-
-    def _codebook_rows(self, book: int, degree: int) -> list[int] | None:
-        """Return the segments of a codebook up to an SH degree, None where one is not there."""
-        kinds = codebook_kinds(self.root.codebooks[book].attribute, degree)
-        found = self._index.codebooks[book]
-        rows = [found[kind] for kind in kinds if kind in found]
-        return rows if len(rows) == len(kinds) and all(map(self.is_present, rows)) else None
 
     def _check_size(self, size: int, what: str) -> None:
         """Refuse to allocate `size` bytes beside the codebooks that are there already."""

@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 import os
 import threading
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import BinaryIO, Protocol, cast
+from typing import BinaryIO, Protocol, cast, runtime_checkable
 
 from cogsplat.codec.errors import StorageError, TruncatedError
 
@@ -46,6 +48,48 @@ class Source(Protocol):
 
     def close(self) -> None:
         """Give back what the source holds; reading is over."""
+
+
+Cancel = Callable[[], None]
+"""Ends waiting for ranges that were to be fetched ahead."""
+
+
+@runtime_checkable
+class RemoteSource(Source, Protocol):
+    """A source of which a read takes long: it fetches ahead, and fetches anew what came damaged."""
+
+    def prefetch(self, ranges: Sequence[tuple[int, int]]) -> AbstractContextManager[Cancel]:
+        """Fetch ranges, in this order, as long as the block lasts.
+
+        Parameters
+        ----------
+        ranges : sequence of (int, int)
+            Offset and length, as they will be read.
+
+        Returns
+        -------
+        context manager of callable
+            Calling it, from any thread, ends all reads of the ranges with `Cancelled`.
+        """
+
+    def reread(self, offset: int, length: int) -> bytes:
+        """Return bytes that came damaged, fetched around caches; otherwise as `read`."""
+
+
+def prefetching(
+    source: Source, ranges: Sequence[tuple[int, int]]
+) -> AbstractContextManager[Cancel]:
+    """Have a source fetch ranges ahead as long as the block lasts, where that helps.
+
+    Parameters
+    ----------
+    source : Source
+    ranges : sequence of (int, int)
+        Offset and length, in the order in which they are wanted.
+    """
+    if isinstance(source, RemoteSource):
+        return source.prefetch(ranges)
+    return nullcontext(lambda: None)
 
 
 class BytesSource:
@@ -210,6 +254,22 @@ class PrefixSource:
     def stored_bytes(self) -> int:
         """Bytes that the source is kept in."""
         return min(self._size, stored_bytes(self._source))
+
+    def prefetch(self, ranges: Sequence[tuple[int, int]]) -> AbstractContextManager[Cancel]:
+        """Have the source behind fetch ranges ahead; see `RemoteSource.prefetch`."""
+        return prefetching(self._source, [x for x in ranges if x[0] + x[1] <= self._size])
+
+    def reread(self, offset: int, length: int) -> bytes:
+        """Have the source behind fetch bytes anew, where it can; see `RemoteSource.reread`."""
+        _check_end(self, offset, length)
+        source = self._source
+        again = source.reread if isinstance(source, RemoteSource) else source.read
+        return again(offset, length)
+
+    @property
+    def traffic(self) -> object:
+        """What reading from the source behind has cost; None where nothing counts it."""
+        return getattr(self._source, "traffic", None)
 
     def close(self) -> None:
         """Close the source behind this one."""

@@ -30,7 +30,7 @@ from cogsplat.tools.terminal.output_names import scene_format, written_bytes
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
-from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
+from cogsplat.tools.terminal.standard_streams import INPUT_BY_RANGES, OutputPath
 from cogsplat.tools.terminal.values import ChunkRange
 
 from .inputs import LoadedScene, Selection, decode_part, decode_part_by
@@ -43,7 +43,7 @@ from .scene_output import write_any
     "  cogsplat decode scene.cogs preview.ply --bytes 20% --sh 0\n"
     "  cogsplat decode scene.cogs vase.ply --object 3"
 )
-@click.argument("cogs", type=INPUT, metavar="IN.cogs")
+@click.argument("cogs", type=INPUT_BY_RANGES, metavar="IN.cogs")
 @click.argument("out", type=OutputPath(".ply"), metavar="OUT.ply")
 @part_options
 @compensate_option

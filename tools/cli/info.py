@@ -14,7 +14,7 @@ import cogsplat
 from cogsplat.codec.segments.attributes import AttributeType, types_of
 from cogsplat.codec.splats import SceneInfo, Splats, sh_coefficients
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.formats.scenes.registry import format_of, is_cogs
+from cogsplat.formats.scenes.registry import format_of
 from cogsplat.tools.evaluation.byte_inventory import (
     ChunkSizes,
     StoredSize,
@@ -27,9 +27,9 @@ from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
-from cogsplat.tools.terminal.standard_streams import INPUT
+from cogsplat.tools.terminal.standard_streams import INPUT_BY_RANGES, url_of
 
-from .inputs import read_any
+from .inputs import input_source, is_cogs_input, read_any
 
 # A longer table is cut in the middle: most chunks of a large scene look alike.
 _MOST_ROWS: Final = 40
@@ -43,7 +43,7 @@ _ATTRIBUTES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
     "  cogsplat info scene.cogs\n"
     "  cogsplat info scene.cogs --json | jq .attributes"
 )
-@click.argument("path", type=INPUT, metavar="IN")
+@click.argument("path", type=INPUT_BY_RANGES, metavar="IN")
 @click.option("--verify", is_flag=True, help="Check every hash and decode every chunk of it.")
 @click.option("--all", "all_chunks", is_flag=True, help="List every chunk, however many.")
 @partial_option
@@ -54,11 +54,12 @@ def info(path: Path, verify: bool, all_chunks: bool, quiet: bool, as_json: bool)
     """Show the contents of a file.
 
     Of a COGS file the root, codebooks, chunks and bytes per attribute; of a scene in another format
-    splats, SH degree and ranges.
+    splats, SH degree and ranges. Of a COGS file given by its URL, the index alone is read, which
+    says how many bytes each kind of segment takes, not each attribute.
     """
     if verify and partial_accepted():
         raise click.UsageError("--verify and --partial: expected one of them")
-    if not is_cogs(path):
+    if not is_cogs_input(path):
         if verify:
             raise click.UsageError(f"{path}: is no COGS file, expected one with --verify")
         scene = read_any(path)
@@ -69,18 +70,22 @@ def info(path: Path, verify: bool, all_chunks: bool, quiet: bool, as_json: bool)
             _tell_scene(path, scene.splats, scene.file_bytes)
         return
     with (
-        cogsplat.open(path, partial=partial_accepted(), limits=current_limits()) as file,
+        cogsplat.open(
+            input_source(path), partial=partial_accepted(), limits=current_limits()
+        ) as file,
         Stages(shown=verify and not (quiet or as_json)) as stages,
     ):
         if verify:
             file.verify(stages)
-        sizes = stored_sizes(file)
+        # Over a network, the index says enough.
+        sizes = stored_sizes(file, by_stream=verify or url_of(path) is None)
+        version = format_version(file)
         row = file.camera_row
         cameras = len(file.cameras()) if row is None or file.is_present(row) else None
     if as_json:
-        say_json({**_cogs_report(path, file, sizes, cameras), "verified": verify})
+        say_json({**_cogs_report(path, version, file, sizes, cameras), "verified": verify})
         return
-    _tell_root(path, file, cameras)
+    _tell_root(path, version, file, cameras)
     if verify:
         facts(("verified", f"{counted(len(file.segments), 'segment')}, all chunks decoded"))
     _tell_chunks(chunk_sizes(file), all_chunks=all_chunks)
@@ -92,14 +97,14 @@ def _decoded_bytes(file: CogsFile) -> int:
 
 
 def _cogs_report(
-    path: Path, file: CogsFile, sizes: list[StoredSize], cameras: int | None
+    path: Path, version: str, file: CogsFile, sizes: list[StoredSize], cameras: int | None
 ) -> dict[str, object]:
     root = file.root
     view = root.first_view
     return {
         "source": name_of(path),
         "format": "cogs",
-        "version": format_version(path),
+        "version": version,
         "writer": root.writer,
         "bytes": file.file_length,
         "bytes_read": file.source_bytes,
@@ -139,9 +144,9 @@ def _cogs_report(
     }
 
 
-def _tell_root(path: Path, file: CogsFile, cameras: int | None) -> None:
+def _tell_root(path: Path, version: str, file: CogsFile, cameras: int | None) -> None:
     root, view = file.root, file.root.first_view
-    say(f"{path}: COGS {format_version(path)}, {size_text(file.file_length)}, by {root.writer}")
+    say(f"{path}: COGS {version}, {size_text(file.file_length)}, by {root.writer}")
     each = file.file_length / max(root.splats, 1)
     books = [f"{book.attribute} {book.rows:,}" for book in root.codebooks]
     low, high = root.box[:3], root.box[3:]

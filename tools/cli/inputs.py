@@ -17,12 +17,15 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
+from cogsplat.formats.cogs.opening import source_of_place
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.cogs.sources import cogs_source
 from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes, scene_files
 from cogsplat.formats.storage.byte_counts import ByteCount
+from cogsplat.formats.storage.source import Source
 from cogsplat.tools.terminal.limits import current_limits
 from cogsplat.tools.terminal.partial import partial_accepted
+from cogsplat.tools.terminal.standard_streams import fetched, url_of
 from cogsplat.tools.terminal.values import ChunkRange
 
 EVAL_CAMERAS: Final = "eval_cameras.json"
@@ -121,6 +124,30 @@ class LoadedScene:
     unrefined: tuple[int, ...] = ()
 
 
+def is_cogs_input(path: Path) -> bool:
+    """Whether an input is a COGS file; one by its URL is fetched unless its name says so.
+
+    Raises
+    ------
+    CogsplatError
+        It cannot be read.
+    """
+    url = url_of(path)
+    return (url is not None and path.suffix.lower() == ".cogs") or is_cogs(fetched(path))
+
+
+def input_source(path: Path) -> Source:
+    """Return what reads ranges of an input, on disk or by its URL.
+
+    Raises
+    ------
+    CogsplatError
+        It cannot be read.
+    """
+    url = url_of(path)
+    return cogs_source(path) if url is None else source_of_place(url)
+
+
 def read_any(
     path: Path,
     part: Selection | None = None,
@@ -139,7 +166,7 @@ def read_any(
         The file cannot be read.
     """
     part = part or Selection()
-    if is_cogs(path):
+    if is_cogs_input(path):
         return decode_part(path, part, threads=threads, progress=progress)
     if part.is_cut or part.compensate:
         raise click.UsageError(
@@ -193,7 +220,7 @@ def decode_part_by(decode: Decode, path: Path, part: Selection) -> LoadedScene:
     click.UsageError, CogsplatError
         As `decode_part`.
     """
-    source = cogs_source(path)
+    source = input_source(path)
     size_bytes = None if part.size is None else part.size.of(source.size)
     with cogsplat.open(
         source, partial=partial_accepted(), size_bytes=size_bytes, limits=current_limits()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -58,6 +59,9 @@ from .views import views
 from .warm import warm
 
 _USAGE: Final = 2
+
+# The extra that the message of a `MissingExtraError` names.
+_EXTRA_NAME: Final = re.compile(r"cogsplat\[(\w+)\]")
 
 # Packages of the extra `encode`, by the names they are imported under.
 _ENCODE_EXTRA: Final = frozenset({"numba", "scipy", "sklearn", "threadpoolctl", "plyfile", "PIL"})
@@ -167,7 +171,8 @@ def _extra_hint(error: CogsplatError) -> str:
     if root is None:
         return ""
     place = "." if root == Path.cwd() else os.fspath(root)
-    extra = "dask" if "[dask]" in error.message else "encode"
+    named = _EXTRA_NAME.search(error.message)
+    extra = named[1] if named else "encode"
     return (
         f"from this checkout: pip install -e '{place}[{extra}]' "
         "--config-settings editable_mode=compat"

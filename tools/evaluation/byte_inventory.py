@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -18,7 +17,6 @@ from cogsplat.formats.cogs.layout import (
     unpack_preamble,
 )
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.formats.cogs.sources import cogs_source
 
 _INDEX: Final = "index"
 
@@ -82,13 +80,9 @@ class ChunkSizes:
         return {"object" if name == "object_label" else name: x for name, x in fields.items()}
 
 
-def format_version(path: Path) -> str:
+def format_version(file: CogsFile) -> str:
     """Return the version of the format that a COGS file states, such as ``0.1``."""
-    source = cogs_source(path)
-    try:
-        preamble = unpack_preamble(source.read(0, PREAMBLE_BYTES), source.name)
-    finally:
-        source.close()
+    preamble = unpack_preamble(file.read_bytes(0, PREAMBLE_BYTES), file.name)
     return f"{preamble.major}.{preamble.minor}"
 
 
@@ -124,8 +118,15 @@ def chunk_sizes(file: CogsFile) -> list[ChunkSizes]:
     return rows
 
 
-def stored_sizes(file: CogsFile) -> list[StoredSize]:
+def stored_sizes(file: CogsFile, *, by_stream: bool = True) -> list[StoredSize]:
     """Return the bytes of every kind of stream; their sum is the size of the file.
+
+    Parameters
+    ----------
+    file : CogsFile
+    by_stream : bool
+        Whether segments are read, which say what their streams take; otherwise each kind of
+        segment is one row, of which the index says enough.
 
     Of a file that has not arrived whole, segments that are not there count as one row each kind,
     and everything behind the last segment listed as one more.
@@ -146,6 +147,9 @@ def stored_sizes(file: CogsFile) -> list[StoredSize]:
         number, owner = int(file.segments.kind[row]), int(file.segments.owner[row])
         if not file.is_present(row):
             found[_segment_name(number), "not there"] += int(file.segments.length[row])
+            continue
+        if not by_stream:
+            found[_segment_name(number), "not read"] += int(file.segments.length[row])
             continue
         if number == SegmentKind.CAMERAS:
             found["cameras", "all columns"] += int(file.segments.length[row])

@@ -12,10 +12,14 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Final
+from urllib.parse import urlsplit
 
 import click
+
+from cogsplat.formats.network.download import download
+from cogsplat.formats.network.urls import is_url, shown
 
 STREAM: Final = "-"
 """What stands for a stream in place of a path."""
@@ -25,12 +29,27 @@ AS_JSON: Final = "cogsplat.json"
 
 _KEY: Final = "cogsplat.streams"
 
+# Of the name of a URL's file, so many characters: what a file system takes in any case.
+_LONGEST_NAME: Final = 64
+
 _INPUT: Final = "standard input"
 _OUTPUT: Final = "standard output"
 
 
 class InputPath(click.Path):
-    """A file to read; ``-`` is what arrives on standard input, which is read to its end."""
+    """A file to read; ``-`` is what arrives on standard input, which is read to its end.
+
+    A URL stands for a file as well, which is fetched.
+
+    Parameters
+    ----------
+    by_ranges : bool
+        Whether the command reads what it needs of a URL itself, through `url_of`.
+    """
+
+    def __init__(self, *, by_ranges: bool = False) -> None:
+        super().__init__(path_type=Path)
+        self._by_ranges = by_ranges
 
     def convert(
         self,
@@ -38,8 +57,10 @@ class InputPath(click.Path):
         param: click.Parameter | None,
         ctx: click.Context | None,
     ) -> Path:
-        """Return the path, that of a temporary file for ``-``."""
+        """Return the path, that of a temporary file for ``-`` and for a URL."""
         streams = _streams(ctx)
+        if streams is not None and is_url(value):
+            return streams.fetch(str(value), later=self._by_ranges)
         if os.fspath(value) != STREAM or streams is None:
             return Path(os.fsdecode(super().convert(value, param, ctx)))
         return streams.receive()
@@ -103,8 +124,11 @@ class OutputPath(click.Path):
         return streams.promise(self._suffix)
 
 
-INPUT: Final = InputPath(path_type=Path)
+INPUT: Final = InputPath()
 """The type of a scene to read."""
+
+INPUT_BY_RANGES: Final = InputPath(by_ranges=True)
+"""The type of a scene of which a command reads what it needs, where it is on a network."""
 
 PATH: Final = NamedPath(path_type=Path)
 """The type of every other file and folder."""
@@ -124,6 +148,7 @@ class StandardStreams:
         self._input: Path | None = None
         self._output: Path | None = None
         self._names: dict[str, str] = {}
+        self._urls: dict[Path, str] = {}
 
     def receive(self) -> Path:
         """Read standard input to its end, into a file.
@@ -142,6 +167,39 @@ class StandardStreams:
         with self._input.open("wb") as file:
             shutil.copyfileobj(sys.stdin.buffer, file)
         return self._input
+
+    def fetch(self, url: str, *, later: bool) -> Path:
+        """Return the file that stands for a URL.
+
+        Parameters
+        ----------
+        url : str
+        later : bool
+            Whether it is fetched only when `fetched` asks for it.
+
+        Raises
+        ------
+        CogsplatError
+            It cannot be fetched.
+        """
+        # Its own name, since extensions say formats.
+        name = PurePosixPath(urlsplit(url).path).name or "scene"
+        folder = self._folder / f"url{len(self._urls)}"
+        folder.mkdir()
+        path = folder / name[-_LONGEST_NAME:]
+        self._urls[path] = url
+        self.call(path, shown(url))
+        return path if later else self.fetched(path)
+
+    def fetched(self, path: Path) -> Path:
+        """Return a path, of which the file is there if it stands for a URL."""
+        if path in self._urls and not path.exists():
+            download(self._urls[path], path)
+        return path
+
+    def url_of(self, path: Path) -> str | None:
+        """Return the URL that a path stands for, where the file was not fetched; None otherwise."""
+        return None if path.exists() else self._urls.get(path)
 
     def promise(self, suffix: str) -> Path:
         """Return the file to write that goes to standard output.
@@ -205,6 +263,24 @@ def is_output_taken() -> bool:
     """Whether the running command sends a file to standard output."""
     streams = _streams(click.get_current_context(silent=True))
     return streams is not None and streams.is_output_taken
+
+
+def url_of(path: Path) -> str | None:
+    """Return the URL that a path of the running command stands for, unless it was fetched."""
+    streams = _streams(click.get_current_context(silent=True))
+    return None if streams is None else streams.url_of(path)
+
+
+def fetched(path: Path) -> Path:
+    """Return a path of the running command; what it stands for is fetched where it is a URL.
+
+    Raises
+    ------
+    CogsplatError
+        It cannot be fetched.
+    """
+    streams = _streams(click.get_current_context(silent=True))
+    return path if streams is None else streams.fetched(path)
 
 
 def call_file(path: Path, name: str) -> None:

@@ -1,0 +1,63 @@
+"""Fetch a whole file from a network into a local one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.formats.storage.atomic import atomic_write
+
+from .opening import open_url
+from .options import MIB, NetworkOptions
+
+_PART_BYTES: Final = MIB
+
+
+def download(
+    url: str,
+    path: Path,
+    options: NetworkOptions | None = None,
+    *,
+    force: bool = False,
+    progress: Progress = silent,
+) -> int:
+    """Fetch a file; `path` is there when all of it is.
+
+    Parameters
+    ----------
+    url : str
+        As `open_url` takes it.
+    path : Path
+    options : NetworkOptions, optional
+    force : bool
+        Replace an existing file.
+    progress : Progress
+        Called with ``("fetch", MiB that are there, MiB of the file)``.
+
+    Returns
+    -------
+    int
+        Bytes of the file.
+
+    Raises
+    ------
+    StorageError
+        As `open_url`, ``source-changed``, or the file cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from cogsplat.formats.network.download import download
+    >>> size = download("https://example.org/scene.cogs", Path("copy.cogs"))
+    >>> size == Path("copy.cogs").stat().st_size
+    True
+    """
+    with open_url(url, options) as source, atomic_write(path, force=force) as file:
+        starts = range(0, source.size, _PART_BYTES)
+        ranges = [(start, min(_PART_BYTES, source.size - start)) for start in starts]
+        with source.prefetch(ranges):
+            for done, (offset, length) in enumerate(ranges, start=1):
+                file.write(source.read(offset, length))
+                progress("fetch", done, len(ranges))
+        return source.size

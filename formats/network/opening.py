@@ -1,0 +1,49 @@
+"""Files on a network by their addresses."""
+
+from __future__ import annotations
+
+from .http_transport import HttpTransport
+from .options import NetworkOptions
+from .range_source import RangeSource
+from .urls import HTTP_SCHEMES, scheme_of, shown
+
+
+def open_url(
+    url: str, options: NetworkOptions | None = None, *, fresh: bool = False
+) -> RangeSource:
+    """Open a file on a network; its first 64 KiB are asked for.
+
+    Parameters
+    ----------
+    url : str
+        ``http://`` or ``https://``.
+    options : NetworkOptions, optional
+    fresh : bool
+        Go around caches.
+
+    Returns
+    -------
+    RangeSource
+        A context manager; `RangeSource.close` ends its requests.
+
+    Raises
+    ------
+    StorageError
+        As `RangeSource` says.
+    MissingExtraError
+        ``needs-http``: the packages of the extra are not installed.
+    ValueError
+        It is no such address.
+
+    Examples
+    --------
+    >>> from cogsplat.formats.network.opening import open_url
+    >>> with open_url("https://example.org/scene.cogs") as source:
+    ...     source.size > 64
+    True
+    """
+    scheme = scheme_of(url)
+    options = options or NetworkOptions()
+    if scheme in HTTP_SCHEMES:
+        return RangeSource(HttpTransport(url, options), shown(url), options, fresh=fresh)
+    raise ValueError(f"{shown(url)!r}, expected the address of a file")

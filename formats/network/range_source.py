@@ -1,0 +1,238 @@
+"""A byte source over a network: ranges on demand and ahead of it."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from cogsplat.codec.errors import Cancelled, CogsplatWarning, TruncatedError
+from cogsplat.formats.storage.source import Cancel
+
+from .answers import Transport
+from .options import NetworkOptions
+from .range_queue import Piece
+from .range_reader import RangeReader
+from .traffic import Traffic
+
+
+class RangeSource:
+    """A file on a network as a `Source`; safe to read from several threads.
+
+    Requests are made by a thread of its own, which `close` ends. Opening asks for the first 64 KiB
+    and returns when the length of the file is known.
+
+    Parameters
+    ----------
+    transport : Transport
+        Of the file; closed with the source.
+    name : str
+        Names the file in messages.
+    options : NetworkOptions
+    fresh : bool
+        Go around caches, because what they gave was damaged.
+
+    Raises
+    ------
+    StorageError
+        ``host-unreachable``, ``network-timeout``, ``connection-broken``, ``http-status``,
+        ``not-found``, ``permission``, ``answer-range``, ``answer-encoding``, ``redirect-loop``,
+        ``redirect-refused``.
+
+    Examples
+    --------
+    >>> from cogsplat.formats.network.opening import open_url
+    >>> with open_url("https://example.org/scene.cogs") as source:
+    ...     data = source.read(0, 8)
+    >>> data[1:5]
+    b'COGS'
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        name: str,
+        options: NetworkOptions | None = None,
+        *,
+        fresh: bool = False,
+    ) -> None:
+        self.name = name
+        self._reader = RangeReader(transport, name, options or NetworkOptions(), fresh=fresh)
+        self._moved = self._reader.moved
+        self._pieces: dict[tuple[int, int], Piece] = {}
+        self._told = False
+        self._thread = threading.Thread(
+            target=self._run, name=f"cogsplat fetches {name}", daemon=True
+        )
+        self._thread.start()
+        try:
+            self._size = self._wait_for_size()
+        except BaseException:
+            self.close()
+            raise
+        self._tell_of_no_ranges()
+
+    def __enter__(self) -> RangeSource:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    @property
+    def size(self) -> int:
+        """Bytes that the server stated at first."""
+        return self._size
+
+    @property
+    def traffic(self) -> Traffic:
+        """What was asked for and what came, up to now."""
+        with self._moved:
+            return self._reader.traffic()
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return exactly `length` bytes from `offset`; see `Source.read`.
+
+        Raises
+        ------
+        TruncatedError
+            ``file-truncated``: the file ends before.
+        StorageError
+            As the constructor, and ``source-changed``: it is another file now.
+        """
+        return self._read(offset, length, again=False)
+
+    def reread(self, offset: int, length: int) -> bytes:
+        """Return bytes that came damaged, asked for once more; see `read`."""
+        return self._read(offset, length, again=True)
+
+    def _read(self, offset: int, length: int, *, again: bool) -> bytes:
+        if offset < 0 or length < 0:
+            raise ValueError(f"offset {offset} and length {length}, expected none negative")
+        end = offset + length
+        if end > self._size:
+            raise TruncatedError(
+                "file-truncated",
+                f"{self.name}: {self._size} bytes, expected {end} for the {length} bytes at byte "
+                f"{offset}",
+                offset=offset,
+                needed=end,
+            )
+        if not length:
+            return b""
+        reader = self._reader
+        with self._moved:
+            beginning = reader.beginning
+            usable = not again and reader.whole is None and beginning.error is None
+            if usable and end <= beginning.end:
+                data = self._wait_for(beginning, offset, end)
+            else:
+                piece = None if again else self._pieces.pop((offset, end), None)
+                if piece is not None:
+                    reader.hurry(piece)
+                else:
+                    piece = Piece(offset, end, is_fresh=again)
+                    reader.want([piece], urgent=True)
+                try:
+                    data = self._wait_for(piece, offset, end)
+                finally:
+                    reader.release(piece)
+        self._tell_of_no_ranges()
+        return data
+
+    @contextmanager
+    def prefetch(self, ranges: Sequence[tuple[int, int]]) -> Iterator[Cancel]:
+        """Fetch ranges ahead of reading them, in this order, as long as the block lasts.
+
+        What is read of them is given as soon as it is there; of what is not, the requests end with
+        the block.
+
+        Parameters
+        ----------
+        ranges : sequence of (int, int)
+            Offset and length, as they will be read.
+
+        Yields
+        ------
+        callable
+            Calling it, from any thread, ends all reads of the ranges with `Cancelled`.
+        """
+        beginning = self._reader.beginning
+        with self._moved:
+            own: list[Piece] = []
+            for offset, length in ranges:
+                key = offset, offset + length
+                kept = key[1] <= beginning.end
+                if key not in self._pieces and not kept and key[1] <= self._size:
+                    piece = self._pieces[key] = Piece(*key)
+                    if offset < beginning.end and beginning.is_whole:
+                        # The rest of what the first request cut is all that is asked for.
+                        piece.take(0, beginning.bytes_at(0, beginning.end))
+                    own.append(piece)
+            self._reader.want(own)
+
+        def cancel() -> None:
+            with self._moved:
+                for piece in own:
+                    piece.error = piece.error or Cancelled()
+                self._moved.notify_all()
+
+        try:
+            yield cancel
+        finally:
+            with self._moved:
+                for piece in own:
+                    key = piece.first, piece.end
+                    if self._pieces.get(key) is piece:
+                        del self._pieces[key]
+                        self._reader.release(piece)
+
+    def close(self) -> None:
+        """End all requests and the thread; reading is over."""
+        self._reader.stop()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _run(self) -> None:
+        asyncio.run(self._reader.run())
+
+    def _wait_for_size(self) -> int:
+        reader = self._reader
+        with self._moved:
+            while reader.size is None:
+                error = reader.error or reader.beginning.error
+                if error is not None:
+                    raise error
+                self._moved.wait()
+            return reader.size
+
+    def _wait_for(self, piece: Piece, first: int, end: int) -> bytes:
+        """Return bytes of a piece, or of the whole file, as soon as they are there."""
+        reader = self._reader
+        while first < end:
+            whole = reader.whole
+            if whole is not None:
+                whole.wanted = max(whole.wanted, end)
+                if whole.received >= end:
+                    return whole.bytes_at(first, end)
+                reader.wake()
+                error = reader.error or whole.error
+            else:
+                if piece.first + piece.received >= end:
+                    return piece.bytes_at(first, end)
+                error = piece.error or reader.error
+            if error is not None:
+                raise error
+            self._moved.wait()
+        return b""
+
+    def _tell_of_no_ranges(self) -> None:
+        if self._reader.whole is not None and not self._told:
+            self._told = True
+            warnings.warn(
+                f"{self.name}: the server sends the whole file whatever range it is asked for, as "
+                "python -m http.server does; it is read from the beginning",
+                CogsplatWarning,
+                stacklevel=3,
+            )

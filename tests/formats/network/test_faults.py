@@ -1,0 +1,58 @@
+import pytest
+
+from cogsplat.codec.errors import StorageError
+from cogsplat.formats.network.faults import Backoff, PassingFault, wait_asked_for
+from cogsplat.formats.network.options import NetworkOptions
+
+NOON = "Sun, 22 Nov 2026 12:00:00 GMT"
+
+
+@pytest.mark.parametrize(
+    ("header", "date", "wait"),
+    [
+        (None, None, 0.0),
+        ("3", None, 3.0),
+        (" 120 ", NOON, 120.0),
+        ("Sun, 22 Nov 2026 12:00:30 GMT", NOON, 30.0),
+        ("Sun, 22 Nov 2026 11:00:00 GMT", NOON, 0.0),
+        ("Sun, 22 Nov 2026 12:00:30 -0000", NOON, 30.0),
+        ("-3", None, 0.0),
+        ("soon", None, 0.0),
+        ("9" * 30, None, 0.0),
+    ],
+)
+def test_a_server_asks_for_seconds_or_for_a_date_of_its_clock(header, date, wait):
+    assert wait_asked_for(header, date) == wait
+
+
+@pytest.mark.parametrize("chance", [0.0, 1.0])
+def test_pauses_double_up_to_the_longest_and_half_of_them_is_chance(chance):
+    backoff = Backoff(NetworkOptions(retries=8, random=lambda: chance))
+    fault = PassingFault("http-status", "a: status 500")
+    pauses = [backoff.pause_after(fault) for _ in range(8)]
+    whole = [0.25, 0.5, 1, 2, 4, 8, 8, 8]
+    assert pauses == [pause * (1 + chance) / 2 for pause in whole]
+
+
+def test_a_wait_that_is_asked_for_comes_on_top():
+    backoff = Backoff(NetworkOptions(random=lambda: 1.0))
+    assert backoff.pause_after(PassingFault("http-status", "a", wait_seconds=5)) == 5.25
+
+
+def test_attempts_end_and_begin_anew_with_a_new_byte():
+    backoff = Backoff(NetworkOptions(retries=2))
+    fault = PassingFault("connection-broken", "a: broke")
+    for _ in range(5):
+        backoff.pause_after(fault)
+        backoff.progressed()
+    backoff.pause_after(fault)
+    backoff.pause_after(fault)
+    with pytest.raises(StorageError, match="a: broke; 3 attempts without a new byte") as caught:
+        backoff.pause_after(fault)
+    assert caught.value.code == "connection-broken"
+
+
+def test_a_wait_that_is_too_long_is_the_end():
+    backoff = Backoff(NetworkOptions(longest_wait_seconds=10))
+    with pytest.raises(StorageError):
+        backoff.pause_after(PassingFault("http-status", "a", wait_seconds=11))

@@ -1,0 +1,9 @@
+import pytest
+
+from cogsplat.formats.network.opening import open_url
+
+
+@pytest.mark.parametrize("wrong", ["scene.cogs", "ftp://a.b/c", "https://"])
+def test_what_is_no_address_is_misuse(wrong):
+    with pytest.raises(ValueError, match="expected the address"):
+        open_url(wrong)

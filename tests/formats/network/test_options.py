@@ -1,0 +1,16 @@
+import pytest
+
+from cogsplat.formats.network.options import NetworkOptions
+
+
+def test_defaults_are_those_of_the_specification():
+    options = NetworkOptions()
+    assert (options.gap_bytes, options.request_bytes, options.in_flight) == (1 << 16, 1 << 22, 6)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"retries": -1}, {"gap_bytes": -1}, {"in_flight": 0}, {"idle_seconds": 0.0}]
+)
+def test_what_cannot_be_is_misuse(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        NetworkOptions(**wrong)
