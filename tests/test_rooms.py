@@ -425,6 +425,7 @@ TESTED_IN = {
     "codec/streams/inputs.py": "streams/test_refinement_bits.py",
     "codec/streams/kernels_adaptive_step.py": "streams/test_kernels.py",
     "codec/streams/kernels_bits.py": "streams/test_kernels.py",
+    "codec/streams/kernels_chunk.py": "segments/test_chunks.py",
     "codec/streams/kernels_grid.py": "streams/test_kernels.py",
     "codec/streams/kernels_planes.py": "streams/test_kernels.py",
     "codec/streams/kernels_shn_transform.py": "streams/test_kernels.py",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Callable, Mapping
+from types import ModuleType
 from typing import Final
 
 import numpy as np
@@ -29,11 +30,15 @@ WORTH_LOADING_AGAIN: Final = 150_000
 
 KERNEL_MODULES: Final = tuple(
     f"{__package__}.kernels_{name}"
-    for name in ("grid", "planes", "shn_transform", "sorted_means", "swing_twist")
+    for name in ("grid", "planes", "shn_transform", "sorted_means", "swing_twist", "chunk")
 )
 """Modules of the kernels that decoding calls, for `compiling.declared_in`."""
 
+ChunkReader = Callable[..., bool]
+"""Writes the values of a chunk as `whole_chunk.read` does; False where anything is unusual."""
+
 _readers: Mapping[tuple[Attribute, Kind], CompiledReader] = {}
+_chunk_reader: ChunkReader | None = None
 
 # Whether `use` has decided; until then kernels are used once they are loaded.
 _decided = False
@@ -50,6 +55,11 @@ def ready() -> bool:
 def reader(attribute: Attribute, kind: Kind) -> CompiledReader | None:
     """Return the compiled reader of a stream kind; None where numpy is to read it."""
     return _readers.get((attribute, kind))
+
+
+def chunk_reader() -> ChunkReader | None:
+    """Return the compiled reader of whole chunks; None where numpy is to read them."""
+    return _chunk_reader
 
 
 def prepare(splats: int) -> None:
@@ -80,30 +90,34 @@ def use(wanted: bool) -> bool:
     bool
         Whether kernels are now in use: not without numba.
     """
-    global _readers, _decided
+    global _decided
     _decided = True
-    _readers = _load() if wanted else {}
+    _set(_load() if wanted else None)
     return ready()
 
 
 def _loaded() -> None:
     """Use the kernels that have been loaded, unless `use` has decided."""
-    global _readers
     if not _decided:
-        _readers = _load()
+        _set(_load())
 
 
-def _load() -> Mapping[tuple[Attribute, Kind], CompiledReader]:
+def _set(kernels: ModuleType | None) -> None:
+    global _readers, _chunk_reader
+    _readers = {} if kernels is None else kernels.READERS
+    _chunk_reader = None if kernels is None else kernels.read_chunk
+
+
+def _load() -> ModuleType | None:
+    """Return the module of the readers; None where there can be none."""
     # The kernels read packed fields as machine words.
     if sys.byteorder != "little":
-        return {}
+        return None
     try:
-        kernels = importlib.import_module(".kernels", __package__)
+        return importlib.import_module(".kernels", __package__)
     except ImportError:
         # No numba, or one that does not fit this numpy: numpy decodes as well.
-        return {}
-    found: Mapping[tuple[Attribute, Kind], CompiledReader] = kernels.READERS
-    return found
+        return None
 
 
 LOADER: Final = KernelLoader(KERNEL_MODULES, _loaded)

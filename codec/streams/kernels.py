@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from . import (
+    kernels_chunk,
     kernels_grid,
     kernels_shn_transform,
     kernels_sorted_means,
@@ -32,3 +33,6 @@ READERS: Final[Mapping[tuple[Attribute, Kind], CompiledReader]] = {
     (Attribute.SHN, Kind.BASIS): kernels_shn_transform.read,
     **{(band, Kind.SCALAR): kernels_grid.read_scalar for band in SH_BANDS},
 }
+
+read_chunk: Final = kernels_chunk.read
+"""Reads all streams of a chunk together."""

@@ -22,16 +22,32 @@ U32 = NDArray[np.uint32]
 
 
 @called_with(
-    "Array(uint8, 1, 'C', True), float32[::1], float32[::1], uint32[::1], int64, float32[:, ::1]"
+    "Array(uint8, 1, 'C', True), int64[::1], Tuple((float32[::1], float32[::1], uint32[::1])), "
+    "int64, float32[:, ::1]"
 )
 @exact
-def _grid_rows(planes: U8, minimum: F32, maximum: F32, levels: U32, extra: int, out: F32) -> bool:
-    """Write (rows, c) values from byte planes end to end (SPEC 6.4).
+def grid_rows(planes: U8, starts: I64, grid: tuple[F32, F32, U32], extra: int, out: F32) -> bool:
+    """Write (rows, c) values from byte planes (SPEC 6.4).
 
-    `extra` is 2 where two codes above the levels stand for infinities, 0 elsewhere.
+    Parameters
+    ----------
+    planes : uint8
+    starts : int64
+        Where each plane begins.
+    grid : tuple
+        Minimum, maximum and levels of each component.
+    extra : int
+        2 where two codes above the levels stand for infinities, 0 elsewhere.
+    out : (rows, c) float32
+
+    Returns
+    -------
+    bool
+        False where a code is out of range.
     """
     rows, components = out.shape
-    at = 0
+    minimum, maximum, levels = grid
+    plane = 0
     for column in range(components):
         limit = int(levels[column]) + extra
         count = 0
@@ -43,6 +59,7 @@ def _grid_rows(planes: U8, minimum: F32, maximum: F32, levels: U32, extra: int, 
             width = (maximum[column] - low) / (np.float32(levels[column]) - np.float32(1))
         top = 0
         if count == 1:
+            at = starts[plane]
             for row in range(rows):
                 code = int(planes[at + row])
                 top = max(top, code)
@@ -51,7 +68,7 @@ def _grid_rows(planes: U8, minimum: F32, maximum: F32, levels: U32, extra: int, 
             for row in range(rows):
                 code = 0
                 for byte in range(count):
-                    code |= int(planes[at + byte * rows + row]) << (8 * byte)
+                    code |= int(planes[starts[plane + byte] + row]) << (8 * byte)
                 top = max(top, code)
                 out[row, column] = np.float32(code) * width + low
         if top >= limit:
@@ -60,12 +77,12 @@ def _grid_rows(planes: U8, minimum: F32, maximum: F32, levels: U32, extra: int, 
             for row in range(rows):
                 code = 0
                 for byte in range(count):
-                    code |= int(planes[at + byte * rows + row]) << (8 * byte)
+                    code |= int(planes[starts[plane + byte] + row]) << (8 * byte)
                 if code == limit - 2:
                     out[row, column] = np.inf
                 elif code == limit - 1:
                     out[row, column] = -np.inf
-        at += count * rows
+        plane += count
     return True
 
 
@@ -81,28 +98,48 @@ def _spread_codes(codes: I32, width: np.float32, low: np.float32, column: int, o
 
 
 @called_with(
-    "Array(uint8, 1, 'C', True), Tuple((float32[::1], float32[::1], uint32[::1])), int64, "
+    "Array(uint8, 1, 'C', True), int64[::1], Tuple((float32[::1], float32[::1], uint32[::1])), "
     "int64[::1], Tuple((float32[::1], float32[::1], uint32[::1])), float32[:, ::1], "
     "float32[:, ::1]"
 )
 @exact
-def _digit_rows(
+def digit_rows(
     planes: U8,
+    starts: I64,
     coarse: tuple[F32, F32, U32],
-    first_digit: int,
     radices: I64,
     fine: tuple[F32, F32, U32],
     coarse_out: F32,
     out: F32,
 ) -> bool:
-    """Write (rows, c) values from byte planes and behind them digits, all end to end (SPEC 6.16).
+    """Write (rows, c) values from byte planes and digits (SPEC 6.16).
 
-    Digits begin at `first_digit`. `coarse` and `fine` are minimum, maximum and levels; `coarse_out`
-    may have no rows.
+    Parameters
+    ----------
+    planes : uint8
+    starts : int64
+        Where each plane of the codes begins, and then each of the digits.
+    coarse, fine : tuple
+        Minimum, maximum and levels of each component.
+    radices : (c,) int64
+        Components of radix 1 have no digits.
+    coarse_out : (rows, c) float32
+        The values of the codes alone; may have no rows.
+    out : (rows, c) float32
+
+    Returns
+    -------
+    bool
+        False where a code or a digit is out of range.
     """
     rows, components = out.shape
-    at = 0
-    digit_at = first_digit
+    plane = 0
+    digit = 0
+    for column in range(components):
+        while int(coarse[2][column]) - 1 >> 8 * (digit - plane):
+            digit += 1
+        plane = digit
+    plane = 0
     codes = np.empty(rows, np.int32)
     for column in range(components):
         limit = int(coarse[2][column])
@@ -111,10 +148,10 @@ def _digit_rows(
             count += 1
         codes[:] = 0
         for byte in range(count):
-            plane = planes[at : at + rows]
+            octets = planes[starts[plane] : starts[plane] + rows]
             for row in range(rows):
-                codes[row] |= np.int32(plane[row]) << np.int32(8 * byte)
-            at += rows
+                codes[row] |= np.int32(octets[row]) << np.int32(8 * byte)
+            plane += 1
         top = np.int32(0)
         for row in range(rows):
             top = max(top, codes[row])
@@ -128,8 +165,8 @@ def _digit_rows(
             _spread_codes(codes, width, low, column, coarse_out)
         radix = np.int32(radices[column])
         if radix > 1:
-            digits_of = planes[digit_at : digit_at + rows]
-            digit_at += rows
+            digits_of = planes[starts[digit] : starts[digit] + rows]
+            digit += 1
             top_digit = np.uint8(0)
             for row in range(rows):
                 top_digit = max(top_digit, digits_of[row])
@@ -154,7 +191,7 @@ def _digit_rows(
 
 @called_with("float32[:, ::1], float32[:, ::1]")
 @exact
-def _accumulate(differences: F32, out: F32) -> None:
+def accumulate(differences: F32, out: F32) -> None:
     """Write log scales from their differences (SPEC 6.12)."""
     for row in range(len(out)):
         middle = differences[row, 0] - differences[row, 1]
@@ -165,7 +202,7 @@ def _accumulate(differences: F32, out: F32) -> None:
 
 @called_with("float32[:, ::1], float32[:, ::1], float32[:, ::1]")
 @exact
-def _on_axes(values: F32, axes: F32, out: F32) -> None:
+def on_axes(values: F32, axes: F32, out: F32) -> None:
     """Write sh0 from coordinates on axes (SPEC 6.13)."""
     for row in range(len(out)):
         a, b, c = values[row, 0], values[row, 1], values[row, 2]
@@ -178,7 +215,8 @@ def _read(stream: StoredStream, grid: Grid, out: F32, *, first: int = 0, extra: 
     count = sum(grid_planes.plane_counts(grid, extra))
     stream.require_planes(first + count)
     planes = join_run(stream, first, [stream.rows] * count)
-    return _grid_rows(planes, grid.minimum, grid.maximum, grid.levels, extra, out)
+    starts = np.arange(count) * stream.rows
+    return grid_rows(planes, starts, (grid.minimum, grid.maximum, grid.levels), extra, out)
 
 
 def _read_refined(
@@ -190,10 +228,10 @@ def _read_refined(
     stream.require_planes(count)
     finer = sum(radix > 1 for radix in radices)
     runs = [(stream, 0, [stream.rows] * count), (digits, 0, [stream.rows] * finer)]
-    return _digit_rows(
+    return digit_rows(
         join(runs),
+        np.arange(count + finer) * stream.rows,
         (grid.minimum, grid.maximum, grid.levels),
-        count * stream.rows,
         np.array(radices, np.int64),
         (fine.minimum, fine.maximum, fine.levels),
         out[:0] if coarse is None else coarse,
@@ -232,8 +270,8 @@ def read_differences(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
         if not _read_refined(stream, grid, inputs.refinement, differences, alone):
             return False
         if inputs.coarse is not None and alone is not None:
-            _accumulate(alone, inputs.coarse)
-    _accumulate(differences, out)
+            accumulate(alone, inputs.coarse)
+    accumulate(differences, out)
     return True
 
 
@@ -246,5 +284,5 @@ def read_sh0(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
     else:
         found = _read_refined(stream, grid, inputs.refinement, coordinates)
     if found:
-        _on_axes(coordinates, axes, out)
+        on_axes(coordinates, axes, out)
     return found

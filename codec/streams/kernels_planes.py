@@ -26,7 +26,7 @@ _SINGLE_SEGMENT: Final = 0x20
 
 
 @exact
-def _spread(packed: U8, start: int, table: U8, count: int, out: U8, at: int, length: int) -> int:
+def spread(packed: U8, start: int, table: U8, count: int, out: U8, at: int, length: int) -> int:
     """Write the digits of bytes of one radix; return the digits behind the last that are not 0."""
     whole = length // count
     if count == 2:
@@ -69,19 +69,19 @@ def _copy(packed: U8, start: int, out: U8, at: int, length: int) -> None:
 
 
 @exact
-def _end_of_frame(octets: U8, start: int, stored: int, size: int) -> int:
-    """Return where a zstd frame of `size` bytes ends, -1 where its header is not the usual one.
+def frame(octets: U8, start: int, stored: int) -> tuple[int, int]:
+    """Return where a zstd frame ends and what it holds, -1 where its header is not the usual one.
 
     Usual is what encoders write who know the size: one segment, its size in 1, 2 or 4 bytes,
     neither dictionary nor checksum (RFC 8878, 3.1.1.1). Blocks are counted, not decoded.
     """
     # Magic number, descriptor, a size of one byte, the header of a block.
     if stored < 9:
-        return -1
+        return -1, -1
     magic = int(octets[start]) | int(octets[start + 1]) << 8
     magic |= int(octets[start + 2]) << 16 | int(octets[start + 3]) << 24
     if magic != _MAGIC:
-        return -1
+        return -1, -1
     descriptor = int(octets[start + 4])
     at = start + 5
     if descriptor == _SINGLE_SEGMENT:
@@ -95,19 +95,17 @@ def _end_of_frame(octets: U8, start: int, stored: int, size: int) -> int:
         stated |= int(octets[at + 2]) << 16 | int(octets[at + 3]) << 24
         at += 4
     else:
-        return -1
-    if stated != size:
-        return -1
+        return -1, -1
     end = start + stored
     last = False
     while not last:
         if at + 3 > end:
-            return -1
+            return -1, -1
         block = int(octets[at]) | int(octets[at + 1]) << 8 | int(octets[at + 2]) << 16
         last = (block & 1) == 1
         # One byte that is repeated, or as many as the header says.
         at += 4 if (block >> 1 & 3) == 1 else 3 + (block >> 3)
-    return at
+    return at, int(np.int64(stated))
 
 
 @called_with("Array(uint8, 1, 'C', True), int64[:, ::1], uint64[:, ::1], uint64[::1]")
@@ -148,12 +146,12 @@ def _locate(octets: U8, spans: I64, frames: U64, sizes: U64) -> int:
             radix = int(octets[start]) if stored else 0
             if radix < 2 or radix > 16:
                 return -1
-            size = -(-length // _digits_in_byte(radix)[0])
+            size = -(-length // digits_in_byte(radix)[0])
             start += 1
             stored -= 1
         zipped = word & ZSTD_FLAG
         if zipped:
-            if size == 0 or _end_of_frame(octets, start, stored, size) != end:
+            if size == 0 or frame(octets, start, stored) != (end, size):
                 return -1
             frames[found, 0] = start
             frames[found, 1] = stored
@@ -169,7 +167,7 @@ def _locate(octets: U8, spans: I64, frames: U64, sizes: U64) -> int:
 
 
 @exact
-def _digits_in_byte(radix: int) -> tuple[int, int]:
+def digits_in_byte(radix: int) -> tuple[int, int]:
     """Return how many digits fit a byte, and how many values they have (SPEC 6.9)."""
     count = 1
     limit = radix
@@ -215,11 +213,11 @@ def _unpack(octets: U8, expanded: U8, spans: I64, tables: U8, out: U8, at: int) 
         )
         packed = expanded if spans[4, plane] else octets
         if radix:
-            count, limit = _digits_in_byte(radix)
+            count, limit = digits_in_byte(radix)
             top = 0
             for i in range(start, start + size):
                 top = max(top, int(packed[i]))
-            if top >= limit or _spread(packed, start, tables[radix], count, out, at, length):
+            if top >= limit or spread(packed, start, tables[radix], count, out, at, length):
                 return False
         else:
             _copy(packed, start, out, at, length)

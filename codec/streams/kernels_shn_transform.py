@@ -33,16 +33,16 @@ def _coordinate(symbol: int, step: np.float32, shrink: np.float32) -> np.float32
 
 
 @exact
-def _code(planes: U8, at: int, count: int, stride: int) -> int:
+def _code(planes: U8, begin: I64, place: int, count: int) -> int:
     code = 0
     for byte in range(count):
-        code |= int(planes[at + byte * stride]) << (8 * byte)
+        code |= int(planes[begin[byte] + place]) << (8 * byte)
     return code
 
 
 @called_with("Array(uint8, 1, 'C', True), int64")
 @exact
-def _above(ends: U8, width: int) -> I64:
+def rows_above(ends: U8, width: int) -> I64:
     """Return how many rows have more coordinates than 0, 1, … `width`, and a 0 behind."""
     counts = np.zeros(width + 2, np.int64)
     for row in range(len(ends)):
@@ -55,15 +55,16 @@ def _above(ends: U8, width: int) -> I64:
 
 @called_with(
     "Array(uint8, 1, 'C', True), int64[::1], int64[::1], Array(uint8, 1, 'C', True), "
-    "Array(uint8, 1, 'C', True), float32[:, ::1], float32, float32, float32[:, ::1]"
+    "Array(uint8, 1, 'C', True), int64[::1], float32[:, ::1], float32, float32, float32[:, ::1]"
 )
 @exact
-def _coefficients(
+def coefficients(
     ends: U8,
     more: I64,
     groups: I64,
     sizes: U8,
     planes: U8,
+    starts: I64,
     basis: F32,
     step: np.float32,
     shrink: np.float32,
@@ -76,13 +77,14 @@ def _coefficients(
     ends : (n,) uint8
         Coordinates of each row, at most the width.
     more : (width + 2,) int64
-        As `_above` returns it.
+        As `rows_above` returns it.
     groups : (g + 1,) int64
         First column of each group, and the width.
     sizes : (2g,) uint8
         Bytes of a symbol, before the last coordinate and in it, of each group.
     planes : uint8
-        All planes of symbols end to end, whose lengths follow from the above.
+    starts : int64
+        Where each plane of symbols begins; their lengths follow from the above.
     basis : (width, BASIS_COLUMNS) float32
     step, shrink : float32
     out : (n, at most BASIS_COLUMNS) float32
@@ -90,22 +92,21 @@ def _coefficients(
     width = groups[-1]
     # A length that is known is a loop without a remainder.
     full = out.shape[1] == _FULL_COLUMNS
-    # Where each column's symbols start and how far apart their bytes are, by part.
-    begin = np.zeros((2, width + 1), np.int64)
-    stride = np.zeros((2, width + 1), np.int64)
+    # Where the bytes of each column's symbols start, by part.
+    begin = np.zeros((2, width + 1, 3), np.int64)
     size = np.zeros((2, width + 1), np.int64)
-    at = 0
+    plane = 0
     for group in range(len(groups) - 1):
         for part in range(2):
             length = 0
             for column in range(groups[group], groups[group + 1]):
-                begin[part, column] = at + length
-                size[part, column] = sizes[2 * group + part]
+                count = int(sizes[2 * group + part])
+                size[part, column] = count
+                for byte in range(count):
+                    begin[part, column, byte] = starts[plane + byte] + length
                 inner = more[column + 1]
                 length += more[column] - inner if part else inner
-            for column in range(groups[group], groups[group + 1]):
-                stride[part, column] = length
-            at += length * sizes[2 * group + part]
+            plane += sizes[2 * group + part]
     table = np.empty((2, 256), np.float32)
     for symbol in range(256):
         table[0, symbol] = _coordinate(symbol, step, shrink)
@@ -127,10 +128,10 @@ def _coefficients(
         used = 0
         for column in range(end - 1):
             count = size[0, column]
-            first = begin[0, column] + place
-            symbol = (
-                int(planes[first]) if count == 1 else _code(planes, first, count, stride[0, column])
-            )
+            if count == 1:
+                symbol = int(planes[begin[0, column, 0] + place])
+            else:
+                symbol = _code(planes, begin[0, column], place, count)
             which[used] = column
             if symbol < 256:
                 worth[used] = table[0, symbol]
@@ -146,11 +147,11 @@ def _coefficients(
                 sums[k] = sums[k] + value * basis[column, k]
         column = end - 1
         count = size[1, column]
-        first = begin[1, column] + place - more[end]
+        place -= more[end]
         if count == 1:
-            value = table[1, planes[first]]
+            value = table[1, planes[begin[1, column, 0] + place]]
         else:
-            symbol = _code(planes, first, count, stride[1, column])
+            symbol = _code(planes, begin[1, column], place, count)
             value = _coordinate(symbol + 1, step, shrink)
         if full:
             for k in range(_FULL_COLUMNS):
@@ -166,7 +167,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
     found = shn_transform.parse(stream, basis)
     ends = shn_transform.read_ends(stream, found.width)
     groups = shn_transform.groups(found.width)
-    counts = _above(ends, found.width)
+    counts = rows_above(ends, found.width)
     above = counts.tolist()
     lengths: list[int] = []
     for number, group in enumerate(groups):
@@ -175,12 +176,13 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
         lengths += [inner] * found.sizes[2 * number] + [last] * found.sizes[2 * number + 1]
     wide = np.zeros((found.width, BASIS_COLUMNS), np.float32)
     wide[:, : basis.shape[1]] = basis[: found.width]
-    _coefficients(
+    coefficients(
         ends,
         counts,
         np.array([*(group.start for group in groups), found.width], np.int64),
         np.frombuffer(found.sizes, np.uint8),
         join_run(stream, 1, lengths),
+        np.cumsum([0, *lengths], dtype=np.int64),
         wide,
         np.float32(found.step),
         np.float32(found.shrink),

@@ -43,7 +43,7 @@ AXES_OF_BITS: Final = _axes_of_bits()
     "Array(uint8, 1, 'C', True), float32[:, ::1], float32[::1], float32[::1], int64, uint8[::1]"
 )
 @exact
-def _plan(
+def plan(
     classes: U8, scales: F32, coefficients: F32, knees: F32, most: int, extra: U8
 ) -> tuple[int, int]:
     """Write the extra bits of rows; return the bits of the differences and of the plane below.
@@ -67,7 +67,7 @@ def _plan(
     "int64[::1], float32[:, ::1], float32[::1], int64, uint64[::1], float32[:, ::1]"
 )
 @exact
-def _means(
+def means(
     classes: U8,
     differences: U64,
     extra: U8,
@@ -152,7 +152,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
     coefficients = np.array(model.coefficients, np.float32)
     extra = np.empty(stream.rows, np.uint8)
     scales = adaptive_step.scales_of(inputs)
-    used = _plan(classes, scales, coefficients, KNEES, MAX_EXTRA_BITS, extra)
+    used = plan(classes, scales, coefficients, KNEES, MAX_EXTRA_BITS, extra)
     if used[0] < 0:
         return False
     differences = stream.plane(1, used[0] + 7 >> 3)
@@ -163,7 +163,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
     if inputs.refinement is not None:
         more = refinement_bits.parse(inputs.refinement)
         below = refinement_bits.read_plane(inputs.refinement, more)
-    return _means(
+    return means(
         classes,
         words(differences),
         extra,

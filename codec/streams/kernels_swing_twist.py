@@ -21,13 +21,13 @@ F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
-_GROUPS: Final = swing_twist.SYMBOL_BITS + 1
+GROUPS: Final = swing_twist.SYMBOL_BITS + 1
 """Rows without extra bits, which have no plane, and those of each plane of symbols."""
 
 
 @called_with("float32[:, ::1], float32[:, ::1], float32[::1], int64, uint8[:, ::1], int64[:, ::1]")
 @exact
-def _plan(scales: F32, coefficients: F32, knees: F32, most: int, extra: U8, counts: I64) -> None:
+def plan(scales: F32, coefficients: F32, knees: F32, most: int, extra: U8, counts: I64) -> None:
     """Write the extra bits of swing and twist (SPEC 6.10), and what planes follow from them.
 
     Parameters
@@ -39,51 +39,51 @@ def _plan(scales: F32, coefficients: F32, knees: F32, most: int, extra: U8, coun
         Extra bits at most.
     extra : (2, n) uint8, out
         Extra bits.
-    counts : (2, _GROUPS + 1) int64, out
+    counts : (2, GROUPS + 1) int64, out
         Rows of each group, and the low bits of all rows together.
     """
     counts[:] = 0
     for which in range(2):
         rows = count_extra_bits(scales, coefficients[which], knees, most, extra[which])
         for bits in range(most + 1):
-            group = min(bits, _GROUPS - 1)
+            group = min(bits, GROUPS - 1)
             counts[which, group] += rows[bits]
-            counts[which, _GROUPS] += rows[bits] * (bits - group)
+            counts[which, GROUPS] += rows[bits] * (bits - group)
 
 
 @exact
-def _starts(planes: U8, counts: I64) -> tuple[I64, I64, bool]:
+def _positions(planes: U8, starts: I64, counts: I64) -> tuple[I64, I64, bool]:
     """Return where symbols and low bits of each component start, and whether paddings are 0."""
-    starts = np.zeros((3, _GROUPS), np.int64)
+    symbols = np.zeros((3, GROUPS), np.int64)
     bits = np.zeros(3, np.int64)
-    at = 0
     right = True
     for column in range(3):
-        which = column >> 1
-        for group in range(1, _GROUPS):
-            starts[column, group] = at
-            at += counts[which, group]
-        low = counts[which, _GROUPS]
+        for group in range(1, GROUPS):
+            symbols[column, group] = starts[column * GROUPS + group - 1]
+        at = starts[column * GROUPS + GROUPS - 1]
+        low = counts[column >> 1, GROUPS]
         bits[column] = 8 * at
-        at += (low + 7) >> 3
-        if low & 7 and int(planes[at - 1]) >> (low & 7):
+        if low & 7 and int(planes[at + (low >> 3)]) >> (low & 7):
             right = False
-    return starts, bits, right
+    return symbols, bits, right
 
 
 @called_with(
-    "Array(uint8, 1, 'C', True), uint8[:, ::1], int64[:, ::1], float32[::1], float32[:, ::1]"
+    "Array(uint8, 1, 'C', True), int64[::1], uint8[:, ::1], int64[:, ::1], float32[::1], "
+    "float32[:, ::1]"
 )
 @exact
-def _rotations(planes: U8, extra: U8, counts: I64, steps: F32, out: F32) -> bool:
+def rotations(planes: U8, starts: I64, extra: U8, counts: I64, steps: F32, out: F32) -> bool:
     """Write the unit quaternions of swing, swing and twist (SPEC 6.11).
 
     Parameters
     ----------
     planes : uint8
-        All planes end to end, and two bytes behind them.
+        Two bytes stand behind the last.
+    starts : (21,) int64
+        Where each begins.
     extra, counts
-        As `_plan` writes them.
+        As `plan` writes them.
     steps : (most + 1,) float32
         Distance between levels at each number of extra bits.
     out : (n, 4) float32
@@ -93,7 +93,7 @@ def _rotations(planes: U8, extra: U8, counts: I64, steps: F32, out: F32) -> bool
     bool
         False where padding is set or a code is out of range.
     """
-    starts, bits, right = _starts(planes, counts)
+    symbols, bits, right = _positions(planes, starts, counts)
     if not right:
         return False
     one = np.float32(1)
@@ -104,10 +104,10 @@ def _rotations(planes: U8, extra: U8, counts: I64, steps: F32, out: F32) -> bool
             if not wide:
                 components[column] = 0
                 continue
-            group = min(wide, _GROUPS - 1)
+            group = min(wide, GROUPS - 1)
             low = wide - group
-            code = int(planes[starts[column, group]])
-            starts[column, group] += 1
+            code = int(planes[symbols[column, group]])
+            symbols[column, group] += 1
             if low:
                 byte, shift = bits[column] >> 3, bits[column] & 7
                 pair = int(planes[byte]) | int(planes[byte + 1]) << 8
@@ -132,9 +132,11 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
     models = swing_twist.parse(stream)
     coefficients = np.array([model.coefficients for model in models], np.float32)
     extra = np.empty((2, stream.rows), np.uint8)
-    counts = np.empty((2, _GROUPS + 1), np.int64)
+    counts = np.empty((2, GROUPS + 1), np.int64)
     scales = adaptive_step.scales_of(inputs)
-    _plan(scales, coefficients, KNEES, MAX_EXTRA_BITS, extra, counts)
+    plan(scales, coefficients, KNEES, MAX_EXTRA_BITS, extra, counts)
     swing, twist = ([*found[1:-1], found[-1] + 7 >> 3] for found in counts.tolist())
-    planes = join_run(stream, 0, [*swing, *swing, *twist])
-    return _rotations(planes, extra, counts, swing_twist.STEPS, out)
+    lengths = [*swing, *swing, *twist]
+    starts = np.cumsum([0, *lengths[:-1]], dtype=np.int64)
+    planes = join_run(stream, 0, lengths)
+    return rotations(planes, starts, extra, counts, swing_twist.STEPS, out)

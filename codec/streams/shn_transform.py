@@ -32,7 +32,7 @@ MAX_FACTOR: Final = 2.0**32
 """Largest step of shN and magnitude in its basis: sums of products stay finite (SPEC 6.14)."""
 
 # First coordinates of the groups that share planes: the strongest alone, then the sparse together.
-_GROUP_STARTS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 26)
+GROUP_STARTS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 26)
 
 # Rows of sums and products that stay in the second-level cache.
 _BLOCK: Final = 2048
@@ -97,8 +97,8 @@ def write(codes: I64, codebook: int, step: float, shrink: float) -> Stream:
 @cache
 def groups(width: int) -> tuple[range, ...]:
     """Return the coordinates of each group that shares planes (SPEC 6.14)."""
-    stops = [min(start, width) for start in (*_GROUP_STARTS[1:], width)]
-    found = [range(a, b) for a, b in zip(_GROUP_STARTS, stops, strict=True)]
+    stops = [min(start, width) for start in (*GROUP_STARTS[1:], width)]
+    found = [range(a, b) for a, b in zip(GROUP_STARTS, stops, strict=True)]
     return tuple(group for group in found if len(group))
 
 

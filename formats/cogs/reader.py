@@ -11,8 +11,9 @@ import numpy as np
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import LimitError
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.segments import codebooks, heads, tails
+from cogsplat.codec.segments import codebooks
 from cogsplat.codec.segments.attributes import unpack_attributes
+from cogsplat.codec.segments.chunks import decode_chunk
 from cogsplat.codec.segments.codebooks import Codebook
 from cogsplat.codec.segments.compensation import Compensation, Layer
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
@@ -460,12 +461,9 @@ class CogsFile(StoredFile):
         extras = self.read_segment(int(self._index.attributes[chunk])) if out.extras else None
         # All CRCs were checked before anything is decoded, in the order of SPEC 7.5.
         shapes = self._books(self._shapes_needed(head), degree)
-        heads.decode_head(payload, shapes, out, f"{where} head", finer)
-        if coefficients is None:
-            out.shN[:] = 0
-        else:
-            books, most = self._books(self._needed(tail), degree), self.root.sh_degree
-            tails.decode_tail(coefficients, books, out.shN, f"{where} tail", sh_degree=most)
+        colours = self._books(self._needed(tail), degree) if with_tail else {}
+        most = self.root.sh_degree
+        decode_chunk(payload, finer, coefficients, (shapes, colours), out, where, sh_degree=most)
         if extras is not None:
             unpack_attributes(extras, self.root.attributes, out.extras, f"{where} attributes")
 

@@ -1,0 +1,76 @@
+"""Chunks: head, refinement and tail decoded together (SPEC 7.2 to 7.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.streams import whole_chunk
+from cogsplat.codec.streams.whole_chunk import ChunkArrays
+
+from .codebooks import Codebook, ColourCodebook
+from .heads import decode_head
+from .tails import decode_tail
+
+F32 = NDArray[np.float32]
+
+
+def decode_chunk(
+    head: memoryview,
+    refinement: memoryview | None,
+    tail: memoryview | None,
+    codebooks: tuple[Mapping[int, Codebook], Mapping[int, Codebook]],
+    out: Splats,
+    where: str,
+    *,
+    sh_degree: int,
+) -> None:
+    """Write a chunk into the rows of `out`: zeros for shN where there is no tail.
+
+    Parameters
+    ----------
+    head, refinement, tail : memoryview or None
+        The segments' bytes, their CRCs already checked; None for those that are not there or not
+        wanted.
+    codebooks : tuple of mappings
+        Those that the head needs, and those that the tail needs.
+    out : Splats
+        The chunk's rows, as views of a larger scene.
+    where : str
+        Names the chunk in messages.
+    sh_degree : int
+        Of the file.
+
+    Raises
+    ------
+    FormatError, UnsupportedError, LimitError
+        As `decode_head` and then `decode_tail`.
+    """
+    columns = out.shN.shape[1] * 3
+
+    def basis_of(number: int) -> F32 | None:
+        book = codebooks[1].get(number)
+        if not isinstance(book, ColourCodebook) or 3 * book.shN.shape[1] < columns:
+            return None
+        return book.shN[:, : columns // 3].reshape(len(book), columns)
+
+    arrays = ChunkArrays(
+        out.means,
+        out.scales,
+        out.quats,
+        out.opacities,
+        out.sh0,
+        out.shN.reshape(len(out), columns),
+    )
+    if whole_chunk.read(head, refinement, tail, basis_of, arrays):
+        if tail is None:
+            out.shN[:] = 0
+        return
+    decode_head(head, codebooks[0], out, f"{where} head", refinement)
+    if tail is None:
+        out.shN[:] = 0
+    else:
+        decode_tail(tail, codebooks[1], out.shN, f"{where} tail", sh_degree=sh_degree)
