@@ -236,6 +236,7 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "codec.segments": {
         "attributes": "AttributeType attribute_bytes pack_attributes types_of unpack_attributes",
+        "chunks": "decode_chunk",
         "codebooks": "Codebook decode_colour_codebook decode_shape_codebook",
         "compensation": (
             "Compensation Layer MAX_CODE_BITS OPACITY_STEP SCALE_STEP STRENGTH_STEP code_bits "
@@ -269,6 +270,7 @@ DOORS: dict[str, dict[str, str]] = {
         "shn_transform": "MAX_BASIS_ROWS write",
         "sorted_means": "MAX_CELLS cells_of codes_of morton_order pack_differences values write",
         "swing_twist": "BASE_STEP decompose split write",
+        "whole_chunk": "ChunkArrays read",
     },
     "codec.views": {
         "low_discrepancy": "STEP_1D",
@@ -426,6 +428,7 @@ TESTED_IN = {
     "codec/streams/kernels_adaptive_step.py": "streams/test_kernels.py",
     "codec/streams/kernels_bits.py": "streams/test_kernels.py",
     "codec/streams/kernels_chunk.py": "segments/test_chunks.py",
+    "codec/streams/kernels_chunk_layout.py": "segments/test_chunks.py",
     "codec/streams/kernels_grid.py": "streams/test_kernels.py",
     "codec/streams/kernels_planes.py": "streams/test_kernels.py",
     "codec/streams/kernels_shn_transform.py": "streams/test_kernels.py",

@@ -30,7 +30,15 @@ WORTH_LOADING_AGAIN: Final = 150_000
 
 KERNEL_MODULES: Final = tuple(
     f"{__package__}.kernels_{name}"
-    for name in ("grid", "planes", "shn_transform", "sorted_means", "swing_twist", "chunk")
+    for name in (
+        "grid",
+        "planes",
+        "shn_transform",
+        "sorted_means",
+        "swing_twist",
+        "chunk_layout",
+        "chunk",
+    )
 )
 """Modules of the kernels that decoding calls, for `compiling.declared_in`."""
 
