@@ -51,6 +51,7 @@ from .info import info
 from .merge import merge
 from .order import order
 from .score import score
+from .serve import serve
 from .stats import stats
 from .synth import demo, synth
 from .validate import validate
@@ -329,6 +330,7 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     decimate,
     view,
     export_html,
+    serve,
     unpack,
     pack,
     info,

@@ -215,7 +215,7 @@ def test_a_prefix_of_a_source_fetches_ahead_as_well(server):
         with prefix.prefetch(ranges):
             assert prefix.read(*ranges[0]) == DATA[100_000:101_000]
         assert prefix.reread(5, 5) == DATA[5:10]
-        assert prefix.traffic == source.traffic
+        assert prefix.traffic.requests == source.traffic.requests
         with pytest.raises(TruncatedError):
             prefix.reread(999_999, 2)
 

@@ -130,7 +130,7 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
 
 
 # These do not end by themselves, or take a decoder: tests of their own look at their keys.
-APART = {"view", "conformance run", "conformance fuzz"}
+APART = {"view", "serve", "conformance run", "conformance fuzz"}
 
 
 @pytest.mark.slow
@@ -153,13 +153,15 @@ def test_a_command_has_the_keys_of_the_page(
     assert set(paths(told.json)) - {"warnings"} == documented()[command]
 
 
-def test_a_view_says_its_address_first(small: SmallScene) -> None:
-    words = ["view", small.cogs, "--no-open", "--json"]
+@pytest.mark.parametrize("server", ["view --no-open", "serve"])
+def test_a_server_says_its_address_first(server: str, small: SmallScene) -> None:
+    name, *options = server.split()
+    words = [name, small.cogs, *options, "--json"]
     with subprocess.Popen(program(words), stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         keys = set(re.findall(r'"(\w+)":', "".join(process.stdout.readline() for _ in range(5))))
         process.terminate()
-    assert keys == documented()["view"]
+    assert keys == documented()[name]
 
 
 @pytest.mark.parametrize("command", ["run", "fuzz"])

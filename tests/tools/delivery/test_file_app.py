@@ -1,0 +1,155 @@
+import asyncio
+
+import pytest
+
+from cogsplat.tools.delivery.file_app import ConnectionLostError, FileApp
+from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
+
+DATA = bytes(range(256)) * 2000
+
+
+@pytest.fixture
+def folder(tmp_path):
+    root = tmp_path / "public"
+    (root / "segments").mkdir(parents=True)
+    (root / "scene.cogs").write_bytes(DATA)
+    (root / "segments/0f.bin").write_bytes(b"segment")
+    (root / "page.html").write_text("<p>")
+    (root / "ä b.cogs").write_bytes(b"named")
+    (root / ".hidden").write_text("secret")
+    (tmp_path / "outside.txt").write_text("secret")
+    return root
+
+
+def asked(app, path, method="GET", **headers):
+    """Return status, headers and body of an answer."""
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    async def receive():
+        raise AssertionError("nothing is received")
+
+    pairs = [(name.replace("_", "-").encode(), value.encode()) for name, value in headers.items()]
+    scope = {"type": "http", "method": method, "raw_path": path.encode(), "headers": pairs}
+    asyncio.run(app(scope, receive, send))
+    start, *rest = sent
+    got = {key.decode(): value.decode() for key, value in start["headers"]}
+    return start["status"], got, b"".join(message["body"] for message in rest)
+
+
+def app_of(root, **quality):
+    return FileApp(root, ShapedLink(LinkQuality(**quality)))
+
+
+def test_whole_files_and_ranges(folder):
+    app = app_of(folder)
+    status, headers, body = asked(app, "/scene.cogs")
+    assert (status, body) == (200, DATA)
+    assert headers["content-length"] == str(len(DATA))
+    assert headers["content-type"] == "application/octet-stream"
+    assert headers["accept-ranges"] == "bytes"
+    status, headers, body = asked(app, "/scene.cogs?v=2", range="bytes=10-19")
+    assert (status, body) == (206, DATA[10:20])
+    assert headers["content-range"] == f"bytes 10-19/{len(DATA)}"
+    status, headers, _ = asked(app, "/scene.cogs", range=f"bytes={len(DATA)}-")
+    assert (status, headers["content-range"]) == (416, f"bytes */{len(DATA)}")
+
+
+def test_a_head_has_no_body(folder):
+    status, headers, body = asked(app_of(folder), "/scene.cogs", "HEAD", range="bytes=0-9")
+    assert (status, body) == (200, b"")
+    assert headers["content-length"] == str(len(DATA))
+
+
+def test_names_are_decoded_and_types_told(folder):
+    assert asked(app_of(folder), "/%C3%A4%20b.cogs")[2] == b"named"
+    assert asked(app_of(folder), "/page.html")[1]["content-type"].startswith("text/html")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../outside.txt",
+        "/%2e%2e/outside.txt",
+        "/segments/../../outside.txt",
+        "/.hidden",
+        "/link.txt",
+        "/segments",
+        "/segments/",
+        "/",
+        "/no",
+        "/a%00b",
+        "/..%5Coutside.txt",
+        "/C:/outside.txt",
+        "//etc/passwd",
+    ],
+)
+def test_nothing_outside_or_hidden_is_served(folder, path):
+    (folder / "link.txt").symlink_to(folder.parent / "outside.txt")
+    status, _, body = asked(app_of(folder), path)
+    assert status == 404
+    assert b"secret" not in body
+
+
+def test_validators(folder):
+    app = app_of(folder)
+    etag = asked(app, "/scene.cogs")[1]["etag"]
+    assert etag.startswith('"')
+    assert asked(app, "/scene.cogs", if_none_match=f'"x", {etag}')[0] == 304
+    assert asked(app, "/scene.cogs", if_match='"x"')[0] == 412
+    assert asked(app, "/scene.cogs", if_match=etag, range="bytes=0-1")[0] == 206
+    assert asked(app, "/scene.cogs", if_range=etag, range="bytes=0-1")[0] == 206
+    assert asked(app, "/scene.cogs", if_range='"x"', range="bytes=0-1")[0] == 200
+    (folder / "scene.cogs").write_bytes(DATA[:-1])
+    assert asked(app, "/scene.cogs")[1]["etag"] != etag
+
+
+def test_pages_of_other_origins_may_read(folder):
+    app = app_of(folder)
+    for path in ("/scene.cogs", "/no"):
+        headers = asked(app, path)[1]
+        assert headers["access-control-allow-origin"] == "*"
+        assert "Content-Range" in headers["access-control-expose-headers"]
+    status, headers, _ = asked(app, "/scene.cogs", "OPTIONS")
+    assert status == 204
+    assert "Range" in headers["access-control-allow-headers"]
+    assert asked(app, "/scene.cogs", "POST")[0] == 405
+
+
+def test_what_is_named_by_its_content_is_kept_for_ever(folder):
+    app = app_of(folder)
+    assert "immutable" in asked(app, "/segments/0f.bin")[1]["cache-control"]
+    assert asked(app, "/scene.cogs")[1]["cache-control"] == "no-cache, no-transform"
+
+
+def test_one_file_and_pages_beside_it(folder):
+    path = folder / "scene.cogs"
+    app = FileApp(path, ShapedLink(LinkQuality()), {"index.html": b"<p>", "a.js": b"1"})
+    assert asked(app, "/")[2] == b"<p>"
+    assert asked(app, "/a.js")[1]["content-type"].startswith("text/javascript")
+    assert asked(app, "/scene.cogs", range="bytes=1-2")[2] == DATA[1:3]
+    assert asked(app, "/page.html")[0] == 404
+
+
+def test_a_bad_link_fails_and_breaks(folder):
+    status, headers, _ = asked(app_of(folder, fail_rate=1.0), "/scene.cogs")
+    assert (status, headers["retry-after"]) == (503, "0")
+    with pytest.raises(ConnectionLostError):
+        asked(app_of(folder, loss=1.0), "/scene.cogs")
+    assert asked(app_of(folder, bits_per_second=1e9), "/scene.cogs")[2] == DATA
+
+
+def test_starting_and_stopping_take_nothing(folder):
+    kinds = ["lifespan.startup", "lifespan.shutdown"]
+    sent = []
+
+    async def receive():
+        return {"type": kinds.pop(0)}
+
+    async def send(message):
+        sent.append(message["type"])
+
+    asyncio.run(app_of(folder)({"type": "lifespan"}, receive, send))
+    assert sent == ["lifespan.startup.complete", "lifespan.shutdown.complete"]

@@ -1,0 +1,143 @@
+"""``cogsplat serve``: files over HTTP, as a host of scenes should serve them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final
+
+import click
+
+from cogsplat.codec.errors import StorageError
+from cogsplat.formats.scenes.registry import is_cogs
+from cogsplat.tools.delivery.file_app import FileApp
+from cogsplat.tools.delivery.file_server import Certificate, FileServer
+from cogsplat.tools.delivery.local_server import HOST
+from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
+from cogsplat.tools.delivery.viewer_pages import linked_page
+from cogsplat.tools.terminal.options import json_option, quiet_option
+from cogsplat.tools.terminal.output import say, say_json, title_of
+from cogsplat.tools.terminal.standard_streams import PATH
+
+_LARGEST_PORT: Final = 65535
+
+_RATE: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*([kmg]?)(?:bit/s|bps|bit)?", re.IGNORECASE)
+_THOUSANDS: Final = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}
+
+
+class BitRate(click.ParamType["float"]):
+    """Bits a second: ``10M``, ``500k``, ``10Mbit/s``."""
+
+    name = "rate"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Return bits a second."""
+        match = _RATE.fullmatch(str(value).strip())
+        rate = float(match[1]) * _THOUSANDS[match[2].lower()] if match else 0.0
+        if not rate:
+            self.fail(f"{value!r}, expected bits a second such as 10M or 500k", param, ctx)
+        return rate
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat serve scene.cogs --throttle 10M --latency 50\n"
+    "  cogsplat serve public --port 8080 --fail-rate 0.1"
+)
+@click.argument("path", type=PATH, metavar="PATH")
+@click.option(
+    "--port",
+    type=click.IntRange(0, _LARGEST_PORT),
+    default=0,
+    metavar="N",
+    help="Port to listen on; 0 (default) takes a free one.",
+)
+@click.option(
+    "--host",
+    default=HOST,
+    show_default=True,
+    metavar="ADDRESS",
+    help="Address to listen on; 0.0.0.0 lets other machines in.",
+)
+@click.option(
+    "--certificate",
+    nargs=2,
+    type=PATH,
+    metavar="CERT.pem KEY.pem",
+    help="Serve https, with HTTP/2, by a certificate and its key.",
+)
+@click.option(
+    "--throttle", type=BitRate(), metavar="BITS", help="Bits a second of all answers: 10M."
+)
+@click.option(
+    "--latency",
+    type=click.FloatRange(0, 60_000),
+    default=0.0,
+    metavar="MS",
+    help="Milliseconds from a request to the first byte of its answer.",
+)
+@click.option(
+    "--loss",
+    type=click.FloatRange(0, 1),
+    default=0.0,
+    metavar="SHARE",
+    help="Share of the answers that break off in the middle.",
+)
+@click.option(
+    "--fail-rate",
+    type=click.FloatRange(0, 1),
+    default=0.0,
+    metavar="SHARE",
+    help="Share of the requests that are answered with status 503.",
+)
+@click.option(
+    "--seed", type=int, default=0, metavar="N", help="Of what --loss and --fail-rate choose."
+)
+@quiet_option
+@json_option
+def serve(
+    path: Path,
+    port: int,
+    host: str,
+    certificate: tuple[Path, Path] | None,
+    throttle: float | None,
+    latency: float,
+    loss: float,
+    fail_rate: float,
+    seed: int,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Serve a file or a folder over HTTP.
+
+    Byte ranges, validators, and headers that let pages of any origin read what is served, until
+    Ctrl-C. The address of a .cogs file itself is a page that shows it. Whatever lies in a folder is
+    served, but for names that begin with a dot. With --throttle, --latency, --loss and --fail-rate
+    the link is as bad as asked for, to see how scenes arrive. Takes the extra serve.
+    """
+    if not path.exists():
+        raise StorageError("not-found", f"{path}: is not there, expected a file or a folder")
+    pages = {}
+    if path.is_file() and is_cogs(path):
+        pages = linked_page(title_of(path), path.name)
+    quality = LinkQuality(throttle, latency / 1000, loss, fail_rate, seed)
+    app = FileApp(path, ShapedLink(quality), pages)
+    server = FileServer(app, port, host, None if certificate is None else Certificate(*certificate))
+    url = server.url + (path.name if path.is_file() and not pages else "")
+    scene = server.url + path.name if path.is_file() else server.url
+    try:
+        if as_json:
+            say_json({"url": url, "source": str(path), "scene_url": scene})
+        elif quiet:
+            say(url)
+        else:
+            say(f"{path}: {url}" + (f" shows {scene}" if pages else ""))
+            say("Ctrl-C stops the server")
+        server.serve_forever()
+    except KeyboardInterrupt:
+        # The way to stop it, not an interrupted piece of work.
+        return
+    finally:
+        server.close()

@@ -1,0 +1,248 @@
+"""An ASGI application that gives out files as scenes want it: ranges, CORS, types, validators."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping
+from dataclasses import dataclass
+from http import HTTPStatus
+from io import BytesIO
+from pathlib import Path, PurePosixPath
+from typing import Any, BinaryIO, Final
+from urllib.parse import unquote_to_bytes
+
+from cogsplat.codec.errors import StorageError
+from cogsplat.formats.storage.atomic import open_for_read
+
+from .byte_range import RangeNotSatisfiableError, parse_range
+from .shaped_link import ShapedLink
+
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+
+_METHODS: Final = "GET, HEAD, OPTIONS"
+
+TYPES: Final = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".mjs": "text/javascript; charset=utf-8",
+    ".json": "application/json",
+    ".wasm": "application/wasm",
+    ".png": "image/png",
+    ".svg": "image/svg+xml",
+}
+"""Media types by extension; everything else is application/octet-stream, scenes among it."""
+
+_IMMUTABLE: Final = "public, max-age=31536000, immutable, no-transform"
+_REVALIDATED: Final = "no-cache, no-transform"
+
+# The folder of segments that are named by their content (SPEC 3.4): what has a name never changes.
+_BY_CONTENT: Final = "segments"
+
+# Pages of any origin may read what is served, and see of it what a reader checks.
+_CORS: Final = {
+    "Access-Control-Allow-Origin": "*",
+    "Access-Control-Expose-Headers": (
+        "ETag, Content-Range, Accept-Ranges, Content-Length, Content-Encoding, Retry-After, Date"
+    ),
+    "Cross-Origin-Resource-Policy": "cross-origin",
+    "Timing-Allow-Origin": "*",
+    "X-Content-Type-Options": "nosniff",
+}
+_PREFLIGHT: Final = {
+    "Access-Control-Allow-Methods": _METHODS,
+    "Access-Control-Allow-Headers": "Range, If-Range, If-Match, If-None-Match, Cache-Control",
+    "Access-Control-Max-Age": "86400",
+}
+
+
+class ConnectionLostError(ConnectionError):
+    """An answer breaks off in the middle, as on a bad link; the server closes the connection."""
+
+
+@dataclass(frozen=True)
+class _Content:
+    """What an answer is taken from: an open file, its length in bytes and its strong ETag."""
+
+    file: BinaryIO
+    size: int
+    etag: str
+
+
+class FileApp:
+    """Answers requests for the files of a folder, or for one file.
+
+    Parameters
+    ----------
+    root : Path
+        A folder, or a file, which is served under its own name. Files whose names begin with a dot,
+        and links that lead out of the folder, are not served.
+    link : ShapedLink
+    pages : mapping of str to bytes
+        Further files, by name; ``/`` gives ``index.html``.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from cogsplat.tools.delivery.file_app import FileApp
+    >>> from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
+    >>> app = FileApp(Path("scene.cogs"), ShapedLink(LinkQuality()))
+    """
+
+    def __init__(
+        self, root: Path, link: ShapedLink, pages: Mapping[str, bytes] | None = None
+    ) -> None:
+        self._root = root.resolve()
+        self._link = link
+        self._pages = dict(pages or {})
+
+    async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
+        """Answer one request, or take part in starting and stopping."""
+        if scope["type"] == "lifespan":
+            await _lifespan(receive, send)
+        elif scope["type"] == "http":
+            await self._answer(scope, send)
+
+    async def _answer(self, scope: Message, send: Send) -> None:
+        if await self._link.begin():
+            await _refuse(send, HTTPStatus.SERVICE_UNAVAILABLE, {"Retry-After": "0"})
+            return
+        method: str = scope["method"]
+        if method == "OPTIONS":
+            await _begin(send, HTTPStatus.NO_CONTENT, {**_PREFLIGHT, "Allow": _METHODS})
+            await send({"type": "http.response.body", "body": b""})
+            return
+        if method not in ("GET", "HEAD"):
+            await _refuse(send, HTTPStatus.METHOD_NOT_ALLOWED, {"Allow": _METHODS})
+            return
+        name = os.fsdecode(unquote_to_bytes(scope["raw_path"].partition(b"?")[0])).lstrip("/")
+        name = name or "index.html"
+        content = self._open(name)
+        if content is None:
+            await _refuse(send, HTTPStatus.NOT_FOUND, {})
+            return
+        headers = {
+            key.decode("latin-1"): value.decode("latin-1") for key, value in scope["headers"]
+        }
+        with content.file:
+            await self._send(name, content, headers, send, with_body=method == "GET")
+
+    def _open(self, name: str) -> _Content | None:
+        """Open what stands under a name, None where nothing does."""
+        page = self._pages.get(name)
+        if page is not None:
+            return _Content(BytesIO(page), len(page), f'"{hashlib.sha256(page).hexdigest()[:32]}"')
+        path = self._path(name)
+        if path is None:
+            return None
+        try:
+            file = open_for_read(path)
+        except StorageError:
+            return None
+        status = os.fstat(file.fileno())
+        etag = f'"{status.st_mtime_ns:x}-{status.st_size:x}-{status.st_ino:x}"'
+        return _Content(file, status.st_size, etag)
+
+    def _path(self, name: str) -> Path | None:
+        if self._root.is_file():
+            return self._root if name == self._root.name else None
+        parts = PurePosixPath(name).parts
+        if "\0" in name or "\\" in name or ":" in name or any(p.startswith(".") for p in parts):
+            return None
+        path = self._root.joinpath(*parts)
+        inside = path.resolve().is_relative_to(self._root)
+        return path if inside and path.is_file() else None
+
+    async def _send(
+        self,
+        name: str,
+        content: _Content,
+        asked: Mapping[str, str],
+        send: Send,
+        *,
+        with_body: bool,
+    ) -> None:
+        kind = TYPES.get(PurePosixPath(name).suffix.lower(), "application/octet-stream")
+        immutable = _BY_CONTENT in PurePosixPath(name).parts[:-1]
+        headers = {
+            "ETag": content.etag,
+            "Accept-Ranges": "bytes",
+            "Cache-Control": _IMMUTABLE if immutable else _REVALIDATED,
+            "Content-Type": kind,
+        }
+        if content.etag in _tags(asked.get("if-none-match", "")):
+            await _begin(send, HTTPStatus.NOT_MODIFIED, headers)
+            await send({"type": "http.response.body", "body": b""})
+            return
+        wanted_tags = _tags(asked.get("if-match", ""))
+        if wanted_tags and content.etag not in wanted_tags and "*" not in wanted_tags:
+            await _refuse(send, HTTPStatus.PRECONDITION_FAILED, {"ETag": content.etag})
+            return
+        # Ranges are for GET alone (RFC 9110, 14.2); If-Range asks for the whole of another file.
+        same = asked.get("if-range", content.etag) == content.etag
+        try:
+            part = parse_range(asked.get("range") if with_body and same else None, content.size)
+        except RangeNotSatisfiableError:
+            missing = {"Content-Range": f"bytes */{content.size}", "ETag": content.etag}
+            await _refuse(send, HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, missing)
+            return
+        first, end = part or (0, content.size)
+        headers["Content-Length"] = str(end - first)
+        if part is not None:
+            headers["Content-Range"] = f"bytes {first}-{end - 1}/{content.size}"
+        await _begin(send, HTTPStatus.OK if part is None else HTTPStatus.PARTIAL_CONTENT, headers)
+        if with_body:
+            await self._copy(content.file, first, end, send)
+        await send({"type": "http.response.body", "body": b""})
+
+    async def _copy(self, file: BinaryIO, first: int, end: int, send: Send) -> None:
+        """Send bytes of a file at the speed of the link.
+
+        Raises
+        ------
+        ConnectionLostError
+            The link breaks, or the file was cut while it was sent.
+        """
+        stop = self._link.breaks_at(end - first)
+        file.seek(first)
+        sent = 0
+        while sent < end - first:
+            block = file.read(min(self._link.block_bytes, end - first - sent))
+            if stop is not None and sent + len(block) > stop:
+                raise ConnectionLostError("the link breaks")
+            if not block:
+                raise ConnectionLostError("the file was cut while it was sent")
+            await self._link.wait(len(block))
+            await send({"type": "http.response.body", "body": block, "more_body": True})
+            sent += len(block)
+
+
+def _tags(header: str) -> list[str]:
+    return [tag.strip() for tag in header.split(",") if tag.strip()]
+
+
+async def _lifespan(receive: Receive, send: Send) -> None:
+    """Say that starting and stopping take nothing."""
+    while True:
+        kind = (await receive())["type"]
+        await send({"type": f"{kind}.complete"})
+        if kind == "lifespan.shutdown":
+            return
+
+
+async def _begin(send: Send, status: HTTPStatus, headers: Mapping[str, str]) -> None:
+    pairs = [
+        (key.lower().encode("latin-1"), value.encode("latin-1"))
+        for key, value in {**headers, **_CORS}.items()
+    ]
+    await send({"type": "http.response.start", "status": int(status), "headers": pairs})
+
+
+async def _refuse(send: Send, status: HTTPStatus, headers: Mapping[str, str]) -> None:
+    text = f"{status.value} {status.phrase}\n".encode()
+    own = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(text))}
+    await _begin(send, status, {**headers, **own, "Cache-Control": "no-store"})
+    await send({"type": "http.response.body", "body": text})
