@@ -31,6 +31,7 @@ from .codec.errors import (
 from .codec.executor import Executor
 from .codec.progress import Progress, TimedProgress, WholeProgress, silent
 from .codec.splats import SceneInfo, Splats
+from .formats.cogs.between_levels import decode_between
 from .formats.cogs.opening import open_place, with_place
 from .formats.cogs.reader import CogsFile
 from .formats.network.options import NetworkOptions
@@ -174,6 +175,7 @@ def decode(
     sh_degree: int | None = None,
     refine: bool = True,
     compensate: bool = False,
+    level: float | None = None,
     limits: Limits | None = None,
     network: NetworkOptions | None = None,
     threads: int = 0,
@@ -200,6 +202,9 @@ def decode(
     compensate : bool
         Whether to change the splats of the first chunks so that they look most like the whole
         scene (SPEC 8.5): larger and more opaque. Otherwise rows are as stored.
+    level : float, optional
+        Level of a scene that has some, 0 the coarsest (SPEC 5.11); 1.5 is half-way from level 1
+        to level 2. By default the finest.
     limits : Limits, optional
     network : NetworkOptions, optional
         How a URL is read. A file that changes while it is read is read once more.
@@ -218,8 +223,8 @@ def decode(
         The file cannot be read, is short, or breaks SPEC.
     ValueError
         More than one of `chunks`, `splats` and `size_bytes`, a range outside the file, an object
-        that it does not have, a negative number, or `compensate` with chunks that are not the
-        first.
+        that it does not have, a negative number, `compensate` with chunks that are not the first,
+        a level that it does not have, or one beside any of these.
 
     Examples
     --------
@@ -233,8 +238,21 @@ def decode(
         raise ValueError("more than one of chunks, splats and size_bytes")
     if threads < 0:
         raise ValueError(f"threads {threads}, expected 0 or more")
+    if level is not None and (
+        compensate or any(x is not None for x in (chunks, splats, size_bytes, objects))
+    ):
+        raise ValueError("level with a part of the file or with compensate")
 
     def whole(file: CogsFile) -> Splats:
+        if level is not None:
+            return decode_between(
+                file,
+                level,
+                sh_degree=sh_degree,
+                refine=refine,
+                threads=threads,
+                progress=progress,
+            )
         return file.decode(
             file.select(chunks=chunks, objects=objects, splats=splats),
             sh_degree=sh_degree,

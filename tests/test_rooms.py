@@ -243,6 +243,7 @@ DOORS: dict[str, dict[str, str]] = {
             "pack_codes packed_bytes unpack_codes"
         ),
         "heads": "decode_head",
+        "opacities": "MAX_LOGIT decode_opacities",
         "payloads": "Payloads",
         "tails": "decode_tail",
     },
@@ -258,6 +259,7 @@ DOORS: dict[str, dict[str, str]] = {
         "inputs": "Inputs",
         "kinds": "codebook_use codec_of read refined_by",
         "limits": "MAX_CHUNK_SPLATS MAX_CODEBOOK_ROWS MAX_PLANE_BYTES",
+        "opacity_differences": "write",
         "quaternion": "PER_ROW write",
         "records": (
             "Attribute COMPONENTS ESCAPE INFINITIES Kind SH_BANDS StoredStream Stream pack unpack"
@@ -282,6 +284,7 @@ DOORS: dict[str, dict[str, str]] = {
         "inria": "write_cameras_json",
     },
     "formats.cogs": {
+        "between_levels": "decode_between",
         "cameras": "check_cameras",
         "canonical_msgpack": "MAX_DEPTH MAX_VALUES Value pack unpack",
         "folder_map": "MANIFEST_NAME MANIFEST_SUFFIX",

@@ -206,7 +206,7 @@ def test_numbers_of_segment_kinds():
     (rows,) = tables(section("5.2 "))
     known = {int(row[0]): row[1] for row in rows if row[0].isdigit()}
     words = {"head": "HEAD", "tail": "TAIL", "shape codebook": "SHAPE_CODEBOOK"}
-    words |= {"refinement": "REFINEMENT"}
+    words |= {"refinement": "REFINEMENT", "opacities": "OPACITIES"}
     words |= {"cameras": "CAMERAS", "attributes": "ATTRIBUTES"}
     words |= {"compensation": "COMPENSATION"}
     words |= {f"colour codebook, band {b}": f"COLOUR_BAND{b}" for b in (1, 2, 3)}
@@ -225,7 +225,7 @@ def test_keys_are_those_the_code_writes():
     blank = root.no_segments()
     assert keys("5.3 ") == list(root.segments_value(blank))
     source = (ROOT / "formats" / "cogs" / "root.py").read_text(encoding="utf-8")
-    for clause in ("4.2 ", "4.4 ", "5.4 ", "5.5 ", "5.6 ", "5.7 "):
+    for clause in ("4.2 ", "4.4 ", "5.4 ", "5.5 ", "5.6 ", "5.7 ", "5.11 "):
         assert [key for key in keys(clause) if f'"{key}"' not in source] == []
     source = (ROOT / "formats" / "cogs" / "cameras.py").read_text(encoding="utf-8")
     assert [key for key in keys("5.8 ") if f'"{key}"' not in source] == []
@@ -246,6 +246,7 @@ def test_limits_are_the_constants():
         "attributes": MAX_EXTRAS,
         "components of an attribute": MAX_EXTRA_COMPONENTS,
         "cameras": layout.MAX_CAMERAS,
+        "levels of a scene": layout.MAX_LEVELS,
         "nesting of root and pages": canonical_msgpack.MAX_DEPTH,
         "values of a msgpack map": canonical_msgpack.MAX_VALUES,
         "values of a map of cameras": layout.MAX_CAMERA_VALUES,
@@ -292,8 +293,8 @@ def test_decoded_bytes_are_counted_as_stated():
     assert f"{Limits().allowed(0) >> 20} MiB" in text
     for number in (
         decoded_rows._HEAD_ROW_BYTES,
-        reader._SCRATCH_ROW_BYTES,
-        reader._SCRATCH_COORDINATE_BYTES,
+        decoded_rows.SCRATCH_ROW_BYTES,
+        decoded_rows._SCRATCH_COORDINATE_BYTES,
         reader._COMPENSATION_ROW_BYTES,
         canonical_msgpack.VALUE_BYTES,
     ):

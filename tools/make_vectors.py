@@ -24,6 +24,7 @@ from cogsplat.tools.conformance import (
     boxes,
     extras,
     folders,
+    levels,
     msgpack_faults,
     order_in_payloads,
     order_of_refusals,
@@ -75,6 +76,9 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     extras.attributes,
     extras.cameras,
     compensations.compensation,
+    levels.ends,
+    levels.levels,
+    levels.opacities,
     boxes.boxes,
     boxes.sizes,
     order_of_refusals.orders,
@@ -94,6 +98,7 @@ def valid() -> list[Valid]:
         *refinements.valid(),
         *extras.valid(),
         *compensations.valid(),
+        *levels.valid(),
         *msgpack_faults.valid(),
         *zstd_headers.valid(),
     ]
@@ -113,7 +118,7 @@ def invalid() -> list[Invalid]:
     return [vector for make in INVALID for vector in make()]
 
 
-def levels() -> dict[str, str]:
+def conformance_levels() -> dict[str, str]:
     """Return the lowest level of conformance that must refuse each file (SPEC 1.4)."""
     aside = {vector.name for make in ASIDE for vector in make()}
     return {
@@ -150,6 +155,11 @@ def _arrays(scene: reference_decoder.Scene) -> bytes:
     return struct.pack(f"<{len(values)}f", *values)
 
 
+def _rows_sha256(rows: reference_decoder.Rows) -> str:
+    values = [value for name in ATTRIBUTES for row in rows[name] for value in row]
+    return _sha256(struct.pack(f"<{len(values)}f", *values))
+
+
 _INFO: Final = ("origin", "axes", "colour_space", "kernel_px", "antialiased", "first_view")
 
 
@@ -175,6 +185,14 @@ def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
     coarse = _arrays(reference_decoder.decode(vector.data, refine=False))
     if coarse != arrays:
         entry["coarse_sha256"] = _sha256(coarse)
+    if any(scene.until):
+        entry["until"] = list(scene.until)
+    if scene.levels:
+        entry["levels"] = [
+            [scale, chunks, _rows_sha256(rows)] for scale, chunks, rows in scene.levels
+        ]
+    if scene.drawn:
+        entry["drawn"] = [_rows_sha256(rows) for rows in scene.drawn]
     if scene.attributes:
         entry["attributes"] = [list(kind) for kind in scene.attributes]
         entry["attribute_chunks"] = [
@@ -245,7 +263,7 @@ def make() -> tuple[dict[str, Json], dict[str, bytes]]:
         files[f"valid/{vector.name}.cogs"] = vector.data
         files[f"valid/{vector.name}.f32"] = arrays
     bad: list[Json] = []
-    level_of = levels()
+    level_of = conformance_levels()
     for refused in invalid():
         bad.append(_invalid_entry(refused, level_of[refused.name]))
         files[f"invalid/{refused.name}.cogs"] = refused.data

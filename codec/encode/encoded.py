@@ -52,6 +52,10 @@ class EncodedChunk:
         Label of the object it holds; 0 in scenes without.
     tail_drop : float
         Squared error of the pictures that its tail removes.
+    until : int
+        The chunk is drawn in prefixes of fewer chunks than this; 0 in all (SPEC 5.10).
+    opacities : tuple of bytes
+        Payloads of its splats' opacities at each level behind its first (SPEC 5.11).
     """
 
     splats: int
@@ -62,6 +66,8 @@ class EncodedChunk:
     quality_db: float = 0.0
     object: int = 0
     tail_drop: float = 0.0
+    until: int = 0
+    opacities: tuple[bytes, ...] = ()
 
     @property
     def parts(self) -> ChunkParts:
@@ -72,6 +78,22 @@ class EncodedChunk:
             None if refinement is None else Part(len(refinement), self.payloads.refinement_drop),
             None if tail is None else Part(len(tail), self.tail_drop),
         )
+
+
+@dataclass(frozen=True)
+class EncodedLevel:
+    """A level of a scene that is made for pictures of several scales.
+
+    Parameters
+    ----------
+    chunks : int
+        First chunks of the scene that make it up.
+    scale : float
+        Its pictures are the full ones divided by this in width and height.
+    """
+
+    chunks: int
+    scale: float
 
 
 @dataclass(frozen=True)
@@ -146,6 +168,8 @@ class EncodedScene:
         the usual inflation, for what the splats behind are missing; None where that was not
         measured.
     report : EncodeReport
+    levels : sequence of EncodedLevel
+        Coarsest first; none where the scene has no levels.
     """
 
     scene: Splats
@@ -158,6 +182,7 @@ class EncodedScene:
     compensation: Compensation | None = None
     prefix_mse: NDArray[np.float64] | None = None
     report: EncodeReport = field(default_factory=EncodeReport)
+    levels: Sequence[EncodedLevel] = ()
 
     def placed(self) -> list[Place]:
         """Return the segments that splats need in the order of the file, shape codebooks aside."""

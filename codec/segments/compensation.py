@@ -73,14 +73,16 @@ class Compensation:
     layers: Sequence[Layer]
     chunk_splats: NDArray[np.int64]
 
-    def apply(self, splats: Splats, chunks: int) -> Splats:
+    def apply(self, splats: Splats, chunks: int, drawn: Sequence[int] | None = None) -> Splats:
         """Return the first chunks of a scene with their log scales and logits shifted.
 
         Parameters
         ----------
         splats : Splats
-            Of the first `chunks` chunks, all of them, in stored order.
+            Of the first `chunks` chunks in stored order, all of them or those that are `drawn`.
         chunks : int
+        drawn : sequence of int, optional
+            Numbers of the chunks that `splats` hold: those that have not ended (SPEC 5.10).
 
         Returns
         -------
@@ -92,7 +94,8 @@ class Compensation:
         ValueError
             The splats are not as many as these chunks hold.
         """
-        expected = int(self.chunk_splats[:chunks].sum())
+        counts = self.chunk_splats[:chunks]
+        expected = int((counts if drawn is None else counts[list(drawn)]).sum())
         if not 0 <= chunks <= len(self.chunk_splats) or len(splats) != expected:
             raise ValueError(
                 f"{len(splats)} splats of {chunks} chunks, expected the {expected} of the first "
@@ -101,6 +104,8 @@ class Compensation:
         if not self.layers or chunks in (0, len(self.chunk_splats)):
             return splats
         shifts = self.shifts(chunks)
+        if drawn is not None:
+            shifts = shifts[np.repeat(np.isin(np.arange(chunks), drawn), counts)]
         scales: F32 = splats.scales + shifts[:, :1]
         opacities: F32 = splats.opacities + shifts[:, 1]
         return replace(splats, scales=scales, opacities=opacities)

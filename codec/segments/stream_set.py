@@ -24,10 +24,19 @@ class StreamSet:
         Clause of SPEC 7 that says which streams the payload has.
     heads_only : bool
         Whether kinds that stand in heads only are allowed.
+    levels : bool
+        Whether kinds that stand for opacities of later levels only are allowed.
     """
 
     def __init__(
-        self, payload: memoryview, where: str, rows: int, clause: str, *, heads_only: bool = False
+        self,
+        payload: memoryview,
+        where: str,
+        rows: int,
+        clause: str,
+        *,
+        heads_only: bool = False,
+        levels: bool = False,
     ) -> None:
         stored = records.unpack(payload, where, rows)
         self._stored = {(s.attribute, s.flags & ESCAPE): s for s in stored}
@@ -35,6 +44,7 @@ class StreamSet:
         self._rows = rows
         self._clause = clause
         self._heads_only = heads_only
+        self._levels = levels
 
     def has(self, attribute: Attribute, *, escape: bool = False) -> bool:
         """Tell whether a stream of this attribute has not been taken yet."""
@@ -69,6 +79,13 @@ class StreamSet:
                 "stream-kind",
                 f"{stream.where}: kind {stream.kind.name.lower()}, "
                 "which is for splats of a head without shape indices only",
+                clause="6.2",
+            )
+        if kinds.codec_of(stream).levels_only and not self._levels:
+            raise FormatError(
+                "stream-kind",
+                f"{stream.where}: kind {stream.kind.name.lower()}, "
+                "which is for opacities of later levels only",
                 clause="6.2",
             )
         return stream

@@ -15,6 +15,7 @@ from . import (
     codebook_index,
     compiled,
     float32,
+    opacity_differences,
     quaternion,
     scalar,
     scale_differences,
@@ -42,6 +43,9 @@ class StreamCodec:
         Kind of the streams in a refinement that refine it; None where none do.
     heads_only : bool
         Whether it may stand for neither escape rows nor rows of a codebook.
+    levels_only : bool
+        Whether it may stand for nothing but the opacities of a later level (SPEC 7.5); its reader
+        adds to what `out` holds.
     codebook : callable or None
         Returns the codebook and the number of escape rows that a stream refers to; None where it
         refers to none.
@@ -50,6 +54,7 @@ class StreamCodec:
     read: Callable[[StoredStream, F32, Inputs], None]
     refined_by: Kind | None = None
     heads_only: bool = False
+    levels_only: bool = False
     codebook: Callable[[StoredStream], CodebookUse] | None = None
 
 
@@ -65,7 +70,10 @@ KINDS: Final[Mapping[Attribute, Mapping[Kind, StreamCodec]]] = {
         **_PLAIN,
         Kind.SORTED: StreamCodec(sorted_means.read, refined_by=Kind.BITS),
     },
-    Attribute.OPACITIES: _REFINABLE,
+    Attribute.OPACITIES: {
+        **_REFINABLE,
+        Kind.DIFFERENCES: StreamCodec(opacity_differences.read, levels_only=True),
+    },
     Attribute.SH0: {
         **_REFINABLE,
         Kind.BASIS: StreamCodec(sh0_transform.read, refined_by=Kind.DIGITS),

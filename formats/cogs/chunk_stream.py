@@ -13,6 +13,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import Cancel, Source, prefetching
 
+from .drawn_chunks import drawn_chunks
 from .fetch_order import codebook_rows, rows_of_chunk
 from .index import Index
 from .layout import CODEBOOK_KINDS
@@ -119,7 +120,7 @@ class ChunkStream:
 
     def _plan(self, priority: Callable[[int], float] | None) -> dict[int, list[int]]:
         """Return the rows of each wanted chunk, chunks in the order in which they are wanted."""
-        chunks = list(range(self._file.complete_chunks()))
+        chunks = drawn_chunks(self._file.chunks, self._file.complete_chunks())
         if priority is not None:
             values = {chunk: priority(chunk) for chunk in chunks}
             chunks = sorted((c for c in chunks if values[c] >= 0), key=lambda c: -values[c])

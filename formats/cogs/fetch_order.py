@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from .drawn_chunks import first_level
 from .index import Index, codebook_kinds
 
 if TYPE_CHECKING:
@@ -23,13 +24,34 @@ def needed_codebooks(table: SegmentTable, row: int, books: int) -> list[int]:
     return [book for book in range(books) if needs >> book & 1]
 
 
+def opacities_rows(index: Index, chunk: int, level: int | None) -> list[int]:
+    """Return the segments that a chunk has of opacities up to a level, the last one's at the end.
+
+    Without a level those of all levels (SPEC 5.11).
+    """
+    rows = list(index.opacities.get(chunk, ()))
+    if level is None or not rows:
+        return rows
+    return rows[: max(level - first_level(index.root.levels, chunk), 0)]
+
+
 def rows_of_chunk(
-    index: Index, chunk: int, *, sh_degree: int, refine: bool, extras: bool
+    index: Index,
+    chunk: int,
+    *,
+    sh_degree: int,
+    refine: bool,
+    extras: bool,
+    level: int | None = None,
 ) -> list[int]:
-    """Return the rows of the segments that a chunk itself takes: head, refinement, tail, extras."""
+    """Return the rows of the segments that a chunk takes at a level, by default at the finest.
+
+    They are its head, refinement, opacities, tail and extra attributes.
+    """
     rows = [int(index.heads[chunk])]
     if refine:
         rows.append(int(index.refinements[chunk]))
+    rows += opacities_rows(index, chunk, level)[-1:]
     if sh_degree:
         rows.append(int(index.tails[chunk]))
     if extras:
@@ -50,7 +72,13 @@ def codebook_rows(index: Index, rows: Iterable[int], sh_degree: int) -> list[int
 
 
 def ranges_to_decode(
-    index: Index, chunks: Sequence[int], *, sh_degree: int, refine: bool, extras: bool
+    index: Index,
+    chunks: Sequence[int],
+    *,
+    sh_degree: int,
+    refine: bool,
+    extras: bool,
+    level: int | None = None,
 ) -> list[tuple[int, int]]:
     """Return the ranges that decoding chunks takes, in the order in which to fetch them.
 
@@ -63,6 +91,8 @@ def ranges_to_decode(
         Up to which tails and bands of codebooks are read.
     refine, extras : bool
         Whether refinements and extra attributes are read.
+    level : int, optional
+        Whose opacities are read; by default the finest.
 
     Returns
     -------
@@ -71,7 +101,7 @@ def ranges_to_decode(
         then those of a few further chunks at a time.
     """
     each = [
-        rows_of_chunk(index, chunk, sh_degree=sh_degree, refine=refine, extras=extras)
+        rows_of_chunk(index, chunk, sh_degree=sh_degree, refine=refine, extras=extras, level=level)
         for chunk in chunks
     ]
     every = [row for rows in each for row in rows]

@@ -18,6 +18,7 @@ from cogsplat.formats.storage.source import Source, opening_bytes
 
 from . import canonical_msgpack, layout
 from . import root as cogs_root
+from .drawn_chunks import later_levels
 from .layout import SegmentKind
 from .root import ChunkTable, Root, SegmentTable
 
@@ -41,6 +42,8 @@ class Index:
         Byte offset of each segment.
     heads, tails, refinements : (c,) int64
         Row of each chunk's head, tail and refinement in `segments`; -1 where there is none.
+    opacities : mapping of int to sequence of int
+        Rows of the segments of opacities of each chunk that has some, in the order of the levels.
     attributes : (c,) int64
         Row of each chunk's extra attributes; -1 where it has none, or its page is not there.
     cameras : int
@@ -62,6 +65,7 @@ class Index:
     heads: I64
     tails: I64
     refinements: I64
+    opacities: Mapping[int, Sequence[int]]
     attributes: I64
     cameras: int
     layers: Sequence[int]
@@ -114,7 +118,16 @@ def read_index(source: Source, *, partial: bool) -> Index:
 
 
 _SEGMENT_COLUMNS: Final = ("kind", "owner", "length", "crc", "hash", "needs")
-_CHUNK_COLUMNS: Final = ("splats", "box", "contribution", "layer", "cell", "object", "quality")
+_CHUNK_COLUMNS: Final = (
+    "splats",
+    "box",
+    "contribution",
+    "layer",
+    "cell",
+    "object",
+    "quality",
+    "until",
+)
 
 
 def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> Index:
@@ -125,6 +138,8 @@ def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> 
             f"{source.name}: {rows} segments, expected at most {layout.MAX_SEGMENTS}",
             clause="9.1",
         )
+    all_chunks = len(root.chunks) + sum(page.chunks for page in root.pages)
+    _check_levels(source, root, all_chunks)
     segments, chunks = [root.segments], [root.chunks]
     offsets = [_offsets(root.segments, root_end)]
     _check_own_heads(root.segments, root.chunks, f"{source.name}: root")
@@ -160,6 +175,8 @@ def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> 
     heads = _head_rows(source, table, chunk_table)
     tails = _tail_rows(source, root, table, heads)
     refinements = _refinement_rows(source, table, heads)
+    opacities = _opacity_rows(source, root, table, chunk_table, heads)
+    _check_ends(source, chunk_table, all_chunks)
     _check_counts(source, root, table, chunk_table, whole=whole)
     return Index(
         root=root,
@@ -170,11 +187,12 @@ def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> 
         heads=heads,
         tails=tails,
         refinements=refinements,
+        opacities=opacities,
         codebooks=_codebook_segments(source, root, table, whole=whole),
         attributes=_attribute_rows(source, root, table, heads),
         cameras=_camera_segment(source, table),
         layers=_layer_rows(source, table),
-        all_chunks=len(root.chunks) + sum(page.chunks for page in root.pages),
+        all_chunks=all_chunks,
     )
 
 
@@ -241,6 +259,54 @@ def _refinement_rows(source: Source, table: SegmentTable, heads: I64) -> I64:
             clause="5.4",
         )
     return rows
+
+
+def _check_levels(source: Source, root: Root, all_chunks: int) -> None:
+    """Refuse levels of which the last is not the whole file (SPEC 5.11)."""
+    if root.levels and root.levels[-1].chunks != all_chunks:
+        raise FormatError(
+            "level-chunks",
+            f"{source.name}: the last level has {root.levels[-1].chunks} chunks, expected all "
+            f"{all_chunks}",
+            clause="5.11",
+        )
+
+
+def _opacity_rows(
+    source: Source, root: Root, table: SegmentTable, chunks: ChunkTable, heads: I64
+) -> dict[int, list[int]]:
+    """Return the segments of opacities of each chunk that has some (SPEC 5.11)."""
+    rows = np.flatnonzero(table.kind == SegmentKind.OPACITIES)
+    owners = table.owner[rows].astype(np.int64)
+    known = bool((owners < len(heads)).all()) and bool((heads[owners] < rows).all())
+    if known and len(rows):
+        later = later_levels(root.levels, chunks)
+        known = bool((np.bincount(owners, minlength=len(heads)) <= later).all())
+    if not known:
+        raise FormatError(
+            "chunk-opacities",
+            f"{source.name}: segments of opacities of chunks {owners.tolist()[:8]}, expected one "
+            f"at most for each later level that draws one of {len(heads)} chunks, behind its head",
+            clause="5.11",
+        )
+    found: dict[int, list[int]] = {}
+    for row, owner in zip(rows.tolist(), owners.tolist(), strict=True):
+        found.setdefault(owner, []).append(row)
+    return found
+
+
+def _check_ends(source: Source, chunks: ChunkTable, all_chunks: int) -> None:
+    """Refuse chunks that end before they are there, or not before the file does (SPEC 5.10)."""
+    until = chunks.until.astype(np.int64)
+    wrong = (until > 0) & ((until < np.arange(len(until)) + 2) | (until > all_chunks))
+    if wrong.any():
+        chunk = int(np.argmax(wrong))
+        raise FormatError(
+            "chunk-until",
+            f"{source.name}: chunk {chunk} is drawn until there are {until[chunk]} chunks, "
+            f"expected 0 or {chunk + 2} to {all_chunks}",
+            clause="5.10",
+        )
 
 
 def _attribute_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:

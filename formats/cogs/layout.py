@@ -13,7 +13,7 @@ from cogsplat.formats.storage.magic import COGS_MAGIC, describe
 
 MAGIC: Final = COGS_MAGIC
 MAJOR: Final = 0
-MINOR: Final = 2
+MINOR: Final = 3
 
 _PREAMBLE: Final = struct.Struct("<8sHHIQII28xI")
 PREAMBLE_BYTES: Final = _PREAMBLE.size
@@ -31,6 +31,7 @@ MAX_PAGE_BYTES: Final = 1 << 20
 MAX_PAGES: Final = 128
 MAX_SEGMENTS: Final = 1 << 20
 MAX_CODEBOOKS: Final = 32
+MAX_LEVELS: Final = 16
 MAX_SPLATS: Final = (1 << 31) - 1
 MAX_CAMERAS: Final = 1 << 16
 MAX_CAMERA_VALUES: Final = 1 << 17
@@ -47,6 +48,7 @@ class SegmentKind(IntEnum):
     COLOUR_BAND2 = 5
     COLOUR_BAND3 = 6
     REFINEMENT = 7
+    OPACITIES = 8
     CAMERAS = 128
     ATTRIBUTES = 129
     COMPENSATION = 130

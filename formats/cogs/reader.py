@@ -16,10 +16,9 @@ from cogsplat.codec.segments.attributes import unpack_attributes
 from cogsplat.codec.segments.chunks import decode_chunk
 from cogsplat.codec.segments.codebooks import Codebook
 from cogsplat.codec.segments.compensation import Compensation, Layer
+from cogsplat.codec.segments.opacities import decode_opacities
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from cogsplat.codec.streams import compiled
-from cogsplat.codec.streams.limits import MAX_PLANE_BYTES
-from cogsplat.codec.streams.shn_transform import MAX_BASIS_ROWS
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import (
@@ -32,23 +31,15 @@ from cogsplat.formats.storage.source import (
 
 from . import cameras as cogs_cameras
 from . import compensation as cogs_compensation
-from .decoded_rows import allocate, row_bytes
-from .fetch_order import ranges_to_decode
+from .decoded_rows import SCRATCH_ROW_BYTES, allocate, row_bytes, scratch_bytes
+from .drawn_chunks import drawn_chunks
+from .fetch_order import opacities_rows, ranges_to_decode
 from .gaps import require_all
 from .index import Index, read_index
 from .stored_file import StoredFile
 
 if TYPE_CHECKING:
     from .chunk_stream import ChunkStream
-
-# Working memory of one chunk while it is decoded, for each of its rows (measured: 30 to 130 bytes,
-# planes, codes and copies of one attribute at a time).
-_SCRATCH_ROW_BYTES: Final = 128
-
-# Beside it of one coordinate of a row's shN on a basis: its code, byte by byte, and its value
-# (measured: 6 bytes).
-_SCRATCH_COORDINATE_BYTES: Final = 8
-_FIRST_COORDINATES: Final = 26
 
 # Of one splat while compensation is applied: shifts of two layers and the codes' entries.
 _COMPENSATION_ROW_BYTES: Final = 96
@@ -148,6 +139,7 @@ class CogsFile(StoredFile):
         refine: bool = True,
         extras: bool = True,
         compensate: bool = False,
+        level: int | None = None,
         threads: int = 0,
         progress: Progress = silent,
     ) -> Splats:
@@ -156,7 +148,8 @@ class CogsFile(StoredFile):
         Parameters
         ----------
         chunks : iterable of int, optional
-            Chunk numbers; by default all that are complete.
+            Chunk numbers; by default those that `level` draws, or all that are complete and have
+            not ended (SPEC 5.10).
         sh_degree : int, optional
             Highest SH degree wanted; lower than the file's, bands and perhaps tails are skipped.
         refine : bool
@@ -167,6 +160,9 @@ class CogsFile(StoredFile):
         compensate : bool
             Whether to make up for the chunks that are missing (SPEC 8.5); those asked for must be
             the first ones of the file, in order.
+        level : int, optional
+            Level whose opacities the splats have, 0 the coarsest (SPEC 5.11); by default the
+            finest that is there.
         threads : int
             0 uses as many as pay. The result does not depend on it.
         progress : Progress
@@ -186,11 +182,22 @@ class CogsFile(StoredFile):
         LimitError
             ``decoded-size``, ``too-many-splats``: more than `Limits` allow.
         """
-        wanted = self._wanted(chunks)
+        if level is not None and not 0 <= level < len(self.root.levels):
+            raise ValueError(f"level {level}, expected one of {len(self.root.levels)}")
+        count = self.complete_chunks() if level is None else self.root.levels[level].chunks
+        wanted = self._wanted(chunks, count)
+        if compensate and chunks is not None:
+            count = len(wanted)
+            if wanted != list(range(count)):
+                raise ValueError(
+                    f"chunks {wanted[:8]} compensated, expected the first ones of the file in order"
+                )
         compiled.prepare(int(self.chunks.splats[wanted].sum()))
-        return self._decode(
-            wanted, sh_degree, refine, extras, compensate, threads=threads, progress=progress
+        shifted = int(self.chunks.splats[:count].sum()) if compensate else 0
+        out = self._decode(
+            wanted, sh_degree, refine, extras, level, shifted, threads=threads, progress=progress
         )
+        return self.compensation().apply(out, count, wanted) if compensate else out
 
     def _decode(
         self,
@@ -198,27 +205,24 @@ class CogsFile(StoredFile):
         sh_degree: int | None,
         refine: bool,
         extras: bool,
-        compensate: bool = False,
+        level: int | None = None,
+        shifted_splats: int = 0,
         *,
         threads: int,
         progress: Progress = silent,
     ) -> Splats:
         if sh_degree is not None and not 0 <= sh_degree <= MAX_SH_DEGREE:
             raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
-        if compensate and wanted != list(range(len(wanted))):
-            raise ValueError(
-                f"chunks {wanted[:8]} compensated, expected the first ones of the file in order"
-            )
         degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)
         counts = [int(self.chunks.splats[chunk]) for chunk in wanted]
         kinds = self.root.attributes if extras and all(map(self.has_extras, wanted)) else ()
-        each = row_bytes(degree, kinds) + (_COMPENSATION_ROW_BYTES if compensate else 0)
-        scratch = self._scratch_bytes(max(counts, default=0), degree)
-        size = sum(counts) * each + scratch
+        scratch = scratch_bytes(max(counts, default=0), degree, self.root)
+        size = sum(counts) * row_bytes(degree, kinds) + scratch
+        size += shifted_splats * _COMPENSATION_ROW_BYTES
         # Before codebooks are read, so that a file that is too large is refused at once.
         self._limits.require_splats(sum(counts), self.name)
         self._check_size(size, f"{sum(counts)} splats")
-        with self._fetching(wanted, degree, refine=refine, extras=bool(kinds)):
+        with self._fetching(wanted, degree, refine=refine, extras=bool(kinds), level=level):
             # Codebooks first, on this thread, so that the workers only read them.
             for chunk in wanted:
                 self._load_codebooks(chunk, degree)
@@ -231,14 +235,14 @@ class CogsFile(StoredFile):
             ]
 
             def decode_one(task: tuple[int, Splats]) -> None:
-                self._decode_chunk(*task, refine=refine)
+                self._decode_chunk(*task, refine=refine, level=level)
 
             # More workers take the working memory of a chunk each: as many as the limit allows.
             room = 1 + (self._allowed - size) // max(scratch, 1)
             workers = min(thread_count(threads or _workers(sum(counts))), room, len(tasks) or 1)
             for done, _ in enumerate(ordered_map(decode_one, tasks, workers), start=1):
                 progress("decode", done, len(tasks))
-        return self.compensation().apply(out, len(wanted)) if compensate else out
+        return out
 
     def decode_parts(
         self,
@@ -270,7 +274,7 @@ class CogsFile(StoredFile):
         CogsplatError
             As `decode`; a file that is too large as a whole is refused before the first part.
         """
-        wanted = self._wanted(chunks)
+        wanted = self._wanted(chunks, self.complete_chunks())
         extras = extras and all(map(self.has_extras, wanted))
         degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)
         counts = [int(self.chunks.splats[chunk]) for chunk in wanted]
@@ -339,8 +343,8 @@ class CogsFile(StoredFile):
         )
 
     def iter_chunks(self, *, sh_degree: int | None = None, refine: bool = True) -> Iterator[Splats]:
-        """Decode the complete chunks one by one."""
-        for chunk in range(self.complete_chunks()):
+        """Decode the chunks that are complete and have not ended one by one."""
+        for chunk in self._wanted(None, self.complete_chunks()):
             yield self.decode([chunk], sh_degree=sh_degree, refine=refine, threads=1)
 
     def verify(self, progress: Progress = silent) -> None:
@@ -379,21 +383,30 @@ class CogsFile(StoredFile):
         """
         each = row_bytes(self.root.sh_degree, self.root.attributes)
         counts = self.chunks.splats.tolist()
-        scratch = self._scratch_bytes(max(counts, default=0), self.root.sh_degree)
+        scratch = scratch_bytes(max(counts, default=0), self.root.sh_degree, self.root)
         self._check_size(sum(counts) * each + scratch, f"{sum(counts)} splats")
 
     def _fetching(
-        self, chunks: Sequence[int], degree: int, *, refine: bool, extras: bool
+        self,
+        chunks: Sequence[int],
+        degree: int,
+        *,
+        refine: bool,
+        extras: bool,
+        level: int | None = None,
     ) -> AbstractContextManager[Cancel]:
         """Have what chunks take fetched ahead, in a few requests, as long as the block lasts."""
         if not isinstance(self._source, RemoteSource):
             return nullcontext(lambda: None)
         return self._source.prefetch(
-            ranges_to_decode(self._index, chunks, sh_degree=degree, refine=refine, extras=extras)
+            ranges_to_decode(
+                self._index, chunks, sh_degree=degree, refine=refine, extras=extras, level=level
+            )
         )
 
-    def _wanted(self, chunks: Iterable[int] | None) -> list[int]:
-        wanted = list(range(self.complete_chunks()) if chunks is None else chunks)
+    def _wanted(self, chunks: Iterable[int] | None, count: int) -> list[int]:
+        """Return the chunks asked for, by default those that a prefix of `count` draws."""
+        wanted = drawn_chunks(self.chunks, count) if chunks is None else list(chunks)
         for chunk in wanted:
             self._require_chunk(chunk)
         return wanted
@@ -407,16 +420,6 @@ class CogsFile(StoredFile):
                 f"{self.name}: {what} and codebooks take {size} bytes, expected at most "
                 f"{self._allowed} from {self._source.size} bytes (SPEC 9.2)",
             )
-
-    def _scratch_bytes(self, rows: int, degree: int) -> int:
-        """Return the most working memory that decoding a chunk of so many splats takes, bytes."""
-        books = [book.rows for book in self.root.codebooks if book.attribute == "colour"]
-        width = min(max(books, default=0), MAX_BASIS_ROWS) if degree else 0
-        # A plane holds the codes of a group of coordinates (SPEC 6.14), so that its largest length
-        # bounds how many there are; the first groups have 26 coordinates together.
-        coordinates = rows * width
-        coordinates = min(coordinates, rows * _FIRST_COORDINATES + MAX_PLANE_BYTES)
-        return rows * _SCRATCH_ROW_BYTES + coordinates * _SCRATCH_COORDINATE_BYTES
 
     def _load_codebooks(self, chunk: int, degree: int) -> None:
         tail = int(self._index.tails[chunk])
@@ -442,28 +445,34 @@ class CogsFile(StoredFile):
         if rows is None:
             raise self._not_there(f"a segment of codebook {book}")
         row = 28 if entry.attribute == "shape" else 12 * (sh_coefficients(degree) - 1)
-        self._check_size(entry.rows * (row + _SCRATCH_ROW_BYTES), where)
+        self._check_size(entry.rows * (row + SCRATCH_ROW_BYTES), where)
         if entry.attribute == "shape":
             return codebooks.decode_shape_codebook(self.read_segment(rows[0]), entry.rows, where)
         payloads = {band: self.read_segment(row) for band, row in enumerate(rows, start=1)}
         return codebooks.decode_colour_codebook(payloads, entry.rows, degree, where)
 
-    def _decode_chunk(self, chunk: int, out: Splats, *, refine: bool) -> None:
+    def _decode_chunk(self, chunk: int, out: Splats, *, refine: bool, level: int | None) -> None:
         degree = out.sh_degree
         head = int(self._index.heads[chunk])
         where = f"{self.name}: chunk {chunk}"
         payload = self.read_segment(head)
         row = int(self._index.refinements[chunk])
         finer = self.read_segment(row) if refine and row >= 0 and self.is_present(row) else None
+        later = opacities_rows(self._index, chunk, level)
+        if level is None:
+            later = [row for row in later if self.is_present(row)]
+        logits = self.read_segment(later[-1]) if later else None
         tail = int(self._index.tails[chunk])
         with_tail = degree > 0 and tail >= 0 and self.has_tail(chunk, degree)
         coefficients = self.read_segment(tail) if with_tail else None
         extras = self.read_segment(int(self._index.attributes[chunk])) if out.extras else None
-        # All CRCs were checked before anything is decoded, in the order of SPEC 7.5.
+        # All CRCs were checked before anything is decoded, in the order of SPEC 7.6.
         shapes = self._books(self._shapes_needed(head), degree)
         colours = self._books(self._needed(tail), degree) if with_tail else {}
         most = self.root.sh_degree
         decode_chunk(payload, finer, coefficients, (shapes, colours), out, where, sh_degree=most)
+        if logits is not None:
+            decode_opacities(logits, out.opacities, f"{where} opacities")
         if extras is not None:
             unpack_attributes(extras, self.root.attributes, out.extras, f"{where} attributes")
 

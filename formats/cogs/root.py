@@ -92,6 +92,8 @@ class ChunkTable:
         Zeros where the scene has none.
     quality : (c,) float32
         Predicted PSNR, dB, of a scene that ends with the chunk; 0 where nothing was predicted.
+    until : (c,) uint32
+        The chunk is drawn in prefixes of fewer chunks than this; 0 in all (SPEC 5.10).
     """
 
     splats: U32
@@ -101,6 +103,7 @@ class ChunkTable:
     cell: U32
     object: U32
     quality: NDArray[np.float32]
+    until: U32
 
     def __len__(self) -> int:
         return len(self.splats)
@@ -135,6 +138,22 @@ class PageEntry:
     span: int
 
 
+@dataclass(frozen=True)
+class Level:
+    """One level of a scene that is made for pictures of several scales (SPEC 5.11).
+
+    Parameters
+    ----------
+    chunks : int
+        First chunks of the file that make it up.
+    scale : float
+        Its pictures are the full ones divided by this in width and height.
+    """
+
+    chunks: int
+    scale: float
+
+
 @dataclass(frozen=True, eq=False)
 class Root:
     """Everything the root states.
@@ -157,6 +176,8 @@ class Root:
     pages : sequence of PageEntry
     attributes : sequence of AttributeType
         Extra attributes of the splats, of which chunks have segments of their own.
+    levels : sequence of Level
+        Coarsest first; none where the scene has no levels.
     """
 
     writer: str
@@ -170,6 +191,7 @@ class Root:
     chunks: ChunkTable
     pages: Sequence[PageEntry] = field(default=())
     attributes: Sequence[AttributeType] = field(default=())
+    levels: Sequence[Level] = field(default=())
 
 
 def _column(values: NDArray[np.generic], dtype: str) -> bytes:
@@ -201,6 +223,8 @@ def chunks_value(table: ChunkTable) -> dict[str, Value]:
             value[name] = _column(column, "<u4")
     if table.quality.any():
         value["quality"] = _column(table.quality, "<f4")
+    if table.until.any():
+        value["until"] = _column(table.until, "<u4")
     return value
 
 
@@ -225,6 +249,10 @@ def root_value(root: Root) -> dict[str, Value]:
         value["first_view"] = _camera_value(root.first_view)
     if root.attributes:
         value["attributes"] = [_attribute_value(kind) for kind in root.attributes]
+    if root.levels:
+        value["levels"] = [
+            {"chunks": level.chunks, "scale": float(level.scale)} for level in root.levels
+        ]
     if root.pages:
         value["pages"] = [
             {
@@ -316,6 +344,9 @@ def parse_chunks(value: Value, where: str) -> ChunkTable:
     quality = np.zeros(rows, np.float32)
     if table.has("quality"):
         quality = table.column("quality", "<f4", rows).astype(np.float32)
+    until = np.zeros(rows, np.uint32)
+    if table.has("until"):
+        until = table.column("until", "<u4", rows).astype(np.uint32)
     table.finish()
     if rows and not 1 <= int(splats.min()) <= int(splats.max()) <= MAX_CHUNK_SPLATS:
         raise table.error(
@@ -329,7 +360,7 @@ def parse_chunks(value: Value, where: str) -> ChunkTable:
         raise table.error("contribution", "not finite or negative")
     if not ((quality >= 0) & (quality <= PSNR_CAP_DB)).all():
         raise table.error("quality", f"expected 0 to {PSNR_CAP_DB:g} dB")
-    return ChunkTable(splats, box, contribution, **optional, quality=quality)
+    return ChunkTable(splats, box, contribution, **optional, quality=quality, until=until)
 
 
 def parse_root(value: Value, where: str) -> Root:
@@ -356,6 +387,7 @@ def parse_root(value: Value, where: str) -> Root:
         raise root.error("codebooks", f"{len(codebooks)}, expected at most {layout.MAX_CODEBOOKS}")
     first_view = _camera(root.take("first_view", dict), where) if root.has("first_view") else None
     attributes = _attributes(root, where)
+    levels = _levels(root, where)
     pages = [_page(v, where) for v in root.take("pages", list)] if root.has("pages") else []
     if len(pages) > layout.MAX_PAGES:
         raise root.error("pages", f"{len(pages)}, expected at most {layout.MAX_PAGES}")
@@ -374,6 +406,7 @@ def parse_root(value: Value, where: str) -> Root:
         chunks=chunks,
         pages=pages,
         attributes=attributes,
+        levels=levels,
     )
 
 
@@ -456,6 +489,28 @@ def _attribute(value: Value, where: str) -> AttributeType:
             f"{', '.join(EXTRA_DTYPES)} (SPEC 5.7)",
         )
     return AttributeType(name, dtype, components)
+
+
+def _levels(root: CheckedMap, where: str) -> list[Level]:
+    if not root.has("levels"):
+        return []
+    values = root.take("levels", list)
+    if not 1 <= len(values) <= layout.MAX_LEVELS:
+        raise root.error("levels", f"{len(values)}, expected 1 to {layout.MAX_LEVELS}")
+    found: list[Level] = []
+    for value in values:
+        entry = CheckedMap(value, f"{where}, levels", "5.11")
+        level = Level(entry.integer("chunks", 1, layout.MAX_SEGMENTS), entry.number("scale"))
+        entry.finish()
+        before = found[-1] if found else Level(0, np.inf)
+        if level.chunks <= before.chunks:
+            raise entry.error("chunks", f"{level.chunks} after {before.chunks}, expected more")
+        if not 0 < level.scale < before.scale:
+            raise entry.error(
+                "scale", f"{level.scale} after {before.scale}, expected less, above 0"
+            )
+        found.append(level)
+    return found
 
 
 def _page(value: Value, where: str) -> PageEntry:

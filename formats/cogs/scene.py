@@ -18,7 +18,7 @@ from . import layout
 from .cameras import pack_cameras
 from .compensation import pack_layer
 from .layout import SegmentKind
-from .root import ChunkTable, CodebookEntry, Root, no_segments
+from .root import ChunkTable, CodebookEntry, Level, Root, no_segments
 from .writer import Segment, lay_out, write_cogs
 
 
@@ -72,9 +72,10 @@ def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = Non
         box=_outward(chunks),
         contribution=np.array([chunk.contribution for chunk in chunks], np.float64),
         quality=np.array([chunk.quality_db for chunk in chunks], np.float32),
-        layer=none,
+        layer=np.array([_level_of(scene, number) for number in range(count)], np.uint32),
         cell=none,
         object=np.array([chunk.object for chunk in chunks], np.uint32),
+        until=np.array([chunk.until for chunk in chunks], np.uint32),
     )
     return Root(
         writer=writer,
@@ -87,6 +88,7 @@ def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = Non
         segments=no_segments(),
         chunks=table,
         attributes=types_of(scene.scene.extras),
+        levels=[Level(level.chunks, level.scale) for level in scene.levels],
     )
 
 
@@ -116,10 +118,11 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
     """Return the segments of a scene in the order a client should receive them (SPEC 5.1).
 
     Layers of compensation stand before the first chunk that they are about and the layer before is
-    not. Behind all that a picture needs stand the cameras, then the extra attributes.
+    not, the opacities of a level before the last of its chunks. Behind all that a picture needs
+    stand the cameras, then the extra attributes.
     """
     out: list[Segment] = []
-    layers = _layers(scene)
+    layers, opacities = _layers(scene), _opacities(scene)
     codebooks: list[Segment] = []
     for number, book in enumerate(scene.codebooks):
         if book.attribute == "shape":
@@ -133,6 +136,7 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
         else:
             if place.what is Placed.HEAD:
                 out += layers.get(place.chunk, [])
+                out += opacities.get(place.chunk, [])
             out.append(_segment(place, scene.chunks[place.chunk].payloads))
     if cameras:
         out.append(Segment(SegmentKind.CAMERAS, 0, pack_cameras(cameras)))
@@ -149,6 +153,21 @@ def _layers(scene: EncodedScene) -> dict[int, list[Segment]]:
     for number, layer in enumerate(scene.compensation.layers if scene.compensation else ()):
         found[first] = [Segment(SegmentKind.COMPENSATION, number, pack_layer(layer))]
         first = layer.chunks
+    return found
+
+
+def _level_of(scene: EncodedScene, chunk: int) -> int:
+    """Return the first level that has a chunk, 0 where the scene has no levels."""
+    return sum(level.chunks <= chunk for level in scene.levels)
+
+
+def _opacities(scene: EncodedScene) -> dict[int, list[Segment]]:
+    """Return the opacities of later levels by the chunk that they stand before."""
+    found: dict[int, list[Segment]] = {}
+    for number, chunk in enumerate(scene.chunks):
+        for level, payload in enumerate(chunk.opacities, start=_level_of(scene, number) + 1):
+            last = scene.levels[level].chunks - 1
+            found.setdefault(last, []).append(Segment(SegmentKind.OPACITIES, number, payload))
     return found
 
 

@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 
@@ -19,9 +19,7 @@ from .fetch_order import needed_codebooks
 from .gaps import gap_bytes
 from .index import I64, Index, codebook_kinds
 from .layout import SegmentKind
-
-# Labels that a message lists.
-_MOST_NAMED: Final = 12
+from .selection import select_chunks
 
 
 @dataclass(frozen=True)
@@ -33,12 +31,15 @@ class ChunkRows:
     head : int
     refinement, tail, attributes : int or None
         None where the chunk has none.
+    opacities : tuple of int
+        One for each later level that changes them, in the order of the levels.
     """
 
     head: int
     refinement: int | None
     tail: int | None
     attributes: int | None
+    opacities: tuple[int, ...]
 
 
 class StoredFile:
@@ -170,7 +171,7 @@ class StoredFile:
         ----------
         chunks : tuple of (int or None, int or None), optional
             Half-open range of chunks; None leaves an end open. By default all chunks that are
-            complete.
+            complete and have not ended (SPEC 5.10).
         objects : iterable of int, optional
             Labels of objects: only chunks that hold one of them.
         splats : int, optional
@@ -187,33 +188,7 @@ class StoredFile:
             A range that does not lie within the file's chunks, a label that no chunk has, or a
             negative number of splats.
         """
-        selected = list(range(self.complete_chunks()))
-        if chunks is not None:
-            first = 0 if chunks[0] is None else chunks[0]
-            last = self.num_chunks if chunks[1] is None else chunks[1]
-            if not 0 <= first <= last <= self.num_chunks:
-                raise ValueError(
-                    f"chunks {first}:{last}, expected a range within 0:{self.num_chunks}"
-                )
-            selected = list(range(first, last))
-        if objects is not None:
-            own = self._chunks_of(set(objects))
-            selected = [chunk for chunk in selected if chunk in own]
-        if splats is not None:
-            if splats < 0:
-                raise ValueError(f"splats {splats}, expected 0 or more")
-            ends = np.cumsum(self.chunks.splats[selected].astype(np.int64))
-            selected = selected[: int(np.searchsorted(ends, splats)) + 1] if splats else []
-        return selected
-
-    def _chunks_of(self, objects: set[int]) -> set[int]:
-        labels = self.chunks.object.tolist()
-        there = sorted(set(labels))
-        for label in sorted(objects):
-            if label not in there:
-                some = ", ".join(map(str, there[:_MOST_NAMED])) + " …" * (len(there) > _MOST_NAMED)
-                raise ValueError(f"object {label}, expected some of {some}")
-        return {chunk for chunk, label in enumerate(labels) if label in objects}
+        return select_chunks(self.chunks, self.complete_chunks(), chunks, objects, splats)
 
     def read_segment(self, row: int) -> memoryview:
         """Return a segment's bytes, its CRC checked.
@@ -254,6 +229,7 @@ class StoredFile:
             row(index.refinements),
             row(index.tails),
             row(index.attributes),
+            tuple(index.opacities.get(chunk, ())),
         )
 
     def segment_rows(self, kind: SegmentKind, owner: int) -> list[int]:

@@ -21,6 +21,7 @@ from cogsplat.codec.errors import (
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.formats.storage.source import Source
 
+from .drawn_chunks import first_level
 from .layout import SegmentKind
 from .root import HASH_BYTES
 
@@ -131,6 +132,15 @@ def _chunk_checks(file: CogsFile, chunk: int) -> Iterator[Check]:
             _require_inside(file, chunk, means, at)
 
         yield Check(f"refinement of chunk {chunk}", at, fine)
+    first = first_level(file.root.levels, chunk)
+    for later, opacities in enumerate(rows.opacities, start=1):
+        yield Check(
+            f"opacities of chunk {chunk} at level {first + later}",
+            int(file.offsets[opacities]),
+            partial(
+                file.decode, [chunk], level=first + later, sh_degree=0, extras=False, threads=1
+            ),
+        )
     rest = [row for row in (rows.tail, rows.attributes) if row is not None]
     if rest:
         yield Check(

@@ -173,12 +173,15 @@ def _chunk_rows(table: ChunkTable, rows: slice) -> ChunkTable:
         table.cell[rows],
         table.object[rows],
         table.quality[rows],
+        table.until[rows],
     )
 
 
 # Bytes a row takes in an index, all columns present (SPEC 5.3, 5.4).
 _SEGMENT_ROW: Final = 1 + 4 + 4 + 4 + HASH_BYTES + 4
 _CHUNK_ROW: Final = 4 + 24 + 8 + 12 + 4
+# And where chunks end.
+_UNTIL: Final = 4
 # Keys and bin headers of the two tables.
 _TABLE_OVERHEAD: Final = 256
 # A page's entry in the root: keys, and integers of up to nine bytes.
@@ -195,12 +198,13 @@ def _split(root: Root, segments: Sequence[Segment]) -> list[_Group]:
     )
     fixed = layout.PREAMBLE_BYTES + len(canonical_msgpack.pack(cogs_root.root_value(empty)))
     room = layout.MAX_ROOT_END - fixed - _TABLE_OVERHEAD
-    weights = [_SEGMENT_ROW + (_CHUNK_ROW if s.kind == SegmentKind.HEAD else 0) for s in segments]
+    chunk_row = _CHUNK_ROW + (_UNTIL if root.chunks.until.any() else 0)
+    weights = [_SEGMENT_ROW + (chunk_row if s.kind == SegmentKind.HEAD else 0) for s in segments]
     total = sum(weights)
     if total <= room:
         return [_Group(slice(0, len(segments)), slice(0, len(root.chunks)))]
     page = max(_PAGE_TARGET, total // _PAGES_TARGET) - _TABLE_OVERHEAD
-    room -= _PAGE_ENTRY * (total // (page - _SEGMENT_ROW - _CHUNK_ROW) + 1)
+    room -= _PAGE_ENTRY * (total // (page - _SEGMENT_ROW - chunk_row) + 1)
     groups: list[_Group] = []
     first, chunk, used, limit = 0, 0, 0, room
     first_chunk = 0

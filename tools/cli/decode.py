@@ -47,6 +47,12 @@ from .scene_output import write_any
 @click.argument("out", type=OutputPath(".ply"), metavar="OUT.ply")
 @part_options
 @compensate_option
+@click.option(
+    "--level",
+    type=click.FloatRange(min=0),
+    metavar="L",
+    help="Level of a scene that has some, 0 the coarsest; 1.5 lies between two.",
+)
 @writing_options(WRITABLE, "Without it, the extension says which.")
 @click.option("--no-refine", is_flag=True, help="The coarse values of the heads alone.")
 @partial_option
@@ -64,6 +70,7 @@ def decode(
     objects: tuple[int, ...] | None,
     sh_degree: int | None,
     compensate: bool,
+    level: float | None,
     writing: SceneWriting,
     no_refine: bool,
     threads: int,
@@ -82,10 +89,10 @@ def decode(
     check_output(out, force=force, inputs=[cogs])
     refine = not no_refine
     part = Selection(
-        chunks, least_splats, size, sh_degree, objects, refine, compensate, writing.extras
+        chunks, least_splats, size, sh_degree, objects, refine, compensate, writing.extras, level
     )
     with Stages(shown=not (quiet or as_json)) as stages:
-        if format_.name == "ply" and not compensate:
+        if format_.name == "ply" and not compensate and level is None:
             scene, decoded = _decode_into_ply(
                 cogs, part, out, absolute=writing.absolute, force=force, threads=threads, to=stages
             )

@@ -136,6 +136,7 @@ def _cogs_report(
             for kind in root.attributes
         ],
         "stored_cameras": cameras,
+        "levels": [{"chunks": level.chunks, "scale": level.scale} for level in root.levels],
         "index_pages": len(root.pages),
         "segments": len(file.segments),
         "chunks": file.num_chunks,
@@ -169,6 +170,8 @@ def _tell_root(path: Path, version: str, file: CogsFile, cameras: int | None) ->
         ("cameras", "not there" if cameras is None else f"{cameras:,} stored" if cameras else ""),
         ("codebooks", f"{', '.join(books)} rows" if books else "none"),
         ("attributes", _kinds(root.attributes)),
+        ("levels", _levels(file)),
+        ("ends", _ends(file)),
         ("index", f"{counted(len(root.pages), 'page')} beside the root" if root.pages else ""),
     )
 
@@ -179,6 +182,21 @@ def _received(file: CogsFile) -> str:
         return ""
     share = f"{size_text(file.source_bytes)} of {size_text(file.file_length)}"
     return f"{share}, {file.complete_chunks()} of {counted(file.num_chunks, 'chunk')} complete"
+
+
+def _levels(file: CogsFile) -> str:
+    """Return the levels with their sizes, such as ``1/8 of 12 chunks, 1/1 of 30 chunks``."""
+    levels = file.root.levels
+    return ", ".join(f"1/{level.scale:g} of {counted(level.chunks, 'chunk')}" for level in levels)
+
+
+def _ends(file: CogsFile) -> str:
+    """Return how many chunks and splats are for the beginning of the file only."""
+    ending = file.chunks.until > 0
+    if not ending.any():
+        return ""
+    splats = counted(int(file.chunks.splats[ending].sum()), "splat")
+    return f"{counted(int(ending.sum()), 'chunk')} of {splats}, which the whole file does not draw"
 
 
 def _kinds(types: Sequence[AttributeType]) -> str:

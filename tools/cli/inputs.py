@@ -17,6 +17,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
+from cogsplat.formats.cogs.between_levels import decode_between
 from cogsplat.formats.cogs.opening import source_of_place
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.cogs.sources import cogs_source
@@ -70,6 +71,7 @@ class Selection:
     refine: bool = True
     compensate: bool = False
     extras: bool = True
+    level: float | None = None
 
     def __post_init__(self) -> None:
         given = {"--chunks": self.chunks, "--splats": self.least_splats, "--bytes": self.size}
@@ -80,6 +82,10 @@ class Selection:
             raise click.UsageError("--compensate and --object: expected one of them")
         if self.compensate and self.chunks is not None and self.chunks.first:
             raise click.UsageError("--compensate with --chunks, expected chunks from 0 on")
+        if self.level is not None and (self.is_cut or self.compensate):
+            raise click.UsageError(
+                "--level and a part of the file, or --compensate: expected one of them"
+            )
 
     @property
     def is_cut(self) -> bool:
@@ -199,6 +205,19 @@ def decode_part(
     """
 
     def whole(file: CogsFile, chunks: Sequence[int]) -> Splats:
+        if part.level is not None:
+            try:
+                return decode_between(
+                    file,
+                    part.level,
+                    sh_degree=part.sh_degree,
+                    refine=part.refine,
+                    extras=part.extras,
+                    threads=threads,
+                    progress=progress,
+                )
+            except ValueError as error:
+                raise click.UsageError(f"--{error}") from error
         return file.decode(
             chunks,
             sh_degree=part.sh_degree,

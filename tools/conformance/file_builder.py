@@ -37,6 +37,7 @@ class ChunkRow:
     cell: int = 0
     object: int = 0
     quality: float = 0.0
+    until: int = 0
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def _tables(group: Group) -> Index:
         "box": struct.pack(f"<{len(boxes)}f", *boxes),
         "contribution": struct.pack(f"<{len(rows)}d", *(row.contribution for row in rows)),
     }
-    for name in ("layer", "cell", "object"):
+    for name in ("layer", "cell", "object", "until"):
         column = [getattr(row, name) for row in rows]
         if any(column):
             chunks[name] = _u32(column)

@@ -115,9 +115,9 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
         head("folder-magic", own_crc, "not-cogs", "the file's magic, the manifest's CRC"),
         head(
             "folder-version",
-            seal(poke(manifest[:64], 10, "H", 3)) + manifest[64:],
+            seal(poke(manifest[:64], 10, "H", 2)) + manifest[64:],
             "version-minor",
-            "version 0.3",
+            "version 0.2",
             "3.2",
         ),
         head("folder-root-cut", manifest[:-1], "root-truncated", "ends inside the root"),

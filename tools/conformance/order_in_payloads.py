@@ -1,4 +1,4 @@
-"""Must-reject vectors of two faults in payloads: the code is that of the first (SPEC 7.5, 8.10)."""
+"""Must-reject vectors of two faults in payloads: the code is that of the first (SPEC 7.6, 8.10)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _ROWS = 3
 
 
 def orders() -> list[Invalid]:
-    """Return the vectors, in the order in which SPEC 7.5 has their first faults."""
+    """Return the vectors, in the order in which SPEC 7.6 has their first faults."""
     head = scenes.head(_ROWS, 1)
     at = {stream.attribute: scenes.place(head, stream.attribute) for stream in head}
     sh0 = head[at[Attribute.SH0]]

@@ -6,7 +6,8 @@ It shares no code with the codec or the container. Slow, and for valid files onl
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from typing import Final
 
 import msgpack
@@ -16,6 +17,7 @@ from . import reference_streams as streams
 from .reference_streams import (
     BANDS,
     BASIS,
+    DIFFERENCES,
     ESCAPE,
     MEANS,
     OPACITIES,
@@ -30,10 +32,12 @@ from .reference_streams import (
 )
 
 # SPEC 5.2, by number.
-_HEAD, _TAIL, _SHAPE_BOOK, _REFINEMENT = 1, 2, 3, 7
+_HEAD, _TAIL, _SHAPE_BOOK, _REFINEMENT, _OPACITIES = 1, 2, 3, 7, 8
 _CAMERAS, _ATTRIBUTES, _COMPENSATION = 128, 129, 130
 _BAND_VALUES: Final = (9, 15, 21)
+_NAMES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 
+Rows = dict[str, list[Row]]
 Camera = dict[str, str | int | float | list[float]]
 
 
@@ -62,12 +66,15 @@ class Prefix:
         Those of them whose tails can be decoded too, all bands.
     refined : tuple of int
         Those of them that have a refinement and it is there.
+    opacities : tuple of (int, int)
+        Those of them that have opacities of later levels, and how many of these are there.
     """
 
     size: int
     chunks: int
     tails: tuple[int, ...]
     refined: tuple[int, ...]
+    opacities: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
@@ -89,7 +96,14 @@ class Scene:
     cameras : list of dict
         With the keys of `first_view` and ``name``.
     compensated : dict of int to list of float
-        By the number of first chunks, their log scales and then their logits, compensated.
+        By the number of first chunks, the log scales and then the logits of those of them that
+        have not ended, compensated.
+    until : list of int
+        Of each chunk, 0 where it does not end.
+    levels : list of (float, int, dict of str to list of list of float)
+        Scale and chunks of each level, and the rows that it draws.
+    drawn : list of dict of str to list of list of float
+        Rows that each of `prefixes` gives; none where no chunk ends and no level has opacities.
     """
 
     sh_degree: int
@@ -100,6 +114,9 @@ class Scene:
     attribute_values: dict[int, list[bytes]]
     cameras: list[Camera]
     compensated: dict[int, Row]
+    until: list[int]
+    levels: list[tuple[float, int, Rows]]
+    drawn: list[Rows]
 
 
 class _File:
@@ -112,6 +129,7 @@ class _File:
         self.root = msgpack.unpackb(data[64 : self.root_end])
         self.segments: list[Segment] = []
         self.chunk_splats: list[int] = []
+        self.until: list[int] = []
         # Where the index that lists each segment ends.
         self.known_at: list[int] = []
         position = self._add(self.root, self.root_end)
@@ -135,7 +153,13 @@ class _File:
             position += length
         splats = index["chunks"]["splats"]
         self.chunk_splats += struct.unpack(f"<{len(splats) // 4}I", splats)
+        until = index["chunks"].get("until", bytes(len(splats)))
+        self.until += struct.unpack(f"<{len(until) // 4}I", until)
         return position
+
+    def drawn(self, chunks: int) -> list[int]:
+        """Return the chunks that a prefix draws (SPEC 5.10)."""
+        return [c for c in range(chunks) if self.until[c] == 0 or self.until[c] > chunks]
 
     def payload(self, segment: Segment) -> Payload:
         return streams.parse(self.data[segment.start : segment.end])
@@ -206,6 +230,15 @@ def _head(payload: Payload, books: dict[int, list[Row]], finer: Payload) -> dict
     }
 
 
+def _opacities(payload: Payload, before: list[Row]) -> list[Row]:
+    """Return a chunk's opacities at a later level (SPEC 6.12, 7.5)."""
+    record = payload[OPACITIES, 0]
+    stored = streams.numbers(record)
+    if record.kind != DIFFERENCES:
+        return stored
+    return [[streams.f32(x + d)] for (x,), (d,) in zip(before, stored, strict=True)]
+
+
 def _tail(payload: Payload, books: dict[int, list[Row]], degree: int, rows: int) -> list[Row]:
     """Return the rows of a chunk tail, its streams read in the order of SPEC 7.3."""
     colour = payload.get((SHN, 0))
@@ -265,10 +298,11 @@ def _cameras(file: _File) -> list[Camera]:
     return out
 
 
-def _compensated(file: _File, rows: dict[str, list[Row]]) -> dict[int, Row]:
+def _compensated(file: _File, rows: Rows) -> dict[int, Row]:
     """Return the compensated scales and opacities of each prefix of chunks (SPEC 8.5)."""
     segments = [s for s in file.segments if s.kind == _COMPENSATION]
     payloads = [file.data[s.start : s.end] for s in sorted(segments, key=lambda s: s.owner)]
+    owners = [c for c, count in enumerate(file.chunk_splats) for _ in range(count)]
     out: dict[int, Row] = {}
     for chunks in range(1, len(file.chunk_splats) + 1) if payloads else ():
         shifts = compensation.shifts(payloads, file.chunk_splats, chunks)
@@ -277,10 +311,13 @@ def _compensated(file: _File, rows: dict[str, list[Row]]) -> dict[int, Row]:
         if shifts is None:
             # Rows to which nothing is added keep their bits, -0 among them (SPEC 8.5).
             count = sum(file.chunk_splats[:chunks])
-            stored = [*rows["scales"][:count], *rows["opacities"][:count]]
+            places = [p for p in range(count) if owners[p] in file.drawn(chunks)]
+            stored = [rows[name][p] for name in ("scales", "opacities") for p in places]
             out[chunks] = [value for row in stored for value in row]
             continue
         for place, (scale, opacity) in enumerate(shifts):
+            if owners[place] not in file.drawn(chunks):
+                continue
             scales += compensation.added(rows["scales"][place], scale)
             opacities += compensation.added(rows["opacities"][place], opacity)
         out[chunks] = scales + opacities
@@ -306,35 +343,90 @@ def _prefixes(file: _File) -> list[Prefix]:
             tuple(c for c in range(chunks) for s in file.of(kind, c) if there(s, size))
             for kind in (_TAIL, _REFINEMENT)
         )
-        given = Prefix(out[-1].size if out else 0, chunks, tails, refined)
+        counts = [sum(there(s, size) for s in file.of(_OPACITIES, c)) for c in range(chunks)]
+        opacities = tuple((c, count) for c, count in enumerate(counts) if count)
+        given = Prefix(out[-1].size if out else 0, chunks, tails, refined, opacities)
         if not out or out[-1] != given:
-            out.append(Prefix(size, chunks, tails, refined))
+            out.append(replace(given, size=size))
     return out
+
+
+class _Chunks:
+    """The rows of a file's chunks, each with as much of the chunk as is asked for."""
+
+    def __init__(self, file: _File) -> None:
+        self._file = file
+        self._degree = file.root["sh_degree"]
+        self._books = {book: _codebook(file, book) for book in range(len(file.root["codebooks"]))}
+
+    def one(self, chunk: int, *, refine: bool, tail: bool, opacities: int) -> Rows:
+        """Return the rows of a chunk with the last of so many segments of opacities."""
+        file, degree = self._file, self._degree
+        refinements = file.of(_REFINEMENT, chunk) if refine else []
+        finer = file.payload(refinements[0]) if refinements else {}
+        rows = _head(file.payload(file.of(_HEAD, chunk)[0]), self._books, finer)
+        levels = file.of(_OPACITIES, chunk)[:opacities]
+        if levels:
+            rows["opacities"] = _opacities(file.payload(levels[-1]), rows["opacities"])
+        tails = file.of(_TAIL, chunk) if tail else []
+        splats = file.chunk_splats[chunk]
+        blank = [[0.0] * (3 * ((degree + 1) ** 2 - 1))] * splats
+        rows["shN"] = blank
+        if tails:
+            rows["shN"] = _tail(file.payload(tails[0]), self._books, degree, splats)
+        return rows
+
+    def joined(self, parts: Iterable[Rows]) -> Rows:
+        """Return the rows of several chunks, one after the other."""
+        rows: Rows = {name: [] for name in _NAMES}
+        for part in parts:
+            for name in _NAMES:
+                rows[name] += part[name]
+        return rows
+
+    def level(self, number: int) -> tuple[float, int, Rows]:
+        """Return scale and chunks of a level, and its rows (SPEC 5.11)."""
+        entries = self._file.root["levels"]
+        chunks = entries[number]["chunks"]
+        parts = []
+        for chunk in self._file.drawn(chunks):
+            first = next(k for k, entry in enumerate(entries) if chunk < entry["chunks"])
+            parts.append(self.one(chunk, refine=True, tail=True, opacities=number - first))
+        return entries[number]["scale"], chunks, self.joined(parts)
+
+    def prefix(self, prefix: Prefix) -> Rows:
+        """Return the rows that a prefix gives (SPEC 8.2)."""
+        counts = dict(prefix.opacities)
+        return self.joined(
+            self.one(
+                chunk,
+                refine=chunk in prefix.refined,
+                tail=chunk in prefix.tails,
+                opacities=counts.get(chunk, 0),
+            )
+            for chunk in self._file.drawn(prefix.chunks)
+        )
 
 
 def decode(data: bytes, *, refine: bool = True) -> Scene:
     """Decode a valid file whole, or without its refinements."""
     file = _File(data)
-    degree = file.root["sh_degree"]
-    books = {book: _codebook(file, book) for book in range(len(file.root["codebooks"]))}
-    names = ("means", "scales", "quats", "opacities", "sh0", "shN")
-    rows: dict[str, list[Row]] = {name: [] for name in names}
-    for chunk, splats in enumerate(file.chunk_splats):
-        refinements = file.of(_REFINEMENT, chunk) if refine else []
-        finer = file.payload(refinements[0]) if refinements else {}
-        head = _head(file.payload(file.of(_HEAD, chunk)[0]), books, finer)
-        tails = file.of(_TAIL, chunk)
-        blank = [[0.0] * (3 * ((degree + 1) ** 2 - 1))] * splats
-        head["shN"] = _tail(file.payload(tails[0]), books, degree, splats) if tails else blank
-        for name in names:
-            rows[name] += head[name]
+    made = _Chunks(file)
+    every = len(file.segments)
+    chunks = range(len(file.chunk_splats))
+    parts = [made.one(chunk, refine=refine, tail=True, opacities=every) for chunk in chunks]
+    prefixes = _prefixes(file)
+    is_plain = not any(file.until) and not any(s.kind == _OPACITIES for s in file.segments)
     return Scene(
-        sh_degree=degree,
+        sh_degree=file.root["sh_degree"],
         chunk_splats=file.chunk_splats,
-        rows=rows,
-        prefixes=_prefixes(file),
+        rows=made.joined(parts[chunk] for chunk in file.drawn(len(parts))),
+        prefixes=prefixes,
         attributes=_attribute_types(file),
         attribute_values=_attributes(file),
         cameras=_cameras(file),
-        compensated=_compensated(file, rows),
+        compensated=_compensated(file, made.joined(parts)),
+        until=file.until,
+        levels=[made.level(number) for number in range(len(file.root.get("levels", [])))],
+        drawn=[] if is_plain else [made.prefix(prefix) for prefix in prefixes],
     )

@@ -249,7 +249,7 @@ def numbers(
         return _floats(record)
     if record.kind == SORTED and scales is not None:
         return _sorted(record, scales, refinement)
-    if record.kind == DIFFERENCES:
+    if record.kind == DIFFERENCES and record.attribute == SCALES:
         return _differences(record, refinement)
     if record.kind == BASIS:
         return _sh0_basis(record, refinement)

@@ -19,6 +19,9 @@ from cogsplat.formats.cogs.layout import (
 from cogsplat.formats.cogs.reader import CogsFile
 
 _INDEX: Final = "index"
+_OF_CHUNKS: Final = (
+    SegmentKind.HEAD, SegmentKind.REFINEMENT, SegmentKind.TAIL, SegmentKind.OPACITIES,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,8 @@ class ChunkSizes:
         Of the scene's, alone and with all chunks before; None where nothing was scored.
     object_label : int
         Label of what it holds; 0 in scenes without objects.
+    until : int
+        Chunks from which on a prefix does not draw it; 0 where all do.
     """
 
     number: int
@@ -73,6 +78,7 @@ class ChunkSizes:
     share_of_contribution: float | None
     share_so_far: float | None
     object_label: int
+    until: int
 
     def report(self) -> dict[str, object]:
         """Return the fields as JSON output has them."""
@@ -113,6 +119,7 @@ def chunk_sizes(file: CogsFile) -> list[ChunkSizes]:
                 share_of_contribution=float(contribution[number]) / total if total > 0 else None,
                 share_so_far=float(so_far[number]) / total if total > 0 else None,
                 object_label=int(file.chunks.object[number]),
+                until=int(file.chunks.until[number]),
             )
         )
     return rows
@@ -193,7 +200,7 @@ def _segment_name(number: int) -> str:
 
 
 def _rows(file: CogsFile, kind: SegmentKind, owner: int) -> int:
-    if kind in (SegmentKind.HEAD, SegmentKind.REFINEMENT, SegmentKind.TAIL):
+    if kind in _OF_CHUNKS:
         return int(file.chunks.splats[owner])
     return file.root.codebooks[owner].rows
 

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.segments.opacities import MAX_LOGIT
 from cogsplat.codec.streams import grid as grids
 from cogsplat.codec.streams import scalar, sorted_means
 from cogsplat.codec.streams.adaptive_step import StepModel
 from cogsplat.codec.streams.records import Attribute, Stream
 
 F32 = NDArray[np.float32]
-
-MAX_LOGIT: Final = 12.0
-"""Opacities beyond ± this are stored as this: σ(12) differs from 1 by 6e-6, far below 1/255."""
 
 
 def chunk_means(means: F32, step: float, sort: bool) -> tuple[NDArray[np.int64], Stream, F32]:

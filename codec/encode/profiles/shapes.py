@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.rate.costs import Costs
 from cogsplat.codec.rate.refinement_split import Split
+from cogsplat.codec.segments.opacities import MAX_LOGIT
 from cogsplat.codec.streams import adaptive_step, scale_differences, swing_twist
 from cogsplat.codec.streams import grid as grids
 from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.records import Stream
 
-from .chunk_streams import MAX_LOGIT
 from .refined import Refined, squared_error_drop
 
 F32 = NDArray[np.float32]

@@ -15,6 +15,7 @@ from cogsplat.codec.errors import CogsplatError, DataError, LimitError, Truncate
 from cogsplat.codec.splats import EXTRA_DTYPES
 from cogsplat.formats.cogs import scene as cogs
 from cogsplat.formats.cogs.cameras import pack_cameras, unpack_cameras
+from cogsplat.formats.cogs.decoded_rows import scratch_bytes
 from cogsplat.formats.cogs.layout import MAX_CAMERAS, SegmentKind
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.writer import lay_out
@@ -114,7 +115,7 @@ def test_extras_count_for_the_limit():
     with opened(data) as file:
         # Beside its arrays the largest chunk takes its working memory.
         without = file.decode(extras=False)
-        drawn = without.nbytes + file._scratch_bytes(int(file.chunks.splats.max()), 3)
+        drawn = without.nbytes + scratch_bytes(int(file.chunks.splats.max()), 3, file.root)
         drawn += sum(book.nbytes for book in file._codebooks.values())
     limits = Limits(decoded_bytes=drawn + N * 128 - 1)
     with opened(data, limits=limits) as file:

@@ -27,7 +27,8 @@ def chunks(rows, seed=1, *, layers=False):
     numbers = rng.integers(0, 9, (3, rows), np.uint32) if layers else np.zeros((3, rows), np.uint32)
     splats = rng.integers(1, 1000, rows).astype(np.uint32)
     quality = rng.uniform(1, 100, rows) if layers else np.zeros(rows)
-    return ChunkTable(splats, box, rng.random(rows), *numbers, quality.astype(np.float32))
+    until = rng.integers(0, 9, rows, np.uint32) * layers
+    return ChunkTable(splats, box, rng.random(rows), *numbers, quality.astype(np.float32), until)
 
 
 def camera():

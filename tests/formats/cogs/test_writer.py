@@ -23,7 +23,7 @@ def root(count, degree=1, *, layers=False, **changes):
     box = np.tile(np.array([-1, -1, -1, 1, 1, 1], np.float32), (count, 1))
     quality = extra.astype(np.float32) % 100
     falling = numbers[::-1].astype(np.float64)
-    table = ChunkTable(none + 2, box, falling, extra, extra, extra, quality)
+    table = ChunkTable(none + 2, box, falling, extra, extra, extra, quality, none)
     plain = Root(
         "writer", 2 * count, degree, SceneInfo(), np.zeros(6), [], None, no_segments(), table
     )

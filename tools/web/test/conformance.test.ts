@@ -13,6 +13,10 @@ for (const [backend, kernels] of await backends()) {
       assert.deepEqual(Array.from(file.index.chunks.splats), vector.chunk_splats);
       assert.equal(hashOf(file.decode()), vector.arrays_sha256);
       if (vector.coarse_sha256) assert.equal(hashOf(file.decode(undefined, false)), vector.coarse_sha256);
+      assert.deepEqual(file.scene.levels, (vector.levels ?? []).map(([scale, chunks]) => ({ chunks, scale })));
+      for (const [level, [, , hash]] of (vector.levels ?? []).entries()) {
+        assert.equal(hashOf(file.decode(undefined, true, level)), hash, `level ${level}`);
+      }
       checkExtras(file, vector);
       await file.verify();
     });
@@ -20,9 +24,13 @@ for (const [backend, kernels] of await backends()) {
     test(`${backend}: beginnings of ${vector.name} give the stated chunks`, () => {
       const bytes = vectorBytes("valid", vector.name);
       const whole = new SceneFile(bytes, kernels());
-      for (const [length, chunks, tails, refined] of vector.prefixes) {
+      for (const [number, [length, chunks, tails, refined]] of vector.prefixes.entries()) {
         const file = new SceneFile(bytes.slice(0, length), kernels(), { partial: true });
         assert.equal(file.prefixChunks, chunks, `chunks of the first ${length} bytes`);
+        if (vector.drawn) {
+          assert.equal(hashOf(file.decode()), vector.drawn[number], `what the first ${length} bytes draw`);
+          continue;
+        }
         for (let chunk = 0; chunk < chunks; chunk++) {
           const refine = refined.includes(chunk);
           const expected = whole.decodeChunk(chunk, undefined, refine);
@@ -82,7 +90,8 @@ function checkExtras(file: SceneFile, vector: ValidVector): void {
   }
   assert.deepEqual(file.cameras(), vector.cameras);
   for (const [prefix, hash] of vector.compensated ?? []) {
-    const chunks = Array.from({ length: prefix }, (_, chunk) => {
+    const drawn = Array.from({ length: prefix }, (_, chunk) => chunk).filter((chunk) => file.index.isDrawn(chunk, prefix));
+    const chunks = drawn.map((chunk) => {
       const splats = file.decodeChunk(chunk);
       file.compensate(splats, chunk, prefix);
       return splats;

@@ -36,13 +36,17 @@ async function streamFrom(
 
 function checkWhole(bytes: Uint8Array, last: ReadonlyMap<number, ChunkUpdate>): void {
   const file = new SceneFile(bytes, kernels());
-  assert.equal(last.size, file.index.chunkCount);
+  const all = Array.from({ length: file.index.chunkCount }, (_, chunk) => chunk);
+  const drawn = all.filter((chunk) => file.index.isDrawn(chunk, all.length));
+  assert.deepEqual([...last.keys()].sort(), drawn);
   let row = 0;
-  for (let chunk = 0; chunk < file.index.chunkCount; chunk++) {
+  for (const chunk of all) {
+    if (!drawn.includes(chunk)) row += file.index.chunks.splats[chunk]!;
+    if (!drawn.includes(chunk)) continue;
     const { splats, firstRow, count } = last.get(chunk)!;
     const expected = file.decodeChunk(chunk);
     assert.deepEqual([firstRow, count], [row, expected.count]);
-    assert.equal(sha256(splats!.means, splats!.shN), sha256(expected.means, expected.shN));
+    assert.equal(sha256(splats!.means, splats!.opacities, splats!.shN), sha256(expected.means, expected.opacities, expected.shN));
     row += count;
   }
 }
@@ -349,4 +353,37 @@ test("a scene that takes more memory than is allowed is refused before it is fet
   } finally {
     await server.stop();
   }
+});
+
+test("chunks that end are given where they are asked for, in time to be drawn", async () => {
+  const bytes = vectorBytes("valid", "ends");
+  const { updates } = await streamFrom(bytes, undefined, { ending: true });
+  const { index } = new SceneFile(bytes, kernels());
+  assert.deepEqual(new Set(updates.map(({ chunk }) => chunk)), new Set([0, 1, 2, 3]));
+  assert.deepEqual(Array.from(index.chunks.until), [3, 4, 0, 0]);
+  for (const { chunk, prefix } of updates.filter((update, i) => updates.findIndex(({ chunk }) => chunk === update.chunk) === i)) {
+    assert.ok(index.isDrawn(chunk, prefix), `chunk ${chunk} of ${prefix}`);
+  }
+  assert.equal(updates.at(-1)!.prefix, 4);
+});
+
+test("a level comes with what it draws and nothing else", async () => {
+  const bytes = padSegments(vectorBytes("valid", "levels"), 200_000);
+  const file = new SceneFile(bytes, kernels());
+  for (const [level, chunks] of [[0, [0, 1]], [1, [0, 2]], [2, [0, 2, 3, 4]]] as const) {
+    const { last, ranges } = await streamFrom(bytes, undefined, { level });
+    assert.deepEqual([...last.keys()].sort(), chunks);
+    for (const chunk of chunks) {
+      const expected = file.decodeChunk(chunk, undefined, true, level);
+      assert.equal(sha256(last.get(chunk)!.splats!.opacities), sha256(expected.opacities), `level ${level}, chunk ${chunk}`);
+    }
+    const segments = chunks.flatMap((chunk) => {
+      const { head, refinement, tail } = file.index.chunkSegments(chunk);
+      return [head, refinement, tail, file.index.opacitiesAt(chunk, level) ?? -1].filter((segment) => segment >= 0);
+    });
+    const needed = segments.reduce((sum, segment) => sum + file.index.range(segment).length, 0);
+    const fetched = ranges.slice(1).reduce((sum, [start, end]) => sum + end + 1 - start, 0);
+    assert.ok(fetched <= needed, `level ${level}: ${fetched} bytes for ${needed}`);
+  }
+  await assert.rejects(streamFrom(bytes, undefined, { level: 3 }), RangeError);
 });

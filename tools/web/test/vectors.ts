@@ -15,6 +15,9 @@ export interface ValidVector {
   readonly arrays_sha256: string;
   readonly coarse_sha256?: string;
   readonly prefixes: readonly (readonly [number, number, readonly number[], readonly number[]])[];
+  readonly until?: readonly number[];
+  readonly levels?: readonly (readonly [number, number, string])[];
+  readonly drawn?: readonly string[];
   readonly attributes?: readonly (readonly [string, string, number])[];
   readonly attribute_chunks?: readonly (readonly [number, readonly string[]])[];
   readonly compensated?: readonly (readonly [number, string])[];

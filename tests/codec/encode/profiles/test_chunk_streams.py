@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.encode.profiles.chunk_streams import MAX_LOGIT, chunk_means, chunk_opacities
+from cogsplat.codec.encode.profiles.chunk_streams import chunk_means, chunk_opacities
 from cogsplat.codec.geometry import morton
+from cogsplat.codec.segments.opacities import MAX_LOGIT
 from cogsplat.codec.streams import grid as grids
 from cogsplat.codec.streams import kinds, records
 from cogsplat.codec.streams.inputs import Inputs

@@ -42,6 +42,9 @@ declare const REASONS: {
     readonly "chunk-tails": readonly ["format", "5.4"];
     readonly "chunk-refinements": readonly ["format", "5.4"];
     readonly "splat-count": readonly ["format", "5.4"];
+    readonly "chunk-until": readonly ["format", "5.10"];
+    readonly "chunk-opacities": readonly ["format", "5.11"];
+    readonly "level-chunks": readonly ["format", "5.11"];
     readonly "codebook-unknown": readonly ["unsupported", "5.5"];
     readonly "codebook-segments": readonly ["format", "5.5"];
     readonly "attribute-type-unknown": readonly ["unsupported", "5.7"];

@@ -7,7 +7,7 @@ export const PREAMBLE_BYTES = 64;
 const MAX_ROOT_BYTES = 16_320;
 const MAGIC = Uint8Array.of(0x89, 0x43, 0x4f, 0x47, 0x53, 0x0d, 0x0a, 0x1a);
 const MAJOR = 0;
-const MINOR = 2;
+const MINOR = 3;
 
 /** What the first 64 bytes state (SPEC 3.1). */
 export interface Preamble {

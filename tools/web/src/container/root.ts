@@ -30,10 +30,18 @@ export interface PageEntry {
   readonly span: number;
 }
 
+/** A level of a scene that is made for pictures of several sizes (SPEC 5.11). */
+export interface LevelEntry {
+  /** First chunks of the file that make it up. */
+  readonly chunks: number;
+  /** Its pictures are the full ones divided by this in width and height. */
+  readonly scale: number;
+}
+
 /** What the root says of the scene (SPEC 4.2). */
 export interface SceneInfo {
   readonly writer: string;
-  /** Splats of all chunks. */
+  /** Splats of all chunks, those that end counted. */
   readonly splats: number;
   readonly shDegree: number;
   /** Where the means' zero is in the world, scene units. */
@@ -48,6 +56,8 @@ export interface SceneInfo {
   readonly box: readonly number[];
   readonly firstView: Pinhole | undefined;
   readonly attributes: readonly AttributeEntry[];
+  /** Coarsest first; none where the scene has no levels. */
+  readonly levels: readonly LevelEntry[];
 }
 
 /** The root: the scene, the codebooks, the pages and the root's own tables. */
@@ -80,12 +90,13 @@ export function readRoot(bytes: Uint8Array): Root {
   const codebooks = fields.maps("codebooks", 32).map(readCodebook);
   const firstView = fields.has("first_view") ? readFirstView(fields.fields("first_view")) : undefined;
   const attributes = fields.has("attributes") ? readAttributeEntries(fields) : [];
+  const levels = fields.has("levels") ? readLevels(fields) : [];
   const pages = fields.has("pages") ? fields.maps("pages", 128).map(readPageEntry) : [];
   const segments = readSegmentTable(fields.fields("segments"));
   const chunks = readChunkTable(fields.fields("chunks"));
   fields.finish();
   const scene = {
-    writer, splats, shDegree, origin, axes, colourSpace, kernelPx, antialiased, box, firstView, attributes,
+    writer, splats, shDegree, origin, axes, colourSpace, kernelPx, antialiased, box, firstView, attributes, levels,
   } as const;
   return { scene, codebooks, pages, segments, chunks };
 }
@@ -121,6 +132,20 @@ function readAttributeEntries(root: Fields): AttributeEntry[] {
     const components = fields.has("components") ? fields.integer("components", 1, 16) : 0;
     fields.finish();
     return { name, type: type as keyof typeof ATTRIBUTE_TYPES, components };
+  });
+}
+
+function readLevels(root: Fields): LevelEntry[] {
+  const entries = root.maps("levels", 16);
+  if (entries.length === 0) throw root.outOfRange("levels", "none");
+  let before: LevelEntry = { chunks: 0, scale: Infinity };
+  return entries.map((fields) => {
+    before = {
+      chunks: fields.integer("chunks", before.chunks + 1, 1_048_576),
+      scale: fields.float("scale", (value) => value > 0 && value < before.scale, "above 0 and falling"),
+    };
+    fields.finish();
+    return before;
   });
 }
 

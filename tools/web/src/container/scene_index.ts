@@ -5,11 +5,13 @@ import { parseMap } from "./msgpack.js";
 import { PREAMBLE_BYTES, readPreamble } from "./preamble.js";
 import { readRoot, type CodebookEntry, type PageEntry, type SceneInfo } from "./root.js";
 import {
-  joinChunks, joinSegments, readChunkTable, readSegmentTable, SegmentKind, type ChunkTable, type SegmentTable,
+  joinTables, readChunkTable, readSegmentTable, SegmentKind, type ChunkTable, type SegmentTable,
 } from "./tables.js";
 
 /** Most segments of a file (SPEC 9.1). */
 const MAX_SEGMENTS = 1_048_576;
+/** Opacities of a chunk that no later level changes. */
+const NO_OPACITIES: readonly number[] = [];
 /** Segment of a chunk that has none of that kind. */
 const NONE = -1;
 
@@ -25,6 +27,8 @@ export interface ChunkSegments {
   readonly refinement: number;
   readonly tail: number;
   readonly attributes: number;
+  /** Segments of its splats' opacities at later levels, in the order of the levels. */
+  readonly opacities: readonly number[];
 }
 
 /**
@@ -54,6 +58,7 @@ export class SceneIndex {
   private readonly tails: Int32Array;
   private readonly refinements: Int32Array;
   private readonly attributes: Int32Array;
+  private readonly opacities = new Map<number, number[]>();
   /** For each codebook the segments of its kinds. */
   private readonly codebookSegments: Map<number, number>[];
   /** Where what was read last ends. */
@@ -83,6 +88,10 @@ export class SceneIndex {
     const segments = root.pages.reduce((sum, page) => sum + page.segments, root.segments.kind.length);
     if (segments > MAX_SEGMENTS) throw new CogsplatError("segment-count", `${segments} segments`);
     this.totalChunks = root.pages.reduce((sum, page) => sum + page.chunks, root.chunks.splats.length);
+    const levelled = root.scene.levels.at(-1)?.chunks;
+    if (levelled !== undefined && levelled !== this.totalChunks) {
+      throw new CogsplatError("level-chunks", `${levelled} chunks of ${this.totalChunks}`);
+    }
     // Chunks have a head each: a page that states more of them than it has segments is refused when it is read.
     const mostChunks = Math.min(this.totalChunks, segments);
     this.tails = new Int32Array(mostChunks).fill(NONE);
@@ -130,8 +139,8 @@ export class SceneIndex {
       throw new CogsplatError("page-entry", `page ${number} differs from its entry in the root`, offset);
     }
     const firstSegment = this.segments.kind.length;
-    this.segments = joinSegments(this.segments, segments);
-    this.chunks = joinChunks(this.chunks, chunks);
+    this.segments = joinTables(this.segments, segments);
+    this.chunks = joinTables(this.chunks, chunks);
     this.end += entry.length;
     this.pagesRead++;
     this.enterSegments(firstSegment, chunks.splats.length);
@@ -159,7 +168,27 @@ export class SceneIndex {
       refinement: this.refinements[chunk]!,
       tail: this.tails[chunk]!,
       attributes: this.attributes[chunk]!,
+      opacities: this.opacities.get(chunk) ?? NO_OPACITIES,
     };
+  }
+
+  /** Whether a prefix of so many chunks draws one of them: whether it has not ended (SPEC 5.10). */
+  isDrawn(chunk: number, prefix: number): boolean {
+    const until = this.chunks.until[chunk]!;
+    return until === 0 || until > prefix;
+  }
+
+  /** The segment that has a chunk's opacities at a level; undefined where the head has them (SPEC 5.11). */
+  opacitiesAt(chunk: number, level: number): number | undefined {
+    const found = this.opacities.get(chunk) ?? NO_OPACITIES;
+    return found[Math.min(level - this.levelsOf(chunk)[0]!, found.length) - 1];
+  }
+
+  /** The levels that draw a chunk. */
+  private levelsOf(chunk: number): number[] {
+    const until = this.chunks.until[chunk]!;
+    const { levels } = this.scene;
+    return [...levels.keys()].filter((k) => levels[k]!.chunks > chunk && (until === 0 || levels[k]!.chunks < until));
   }
 
   /** Where a segment is in the file. */
@@ -222,6 +251,8 @@ export class SceneIndex {
     this.enterHeads(first);
     this.enterOnce(first, SegmentKind.tail, this.tails, "chunk-tails");
     this.enterOnce(first, SegmentKind.refinement, this.refinements, "chunk-refinements");
+    this.enterOpacities(first);
+    this.checkEnds();
     if (this.complete) this.checkSplats();
     this.checkNeeds(first);
     this.enterCodebooks(first);
@@ -268,6 +299,26 @@ export class SceneIndex {
       }
       table[chunk] = segment;
     }
+  }
+
+  /** Note the opacities of later levels, behind their chunks' heads and no more than there are levels. */
+  private enterOpacities(first: number): void {
+    for (const [segment, chunk] of this.ofKind(SegmentKind.opacities, first)) {
+      const head = this.heads[chunk];
+      const found = this.opacities.get(chunk) ?? [];
+      if (head === undefined || head > segment || found.length >= this.levelsOf(chunk).length - 1) {
+        throw new CogsplatError("chunk-opacities", `segment ${segment} of chunk ${chunk} has no place`);
+      }
+      this.opacities.set(chunk, [...found, segment]);
+    }
+  }
+
+  private checkEnds(): void {
+    this.chunks.until.forEach((until, chunk) => {
+      if (until > 0 && (until < chunk + 2 || until > this.totalChunks)) {
+        throw new CogsplatError("chunk-until", `chunk ${chunk} ends at ${until}`);
+      }
+    });
   }
 
   private checkSplats(): void {

@@ -10,6 +10,7 @@ export const SegmentKind = {
   colourBand2: 5,
   colourBand3: 6,
   refinement: 7,
+  opacities: 8,
   cameras: 128,
   attributes: 129,
   compensation: 130,
@@ -41,6 +42,8 @@ export interface ChunkTable {
   readonly cell: Uint32Array;
   readonly object: Uint32Array;
   readonly quality: Float32Array;
+  /** The chunk is drawn in prefixes of fewer chunks than this; 0 in all (SPEC 5.10). */
+  readonly until: Uint32Array;
 }
 
 /** Read `segments` of a root or a page. */
@@ -82,6 +85,7 @@ export function readChunkTable(fields: Fields): ChunkTable {
     cell: optional("cell"),
     object: optional("object"),
     quality: fields.has("quality") ? float32Column(fields.column("quality", 4, rows)) : new Float32Array(rows),
+    until: optional("until"),
   };
   fields.finish();
   for (let i = 0; i < rows; i++) {
@@ -105,28 +109,9 @@ export function readChunkTable(fields: Fields): ChunkTable {
 }
 
 /** The rows of one table and then of another. */
-export function joinSegments(first: SegmentTable, second: SegmentTable): SegmentTable {
-  return {
-    kind: join(first.kind, second.kind),
-    owner: join(first.owner, second.owner),
-    length: join(first.length, second.length),
-    crc: join(first.crc, second.crc),
-    hash: join(first.hash, second.hash),
-    needs: join(first.needs, second.needs),
-  };
-}
-
-/** The rows of one table and then of another. */
-export function joinChunks(first: ChunkTable, second: ChunkTable): ChunkTable {
-  return {
-    splats: join(first.splats, second.splats),
-    box: join(first.box, second.box),
-    contribution: join(first.contribution, second.contribution),
-    layer: join(first.layer, second.layer),
-    cell: join(first.cell, second.cell),
-    object: join(first.object, second.object),
-    quality: join(first.quality, second.quality),
-  };
+export function joinTables<T extends SegmentTable | ChunkTable>(first: T, second: T): T {
+  const columns = Object.entries(first) as [keyof T, Column][];
+  return Object.fromEntries(columns.map(([key, column]) => [key, join(column, second[key] as Column)])) as unknown as T;
 }
 
 type Column = Uint8Array | Uint32Array | Float32Array | Float64Array;

@@ -10,12 +10,16 @@ export interface DecodeOptions {
   readonly format: ChunkFormat;
   readonly ranges: PackRanges;
   readonly refine: boolean;
+  /** Level whose opacities are wanted (SPEC 5.11); undefined for those of one level after the other, as they come. */
+  readonly level?: number | undefined;
 }
 
 /** Which payloads of a chunk were in its last update. */
 interface Given {
   readonly tail: boolean;
   readonly refined: boolean;
+  /** Segment of the opacities, undefined for the head's. */
+  readonly opacities: number | undefined;
 }
 
 /**
@@ -69,8 +73,17 @@ export class ChunkQueue {
     const books = (segment: number, upTo: number) => this.index.codebookSegmentsOf(segment, upTo) ?? [];
     const wanted = [...books(head, 0), head];
     if (refine && refinement >= 0) wanted.push(refinement);
+    wanted.push(...this.opacities(chunk));
     if (degree > 0 && tail >= 0) wanted.push(...books(tail, degree), tail);
     return wanted.filter((segment) => !this.has(segment) && !this.lost.has(segment));
+  }
+
+  /** The segments of opacities that are wanted of a chunk. */
+  private opacities(chunk: number): readonly number[] {
+    const { level } = this.options;
+    if (level === undefined) return this.index.chunkSegments(chunk).opacities;
+    const segment = this.index.opacitiesAt(chunk, level);
+    return segment === undefined ? [] : [segment];
   }
 
   /** Whether a segment has come. */
@@ -97,7 +110,7 @@ export class ChunkQueue {
     this.lost.add(segment);
     const touched = [...this.open].filter((chunk) => {
       const { head, refinement, tail } = this.index.chunkSegments(chunk);
-      const parts = [head, refinement, tail].filter((part) => part >= 0);
+      const parts = [head, refinement, tail, ...this.opacities(chunk)].filter((part) => part >= 0);
       return parts.some((part) => part === segment || this.index.codebookSegmentsOf(part, 3)?.includes(segment));
     });
     for (const chunk of touched) this.decode(chunk);
@@ -120,10 +133,11 @@ export class ChunkQueue {
     }
     const withTail = degree > 0 && tail >= 0 && this.ready(tail, degree);
     const refined = refinement >= 0 && this.payloads.has(refinement);
+    const opacities = this.opacities(chunk).filter((segment) => this.payloads.has(segment)).at(-1);
     const before = this.given.get(chunk);
     // A page that is not known yet may bring a tail or a refinement.
     const final = this.index.complete && this.missing(chunk).length === 0;
-    if (before !== undefined && before.tail === withTail && before.refined === refined) {
+    if (before !== undefined && before.tail === withTail && before.refined === refined && before.opacities === opacities) {
       if (final) this.close(chunk);
       return;
     }
@@ -131,7 +145,8 @@ export class ChunkQueue {
     this.decoding.add(chunk);
     const kept = this.heads.take(chunk);
     const tailPayload = withTail ? this.payloads.get(tail)! : undefined;
-    const isTailAlone = kept !== undefined && tailPayload !== undefined && before?.refined === refined;
+    const isTailAlone =
+      kept !== undefined && tailPayload !== undefined && before?.refined === refined && before.opacities === opacities;
     const payloads = isTailAlone
       ? { chunk, tail: tailPayload }
       : {
@@ -139,8 +154,9 @@ export class ChunkQueue {
           head: this.payloads.get(head)!,
           tail: tailPayload,
           refinement: refined ? this.payloads.get(refinement)! : undefined,
+          opacities: opacities === undefined ? undefined : this.payloads.get(opacities)!,
         };
-    this.given.set(chunk, { tail: withTail, refined });
+    this.given.set(chunk, { tail: withTail, refined, opacities });
     if (final) this.close(chunk);
     this.service
       .decode({ payloads, rows, needs: { head: needs[head]!, tail: withTail ? needs[tail]! : 0 }, degree, format, ranges })
@@ -184,8 +200,8 @@ export class ChunkQueue {
     this.open.delete(chunk);
     this.heads.take(chunk);
     this.given.delete(chunk);
-    const { head, refinement, tail } = this.index.chunkSegments(chunk);
-    for (const segment of [head, refinement, tail]) this.payloads.delete(segment);
+    const { head, refinement, tail, opacities } = this.index.chunkSegments(chunk);
+    for (const segment of [head, refinement, tail, ...opacities]) this.payloads.delete(segment);
   }
 
   private rowStarts: Float64Array | undefined;

@@ -42,6 +42,8 @@ export class SceneStream {
   private readonly asked = new Set<number>();
   /** Chunks that were given, and how many of them from the first of the file on. */
   private readonly given = new Set<number>();
+  /** Chunks that are not asked for because they end, or the level does not draw them. */
+  private readonly leftOut = new Set<number>();
   private prefix = 0;
   private requests = 0;
   /** Segments that the first request is still to bring. */
@@ -63,6 +65,8 @@ export class SceneStream {
   ) {
     const { index } = source;
     this.index = index;
+    const { level } = options;
+    if (level !== undefined && !index.scene.levels[level]) throw new RangeError(`level ${level}`);
     this.degree = Math.min(options.degree ?? index.scene.shDegree, index.scene.shDegree);
     const format = options.format ?? "splats";
     this.rowBytes = bytesPerSplat(format, this.degree);
@@ -74,10 +78,10 @@ export class SceneStream {
     this.queue = new ChunkQueue(
       index,
       service,
-      { degree: this.degree, format, ranges: { ...DEFAULT_RANGES, ...options.ranges }, refine: true },
+      { degree: this.degree, format, ranges: { ...DEFAULT_RANGES, ...options.ranges }, refine: true, level: options.level },
       (update) => {
         this.given.add(update.chunk);
-        while (this.given.has(this.prefix)) this.prefix++;
+        while (this.given.has(this.prefix) || this.leftOut.has(this.prefix)) this.prefix++;
         this.waiting.push({ ...update, prefix: this.prefix });
         this.wake();
       },
@@ -142,7 +146,8 @@ export class SceneStream {
     const { priority } = this.options;
     const chunks = Array.from({ length: this.index.chunkCount - this.plannedChunks }, (_, i) => this.plannedChunks + i);
     this.plannedChunks = this.index.chunkCount;
-    const ordered = priority === undefined ? chunks : this.byPriority(chunks, priority);
+    const drawn = chunks.filter((chunk) => this.isWanted(chunk));
+    const ordered = priority === undefined ? drawn : this.byPriority(drawn, priority);
     const taken = ordered.filter((chunk) => {
       const splats = this.index.chunks.splats[chunk]!;
       this.budget -= splats * this.rowBytes;
@@ -161,8 +166,17 @@ export class SceneStream {
     this.ask();
   }
 
+  /** Whether a chunk is drawn at the level that is wanted; notes those that are not. */
+  private isWanted(chunk: number): boolean {
+    const { level, ending } = this.options;
+    const end = this.index.scene.levels[level ?? -1]?.chunks ?? this.index.totalChunkCount;
+    const isWanted = chunk < end && (ending || this.index.isDrawn(chunk, end));
+    if (!isWanted) this.leftOut.add(chunk);
+    return isWanted;
+  }
+
   private byPriority(chunks: number[], priority: (chunk: ChunkInfo) => number): number[] {
-    const { splats, box, contribution, layer, cell, object } = this.index.chunks;
+    const { splats, box, contribution, layer, cell, object, until } = this.index.chunks;
     return chunks
       .map((chunk) => ({
         chunk,
@@ -174,6 +188,7 @@ export class SceneStream {
           layer: layer[chunk]!,
           cell: cell[chunk]!,
           object: object[chunk]!,
+          until: until[chunk]!,
         }),
       }))
       .filter(({ value }) => value >= 0)

@@ -15,6 +15,8 @@ export interface ChunkInfo {
   readonly layer: number;
   readonly cell: number;
   readonly object: number;
+  /** The chunk is drawn in prefixes of fewer chunks than this; 0 in all (SPEC 5.10). */
+  readonly until: number;
 }
 
 /** What a stream gives, and in which order. */
@@ -38,6 +40,13 @@ export interface StreamOptions {
   readonly splatBudget?: number;
   /** Fetch the layers of compensation too, for `StreamedScene.compensation`. */
   readonly compensate?: boolean;
+  /** Level wanted, 0 the coarsest (SPEC 5.11): what it does not draw is not fetched. By default the finest. */
+  readonly level?: number;
+  /**
+   * Give chunks that end too (SPEC 5.10); the caller then stops drawing each when `ChunkUpdate.prefix` has come to its
+   * `until`. By default they are left out.
+   */
+  readonly ending?: boolean;
   /** Told of what cannot be had, and of which chunk it is; what is there is drawn without it. */
   readonly onDamage?: (error: CogsplatError | SourceError, chunk: number | undefined) => void;
 }

@@ -3,7 +3,7 @@ import type { SceneIndex } from "../container/scene_index.js";
 import type { Kernels } from "../kernels/kernels.js";
 import { Payload } from "../streams/records.js";
 import { addressTable } from "../streams/step_model.js";
-import { readHead, type HeadColumns } from "./chunk_head.js";
+import { readHead, readOpacities, type HeadColumns } from "./chunk_head.js";
 import { readTail, shnFloats, writeShn, type TailSource } from "./chunk_tail.js";
 import { Codebooks } from "./codebooks.js";
 import { SH_WORDS, type PackedSplats, type PackRanges } from "./packed_splats.js";
@@ -14,6 +14,8 @@ export interface ChunkPayloads {
   readonly chunk: number;
   readonly head: Uint8Array;
   readonly refinement?: Uint8Array | undefined;
+  /** Opacities of a later level. */
+  readonly opacities?: Uint8Array | undefined;
   readonly tail?: Uint8Array | undefined;
 }
 
@@ -73,8 +75,10 @@ export class ChunkDecoder {
     try {
       const head = new Payload(k, payloads.head, rows, "head");
       const refinement = payloads.refinement && new Payload(k, payloads.refinement, rows, "refinement");
-      const columns = readHead(k, head, refinement, rows, needs.head, codebooks);
+      const first = readHead(k, head, refinement, rows, needs.head, codebooks);
       const tail = payloads.tail && degree > 0 ? this.tailOf(payloads.tail, rows, needs.tail, degree) : undefined;
+      const later = payloads.opacities && new Payload(k, payloads.opacities, rows, "opacities");
+      const columns = later ? { ...first, opacities: readOpacities(k, later, first.opacities, rows) } : first;
       return use(columns, tail);
     } finally {
       k.release(mark);

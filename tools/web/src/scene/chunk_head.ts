@@ -41,6 +41,23 @@ export function readHead(
   return { means, scales, quats, opacities, sh0 };
 }
 
+/**
+ * Decode the opacities of a later level (SPEC 7.5).
+ *
+ * @param payload - The segment's streams.
+ * @param before - Address of the opacities that head and refinement give; differences are added to them there.
+ * @param rows - Splats of the chunk.
+ * @returns Address of the level's opacities.
+ */
+export function readOpacities(k: Kernels, payload: Payload, before: number, rows: number): number {
+  const stream = payload.take(Attribute.opacities);
+  const values = readValues(k, stream, undefined)[0]!;
+  payload.finish();
+  if (stream.kind !== Kind.differences) return values;
+  k.add(before, values, rows);
+  return before;
+}
+
 interface Shape {
   /** Scales as the head alone gives them; step models depend on these. */
   readonly coarse: readonly number[];

@@ -51,6 +51,11 @@ const SH_C0 = 0.28209479177387814;
 /** Bits of a value and values of a splat in each packed band. */
 const SH_BITS = [[7, 9], [8, 15], [6, 21]] as const;
 
+/** The same splats with opacities of 0, which are not drawn. */
+export function transparent(packed: PackedSplats): PackedSplats {
+  return { ...packed, words: packed.words.map((word, i) => (i % 4 === 0 ? word & 0xffffff : word)) };
+}
+
 /** The arrays that packed splats stand for, as a shader reads them. */
 export function unpackSplats(packed: PackedSplats): Splats {
   const { count, words, sh } = packed;

@@ -80,9 +80,10 @@ export class SceneFile {
    *
    * @param degree - SH degree wanted; by default the scene's.
    * @param refine - Whether the chunk's refinement is used where it is there.
+   * @param level - Level whose opacities are wanted (SPEC 5.11); by default the last that is there.
    */
-  decodeChunk(chunk: number, degree = this.scene.shDegree, refine = true): Splats {
-    const { payloads, rows, needs } = this.prepare(chunk, degree, refine);
+  decodeChunk(chunk: number, degree = this.scene.shDegree, refine = true, level?: number): Splats {
+    const { payloads, rows, needs } = this.prepare(chunk, degree, refine, level);
     return this.decoder.decode(payloads, rows, needs, degree);
   }
 
@@ -97,7 +98,7 @@ export class SceneFile {
   }
 
   /** Check that a chunk is there and small enough, decode its codebooks, and get its payloads. */
-  private prepare(chunk: number, degree: number, refine: boolean) {
+  private prepare(chunk: number, degree: number, refine: boolean, level?: number) {
     if (chunk >= this.prefixChunks) {
       throw new CogsplatError("file-truncated", `chunk ${chunk} is not in the ${this.bytes.length} bytes that are there`);
     }
@@ -107,13 +108,21 @@ export class SceneFile {
     const withTail = this.tailIsThere(chunk, degree) && degree > 0;
     this.checkSize(rows, degree);
     this.addCodebooks(chunk, degree);
+    const opacities = this.opacitiesSegment(chunk, level);
     const payloads = {
       chunk,
       head: this.payload(head),
       refinement: refine && this.refinementIsThere(chunk) ? this.payload(refinement) : undefined,
+      opacities: opacities === undefined ? undefined : this.payload(opacities),
       tail: withTail ? this.payload(tail) : undefined,
     };
     return { payloads, rows, needs: { head: needs[head]!, tail: withTail ? needs[tail]! : 0 } };
+  }
+
+  /** The segment that has a chunk's opacities at a level, or of those that are there the last; undefined for the head. */
+  private opacitiesSegment(chunk: number, level: number | undefined): number | undefined {
+    if (level !== undefined) return this.index.opacitiesAt(chunk, level);
+    return this.index.chunkSegments(chunk).opacities.filter((segment) => this.isThere(segment)).at(-1);
   }
 
   /** Decode the codebooks that a chunk needs and that were not decoded before. */
@@ -132,14 +141,17 @@ export class SceneFile {
     this.decoder.addCodebook(owner[segment]!, kind[segment]!, this.payload(segment));
   }
 
-  /** Decode all chunks of the prefix, one after the other. */
-  decode(degree = this.scene.shDegree, refine = true): Splats {
-    const count = this.prefixChunks;
-    const rows = this.index.chunks.splats.subarray(0, count).reduce((sum, n) => sum + n, 0);
-    this.checkSize(rows, degree);
-    for (let chunk = 0; chunk < count; chunk++) this.addCodebooks(chunk, degree);
-    const chunks = Array.from({ length: count }, (_, chunk) => this.decodeChunk(chunk, degree, refine));
-    return concatenate(chunks, degree);
+  /**
+   * Decode all chunks that the prefix draws, or a level, one after the other.
+   *
+   * @param level - Level wanted, 0 the coarsest (SPEC 5.11); by default all that is there.
+   */
+  decode(degree = this.scene.shDegree, refine = true, level?: number): Splats {
+    const count = level === undefined ? this.prefixChunks : this.scene.levels[level]!.chunks;
+    const drawn = Array.from({ length: count }, (_, chunk) => chunk).filter((chunk) => this.index.isDrawn(chunk, count));
+    this.checkSize(drawn.reduce((sum, chunk) => sum + this.index.chunks.splats[chunk]!, 0), degree);
+    for (const chunk of drawn) this.addCodebooks(chunk, degree);
+    return concatenate(drawn.map((chunk) => this.decodeChunk(chunk, degree, refine, level)), degree);
   }
 
   /** A chunk's extra attributes; undefined where the chunk has none that are there. */
@@ -195,6 +207,9 @@ export class SceneFile {
     for (let chunk = 0; chunk < this.index.chunkCount; chunk++) {
       this.checkBox(this.decodeChunk(chunk, 0, false), chunk);
       if (this.refinementIsThere(chunk)) this.checkBox(this.decodeChunk(chunk, 0), chunk);
+      for (let level = 0; level < scene.levels.length; level++) {
+        if (this.index.opacitiesAt(chunk, level) !== undefined) this.decodeChunk(chunk, 0, true, level);
+      }
       this.decodeChunk(chunk);
       this.attributes(chunk);
     }

@@ -2,7 +2,7 @@ import { CogsplatError } from "../errors.js";
 import type { Kernels } from "../kernels/kernels.js";
 import { GRID_BYTES, planesOf, readCodes, readGrids, type Grid } from "./grid.js";
 import { readPlane } from "./planes.js";
-import { checkParams, checkPlanes, Kind, type StreamRecord } from "./records.js";
+import { Attribute, checkParams, checkPlanes, Kind, type StreamRecord } from "./records.js";
 
 /** Bytes of the axes of sh0 behind the grids (SPEC 6.13). */
 const AXES_BYTES = 36;
@@ -26,7 +26,7 @@ export function readGridStream(k: Kernels, stream: StreamRecord, refinement?: St
     if (stream.infinities) k.infinities(codes.addresses[i]!, rows, grid.levels, target);
     return target;
   });
-  if (stream.kind === Kind.differences) {
+  if (stream.kind === Kind.differences && stream.attribute === Attribute.scales) {
     const [l, u, v] = columns as [number, number, number];
     k.differences(l, u, v, rows, u, v);
     return [u, v, l];

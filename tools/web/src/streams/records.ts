@@ -47,7 +47,7 @@ const PLAIN = [Kind.scalar, Kind.float];
 /** The table of attributes of SPEC 6.2; digits and bits, which stand in refinements, left out. */
 const RULES: ReadonlyMap<number, AttributeRule> = new Map<number, AttributeRule>([
   [Attribute.means, { name: "means", components: 3, kinds: [...PLAIN, Kind.sorted] }],
-  [Attribute.opacities, { name: "opacities", components: 1, kinds: PLAIN }],
+  [Attribute.opacities, { name: "opacities", components: 1, kinds: [...PLAIN, Kind.differences] }],
   [Attribute.sh0, { name: "sh0", components: 3, kinds: [...PLAIN, Kind.basis] }],
   [Attribute.scales, { name: "scales", components: 3, kinds: [...PLAIN, Kind.differences] }],
   [Attribute.quats, { name: "quats", components: 4, kinds: [Kind.quat, Kind.swingTwist] }],
@@ -58,7 +58,7 @@ const RULES: ReadonlyMap<number, AttributeRule> = new Map<number, AttributeRule>
   [Attribute.sh2, { name: "sh2", components: 15, kinds: PLAIN }],
   [Attribute.sh3, { name: "sh3", components: 21, kinds: PLAIN }],
 ]);
-/** Kinds that stand neither for escape rows nor in codebooks (SPEC 6.2). */
+/** Kinds that stand neither for escape rows nor in codebooks; of opacities, in those of later levels alone (SPEC 6.2). */
 const HEADS_ONLY: readonly number[] = [Kind.differences, Kind.swingTwist];
 /** Attributes whose codes on grids digits refine (SPEC 6.16). */
 const WITH_DIGITS: readonly number[] = [Attribute.opacities, Attribute.sh0, Attribute.scales];
@@ -79,7 +79,7 @@ export interface StreamRecord {
 }
 
 /** What a payload belongs to: refinements have kinds of their own. */
-export type Place = "head" | "tail" | "codebook" | "refinement";
+export type Place = "head" | "tail" | "codebook" | "refinement" | "opacities";
 
 /** The streams of one payload: those that a clause of SPEC 7 names are taken in its order, others are refused. */
 export class Payload {
@@ -122,7 +122,8 @@ export class Payload {
     }
     this.streams.delete(keyOf(attribute, escape));
     checkRows(stream, rows);
-    const isElsewhere = HEADS_ONLY.includes(stream.kind) && (escape || this.place !== "head");
+    const only = attribute === Attribute.opacities ? "opacities" : "head";
+    const isElsewhere = HEADS_ONLY.includes(stream.kind) && (escape || this.place !== only);
     if (!kinds.includes(stream.kind) || isElsewhere) {
       throw new CogsplatError("stream-kind", `${name} of kind ${stream.kind} in a ${this.place}`);
     }

@@ -4,6 +4,7 @@ import { loadKernels } from "../kernels/load.js";
 import { sourceOf, StreamedScene, type OpenOptions } from "../loader/streamed_scene.js";
 import type { ChunkUpdate } from "../loader/stream_options.js";
 import type { ByteRange } from "../container/scene_index.js";
+import { transparent, type PackedSplats } from "../scene/packed_splats.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
 import { SlicedService, type ChunkService } from "../workers/decode_task.js";
 import { DecoderPool } from "../workers/decoder_pool.js";
@@ -30,6 +31,8 @@ export class CogsFeed implements SceneFeed {
   private compensatedFor = -1;
   private waiting: number[] = [];
   private shown: Prefix | undefined;
+  /** Chunks that end, as they came, and whether each is left out of the picture (SPEC 5.10). */
+  private readonly ending = new Map<number, { readonly packed: PackedSplats; hidden: boolean }>();
 
   /**
    * @param source - A URL, a file or another source.
@@ -65,6 +68,7 @@ export class CogsFeed implements SceneFeed {
   private forget(): void {
     this.rowsOf.clear();
     this.shifted.clear();
+    this.ending.clear();
     [this.splats, this.prefix, this.compensatedFor] = [0, 0, -1];
     this.waiting = [];
     this.shown = this.damage = this.scene = this.layer = undefined;
@@ -96,6 +100,7 @@ export class CogsFeed implements SceneFeed {
       signal,
       format: "packed",
       compensate: true,
+      ending: true,
       splatBudget: Math.min(this.layer.capacity, this.mostSplats),
       onDamage: (error) => (this.damage ??= error),
     });
@@ -163,6 +168,18 @@ export class CogsFeed implements SceneFeed {
     this.waiting = [];
     this.compensatedFor = -1;
     this.layer?.limit(prefix?.rows ?? Infinity);
+    this.hideEnded();
+  }
+
+  /** Leave out the chunks that have ended in what is shown, and draw those again that have not. */
+  private hideEnded(): void {
+    const prefix = this.shown?.chunks ?? this.prefix;
+    for (const [chunk, entry] of this.ending) {
+      const hidden = !this.scene!.index.isDrawn(chunk, prefix);
+      if (hidden === entry.hidden) continue;
+      entry.hidden = hidden;
+      this.layer!.write(hidden ? transparent(entry.packed) : copyOf(entry.packed), this.rowsOf.get(chunk)!.firstRow);
+    }
   }
 
   private take(update: ChunkUpdate): void {
@@ -173,7 +190,9 @@ export class CogsFeed implements SceneFeed {
     this.rowsOf.set(chunk, { firstRow, count });
     this.prefix = update.prefix;
     this.host!.rowsCame(packed!, first);
+    if (this.scene!.index.chunks.until[chunk]! > 0) this.ending.set(chunk, { packed: copyOf(packed!), hidden: false });
     this.layer!.write(packed!, firstRow);
+    this.hideEnded();
     // A chunk that comes under compensation is shown with its part of it at once.
     if (isNew && this.compensatedFor >= 0) this.compensatedFor = Math.min(this.compensatedFor, this.prefix - 1);
     this.report();
@@ -190,6 +209,11 @@ export class CogsFeed implements SceneFeed {
     };
     this.host!.progressed(progress);
   }
+}
+
+/** Splats whose words are no one else's: a layer hands those that it is given over to its sorter. */
+function copyOf(packed: PackedSplats): PackedSplats {
+  return { ...packed, words: packed.words.slice() };
 }
 
 /** 0 says that nothing was predicted (SPEC 5.4). */

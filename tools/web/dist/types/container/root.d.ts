@@ -31,10 +31,17 @@ export interface PageEntry {
     readonly chunks: number;
     readonly span: number;
 }
+/** A level of a scene that is made for pictures of several sizes (SPEC 5.11). */
+export interface LevelEntry {
+    /** First chunks of the file that make it up. */
+    readonly chunks: number;
+    /** Its pictures are the full ones divided by this in width and height. */
+    readonly scale: number;
+}
 /** What the root says of the scene (SPEC 4.2). */
 export interface SceneInfo {
     readonly writer: string;
-    /** Splats of all chunks. */
+    /** Splats of all chunks, those that end counted. */
     readonly splats: number;
     readonly shDegree: number;
     /** Where the means' zero is in the world, scene units. */
@@ -49,6 +56,8 @@ export interface SceneInfo {
     readonly box: readonly number[];
     readonly firstView: Pinhole | undefined;
     readonly attributes: readonly AttributeEntry[];
+    /** Coarsest first; none where the scene has no levels. */
+    readonly levels: readonly LevelEntry[];
 }
 /** The root: the scene, the codebooks, the pages and the root's own tables. */
 export interface Root {

@@ -11,6 +11,8 @@ export interface ChunkSegments {
     readonly refinement: number;
     readonly tail: number;
     readonly attributes: number;
+    /** Segments of its splats' opacities at later levels, in the order of the levels. */
+    readonly opacities: readonly number[];
 }
 /**
  * The index of a file: the root and as many pages as were read (SPEC 3 to 5).
@@ -38,6 +40,7 @@ export declare class SceneIndex {
     private readonly tails;
     private readonly refinements;
     private readonly attributes;
+    private readonly opacities;
     /** For each codebook the segments of its kinds. */
     private readonly codebookSegments;
     /** Where what was read last ends. */
@@ -65,6 +68,12 @@ export declare class SceneIndex {
     get complete(): boolean;
     /** The segments of a chunk whose index is known. */
     chunkSegments(chunk: number): ChunkSegments;
+    /** Whether a prefix of so many chunks draws one of them: whether it has not ended (SPEC 5.10). */
+    isDrawn(chunk: number, prefix: number): boolean;
+    /** The segment that has a chunk's opacities at a level; undefined where the head has them (SPEC 5.11). */
+    opacitiesAt(chunk: number, level: number): number | undefined;
+    /** The levels that draw a chunk. */
+    private levelsOf;
     /** Where a segment is in the file. */
     range(segment: number): ByteRange;
     /**
@@ -90,6 +99,9 @@ export declare class SceneIndex {
     private enterHeads;
     /** Note the segments that a chunk has at most once, behind its head. */
     private enterOnce;
+    /** Note the opacities of later levels, behind their chunks' heads and no more than there are levels. */
+    private enterOpacities;
+    private checkEnds;
     private checkSplats;
     private checkNeeds;
     private enterCodebooks;

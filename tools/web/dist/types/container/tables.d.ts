@@ -8,6 +8,7 @@ export declare const SegmentKind: {
     readonly colourBand2: 5;
     readonly colourBand3: 6;
     readonly refinement: 7;
+    readonly opacities: 8;
     readonly cameras: 128;
     readonly attributes: 129;
     readonly compensation: 130;
@@ -32,15 +33,15 @@ export interface ChunkTable {
     readonly cell: Uint32Array;
     readonly object: Uint32Array;
     readonly quality: Float32Array;
+    /** The chunk is drawn in prefixes of fewer chunks than this; 0 in all (SPEC 5.10). */
+    readonly until: Uint32Array;
 }
 /** Read `segments` of a root or a page. */
 export declare function readSegmentTable(fields: Fields): SegmentTable;
 /** Read `chunks` of a root or a page. */
 export declare function readChunkTable(fields: Fields): ChunkTable;
 /** The rows of one table and then of another. */
-export declare function joinSegments(first: SegmentTable, second: SegmentTable): SegmentTable;
-/** The rows of one table and then of another. */
-export declare function joinChunks(first: ChunkTable, second: ChunkTable): ChunkTable;
+export declare function joinTables<T extends SegmentTable | ChunkTable>(first: T, second: T): T;
 /** A column of u32; bins are not aligned, so each number is read by itself. */
 export declare function uint32Column(view: DataView): Uint32Array;
 /** A column of f64. */

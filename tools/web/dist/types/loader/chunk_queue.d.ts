@@ -8,6 +8,8 @@ export interface DecodeOptions {
     readonly format: ChunkFormat;
     readonly ranges: PackRanges;
     readonly refine: boolean;
+    /** Level whose opacities are wanted (SPEC 5.11); undefined for those of one level after the other, as they come. */
+    readonly level?: number | undefined;
 }
 /**
  * Collects the payloads of chunks and decodes each chunk when its head and the codebooks that it needs are there, and
@@ -40,6 +42,8 @@ export declare class ChunkQueue {
     allMissing(): number[];
     /** The segments that a chunk still needs, in the order in which they help most. */
     private missing;
+    /** The segments of opacities that are wanted of a chunk. */
+    private opacities;
     /** Whether a segment has come. */
     has(segment: number): boolean;
     /** Take a segment whose CRC was checked. */

@@ -27,6 +27,8 @@ export declare class SceneStream {
     private readonly asked;
     /** Chunks that were given, and how many of them from the first of the file on. */
     private readonly given;
+    /** Chunks that are not asked for because they end, or the level does not draw them. */
+    private readonly leftOut;
     private prefix;
     private requests;
     /** Segments that the first request is still to bring. */
@@ -52,6 +54,8 @@ export declare class SceneStream {
     private readPages;
     /** Put the segments of chunks that are newly known among those that are wanted. */
     private plan;
+    /** Whether a chunk is drawn at the level that is wanted; notes those that are not. */
+    private isWanted;
     private byPriority;
     private takeFromBeginning;
     /** Accept a segment when the first request has brought it. */

@@ -10,6 +10,8 @@ export interface ChunkPayloads {
     readonly chunk: number;
     readonly head: Uint8Array;
     readonly refinement?: Uint8Array | undefined;
+    /** Opacities of a later level. */
+    readonly opacities?: Uint8Array | undefined;
     readonly tail?: Uint8Array | undefined;
 }
 /** The tail of a chunk whose head was decoded before. */

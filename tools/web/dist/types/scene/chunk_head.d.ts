@@ -21,3 +21,12 @@ export interface HeadColumns {
  * @param needs - Codebooks that the head's segment needs.
  */
 export declare function readHead(k: Kernels, head: Payload, refinement: Payload | undefined, rows: number, needs: number, codebooks: Codebooks): HeadColumns;
+/**
+ * Decode the opacities of a later level (SPEC 7.5).
+ *
+ * @param payload - The segment's streams.
+ * @param before - Address of the opacities that head and refinement give; differences are added to them there.
+ * @param rows - Splats of the chunk.
+ * @returns Address of the level's opacities.
+ */
+export declare function readOpacities(k: Kernels, payload: Payload, before: number, rows: number): number;

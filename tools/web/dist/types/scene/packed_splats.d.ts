@@ -41,6 +41,8 @@ export interface PackRanges {
 }
 /** Ranges that hold nearly all values of trained scenes, in steps within the tolerances of SPEC 8.6. */
 export declare const DEFAULT_RANGES: PackRanges;
+/** The same splats with opacities of 0, which are not drawn. */
+export declare function transparent(packed: PackedSplats): PackedSplats;
 /** The arrays that packed splats stand for, as a shader reads them. */
 export declare function unpackSplats(packed: PackedSplats): Splats;
 /**

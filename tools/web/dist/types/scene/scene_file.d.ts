@@ -40,8 +40,9 @@ export declare class SceneFile {
      *
      * @param degree - SH degree wanted; by default the scene's.
      * @param refine - Whether the chunk's refinement is used where it is there.
+     * @param level - Level whose opacities are wanted (SPEC 5.11); by default the last that is there.
      */
-    decodeChunk(chunk: number, degree?: number, refine?: boolean): Splats;
+    decodeChunk(chunk: number, degree?: number, refine?: boolean, level?: number): Splats;
     /**
      * Decode one chunk into what a renderer uploads.
      *
@@ -50,11 +51,17 @@ export declare class SceneFile {
     decodePacked(chunk: number, degree?: number, ranges?: import("./packed_splats.js").PackRanges): PackedSplats;
     /** Check that a chunk is there and small enough, decode its codebooks, and get its payloads. */
     private prepare;
+    /** The segment that has a chunk's opacities at a level, or of those that are there the last; undefined for the head. */
+    private opacitiesSegment;
     /** Decode the codebooks that a chunk needs and that were not decoded before. */
     private addCodebooks;
     private addCodebook;
-    /** Decode all chunks of the prefix, one after the other. */
-    decode(degree?: number, refine?: boolean): Splats;
+    /**
+     * Decode all chunks that the prefix draws, or a level, one after the other.
+     *
+     * @param level - Level wanted, 0 the coarsest (SPEC 5.11); by default all that is there.
+     */
+    decode(degree?: number, refine?: boolean, level?: number): Splats;
     /** A chunk's extra attributes; undefined where the chunk has none that are there. */
     attributes(chunk: number): Map<string, AttributeArray> | undefined;
     /** The cameras that the file brings; undefined where there are none. */

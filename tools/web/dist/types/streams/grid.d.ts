@@ -10,7 +10,7 @@ export interface Grid {
     readonly step: number;
 }
 /**
- * Read and check grid entries: all ranges, then all levels (SPEC 7.5).
+ * Read and check grid entries: all ranges, then all levels (SPEC 7.6).
  *
  * @param params - Parameters of a stream.
  * @param at - Byte where the first entry begins.

@@ -41,7 +41,7 @@ export interface StreamRecord {
     readonly planes: readonly StoredPlane[];
 }
 /** What a payload belongs to: refinements have kinds of their own. */
-export type Place = "head" | "tail" | "codebook" | "refinement";
+export type Place = "head" | "tail" | "codebook" | "refinement" | "opacities";
 /** The streams of one payload: those that a clause of SPEC 7 names are taken in its order, others are refused. */
 export declare class Payload {
     private readonly rows;

@@ -24,6 +24,8 @@ export declare class CogsFeed implements SceneFeed {
     private compensatedFor;
     private waiting;
     private shown;
+    /** Chunks that end, as they came, and whether each is left out of the picture (SPEC 5.10). */
+    private readonly ending;
     /**
      * @param source - A URL, a file or another source.
      * @param meter - Counts its bytes.
@@ -40,6 +42,8 @@ export declare class CogsFeed implements SceneFeed {
     work(milliseconds: number): boolean;
     prefixes(count: number): Prefix[];
     show(prefix: Prefix | undefined): void;
+    /** Leave out the chunks that have ended in what is shown, and draw those again that have not. */
+    private hideEnded;
     private take;
     private report;
 }

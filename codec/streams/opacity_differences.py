@@ -1,0 +1,41 @@
+"""Differences streams of opacities: what a level adds to the logits of a head (SPEC 6.12)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import grid_planes, scalar
+from .grid import Grid
+from .inputs import Inputs
+from .records import Attribute, Kind, StoredStream, Stream
+
+F32 = NDArray[np.float32]
+
+
+def write(differences: F32, grid: Grid) -> Stream:
+    """Return a differences stream of opacities.
+
+    Parameters
+    ----------
+    differences : (n, 1) float32
+        What is added to the logits of the chunk's head.
+    grid : Grid
+        Of one component.
+    """
+    planes = grid_planes.split_components(grid.quantise(differences), grid)
+    return Stream(Attribute.OPACITIES, Kind.DIFFERENCES, len(differences), grid.pack(), planes)
+
+
+def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
+    """Add the values of a differences stream to (rows, 1) float32 `out`, the logits of the head.
+
+    Raises
+    ------
+    FormatError
+        As `scalar.read`.
+    """
+    grid = scalar.parse(stream, 1)
+    differences = np.empty((stream.rows, 1), np.float32)
+    grid_planes.read_values(stream, grid, differences)
+    out += differences

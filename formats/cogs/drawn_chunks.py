@@ -1,0 +1,41 @@
+"""Which chunks a prefix or a level draws, and how many levels draw each (SPEC 5.10, 5.11)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .root import ChunkTable, Level
+
+I64 = NDArray[np.int64]
+
+
+def drawn_chunks(chunks: ChunkTable, count: int) -> list[int]:
+    """Return the numbers of the chunks that a prefix draws: those that have not ended in it.
+
+    Parameters
+    ----------
+    chunks : ChunkTable
+        At least the first `count` chunks.
+    count : int
+        Chunks of the prefix.
+    """
+    until = chunks.until[:count]
+    return [int(chunk) for chunk in np.flatnonzero((until == 0) | (until > count))]
+
+
+def first_level(levels: Sequence[Level], chunk: int) -> int:
+    """Return the first level that has a chunk."""
+    return sum(level.chunks <= chunk for level in levels)
+
+
+def later_levels(levels: Sequence[Level], chunks: ChunkTable) -> I64:
+    """Return how many levels draw each chunk behind the first that has it."""
+    ends = [level.chunks for level in levels]
+    stops = np.searchsorted(ends, chunks.until, side="left")
+    stops[chunks.until == 0] = len(ends)
+    firsts = np.searchsorted(ends, np.arange(len(chunks)), side="right")
+    later: I64 = np.maximum(stops - firsts - 1, 0)
+    return later
