@@ -38,6 +38,8 @@ const REASONS = {
   "needs-range": ["format", "5.3"],
   "segment-crc": ["format", "5.3"],
   "segment-hash": ["format", "5.3"],
+  "segment-missing": ["truncated", "3.4"],
+  "segment-object": ["format", "3.4"],
   "chunk-box": ["format", "5.4"],
   "chunk-heads": ["format", "5.4"],
   "chunk-tails": ["format", "5.4"],

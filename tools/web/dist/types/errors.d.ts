@@ -37,6 +37,8 @@ declare const REASONS: {
     readonly "needs-range": readonly ["format", "5.3"];
     readonly "segment-crc": readonly ["format", "5.3"];
     readonly "segment-hash": readonly ["format", "5.3"];
+    readonly "segment-missing": readonly ["truncated", "3.4"];
+    readonly "segment-object": readonly ["format", "3.4"];
     readonly "chunk-box": readonly ["format", "5.4"];
     readonly "chunk-heads": readonly ["format", "5.4"];
     readonly "chunk-tails": readonly ["format", "5.4"];
