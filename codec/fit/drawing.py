@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,12 @@ class Gradients:
         """Set all of them to 0."""
         for name in self.names():
             getattr(self, name).fill(0.0)
+
+
+def with_values(splats: Splats, values: Mapping[str, F32]) -> Splats:
+    """Return a scene with other arrays of the names of `Gradients`."""
+    arrays: dict[str, Any] = dict(values)
+    return replace(splats, **arrays)
 
 
 @dataclass(frozen=True, eq=False)

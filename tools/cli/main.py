@@ -54,6 +54,7 @@ from .score import score
 from .serve import serve
 from .stats import stats
 from .synth import demo, synth
+from .tune import tune
 from .validate import validate
 from .view import view
 from .views import views
@@ -323,6 +324,7 @@ def cli() -> None:
 _COMMANDS: Final[Sequence[click.Command]] = (
     encode,
     batch,
+    tune,
     decode,
     convert,
     merge,

@@ -125,6 +125,10 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
         "demo": ["--out", out / "demo", "--splats", 1000],
         "warm": [],
         "batch": [out / "scenes.jsonl"],
+        "tune": [
+            small.ply, out / "a.cogs", *cameras, "--minutes", "0.01", "--target-size", "20KB",
+            "--keep", 0.9,
+        ],
     }  # fmt: skip
     return [command, *given[command], "--json"]
 

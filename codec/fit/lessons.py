@@ -1,0 +1,167 @@
+"""Lessons: the views that a scene is trained in, and what it should look like there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.splats import SceneInfo, Splats
+from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.codec.views.view_sets import evenly, jitter
+
+F32 = NDArray[np.float32]
+
+MOST_PIXELS: Final = 1 << 18
+"""Most pixels of one picture; larger ones are made smaller. Bounds memory, as `MOST_VIEWS` does."""
+MOST_VIEWS: Final = 96
+"""Most views of those given; each has two copies beside it."""
+
+Background = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Lessons:
+    """Views and the pictures that a scene should show in them.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        The given ones, then their copies off the capture path.
+    configs : sequence of RenderConfig
+        How each is drawn, on one thread.
+    pictures : sequence of (H, W, 3) float32
+        0 to 1, in the scene's colour space.
+    given : int
+        How many of the views are given ones.
+    """
+
+    cameras: Sequence[Camera]
+    configs: Sequence[RenderConfig]
+    pictures: Sequence[F32]
+    given: int
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+
+def _config(info: SceneInfo, factor: int, background: Background) -> RenderConfig:
+    """Return how a view is drawn whose picture was made so many times smaller each way."""
+    return RenderConfig(
+        info.kernel_px / (factor * factor), info.antialiased, background=background, threads=1
+    )
+
+
+def _factor(camera: Camera, most_pixels: int) -> int:
+    """Return by how much each side of a picture is divided."""
+    factor = math.ceil(math.sqrt(camera.width * camera.height / most_pixels))
+    return max(1, min(factor, camera.width, camera.height))
+
+
+def _smaller(camera: Camera, factor: int) -> Camera:
+    """Return a camera of the same view in fewer pixels."""
+    return replace(
+        camera,
+        width=camera.width // factor,
+        height=camera.height // factor,
+        fx=camera.fx / factor,
+        fy=camera.fy / factor,
+        cx=camera.cx / factor,
+        cy=camera.cy / factor,
+    )
+
+
+def _smaller_picture(picture: F32, factor: int) -> F32:
+    """Return means over squares of pixels, (H // factor, W // factor, 3)."""
+    if factor == 1:
+        return np.ascontiguousarray(picture)
+    height, width = picture.shape[0] // factor, picture.shape[1] // factor
+    squares = picture[: height * factor, : width * factor].reshape(height, factor, width, factor, 3)
+    means: F32 = squares.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
+    return means
+
+
+def _drawn(view: tuple[Camera, RenderConfig], source: Splats) -> F32:
+    picture = render(source, *view)
+    return np.clip(picture, np.float32(0.0), np.float32(1.0), out=picture)
+
+
+def lessons_of(
+    source: Splats,
+    cameras: Sequence[Camera],
+    *,
+    photos: Sequence[F32] | None = None,
+    copies: bool = True,
+    background: Background = (0.0, 0.0, 0.0),
+    most_pixels: int = MOST_PIXELS,
+    threads: int = 0,
+    progress: Progress = silent,
+) -> Lessons:
+    """Make the lessons that a scene is trained by: its own renders, or photos.
+
+    Parameters
+    ----------
+    source : Splats
+        Drawn with the kernel and anti-aliasing of ``source.info``.
+    cameras : sequence of Camera
+        In the frame of the means. Of more than `MOST_VIEWS`, evenly spread ones are taken.
+    photos : sequence of (H, W, 3) float32, optional
+        0 to 1, one per camera, in its size; without them the source's renders teach.
+    copies : bool
+        Whether copies of the cameras that step back and turn (`view_sets.jitter`) are added. They
+        are always taught by the source's renders.
+    background : tuple of float
+        RGB behind the splats.
+    most_pixels : int
+        Larger pictures are made smaller by a whole number.
+    threads : int
+        0 for every core this process may use. The pictures do not depend on it.
+    progress : Progress
+        Called with ``lessons``, views done and views.
+
+    Returns
+    -------
+    Lessons
+
+    Raises
+    ------
+    DataError
+        ``no-cameras``.
+    ValueError
+        Other than one photo per camera.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.fit.lessons import lessons_of
+    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
+    >>> lessons = lessons_of(synth(500), synth_cameras(2, 64, 48))
+    >>> len(lessons), lessons.given, lessons.pictures[0].shape
+    (6, 2, (48, 64, 3))
+    """
+    if not cameras:
+        raise DataError("no-cameras", "0 cameras to train in, expected at least 1")
+    if photos is not None and len(photos) != len(cameras):
+        raise ValueError(f"{len(photos)} photos for {len(cameras)} cameras")
+    chosen = evenly(range(len(cameras)), MOST_VIEWS)
+    given = [cameras[number] for number in chosen]
+    views = [*given, *(jitter(source, given) if copies else [])]
+    factors = [_factor(camera, most_pixels) for camera in views]
+    small = [_smaller(*pair) for pair in zip(views, factors, strict=True)]
+    configs = [_config(source.info, factor, background) for factor in factors]
+    taught = [] if photos is None else [photos[number] for number in chosen]
+    pictures = [_smaller_picture(*pair) for pair in zip(taught, factors, strict=False)]
+    left = list(zip(small, configs, strict=True))[len(pictures) :]
+    progress("lessons", 0, len(views))
+    for picture in ordered_map(partial(_drawn, source=source), left, thread_count(threads)):
+        pictures.append(picture)
+        progress("lessons", len(pictures), len(views))
+    return Lessons(small, configs, pictures, len(given))

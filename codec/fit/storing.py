@@ -1,0 +1,254 @@
+"""Storing: the encoder while a scene is trained through its quantisers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.compensation_fit import blank, compensated
+from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig
+from cogsplat.codec.encode.encoded import EncodedScene
+from cogsplat.codec.encode.pipeline import SizeOf
+from cogsplat.codec.encode.prefix_quality import WHOLE_VIEWS, PrefixEvaluator, predicted
+from cogsplat.codec.encode.prepared import prepare
+from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.rate_control import Target
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.order.prefix_inflation import effective_splats
+from cogsplat.codec.progress import Progress
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.reference_views import render_references
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.view_sets import evenly
+
+from .stored import stored
+from .trainer import Trainer
+
+# Factors on the learning rates while the scene trains through its quantisers: first, last.
+_RATES: Final = (0.4, 0.04)
+# The nominal quality follows the target for so long; then the steps of the quantisers stay, and
+# values settle on what they are rounded to.
+_AIMING: Final = 0.6
+# Slopes of PSNR and of log2 bytes by the nominal quality (`rate_control`), dB and 1 per dB.
+_PSNR_PER_DB: Final = 0.8
+_LOG2_BYTES_PER_DB: Final = 0.085
+# Before anything is measured: what the nominal quality is above the PSNR, dB.
+_FIRST_ABOVE_DB: Final = -0.5
+# A size is aimed at from a little below, as a share: it changes while values settle.
+_BELOW: Final = 0.997
+# Sizes this near, as a share, and a PSNR this near, dB, are met.
+_NEAR_SIZE: Final = 0.006
+_NEAR_DB: Final = 0.05
+# Most corrections of the nominal quality in the end; each trains a little more, at the last rate.
+_CORRECTIONS: Final = 6
+_CORRECTION_REFRESHES: Final = 3
+# Longest step of the nominal quality while it follows the target, dB.
+_LONGEST_DB: Final = 4.0
+# Views to score in.
+_MOST_SCORED: Final = 64
+
+
+class Storing:
+    """The order and the quantisers of a scene that is still being trained.
+
+    Parameters
+    ----------
+    source : Splats
+        What the result is measured against.
+    base : Splats
+        The scene as it is now: scored and ordered once.
+    cameras : sequence of Camera
+        To score in.
+    target : Target
+    preset : str
+    test_views : sequence of Camera
+        To measure in; some of `cameras` where there are none.
+    size_of : callable
+        Bytes of the whole file that an encoded scene makes.
+    threads : int
+    progress : Progress
+    """
+
+    def __init__(
+        self,
+        source: Splats,
+        base: Splats,
+        cameras: Sequence[Camera],
+        target: Target,
+        preset: str,
+        test_views: Sequence[Camera],
+        size_of: SizeOf,
+        threads: int,
+        progress: Progress,
+    ) -> None:
+        self.last_figures = (len(base), 0.0, 0.0, 0)
+        self._target = target
+        self._size_of = size_of
+        self._preset = PRESETS[preset]
+        self._progress = progress
+        self._fit = self._preset.fit_config(threads)
+        views = evenly(cameras, _MOST_SCORED)
+        settings = self._preset.score_config("transform", threads=threads)
+        scores = score(base, views, settings, progress=progress)
+        # Prefixes are compared with the source, which they are to look like.
+        self._references = render_references(
+            source,
+            views,
+            jittered=self._preset.reference_jitter,
+            pixels=self._preset.reference_pixels,
+            threads=threads,
+            progress=progress,
+        )
+        self._prepared = prepare(
+            base,
+            scores,
+            EncodeConfig(threads=threads),
+            views=views,
+            references=self._references,
+            effort=self._preset.gain,
+            progress=progress,
+        )
+        self._evaluator = PrefixEvaluator(
+            source, evenly(test_views or cameras, WHOLE_VIEWS), threads
+        )
+        self._scored_views = len(views)
+
+    @staticmethod
+    def rate(done: float) -> float:
+        """Return the factor on the learning rates when a share of the steps is made."""
+        return float(_RATES[0] * (_RATES[1] / _RATES[0]) ** done)
+
+    def first_quality(self, splats: Splats) -> float:
+        """Return a nominal quality to begin with."""
+        if self._target.psnr_db is not None:
+            return _within(self._target.psnr_db + _FIRST_ABOVE_DB)
+        quality = 36.0
+        for _ in range(4):
+            _, encoded = stored(self._prepared, splats, quality)
+            moved = _within(quality + self._missed_db(encoded))
+            if abs(moved - quality) < 0.1:
+                break
+            quality = moved
+        return quality
+
+    def aimed(self, splats: Splats, quality_db: float, done: float) -> tuple[float, Splats]:
+        """Store the scene; return the nominal quality, which follows the target, and decoded rows.
+
+        Parameters
+        ----------
+        splats : Splats
+            As it is trained.
+        quality_db : float
+            Nominal quality of the last time.
+        done : float
+            Share of the steps through quantisers that are made.
+        """
+        decoded, encoded = stored(self._prepared, splats, quality_db)
+        self.last_figures = self.figures(encoded)
+        if done < _AIMING:
+            missed = self._missed_db(encoded)
+            quality_db = _within(quality_db + min(max(missed, -_LONGEST_DB), _LONGEST_DB))
+            if missed:
+                decoded, _ = stored(self._prepared, splats, quality_db)
+        return quality_db, decoded
+
+    def figures(self, encoded: EncodedScene) -> tuple[int, float, float, int]:
+        """Return splats, mean and least PSNR in the test views, dB, and bytes of the file."""
+        values = self._evaluator.views_db(encoded.decoded)
+        return encoded.splats, float(np.mean(values)), min(values), self._bytes(encoded)
+
+    def settled(self, trainer: Trainer, quality_db: float, refresh: int) -> EncodedScene:
+        """Correct the nominal quality until the target is met, and train on each time.
+
+        Raises
+        ------
+        DataError
+            ``target-out-of-reach``: a size that it stays above.
+        """
+        best: EncodedScene | None = None
+        for trial in range(_CORRECTIONS + 1):
+            _, encoded = stored(self._prepared, trainer.splats, quality_db)
+            missed = self._missed_db(encoded)
+            fits = self._fits(encoded)
+            if fits and (best is None or self._is_better(encoded, best)):
+                best = encoded
+            if trial == _CORRECTIONS or (not missed and fits):
+                break
+            quality_db = _within(quality_db + (missed or -0.05))
+            for _ in range(_CORRECTION_REFRESHES):
+                decoded, _ = stored(self._prepared, trainer.splats, quality_db)
+                trainer.run(refresh, _RATES[1], _RATES[1], drawn_as=decoded)
+        if best is None:
+            raise DataError(
+                "target-out-of-reach",
+                f"a size of {self._target.size_bytes:,} bytes for {encoded.splats:,} splats: the "
+                f"nearest it comes is {self._bytes(encoded):,} bytes, expected a target in reach",
+            )
+        return best
+
+    def finished(self, encoded: EncodedScene) -> EncodedScene:
+        """Return the scene with compensation and predicted quality."""
+        encoded = compensated(
+            encoded,
+            self._references,
+            self._prepared.scores.contribution,
+            self._fit,
+            progress=self._progress,
+        )
+        encoded = predicted(
+            encoded,
+            self._evaluator,
+            most_views=self._preset.prediction_views,
+            progress=self._progress,
+        )
+        report = replace(
+            encoded.report,
+            views="given",
+            test_views="given",
+            scored_views=self._scored_views,
+            coverage=float((self._prepared.scores.covered > 0).mean()),
+        )
+        finished = replace(encoded, report=report)
+        size = self._target.size_bytes
+        if size is not None and self._size_of(finished) > size:
+            # Only the order of segments can have made it larger; this one was measured before.
+            finished = replace(finished, prefix_mse=None)
+        return finished
+
+    def _bytes(self, encoded: EncodedScene) -> int:
+        """Return the bytes of the file that the finished scene will make."""
+        counts = [chunk.splats for chunk in encoded.chunks]
+        carriers = effective_splats(self._prepared.scores.contribution)
+        encoded = replace(encoded, compensation=blank(counts, carriers, self._fit))
+        chunks = [replace(chunk, quality_db=1.0) for chunk in encoded.chunks]
+        return self._size_of(replace(encoded, chunks=chunks))
+
+    def _fits(self, encoded: EncodedScene) -> bool:
+        size = self._target.size_bytes
+        return size is None or self._bytes(encoded) <= size
+
+    def _missed_db(self, encoded: EncodedScene) -> float:
+        """Return what to add to the nominal quality; 0 where the target is met."""
+        size = self._target.size_bytes
+        if size is not None:
+            found = self._bytes(encoded) / size
+            if _BELOW - _NEAR_SIZE / 2 <= found / _BELOW <= 1.0 + _NEAR_SIZE / 2 and found <= 1.0:
+                return 0.0
+            return float(np.log2(_BELOW / found)) / _LOG2_BYTES_PER_DB
+        missed = (self._target.psnr_db or 0.0) - self._evaluator.psnr_db(encoded.decoded)
+        return 0.0 if abs(missed) <= _NEAR_DB else missed / _PSNR_PER_DB
+
+    def _is_better(self, encoded: EncodedScene, best: EncodedScene) -> bool:
+        """Tell whether a scene that fits comes nearer to the target than another."""
+        quality, other = (self._evaluator.psnr_db(x.decoded) for x in (encoded, best))
+        if self._target.psnr_db is None:
+            return quality > other
+        return abs(quality - self._target.psnr_db) < abs(other - self._target.psnr_db)
+
+
+def _within(quality_db: float) -> float:
+    return min(max(quality_db, MIN_QUALITY_DB), MAX_QUALITY_DB)

@@ -1,0 +1,253 @@
+"""Training: Adam on all values of a scene, against the error of its pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.threads import ordered_map, thread_count
+
+from .adam import Adam
+from .drawing import Drawing, Gradients, draw, with_values
+from .lessons import Lessons
+from .losses import LOSSES
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+RATES: Final[Mapping[str, float]] = MappingProxyType(
+    {
+        "means": 0.01,
+        "scales": 0.005,
+        "quats": 0.002,
+        "opacities": 0.03,
+        "sh0": 0.005,
+        "shN": 0.0015,
+    }
+)
+"""Learning rates. Those of 3DGS but for means, whose unit is each splat's own middle axis: a step
+moves a large splat further than a small one, and scenes of any size train alike."""
+
+# Learning rates follow the sizes of splats, looked up once in so many steps.
+_STEPS_AT_ONE_RATE: Final = 20
+# What the error of a view keeps of itself when it is measured again.
+_ERROR_MEMORY: Final = 0.5
+# A view whose error is so many times the mean counts no more than that, or less than its inverse.
+_MOST_WEIGHT: Final = 3.0
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How a scene is trained.
+
+    Parameters
+    ----------
+    loss : str
+        One of `losses.LOSSES`: ``squared`` or ``photo``.
+    worst_views : float
+        Views count in proportion to their mean squared error to this power: 0 counts all alike.
+    rates : mapping of str to float
+        Learning rates by array; arrays that are not in it stay as they are.
+    seed : int
+        Decides in which order views come.
+    threads : int
+        0 for every core this process may use. The result does not depend on it.
+    """
+
+    loss: str = "squared"
+    worst_views: float = 0.0
+    rates: Mapping[str, float] = field(default_factory=lambda: RATES)
+    seed: int = 0
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        if self.loss not in LOSSES:
+            raise ValueError(f"loss {self.loss!r}, expected one of {tuple(LOSSES)}")
+        if not 0.0 <= self.worst_views <= 1.0:
+            raise ValueError(f"worst_views {self.worst_views}, expected 0 to 1")
+        unknown = self.rates.keys() - RATES.keys()
+        if unknown:
+            raise ValueError(f"learning rates of {sorted(unknown)}, expected some of {list(RATES)}")
+        if self.seed < 0:
+            raise ValueError(f"seed {self.seed}, expected 0 or more")
+        thread_count(self.threads)
+
+
+class Trainer:
+    """A scene while it is trained.
+
+    Each step draws one given view and one copy of another, and moves all values once.
+
+    Parameters
+    ----------
+    splats : Splats
+        Copied.
+    lessons : Lessons
+    config : TrainConfig
+    steps : int
+        Steps that were made before, where training goes on: views come as they would have.
+    """
+
+    def __init__(
+        self, splats: Splats, lessons: Lessons, config: TrainConfig, *, steps: int = 0
+    ) -> None:
+        self.splats = _copy(splats)
+        self.steps = steps
+        self._lessons = lessons
+        self._config = config
+        self._adam = Adam(splats)
+        self._gradients = Gradients.zeros(splats)
+        # Mean squared error of each view when it was last drawn; NaN before.
+        self._errors = np.full(len(lessons), np.nan)
+
+    def run(
+        self,
+        steps: int,
+        first_rate: float,
+        last_rate: float,
+        *,
+        drawn_as: Splats | None = None,
+        progress: Progress = silent,
+        stage: str = "train",
+    ) -> float:
+        """Train for some steps.
+
+        Parameters
+        ----------
+        steps : int
+        first_rate, last_rate : float
+            Factors on the learning rates of the first and of the last step; between them they fall
+            by the same share in every step.
+        drawn_as : Splats, optional
+            What is drawn in place of the values that are trained, as stored values are: what lies
+            between the two is added to the trained values in every step (straight-through
+            gradients, Bengio et al. 2013).
+        progress : Progress
+            Called with `stage`, steps done and steps.
+        stage : str
+
+        Returns
+        -------
+        float
+            Mean PSNR of the pictures that were drawn, dB.
+        """
+        offsets = None
+        if drawn_as is not None:
+            offsets = {
+                name: getattr(drawn_as, name) - getattr(self.splats, name)
+                for name in Gradients.names()
+            }
+        rates: dict[str, F32] = {}
+        decibels = 0.0
+        progress(stage, 0, steps)
+        for step in range(steps):
+            if step % _STEPS_AT_ONE_RATE == 0:
+                factor = first_rate * (last_rate / first_rate) ** (step / steps)
+                rates = self._rates(factor)
+            errors = self._step(rates, offsets)
+            decibels += sum(-10 * math.log10(max(error, 1e-10)) for error in errors) / len(errors)
+            progress(stage, step + 1, steps)
+        return decibels / max(steps, 1)
+
+    def copy(self) -> Splats:
+        """Return the scene as it is now, which further steps do not change."""
+        return _copy(self.splats)
+
+    def keep(self, rows: NDArray[np.int64]) -> None:
+        """Go on with some of the splats, and with what is known of their gradients."""
+        self.splats = _copy(self.splats.take(rows))
+        self._adam = self._adam.take(rows)
+        self._gradients = Gradients.zeros(self.splats)
+
+    def state(self) -> dict[str, NDArray[np.generic]]:
+        """Return all that `restore` needs, as arrays by name."""
+        arrays: dict[str, NDArray[np.generic]] = {
+            f"splats.{name}": getattr(self.splats, name) for name in Gradients.names()
+        }
+        arrays |= self._adam.state()
+        return arrays | {"steps": np.array(self.steps), "errors": self._errors}
+
+    def restore(self, state: Mapping[str, NDArray[np.generic]]) -> None:
+        """Go on from what `state` returned."""
+        arrays = {name: np.array(state[f"splats.{name}"], np.float32) for name in Gradients.names()}
+        self.splats = with_values(self.splats, arrays)
+        self._adam = Adam.restored(state)
+        self._gradients = Gradients.zeros(self.splats)
+        self.steps = int(state["steps"])
+        self._errors = np.array(state["errors"], np.float64)
+
+    def _step(self, rates: Mapping[str, F32], offsets: Mapping[str, F32] | None) -> list[float]:
+        """Move the values once; return the mean squared errors of the views that were drawn."""
+        shown = self.splats
+        if offsets is not None:
+            moved = {name: getattr(shown, name) + offset for name, offset in offsets.items()}
+            shown = with_values(shown, moved)
+        views = self._views()
+        # Weighed before the errors change that weights follow from.
+        weighed = [(view, self._weight(view)) for view in views]
+        measure = partial(self._measured, shown=shown)
+        self._gradients.clear()
+        errors = []
+        found = ordered_map(measure, weighed, thread_count(self._config.threads))
+        for view, (drawing, sums, error) in zip(views, found, strict=True):
+            drawing.add(sums, self._gradients)
+            before = self._errors[view]
+            kept = error if math.isnan(before) else _ERROR_MEMORY * (before - error) + error
+            self._errors[view] = kept
+            errors.append(error)
+        self._adam.step(self.splats, self._gradients, rates, self._config.threads)
+        self.steps += 1
+        return errors
+
+    def _measured(self, weighed: tuple[int, float], *, shown: Splats) -> tuple[Drawing, F64, float]:
+        """Draw a view; return the picture, what the loss asks of it, and its squared error."""
+        view, weight = weighed
+        lessons = self._lessons
+        drawing = draw(shown, lessons.cameras[view], lessons.configs[view])
+        error, by_picture = LOSSES[self._config.loss](drawing.picture, lessons.pictures[view])
+        by_picture *= np.float32(weight)
+        return drawing, drawing.sums(by_picture), error
+
+    def _weight(self, view: int) -> float:
+        """Return how much a view counts, by the error that it had when it was last drawn."""
+        error = self._errors[view]
+        if not self._config.worst_views or not error > 0.0:
+            return 1.0
+        ratio = float((error / np.nanmean(self._errors)) ** self._config.worst_views)
+        return min(max(ratio, 1.0 / _MOST_WEIGHT), _MOST_WEIGHT)
+
+    def _views(self) -> list[int]:
+        """Return the views of this step: each comes once in every round through all of its kind."""
+        given, total = self._lessons.given, len(self._lessons)
+        views = []
+        for kind, (first, count) in enumerate(((0, given), (given, total - given))):
+            if count:
+                turn, place = divmod(self.steps, count)
+                rng = np.random.default_rng((self._config.seed, kind, turn))
+                views.append(first + int(rng.permutation(count)[place]))
+        return views
+
+    def _rates(self, factor: float) -> dict[str, F32]:
+        """Return the learning rate of every splat's values."""
+        rates = {}
+        for name, rate in self._config.rates.items():
+            each = np.full(len(self.splats), factor * rate, np.float32)
+            if name == "means":
+                each *= np.exp(np.median(self.splats.scales, axis=1))
+            rates[name] = each
+        return rates
+
+
+def _copy(splats: Splats) -> Splats:
+    """Return a scene whose arrays may be written to, without extra attributes."""
+    arrays = {name: getattr(splats, name).copy() for name in Gradients.names()}
+    return with_values(splats.without_extras(), arrays)

@@ -1,0 +1,56 @@
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.fit.lessons import lessons_of
+from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.splats import SceneInfo
+
+
+def test_renders_teach_in_the_cameras_and_their_copies():
+    splats = oracle.scene(0, info=SceneInfo(antialiased=True, kernel_px=0.1))
+    cameras = [oracle.camera(angle) for angle in (0.1, 0.6)]
+    background = (0.2, 0.0, 1.0)
+    lessons = lessons_of(splats, cameras, background=background, threads=2)
+    assert (len(lessons), lessons.given, len(lessons.pictures)) == (6, 2, 6)
+    for camera, config, picture in zip(
+        lessons.cameras, lessons.configs, lessons.pictures, strict=True
+    ):
+        assert config == RenderConfig(0.1, True, background=background, threads=1)
+        np.testing.assert_array_equal(picture, np.clip(render(splats, camera, config), 0, 1))
+    alone = lessons_of(splats, cameras, copies=False)
+    assert len(alone) == alone.given == 2
+
+
+def test_photos_teach_in_the_cameras_and_renders_in_the_copies():
+    splats, camera = oracle.scene(1), oracle.camera()
+    photo = np.full((camera.height, camera.width, 3), 0.25, np.float32)
+    lessons = lessons_of(splats, [camera], photos=[photo])
+    np.testing.assert_array_equal(lessons.pictures[0], photo)
+    assert not (lessons.pictures[1] == 0.25).all()
+    with pytest.raises(ValueError, match="1 photos for 2 cameras"):
+        lessons_of(splats, [camera, camera], photos=[photo])
+
+
+def test_large_pictures_become_smaller_and_show_the_same():
+    splats = oracle.scene(2, n=30)
+    camera = oracle.camera(width=80, height=60, focal=60.0)
+    photo = render(splats, camera)
+    lessons = lessons_of(splats, [camera], photos=[photo], most_pixels=1500)
+    small = lessons.cameras[0]
+    assert (small.width, small.height, small.fx) == (40, 30, 30.0)
+    assert lessons.configs[0].kernel_px == 0.3 / 4
+    drawn = render(splats, small, lessons.configs[0])
+    assert np.abs(drawn - lessons.pictures[0]).mean() < 0.02
+    odd = lessons_of(splats, [replace(camera, width=81)], photos=[np.ones((60, 81, 3), np.float32)],
+                     most_pixels=1500)  # fmt: skip
+    assert odd.pictures[0].shape == (30, 40, 3)
+
+
+def test_no_cameras_are_refused():
+    with pytest.raises(DataError, match="0 cameras") as caught:
+        lessons_of(oracle.scene(3), [])
+    assert caught.value.code == "no-cameras"

@@ -1,0 +1,77 @@
+import numpy as np
+import oracle
+import pytest
+
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.encoder import encode_chunks
+from cogsplat.codec.encode.prepared import prepare
+from cogsplat.codec.fit.stored import stored
+from cogsplat.codec.geometry import rotations
+from cogsplat.codec.metrics import psnr
+from cogsplat.codec.render.rasteriser import render
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.tools.synthetic.scene import synth, synth_cameras
+
+QUALITY = 36.0
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    splats, cameras = synth(800, seed=2), synth_cameras(6, 64, 48)
+    config = EncodeConfig(order="contribution", compensate=False, chunk_splats=300, threads=1)
+    return prepare(splats, score(splats, cameras), config, views=cameras)
+
+
+def covariances(splats):
+    spread = rotations.matrices(rotations.unit(splats.quats)) * np.exp(splats.scales)[:, None, :]
+    return spread @ spread.transpose(0, 2, 1)
+
+
+def test_what_is_stored_is_what_is_decoded_row_by_row(prepared):
+    source = prepared.source
+    found, encoded = stored(prepared, source, QUALITY)
+    expected = encode_chunks(prepared, QUALITY)
+    assert [chunk.payloads.head for chunk in encoded.chunks] == [
+        chunk.payloads.head for chunk in expected.chunks
+    ]
+    left = np.isfinite(found.opacities)
+    assert left.sum() == encoded.splats
+    # Every decoded splat stands somewhere, with all its values.
+    key = np.lexsort(found.means[left].T)
+    other = np.lexsort(encoded.decoded.means.T)
+    for name in ("means", "opacities", "sh0", "shN"):
+        np.testing.assert_array_equal(
+            getattr(found, name)[left][key], getattr(encoded.decoded, name)[other]
+        )
+    np.testing.assert_allclose(
+        covariances(found.take(left))[key],
+        covariances(encoded.decoded)[other],
+        rtol=1e-3,
+        atol=2e-6 * np.abs(covariances(encoded.decoded)).max(),
+    )
+    # And it stands where its source does.
+    assert np.abs(found.means - source.means)[left].max() < 0.05 * np.abs(source.means).max()
+    camera = oracle.camera(distance=6.0)
+    assert psnr(render(found, camera), render(encoded.decoded, camera)) > 60.0
+
+
+def test_axes_are_turned_as_the_source_has_them(prepared):
+    source = prepared.source
+    found, _ = stored(prepared, source, 60.0)
+    left = np.isfinite(found.opacities)
+    turned = np.sum(found.quats * source.quats, axis=1)[left]
+    lengths = np.linalg.norm(source.quats, axis=1)[left]
+    np.testing.assert_allclose(np.linalg.norm(found.quats, axis=1)[left], lengths, rtol=1e-4)
+    assert np.median(turned / lengths**2) > 0.999
+    assert np.median(np.abs(found.scales - source.scales)[left]) < 0.05
+
+
+def test_the_steps_stay_while_the_values_move(prepared):
+    source = prepared.source
+    _, before = stored(prepared, source, QUALITY)
+    moved = source.take(slice(0, len(source)))
+    moved.sh0[:] += np.float32(1e-3)
+    _, after = stored(prepared, moved, QUALITY)
+    assert after.splats == before.splats
+    for one, other in zip(before.chunks, after.chunks, strict=True):
+        np.testing.assert_array_equal(one.payloads.order, other.payloads.order)

@@ -1,0 +1,112 @@
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+
+from cogsplat.codec.fit.drawing import Gradients
+from cogsplat.codec.fit.lessons import lessons_of
+from cogsplat.codec.fit.trainer import TrainConfig, Trainer
+from cogsplat.codec.metrics import psnr
+from cogsplat.codec.render.rasteriser import render
+
+
+@pytest.fixture(scope="module")
+def taught():
+    source = oracle.scene(0, n=60)
+    lessons = lessons_of(source, [oracle.camera(angle) for angle in (0.0, 0.4, 0.8)])
+    rng = np.random.default_rng(1)
+    noisy = replace(
+        source,
+        **{
+            name: (values + 0.1 * rng.normal(size=values.shape)).astype(np.float32)
+            for name in Gradients.names()
+            for values in [getattr(source, name)]
+        },
+    )
+    return source, lessons, noisy
+
+
+def mean_db(splats, lessons):
+    views = zip(lessons.cameras, lessons.configs, lessons.pictures, strict=True)
+    return np.mean(
+        [psnr(picture, render(splats, camera, config)) for camera, config, picture in views]
+    )
+
+
+@pytest.mark.parametrize("loss", ["squared", "photo"])
+def test_training_brings_a_scene_near_to_its_lessons(taught, loss):
+    _, lessons, noisy = taught
+    trainer = Trainer(noisy, lessons, TrainConfig(loss=loss, worst_views=0.5))
+    before = mean_db(noisy, lessons)
+    seen = trainer.run(60, 1.0, 0.1)
+    after = mean_db(trainer.splats, lessons)
+    assert after > before + 2.0
+    assert before < seen < after
+    assert trainer.steps == 60
+    # The scene that was given is a copy's original.
+    assert mean_db(noisy, lessons) == before
+
+
+def test_the_result_depends_on_the_seed_and_not_on_the_threads(taught):
+    _, lessons, noisy = taught
+    found = []
+    for seed, threads in ((0, 1), (0, 3), (1, 1)):
+        trainer = Trainer(noisy, lessons, TrainConfig(seed=seed, threads=threads))
+        trainer.run(5, 1.0, 1.0)
+        found.append(trainer.splats)
+    for name in Gradients.names():
+        one, three, other = (getattr(splats, name) for splats in found)
+        np.testing.assert_array_equal(one, three, err_msg=name)
+        assert not np.array_equal(one, other), name
+
+
+def test_a_restored_trainer_goes_on_as_it_would_have(taught):
+    _, lessons, noisy = taught
+    config = TrainConfig(seed=3, worst_views=1.0)
+    whole = Trainer(noisy, lessons, config)
+    whole.run(6, 1.0, 1.0)
+    whole.keep(np.arange(0, 60, 2))
+    state = {name: np.array(values) for name, values in whole.state().items()}
+    whole.run(4, 0.5, 0.5)
+    resumed = Trainer(noisy, lessons, config)
+    resumed.restore(state)
+    resumed.run(4, 0.5, 0.5)
+    assert len(resumed.splats) == 30
+    for name in Gradients.names():
+        np.testing.assert_array_equal(getattr(resumed.splats, name), getattr(whole.splats, name))
+
+
+def test_what_is_drawn_in_place_of_the_values_decides_how_they_move(taught):
+    source, lessons, noisy = taught
+    # Drawn as the source itself, nothing is wrong, whatever the values are.
+    trainer = Trainer(noisy, lessons, TrainConfig())
+    assert trainer.run(1, 1.0, 1.0, drawn_as=source) > 90.0
+    straight = Trainer(noisy, lessons, TrainConfig())
+    straight.run(30, 1.0, 0.3, drawn_as=replace(noisy, sh0=noisy.sh0 + np.float32(0.2)))
+    shown = replace(straight.splats, sh0=straight.splats.sh0 + np.float32(0.2))
+    assert mean_db(shown, lessons) > mean_db(straight.splats, lessons)
+
+
+def test_arrays_without_a_rate_stay(taught):
+    _, lessons, noisy = taught
+    trainer = Trainer(noisy, lessons, TrainConfig(rates={"sh0": 0.01}))
+    trainer.run(3, 1.0, 1.0)
+    for name in Gradients.names():
+        same = np.array_equal(getattr(trainer.splats, name), getattr(noisy, name))
+        assert same == (name != "sh0")
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"loss": "l3"}, "loss 'l3'"),
+        ({"worst_views": 2.0}, "worst_views 2.0"),
+        ({"rates": {"colour": 0.1}}, "learning rates of"),
+        ({"seed": -1}, "seed -1"),
+        ({"threads": -1}, "-1 threads"),
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(settings, said):
+    with pytest.raises(ValueError, match=said):
+        TrainConfig(**settings)

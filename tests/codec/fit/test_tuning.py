@@ -1,0 +1,128 @@
+"""Tuning of a small scene: fewer splats in fewer bytes that show the same, whatever the threads."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.pipeline import encode
+from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.rate_control import Target
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.fit.drawing import Gradients
+from cogsplat.codec.fit.lessons import lessons_of
+from cogsplat.codec.fit.trainer import TrainConfig
+from cogsplat.codec.fit.tuning import TuneConfig, tune
+from cogsplat.tools.synthetic.scene import synth, synth_cameras
+
+SHORT = TuneConfig(round_steps=20, recovery_steps=30, storing_steps=60)
+
+
+def size_of(encoded):
+    parts = [chunk.payloads for chunk in encoded.chunks]
+    return sum(
+        len(payload)
+        for part in parts
+        for payload in (part.head, part.refinement or b"", part.tail or b"")
+    )
+
+
+@pytest.fixture(scope="module")
+def scene():
+    splats, cameras = synth(700, seed=1), synth_cameras(6, 64, 48)
+    return splats, cameras, lessons_of(splats, cameras)
+
+
+def tuned(scene, target, config=SHORT, **given):
+    splats, cameras, lessons = scene
+    return tune(splats, lessons, cameras, target, config, size_of=size_of, **given)
+
+
+@pytest.mark.slow
+def test_a_psnr_is_met_with_fewer_splats_in_fewer_bytes(scene):
+    splats, cameras, _ = scene
+    told = []
+    made = tuned(scene, Target(psnr_db=33.0), notify=told.append)
+    assert np.mean(made.encoded.report.test_psnr_db) == pytest.approx(33.0, abs=0.5)
+    preset = PRESETS["fast"]
+    plain = encode(
+        splats,
+        EncodeConfig(),
+        cameras=cameras,
+        preset=preset,
+        target=Target(psnr_db=33.0),
+        size_of=size_of,
+    )
+    assert size_of(made.encoded) < 0.8 * size_of(plain)
+    assert made.encoded.splats < len(splats)
+    assert len(made.splats) == told[-1].splats
+    assert {milestone.stage for milestone in told} == {"trained", "stored"}
+    assert all(milestone.worst_db <= milestone.psnr_db for milestone in told)
+    assert made.encoded.chunks[-1].quality_db > 30.0
+
+
+@pytest.mark.slow
+def test_a_size_is_never_exceeded_and_nearly_used(scene):
+    made = tuned(scene, Target(size_bytes=6000))
+    assert 0.95 * 6000 < size_of(made.encoded) <= 6000
+
+
+@pytest.mark.slow
+def test_the_result_is_the_same_for_any_threads_and_after_a_restart(scene):
+    states = []
+    target = Target(size_bytes=5000)
+
+    def keep(state):
+        states.append({name: np.array(values) for name, values in state.items()})
+
+    whole = tuned(scene, target, checkpoint=keep)
+    config = replace(SHORT, train=TrainConfig(threads=3))
+    # From before the first round that follows, and from the middle of storing.
+    for state in (states[0], states[-1]):
+        again = tuned(scene, target, config, resume=state)
+        assert [chunk.payloads.head for chunk in again.encoded.chunks] == [
+            chunk.payloads.head for chunk in whole.encoded.chunks
+        ]
+        for name in Gradients.names():
+            np.testing.assert_array_equal(getattr(again.splats, name), getattr(whole.splats, name))
+    assert any("base.means" in state for state in states)
+
+
+@pytest.mark.slow
+def test_the_share_that_is_kept_can_be_given(scene):
+    config = replace(SHORT, keep=0.5, preset="balanced")
+    made = tuned(scene, Target(psnr_db=30.0), config)
+    assert len(made.splats) == 350
+    assert np.mean(made.encoded.report.test_psnr_db) == pytest.approx(30.0, abs=0.5)
+
+
+def test_time_that_is_short_makes_steps_fewer(scene):
+    config = replace(SHORT, seconds=0.01)
+    done = []
+    tuned(scene, Target(size_bytes=6000), config, progress=lambda *step: done.append(step))
+    totals = [total for stage, step, total in done if stage == "train" and step == 0]
+    assert totals[0] == SHORT.round_steps
+    assert totals[-1] < SHORT.recovery_steps
+
+
+def test_a_size_out_of_reach_is_refused(scene):
+    config = replace(SHORT, keep=0.9, round_steps=1, recovery_steps=1, storing_steps=10)
+    with pytest.raises(DataError, match="expected a target in reach") as caught:
+        tuned(scene, Target(size_bytes=300), config)
+    assert caught.value.code == "target-out-of-reach"
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"keep": 0.0}, "keep 0.0"),
+        ({"round_keep": 1.0}, "round_keep 1.0"),
+        ({"storing_steps": 0}, "at least 1 each"),
+        ({"seconds": 0.0}, "0.0 seconds"),
+        ({"preset": "slow"}, "preset 'slow'"),
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(settings, said):
+    with pytest.raises(ValueError, match=said):
+        TuneConfig(**settings)

@@ -1,0 +1,86 @@
+"""tune: a smaller file of fewer splats, checkpoints to go on from, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from running import Run, SmallScene
+
+import cogsplat
+from cogsplat.codec.render.rasteriser import render
+
+# Steps of training become as few as they may be.
+SHORT = ["--minutes", "0.01", "--target-size", "20KB"]
+
+
+@pytest.mark.slow
+def test_a_scene_becomes_smaller_and_is_told(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    out, ply = tmp_path / "a.cogs", tmp_path / "a.ply"
+    told = run(
+        "tune", small.ply, out, "--cameras", small.cameras, *SHORT, "--ply", ply, "--keep", "40%"
+    )
+    assert told.code == 2
+    assert "40%" in told.err
+    told = run(
+        "tune", small.ply, out, "--cameras", small.cameras, *SHORT, "--ply", ply, "--keep", 0.9
+    )
+    assert told.code == 0, told.err
+    assert 0.9 * 20_000 < out.stat().st_size <= 20_000
+    decoded, trained = cogsplat.decode(out), cogsplat.read(ply)
+    assert len(decoded) <= len(trained) == round(0.9 * len(cogsplat.read(small.ply)))
+    assert "measured" in told.out
+    assert "trained: 1,800 splats" in told.err
+    assert "stored: " in told.err
+    again = run("tune", small.ply, out, "--cameras", small.cameras, *SHORT)
+    assert (again.code, "[exists]" in again.err) == (2, True)
+
+
+@pytest.mark.slow
+def test_photos_teach_and_a_checkpoint_goes_on(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    splats, cameras = cogsplat.read(small.ply), cogsplat.read_cameras(small.cameras)
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for camera in cameras:
+        pixels = np.clip(render(splats, camera), 0, 1) * 255
+        Image.fromarray(np.rint(pixels).astype(np.uint8)).save(photos / f"{camera.name}.png")
+    # Photos have the names of cameras, which have no ending here.
+    for path in photos.iterdir():
+        path.rename(path.with_suffix(""))
+    out, kept = tmp_path / "a.cogs", tmp_path / "a.npz"
+    words = ["tune", small.ply, out, "--cameras", small.cameras, *SHORT, "--keep", 0.9, "--force"]
+    words += ["--images", photos, "--checkpoint", kept, "--quiet"]
+    told = run(*words)
+    assert (told.code, told.out) == (0, ""), told.err
+    first = out.read_bytes()
+    assert kept.stat().st_size > 100_000
+    # The last checkpoint was made before the scene was trained through the quantisers.
+    resumed = run(*words, "--resume")
+    assert resumed.code == 0, resumed.err
+    assert abs(out.stat().st_size - len(first)) < 0.1 * len(first)
+    other = run(*words, "--resume", "--seed", 1)
+    assert "[other-checkpoint]" in other.err
+    kept.write_bytes(kept.read_bytes()[:1000])
+    assert "[bad-checkpoint]" in run(*words, "--resume").err
+    kept.write_bytes(b"no archive")
+    assert "[bad-checkpoint]" in run(*words, "--resume").err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--target-psnr", 40, "--target-size", 1000], "expected one of them"),
+        (["--images", "."], "expected where they were taken from"),
+        (["--resume"], "expected the file to go on from"),
+        (["--target-size", "0%"], "expected"),
+        (["--ply", "OUT"], "expected"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_at_once(
+    run: Run, small: SmallScene, tmp_path: Path, words: list[object], said: str
+) -> None:
+    out = tmp_path / "a.cogs"
+    told = run("tune", small.ply, out, *(out if word == "OUT" else word for word in words))
+    assert told.code == 2
+    assert said in told.err
+    assert not out.exists()

@@ -1,0 +1,315 @@
+"""``cogsplat tune``: fewer splats, trained to show what the scene shows, in a COGS file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import click
+import numpy as np
+
+import cogsplat
+from cogsplat.codec.errors import DataError
+from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.storage.atomic import check_output
+from cogsplat.formats.storage.byte_counts import ByteCount
+from cogsplat.tools.evaluation.photos import read_photos
+from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.option_groups import GroupedCommand
+from cogsplat.tools.terminal.options import (
+    background_option,
+    cameras_option,
+    eval_every_option,
+    force_option,
+    json_option,
+    quiet_option,
+    target_psnr_option,
+    threads_option,
+)
+from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output_names import COGS, check_distinct, check_name, format_option
+from cogsplat.tools.terminal.partial import partial_option
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
+from cogsplat.tools.terminal.values import Colour, byte_count
+
+from .inputs import (
+    given_cameras,
+    given_files,
+    measured_in,
+    read_any,
+    scoring_cameras,
+    usable_rows,
+    virtual_views,
+)
+from .tune_checkpoint import fingerprint, read_checkpoint, write_checkpoint
+
+if TYPE_CHECKING:
+    from cogsplat.codec.encode.encoded import EncodedScene
+    from cogsplat.codec.encode.rate_control import Target
+    from cogsplat.codec.fit.tuning import Milestone, State
+
+_DEFAULT_DB: Final = 40.0
+
+_GROUPS: Final = {
+    "Most used": ("--cameras", "--target-psnr", "--target-size", "--minutes", "--images"),
+    "Training": ("--keep", "--preset", "--seed", "--eval-every"),
+    "More files": ("--ply", "--checkpoint", "--resume"),
+}
+
+
+@click.command(
+    cls=GroupedCommand,
+    groups=_GROUPS,
+    epilog="\b\nExample:\n"
+    "  cogsplat tune scene.ply scene.cogs --cameras cameras.json --target-size 2MB",
+)
+@click.argument("scene", type=INPUT, metavar="SCENE")
+@click.argument("out", type=OutputPath(), metavar="OUT")
+@cameras_option("Without it, views are planned around the scene.")
+@target_psnr_option(
+    "Leave out splats and store the others until renders have this PSNR against renders of SCENE, "
+    "in some of the views of --cameras. 40 where no target is given."
+)
+@click.option(
+    "--target-size",
+    type=byte_count,
+    metavar="SIZE",
+    help="Show SCENE as well as a file of this size can: 2MB, 500KiB, 10% of SCENE.",
+)
+@click.option(
+    "--minutes",
+    type=click.FloatRange(0, min_open=True),
+    metavar="N",
+    help="Train for about so long. Without it, the number of steps is fixed, and the result is "
+    "the same on every run.",
+)
+@click.option(
+    "--images",
+    type=PATH,
+    metavar="DIR",
+    help="Photos named as the cameras are: train against them. Without it the renders of SCENE "
+    "teach.",
+)
+@click.option(
+    "--keep",
+    type=click.FloatRange(0, 1, min_open=True),
+    metavar="SHARE",
+    help="Keep this share of the splats. Without it, as few as the target allows.",
+)
+@click.option(
+    "--preset",
+    type=click.Choice(["fast", "balanced", "best"]),
+    default="fast",
+    show_default=True,
+    help="How the tuned scene is scored and ordered, as in encode; balanced and best show more of "
+    "it in the first bytes.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    metavar="N",
+    help="Decides in which order the views teach.",
+)
+@eval_every_option(0, "Keep from training the")
+@click.option(
+    "--ply",
+    type=PATH,
+    metavar="OUT.ply",
+    help="Write the trained splats as well, as they were before they were stored.",
+)
+@click.option(
+    "--checkpoint",
+    type=PATH,
+    metavar="FILE",
+    help="Keep there, after every round, what --resume needs.",
+)
+@click.option("--resume", is_flag=True, help="Go on from --checkpoint, where that is there.")
+@format_option(["cogs"], "Without it, a name that says another format is refused.")
+@background_option
+@partial_option
+@limits_option
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def tune(
+    scene: Path,
+    out: Path,
+    cameras: Path | None,
+    target_psnr: float | None,
+    target_size: ByteCount | None,
+    minutes: float | None,
+    images: Path | None,
+    keep: float | None,
+    preset: str,
+    seed: int,
+    eval_every: int,
+    ply: Path | None,
+    checkpoint: Path | None,
+    resume: bool,
+    format_name: str | None,
+    background: Colour,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Train fewer splats to show what SCENE shows, and encode them.
+
+    In rounds, splats whose absence changes the pictures least are left out and the others trained
+    to make up for them; then what is left trains on through the encoder's quantisers. A file of
+    equal PSNR is a half to a quarter of what encode makes.
+    """
+    from cogsplat.codec.fit.lessons import lessons_of
+    from cogsplat.codec.fit.trainer import TrainConfig
+    from cogsplat.codec.fit.tuning import TuneConfig
+    from cogsplat.codec.fit.tuning import tune as tuned_scene
+
+    if target_psnr is not None and target_size is not None:
+        raise click.UsageError("--target-psnr and --target-size: expected one of them")
+    if images is not None and cameras is None:
+        raise click.UsageError("--images without --cameras, expected where they were taken from")
+    if resume and checkpoint is None:
+        raise click.UsageError("--resume without --checkpoint, expected the file to go on from")
+    check_name(out, COGS, insisted=format_name is not None)
+    inputs = list(given_files(scene, cameras, images))
+    check_output(out, force=force, inputs=inputs)
+    for other in (ply, checkpoint):
+        if other is not None:
+            check_distinct(out, other)
+            check_output(other, force=force or other == checkpoint, inputs=inputs)
+    shown = not (quiet or as_json)
+    with Stages(shown=shown) as stages:
+        with stages.stage("read"):
+            views = scoring_cameras(cameras, eval_every)
+            given = read_any(scene, threads=threads)
+            splats = usable_rows(given.splats, scene).without_extras()
+            if not len(splats):
+                raise DataError("empty-scene", f"{scene}: 0 splats, expected some to train")
+        planned = views is None
+        if views is None:
+            views = virtual_views(splats, threads=threads, progress=stages)
+        tests = measured_in(given_cameras(cameras), eval_every) if cameras else views
+        photos = None
+        if images is not None:
+            taken = read_photos(images, splats, views, background, threads=threads)
+            photos = [pixels.astype(np.float32) / np.float32(255) for pixels in taken.pictures]
+        lessons = lessons_of(
+            splats, views, photos=photos, background=background, threads=threads, progress=stages
+        )
+        target = _target(target_psnr, target_size, given.file_bytes)
+        config = TuneConfig(
+            keep=keep,
+            seconds=None if minutes is None else 60 * minutes,
+            preset=preset,
+            train=TrainConfig(loss="photo" if photos else "squared", seed=seed, threads=threads),
+        )
+        writer = f"cogsplat {cogsplat.__version__}"
+        first_view = views[0] if cameras is not None else None
+
+        def size_of(encoded: EncodedScene) -> int:
+            return cogs.size_bytes(encoded, writer=writer, first_view=first_view)
+
+        of = fingerprint(splats, f"{target} {config} {[view.name for view in views]}")
+        state = None
+        if checkpoint is not None and resume and checkpoint.exists():
+            state = read_checkpoint(checkpoint, of)
+
+        def keep_state(state: State) -> None:
+            if checkpoint is not None:
+                write_checkpoint(checkpoint, of, state)
+
+        made = tuned_scene(
+            splats,
+            lessons,
+            views,
+            target,
+            config,
+            test_views=tests,
+            size_of=size_of,
+            resume=state,
+            checkpoint=None if checkpoint is None else keep_state,
+            notify=_tell if shown else None,
+            progress=stages,
+        )
+        with stages.stage("write"):
+            size = cogs.save(made.encoded, out, writer=writer, first_view=first_view, force=force)
+            if ply is not None:
+                cogsplat.write(made.splats, ply, force=force, format_name="ply")
+    _report(
+        made.encoded, scene, out, size, given.file_bytes, given.file_splats, planned, stages,
+        quiet=quiet, as_json=as_json,
+    )  # fmt: skip
+
+
+def _target(psnr_db: float | None, size: ByteCount | None, file_bytes: int) -> Target:
+    """Return what is aimed at: a size, or a PSNR, 40 dB where none is given."""
+    from cogsplat.codec.encode.rate_control import Target
+
+    if size is None:
+        return Target(psnr_db=_DEFAULT_DB if psnr_db is None else psnr_db)
+    wanted = size.uncapped(file_bytes)
+    if wanted < 1:
+        raise click.UsageError("--target-size of 0 bytes, expected at least 1")
+    return Target(size_bytes=wanted)
+
+
+def _tell(milestone: Milestone) -> None:
+    """Say on standard error how far tuning is."""
+    size = f", {size_text(milestone.size_bytes)}" if milestone.size_bytes else ""
+    click.echo(
+        f"{milestone.stage}: {milestone.splats:,} splats, {milestone.psnr_db:.2f} dB, the worst "
+        f"view {milestone.worst_db:.2f} dB{size}",
+        err=True,
+    )
+
+
+def _report(
+    made: EncodedScene,
+    scene: Path,
+    out: Path,
+    size: int,
+    source_bytes: int,
+    source_splats: int,
+    planned: bool,
+    stages: Stages,
+    *,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Say what was written."""
+    values = made.report.test_psnr_db
+    mean = sum(values) / len(values)
+    whose = "planned" if planned else "given"
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                "source": name_of(scene),
+                "bytes": size,
+                "splats": made.splats,
+                "bytes_per_splat": round(size / max(made.splats, 1), 3),
+                "source_bytes": source_bytes,
+                "source_splats": source_splats,
+                "ratio": round(source_bytes / size, 3),
+                "predicted_psnr_db": round(mean, 3),
+                "predicted_worst_psnr_db": round(min(values), 3),
+                "test_views": {"from": whose, "count": len(values)},
+                "seconds": stages.rounded(),
+                "cpu_seconds": stages.cpu_rounded(),
+            }
+        )
+    elif not quiet:
+        say(f"{out}: {size_text(size)}, {source_bytes / size:.1f} times smaller than {scene}")
+        facts(
+            ("splats", f"{made.splats:,} of {source_splats:,}, {size / made.splats:.2f} B each"),
+            (
+                "measured",
+                f"{mean:.2f} dB, the mean of {len(values)} views {whose}; the worst "
+                f"{min(values):.2f} dB",
+            ),
+            ("time", stages.line()),
+        )
