@@ -51,7 +51,7 @@ def _manifest_name(
 @quiet_option
 @json_option
 def unpack(source: Path, folder: Path, name: str, force: bool, quiet: bool, as_json: bool) -> None:
-    """Write a COGS file as a folder: a manifest and one object for each segment.
+    """Write a COGS file as a folder: a manifest and its segments.
 
     For hosts without byte ranges, and for scenes of which new versions keep most segments. Objects
     are named by their content, so that they can be cached forever; those that are there already
@@ -92,7 +92,7 @@ def unpack(source: Path, folder: Path, name: str, force: bool, quiet: bool, as_j
 @quiet_option
 @json_option
 def pack(source: Path, out: Path, force: bool, quiet: bool, as_json: bool) -> None:
-    """Write a folder, or one of the manifests in it, as one COGS file.
+    """Write a folder, or one of its manifests, as one COGS file.
 
     The file is the one that was unpacked, byte for byte. Every segment is checked against its
     CRC and its hash. With --partial, the file ends before the first segment that is missing.
