@@ -106,6 +106,14 @@ COARSEST_COLOUR: Final = 0.15
 _OPACITY_LIMIT: Final = 1.0
 _SCALE_LIMITS: Final = (0.35, 0.5, 0.7)  # long, middle, thin; log
 _MEAN_LIMIT: Final = 1.0  # deviations
+# A rotation is off by at most its step, radians: swing and twist are tangents of half an angle. Of
+# an axis of length L and a shortest of length t, a tilt δ adds (L² - t²)·δ² to the squared
+# thickness of the surface that the splat lies in: at most t², or the square of this share of L
+# where that is more. Views that show a surface from its edge are few, and no derivative says what
+# tilts of many splats that lie behind each other do there: all make it thicker. At the nominal
+# quality of 40 dB the worst of 24 views of a flat card is 2.4 dB below their mean with this limit,
+# 8.7 dB without, in as many bytes.
+_TILT_SHARE: Final = 0.3
 
 # Least cost of each value relative to its splat's energy. Sensitivities hold for small errors
 # only: what happens to match its surroundings now would show once it moved.
@@ -221,6 +229,12 @@ def limited(found: Costs, scales: NDArray[np.float32], lagrangian: float) -> Cos
     """
     size = np.exp(np.clip(scales.astype(np.float64).mean(axis=1), -40, 40))
     long, middle, thin = (lagrangian / limit**2 for limit in _SCALE_LIMITS)
+    sizes = np.clip(np.sort(scales.astype(np.float64), axis=1), -40, 40)
+    # Of the longest axis, which swings, and of the middle one, which a twist tilts.
+    swung, twisted = (
+        lagrangian * (1 - flat) / np.maximum(flat, _TILT_SHARE**2)
+        for flat in (np.exp(2 * (sizes[:, 0] - sizes[:, axis])) for axis in (2, 1))
+    )
     return replace(
         found,
         energy=limited_energy(found.energy, lagrangian),
@@ -229,6 +243,8 @@ def limited(found: Costs, scales: NDArray[np.float32], lagrangian: float) -> Cos
         scale_long=np.maximum(found.scale_long, long),
         scale_middle=np.maximum(found.scale_middle, middle),
         scale_thin=np.maximum(found.scale_thin, thin),
+        swing=np.maximum(found.swing, swung),
+        twist=np.maximum(found.twist, twisted),
     )
 
 

@@ -236,6 +236,10 @@ def test_limits_leave_no_step_that_loses_a_splat():
         assert allocation.own_steps(lagrangian, limited.scale_long).max() <= 1
         size = np.exp(splats.scales.astype(float).mean(axis=1))
         assert (allocation.own_steps(lagrangian, limited.mean) <= 2 * size).all()
+        thin, middle, long = np.exp(np.sort(splats.scales.astype(float), axis=1)).T
+        for length, cost in ((long, limited.swing), (middle, limited.twist)):
+            thicker = (length**2 - thin**2) * lagrangian / cost
+            assert (thicker <= np.maximum(thin, 0.3 * length) ** 2 * (1 + 1e-6)).all()
     strong = rate_costs.costs(splats, replace(scores, energy=np.full(80, 1e3)))
     same = rate_costs.limited(strong, splats.scales, 1e-9)
     for name in VALUES:
