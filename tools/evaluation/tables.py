@@ -208,6 +208,6 @@ def _tell_figure(points: Sequence[PrefixPoint], kind: str, figure: str) -> None:
         end = whole.get(name)
         if kind == BYTES and whole:
             texts.append("" if end is None else size_text(int(end.x)))
-        rows.append((name, *texts, f"{area[figure]:.2f}" if figure in area else ""))
+        rows.append((name, *texts, *([f"{area[figure]:.2f}"] if figure in area else [])))
     last = (["whole", "of"] if kind == BYTES else ["100 %"]) if whole else []
-    table((kind, *heads, *last, "mean"), rows)
+    table((kind, *heads, *last, *(["mean"] if figure in FIGURES else [])), rows)
