@@ -158,6 +158,20 @@ def test_it_comes_back_when_webgl_is_lost(
     assert psnr(picture(page), ours(small, camera())) >= 38
 
 
+def test_graphics_that_build_no_program_are_said(page: Page, server: FaultyServer) -> None:
+    page.add_init_script(
+        """{
+          const { prototype } = WebGL2RenderingContext;
+          const asked = prototype.getProgramParameter;
+          prototype.getProgramParameter = function (program, name) {
+            return name === this.LINK_STATUS ? false : asked.call(this, program, name);
+          };
+        }"""
+    )
+    page.goto(server.url)
+    told(page)
+
+
 def test_keys_work_before_anything_was_clicked(page: Page, server: FaultyServer) -> None:
     open_whole(page, server)
     before, frames = picture(page), statistics(page)["frames"]

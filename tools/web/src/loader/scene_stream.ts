@@ -17,6 +17,9 @@ const FIRST_REQUEST = 262_144;
 /** Updates that may wait for the caller before no more is fetched. */
 const MAX_WAITING = 64;
 
+/** Longest time in which segments of the first request are accepted at once, ms: a picture of the page has 16. */
+const SLICE_MILLISECONDS = 4;
+
 /** Most bytes of decoded heads that wait for their tails: those of two million packed splats. */
 const MOST_KEPT_BYTES = 32 * 2 ** 20;
 
@@ -162,7 +165,13 @@ export class SceneStream {
     // Without priorities segments are wanted in the order of the file, which shows most for its bytes.
     if (priority === undefined) unique.sort((a, b) => a - b);
     for (const segment of unique) this.asked.add(segment);
-    this.wanted.push(...unique.filter((segment) => !this.takeFromBeginning(segment)));
+    const { beginning } = this.source;
+    const isHere = (segment: number): boolean => this.endOf(segment) <= beginning.here.length;
+    const held = new Set(unique.filter((segment) => beginning.holds(this.endOf(segment))));
+    this.wanted.push(...unique.filter((segment) => !held.has(segment)));
+    const here = [...held].filter(isHere);
+    const coming = [...held].filter((segment) => !isHere(segment)).sort((a, b) => a - b);
+    void this.acceptBeginning([...here, ...coming]);
     this.ask();
   }
 
@@ -196,28 +205,35 @@ export class SceneStream {
       .map(({ chunk }) => chunk);
   }
 
-  private takeFromBeginning(segment: number): boolean {
+  private endOf(segment: number): number {
     const { offset, length } = this.index.range(segment);
-    const { beginning } = this.source;
-    const end = offset + length;
-    if (!beginning.holds(end)) return false;
-    if (end <= beginning.here.length) this.accept(segment, beginning.here.slice(offset, end));
-    else void this.acceptFrom(beginning, segment, offset, end);
-    return true;
+    return offset + length;
   }
 
-  /** Accept a segment when the first request has brought it. */
-  private async acceptFrom(beginning: Beginning, segment: number, offset: number, end: number): Promise<void> {
-    this.waits++;
-    try {
-      await beginning.upTo(end, this.abort.signal);
-      if (beginning.here.length < end) throw new SourceError(`the file ends before byte ${end}`, undefined, true);
-      this.accept(segment, beginning.here.slice(offset, end));
-    } catch (error) {
-      this.lose(error, [segment]);
-    } finally {
-      this.waits--;
-      this.wake();
+  /** Accept segments that the first request has brought or brings, one after the other, and let the page do other things between them. */
+  private async acceptBeginning(segments: readonly number[]): Promise<void> {
+    const { beginning } = this.source;
+    this.waits += segments.length;
+    let slice = performance.now();
+    for (const segment of segments) {
+      const end = this.endOf(segment);
+      try {
+        if (beginning.here.length < end) {
+          await beginning.upTo(end, this.abort.signal);
+          slice = performance.now();
+        } else if (performance.now() - slice > SLICE_MILLISECONDS) {
+          await new Promise((resolve) => setTimeout(resolve, 0));
+          this.abort.signal.throwIfAborted();
+          slice = performance.now();
+        }
+        if (beginning.here.length < end) throw new SourceError(`the file ends before byte ${end}`, undefined, true);
+        this.accept(segment, beginning.here.slice(this.index.range(segment).offset, end));
+      } catch (error) {
+        this.lose(error, [segment]);
+      } finally {
+        this.waits--;
+        this.wake();
+      }
     }
   }
 

@@ -36,18 +36,19 @@ const SCALE_STEP = 21 / 254;
  */
 export function bulkOf(packed: PackedSplats, zero: Vector): Bulk | undefined {
   const { means, weights, opacities } = sampleOf(packed, zero);
-  const inner = ballOf(means, weights, OUTSIDE, MARGIN);
-  const outer = ballOf(means, opacities, STRAY, 1);
+  const axes = [0, 1, 2].map((axis) => {
+    const values = Float32Array.from(weights, (_, i) => means[3 * i + axis]!);
+    return { values, order: ascending(values) };
+  });
+  const inner = ballOf(axes, weights, OUTSIDE, MARGIN);
+  const outer = ballOf(axes, opacities, STRAY, 1);
   const found = outer.radius <= OBJECT_REACH * inner.radius ? { ...outer, radius: OBJECT_MARGIN * outer.radius } : inner;
   return found.radius > 0 && Number.isFinite(found.radius) ? found : undefined;
 }
 
 /** The ball around the box between two quantiles of each axis, larger by a margin. */
-function ballOf(means: Float32Array, weights: Float32Array, outside: number, margin: number): Bulk {
-  const ends = [0, 1, 2].map((axis) => {
-    const values = Float32Array.from(weights, (_, i) => means[3 * i + axis]!);
-    return [quantile(values, weights, outside), quantile(values, weights, 1 - outside)] as const;
-  });
+function ballOf(axes: readonly Sorted[], weights: Float32Array, outside: number, margin: number): Bulk {
+  const ends = axes.map((axis) => [quantile(axis, weights, outside), quantile(axis, weights, 1 - outside)] as const);
   const centre = ends.map(([lo, hi]) => (lo + hi) / 2) as Vector;
   return { centre, radius: margin * Math.hypot(...ends.map(([lo, hi]) => (hi - lo) / 2)) };
 }
@@ -68,7 +69,7 @@ export function depthAhead(packed: PackedSplats, zero: Vector, position: Vector,
     depths[i] = depth;
     if (!(depth > COSINE_OF_MIDDLE * Math.hypot(...offset))) weights[i] = 0;
   }
-  return weights.some((weight) => weight > 0) ? quantile(depths, weights, 0.5) : undefined;
+  return weights.some((weight) => weight > 0) ? quantile({ values: depths, order: ascending(depths) }, weights, 0.5) : undefined;
 }
 
 /** Some splats of a scene: their means, what they weigh and their opacities. */
@@ -96,9 +97,18 @@ function sampleOf({ count, words }: PackedSplats, zero: Vector): Sample {
   };
 }
 
+/** Numbers, and their indices from the smallest to the largest. */
+interface Sorted {
+  readonly values: Float32Array;
+  readonly order: Uint32Array;
+}
+
+function ascending(values: Float32Array): Uint32Array {
+  return Uint32Array.from(values, (_, i) => i).sort((a, b) => values[a]! - values[b]!);
+}
+
 /** The value below which so much of the weight is. */
-function quantile(values: Float32Array, weights: Float32Array, share: number): number {
-  const order = Uint32Array.from(values, (_, i) => i).sort((a, b) => values[a]! - values[b]!);
+function quantile({ values, order }: Sorted, weights: Float32Array, share: number): number {
   const total = weights.reduce((sum, weight) => sum + weight, 0);
   let below = 0;
   for (const i of order) {

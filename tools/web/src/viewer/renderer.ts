@@ -41,9 +41,26 @@ export class SplatRenderer {
     [this.splats, this.composite, this.target] = this.build();
   }
 
+  /**
+   * Whether its programs are built, which browsers do beside the page where they can.
+   *
+   * @throws NoWebGlError where they cannot be built.
+   */
+  get isReady(): boolean {
+    return this.splats.isReady && this.composite.isReady;
+  }
+
   /** Make programs and buffers anew, because the graphics memory was lost. */
   restore(): void {
     [this.splats, this.composite, this.target] = this.build();
+  }
+
+  /** Set the size of pictures, px. */
+  resize(width: number, height: number): void {
+    const { canvas } = this;
+    if (canvas.width !== width) canvas.width = width;
+    if (canvas.height !== height) canvas.height = height;
+    this.target.resize(width, height);
   }
 
   /**
@@ -56,7 +73,6 @@ export class SplatRenderer {
   draw(view: View & { readonly origin: readonly number[] }, layers: readonly SplatLayer[], options: PictureOptions): boolean {
     const { gl, canvas, composite, target } = this;
     const { width, height } = canvas;
-    target.resize(width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.framebuffer);
     gl.viewport(0, 0, width, height);
     gl.clearColor(0, 0, 0, 0);
@@ -123,7 +139,10 @@ export class SplatRenderer {
 
   private build(): [Program, Program, Target] {
     const { gl } = this;
-    const programs = [new Program(gl, VERTEX_SHADER, FRAGMENT_SHADER), new Program(gl, WHOLE_PICTURE_SHADER, COMPOSITE_SHADER)] as const;
+    const programs = [
+      new Program(gl, VERTEX_SHADER, FRAGMENT_SHADER, "count"),
+      new Program(gl, WHOLE_PICTURE_SHADER, COMPOSITE_SHADER, "fill"),
+    ] as const;
     gl.bindVertexArray(gl.createVertexArray());
     return [...programs, new Target(gl)];
   }
@@ -146,9 +165,11 @@ function moved(view: View, from: readonly number[], to: readonly number[]): View
 /** A program and where its uniforms are. */
 class Program {
   readonly program: WebGLProgram;
+  private isLinked = false;
   private readonly locations = new Map<string, WebGLUniformLocation | null>();
 
-  constructor(private readonly gl: WebGL2RenderingContext, vertex: string, fragment: string) {
+  /** @param known - One of its uniforms. */
+  constructor(private readonly gl: WebGL2RenderingContext, vertex: string, fragment: string, private readonly known: string) {
     this.program = gl.createProgram();
     for (const [type, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]] as const) {
       const shader = gl.createShader(type);
@@ -158,9 +179,21 @@ class Program {
       gl.attachShader(this.program, shader);
     }
     gl.linkProgram(this.program);
-    if (!gl.getProgramParameter(this.program, gl.LINK_STATUS) && !gl.isContextLost()) {
-      throw new NoWebGlError(gl.getProgramInfoLog(this.program) ?? "no program");
+  }
+
+  get isReady(): boolean {
+    const { gl, program } = this;
+    if (this.isLinked) return true;
+    // To ask how it went would hold up the page until it is done.
+    const beside = gl.getExtension("KHR_parallel_shader_compile");
+    if (beside !== null && gl.getProgramParameter(program, beside.COMPLETION_STATUS_KHR) === false) return false;
+    if (gl.getProgramParameter(program, gl.LINK_STATUS) === false && !gl.isContextLost()) {
+      throw new NoWebGlError(gl.getProgramInfoLog(program) ?? "no program");
     }
+    this.isLinked = true;
+    // The first question for a uniform waits for the graphics, which are idle now and are not when a picture is drawn.
+    this.at(this.known);
+    return true;
   }
 
   at(name: string): WebGLUniformLocation | null {

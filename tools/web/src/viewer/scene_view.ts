@@ -278,10 +278,10 @@ export class SceneView {
         // What turning goes around, and without a first view where to stand, follow from the first splats.
         const { position, forward } = this.camera;
         const shift = this.origin.map((value, axis) => value - shown.layer!.scene.origin[axis]!) as Vector;
-        const bulk = bulkOf(packed, shift);
-        const ahead = depthAhead(packed, shift, position, forward);
+        const bulk = shown.feed.hasFirstView ? undefined : bulkOf(packed, shift);
+        const ahead = bulk === undefined ? depthAhead(packed, shift, position, forward) : undefined;
         this.home = (camera) => {
-          if (!shown.feed.hasFirstView && bulk !== undefined) camera.frame(bulk.centre, bulk.radius);
+          if (bulk !== undefined) camera.frame(bulk.centre, bulk.radius);
           else if (ahead !== undefined) camera.turnAround(ahead);
         };
         if (!this.touched) this.reset();
@@ -344,6 +344,7 @@ export class SceneView {
     if (this.abort.signal.aborted || this.lost) return;
     const { controls, layers, pace } = this;
     const more = [this.main, this.other].map((shown) => shown?.feed.work(WORK_MILLISECONDS) ?? false).some(Boolean);
+    if (!this.canDraw()) return;
     pace.splats = layers.reduce((sum, layer) => sum + layer.rows, 0);
     if (!pace.isFree) return this.schedule(LOOK_MILLISECONDS);
     const isUploaded = layers.map((layer) => layer.upload()).every(Boolean);
@@ -377,6 +378,21 @@ export class SceneView {
     if (this.statistics.upToDate) for (const resolve of this.waiting.splice(0)) resolve();
   };
 
+  /** Whether programs are built; where they are not yet, it is looked again soon. */
+  private canDraw(): boolean {
+    try {
+      const { isReady } = this.renderer;
+      if (!isReady) this.schedule(LOOK_MILLISECONDS);
+      return isReady;
+    } catch (error) {
+      this.lost = true;
+      this.close("main");
+      this.note({ state: "failed" });
+      this.host.failed(error, "graphics");
+      return false;
+    }
+  }
+
   /** Whether the graphics would still work on a picture when the rest of the scene is there. */
   private restComesSoon(): boolean {
     const { meter, pace, statistics } = this;
@@ -389,8 +405,8 @@ export class SceneView {
     const { camera, canvas, renderer, layers, pace, statistics } = this;
     const ratio = (this.pixelRatio ?? Math.min(devicePixelRatio, this.mostPixelRatio)) * scale;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((px) => Math.max(1, Math.round(px * ratio))) as [number, number];
-    if (canvas.width !== width) canvas.width = width;
-    if (canvas.height !== height) canvas.height = height;
+    // Also before there is something to draw: a new size waits for the graphics, which have nothing else to do then.
+    renderer.resize(width, height);
     if (camera === undefined || layers.length === 0) return statistics.state === "failed" || statistics.state === "empty";
     const start = performance.now();
     const arriving = statistics.state === "streaming" && this.fills;

@@ -79,10 +79,10 @@ export class SplatTextures {
   private readonly order: RowTexture;
   private readonly bands: RowTexture[];
 
-  constructor(
-    private readonly rows: number,
-    degree: number,
-  ) {
+  /** Rows from the first on that hold something. */
+  private written = 0;
+
+  constructor(rows: number, degree: number) {
     this.splats = new RowTexture(4, rows);
     this.shifts = new RowTexture(1, rows);
     this.order = new RowTexture(1, rows);
@@ -93,16 +93,18 @@ export class SplatTextures {
     return [this.splats, this.order, this.shifts, ...this.bands];
   }
 
-  /** Make the textures, for the first time or because the graphics memory was lost; all rows are uploaded anew. */
+  /** Make the textures, for the first time or because the graphics memory was lost; rows that were written are uploaded anew. */
   allocate(gl: WebGL2RenderingContext): void {
     for (const texture of this.all) {
       texture.allocate(gl);
-      texture.touch(0, this.rows);
+      // WebGL fills textures with zeros, which need no upload.
+      texture.touch(0, this.written);
     }
   }
 
   /** Put a chunk's rows where they belong. */
   write(packed: PackedSplats, firstRow: number): void {
+    this.written = Math.max(this.written, firstRow + packed.count);
     this.splats.words.set(packed.words, 4 * firstRow);
     this.splats.touch(firstRow, packed.count);
     packed.sh.slice(0, this.bands.length).forEach((band, i) => {

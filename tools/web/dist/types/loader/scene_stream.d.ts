@@ -57,9 +57,9 @@ export declare class SceneStream {
     /** Whether a chunk is drawn at the level that is wanted; notes those that are not. */
     private isWanted;
     private byPriority;
-    private takeFromBeginning;
-    /** Accept a segment when the first request has brought it. */
-    private acceptFrom;
+    private endOf;
+    /** Accept segments that the first request has brought or brings, one after the other, and let the page do other things between them. */
+    private acceptBeginning;
     /** Make requests while there is something to ask for and the caller keeps up. */
     private ask;
     /** One request for all that is wanted, in file order, from a source that does not answer ranges. */

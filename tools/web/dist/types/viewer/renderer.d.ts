@@ -27,8 +27,16 @@ export declare class SplatRenderer {
     private target;
     /** @throws NoWebGlError where the browser has no WebGL 2. */
     constructor(canvas: HTMLCanvasElement);
+    /**
+     * Whether its programs are built, which browsers do beside the page where they can.
+     *
+     * @throws NoWebGlError where they cannot be built.
+     */
+    get isReady(): boolean;
     /** Make programs and buffers anew, because the graphics memory was lost. */
     restore(): void;
+    /** Set the size of pictures, px. */
+    resize(width: number, height: number): void;
     /**
      * Draw a picture.
      *

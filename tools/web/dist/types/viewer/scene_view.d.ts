@@ -104,6 +104,8 @@ export declare class SceneView {
     /** Have `frame` called with the next frame of the browser, or after some time. */
     private schedule;
     private readonly frame;
+    /** Whether programs are built; where they are not yet, it is looked again soon. */
+    private canDraw;
     /** Whether the graphics would still work on a picture when the rest of the scene is there. */
     private restComesSoon;
     /** Draw what has come; returns whether that is all, in the view asked for. */

@@ -2,14 +2,15 @@ import type { Shifts } from "../container/compensation.js";
 import { type PackedSplats } from "../scene/packed_splats.js";
 /** The textures of a scene: splats, what compensation adds to them, SH bands and the order in which they are drawn. */
 export declare class SplatTextures {
-    private readonly rows;
     private readonly splats;
     private readonly shifts;
     private readonly order;
     private readonly bands;
+    /** Rows from the first on that hold something. */
+    private written;
     constructor(rows: number, degree: number);
     private get all();
-    /** Make the textures, for the first time or because the graphics memory was lost; all rows are uploaded anew. */
+    /** Make the textures, for the first time or because the graphics memory was lost; rows that were written are uploaded anew. */
     allocate(gl: WebGL2RenderingContext): void;
     /** Put a chunk's rows where they belong. */
     write(packed: PackedSplats, firstRow: number): void;
