@@ -1,6 +1,6 @@
 import { Arena } from "./arena.js";
 import type { Kernels } from "./kernels.js";
-import { WASM_BASE64 } from "./wasm_bytes.js";
+import { WASM_DIGITS } from "./wasm_bytes.js";
 
 /** Functions of the module that are called as they are; flags are numbers there. */
 type Functions = Omit<
@@ -44,7 +44,7 @@ export class WasmModule {
    *   `'wasm-unsafe-eval'` forbids it.
    */
   static async compile(): Promise<WasmModule> {
-    const bytes = Uint8Array.from(atob(WASM_BASE64), (character) => character.charCodeAt(0));
+    const bytes = Uint8Array.from({ length: WASM_DIGITS.length / 2 }, (_, i) => parseInt(WASM_DIGITS.slice(2 * i, 2 * i + 2), 16));
     return new WasmModule(await WebAssembly.compile(bytes));
   }
 
