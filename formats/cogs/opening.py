@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TypeVar
+from urllib.parse import urlsplit, urlunsplit
 
 from cogsplat.codec.errors import FormatError, StorageError
 from cogsplat.formats.network.opening import open_url
@@ -12,6 +13,9 @@ from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import Readable, Source
 
+from .folder_map import MANIFEST_NAME, is_manifest
+from .layout import FIRST_READ, PREAMBLE_BYTES
+from .network_folder import NetworkFolder
 from .reader import CogsFile, open_cogs
 from .sources import cogs_source
 
@@ -26,7 +30,8 @@ def source_of_place(
     Parameters
     ----------
     place : Readable
-        A text with a scheme that `formats.network.urls` knows is a URL; every other is a path.
+        A text with a scheme that `formats.network.urls` knows is a URL, of a file, of a manifest,
+        or of a folder where it ends in a slash; every other is a path.
     network : NetworkOptions, optional
     fresh : bool
         Go around caches of the network.
@@ -41,8 +46,39 @@ def source_of_place(
         It is nothing that can be read.
     """
     if isinstance(place, str) and is_url(place):
-        return open_url(place, network, fresh=fresh)
+        return _network_source(place, network, fresh=fresh)
     return cogs_source(place)
+
+
+def _network_source(url: str, network: NetworkOptions | None, *, fresh: bool) -> Source:
+    address = manifest_address(url)
+    source = open_url(address, network, fresh=fresh)
+    try:
+        head = source.read(0, min(PREAMBLE_BYTES, source.size))
+        if not is_manifest(head):
+            return source
+        size = source.size
+        head = source.read(0, min(FIRST_READ, size))
+    except BaseException:
+        source.close()
+        raise
+    # Objects are asked for by another event loop, and so over another connection.
+    source.close()
+    return NetworkFolder(address, head, network, fresh=fresh, manifest_bytes=size)
+
+
+def manifest_address(url: str) -> str:
+    """Return the address of a folder's manifest where a URL ends in a slash; else the URL.
+
+    Examples
+    --------
+    >>> manifest_address("https://example.org/scene/?v=2")
+    'https://example.org/scene/manifest.cogsm?v=2'
+    """
+    parts = urlsplit(url)
+    if not parts.path.endswith("/"):
+        return url
+    return urlunsplit(parts._replace(path=parts.path + MANIFEST_NAME))
 
 
 def open_place(

@@ -52,6 +52,15 @@ class HttpTransport:
         self._client = client or self._new_client()
         self._name = shown(url)
 
+    def beside(self, name: str) -> HttpTransport:
+        """Return a transport of a file that is named relative to this one, over the same client.
+
+        The query of the address is kept, which may hold a signature for all files beside it.
+        """
+        given = self._httpx.URL(self._given)
+        url = given.join(name).copy_with(query=given.query or None)
+        return HttpTransport(str(url), self._options, self._client)
+
     def _new_client(self) -> httpx.AsyncClient:
         library, options = self._httpx, self._options
         timeout = library.Timeout(options.idle_seconds, connect=options.connect_seconds, pool=None)

@@ -14,7 +14,7 @@ from cogsplat.formats.storage.source import Cancel
 from .answers import Transport
 from .options import NetworkOptions
 from .range_queue import Piece
-from .range_reader import RangeReader
+from .range_reader import BEGINNING_BYTES, RangeReader
 from .traffic import Traffic
 
 
@@ -228,7 +228,9 @@ class RangeSource:
         return b""
 
     def _tell_of_no_ranges(self) -> None:
-        if self._reader.whole is not None and not self._told:
+        # What the first request brings costs no more without ranges.
+        large = self._size > BEGINNING_BYTES
+        if self._reader.whole is not None and large and not self._told:
             self._told = True
             warnings.warn(
                 f"{self.name}: the server sends the whole file whatever range it is asked for, as "

@@ -56,6 +56,7 @@ from .stats import stats
 from .synth import demo, synth
 from .tune import tune
 from .validate import validate
+from .verify import verify
 from .view import view
 from .views import views
 from .warm import warm
@@ -337,6 +338,7 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     pack,
     info,
     validate,
+    verify,
     stats,
     score,
     order,

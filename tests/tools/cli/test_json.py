@@ -10,6 +10,7 @@ from pathlib import Path
 
 import click
 import pytest
+from fault_server import FaultServer, serving
 from running import ROOT, Run, SmallScene, broken_decoder, program
 
 import cogsplat
@@ -133,8 +134,8 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
     return [command, *given[command], "--json"]
 
 
-# These do not end by themselves, or take a decoder: tests of their own look at their keys.
-APART = {"view", "serve", "conformance run", "conformance fuzz"}
+# These do not end by themselves, or take a server or a decoder: they have tests of their own.
+APART = {"view", "serve", "verify", "conformance run", "conformance fuzz"}
 
 
 @pytest.mark.slow
@@ -166,6 +167,12 @@ def test_a_server_says_its_address_first(server: str, small: SmallScene) -> None
         keys = set(re.findall(r'"(\w+)":', "".join(process.stdout.readline() for _ in range(5))))
         process.terminate()
     assert keys == documented()[name]
+
+
+def test_a_host_and_a_file_have_the_keys_of_the_page(run: Run, small: SmallScene) -> None:
+    with serving(FaultServer(small.cogs.read_bytes())) as server:
+        of_url = set(paths(run("verify", server.url(), "--json").json))
+    assert of_url | set(paths(run("verify", small.cogs, "--json").json)) == documented()["verify"]
 
 
 @pytest.mark.parametrize("command", ["run", "fuzz"])

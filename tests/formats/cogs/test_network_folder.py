@@ -1,0 +1,136 @@
+"""Folders on a network: the same scene as the file, with ranges and without, whole or in part."""
+
+from pathlib import Path
+
+import pytest
+from cogs_samples import assert_same, file_of
+from fault_server import (
+    Exchange,
+    Fault,
+    FaultServer,
+    broken_after,
+    no_ranges,
+    right,
+    serving,
+    status,
+)
+
+import cogsplat
+from cogsplat.codec.errors import CogsplatError, FormatError, TruncatedError
+from cogsplat.formats.cogs.network_folder import NetworkFolder
+from cogsplat.formats.cogs.opening import source_of_place
+from cogsplat.formats.network.options import NetworkOptions
+from cogsplat.tools.conformance.folders import MANIFEST, unpacked
+
+PAGED = Path(__file__).resolve().parents[2] / "vectors" / "valid" / "pages.cogs"
+QUICK = NetworkOptions(pause_seconds=0.001, retries=2)
+
+
+@pytest.fixture(scope="module")
+def data() -> bytes:
+    return file_of("vq", 6000, 3, 500)
+
+
+def of_folder(objects: dict[str, bytes], answered: Fault = right) -> Fault:
+    """Answer for the objects of a folder by their paths, with 404 for others."""
+
+    async def fault(exchange: Exchange) -> None:
+        name = exchange.asked.path.partition("?")[0].removeprefix("/scene/")
+        if name not in objects:
+            await status(404)(exchange)
+            return
+        exchange.server.data = objects[name]
+        await answered(exchange)
+
+    return fault
+
+
+@pytest.mark.parametrize("answered", [right, no_ranges])
+def test_a_folder_reads_as_its_file(data: bytes, answered: Fault) -> None:
+    objects = unpacked(data)
+    with serving(FaultServer(b"", always=of_folder(objects, answered))) as server:
+        for url in (server.url("scene/"), server.url(f"scene/{MANIFEST}")):
+            source = source_of_place(url)
+            assert isinstance(source, NetworkFolder)
+            assert source.read(0, source.size) == data
+            assert source.read(1000, 70_000) == data[1000:71_000]
+            source.close()
+        with cogsplat.open(server.url("scene/")) as file:
+            assert_same(file.decode(), cogsplat.decode(data))
+            file.verify()
+
+
+def test_one_chunk_takes_the_objects_that_it_needs(data: bytes) -> None:
+    with serving(FaultServer(b"", always=of_folder(unpacked(data)))) as server:
+        with cogsplat.open(server.url("scene/?key=1")) as file:
+            file.decode([7], sh_degree=0)
+        asked = [asked.path for asked in server.asked]
+    assert all(path.endswith("?key=1") for path in asked)
+    # The manifest, what the first 64 KiB of the file hold, and the head with its codebook.
+    assert len(set(asked)) <= len(unpacked(data[:])) // 2
+
+
+def test_large_manifests_are_read_by_ranges_or_whole() -> None:
+    data = PAGED.read_bytes()
+    objects = unpacked(data)
+    root_end = 64 + int.from_bytes(data[12:16], "little")
+    for answered in (right, no_ranges):
+        with serving(FaultServer(b"", always=of_folder(objects, answered))) as server:
+            url = server.url(f"scene/{MANIFEST}")
+            # As if the first request had brought the root alone.
+            with NetworkFolder(url, objects[MANIFEST][:root_end], QUICK) as source:
+                assert source.opening_bytes == root_end
+                assert source.read(0, source.size) == data
+            cut = objects | {MANIFEST: objects[MANIFEST][:-1]}
+            server.always = of_folder(cut, answered)
+            with pytest.raises(TruncatedError) as refused:
+                NetworkFolder(url, objects[MANIFEST][:root_end], QUICK)
+            assert refused.value.code == "file-truncated"
+
+
+def test_an_object_that_is_missing_spoils_no_other(data: bytes) -> None:
+    objects = unpacked(data)
+    with cogsplat.open(data) as whole:
+        rows = [whole.rows_of(9).head, whole.rows_of(10).head]
+        gone, wrong = (f"segments/{whole.segments.hash[row].tobytes().hex()}.bin" for row in rows)
+        expected = whole.decode([8, 11])
+    broken = {name: x for name, x in objects.items() if name != gone}
+    broken[wrong] += b"\0"
+    with (
+        serving(FaultServer(b"", always=of_folder(broken))) as server,
+        cogsplat.open(server.url("scene/")) as file,
+    ):
+        with pytest.raises(TruncatedError, match=gone) as missing:
+            file.decode([9])
+        assert missing.value.code == "segment-missing"
+        with pytest.raises(FormatError, match=wrong) as longer:
+            file.decode([10])
+        assert longer.value.code == "segment-object"
+        assert_same(file.decode([8, 11]), expected)
+
+
+def test_answers_that_break_off_are_asked_for_again() -> None:
+    data = PAGED.read_bytes()
+    objects = unpacked(data)
+    fail = iter(range(1000))
+
+    async def sometimes(exchange: Exchange) -> None:
+        which = next(fail) % 3
+        await (broken_after(100), status(503), right)[which](exchange)
+
+    with serving(FaultServer(b"", always=of_folder(objects, sometimes))) as server:
+        options = NetworkOptions(pause_seconds=0.001, retries=12)
+        url = server.url(f"scene/{MANIFEST}")
+        with NetworkFolder(url, objects[MANIFEST], options) as source:
+            assert source.read(0, source.size) == data
+
+
+def test_what_is_no_manifest_is_said(data: bytes) -> None:
+    page = {MANIFEST: b"<!doctype html>" + bytes(200)}
+    with serving(FaultServer(b"", always=of_folder(page))) as server:
+        with pytest.raises(FormatError, match="markup") as refused:
+            cogsplat.open(server.url("scene/"))
+        assert refused.value.code == "not-cogs"
+        with pytest.raises(CogsplatError) as gone:
+            cogsplat.open(server.url("nothing/"))
+        assert gone.value.code == "not-found"

@@ -1,0 +1,62 @@
+"""What is asked of a server, and what is kept of its answers."""
+
+import pytest
+from fault_server import Exchange, FaultServer, no_ranges, reset, serving, status
+
+from cogsplat.codec.errors import StorageError
+from cogsplat.tools.hosting.probe import FIRST_BYTES, Answer, Prober, content_range, total_of
+
+DATA = bytes(range(256)) * 400
+
+
+def test_a_server_is_asked_as_readers_and_browsers_ask() -> None:
+    with serving(FaultServer(DATA)) as server, Prober() as prober:
+        found = prober.probe(server.url())
+    assert found.first.body == DATA[:FIRST_BYTES]
+    assert total_of(found.first) == len(DATA)
+    assert found.last is not None
+    assert found.last.body == DATA[-16:]
+    assert found.beyond is not None
+    assert found.beyond.status == 416
+    assert found.first.etag == '"one"'
+    spans = [asked.headers.get("range") for asked in server.asked]
+    assert spans[:2] == [f"bytes=0-{FIRST_BYTES - 1}"] * 2
+    assert spans[2] is None
+    # As browsers do with ranges, and as they do without.
+    coded = [asked.headers["accept-encoding"] for asked in server.asked[:3]]
+    assert [("gzip" in text) for text in coded] == [False, True, True]
+    assert all("origin" in asked.headers for asked in server.asked)
+
+
+def test_no_more_is_read_than_was_asked_for() -> None:
+    data = DATA * 100
+    with serving(FaultServer(data, always=no_ranges)) as server, Prober() as prober:
+        found = prober.probe(server.url())
+    assert (found.first.status, len(found.first.body)) == (200, FIRST_BYTES)
+    assert found.last is None
+    assert server.sent < 5 * len(data)
+
+
+def test_servers_that_do_not_answer_are_said() -> None:
+    with serving(FaultServer(DATA, always=reset)) as server, Prober() as prober:
+        with pytest.raises(StorageError) as broken:
+            prober.probe(server.url())
+        assert broken.value.code == "connection-broken"
+        url = server.url()
+    with Prober() as prober:
+        with pytest.raises(StorageError) as nobody:
+            prober.probe(url)
+        assert nobody.value.code == "host-unreachable"
+
+    async def around(exchange: Exchange) -> None:
+        await status(302, Location="/again")(exchange)
+
+    with serving(FaultServer(DATA, always=around)) as server, Prober() as prober:
+        with pytest.raises(StorageError) as loop:
+            prober.probe(server.url())
+        assert loop.value.code == "redirect-loop"
+
+
+@pytest.mark.parametrize("text", ["", "bytes */10", "bytes 1-2", "bytes a-b/c", "bytes 1-2/*"])
+def test_what_is_no_range_is_none(text: str) -> None:
+    assert content_range(Answer("", 206, "", {"content-range": text}, b"", 0.0)) is None
