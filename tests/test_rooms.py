@@ -187,7 +187,7 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "codec.order": {
         "baselines": "antimatter descending",
-        "chunks": "DEFAULT_LARGEST plan_chunks sort_runs",
+        "chunks": "DEFAULT_LARGEST FIRST_SPLATS GROWTH plan_chunks sort_runs",
         "gain_effort": "GainEffort",
         "objects": "ATTRIBUTE Arrangement arrange labels_of ranked with_labels",
         "objects_from_masks": "assign",
@@ -204,6 +204,7 @@ DOORS: dict[str, dict[str, str]] = {
         "cuboid_program": "cheapest_partition",
         "grid_trees": "kd_partition octree_partition",
         "guillotine": "cut_costs",
+        "nested_cells": "DEFAULT_LARGEST NestedCells nested_cells",
     },
     "codec.rate": {
         "allocation": "equal_step lagrangian own_steps shn_step",

@@ -80,6 +80,10 @@ class EncodeConfig:
         Parameters of the order, and whether chunks hold one object each.
     chunk_splats : int
         Most splats in a chunk.
+    cells : bool
+        Whether chunks are cut by cells of space as well, finer from layer to layer, so that a
+        client can fetch what it looks at; `partition.nested_cells.DEFAULT_LARGEST` splats in a
+        chunk cost hardly more bytes than chunks that are not cut.
     morton : bool
         Whether to sort by Morton code inside the chunk.
     refine : bool
@@ -105,6 +109,7 @@ class EncodeConfig:
     order: str = "gain"
     ordering: OrderConfig = field(default_factory=OrderConfig)
     chunk_splats: int = chunking.DEFAULT_LARGEST
+    cells: bool = False
     morton: bool = True
     refine: bool = True
     prune: PruneConfig | None = field(default_factory=PruneConfig)
@@ -122,6 +127,10 @@ class EncodeConfig:
             raise ValueError(
                 f"chunks of {self.chunk_splats} splats, expected 1 to {limits.MAX_CHUNK_SPLATS}"
             )
+        if self.cells and self.chunk_splats < 2:
+            raise ValueError("cells with chunks of 1 splat, expected at least 2")
+        if self.cells and self.ordering.by_object:
+            raise ValueError("chunks by cell and by object, expected one of them")
         thread_count(self.threads)
         require_quality(self.quality_db)
 

@@ -56,6 +56,8 @@ class EncodedChunk:
         The chunk is drawn in prefixes of fewer chunks than this; 0 in all (SPEC 5.10).
     opacities : tuple of bytes
         Payloads of its splats' opacities at each level behind its first (SPEC 5.11).
+    cell : int
+        Number of the cell that it lies in (SPEC 5.4); 0 in scenes that are not cut into cells.
     """
 
     splats: int
@@ -68,6 +70,7 @@ class EncodedChunk:
     tail_drop: float = 0.0
     until: int = 0
     opacities: tuple[bytes, ...] = ()
+    cell: int = 0
 
     @property
     def parts(self) -> ChunkParts:

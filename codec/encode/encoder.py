@@ -139,6 +139,7 @@ def _chunk(
         contribution=float(scene.scores.contribution[rows].sum()),
         attributes=attributes,
         object=int(scene.objects[number]),
+        cell=int(scene.cells[number]),
         tail_drop=segment_order.tail_drop(
             scene.workspace.gather(scene.source.shN, rows),
             scene.scores.energy[rows],

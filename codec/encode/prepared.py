@@ -16,6 +16,7 @@ from cogsplat.codec.order import chunks as chunking
 from cogsplat.codec.order import objects
 from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.order.orders import Unordered, order_rows
+from cogsplat.codec.partition.nested_cells import NestedCells, nested_cells
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.rate.pruning import kept_rows
@@ -26,6 +27,10 @@ from cogsplat.codec.streams.grid import MAX_VALUE
 from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 from .config import EncodeConfig
+
+# The least splats of a chunk of a cell, as a share of the most: cells of fewer wait for the next
+# layer.
+_LEAST_SHARE: Final = 8
 
 # Rows whose values are looked at together: what is compared would be as large as the scene.
 _BLOCK: Final = 1 << 16
@@ -47,6 +52,8 @@ class LaidOutScene:
         Rows of each chunk, one run behind the other.
     objects : (c,) uint32
         Label of the object that each chunk holds; zeros where chunks are not cut by object.
+    cells : (c,) uint32
+        Cell that each chunk lies in (SPEC 5.4); zeros where chunks are not cut by cell.
     config : EncodeConfig
     workspace : Workspace
         Where long arrays are kept.
@@ -57,6 +64,7 @@ class LaidOutScene:
     scores: Scores
     slices: Sequence[slice]
     objects: NDArray[np.uint32]
+    cells: NDArray[np.uint32]
     config: EncodeConfig
     workspace: Workspace
 
@@ -174,7 +182,19 @@ def prepare(
 def _lay_out(prepared: PreparedScene, rows: NDArray[np.int64]) -> LaidOutScene:
     """Cut rows in their order into chunks."""
     splats, scores, config = prepared.source, prepared.scores, prepared.config
-    if config.ordering.by_object:
+    if config.order == "gain" and not config.ordering.by_object:
+        # The order was sorted before splats were pruned, and pruning moved those behind them
+        # into other chunks. Not where a pose is served first: its splats would lose their
+        # places. Cells are cut from layers: what is sorted does not become shorter with them.
+        largest = chunking.DEFAULT_LARGEST if config.cells else config.chunk_splats
+        rows = chunking.sort_runs(rows, scores.contribution, largest)
+    cells: NDArray[np.uint32] | None = None
+    if config.cells:
+        nested = _nested(prepared, rows)
+        cells = nested.cells.astype(np.uint32)
+        unlabelled = np.zeros(len(cells), np.uint32)
+        arranged = objects.Arrangement(rows[nested.order], nested.slices, unlabelled)
+    elif config.ordering.by_object:
         arranged = objects.arrange(
             rows,
             objects.labels_of(splats),
@@ -183,11 +203,6 @@ def _lay_out(prepared: PreparedScene, rows: NDArray[np.int64]) -> LaidOutScene:
             config.ordering.object_budgets,
         )
     else:
-        if config.order == "gain":
-            # The order was sorted before splats were pruned, and pruning moved those behind them
-            # into other chunks. Not where a pose is served first: its splats would lose their
-            # places.
-            rows = chunking.sort_runs(rows, scores.contribution, config.chunk_splats)
         slices = chunking.plan_chunks(len(rows), config.chunk_splats)
         arranged = objects.Arrangement(rows, slices, np.zeros(len(slices), np.uint32))
     return LaidOutScene(
@@ -196,8 +211,25 @@ def _lay_out(prepared: PreparedScene, rows: NDArray[np.int64]) -> LaidOutScene:
         scores=scores,
         slices=arranged.slices,
         objects=arranged.objects,
+        cells=np.zeros(len(arranged.slices), np.uint32) if cells is None else cells,
         config=config,
         workspace=prepared.workspace,
+    )
+
+
+def _nested(prepared: PreparedScene, rows: NDArray[np.int64]) -> NestedCells:
+    """Cut rows in their order into layers of cells."""
+    most = prepared.config.chunk_splats
+    first = min(chunking.FIRST_SPLATS, most)
+    means = prepared.workspace.gather(prepared.source.means, rows).astype(np.float64)
+    weights = prepared.workspace.gather(prepared.scores.contribution, rows)
+    return nested_cells(
+        means,
+        weights,
+        first=first,
+        growth=chunking.GROWTH,
+        least=min(first, max(most // _LEAST_SHARE, 1)),
+        most=most,
     )
 
 

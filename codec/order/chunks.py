@@ -24,7 +24,8 @@ DEFAULT_LARGEST: Final = 16384
 FIRST_SPLATS: Final = 1024
 # Each chunk is so much larger than the one before: the wait for the next one stays in proportion to
 # what is already there.
-_GROWTH: Final = 1.5
+GROWTH: Final = 1.5
+"""How many times larger a chunk is than the one before, until they are as large as they may be."""
 
 
 def plan_chunks(splats: int, largest: int = DEFAULT_LARGEST) -> list[slice]:
@@ -72,7 +73,7 @@ def plan_chunks(splats: int, largest: int = DEFAULT_LARGEST) -> list[slice]:
             stop = splats
         stop = min(stop, splats)
         chunks.append(slice(start, stop))
-        start, size = stop, min(size * _GROWTH, float(largest))
+        start, size = stop, min(size * GROWTH, float(largest))
     return chunks
 
 

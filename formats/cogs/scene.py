@@ -66,14 +66,13 @@ def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = Non
     """Return the root of an encoded scene; the writer fills in its segment table."""
     chunks = scene.chunks
     count = len(chunks)
-    none = np.zeros(count, np.uint32)
     table = ChunkTable(
         splats=np.array([chunk.splats for chunk in chunks], np.uint32),
         box=_outward(chunks),
         contribution=np.array([chunk.contribution for chunk in chunks], np.float64),
         quality=np.array([chunk.quality_db for chunk in chunks], np.float32),
         layer=np.array([_level_of(scene, number) for number in range(count)], np.uint32),
-        cell=none,
+        cell=np.array([chunk.cell for chunk in chunks], np.uint32),
         object=np.array([chunk.object for chunk in chunks], np.uint32),
         until=np.array([chunk.until for chunk in chunks], np.uint32),
     )

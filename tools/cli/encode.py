@@ -11,6 +11,7 @@ import click
 
 import cogsplat
 from cogsplat.codec.order.chunks import DEFAULT_LARGEST
+from cogsplat.codec.partition.nested_cells import DEFAULT_LARGEST as CELL_LARGEST
 from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
 from cogsplat.codec.threads import thread_count
 from cogsplat.formats.storage.atomic import check_output
@@ -105,6 +106,7 @@ _GROUPS: Final = {
         "--no-extras",
         "--store-cameras",
         "--chunk-splats",
+        "--cells",
         "--no-morton",
     ),
     "Memory": ("--memory",),
@@ -164,10 +166,14 @@ _GROUPS: Final = {
 @click.option(
     "--chunk-splats",
     type=click.IntRange(1, MAX_CHUNK_SPLATS),
-    default=DEFAULT_LARGEST,
-    show_default=True,
     metavar="N",
-    help="Most splats in a chunk.",
+    help=f"Most splats in a chunk.  [default: {DEFAULT_LARGEST}, with --cells {CELL_LARGEST}]",
+)
+@click.option(
+    "--cells",
+    is_flag=True,
+    help="Cut chunks by space as well, finer from layer to layer, so that a client can fetch what "
+    "it looks at.",
 )
 @click.option("--no-morton", is_flag=True, help="Keep the order inside chunks as well.")
 @click.option("--no-refine", is_flag=True, help="Write heads fine at once, none coarse first.")
@@ -236,7 +242,8 @@ def encode(
     target_size: ByteCount | None,
     preset: str,
     choice: OrderChoice,
-    chunk_splats: int,
+    chunk_splats: int | None,
+    cells: bool,
     no_morton: bool,
     no_refine: bool,
     no_compensation: bool,
@@ -277,6 +284,10 @@ def encode(
         raise click.UsageError("--prune and --no-prune: expected one of them")
     if no_extras and choice.by_object:
         raise click.UsageError("--no-extras and --objects: expected one of them")
+    if cells and chunk_splats == 1:
+        raise click.UsageError("--cells with chunks of 1 splat, expected at least 2")
+    if cells and choice.by_object:
+        raise click.UsageError("--cells and --objects: expected one of them")
     if store_cameras and cameras is None:
         raise click.UsageError("--store-cameras without --cameras, expected cameras to store")
     _require_one_aim(profile, target_psnr, target_size)
@@ -293,7 +304,8 @@ def encode(
         profile=profile,
         quality_db=quality,
         order=choice.base,
-        chunk_splats=chunk_splats,
+        chunk_splats=chunk_splats or (CELL_LARGEST if cells else DEFAULT_LARGEST),
+        cells=cells,
         morton=not no_morton,
         refine=not no_refine,
         compensate=not no_compensation,

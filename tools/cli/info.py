@@ -223,12 +223,13 @@ def _tell_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
             else "-",
             f"{chunk.share_so_far:.2%}" if chunk.share_so_far is not None else "-",
             f"{chunk.object_label}",
+            f"{chunk.cell}",
         )
         for chunk in chunks
     ]
     hidden = len(rows) - _FIRST_ROWS - _LAST_ROWS
     if len(rows) > _MOST_ROWS and not all_chunks:
-        gap = ("", f"{hidden:,} more", "--all", "lists", "them", "", "", "", "")
+        gap = ("", f"{hidden:,} more", "--all", "lists", "them", "", "", "", "", "")
         rows = [*rows[:_FIRST_ROWS], gap, *rows[-_LAST_ROWS:]]
     heads = (
         "chunk",
@@ -240,11 +241,21 @@ def _tell_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
         "contribution",
         "so far",
         "object",
+        "cell",
     )
-    # Most scenes have no objects.
-    columns = len(heads) if any(chunk.object_label for chunk in chunks) else len(heads) - 1
+    # Most scenes have neither objects nor cells.
+    left_out = {
+        name
+        for name, shown in (
+            ("object", any(chunk.object_label for chunk in chunks)),
+            ("cell", any(chunk.cell for chunk in chunks)),
+        )
+        if not shown
+    }
+    columns = [column for column, name in enumerate(heads) if name not in left_out]
     say("")
-    table(heads[:columns], [row[:columns] for row in rows], left=0)
+    shown_rows = [tuple(row[column] for column in columns) for row in rows]
+    table([heads[column] for column in columns], shown_rows, left=0)
 
 
 def tell_attributes(sizes: list[StoredSize], file: CogsFile) -> None:

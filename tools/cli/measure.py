@@ -31,6 +31,7 @@ _SETTINGS: Final = (
     "preset",
     "order",
     "chunk_splats",
+    "cells",
     "no_morton",
     "no_refine",
     "no_compensation",

@@ -64,6 +64,8 @@ class ChunkSizes:
         Label of what it holds; 0 in scenes without objects.
     until : int
         Chunks from which on a prefix does not draw it; 0 where all do.
+    cell : int
+        Number of its cell of space (SPEC 5.4); 0 in scenes that are not cut into cells.
     """
 
     number: int
@@ -79,6 +81,7 @@ class ChunkSizes:
     share_so_far: float | None
     object_label: int
     until: int
+    cell: int
 
     def report(self) -> dict[str, object]:
         """Return the fields as JSON output has them."""
@@ -120,6 +123,7 @@ def chunk_sizes(file: CogsFile) -> list[ChunkSizes]:
                 share_so_far=float(so_far[number]) / total if total > 0 else None,
                 object_label=int(file.chunks.object[number]),
                 until=int(file.chunks.until[number]),
+                cell=int(file.chunks.cell[number]),
             )
         )
     return rows

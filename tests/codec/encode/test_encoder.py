@@ -13,6 +13,7 @@ from cogsplat.codec.encode.profiles.near_lossless import NearLosslessBounds
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.geometry import bounds as extent
 from cogsplat.codec.order import chunks
+from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.rate.allocation import lagrangian
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.scoring.contribution import score, unscored
@@ -337,6 +338,8 @@ def test_scores_of_another_scene_are_refused(name):
         {"quality_db": 9.9},
         {"quality_db": float("nan")},
         {"threads": -1},
+        {"cells": True, "chunk_splats": 1},
+        {"cells": True, "ordering": OrderConfig(by_object=True)},
     ],
 )
 def test_settings_out_of_range_are_refused_when_made(changes):

@@ -6,6 +6,7 @@ from encoding import unseen
 
 from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.order.chunks import plan_chunks
+from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.scoring.contribution import unscored
 
@@ -41,6 +42,36 @@ def test_another_configuration_of_the_same_order_is_laid_out_anew():
     assert other.slices == plan_chunks(600, 60)
     np.testing.assert_array_equal(layout.rows, other.rows)
     assert prepared.laid_out(40.0) is layout
+
+
+def test_cells_have_chunks_of_their_own_in_the_order_of_their_layers():
+    scene = oracle.scene(4, n=3000)
+    config = unseen(prune=None, chunk_splats=100, cells=True)
+    prepared = prepare(scene, unscored(3000), config)
+    layout = prepared.laid_out(40.0)
+    assert sorted(layout.rows.tolist()) == list(range(3000))
+    assert max(run.stop - run.start for run in layout.slices) <= 100
+    assert layout.cells.dtype == np.uint32
+    assert layout.cells[0] == 1
+    assert len(set(layout.cells.tolist())) > 20
+    np.testing.assert_array_equal(layout.rows[:100], prepared.rows[:100])
+    above = parents(layout.cells)
+    assert (above[1:] >= 0).all()
+    # Halves of the whole are apart: no splat of one lies among those of the other.
+    sides = []
+    for half in (2, 3):
+        own = [
+            layout.rows[run]
+            for run, cell in zip(layout.slices, layout.cells.tolist(), strict=True)
+            if cell > 1 and int(f"{cell:b}"[:2], 2) == half
+        ]
+        sides.append(scene.means[np.concatenate(own)])
+    assert (sides[0].max(axis=0) < sides[1].min(axis=0)).any()
+
+
+def test_chunks_that_are_not_cut_by_cell_have_none():
+    layout = prepare(oracle.scene(4, n=300), unscored(300), unseen(prune=None)).laid_out(40.0)
+    assert layout.cells.tolist() == [0] * len(layout.slices)
 
 
 def test_objects_have_chunks_of_their_own():
