@@ -189,7 +189,7 @@ DOORS: dict[str, dict[str, str]] = {
         "baselines": "antimatter descending",
         "chunks": "DEFAULT_LARGEST FIRST_SPLATS GROWTH plan_chunks sort_runs",
         "gain_effort": "GainEffort",
-        "objects": "ATTRIBUTE Arrangement arrange labels_of ranked with_labels",
+        "objects": "ATTRIBUTE Arrangement arrange labels_of ranked require with_labels",
         "objects_from_masks": "assign",
         "octree": "MAX_DEPTH",
         "orders": (

@@ -14,6 +14,7 @@ import numpy as np
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.executor import Executor, LocalThreads
+from cogsplat.codec.order import objects
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.order.prefix_inflation import effective_splats
 from cogsplat.codec.progress import Progress, TimedProgress, silent
@@ -130,6 +131,8 @@ def encode(
         raise ValueError("an executor and a workspace in files, expected one of them")
     timed = TimedProgress(progress)
     splats.require_valid()
+    if config.ordering.by_object:
+        objects.require(splats, config.ordering.object_budgets)
     settings = score_config or preset.score_config(config.profile, threads=config.threads)
     views, covering, tests = list(cameras or ()), list[Camera](), list(test_views)
     report = EncodeReport(views="given" if views else "none")

@@ -20,6 +20,12 @@ ATTRIBUTE: Final = "object"
 
 _MOST_LABEL: Final = (1 << 32) - 1
 
+# Of attributes and of labels that a message lists.
+_MOST_NAMED: Final = 16
+
+Budgets = Sequence[tuple[int | None, float]]
+"""Label, or None for all objects that are not named, and a share of that object's splats."""
+
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
@@ -54,9 +60,10 @@ def labels_of(splats: Splats) -> NDArray[np.uint32]:
         integer from 0 to 2³² - 1 per splat.
     """
     if ATTRIBUTE not in splats.extras:
+        names = ", ".join(map(repr, sorted(splats.extras)[:_MOST_NAMED])) or "no extra attributes"
         raise DataError(
             "no-objects",
-            f"no attribute {ATTRIBUTE!r} in the scene's {sorted(splats.extras)}, expected labels",
+            f"the scene has {names}, expected labels of objects as the attribute {ATTRIBUTE!r}",
         )
     labels = splats.extras[ATTRIBUTE]
     labels = labels[:, 0] if labels.ndim == 2 and labels.shape[1] == 1 else labels
@@ -130,12 +137,39 @@ def ranked(
     return objects[rank], total[rank]
 
 
+def require(splats: Splats, budgets: Budgets = ()) -> None:
+    """Refuse a scene that `arrange` would refuse, before its splats are scored.
+
+    Parameters
+    ----------
+    splats : Splats
+    budgets : sequence of (int, float)
+        As `arrange` takes them.
+
+    Raises
+    ------
+    DataError
+        ``no-objects``, ``bad-objects`` as `labels_of`; ``object-missing`` as `arrange`.
+    """
+    _require_budgeted(labels_of(splats), budgets)
+
+
+def _require_budgeted(labels: NDArray[np.uint32], budgets: Budgets) -> None:
+    known = sorted(set(np.unique(labels).tolist()))
+    absent = sorted(label for label, _ in budgets if label is not None and label not in known)
+    if absent:
+        raise DataError(
+            "object-missing",
+            f"a budget for object {absent[0]}, expected one of {known[:_MOST_NAMED]}",
+        )
+
+
 def arrange(
     rows: NDArray[np.int64],
     labels: NDArray[np.uint32],
     contribution: NDArray[np.float64],
     largest: int,
-    budgets: Sequence[tuple[int | None, float]] = (),
+    budgets: Budgets = (),
 ) -> Arrangement:
     """Cut an order into chunks of one object each.
 
@@ -165,15 +199,9 @@ def arrange(
     DataError
         ``object-missing``: a budget for an object that the scene does not have.
     """
+    _require_budgeted(labels, budgets)
     shares = dict(budgets)
     others = shares.pop(None, 0.0)
-    known = set(np.unique(labels).tolist())
-    absent = sorted(label for label in shares if label is not None and label not in known)
-    if absent:
-        raise DataError(
-            "object-missing",
-            f"a budget for object {absent[0]}, expected one of {sorted(known)[:16]}",
-        )
     places = np.arange(len(rows))
     of_rows = labels[rows]
     first: list[NDArray[np.int64]] = []

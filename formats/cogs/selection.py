@@ -64,6 +64,8 @@ def _chunks_of(table: ChunkTable, objects: set[int]) -> set[int]:
     labels = table.object.tolist()
     there = sorted(set(labels))
     for label in sorted(objects):
+        if label not in there and there in ([], [0]):
+            raise ValueError(f"object {label}, expected a file with chunks of one object each")
         if label not in there:
             some = ", ".join(map(str, there[:_MOST_NAMED])) + " …" * (len(there) > _MOST_NAMED)
             raise ValueError(f"object {label}, expected some of {some}")

@@ -153,7 +153,7 @@ def filter_scene(
         facts(
             ("splats", f"{written.splats:,} of {len(given):,}"),
             ("invalid", counted(invalid, "splat") if invalid else ""),
-            *((reason, counted(int(rows.sum()), "splat")) for reason, rows in marks.items()),
+            ("left out", ", ".join(f"{rows.sum():,} by --{name}" for name, rows in marks.items())),
             ("time", stages.line()),
         )
 

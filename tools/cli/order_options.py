@@ -125,9 +125,12 @@ class OrderChoice:
         click.UsageError
             Masks and no cameras.
         CogsplatError
-            The masks cannot be read or fit no camera.
+            The masks cannot be read or fit no camera; ``no-objects``, ``bad-objects``,
+            ``object-missing``: the scene has no such objects.
         """
         if self.masks is None:
+            if self.by_object:
+                objects.require(splats, self.budgets)
             return splats
         if cameras is None:
             raise click.UsageError("--masks without --cameras, expected those the masks belong to")
@@ -136,7 +139,9 @@ class OrderChoice:
 
         views, pictures = read_masks(self.masks, given_cameras(cameras))
         labels = assign(splats, views, pictures, threads=threads, progress=progress)
-        return objects.with_labels(splats, labels)
+        labelled = objects.with_labels(splats, labels)
+        objects.require(labelled, self.budgets)
+        return labelled
 
 
 def order_name(text: str) -> str:

@@ -155,3 +155,12 @@ def test_a_size_is_kept_by_the_finished_scene(scene, views):
     assert made.compensation is not None
     assert 1 < made.report.trials < len(calls)
     assert made.report.quality_db < 40.0
+
+
+def test_objects_that_are_not_there_are_refused_before_splats_are_scored(scene, views):
+    stages = set()
+    config = replace(LITTLE, ordering=replace(LITTLE.ordering, by_object=True))
+    with pytest.raises(DataError) as refused:
+        encoded(scene, views, config, progress=lambda name, *_: stages.add(name))
+    assert refused.value.code == "no-objects"
+    assert stages == set()

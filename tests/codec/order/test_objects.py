@@ -40,6 +40,11 @@ def test_scenes_without_labels_are_refused():
     with pytest.raises(DataError) as caught:
         objects.labels_of(oracle.scene(1, n=3))
     assert caught.value.code == "no-objects"
+    assert "no extra attributes, expected labels of objects" in caught.value.message
+    with pytest.raises(DataError, match="'heat', 'other', expected labels"):
+        objects.labels_of(
+            replace(oracle.scene(1, n=3), extras={"other": np.zeros(3), "heat": np.zeros(3)})
+        )
     with pytest.raises(DataError) as caught:
         objects.labels_of(labelled(np.zeros((3, 2))))
     assert caught.value.code == "bad-objects"
@@ -128,5 +133,18 @@ def test_encoded_chunks_name_their_object():
     for label in range(3):
         held = sum(chunk.splats for chunk in encoded.chunks if chunk.object == label)
         assert held == (labels == label).sum()
-    with pytest.raises(DataError, match="no attribute"):
+    with pytest.raises(DataError, match="no extra attributes"):
         encode(splats.without_extras(), scores, config)
+
+
+def test_what_would_be_refused_is_refused_before_splats_are_scored():
+    scene = labelled([0, 2, 2], np.uint8)
+    objects.require(scene, ((None, 0.5), (2, 0.1)))
+    with pytest.raises(
+        DataError, match=r"a budget for object 1, expected one of \[0, 2\]"
+    ) as caught:
+        objects.require(scene, ((1, 0.1),))
+    assert caught.value.code == "object-missing"
+    with pytest.raises(DataError) as caught:
+        objects.require(oracle.scene(1, n=3))
+    assert caught.value.code == "no-objects"

@@ -202,6 +202,13 @@ def test_selected_objects_are_those_that_are_there():
             file.select(objects=[3, 5])
 
 
+def test_a_file_without_objects_says_so(data):
+    with open_cogs(BytesSource(data)) as file:
+        assert file.select(objects=[0]) == list(range(file.num_chunks))
+        with pytest.raises(ValueError, match="object 3, expected a file with chunks of one object"):
+            file.select(objects=[3])
+
+
 def test_a_size_ends_the_source(data):
     with open_cogs(BytesSource(data)) as file:
         whole = file.decode()

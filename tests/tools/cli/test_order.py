@@ -159,9 +159,23 @@ def test_order_ranks_objects(run: Run, small: SmallScene, labelled: Path, tmp_pa
 
 
 def test_objects_need_labels(run: Run, small: SmallScene, tmp_path: Path) -> None:
-    told = run("encode", small.ply, tmp_path / "o.cogs", "--objects", "--cameras", small.cameras)
-    assert told.code == 3
-    assert "[no-objects]" in told.err
+    by_cameras = ["--objects", "--cameras", small.cameras]
+    for command, out in (("encode", "o.cogs"), ("order", "o.npy")):
+        told = run(command, small.ply, tmp_path / out, *by_cameras)
+        assert told.code == 3
+        assert "[no-objects]" in told.err
+        assert "score" not in told.err, "refused before the work"
+
+
+def test_a_budget_for_what_is_not_there_is_refused_before_the_work(
+    run: Run, small: SmallScene, labelled: Path, tmp_path: Path
+) -> None:
+    for command, out in (("encode", "o.cogs"), ("order", "o.npy")):
+        arguments = ["--cameras", small.cameras, "--object-budgets", "9:20%"]
+        told = run(command, labelled, tmp_path / out, *arguments)
+        assert told.code == 3
+        assert "[object-missing]" in told.err
+        assert "score" not in told.err
 
 
 def test_masks_label_what_they_show(run: Run, small: SmallScene, tmp_path: Path) -> None:
