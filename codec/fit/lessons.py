@@ -24,7 +24,10 @@ F32 = NDArray[np.float32]
 MOST_PIXELS: Final = 1 << 18
 """Most pixels of one picture; larger ones are made smaller. Bounds memory, as `MOST_VIEWS` does."""
 MOST_VIEWS: Final = 96
-"""Most views of those given; each has two copies beside it."""
+"""Most views of those given; each has two copies beside it, and one or two views between."""
+
+# Cameras that look most alike, halfway to which a view is put.
+_NEIGHBOURS: Final = 2
 
 Background = tuple[float, float, float]
 
@@ -36,19 +39,22 @@ class Lessons:
     Parameters
     ----------
     cameras : sequence of Camera
-        The given ones, then their copies off the capture path.
+        The given ones, those between them, then copies of the given ones off the capture path.
     configs : sequence of RenderConfig
         How each is drawn, on one thread.
     pictures : sequence of (H, W, 3) float32
         0 to 1, in the scene's colour space.
     given : int
         How many of the views are given ones.
+    along : int
+        How many are given ones or between these.
     """
 
     cameras: Sequence[Camera]
     configs: Sequence[RenderConfig]
     pictures: Sequence[F32]
     given: int
+    along: int
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -90,6 +96,42 @@ def _smaller_picture(picture: F32, factor: int) -> F32:
     return means
 
 
+def _between(cameras: Sequence[Camera]) -> list[Camera]:
+    """Return views halfway between cameras and those that look most alike.
+
+    Scenes trained in few views learn them by heart, what is rounded in them above all: these are
+    new and as near to the capture path as any.
+    """
+    places = np.array([camera.position for camera in cameras])
+    looks = np.array([camera.rotation[2] for camera in cameras])
+    spread = float(np.linalg.norm(places - places.mean(axis=0), axis=1).mean())
+    views = []
+    pairs = set()
+    for number in range(len(cameras)):
+        off = np.linalg.norm(places - places[number], axis=1)
+        off += spread * (1.0 - looks @ looks[number])
+        off[number] = np.inf
+        for other in np.argsort(off, kind="stable")[:_NEIGHBOURS].tolist():
+            pair = min(number, other), max(number, other)
+            if math.isfinite(off[other]) and pair not in pairs:
+                pairs.add(pair)
+                views.append(_halfway(cameras[pair[0]], cameras[pair[1]]))
+    return views
+
+
+def _halfway(camera: Camera, other: Camera) -> Camera:
+    """Return a camera as the first one, in the middle of two and turned by half the angle."""
+    left, _, right = np.linalg.svd(camera.rotation + other.rotation)
+    rotation = left @ np.diag([1.0, 1.0, float(np.linalg.det(left @ right))]) @ right
+    place = (camera.position + other.position) / 2
+    return replace(
+        camera,
+        rotation=rotation,
+        translation=-rotation @ place,
+        name=f"{camera.name}-{other.name}",
+    )
+
+
 def _drawn(view: tuple[Camera, RenderConfig], source: Splats) -> F32:
     picture = render(source, *view)
     return np.clip(picture, np.float32(0.0), np.float32(1.0), out=picture)
@@ -117,8 +159,8 @@ def lessons_of(
     photos : sequence of (H, W, 3) float32, optional
         0 to 1, one per camera, in its size; without them the source's renders teach.
     copies : bool
-        Whether copies of the cameras that step back and turn (`view_sets.jitter`) are added. They
-        are always taught by the source's renders.
+        Whether views between cameras, and copies that step back and turn (`view_sets.jitter`), are
+        added. They are always taught by the source's renders.
     background : tuple of float
         RGB behind the splats.
     most_pixels : int
@@ -144,8 +186,8 @@ def lessons_of(
     >>> from cogsplat.codec.fit.lessons import lessons_of
     >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
     >>> lessons = lessons_of(synth(500), synth_cameras(2, 64, 48))
-    >>> len(lessons), lessons.given, lessons.pictures[0].shape
-    (6, 2, (48, 64, 3))
+    >>> len(lessons), lessons.given, lessons.along, lessons.pictures[0].shape
+    (7, 2, 3, (48, 64, 3))
     """
     if not cameras:
         raise DataError("no-cameras", "0 cameras to train in, expected at least 1")
@@ -153,7 +195,8 @@ def lessons_of(
         raise ValueError(f"{len(photos)} photos for {len(cameras)} cameras")
     chosen = evenly(range(len(cameras)), MOST_VIEWS)
     given = [cameras[number] for number in chosen]
-    views = [*given, *(jitter(source, given) if copies else [])]
+    between = _between(given) if copies else []
+    views = [*given, *between, *(jitter(source, given) if copies else [])]
     factors = [_factor(camera, most_pixels) for camera in views]
     small = [_smaller(*pair) for pair in zip(views, factors, strict=True)]
     configs = [_config(source.info, factor, background) for factor in factors]
@@ -164,4 +207,4 @@ def lessons_of(
     for picture in ordered_map(partial(_drawn, source=source), left, thread_count(threads)):
         pictures.append(picture)
         progress("lessons", len(pictures), len(views))
-    return Lessons(small, configs, pictures, len(given))
+    return Lessons(small, configs, pictures, len(given), len(given) + len(between))

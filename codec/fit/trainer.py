@@ -85,7 +85,8 @@ class TrainConfig:
 class Trainer:
     """A scene while it is trained.
 
-    Each step draws one given view and one copy of another, and moves all values once.
+    Each step draws one view along the cameras and one copy off their path, and moves all values
+    once.
 
     Parameters
     ----------
@@ -227,9 +228,9 @@ class Trainer:
 
     def _views(self) -> list[int]:
         """Return the views of this step: each comes once in every round through all of its kind."""
-        given, total = self._lessons.given, len(self._lessons)
+        along, total = self._lessons.along, len(self._lessons)
         views = []
-        for kind, (first, count) in enumerate(((0, given), (given, total - given))):
+        for kind, (first, count) in enumerate(((0, along), (along, total - along))):
             if count:
                 turn, place = divmod(self.steps, count)
                 rng = np.random.default_rng((self._config.seed, kind, turn))

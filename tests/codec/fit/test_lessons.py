@@ -15,14 +15,26 @@ def test_renders_teach_in_the_cameras_and_their_copies():
     cameras = [oracle.camera(angle) for angle in (0.1, 0.6)]
     background = (0.2, 0.0, 1.0)
     lessons = lessons_of(splats, cameras, background=background, threads=2)
-    assert (len(lessons), lessons.given, len(lessons.pictures)) == (6, 2, 6)
+    assert (len(lessons), lessons.given, lessons.along, len(lessons.pictures)) == (7, 2, 3, 7)
     for camera, config, picture in zip(
         lessons.cameras, lessons.configs, lessons.pictures, strict=True
     ):
         assert config == RenderConfig(0.1, True, background=background, threads=1)
         np.testing.assert_array_equal(picture, np.clip(render(splats, camera, config), 0, 1))
     alone = lessons_of(splats, cameras, copies=False)
-    assert len(alone) == alone.given == 2
+    assert len(alone) == alone.given == alone.along == 2
+
+
+def test_a_view_between_two_cameras_is_halfway():
+    splats = oracle.scene(4)
+    one, other, middle = (oracle.camera(angle) for angle in (0.2, 1.0, 0.6))
+    between = lessons_of(splats, [one, other]).cameras[2]
+    np.testing.assert_allclose(between.rotation, middle.rotation, atol=1e-12)
+    np.testing.assert_allclose(between.position, (one.position + other.position) / 2, atol=1e-12)
+    # Of three on a path, those at the ends have the one in the middle and each other.
+    three = lessons_of(splats, [one, middle, other])
+    assert (three.given, three.along) == (3, 6)
+    assert len({camera.name for camera in three.cameras}) == len(three)
 
 
 def test_photos_teach_in_the_cameras_and_renders_in_the_copies():
