@@ -28,12 +28,13 @@ from .pace import Pace
 from .storing import Storing
 from .trainer import TrainConfig, Trainer
 
-# What a stored splat takes where few are left and these are stored coarsely, by SH degree: a
-# captured scene of degree 3 had 8.4 to 8.9 bytes at 35 to 36 dB, of all attributes.
-_BYTES_PER_SPLAT: Final = (5.5, 6.5, 7.5, 9.0)
-# Storing takes 2 to 3 dB of what was trained and training through it brings 1 to 2 back: splats are
-# left out until pictures are so much better than the target.
-_MARGIN_DB: Final = 2.5
+# What a stored splat takes where the error of quantisers is about half of what training left, which
+# shows most in a size: a captured scene of degree 3, of all attributes; others in proportion to
+# what their SH coefficients take.
+_BYTES_PER_SPLAT: Final = (6.0, 7.5, 8.5, 10.0)
+# Likewise, by how much pictures are to be better than the target before they are stored, less what
+# training after the last round brings.
+_MARGIN_DB: Final = 1.6
 # Nearer to that than this, rounds leave out half as many.
 _NEAR_DB: Final = 1.0
 # Learning rates of rounds, of what follows them, and of training through quantisers: first, last.
@@ -41,8 +42,6 @@ _ROUND_RATES: Final = (0.5, 0.5)
 _RECOVERY_RATES: Final = (0.5, 0.1)
 # σ of this is 0.9997: capped alphas of 0.99 (3DGS) stay, and gradients reach the logit.
 _LARGEST_LOGIT: Final = 8.0
-# Deletions are scored in one view of so many, others in every round.
-_SCORED_EVERY: Final = 2
 # Where the number of splats is not known before, the work is planned for this share of them.
 _USUAL_SHARE: Final = 0.25
 
@@ -241,11 +240,9 @@ class _Run:
         """Leave out splats round by round, as long as the target allows, and train the others."""
         config = self._config
         while (count := self._next_count()) is not None:
-            views = range(self.trainer.steps % _SCORED_EVERY, len(self._lessons), _SCORED_EVERY)
             errors = deletion_errors(
                 self.trainer.splats,
                 self._lessons,
-                views,
                 threads=config.train.threads,
                 progress=self._progress,
             )
