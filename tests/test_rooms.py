@@ -350,7 +350,7 @@ DOORS: dict[str, dict[str, str]] = {
         ),
         "strict_json": "JsonObject parse_object",
         "torch_file": "CODE TorchTensor open_torch read_state_dict",
-        "zip_directory": "open_entry open_zip",
+        "zip_directory": "open_zip",
     },
 }
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import DataError
 
 from .atomic import StrPath, open_for_read, storage_errors
-from .zip_directory import open_entry, open_zip
+from .zip_directory import open_zip
 
 F32 = NDArray[np.float32]
 
@@ -180,8 +180,7 @@ def _stored(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
             f"{name[:60]} of {entry.compress_size} bytes, {entry.file_size} unpacked, expected it "
             f"stored and at most {most} bytes"
         )
-    with open_entry(archive, entry) as file:
-        return file.read()
+    return archive.read(entry)
 
 
 def read_state_dict(path: StrPath) -> dict[str, F32]:
@@ -216,7 +215,7 @@ def read_state_dict(path: StrPath) -> dict[str, F32]:
 
 def _npy(archive: zipfile.ZipFile, name: str) -> F32:
     """Return one array of what ``numpy.savez`` wrote."""
-    with open_entry(archive, archive.getinfo(name)) as file:
+    with archive.open(name) as file:
         version = np.lib.format.read_magic(file)
         read_header = {
             (1, 0): np.lib.format.read_array_header_1_0,

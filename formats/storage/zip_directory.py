@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Callable
-from typing import IO, BinaryIO, Final, cast
+from typing import BinaryIO, Final, cast
 
 from cogsplat.codec.errors import CogsplatError
 
@@ -15,10 +15,11 @@ _LOCAL_HEADER_BYTES: Final = 30
 def open_zip(
     file: BinaryIO, most_bytes: int, refusal: Callable[[str], CogsplatError]
 ) -> zipfile.ZipFile:
-    """Open a ZIP file for reading whose directory is no larger than it has to be.
+    """Open a ZIP file for reading whose directory is no larger than it has to be and true.
 
     `zipfile` reads the whole directory at once and makes an object of about 600 bytes of each of
-    its entries, of which a file of a megabyte may have 20,000.
+    its entries, of which a file of a megabyte may have 20,000. Whether entries overlap is checked
+    by some versions of it only.
 
     Parameters
     ----------
@@ -34,45 +35,28 @@ def open_zip(
     ------
     CogsplatError
         That of `refusal`.
+    zipfile.BadZipFile
+        An entry reaches into another one or into the directory.
     Exception
         Whatever `zipfile.ZipFile` raises for a damaged file.
     """
     rationed = _RationedFile(file, most_bytes, refusal)
     archive = zipfile.ZipFile(cast("BinaryIO", rationed))
     rationed.is_over = True
+    _check_extents(archive)
     return archive
 
 
-def open_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> IO[bytes]:
-    """Open an entry that does not reach into the next one, as newer versions of `zipfile` do.
-
-    The bytes of one that does would be inflated once for each entry that claims them.
-
-    Parameters
-    ----------
-    archive : zipfile.ZipFile
-        Of `open_zip`.
-    entry : zipfile.ZipInfo
-        One of its directory.
-
-    Returns
-    -------
-    IO of bytes
-        What the entry inflates to, for the caller to close.
-
-    Raises
-    ------
-    zipfile.BadZipFile
-        The entry ends behind the start of another one, or of the directory.
-    Exception
-        Whatever `zipfile.ZipFile.open` raises for a damaged entry.
-    """
-    starts = [other.header_offset for other in archive.infolist()]
-    end = min([at for at in starts if at > entry.header_offset], default=archive.start_dir)
-    found = entry.header_offset + _LOCAL_HEADER_BYTES + entry.compress_size
-    if found > end:
-        raise zipfile.BadZipFile(f"an entry that ends at byte {found} or later, the next at {end}")
-    return archive.open(entry)
+def _check_extents(archive: zipfile.ZipFile) -> None:
+    """Refuse entries that claim the same bytes, which would be inflated once for each of them."""
+    entries = sorted(archive.infolist(), key=lambda entry: entry.header_offset)
+    ends = [*(entry.header_offset for entry in entries[1:]), archive.start_dir]
+    for entry, end in zip(entries, ends, strict=False):
+        found = entry.header_offset + _LOCAL_HEADER_BYTES + entry.compress_size
+        if found > end:
+            raise zipfile.BadZipFile(
+                f"an entry from byte {entry.header_offset} to {found} or later, the next at {end}"
+            )
 
 
 class _RationedFile:

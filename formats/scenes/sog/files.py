@@ -15,7 +15,7 @@ from cogsplat.codec.errors import CogsplatError, FormatError, LimitError, Unsupp
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 from cogsplat.formats.storage.magic import describe
 from cogsplat.formats.storage.siblings import sibling
-from cogsplat.formats.storage.zip_directory import open_entry, open_zip
+from cogsplat.formats.storage.zip_directory import open_zip
 
 META_NAME: Final = "meta.json"
 
@@ -172,7 +172,7 @@ class _Bundle(SogFiles):
                 f"{where}: the files read up to it have {inflated} bytes in a bundle of "
                 f"{self.size}, expected at most {_MAX_RATIO} times as many",
             )
-        with _zip_errors(where), open_entry(self.archive, entry) as file:
+        with _zip_errors(where), self.archive.open(entry) as file:
             # One byte more: the directory may understate what the stream holds.
             data = file.read(entry.file_size + 1)
         if len(data) != entry.file_size:

@@ -1,12 +1,13 @@
 """Directories of ZIP files: read where they are small, refused before they cost memory."""
 
 import io
+import struct
 import zipfile
 
 import pytest
 
 from cogsplat.codec.errors import LimitError
-from cogsplat.formats.storage.zip_directory import open_entry, open_zip
+from cogsplat.formats.storage.zip_directory import open_zip
 
 
 def bundle(entries: int) -> io.BytesIO:
@@ -39,13 +40,24 @@ def test_damage_is_what_zipfile_says() -> None:
         open_zip(io.BytesIO(b"PK\3\4 and no directory"), 1 << 12, refusal)
 
 
-def test_entries_that_reach_into_the_next_are_refused() -> None:
-    with zipfile.ZipFile(bundle(3)) as archive:
-        for entry in archive.infolist():
-            with open_entry(archive, entry) as file:
-                assert file.read() == b"content"
-        for number, reach in ((0, 10), (2, 10)):
-            entry = archive.infolist()[number]
-            entry.compress_size += reach
-            with pytest.raises(zipfile.BadZipFile, match="an entry that ends at byte"):
-                open_entry(archive, entry)
+def with_second_entry(field: str, value: int) -> io.BytesIO:
+    """Return a bundle of three entries whose directory says something else of the second one."""
+    data = bytearray(bundle(3).getvalue())
+    at = [i for i in range(len(data)) if data.startswith(b"PK\1\2", i)][1]
+    offset = {"compress_size": 20, "header_offset": 42}[field]
+    struct.pack_into("<I", data, at + offset, value)
+    return io.BytesIO(data)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("compress_size", 17), ("compress_size", 10_000), ("header_offset", 0)]
+)
+def test_entries_that_claim_the_bytes_of_others_are_refused(field: str, value: int) -> None:
+    with pytest.raises(zipfile.BadZipFile, match="an entry from byte"):
+        open_zip(with_second_entry(field, value), 1 << 12, refusal)
+
+
+def test_entries_may_end_where_the_next_begins_or_before() -> None:
+    for size in (7, 3):
+        with open_zip(with_second_entry("compress_size", size), 1 << 12, refusal) as archive:
+            assert archive.read("file 0") == b"content"
