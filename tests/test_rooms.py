@@ -300,10 +300,11 @@ DOORS: dict[str, dict[str, str]] = {
         "layout": "MAGIC MAJOR MINOR PREAMBLE_BYTES SKIPPABLE_KIND SegmentKind unpack_preamble",
         "opening": "manifest_address open_place source_of_place with_place",
         "reader": "CogsFile open_cogs",
+        "root": "Root",
         "scene": "save size_bytes",
         "sources": "cogs_source",
         "verification": "Finding finding_of findings",
-        "writer": "Segment",
+        "writer": "Segment write_cogs",
     },
     "formats.network": {
         "answers": "Answer Stated",
@@ -345,8 +346,8 @@ DOORS: dict[str, dict[str, str]] = {
         "scratch_files": "ScratchFiles",
         "siblings": "sibling",
         "source": (
-            "Cancel FileSource PrefixSource Readable RemoteSource Source is_there opening_bytes "
-            "prefetching source_of stored_bytes"
+            "Cancel FileSource PrefixSource Readable RemoteSource Source has_arrived is_there "
+            "opening_bytes prefetching source_of stored_bytes"
         ),
         "strict_json": "JsonObject parse_object",
         "torch_file": "CODE TorchTensor open_torch read_state_dict",

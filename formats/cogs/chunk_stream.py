@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 
 from cogsplat.codec.errors import Cancelled
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.formats.storage.source import Cancel, Source, prefetching
+from cogsplat.formats.storage.source import Cancel, Source, has_arrived, prefetching
 
-from .drawn_chunks import drawn_chunks
 from .fetch_order import codebook_rows, rows_of_chunk
-from .index import Index
+from .index import AnyIndex
 from .layout import CODEBOOK_KINDS
 from .reader import CogsFile
 
@@ -53,10 +52,11 @@ class ChunkStream:
         self,
         file: CogsFile,
         source: Source,
-        index: Index,
+        index: AnyIndex,
         limits: Limits,
+        chunks: Sequence[int],
         *,
-        priority: Callable[[int], float] | None,
+        in_file_order: bool,
         sh_degree: int,
         refine: bool,
     ) -> None:
@@ -69,7 +69,8 @@ class ChunkStream:
         self._cancel: Cancel = lambda: None
         self._cancelled = False
         self._running = threading.Lock()
-        self._wanted = self._plan(priority)
+        self._in_file_order = in_file_order
+        self._wanted = self._plan(chunks)
         self._updates = self._run()
 
     def __enter__(self) -> ChunkStream:
@@ -118,12 +119,8 @@ class ChunkStream:
         with self._running:
             self._updates.close()
 
-    def _plan(self, priority: Callable[[int], float] | None) -> dict[int, list[int]]:
+    def _plan(self, chunks: Sequence[int]) -> dict[int, list[int]]:
         """Return the rows of each wanted chunk, chunks in the order in which they are wanted."""
-        chunks = drawn_chunks(self._file.chunks, self._file.complete_chunks())
-        if priority is not None:
-            values = {chunk: priority(chunk) for chunk in chunks}
-            chunks = sorted((c for c in chunks if values[c] >= 0), key=lambda c: -values[c])
         wanted = {}
         for chunk in chunks:
             rows = rows_of_chunk(
@@ -134,7 +131,6 @@ class ChunkStream:
                 extras=self._file.has_extras(chunk),
             )
             wanted[chunk] = [row for row in rows if self._file.is_present(row)]
-        self._in_file_order = priority is None
         return wanted
 
     def _order(self) -> list[int]:
@@ -157,8 +153,13 @@ class ChunkStream:
         missing = {chunk: set(rows) for chunk, rows in self._wanted.items()}
         ranges = [(int(index.offsets[row]), int(index.segments.length[row])) for row in order]
         shown: dict[int, tuple[bool, bool, bool]] = {}
+        coarse: dict[int, None] = {}
         with prefetching(self._source, ranges) as self._cancel:
-            for row in order:
+            for row, (offset, length) in zip(order, ranges, strict=True):
+                if coarse and not has_arrived(self._source, offset, length):
+                    # While the next segment is on its way there is time to show what came.
+                    yield from self._changed(coarse, shown, missing)
+                    coarse.clear()
                 if self._cancelled:
                     raise Cancelled
                 arrived.held[row] = self._file.read_segment(row)
@@ -167,15 +168,30 @@ class ChunkStream:
                 else:
                     changed = [owners[row]]
                     missing[owners[row]].discard(row)
-                for chunk in changed:
-                    state = self._state(chunk, last=not missing[chunk])
-                    if state is not None and state != shown.get(chunk):
-                        shown[chunk] = state
-                        yield self._decoded(chunk, *state)
-                        if state[2]:
-                            del missing[chunk]
-                            for done in self._wanted[chunk]:
-                                del arrived.held[done]
+                coarse.update(dict.fromkeys(changed))
+                whole = [c for c in changed if not missing[c] and self._state(c, last=True)]
+                yield from self._changed(whole, shown, missing)
+                for chunk in whole:
+                    del coarse[chunk]
+            yield from self._changed(coarse, shown, missing)
+
+    def _changed(
+        self,
+        chunks: Iterable[int],
+        shown: dict[int, tuple[bool, bool, bool]],
+        missing: dict[int, set[int]],
+    ) -> Iterator[ChunkUpdate]:
+        """Yield an update of each chunk of which more has come than was shown."""
+        for chunk in list(chunks):
+            state = self._state(chunk, last=not missing[chunk])
+            if state is None or state == shown.get(chunk):
+                continue
+            shown[chunk] = state
+            yield self._decoded(chunk, *state)
+            if state[2]:
+                del missing[chunk]
+                for row in self._wanted[chunk]:
+                    del self._arrived.held[row]
 
     def _state(self, chunk: int, *, last: bool) -> tuple[bool, bool, bool] | None:
         """Return whether a chunk is refined, has its tail, and is complete; None without a head."""
@@ -202,7 +218,7 @@ class ChunkStream:
 class _ArrivedFile(CogsFile):
     """A file of which the segments that were received are there, and no others."""
 
-    def __init__(self, source: Source, index: Index, limits: Limits) -> None:
+    def __init__(self, source: Source, index: AnyIndex, limits: Limits) -> None:
         super().__init__(_Unread(source.name, source.size), index, limits)
         self.held: dict[int, memoryview] = {}
 

@@ -8,15 +8,15 @@ from cogsplat.codec.errors import TruncatedError
 from cogsplat.formats.storage.source import Source, is_there
 
 from .folder_map import segment_name
-from .index import Index
+from .index import AnyIndex
 
 
-def gap_bytes(source: Source, index: Index) -> int:
+def gap_bytes(source: Source, index: AnyIndex) -> int:
     """Return the bytes of the segments that a source lacks within its size; 0 for a file."""
     return sum(int(index.segments.length[row]) for row in _gaps(source, index))
 
 
-def require_all(source: Source, index: Index) -> None:
+def require_all(source: Source, index: AnyIndex) -> None:
     """Refuse a source that lacks segments within its size.
 
     Raises
@@ -35,7 +35,7 @@ def require_all(source: Source, index: Index) -> None:
         )
 
 
-def _gaps(source: Source, index: Index) -> Iterator[int]:
+def _gaps(source: Source, index: AnyIndex) -> Iterator[int]:
     if not hasattr(source, "holds"):
         return
     ends = zip(index.offsets.tolist(), index.segments.length.tolist(), strict=True)

@@ -6,21 +6,21 @@ SPEC 3 to 5 say what is checked, SPEC 8.1 in which order.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError, TruncatedError
-from cogsplat.formats.storage.source import Source, opening_bytes
+from cogsplat.formats.storage.source import RemoteSource, Source, opening_bytes, prefetching
 
 from . import canonical_msgpack, layout
 from . import root as cogs_root
 from .drawn_chunks import later_levels
 from .layout import SegmentKind
-from .root import ChunkTable, Root, SegmentTable
+from .root import ChunkTable, PageEntry, Root, SegmentTable
 
 I64 = NDArray[np.int64]
 
@@ -72,14 +72,120 @@ class Index:
     codebooks: Sequence[Mapping[SegmentKind, int]]
     all_chunks: int
 
+    @property
+    def num_chunks(self) -> int:
+        """Chunks that the tables list."""
+        return len(self.chunks)
+
+
+class AnyIndex(Protocol):
+    """What `Index` has, and `lazy_index.LazyIndex` as well; see there."""
+
+    @property
+    def root(self) -> Root:
+        """See `Index`."""
+
+    @property
+    def file_length(self) -> int:
+        """See `Index`."""
+
+    @property
+    def all_chunks(self) -> int:
+        """See `Index`."""
+
+    @property
+    def num_chunks(self) -> int:
+        """See `Index`."""
+
+    @property
+    def segments(self) -> SegmentTable:
+        """See `Index`."""
+
+    @property
+    def chunks(self) -> ChunkTable:
+        """See `Index`."""
+
+    @property
+    def offsets(self) -> I64:
+        """See `Index`."""
+
+    @property
+    def heads(self) -> I64:
+        """See `Index`."""
+
+    @property
+    def tails(self) -> I64:
+        """See `Index`."""
+
+    @property
+    def refinements(self) -> I64:
+        """See `Index`."""
+
+    @property
+    def opacities(self) -> Mapping[int, Sequence[int]]:
+        """See `Index`."""
+
+    @property
+    def attributes(self) -> I64:
+        """See `Index`."""
+
+    @property
+    def cameras(self) -> int:
+        """See `Index`."""
+
+    @property
+    def layers(self) -> Sequence[int]:
+        """See `Index`."""
+
+    @property
+    def codebooks(self) -> Sequence[Mapping[SegmentKind, int]]:
+        """See `Index`."""
+
 
 def codebook_kinds(attribute: str, degree: int) -> tuple[SegmentKind, ...]:
     """Return the kinds of segment that a codebook has up to an SH degree (SPEC 5.5)."""
     return (SegmentKind.SHAPE_CODEBOOK,) if attribute == "shape" else layout.COLOUR_BANDS[:degree]
 
 
+@dataclass(frozen=True)
+class RootPlace:
+    """The root of a file, and where it and the file end, bytes."""
+
+    root: Root
+    root_end: int
+    file_length: int
+
+
+@dataclass(frozen=True)
+class Page:
+    """The tables of an index page."""
+
+    segments: SegmentTable
+    chunks: ChunkTable
+
+
 def read_index(source: Source, *, partial: bool) -> Index:
     """Read preamble, root and pages; raises as `reader.open_cogs` says."""
+    place = read_root(source, partial=partial)
+    positions = page_positions(place)
+    entries = list(enumerate(zip(place.root.pages, positions, strict=True)))
+    there = [number for number, (e, at) in entries if at + e.length <= source.size]
+    pages: dict[int, Page] = {}
+    # Faults are found in the order of the file (SPEC 8.1): each page's place, then its content.
+    with prefetching(source, page_ranges(place, positions, there)):
+        for number, (entry, position) in entries:
+            if position + entry.length > place.file_length:
+                raise _leaves(source, position + entry.length, place.file_length)
+            if position + entry.length > source.size:
+                break
+            pages[number] = read_page(source, place.root, number, position)
+    if len(pages) == len(positions):
+        require_end(source, place, positions)
+    return join_pages(source, place, positions, pages)
+
+
+def read_root(source: Source, *, partial: bool) -> RootPlace:
+    """Read preamble and root; raises as `reader.open_cogs` says."""
     name = source.name
     first = source.read(0, opening_bytes(source, layout.FIRST_READ))
     preamble = layout.unpack_preamble(first[: layout.PREAMBLE_BYTES], name)
@@ -114,7 +220,76 @@ def read_index(source: Source, *, partial: bool) -> Index:
             clause="3.3",
             offset=preamble.file_length,
         )
-    return _read_pages(source, root, root_end, preamble.file_length)
+    rows = len(root.segments) + sum(page.segments for page in root.pages)
+    if rows > layout.MAX_SEGMENTS:
+        raise FormatError(
+            "segment-count",
+            f"{name}: {rows} segments, expected at most {layout.MAX_SEGMENTS}",
+            clause="9.1",
+        )
+    _check_levels(source, root, _all_chunks(root))
+    _check_own_heads(root.segments, root.chunks, f"{name}: root")
+    return RootPlace(root, root_end, preamble.file_length)
+
+
+def page_positions(place: RootPlace) -> list[int]:
+    """Return the byte offset of each index page as the root states it (SPEC 5.6)."""
+    position = _root_segments_end(place)
+    positions = []
+    for entry in place.root.pages:
+        positions.append(position)
+        position += entry.length + entry.span
+    return positions
+
+
+def require_end(source: Source, place: RootPlace, positions: Sequence[int]) -> None:
+    """Refuse a root whose pages and segments do not end where the file does.
+
+    Raises
+    ------
+    FormatError
+        ``segments-length``.
+    """
+    end = _root_segments_end(place)
+    if positions:
+        last = place.root.pages[-1]
+        end = positions[-1] + last.length + last.span
+    if end != place.file_length:
+        raise _leaves(source, end, place.file_length)
+
+
+def _root_segments_end(place: RootPlace) -> int:
+    return place.root_end + int(place.root.segments.length.sum(dtype=np.uint64))
+
+
+def page_ranges(
+    place: RootPlace, positions: Sequence[int], pages: Iterable[int]
+) -> list[tuple[int, int]]:
+    """Return offset and length of index pages."""
+    return [(positions[number], place.root.pages[number].length) for number in pages]
+
+
+def read_page(source: Source, root: Root, number: int, position: int) -> Page:
+    """Read and check one index page.
+
+    Raises
+    ------
+    FormatError, UnsupportedError
+        It breaks SPEC 5.6, or its tables 5.3 and 5.4.
+    """
+    entry = root.pages[number]
+    where = f"{source.name}: index page {number}"
+    data = source.read(position, entry.length)
+    if zlib.crc32(data) != entry.crc and isinstance(source, RemoteSource):
+        # A cache may hold bytes of another version of the file (SPEC 8.8).
+        data = source.reread(position, entry.length)
+    if zlib.crc32(data) != entry.crc:
+        raise FormatError(
+            "page-crc", f"{where}: its CRC does not match", clause="5.6", offset=position
+        )
+    page = Page(*cogs_root.parse_page(canonical_msgpack.unpack(data, where), entry, where))
+    _check_own_heads(page.segments, page.chunks, where)
+    return page
 
 
 _SEGMENT_COLUMNS: Final = ("kind", "owner", "length", "crc", "hash", "needs")
@@ -129,58 +304,63 @@ _CHUNK_COLUMNS: Final = (
     "until",
 )
 
+# Stands in a joined table for the kind of a segment that a page not read lists: one to skip.
+_UNREAD_KIND: Final = 255
 
-def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> Index:
-    rows = len(root.segments) + sum(page.segments for page in root.pages)
-    if rows > layout.MAX_SEGMENTS:
-        raise FormatError(
-            "segment-count",
-            f"{source.name}: {rows} segments, expected at most {layout.MAX_SEGMENTS}",
-            clause="9.1",
-        )
-    all_chunks = len(root.chunks) + sum(page.chunks for page in root.pages)
-    _check_levels(source, root, all_chunks)
-    segments, chunks = [root.segments], [root.chunks]
-    offsets = [_offsets(root.segments, root_end)]
-    _check_own_heads(root.segments, root.chunks, f"{source.name}: root")
-    position = root_end + int(root.segments.length.sum(dtype=np.uint64))
-    whole = True
+
+def join_pages(
+    source: Source,
+    place: RootPlace,
+    positions: Sequence[int],
+    pages: Mapping[int, Page],
+    *,
+    keep_numbers: bool = False,
+) -> Index:
+    """Join the tables of the root and of pages that were read, and check them together.
+
+    Parameters
+    ----------
+    source : Source
+        Names the file.
+    place : RootPlace
+    positions : sequence of int
+        Of all pages.
+    pages : mapping of int to Page
+    keep_numbers : bool
+        Whether rows of pages that were not read are there, without any content, so that segments
+        and chunks have the numbers that they have in the whole index. Otherwise the pages are the
+        first ones, and what follows is left out.
+    """
+    root = place.root
+    tables = [Page(root.segments, root.chunks)]
+    offsets = [_offsets(root.segments, place.root_end)]
+    known = [np.ones(len(root.chunks), bool)]
     for number, entry in enumerate(root.pages):
-        where = f"{source.name}: index page {number}"
-        end = position + entry.length
-        if end > file_length:
-            raise _leaves(source, end, file_length)
-        if end > source.size:
-            whole = False
+        page = pages.get(number)
+        if page is None and not keep_numbers:
             break
-        data = source.read(position, entry.length)
-        if zlib.crc32(data) != entry.crc:
-            raise FormatError(
-                "page-crc", f"{where}: its CRC does not match", clause="5.6", offset=position
-            )
-        page = cogs_root.parse_page(canonical_msgpack.unpack(data, where), entry, where)
-        _check_own_heads(*page, where)
-        segments.append(page[0])
-        chunks.append(page[1])
-        offsets.append(_offsets(page[0], end))
-        position = end + entry.span
-    if whole and position != file_length:
-        raise _leaves(source, position, file_length)
+        tables.append(_unread(entry) if page is None else page)
+        own = np.zeros(entry.segments, np.int64)
+        offsets.append(
+            own if page is None else _offsets(page.segments, positions[number] + entry.length)
+        )
+        known.append(np.full(entry.chunks, page is not None))
+    whole = len(pages) == len(root.pages)
     table = SegmentTable(
-        *(np.concatenate([getattr(t, n) for t in segments]) for n in _SEGMENT_COLUMNS)
+        *(np.concatenate([getattr(t.segments, n) for t in tables]) for n in _SEGMENT_COLUMNS)
     )
     chunk_table = ChunkTable(
-        *(np.concatenate([getattr(t, n) for t in chunks]) for n in _CHUNK_COLUMNS)
+        *(np.concatenate([getattr(t.chunks, n) for t in tables]) for n in _CHUNK_COLUMNS)
     )
-    heads = _head_rows(source, table, chunk_table)
+    heads = _head_rows(source, table, np.concatenate(known))
     tails = _tail_rows(source, root, table, heads)
     refinements = _refinement_rows(source, table, heads)
     opacities = _opacity_rows(source, root, table, chunk_table, heads)
-    _check_ends(source, chunk_table, all_chunks)
+    _check_ends(source, chunk_table, _all_chunks(root))
     _check_counts(source, root, table, chunk_table, whole=whole)
     return Index(
         root=root,
-        file_length=file_length,
+        file_length=place.file_length,
         segments=table,
         chunks=chunk_table,
         offsets=np.concatenate(offsets),
@@ -191,8 +371,40 @@ def _read_pages(source: Source, root: Root, root_end: int, file_length: int) -> 
         codebooks=_codebook_segments(source, root, table, whole=whole),
         attributes=_attribute_rows(source, root, table, heads),
         cameras=_camera_segment(source, table),
-        layers=_layer_rows(source, table),
-        all_chunks=all_chunks,
+        layers=_layer_rows(source, table) if whole or not keep_numbers else [],
+        all_chunks=_all_chunks(root),
+    )
+
+
+def _all_chunks(root: Root) -> int:
+    """Return how many chunks the root and all pages list."""
+    return len(root.chunks) + sum(page.chunks for page in root.pages)
+
+
+def _unread(entry: PageEntry) -> Page:
+    """Return tables as long as those of a page, without content."""
+    segments, chunks = entry.segments, entry.chunks
+    nothing = np.zeros(segments, np.uint32)
+    zeros = np.zeros(chunks, np.uint32)
+    return Page(
+        SegmentTable(
+            np.full(segments, _UNREAD_KIND, np.uint8),
+            nothing,
+            nothing,
+            nothing,
+            np.zeros((segments, cogs_root.HASH_BYTES), np.uint8),
+            nothing,
+        ),
+        ChunkTable(
+            zeros,
+            np.zeros((chunks, 6), np.float32),
+            np.zeros(chunks),
+            zeros,
+            zeros,
+            zeros,
+            np.zeros(chunks, np.float32),
+            zeros,
+        ),
     )
 
 
@@ -220,17 +432,19 @@ def _check_own_heads(table: SegmentTable, chunks: ChunkTable, where: str) -> Non
         )
 
 
-def _head_rows(source: Source, table: SegmentTable, chunks: ChunkTable) -> I64:
-    """Return each chunk's head (SPEC 5.4)."""
+def _head_rows(source: Source, table: SegmentTable, known: NDArray[np.bool_]) -> I64:
+    """Return each chunk's head (SPEC 5.4), -1 where the page that lists it was not read."""
     heads = np.flatnonzero(table.kind == SegmentKind.HEAD).astype(np.int64)
-    if not np.array_equal(table.owner[heads], np.arange(len(chunks))):
+    if not np.array_equal(table.owner[heads], np.flatnonzero(known)):
         raise FormatError(
             "chunk-heads",
             f"{source.name}: heads of chunks {table.owner[heads].tolist()[:8]} and on, "
             "expected all in order",
             clause="5.4",
         )
-    return heads
+    found = np.full(len(known), -1, np.int64)
+    found[known] = heads
+    return found
 
 
 def _tail_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:

@@ -35,7 +35,8 @@ from .decoded_rows import SCRATCH_ROW_BYTES, allocate, row_bytes, scratch_bytes
 from .drawn_chunks import drawn_chunks
 from .fetch_order import opacities_rows, ranges_to_decode
 from .gaps import require_all
-from .index import Index, read_index
+from .index import AnyIndex, join_pages, read_index, read_root
+from .lazy_index import LazyIndex
 from .stored_file import StoredFile
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ class CogsFile(StoredFile):
         Bytes that a partial source lacks; 0 for a complete one.
     """
 
-    def __init__(self, source: Source, index: Index, limits: Limits) -> None:
+    def __init__(self, source: Source, index: AnyIndex, limits: Limits) -> None:
         super().__init__(source, index)
         self._limits = limits
         self._allowed = limits.allowed(stored_bytes(source))
@@ -192,12 +193,27 @@ class CogsFile(StoredFile):
                 raise ValueError(
                     f"chunks {wanted[:8]} compensated, expected the first ones of the file in order"
                 )
-        compiled.prepare(int(self.chunks.splats[wanted].sum()))
+        file = self if compensate else self._knowing(wanted, sh_degree, refine, extras)
+        compiled.prepare(int(file.chunks.splats[wanted].sum()))
         shifted = int(self.chunks.splats[:count].sum()) if compensate else 0
-        out = self._decode(
+        out = file._decode(
             wanted, sh_degree, refine, extras, level, shifted, threads=threads, progress=progress
         )
         return self.compensation().apply(out, count, wanted) if compensate else out
+
+    def _knowing(
+        self, chunks: Sequence[int], sh_degree: int | None, refine: bool, extras: bool
+    ) -> CogsFile:
+        """Return the file with as much of its index as chunks take: of a lazy one, not all."""
+        if not isinstance(self._index, LazyIndex):
+            return self
+        degree = MAX_SH_DEGREE if sh_degree is None else sh_degree
+        index = self._index.for_chunks(
+            chunks, sh_degree=min(self.root.sh_degree, degree), refine=refine, extras=extras
+        )
+        file = CogsFile(self._source, index, self._limits)
+        file._codebooks = self._codebooks
+        return file
 
     def _decode(
         self,
@@ -275,21 +291,22 @@ class CogsFile(StoredFile):
             As `decode`; a file that is too large as a whole is refused before the first part.
         """
         wanted = self._wanted(chunks, self.complete_chunks())
-        extras = extras and all(map(self.has_extras, wanted))
+        file = self._knowing(wanted, sh_degree, refine, extras)
+        extras = extras and all(map(file.has_extras, wanted))
         degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)
-        counts = [int(self.chunks.splats[chunk]) for chunk in wanted]
+        counts = [int(file.chunks.splats[chunk]) for chunk in wanted]
         kinds = self.root.attributes if extras else ()
         self._limits.require_splats(sum(counts), self.name)
         self._check_size(sum(counts) * row_bytes(degree, kinds), f"{sum(counts)} splats")
         compiled.prepare(sum(counts))
         first = 0
-        with self._fetching(wanted, degree, refine=refine, extras=bool(kinds)):
+        with file._fetching(wanted, degree, refine=refine, extras=bool(kinds)):
             while first < len(wanted):
                 stop, rows = first + 1, counts[first]
                 while stop < len(wanted) and rows + counts[stop] <= most_splats:
                     rows += counts[stop]
                     stop += 1
-                yield self._decode(wanted[first:stop], sh_degree, refine, extras, threads=threads)
+                yield file._decode(wanted[first:stop], sh_degree, refine, extras, threads=threads)
                 progress("decode", stop, len(wanted))
                 first = stop
 
@@ -332,12 +349,17 @@ class CogsFile(StoredFile):
         degree = MAX_SH_DEGREE if sh_degree is None else sh_degree
         if not 0 <= degree <= MAX_SH_DEGREE:
             raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
+        chunks = drawn_chunks(self.chunks, self.complete_chunks())
+        if priority is not None:
+            values = {chunk: priority(chunk) for chunk in chunks}
+            chunks = sorted((c for c in chunks if values[c] >= 0), key=lambda c: -values[c])
         return ChunkStream(
             self,
             self._source,
-            self._index,
+            self._index.whole() if isinstance(self._index, LazyIndex) else self._index,
             self._limits,
-            priority=priority,
+            chunks,
+            in_file_order=priority is None,
             sh_degree=min(degree, self.root.sh_degree),
             refine=refine,
         )
@@ -518,7 +540,12 @@ def open_cogs(
         if size_bytes < 0:
             raise ValueError(f"size_bytes {size_bytes}, expected 0 or more")
         source, partial = PrefixSource(source, size_bytes), True
-    index = read_index(source, partial=partial)
+    index: AnyIndex
+    if isinstance(source, RemoteSource) and not partial:
+        place = read_root(source, partial=False)
+        index = LazyIndex(source, place) if place.root.pages else join_pages(source, place, [], {})
+    else:
+        index = read_index(source, partial=partial)
     if not partial:
         require_all(source, index)
     return CogsFile(source, index, limits or Limits())

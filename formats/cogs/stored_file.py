@@ -17,8 +17,9 @@ from cogsplat.formats.storage.source import RemoteSource, Source, is_there
 
 from .fetch_order import needed_codebooks
 from .gaps import gap_bytes
-from .index import I64, Index, codebook_kinds
+from .index import I64, AnyIndex, codebook_kinds
 from .layout import SegmentKind
+from .root import ChunkTable, SegmentTable
 from .selection import select_chunks
 
 
@@ -50,25 +51,16 @@ class StoredFile:
     Attributes
     ----------
     root : Root
-    segments : SegmentTable
-        Of the root and of all pages that are there.
-    chunks : ChunkTable
-        Likewise.
-    offsets : (s,) int64
-        Byte offset of each segment.
     missing_bytes : int
         Bytes that a partial source lacks; 0 for a complete one.
     """
 
-    def __init__(self, source: Source, index: Index) -> None:
+    def __init__(self, source: Source, index: AnyIndex) -> None:
         self._source = source
         self._index = index
         self.root = index.root
         self.file_length = index.file_length
         self.missing_bytes = max(0, index.file_length - source.size) + gap_bytes(source, index)
-        self.segments = index.segments
-        self.chunks = index.chunks
-        self.offsets = index.offsets
 
     def __enter__(self) -> Self:
         return self
@@ -86,6 +78,21 @@ class StoredFile:
         self._source.close()
 
     @property
+    def segments(self) -> SegmentTable:
+        """Segments of the root and of all pages that are there."""
+        return self._index.segments
+
+    @property
+    def chunks(self) -> ChunkTable:
+        """Chunks of the root and of all pages that are there."""
+        return self._index.chunks
+
+    @property
+    def offsets(self) -> I64:
+        """Byte offset of each segment."""
+        return self._index.offsets
+
+    @property
     def name(self) -> str:
         """Names the file in messages."""
         return self._source.name
@@ -93,7 +100,7 @@ class StoredFile:
     @property
     def num_chunks(self) -> int:
         """Chunks the tables list; a partial file may lack the last pages' chunks."""
-        return len(self.chunks)
+        return self._index.num_chunks
 
     @property
     def source_bytes(self) -> int:
@@ -127,6 +134,8 @@ class StoredFile:
 
     def complete_chunks(self) -> int:
         """Return how many chunks, counted from the first, have heads that can be decoded."""
+        if not self.missing_bytes:
+            return self.num_chunks
         for chunk in range(self.num_chunks):
             if not self._complete(int(self._index.heads[chunk]), 0):
                 return chunk

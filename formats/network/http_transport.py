@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ssl
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import cache
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -65,7 +67,9 @@ class HttpTransport:
         library, options = self._httpx, self._options
         timeout = library.Timeout(options.idle_seconds, connect=options.connect_seconds, pool=None)
         limits = library.Limits(max_connections=options.in_flight + 2)
-        made: httpx.AsyncClient = library.AsyncClient(http2=True, timeout=timeout, limits=limits)
+        made: httpx.AsyncClient = library.AsyncClient(
+            http2=True, timeout=timeout, limits=limits, verify=_certificates()
+        )
         return made
 
     @asynccontextmanager
@@ -167,6 +171,13 @@ class HttpTransport:
 
 def _origin(url: Any) -> tuple[str, str, int | None]:
     return url.scheme, url.host, url.port
+
+
+@cache
+def _certificates() -> ssl.SSLContext:
+    """Return the authorities that are trusted; reading them takes longer than a request."""
+    made: ssl.SSLContext = _httpx().create_ssl_context()
+    return made
 
 
 def _httpx() -> ModuleType:

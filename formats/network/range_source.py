@@ -103,6 +103,16 @@ class RangeSource:
         """
         return self._read(offset, length, again=False)
 
+    def arrived(self, offset: int, length: int) -> bool:
+        """Whether bytes that are fetched ahead are here."""
+        end = offset + length
+        reader = self._reader
+        with self._moved:
+            if reader.whole is not None:
+                return reader.whole.received >= end
+            piece = self._pieces.get((offset, end), reader.beginning)
+            return piece.first <= offset and end <= piece.position
+
     def reread(self, offset: int, length: int) -> bytes:
         """Return bytes that came damaged, asked for once more; see `read`."""
         return self._read(offset, length, again=True)

@@ -92,6 +92,12 @@ def prefetching(
     return nullcontext(lambda: None)
 
 
+def has_arrived(source: Source, offset: int, length: int) -> bool:
+    """Whether bytes that were to be fetched ahead are here, so that reading them does not wait."""
+    arrived = getattr(source, "arrived", None)
+    return arrived is None or bool(arrived(offset, length))
+
+
 class BytesSource:
     """A source over bytes in memory; slices are copies."""
 
@@ -265,6 +271,10 @@ class PrefixSource:
         source = self._source
         again = source.reread if isinstance(source, RemoteSource) else source.read
         return again(offset, length)
+
+    def arrived(self, offset: int, length: int) -> bool:
+        """Whether bytes are here; see `has_arrived`."""
+        return has_arrived(self._source, offset, length)
 
     @property
     def traffic(self) -> object:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Final
+from typing import Any, Final
 
 from cogsplat.codec.errors import MissingExtraError
 from cogsplat.formats.storage.atomic import storage_errors
@@ -20,6 +21,7 @@ from .local_server import HOST
 
 _BACKLOG: Final = 1024
 _IDLE_SECONDS: Final = 60.0
+_STOP_SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 @dataclass(frozen=True)
@@ -98,9 +100,15 @@ class FileServer:
         self._socket.close()
 
     async def _serve(self) -> None:
-        self._loop = asyncio.get_running_loop()
+        loop = self._loop = asyncio.get_running_loop()
         if self._stopping.is_set():
             return
+        loop.set_exception_handler(_told_unless_cancelled)
+        if threading.current_thread() is threading.main_thread():
+            for name in _STOP_SIGNALS:
+                # Not on Windows, where Ctrl-C ends the loop itself.
+                with suppress(NotImplementedError, AttributeError):
+                    loop.add_signal_handler(getattr(signal, name), self._stop.set)
         config = self._hypercorn.config.Config()
         # hypercorn closes the descriptor that it is given.
         config.bind = [f"fd://{self._socket.dup().detach()}"]
@@ -126,6 +134,12 @@ def running(server: FileServer) -> Iterator[FileServer]:
         server.stop()
         thread.join()
         server.close()
+
+
+def _told_unless_cancelled(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Report a fault of the loop; connections that are cut when the server ends are none."""
+    if not isinstance(context.get("exception"), asyncio.CancelledError):
+        loop.default_exception_handler(context)
 
 
 def _hypercorn() -> ModuleType:

@@ -40,7 +40,7 @@ def test_the_last_updates_are_the_scene(data, options):
 
 def test_chunks_come_coarse_first_over_a_network(data):
     with (
-        serving(FaultServer(data)) as server,
+        serving(FaultServer(data, always=slow(2_000_000, 4096))) as server,
         cogsplat.open(server.url()) as file,
         file.stream() as updates,
     ):
@@ -53,6 +53,13 @@ def test_chunks_come_coarse_first_over_a_network(data):
     with cogsplat.open(data) as local:
         head = local.decode([0], refine=False)
     assert np.array_equal(first.splats.means, head.means)
+
+
+def test_chunks_that_are_here_come_once(data):
+    with cogsplat.open(data) as file, file.stream() as updates:
+        seen = list(updates)
+        assert len(seen) == file.num_chunks
+        assert all(update.is_complete for update in seen)
 
 
 def test_priority_orders_chunks_and_leaves_some_out(data):

@@ -1,0 +1,195 @@
+"""The index of a file on a network: pages are read when what they list is asked for."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import accumulate
+
+import numpy as np
+
+from cogsplat.formats.storage.source import Source, prefetching
+
+from .fetch_order import codebook_rows, needed_codebooks, rows_of_chunk
+from .index import (
+    I64,
+    Index,
+    Page,
+    RootPlace,
+    codebook_kinds,
+    join_pages,
+    page_positions,
+    page_ranges,
+    read_page,
+    require_end,
+)
+from .layout import SegmentKind
+from .root import ChunkTable, SegmentTable
+
+
+class LazyIndex:
+    """An index of which the root is there and pages are read on demand; else as `Index`.
+
+    Asking for a table reads all pages, at once; `for_chunks` reads those that chunks take.
+
+    Parameters
+    ----------
+    source : Source
+        Complete.
+    place : RootPlace
+
+    Raises
+    ------
+    FormatError
+        ``segments-length``: the pages do not end where the file does.
+    """
+
+    def __init__(self, source: Source, place: RootPlace) -> None:
+        self.root = place.root
+        self.file_length = place.file_length
+        self.all_chunks = len(place.root.chunks) + sum(page.chunks for page in place.root.pages)
+        self._source = source
+        self._place = place
+        self._positions = page_positions(place)
+        require_end(source, place, self._positions)
+        counts = [len(place.root.chunks), *(page.chunks for page in place.root.pages)]
+        # First chunk behind the root and behind each page.
+        self._ends = np.array(list(accumulate(counts)), np.int64)
+        self._pages: dict[int, Page] = {}
+        self._joined: Index | None = None
+        self._lock = threading.Lock()
+
+    @property
+    def num_chunks(self) -> int:
+        """Chunks that all pages list together."""
+        return self.all_chunks
+
+    def for_chunks(
+        self, chunks: Sequence[int], *, sh_degree: int, refine: bool, extras: bool
+    ) -> Index:
+        """Return an index that has what decoding chunks takes; of others it may have nothing.
+
+        Parameters
+        ----------
+        chunks : sequence of int
+        sh_degree : int
+            Up to which tails and bands of codebooks are read.
+        refine, extras : bool
+            Whether refinements and extra attributes are read.
+
+        Raises
+        ------
+        CogsplatError
+            A page cannot be read, or breaks SPEC.
+        """
+        every = set(range(len(self.root.pages)))
+        with self._lock:
+            if self.root.levels:
+                # Any page may list opacities of a later level.
+                return self._with(every)
+            index = self._with({int(page) for page in self._pages_of(chunks)})
+            # What a chunk lacks may be listed in any later page, or be nowhere.
+            lacking = [
+                chunk
+                for chunk in chunks
+                if (refine and index.refinements[chunk] < 0)
+                or (sh_degree and index.tails[chunk] < 0)
+                or (extras and self.root.attributes and index.attributes[chunk] < 0)
+            ]
+            if lacking:
+                first = int(self._pages_of(lacking).min())
+                index = self._with(set(range(first + 1, len(self.root.pages))))
+            rows = [
+                row
+                for chunk in chunks
+                for row in rows_of_chunk(
+                    index, chunk, sh_degree=sh_degree, refine=refine, extras=extras
+                )
+            ]
+            if len(codebook_rows(index, rows, sh_degree)) < self._books(index, rows, sh_degree):
+                index = self._with(every)
+            return index
+
+    def _books(self, index: Index, rows: Iterable[int], sh_degree: int) -> int:
+        """Return how many segments the codebooks have that segments need."""
+        books = self.root.codebooks
+        needed = {x for row in rows for x in needed_codebooks(index.segments, row, len(books))}
+        return sum(len(codebook_kinds(books[x].attribute, sh_degree)) for x in needed)
+
+    def _pages_of(self, chunks: Iterable[int]) -> I64:
+        """Return the pages that list chunks; -1 for the root."""
+        return np.searchsorted(self._ends, np.array(list(chunks), np.int64), side="right") - 1
+
+    def _with(self, pages: set[int]) -> Index:
+        """Return an index with further pages, which are read."""
+        new = sorted(pages - {-1} - self._pages.keys())
+        if new or self._joined is None:
+            ranges = page_ranges(self._place, self._positions, new)
+            with prefetching(self._source, ranges):
+                for number in new:
+                    position = self._positions[number]
+                    self._pages[number] = read_page(self._source, self.root, number, position)
+            self._joined = join_pages(
+                self._source, self._place, self._positions, self._pages, keep_numbers=True
+            )
+        return self._joined
+
+    def whole(self) -> Index:
+        """Read the pages that were not read, and return an index of all."""
+        with self._lock:
+            return self._with(set(range(len(self.root.pages))))
+
+    @property
+    def segments(self) -> SegmentTable:
+        """See `Index`."""
+        return self.whole().segments
+
+    @property
+    def chunks(self) -> ChunkTable:
+        """See `Index`."""
+        return self.whole().chunks
+
+    @property
+    def offsets(self) -> I64:
+        """See `Index`."""
+        return self.whole().offsets
+
+    @property
+    def heads(self) -> I64:
+        """See `Index`."""
+        return self.whole().heads
+
+    @property
+    def tails(self) -> I64:
+        """See `Index`."""
+        return self.whole().tails
+
+    @property
+    def refinements(self) -> I64:
+        """See `Index`."""
+        return self.whole().refinements
+
+    @property
+    def opacities(self) -> Mapping[int, Sequence[int]]:
+        """See `Index`."""
+        return self.whole().opacities
+
+    @property
+    def attributes(self) -> I64:
+        """See `Index`."""
+        return self.whole().attributes
+
+    @property
+    def cameras(self) -> int:
+        """See `Index`."""
+        return self.whole().cameras
+
+    @property
+    def layers(self) -> Sequence[int]:
+        """See `Index`."""
+        return self.whole().layers
+
+    @property
+    def codebooks(self) -> Sequence[Mapping[SegmentKind, int]]:
+        """See `Index`."""
+        return self.whole().codebooks
