@@ -157,7 +157,7 @@ DOORS: dict[str, dict[str, str]] = {
     "codec.encode": {
         "compensation_fit": "blank compensated",
         "config": "Ablation EncodeConfig MAX_QUALITY_DB MIN_QUALITY_DB",
-        "encoded": "EncodeReport EncodedChunk EncodedScene",
+        "encoded": "EncodeReport EncodedChunk EncodedLevel EncodedScene",
         "encoder": "encode_chunks",
         "needed_kernels": "needed_kernels",
         "pipeline": "SizeOf encode",
@@ -171,6 +171,8 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "codec.fit": {
         "lessons": "lessons_of",
+        "level_encoding": "LevelEncoding encode_levels",
+        "levels": "LevelledSplats LevelsConfig averaged scaled_camera train_levels",
         "trainer": "TrainConfig",
         "tuning": "Milestone State TuneConfig tune",
     },
@@ -250,7 +252,7 @@ DOORS: dict[str, dict[str, str]] = {
             "pack_codes packed_bytes unpack_codes"
         ),
         "heads": "decode_head",
-        "opacities": "MAX_LOGIT decode_opacities",
+        "opacities": "MAX_LOGIT decode_opacities pack_opacities",
         "payloads": "Payloads",
         "tails": "decode_tail",
     },

@@ -16,6 +16,8 @@ F32 = NDArray[np.float32]
 
 # Kerbl et al. 2023, section 5: λ of the loss, the share of 1 - SSIM.
 _SSIM_SHARE: Final = 0.2
+# Shi et al. 2025, section 3.2.
+_STRUCTURE_SHARE: Final = 0.8
 # Wang et al. 2004, section III.C, as `metrics.ssim`.
 _WINDOW: Final = 11
 _SIGMA: Final = 1.5
@@ -122,5 +124,19 @@ def photo(picture: F32, target: F32) -> tuple[float, F32]:
     return error, by_picture
 
 
-LOSSES: Final[Mapping[str, Loss]] = MappingProxyType({"squared": squared, "photo": photo})
-"""By name: ``squared`` for renders, ``photo`` for photos."""
+def structure(picture: F32, target: F32) -> tuple[float, F32]:
+    """Return the mean squared error, and the derivative of 0.2·L1 + 0.8·(1 - SSIM).
+
+    The loss of LapisGS (Shi et al. 2025, section 3.2), summed over pixels.
+    """
+    off, error = _shown_error(picture, target)
+    _, by_picture = _ssim(picture, target)
+    by_picture *= np.float32(-_STRUCTURE_SHARE)
+    by_picture += np.float32(1.0 - _STRUCTURE_SHARE) * np.sign(off)
+    return error, by_picture
+
+
+LOSSES: Final[Mapping[str, Loss]] = MappingProxyType(
+    {"squared": squared, "photo": photo, "structure": structure}
+)
+"""By name: ``squared`` for renders, ``photo`` for photos, ``structure`` for levels."""

@@ -48,6 +48,7 @@ from .export_html import export_html
 from .filter import filter_scene
 from .folders import pack, unpack
 from .info import info
+from .layers import layers
 from .merge import merge
 from .order import order
 from .score import score
@@ -326,6 +327,7 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     encode,
     batch,
     tune,
+    layers,
     decode,
     convert,
     merge,

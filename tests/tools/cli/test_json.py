@@ -130,6 +130,10 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
             small.ply, out / "a.cogs", *cameras, "--minutes", "0.01", "--target-size", "20KB",
             "--keep", 0.9,
         ],
+        "layers": [
+            small.ply, out / "b.cogs", *cameras, "--scales", "2,1", "--shares", "40%,100%",
+            "--steps", 2,
+        ],
     }  # fmt: skip
     return [command, *given[command], "--json"]
 

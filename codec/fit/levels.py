@@ -1,0 +1,310 @@
+"""Levels of a scene for pictures of several sizes, trained one after the other (LapisGS).
+
+Shi et al. 2025, "LapisGS: Layered Progressive 3D Gaussian Splatting for Adaptive Streaming". A
+level adds splats to the level before and trains them on pictures of its own size; what the level
+before has stays as it is but for its opacities. Unlike the code that was released with the paper,
+added splats may move, start with all their SH coefficients, and frozen splats are never copied.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.threads import ordered_map, thread_count
+
+from .adam import Adam
+from .drawing import Gradients, draw, with_values
+from .losses import LOSSES
+from .trainer import RATES
+
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+
+LEAST_OPACITY: Final = 0.005
+"""A splat whose opacity is below this at a level is left out there (LapisGS, section 3.2)."""
+
+# Factors on the learning rates of a level's first and last step; `tuning` begins likewise.
+_FIRST_RATE: Final = 0.5
+_LAST_RATE: Final = 0.05
+
+
+@dataclass(frozen=True)
+class LevelsConfig:
+    """How a scene is made into levels.
+
+    Parameters
+    ----------
+    scales : tuple of int
+        By what the pictures of each level are divided in width and height, falling.
+    shares : tuple of float
+        Share of the scene's splats that each level and those before it have, rising to at most 1.
+    steps : int
+        Training steps of a level, a view each.
+    loss : str
+        One of `losses.LOSSES`; ``structure`` is that of LapisGS.
+    seed : int
+        Decides in which order views come.
+    threads : int
+        0 for every core this process may use. The result does not depend on it.
+    """
+
+    scales: tuple[int, ...] = (8, 4, 2, 1)
+    shares: tuple[float, ...] = (0.08, 0.25, 0.6, 1.0)
+    steps: int = 400
+    loss: str = "structure"
+    seed: int = 0
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.scales or min(self.scales) < 1 or any(a <= b for a, b in pairwise(self.scales)):
+            raise ValueError(f"scales {self.scales}, expected whole numbers above 0 that fall")
+        if len(self.shares) != len(self.scales):
+            raise ValueError(
+                f"{len(self.shares)} shares, expected one of {len(self.scales)} levels"
+            )
+        shares = (0.0, *self.shares)
+        if self.shares[-1] > 1 or any(a >= b for a, b in pairwise(shares)):
+            raise ValueError(f"shares {self.shares}, expected to rise from above 0 to at most 1")
+        if self.steps < 0 or self.seed < 0:
+            raise ValueError(f"steps {self.steps}, seed {self.seed}, expected 0 or more")
+        if self.loss not in LOSSES:
+            raise ValueError(f"loss {self.loss!r}, expected one of {tuple(LOSSES)}")
+        thread_count(self.threads)
+
+
+@dataclass(frozen=True, eq=False)
+class LevelledSplats:
+    """The splats of a scene with levels.
+
+    Parameters
+    ----------
+    splats : Splats
+        N of all levels, those of level 0 first, without extra attributes; their opacities are those
+        of the level that each was added at.
+    scales : tuple of int
+        Of the levels.
+    first, last : (N,) int64
+        The level that each splat was added at, and the last that draws it.
+    opacities : (L, N) float32
+        Logits at every level; those of levels that do not draw a splat mean nothing.
+    """
+
+    splats: Splats
+    scales: tuple[int, ...]
+    first: I64
+    last: I64
+    opacities: F32
+
+    def rows(self, level: int) -> I64:
+        """Return the splats that a level draws."""
+        return np.flatnonzero((self.first <= level) & (level <= self.last))
+
+    def at(self, level: int) -> Splats:
+        """Return the scene of a level."""
+        rows = self.rows(level)
+        return replace(self.splats.take(rows), opacities=self.opacities[level][rows])
+
+
+def scaled_camera(camera: Camera, scale: int) -> Camera:
+    """Return the camera of pictures that are divided by a number in width and height.
+
+    Columns and rows at the right and the bottom that fill no pixel are left out.
+    """
+    return replace(
+        camera,
+        width=max(camera.width // scale, 1),
+        height=max(camera.height // scale, 1),
+        fx=camera.fx / scale,
+        fy=camera.fy / scale,
+        cx=camera.cx / scale,
+        cy=camera.cy / scale,
+    )
+
+
+def averaged(picture: F32, scale: int) -> F32:
+    """Return a picture whose pixels are the means of squares of `scale` × `scale` pixels.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) float32
+    scale : int
+
+    Returns
+    -------
+    (H // scale, W // scale, 3) float32
+        What `scaled_camera` sees.
+    """
+    height, width = (max(size // scale, 1) for size in picture.shape[:2])
+    down, across = (min(scale, size) for size in picture.shape[:2])
+    cut = picture[: height * down, : width * across]
+    means: F32 = cut.reshape(height, down, width, across, 3).mean(axis=(1, 3), dtype=np.float64)
+    return means.astype(np.float32)
+
+
+def train_levels(
+    splats: Splats,
+    cameras: Sequence[Camera],
+    config: LevelsConfig | None = None,
+    *,
+    pictures: Sequence[F32] | None = None,
+    progress: Progress = silent,
+) -> LevelledSplats:
+    """Make a trained scene into levels.
+
+    Each level begins with the splats that contribute most to pictures of its size and are in no
+    level before.
+
+    Parameters
+    ----------
+    splats : Splats
+        Valid rows, in the frame of the cameras.
+    cameras : sequence of Camera
+        Of the full pictures.
+    config : LevelsConfig, optional
+    pictures : sequence of (H, W, 3) float32, optional
+        What the cameras saw, in the scene's colour space; by default renders of the scene.
+    progress : Progress
+        Called with ``pictures``, and for each level with ``score`` and ``level 0``, ``level 1`` ….
+
+    Raises
+    ------
+    ValueError
+        No cameras, or pictures of other sizes than theirs.
+    """
+    config = config or LevelsConfig()
+    if not cameras:
+        raise ValueError("no cameras, expected some to train in")
+    source = splats.without_extras()
+    targets = _targets(source, cameras, pictures, config, progress)
+    count, levels = len(source), len(config.scales)
+    chosen = np.zeros(count, np.bool_)
+    joined: Splats | None = None
+    first = last = np.zeros(0, np.int64)
+    opacities = np.zeros((levels, 0), np.float32)
+    for level, (scale, share) in enumerate(zip(config.scales, config.shares, strict=True)):
+        views = [scaled_camera(camera, scale) for camera in cameras]
+        scored = score(source, views, ScoreConfig(threads=config.threads), progress=progress)
+        order = np.argsort(-scored.contribution, kind="stable")
+        order = order[~chosen[order]]
+        added = np.sort(order[: max(round(share * count) - int(chosen.sum()), 0)])
+        chosen[added] = True
+        new = source.take(added)
+        scene, old = new, np.zeros(0, np.int64)
+        if joined is not None:
+            old = np.flatnonzero(last == level - 1)
+            before_it = replace(joined.take(old), opacities=opacities[level - 1][old])
+            scene = _joined(before_it, new)
+        small = [averaged(target, scale) for target in targets]
+        scene = _trained(scene, len(old), views, small, config, level, progress)
+        drawn = _opacity(scene.opacities) >= LEAST_OPACITY
+        # Splats that nothing shows at their own level are in no level.
+        kept = np.flatnonzero(drawn[len(old) :])
+        new = scene.take(len(old) + kept)
+        before = len(first)
+        joined = new if joined is None else _joined(joined, new)
+        first = np.concatenate([first, np.full(len(kept), level)])
+        last = np.concatenate([last, np.full(len(kept), level)])
+        last[old[drawn[: len(old)]]] = level
+        wider = np.zeros((levels, len(first)), np.float32)
+        wider[:, :before] = opacities
+        opacities = wider
+        opacities[level, old] = scene.opacities[: len(old)]
+        opacities[level, before:] = new.opacities
+    assert joined is not None
+    return LevelledSplats(joined, config.scales, first, last, opacities)
+
+
+def _targets(
+    source: Splats,
+    cameras: Sequence[Camera],
+    pictures: Sequence[F32] | None,
+    config: LevelsConfig,
+    progress: Progress,
+) -> list[F32]:
+    if pictures is not None:
+        sizes = [(camera.height, camera.width, 3) for camera in cameras]
+        if [picture.shape for picture in pictures] != sizes:
+            raise ValueError(f"{len(pictures)} pictures, expected one of its size for each camera")
+        return list(pictures)
+    info = source.info
+    one = RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased, threads=1)
+    drawn = []
+    found = ordered_map(
+        lambda camera: render(source, camera, one), cameras, thread_count(config.threads)
+    )
+    for picture in found:
+        drawn.append(picture)
+        progress("pictures", len(drawn), len(cameras))
+    return drawn
+
+
+def _trained(
+    scene: Splats,
+    frozen: int,
+    views: Sequence[Camera],
+    pictures: Sequence[F32],
+    config: LevelsConfig,
+    level: int,
+    progress: Progress,
+) -> Splats:
+    """Return a level's scene after training; of the first `frozen` rows opacities alone move."""
+    scene = with_values(scene, {name: getattr(scene, name).copy() for name in Gradients.names()})
+    info = scene.info
+    drawing = RenderConfig(
+        kernel_px=info.kernel_px, antialiased=info.antialiased, threads=config.threads
+    )
+    adam, gradients = Adam(scene), Gradients.zeros(scene)
+    axis = np.exp(np.median(scene.scales, axis=1)) if len(scene) else np.ones(0, np.float32)
+    stage = f"level {level}"
+    progress(stage, 0, config.steps)
+    for step in range(config.steps):
+        turn, place = divmod(step, len(views))
+        rng = np.random.default_rng((config.seed, level, turn))
+        view = int(rng.permutation(len(views))[place])
+        picture = draw(scene, views[view], drawing)
+        _, by_picture = LOSSES[config.loss](picture.picture, pictures[view])
+        gradients.clear()
+        picture.backward(by_picture, gradients)
+        factor = _FIRST_RATE * (_LAST_RATE / _FIRST_RATE) ** (step / config.steps)
+        adam.step(scene, gradients, _rates(axis, frozen, factor), config.threads)
+        progress(stage, step + 1, config.steps)
+    return scene
+
+
+def _rates(axis: F32, frozen: int, factor: float) -> dict[str, F32]:
+    """Return the learning rate of every splat's values; 0 for all but opacities of frozen ones."""
+    rates = {}
+    for name, rate in RATES.items():
+        each = np.full(len(axis), factor * rate, np.float32)
+        if name == "means":
+            each *= axis
+        if name != "opacities":
+            each[:frozen] = 0
+        rates[name] = each
+    return rates
+
+
+def _opacity(logits: F32) -> NDArray[np.float64]:
+    opacity: NDArray[np.float64] = 1 / (1 + np.exp(-np.clip(logits, -80, 80).astype(np.float64)))
+    return opacity
+
+
+def _joined(first: Splats, second: Splats) -> Splats:
+    return with_values(
+        first,
+        {
+            name: np.concatenate([getattr(first, name), getattr(second, name)])
+            for name in Gradients.names()
+        },
+    )

@@ -1,0 +1,136 @@
+"""Levels of a scene: trained one after the other, on pictures of their own size."""
+
+import numpy as np
+import pytest
+
+from cogsplat.codec.fit.levels import (
+    LEAST_OPACITY,
+    LevelsConfig,
+    averaged,
+    scaled_camera,
+    train_levels,
+)
+from cogsplat.codec.metrics import psnr, ssim
+from cogsplat.codec.render.rasteriser import render
+from cogsplat.tools.synthetic.scene import synth, synth_cameras
+
+CONFIG = LevelsConfig(scales=(4, 2, 1), shares=(0.2, 0.5, 1.0), steps=30, threads=1)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return synth(600), synth_cameras(4, 96, 72)
+
+
+@pytest.fixture(scope="module")
+def levels(scene):
+    return train_levels(*scene, CONFIG)
+
+
+def unit(logits):
+    return 1 / (1 + np.exp(-logits.astype(np.float64)))
+
+
+def test_levels_have_the_shares_that_were_asked_for(levels):
+    counts = np.bincount(levels.first, minlength=3)
+    assert counts.sum() == len(levels.splats) == len(levels.last)
+    # Less those that became invisible in training.
+    for count, share in zip(np.cumsum(counts), CONFIG.shares, strict=True):
+        assert 0.9 * share * 600 <= count <= share * 600
+    assert (np.diff(levels.first) >= 0).all()
+
+
+def test_lower_levels_keep_all_but_opacities(scene):
+    """Trained again with fewer levels, those that there are come out alike."""
+    fewer = LevelsConfig(scales=(4, 2), shares=(0.2, 0.5), steps=30, threads=1)
+    first, both = train_levels(*scene, fewer), train_levels(*scene, CONFIG)
+    count = len(first.splats)
+    for name in ("means", "scales", "quats", "opacities", "sh0", "shN"):
+        np.testing.assert_array_equal(
+            getattr(both.splats, name)[:count], getattr(first.splats, name)
+        )
+    np.testing.assert_array_equal(both.opacities[:2, :count], first.opacities)
+    later = both.rows(2)
+    later = later[later < count]
+    assert (both.opacities[2, later] != both.opacities[1, later]).mean() > 0.5
+
+
+def test_added_splats_move_and_keep_their_sh(scene, levels):
+    """Not as in the code that was released with the paper."""
+    splats, _ = scene
+    source = {tuple(mean) for mean in splats.means.tolist()}
+    added = np.flatnonzero(levels.first == 2)
+    moved = [tuple(mean) not in source for mean in levels.splats.means[added].tolist()]
+    assert np.mean(moved) > 0.5
+    assert np.abs(levels.splats.shN[added]).max() > 0
+
+
+def test_splats_that_no_level_shows_are_left_out_for_good(levels):
+    for level in range(3):
+        rows = levels.rows(level)
+        assert (unit(levels.opacities[level][rows]) >= LEAST_OPACITY).all()
+    assert (levels.first <= levels.last).all()
+    for level in range(2):
+        ended = np.flatnonzero(levels.last == level)
+        assert (unit(levels.opacities[level + 1][ended]) < LEAST_OPACITY).all()
+
+
+@pytest.mark.parametrize("loss", ["squared", "structure"])
+def test_training_pays(scene, loss):
+    splats, cameras = scene
+    views = [scaled_camera(camera, 4) for camera in cameras]
+    targets = [averaged(render(splats, camera), 4) for camera in cameras]
+    measure = psnr if loss == "squared" else ssim
+
+    def mean_after(steps):
+        config = LevelsConfig(scales=(4,), shares=(0.2,), steps=steps, loss=loss, threads=1)
+        small = train_levels(splats, cameras, config).at(0)
+        pairs = zip(views, targets, strict=True)
+        return np.mean([measure(render(small, view), target) for view, target in pairs])
+
+    assert mean_after(60) > mean_after(0) + (1.0 if loss == "squared" else 0.01)
+
+
+def test_the_result_does_not_depend_on_threads(scene, levels):
+    other = train_levels(*scene, LevelsConfig(CONFIG.scales, CONFIG.shares, 30, threads=2))
+    np.testing.assert_array_equal(other.opacities, levels.opacities)
+    np.testing.assert_array_equal(other.splats.means, levels.splats.means)
+
+
+def test_averaged_pictures_are_what_scaled_cameras_see():
+    picture = np.arange(7 * 9 * 3, dtype=np.float32).reshape(7, 9, 3)
+    small = averaged(picture, 2)
+    assert small.shape == (3, 4, 3)
+    np.testing.assert_allclose(small[1, 2], picture[2:4, 4:6].mean(axis=(0, 1)))
+    camera = synth_cameras(1, 9, 7)[0]
+    found = scaled_camera(camera, 2)
+    assert (found.width, found.height) == (4, 3)
+    assert found.fx == camera.fx / 2
+    assert found.cy == camera.cy / 2
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"scales": ()},
+        {"scales": (1, 2)},
+        {"scales": (2, 0)},
+        {"scales": (2, 1), "shares": (1.0,)},
+        {"scales": (2, 1), "shares": (0.6, 0.5)},
+        {"scales": (2, 1), "shares": (0.6, 1.5)},
+        {"steps": -1},
+        {"loss": "none"},
+        {"seed": -1},
+    ],
+)
+def test_configurations_that_mean_nothing_are_misuse(wrong):
+    with pytest.raises(ValueError, match="expected"):
+        LevelsConfig(**wrong)
+
+
+def test_cameras_and_pictures_must_fit(scene):
+    splats, cameras = scene
+    with pytest.raises(ValueError, match="cameras"):
+        train_levels(splats, [], CONFIG)
+    with pytest.raises(ValueError, match="pictures"):
+        train_levels(splats, cameras, CONFIG, pictures=[np.zeros((4, 4, 3), np.float32)])
