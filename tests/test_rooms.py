@@ -296,8 +296,10 @@ DOORS: dict[str, dict[str, str]] = {
         "between_levels": "decode_between",
         "cameras": "check_cameras",
         "canonical_msgpack": "MAX_DEPTH MAX_VALUES Value pack unpack",
-        "folder_map": "FolderMap MANIFEST_NAME MANIFEST_SUFFIX is_manifest",
-        "folder_source": "FolderSource names_folder",
+        "folder_map": (
+            "FolderMap MANIFEST_NAME MANIFEST_SUFFIX SEGMENT_FOLDER is_manifest segment_name"
+        ),
+        "folder_source": "FolderSource manifest_path names_folder",
         "folder_writer": "check_manifest_name pack_cogs unpack_cogs",
         "layout": "MAGIC MAJOR MINOR PREAMBLE_BYTES SKIPPABLE_KIND SegmentKind unpack_preamble",
         "opening": "manifest_address open_place source_of_place with_place",
@@ -305,7 +307,7 @@ DOORS: dict[str, dict[str, str]] = {
         "root": "Root",
         "scene": "save size_bytes",
         "sources": "cogs_source",
-        "verification": "Finding finding_of findings",
+        "verification": "Finding finding_of findings read_verified",
         "writer": "Segment write_cogs",
     },
     "formats.network": {
@@ -317,7 +319,7 @@ DOORS: dict[str, dict[str, str]] = {
         "options": "NetworkOptions",
         "range_source": "RangeSource",
         "traffic": "Traffic",
-        "urls": "HTTP_SCHEMES is_url scheme_of shown",
+        "urls": "HTTP_SCHEMES STORE_SCHEMES is_url scheme_of shown",
     },
     "formats.scenes": {
         "compressed_ply": "CHUNK_SPLATS read_compressed_ply write_compressed_ply",

@@ -56,6 +56,7 @@ from .serve import serve
 from .stats import stats
 from .synth import demo, synth
 from .tune import tune
+from .upload import upload
 from .validate import validate
 from .verify import verify
 from .view import view
@@ -338,6 +339,7 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     serve,
     unpack,
     pack,
+    upload,
     info,
     validate,
     verify,

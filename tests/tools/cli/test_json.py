@@ -139,7 +139,7 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
 
 
 # These do not end by themselves, or take a server or a decoder: they have tests of their own.
-APART = {"view", "serve", "verify", "conformance run", "conformance fuzz"}
+APART = {"view", "serve", "verify", "upload", "conformance run", "conformance fuzz"}
 
 
 @pytest.mark.slow

@@ -1,0 +1,75 @@
+"""``cogsplat upload`` to a server that speaks S3."""
+
+import re
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from running import ROOT, Run, SmallScene
+
+
+@pytest.fixture(scope="module")
+def endpoint() -> Iterator[str]:
+    """Run moto, a server that speaks S3, with an empty bucket of the name ``bucket``."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    url = f"http://127.0.0.1:{port}"
+    words = [sys.executable, "-W", "ignore", "-m", "moto.server", "-H", "127.0.0.1", "-p", port]
+    with subprocess.Popen(
+        [str(word) for word in words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as server:
+        for _ in range(600):
+            try:
+                socket.create_connection(("127.0.0.1", port), 1).close()
+                break
+            except OSError:
+                time.sleep(0.1)
+        request = urllib.request.Request(f"{url}/bucket", method="PUT")
+        urllib.request.urlopen(request).close()
+        yield url
+        server.terminate()
+
+
+@pytest.mark.slow
+def test_a_folder_goes_to_a_bucket(
+    run: Run, small: SmallScene, tmp_path: Path, endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "key")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
+    folder = tmp_path / "scene"
+    assert run("unpack", small.cogs, folder).code == 0
+    count = len(list((folder / "segments").iterdir()))
+    words = ["upload", folder, "s3://bucket/a/scene", "--endpoint", endpoint, "--region", "x"]
+    planned = run(*words, "--dry-run", "--json").json
+    assert (planned["dry_run"], planned["segments_written"]) == (True, count)
+    done = run(*words, "--json").json
+    assert (done["segments_written"], done["manifest_written"]) == (count, True)
+    again = run(*words, "--json", "--delete", "--yes").json
+    assert (again["segments_shared"], again["manifest_written"]) == (count, False)
+    page = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
+    listed = page.partition("### `upload`\n")[2].partition("### ")[0]
+    keys = {key.partition(".")[0] for key in re.findall("`([^`]+)`", listed)}
+    assert done.keys() == again.keys() == keys
+    assert "the same" in run(*words).out
+    # Asked and not answered, nothing is deleted.
+    (folder / "manifest.cogsm").rename(folder / "other.cogsm")
+    assert run("upload", folder / "other.cogsm", *words[2:]).code == 0
+    assert "0 segments deleted" in run(
+        "upload", folder / "other.cogsm", *words[2:], "--delete", "--older-than", "0"
+    ).out  # fmt: skip
+
+
+def test_misuse_is_told(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    told = run("upload", small.cogs, "s3://bucket/a")
+    assert told.code == 2
+    assert "cogsplat unpack" in told.err
+    assert run("unpack", small.cogs, tmp_path / "scene").code == 0
+    assert run("upload", tmp_path / "scene", "s3://bucket/a", "--partial").code == 2
+    told = run("upload", tmp_path / "scene", "https://example.org/a")
+    assert (told.code, "[bucket-address]" in told.err) == (4, True)

@@ -1,0 +1,142 @@
+"""``cogsplat upload``: a folder of objects into a bucket."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from pathlib import Path
+
+import click
+
+import cogsplat
+from cogsplat.formats.cogs.folder_source import names_folder
+from cogsplat.tools.hosting.object_store import Bucket
+from cogsplat.tools.hosting.upload import (
+    Unused,
+    delete_unused,
+    find_unused,
+    plan_upload,
+)
+from cogsplat.tools.hosting.upload import upload as send
+from cogsplat.tools.terminal.limits import current_limits, limits_option
+from cogsplat.tools.terminal.options import json_option, quiet_option
+from cogsplat.tools.terminal.output import counted, say, say_json, size_text
+from cogsplat.tools.terminal.partial import partial_accepted, partial_option
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import PATH
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat upload scene s3://bucket/scene --dry-run\n"
+    "  cogsplat upload scene s3://bucket/scene --delete"
+)
+@click.argument("folder", type=PATH, metavar="FOLDER")
+@click.argument("bucket", metavar="s3://BUCKET/PREFIX")
+@click.option("--endpoint", metavar="URL", help="Of a server that speaks S3, such as R2 or MinIO.")
+@click.option("--region", metavar="NAME", help="Of the bucket.")
+@click.option("--dry-run", is_flag=True, help="Say what would be done, and do nothing.")
+@click.option(
+    "--delete",
+    is_flag=True,
+    help="Afterwards delete the segments that no manifest in the bucket needs; asks first.",
+)
+@click.option("--yes", is_flag=True, help="Delete without asking.")
+@click.option(
+    "--older-than",
+    type=click.FloatRange(min=0),
+    default=24.0,
+    show_default=True,
+    metavar="HOURS",
+    help="Delete only what was written so long ago: readers may have the manifest before.",
+)
+@click.option(
+    "--concurrency",
+    type=click.IntRange(1, 64),
+    default=8,
+    show_default=True,
+    metavar="N",
+    help="Objects that are written at once.",
+)
+@partial_option
+@limits_option
+@quiet_option
+@json_option
+def upload(
+    folder: Path,
+    bucket: str,
+    endpoint: str | None,
+    region: str | None,
+    dry_run: bool,
+    delete: bool,
+    yes: bool,
+    older_than: float,
+    concurrency: int,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Upload a folder of objects to a bucket.
+
+    Only what is not there is sent, with its media type and cache headers: segments first, the
+    manifest last, so that readers never see one whose segments are missing. An upload that broke
+    off goes on when it is begun again. Credentials come from the environment
+    (AWS_ACCESS_KEY_ID …), as for gs:// and az:// addresses.
+    """
+    if partial_accepted():
+        raise click.UsageError("--partial: a scene is uploaded whole, expected it without")
+    if not names_folder(folder):
+        raise click.UsageError(
+            f"{folder}: is a file, expected a folder, as cogsplat unpack writes one"
+        )
+    settings = {"endpoint": endpoint, "region": region}
+    target = Bucket(bucket, {name: value for name, value in settings.items() if value})
+    with (
+        Stages(shown=not (quiet or as_json)) as stages,
+        cogsplat.open(folder, limits=current_limits()) as file,
+    ):
+        plan = plan_upload(file, folder, target)
+        if not dry_run:
+            send(plan, file, target, concurrency=concurrency, progress=stages)
+    unused = Unused()
+    if delete:
+        unused = find_unused(target, older_than=timedelta(hours=older_than))
+        if unused.names and not dry_run:
+            if not yes:
+                _ask(unused, target.name, as_json=as_json)
+            delete_unused(unused, target)
+    if as_json:
+        say_json(
+            {
+                "source": str(folder),
+                "output": target.name,
+                "dry_run": dry_run,
+                "segments_written": len(plan.segments),
+                "segment_bytes_written": plan.segment_bytes,
+                "segments_shared": plan.there,
+                "manifest_written": plan.manifest_changes,
+                "deleted": len(unused.names),
+                "deleted_bytes": unused.size_bytes,
+                "seconds": stages.rounded(),
+            }
+        )
+    elif not quiet:
+        would = "would be " if dry_run else ""
+        say(
+            f"{target.name}: {counted(len(plan.segments), 'segment')} {would}written "
+            f"({size_text(plan.segment_bytes)}), {plan.there:,} there already; manifest "
+            f"{plan.manifest.name} {would + 'written' if plan.manifest_changes else 'the same'}"
+        )
+        if delete:
+            say(
+                f"{target.name}: {counted(len(unused.names), 'segment')} {would}deleted "
+                f"({size_text(unused.size_bytes)}), {unused.recent:,} unused and too new"
+            )
+
+
+def _ask(unused: Unused, name: str, *, as_json: bool) -> None:
+    question = (
+        f"Delete {counted(len(unused.names), 'segment')} ({size_text(unused.size_bytes)}) of "
+        f"{name} that {counted(len(unused.manifests), 'manifest')} do not need?"
+    )
+    if as_json:
+        raise click.UsageError("--delete and --json, expected --yes with them")
+    click.confirm(question, abort=True, err=True)
