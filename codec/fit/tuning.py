@@ -74,7 +74,7 @@ class TuneConfig:
     keep: float | None = None
     round_keep: float = 0.8
     round_steps: int = 150
-    recovery_steps: int = 300
+    recovery_steps: int = 500
     storing_steps: int = 400
     refresh: int = 10
     seconds: float | None = None

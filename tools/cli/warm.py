@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import click
 
 from cogsplat.codec.compiling import DeclaredKernel, declared_in
@@ -14,13 +16,19 @@ from cogsplat.tools.terminal.progress import Stages
 
 from .compile_ahead import CompileAhead
 
+# What `cogsplat tune` calls beside the kernels of an encode.
+_TRAINING: Final = tuple(
+    f"cogsplat.codec.fit.{name}" for name in ("tile_kernels", "splat_kernels", "adam", "losses")
+)
 
-def every_kernel(*, planned: bool) -> list[DeclaredKernel]:
-    """Return the kernels of all commands, those that plan views where `planned`."""
+
+def every_kernel(*, planned: bool, training: bool = False) -> list[DeclaredKernel]:
+    """Return the kernels of all commands; those that plan views or train where it is asked for."""
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.needed_kernels import needed_kernels
 
-    return needed_kernels(EncodeConfig(), planned=planned) + declared_in(KERNEL_MODULES)
+    trained = declared_in(_TRAINING) if training else []
+    return needed_kernels(EncodeConfig(), planned=planned) + declared_in(KERNEL_MODULES) + trained
 
 
 @click.command(epilog="\b\nExample:\n  cogsplat warm")
@@ -35,7 +43,7 @@ def warm(threads: int, quiet: bool, as_json: bool) -> None:
     user's cache folder.
     """
     with Stages(shown=not (quiet or as_json)) as stages:
-        kernels = every_kernel(planned=True)
+        kernels = every_kernel(planned=True, training=True)
         folders = sorted({str(kernel.folder) for kernel in kernels if kernel.folder is not None})
         if not folders:
             raise StorageError(

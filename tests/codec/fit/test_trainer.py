@@ -3,7 +3,9 @@ from dataclasses import replace
 import numpy as np
 import oracle
 import pytest
+from numba.core import sigutils
 
+from cogsplat.codec.compiling import declared_in
 from cogsplat.codec.fit.drawing import Gradients
 from cogsplat.codec.fit.lessons import lessons_of
 from cogsplat.codec.fit.trainer import TrainConfig, Trainer
@@ -86,6 +88,18 @@ def test_what_is_drawn_in_place_of_the_values_decides_how_they_move(taught):
     straight.run(30, 1.0, 0.3, drawn_as=replace(noisy, sh0=noisy.sh0 + np.float32(0.2)))
     shown = replace(straight.splats, sh0=straight.splats.sh0 + np.float32(0.2))
     assert mean_db(shown, lessons) > mean_db(straight.splats, lessons)
+
+
+def test_kernels_are_called_with_the_types_that_are_declared(taught):
+    _, lessons, noisy = taught
+    Trainer(noisy, lessons, TrainConfig(loss="photo")).run(1, 1.0, 1.0)
+    modules = ("tile_kernels", "splat_kernels", "adam", "losses")
+    kernels = declared_in(f"cogsplat.codec.fit.{name}" for name in modules)
+    assert len(kernels) == 6
+    for kernel in kernels:
+        types, _ = sigutils.normalize_signature(f"({kernel.types},)")
+        called = kernel.function.signatures  # type: ignore[attr-defined]
+        assert called == [types], f"{kernel.name}: called with {called}, declared {types}"
 
 
 def test_arrays_without_a_rate_stay(taught):
