@@ -206,7 +206,7 @@ DOORS: dict[str, dict[str, str]] = {
         "cuboid_program": "cheapest_partition",
         "grid_trees": "kd_partition octree_partition",
         "guillotine": "cut_costs",
-        "nested_cells": "DEFAULT_LARGEST NestedCells nested_cells",
+        "nested_cells": "DEFAULT_LARGEST NestedCells nested_cells parents",
     },
     "codec.rate": {
         "allocation": "equal_step lagrangian own_steps shn_step",
@@ -301,7 +301,10 @@ DOORS: dict[str, dict[str, str]] = {
         ),
         "folder_source": "FolderSource manifest_path names_folder",
         "folder_writer": "check_manifest_name pack_cogs unpack_cogs",
-        "layout": "MAGIC MAJOR MINOR PREAMBLE_BYTES SKIPPABLE_KIND SegmentKind unpack_preamble",
+        "layout": (
+            "COLOUR_BANDS MAGIC MAJOR MINOR PREAMBLE_BYTES SKIPPABLE_KIND SegmentKind "
+            "unpack_preamble"
+        ),
         "opening": "manifest_address open_place source_of_place with_place",
         "reader": "CogsFile open_cogs",
         "root": "Root",

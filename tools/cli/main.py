@@ -53,6 +53,7 @@ from .merge import merge
 from .order import order
 from .score import score
 from .serve import serve
+from .simulate import simulate
 from .stats import stats
 from .synth import demo, synth
 from .tune import tune
@@ -350,6 +351,7 @@ _COMMANDS: Final[Sequence[click.Command]] = (
     render,
     compare,
     evaluate,
+    simulate,
     bench,
     synth,
     demo,

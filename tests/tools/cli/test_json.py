@@ -122,6 +122,7 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
             "--sizes", "none", "--codecs", "splat", "--by-object", "all",
         ],
         "bench": [small.ply, *cameras, "--qualities", "35"],
+        "simulate": [small.cogs, *cameras, "--policy", "file", "--moments", 1],
         "synth": [out / "a.ply", "--splats", 1000],
         "demo": ["--out", out / "demo", "--splats", 1000],
         "warm": [],

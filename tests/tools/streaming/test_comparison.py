@@ -1,0 +1,56 @@
+"""Policies beside each other on a house: who chooses by view sees more of it for the same bytes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.formats.cogs.reader import CogsFile
+from cogsplat.tools.streaming.client import Link
+from cogsplat.tools.streaming.comparison import POLICIES, SHARES, Simulation
+from cogsplat.tools.streaming.traces import recorded
+from cogsplat.tools.synthetic.rooms import rooms_cameras, rooms_walk
+
+
+def small(cameras: list[Camera]) -> list[Camera]:
+    """Return the cameras with pictures of an eighth of the size."""
+    return [
+        replace(c, width=60, height=45, fx=c.fx / 8, fy=c.fy / 8, cx=c.cx / 8, cy=c.cy / 8)
+        for c in cameras
+    ]
+
+
+@pytest.fixture
+def simulation(house_file: CogsFile) -> Simulation:
+    return Simulation(house_file, small(rooms_cameras(4, views=4)), threads=1)
+
+
+def test_choosing_by_view_shows_more_than_the_order_of_the_file(simulation: Simulation) -> None:
+    found = simulation.at_rest(small(rooms_walk(4)[::15]), POLICIES)
+    assert set(found) == set(POLICIES)
+    file, views, oracle = (np.array(found[name]) for name in ("file", "views", "oracle"))
+    half = SHARES.index(0.5)
+    assert views[half] > file[half] + 3.0
+    assert oracle[half] > file[half] + 3.0
+    assert (np.diff(file) > 0.0).all()
+
+
+def test_along_a_trace_more_bytes_come_with_time(simulation: Simulation) -> None:
+    trace = recorded(small(rooms_walk(4)), 0.5)
+    total = 8.0 * float(simulation.units.end[-1])
+    seen = simulation.along(trace, Link(total / trace.seconds, 0.02), ["file", "views"], 4)
+    for moments in seen.values():
+        assert [moment.seconds for moment in moments] == pytest.approx(
+            [trace.seconds * part / 4 for part in (1, 2, 3, 4)], rel=0.01
+        )
+        sizes = [moment.bytes for moment in moments]
+        assert sizes == sorted(sizes)
+        assert sizes[0] < sizes[-1]
+
+
+def test_a_fast_link_ends_the_comparison_with_the_download(simulation: Simulation) -> None:
+    trace = recorded(small(rooms_walk(4)), 0.5)
+    (last,) = simulation.along(trace, Link(1e9, 0.0), ["file"], 1)["file"]
+    assert last.seconds < 0.01
+    assert last.psnr_db == 100.0

@@ -1,0 +1,145 @@
+"""Which unit a client wants next from a pose: by the file, by boxes, by what views show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.geometry.frustum import NEAR
+
+from .client import Priorities, Units
+
+F64 = NDArray[np.float64]
+
+# A chunk that a pose shows nothing of waits so many times as long as one of the usual share.
+_LEAST_SHARE: Final = 0.02
+# How many of the views nearest to a pose say what it shows.
+_NEAREST: Final = 3
+# What keeps SGSS' distance from 0; the paper does not state its value (Zhu et al., MMSys 2025).
+_EPSILON: Final = 1e-6
+
+
+def file_order(units: Units) -> Priorities:
+    """Return the order of the file, whatever the pose."""
+    order = -np.arange(len(units), dtype=np.float64)
+    return lambda _: order
+
+
+def nearest_boxes(units: Units, boxes: F64) -> Priorities:
+    """Return whole chunks by the distance of their boxes' middles from the eye."""
+    middles = 0.5 * (boxes[:, :3] + boxes[:, 3:])
+
+    def wanted(camera: Camera) -> F64:
+        away = middles - camera.position
+        return _of_units(units, -np.sqrt((away * away).sum(axis=1)))
+
+    return wanted
+
+
+def sgss(units: Units, boxes: F64, splats: F64) -> Priorities:
+    """Return SGSS' priority: density times share of the picture over distance; unseen chunks last.
+
+    Notes
+    -----
+    The share of the picture is that of the rectangle around a box's corners. SGSS' own test of
+    visibility, by three projections, and its high and low priorities of requests are left out:
+    what comes first is what counts here.
+    """
+    size = np.maximum(boxes[:, 3:] - boxes[:, :3], 1e-9)
+    density = splats / size.prod(axis=1)
+
+    def wanted(camera: Camera) -> F64:
+        share, depth = _seen(boxes, camera)
+        return _of_units(units, density * share / (np.maximum(depth, 0.0) + _EPSILON))
+
+    return wanted
+
+
+def frustum(units: Units, boxes: F64, contribution: F64) -> Priorities:
+    """Return the file's order, with chunks put off by how little of a picture their boxes take."""
+
+    def wanted(camera: Camera) -> F64:
+        share, depth = _seen(boxes, camera)
+        near = np.maximum(depth, NEAR)
+        return _put_off(units, contribution * (share > 0.0) / (near * near), contribution)
+
+    return wanted
+
+
+def by_views(units: Units, table: F64, cameras: Sequence[Camera], contribution: F64) -> Priorities:
+    """Return the file's order, with chunks put off by how little the nearest views show of them.
+
+    Parameters
+    ----------
+    units : Units
+    table : (V, c) float64
+        Contribution of each chunk to each view.
+    cameras : sequence of Camera
+        The views.
+    contribution : (c,) float64
+        Of each chunk, as the file has it.
+    """
+    places = np.stack([camera.position for camera in cameras])
+    forward = np.stack([camera.rotation[2] for camera in cameras])
+    spread = np.sqrt(np.square(places - places.mean(axis=0)).sum(axis=1).mean())
+
+    def wanted(camera: Camera) -> F64:
+        away = np.sqrt(np.square(places - camera.position).sum(axis=1)) / max(spread, 1e-9)
+        # Half a turn counts as much as twice the spread of the views.
+        turned = 1.0 - (forward * camera.rotation[2]).sum(axis=1)
+        far = away + turned
+        nearest = np.argsort(far, kind="stable")[:_NEAREST]
+        weights = 1.0 / (far[nearest] + 1e-3)
+        shown = (table[nearest] * weights[:, None]).sum(axis=0) / weights.sum()
+        return _put_off(units, shown, contribution)
+
+    return wanted
+
+
+def by_pose(units: Units, contributions: Callable[[Camera], F64], contribution: F64) -> Priorities:
+    """Return the same by what the pose itself shows, which no client can know."""
+    return lambda camera: _put_off(units, contributions(camera), contribution)
+
+
+def _put_off(units: Units, shown: F64, contribution: F64) -> F64:
+    """Return minus the place in the file, put off where a chunk shows less than usual."""
+    total, usual = float(shown.sum()), contribution / max(float(contribution.sum()), 1e-300)
+    if not total > 0.0:
+        return -units.end.astype(np.float64)
+    share = np.maximum(shown / total / np.maximum(usual, 1e-12), _LEAST_SHARE)
+    of_units = np.where(units.chunk >= 0, share[np.maximum(units.chunk, 0)], 1.0)
+    result: F64 = -(units.end / of_units)
+    return result
+
+
+def _of_units(units: Units, of_chunks: F64) -> F64:
+    """Return each chunk's priority for its units; codebooks come with what needs them."""
+    priorities = np.where(units.chunk >= 0, of_chunks[np.maximum(units.chunk, 0)], -np.inf)
+    # Among equals, such as the segments of one chunk, the order of the file.
+    rank = np.argsort(np.lexsort((np.arange(len(units)), -priorities)), kind="stable")
+    return -rank.astype(np.float64)
+
+
+def _seen(boxes: F64, camera: Camera) -> tuple[F64, F64]:
+    """Return the share of a picture that each box takes, and the depth of its middle."""
+    corners = np.stack(
+        [boxes[:, [3 * (i & 1), 1 + 3 * (i >> 1 & 1), 2 + 3 * (i >> 2)]] for i in range(8)], axis=1
+    )
+    local = corners @ camera.rotation.T + camera.translation
+    depth = (0.5 * (boxes[:, :3] + boxes[:, 3:])) @ camera.rotation[2] + camera.translation[2]
+    before = local[:, :, 2].max(axis=1) > NEAR
+    z = np.maximum(local[:, :, 2], NEAR)
+    share = before.astype(np.float64)
+    for axis, focal, middle, size in (
+        (0, camera.fx, camera.cx, camera.width),
+        (1, camera.fy, camera.cy, camera.height),
+    ):
+        across = (focal * local[:, :, axis] / z + middle) / size
+        low = np.clip(across.min(axis=1), 0.0, 1.0)
+        high = np.clip(across.max(axis=1), 0.0, 1.0)
+        share *= high - low
+    return share, depth
