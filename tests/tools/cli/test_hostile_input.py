@@ -57,8 +57,9 @@ def test_every_command_that_reads_takes_limits() -> None:
         if not isinstance(command, click.Group)
         and all("--limits" not in option.opts for option in command.params)
     ]
-    # The scenes of a batch take limits among their options; the others make what they read.
-    assert without == ["batch", "synth", "demo", "warm"]
+    # The scenes of a batch take limits among their options, a server decodes nothing, the others
+    # make what they read.
+    assert without == ["batch", "serve", "synth", "demo", "warm"]
 
 
 def test_limits_of_cameras(run: Run, small: SmallScene, tmp_path: Path) -> None:
