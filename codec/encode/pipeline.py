@@ -35,7 +35,7 @@ from .compensation_fit import blank, compensated
 from .config import EncodeConfig
 from .encoded import EncodedScene, EncodeReport
 from .encoder import encode_chunks
-from .prefix_quality import WHOLE_VIEWS, PrefixEvaluator, predicted, whole_measured
+from .prefix_quality import PrefixEvaluator, predicted, whole_measured
 from .prepared import PreparedScene, prepare
 from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .rate_control import Hit, Target, to_finished_size, to_nominal, to_psnr
@@ -176,7 +176,7 @@ def encode(
     if len(splats) and views and (fits or split_name(config.order)[0] == "gain"):
         references = render_references(
             splats,
-            views,
+            evenly(views, preset.reference_views),
             jittered=settings.jitter and preset.reference_jitter,
             pixels=preset.reference_pixels,
             threads=config.threads,
@@ -309,7 +309,7 @@ class _Finishing:
     @cached_property
     def evaluator(self) -> PrefixEvaluator:
         """Pictures of the source in the test views: drawn once, for a search and a prediction."""
-        prepared, views = self.prepared, evenly(self.test_views, WHOLE_VIEWS)
+        prepared, views = self.prepared, evenly(self.test_views, self.preset.test_views)
         return PrefixEvaluator(
             prepared.source,
             views,

@@ -26,9 +26,6 @@ from .measured_prefixes import interpolated, measured_prefixes
 PREFIX_VIEWS: Final = 8
 """Views that prefixes are predicted in, at most."""
 
-WHOLE_VIEWS: Final = 32
-"""Views that the whole is predicted in, at most: a mean over few depends on which they are."""
-
 # Pixels of a view that are compared at least, where it has so many: one tile in so many. The mean
 # over 32 views moves by a few hundredths of a dB.
 _PIXELS: Final = 1 << 17

@@ -39,6 +39,12 @@ class Preset:
         `ScoreConfig.sensitivity_every` of the profile that uses sensitivities.
     prediction_views : int
         Views that the quality of prefixes is predicted in, at most.
+    test_views : int
+        Views that the quality of the whole is predicted in, and a nominal quality corrected, at
+        most: a mean over few depends on which they are.
+    reference_views : int
+        Cameras that reference views are drawn of, at most; never more than
+        `reference_views.MOST_VIEWS`.
     reference_pixels : int
         Most pixels of a reference view, which gains and compensation are measured in.
     reference_jitter : bool
@@ -60,6 +66,8 @@ class Preset:
     jitter_copies: int
     sensitivity_every: int
     prediction_views: int
+    test_views: int = 32
+    reference_views: int = 1024
     reference_pixels: int = PICTURE_PIXELS
     reference_jitter: bool = True
     gain: GainEffort = field(default_factory=GainEffort)
@@ -137,6 +145,8 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             jitter_copies=1,
             sensitivity_every=2,
             prediction_views=4,
+            test_views=20,
+            reference_views=24,
             reference_pixels=PICTURE_PIXELS // 4,
             reference_jitter=False,
             gain=GainEffort(until=0.1, growth=0.3, views=8),

@@ -21,7 +21,6 @@ from cogsplat.codec.progress import StageCost
 from cogsplat.codec.scoring.reference_views import PICTURE_PIXELS
 
 from .config import EncodeConfig
-from .prefix_quality import WHOLE_VIEWS
 from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .rate_control import Target
 
@@ -104,7 +103,7 @@ def stage_costs(
     if seen and (fits or order == "gain"):
         share = preset.reference_pixels / PICTURE_PIXELS
         drawn = 1.0 if preset.reference_jitter else _WITHOUT_COPIES
-        costs.append(_referred(splats, views, drawn * share * pixels, drawn))
+        costs.append(_referred(splats, min(views, preset.reference_views), share * pixels, drawn))
     if order == "gain":
         costs.append(_gained(splats, preset))
     costs.append(StageCost("order", _of_scene(_ORDER, splats)))
@@ -116,7 +115,9 @@ def stage_costs(
         costs += [StageCost("codebooks", books)] if books else []
         costs += [StageCost("quantisers", quantisers), StageCost("chunks", chunks)]
     else:
-        looked = min(WHOLE_VIEWS, views) if target is None or target.psnr_db is not None else 0
+        looked = (
+            min(preset.test_views, views) if target is None or target.psnr_db is not None else 0
+        )
         trial = books + quantisers + chunks + looked * _ONE_RENDER * prediction
         trials = _NOMINAL_TRIALS if target is None else _TRIALS
         costs.append(StageCost("search", trial * trials, inner="chunks"))
@@ -185,7 +186,7 @@ def _scored(splats: int, views: int, pixels: float, preset: Preset, *, jitter: b
 
 
 def _referred(splats: int, views: int, pixels: float, drawn: float = 1.0) -> StageCost:
-    return StageCost("reference views", _of_view(_REFERENCE, pixels, drawn * splats), views)
+    return StageCost("reference views", drawn * _of_view(_REFERENCE, pixels, splats), views)
 
 
 def _gained(splats: int, preset: Preset) -> StageCost:
