@@ -76,7 +76,7 @@ def test_the_report_says_whose_views_were_scored_and_predicted_in(scene, views):
     report = pipeline.encode(scene, config, score_config=ONCE, preset=FAST).report
     assert (report.views, report.test_views) == ("planned", "planned")
     assert 0.9 <= report.coverage <= 1.0
-    assert len(report.test_psnr_db) == 32
+    assert len(report.test_psnr_db) == FAST.test_views
 
 
 def test_cameras_that_leave_out_much_are_warned_of(scene, views):
