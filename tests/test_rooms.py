@@ -161,7 +161,7 @@ DOORS: dict[str, dict[str, str]] = {
         "encoder": "encode_chunks",
         "needed_kernels": "needed_kernels",
         "pipeline": "SizeOf encode",
-        "prefix_quality": "PrefixEvaluator WHOLE_VIEWS predicted",
+        "prefix_quality": "PrefixEvaluator predicted",
         "prepared": "PreparedScene prepare",
         "presets": "DEFAULT_PRESET PRESETS",
         "memory": "memory_need",

@@ -13,7 +13,7 @@ from cogsplat.codec.encode.compensation_fit import blank, compensated
 from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedScene
 from cogsplat.codec.encode.pipeline import SizeOf
-from cogsplat.codec.encode.prefix_quality import WHOLE_VIEWS, PrefixEvaluator, predicted
+from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, predicted
 from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.rate_control import Target
@@ -113,7 +113,7 @@ class Storing:
             progress=progress,
         )
         self._evaluator = PrefixEvaluator(
-            source, evenly(test_views or cameras, WHOLE_VIEWS), threads
+            source, evenly(test_views or cameras, self._preset.test_views), threads
         )
         self._scored_views = len(views)
 
