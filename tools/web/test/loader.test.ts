@@ -71,7 +71,7 @@ test("segments behind the first 64 KiB come by ranges, without the bytes between
   assert.ok(bytes < 120_000, `${bytes} bytes of ${PADDED.length}`);
 });
 
-for (const fault of ["status-503", "cut"] as const) {
+for (const fault of ["status-500", "status-503", "cut", "shorter"] as const) {
   test(`a request that fails once with ${fault} is made again`, async () => {
     for (const failing of [0, 1]) {
       const { last, ranges } = await streamFrom(PADDED, (number) => (number === failing ? fault : undefined));
@@ -131,6 +131,25 @@ for (const [fault, isIt] of [
 ] as const) {
   test(`an answer with ${fault} is refused`, async () => {
     await assert.rejects(streamFrom(PADDED, (number) => (number > 0 ? fault : undefined)), isIt);
+  });
+}
+
+for (const fault of ["shorter", "weak-etag"] as const) {
+  test(`a server whose answers are all of ${fault} is read all the same, because each brings something new`, async () => {
+    const { last } = await streamFrom(PADDED, () => fault);
+    checkWhole(PADDED, last);
+  });
+}
+
+for (const [fault, isIt] of [
+  ["status-403", (error: unknown) => error instanceof SourceError && error.status === 403],
+  ["status-404", (error: unknown) => error instanceof SourceError && error.status === 404],
+  ["status-416", (error: unknown) => error instanceof CogsplatError && error.code === "source-changed"],
+] as const) {
+  test(`${fault} in the middle ends the stream at once`, async () => {
+    let asked = 0;
+    await assert.rejects(streamFrom(PADDED, (number) => (++asked, number > 0 ? fault : undefined)), isIt);
+    assert.ok(asked <= 1 + 6, "no request is made again");
   });
 }
 

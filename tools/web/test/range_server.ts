@@ -4,7 +4,13 @@ import type { AddressInfo } from "node:net";
 /** What goes wrong with one request; nothing where it is undefined. */
 export type Fault =
   | "status-503"
+  | "status-403"
+  | "status-404"
+  | "status-416"
+  | "status-500"
   | "retry-after"
+  | "shorter"
+  | "weak-etag"
   | "cut"
   | "flip"
   | "wrong-range"
@@ -46,13 +52,23 @@ export class RangeServer {
     this.ranges.push([start, end]);
     const total = this.file.length;
     const body = Buffer.from(this.file.slice(start, end + 1));
-    response.setHeader("ETag", fault === "other-etag" ? '"b"' : '"a"');
+    const etags: Partial<Record<string, string>> = { "other-etag": '"b"', "weak-etag": `W/"${this.ranges.length}"` };
+    response.setHeader("ETag", etags[fault ?? ""] ?? '"a"');
     switch (fault) {
       case "hang":
         return;
+      case "status-403":
+      case "status-404":
+      case "status-416":
+      case "status-500":
       case "status-503":
-        response.writeHead(503).end();
+        response.writeHead(Number(fault.slice(-3))).end();
         return;
+      case "shorter": {
+        const part = body.subarray(0, Math.ceil(body.length / 2));
+        response.writeHead(206, { "Content-Range": `bytes ${start}-${start + part.length - 1}/${total}`, "Content-Length": part.length }).end(part);
+        return;
+      }
       case "retry-after":
         response.writeHead(503, { "Retry-After": "1" }).end();
         return;

@@ -89,7 +89,8 @@ export class HttpSource implements ByteSource {
     const total = status === 200 ? lengthOf(headers) : stated && stated[3] !== "*" ? Number(stated[3]) : undefined;
     if (status === 206 && contentRange !== null) {
       const end = Math.min(range.offset + range.length, total ?? Infinity) - 1;
-      if (stated === null || Number(stated[1]) !== range.offset || Number(stated[2]) !== end) {
+      // A server may give fewer bytes than it was asked for; the rest is asked for again.
+      if (stated === null || Number(stated[1]) !== range.offset || Number(stated[2]) < range.offset || Number(stated[2]) > end) {
         throw new SourceError(`${what}: an answer of ${contentRange}`, status);
       }
     }

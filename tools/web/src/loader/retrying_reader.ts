@@ -37,7 +37,7 @@ export class RetryingReader {
       if (total !== undefined && received < expected) {
         throw new SourceError(`${received} bytes in the place of ${expected} from byte ${range.offset}`, undefined, true);
       }
-    });
+    }, () => received);
   }
 
   /** All bytes of a range. */
@@ -64,14 +64,17 @@ export class RetryingReader {
         if (received === range.length) return;
       }
       throw new SourceError(`${received} bytes in the place of ${range.length} from byte ${range.offset}`, undefined, true);
-    });
+    }, () => received);
   }
 
-  private async attempt<T>(signal: AbortSignal | undefined, work: () => Promise<T>): Promise<T> {
+  /** @param received - Bytes so far: an attempt that brought some is none that failed. */
+  private async attempt<T>(signal: AbortSignal | undefined, work: () => Promise<T>, received = (): number => 0): Promise<T> {
+    let had = 0;
     for (let attempt = 1; ; attempt++) {
       try {
         return await work();
       } catch (error) {
+        if (received() > had) [had, attempt] = [received(), 1];
         const asked = askedWait(error);
         const isLast = attempt > this.retry.retries || asked > this.retry.longestWait;
         if (signal?.aborted || isLast || !isRetryable(error)) throw error;

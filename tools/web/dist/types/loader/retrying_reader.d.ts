@@ -23,5 +23,6 @@ export declare class RetryingReader {
      * @param take - Receives the parts in order, without gaps.
      */
     parts(range: ByteRange, signal: AbortSignal, take: (part: Uint8Array) => void): Promise<void>;
+    /** @param received - Bytes so far: an attempt that brought some is none that failed. */
     private attempt;
 }
