@@ -108,7 +108,8 @@ def open(
     ----------
     path : path, URL, bytes, binary file object or Source
         A local file or folder (SPEC 3.4), a file on a web server as the text of its URL
-        (``https://``, with the extra ``http``), a file in memory, an open file that can seek, or
+        (``https://`` with the extra ``http``, ``s3://``, ``gs://`` or ``az://`` with ``cloud``), a
+        file in memory, an open file that can seek, or
         anything with `name`, `size`, `read(offset, length)` and `close`.
     partial : bool
         Accept a file that is still being received, or a folder that lacks segments.

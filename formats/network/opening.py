@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from .http_transport import HttpTransport
+from .object_transport import ObjectTransport
 from .options import NetworkOptions
 from .range_source import RangeSource
 from .urls import HTTP_SCHEMES, scheme_of, shown
@@ -16,7 +17,7 @@ def open_url(
     Parameters
     ----------
     url : str
-        ``http://`` or ``https://``.
+        ``http://``, ``https://``, or of an object store: ``s3://``, ``gs://``, ``az://``.
     options : NetworkOptions, optional
     fresh : bool
         Go around caches.
@@ -31,7 +32,7 @@ def open_url(
     StorageError
         As `RangeSource` says.
     MissingExtraError
-        ``needs-http``: the packages of the extra are not installed.
+        ``needs-http``, ``needs-cloud``: the packages of the extra are not installed.
     ValueError
         It is no such address.
 
@@ -46,4 +47,6 @@ def open_url(
     options = options or NetworkOptions()
     if scheme in HTTP_SCHEMES:
         return RangeSource(HttpTransport(url, options), shown(url), options, fresh=fresh)
+    if scheme:
+        return RangeSource(ObjectTransport(url, options), shown(url), options, fresh=fresh)
     raise ValueError(f"{shown(url)!r}, expected the address of a file")
