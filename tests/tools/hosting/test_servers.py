@@ -1,0 +1,136 @@
+"""Servers that people use, with the configurations of ``docs/hosting.md``, examined as they run."""
+
+import functools
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from running import ROOT, SmallScene
+
+import cogsplat
+from cogsplat.formats.cogs.folder_writer import unpack_cogs
+from cogsplat.tools.hosting.doctor import Diagnosis, examine
+
+PAGE = (ROOT / "docs" / "hosting.md").read_text(encoding="utf-8")
+COMPRESSING = "gzip on; gzip_types application/octet-stream; gzip_proxied any; gzip_min_length 1;"
+
+
+def needs(program: str) -> pytest.MarkDecorator:
+    """Skip where a server is not installed; in CI, which installs it, fail instead."""
+    there = shutil.which(program, path=f"{os.environ.get('PATH', '')}:/usr/sbin:/usr/bin")
+    return pytest.mark.skipif(not there and "CI" not in os.environ, reason=f"needs {program}")
+
+
+def recipe(heading: str) -> str:
+    section = PAGE.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+    return re.findall(r"^```text\n(.*?)^```$", section, re.MULTILINE | re.DOTALL)[0]
+
+
+@functools.cache
+def free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+@contextmanager
+def running(words: list[str], folder: Path) -> Iterator[str]:
+    port = free_port()
+    environment = os.environ | {"HOME": str(folder), "XDG_DATA_HOME": str(folder)}
+    environment["PATH"] += ":/usr/sbin"
+    with subprocess.Popen(
+        words, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as server:
+        for _ in range(300):
+            try:
+                socket.create_connection(("127.0.0.1", port), 1).close()
+                break
+            except OSError:
+                assert server.poll() is None, "the server ended"
+                time.sleep(0.1)
+        yield f"http://127.0.0.1:{port}/"
+        server.terminate()
+
+
+@pytest.fixture
+def www(small: SmallScene, tmp_path: Path) -> Path:
+    folder = tmp_path / "www"
+    folder.mkdir()
+    shutil.copyfile(small.cogs, folder / "scene.cogs")
+    with cogsplat.open(small.cogs) as file:
+        unpack_cogs(file, folder / "scene")
+    for path in (tmp_path, *tmp_path.parents[:2]):
+        # nginx gives up the rights of root.
+        path.chmod(0o755)
+    return folder
+
+
+def nginx(www: Path, server: str, http: str = "") -> list[str]:
+    base = www.parent
+    temporary = "".join(
+        f"{kind}_temp_path {base}/{kind};\n"
+        for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
+    )
+    (base / "nginx.conf").write_text(
+        f"daemon off; pid {base}/nginx.pid; error_log {base}/nginx.log;\n"
+        f"events {{ }}\nhttp {{ access_log off; {temporary} {http}\n{server}\n}}\n"
+    )
+    return ["nginx", "-c", str(base / "nginx.conf"), "-e", str(base / "nginx.log")]
+
+
+def examined(words: list[str], www: Path) -> tuple[Diagnosis, Diagnosis]:
+    with running(words, www.parent) as url:
+        return examine(f"{url}scene.cogs"), examine(f"{url}scene/")
+
+
+def codes(found: Diagnosis) -> set[str]:
+    assert found.content == []
+    assert found.content_read
+    return {finding.code for finding in found.host}
+
+
+@needs("nginx")
+def test_nginx_as_the_page_has_it_has_nothing_to_change(www: Path) -> None:
+    text = recipe("nginx").replace("listen 80", f"listen 127.0.0.1:{free_port()}")
+    file, folder = examined(nginx(www, text.replace("/var/www", str(www))), www)
+    assert (codes(file), codes(folder)) == (set(), set())
+    assert file.server.startswith("nginx")
+
+
+@needs("nginx")
+def test_nginx_that_compresses_scenes_ignores_ranges(www: Path) -> None:
+    plain = f"server {{ listen 127.0.0.1:{free_port()}; root {www}; }}"
+    file, folder = examined(
+        nginx(www, plain, f"default_type application/octet-stream; {COMPRESSING}"), www
+    )
+    assert "http-encoding-range" in codes(file)
+    assert "http-encoding-whole" in codes(folder)
+
+
+@needs("caddy")
+def test_caddy_as_the_page_has_it_has_nothing_to_change(www: Path) -> None:
+    text = recipe("Caddy").replace("http://:80", f"http://127.0.0.1:{free_port()}")
+    path = www.parent / "Caddyfile"
+    path.write_text("{\n admin off\n}\n" + text.replace("/var/www", str(www)))
+    words = ["caddy", "run", "--config", str(path), "--adapter", "caddyfile"]
+    file, folder = examined(words, www)
+    assert (codes(file), codes(folder)) == (set(), set())
+    assert file.server == "Caddy"
+
+
+def test_pythons_server_has_no_ranges_and_serves_folders(www: Path) -> None:
+    words = [sys.executable, "-m", "http.server", "-b", "127.0.0.1", "-d", str(www)]
+    file, folder = examined([*words, str(free_port())], www)
+    assert codes(file) >= {"http-ranges-ignored", "http-etag-missing", "cors-origin"}
+    severities = {x.code: x.severity for x in folder.host}
+    assert severities["http-ranges-ignored"] == "note"
+    assert "error" not in severities.values()
+    assert codes(folder) >= {"http-etag-missing", "cache-immutable"}
