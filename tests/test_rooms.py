@@ -321,6 +321,7 @@ DOORS: dict[str, dict[str, str]] = {
         "opening": "open_url",
         "options": "NetworkOptions",
         "range_source": "RangeSource",
+        "segment_cache": "SegmentCache",
         "traffic": "Traffic",
         "urls": "HTTP_SCHEMES STORE_SCHEMES is_url scheme_of shown",
     },

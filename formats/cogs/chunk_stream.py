@@ -154,9 +154,12 @@ class ChunkStream:
         ranges = [(int(index.offsets[row]), int(index.segments.length[row])) for row in order]
         shown: dict[int, tuple[bool, bool, bool]] = {}
         coarse: dict[int, None] = {}
-        with prefetching(self._source, ranges) as self._cancel:
+        kept = {row for row in order if self._file.is_kept(row)}
+        ahead = [span for row, span in zip(order, ranges, strict=True) if row not in kept]
+        with prefetching(self._source, ahead) as self._cancel:
             for row, (offset, length) in zip(order, ranges, strict=True):
-                if coarse and not has_arrived(self._source, offset, length):
+                is_here = row in kept or has_arrived(self._source, offset, length)
+                if coarse and not is_here:
                     # While the next segment is on its way there is time to show what came.
                     yield from self._changed(coarse, shown, missing)
                     coarse.clear()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -79,6 +79,7 @@ def ranges_to_decode(
     refine: bool,
     extras: bool,
     level: int | None = None,
+    is_kept: Callable[[int], bool] = lambda row: False,
 ) -> list[tuple[int, int]]:
     """Return the ranges that decoding chunks takes, in the order in which to fetch them.
 
@@ -93,6 +94,8 @@ def ranges_to_decode(
         Whether refinements and extra attributes are read.
     level : int, optional
         Whose opacities are read; by default the finest.
+    is_kept : callable
+        Whether a segment, by its row, need not be fetched.
 
     Returns
     -------
@@ -109,7 +112,11 @@ def ranges_to_decode(
     ordered: list[int] = []
     for group in _groups(index, [books, *each]):
         ordered += sorted(group)
-    return [(int(index.offsets[row]), int(index.segments.length[row])) for row in ordered]
+    return [
+        (int(index.offsets[row]), int(index.segments.length[row]))
+        for row in ordered
+        if not is_kept(row)
+    ]
 
 
 def _groups(index: AnyIndex, each: Sequence[Sequence[int]]) -> Iterator[list[int]]:

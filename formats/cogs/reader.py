@@ -422,7 +422,13 @@ class CogsFile(StoredFile):
             return nullcontext(lambda: None)
         return self._source.prefetch(
             ranges_to_decode(
-                self._index, chunks, sh_degree=degree, refine=refine, extras=extras, level=level
+                self._index,
+                chunks,
+                sh_degree=degree,
+                refine=refine,
+                extras=extras,
+                level=level,
+                is_kept=self.is_kept,
             )
         )
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from cogsplat.codec.errors import FormatError, TruncatedError
 from cogsplat.codec.splats import MAX_SH_DEGREE
+from cogsplat.formats.network.segment_cache import SegmentCache
 from cogsplat.formats.network.traffic import Traffic
 from cogsplat.formats.storage.source import RemoteSource, Source, is_there
 
@@ -58,6 +59,8 @@ class StoredFile:
     def __init__(self, source: Source, index: AnyIndex) -> None:
         self._source = source
         self._index = index
+        cache = getattr(source, "cache", None)
+        self._cache = cache if isinstance(cache, SegmentCache) else None
         self.root = index.root
         self.file_length = index.file_length
         self.missing_bytes = max(0, index.file_length - source.size) + gap_bytes(source, index)
@@ -211,8 +214,12 @@ class StoredFile:
         """
         offset = int(self.offsets[row])
         length = int(self.segments.length[row])
-        data = self._source.read(offset, length)
         crc = int(self.segments.crc[row])
+        key = self.segments.hash[row].tobytes()
+        kept = None if self._cache is None else self._cache.get(key)
+        if kept is not None and len(kept) == length and zlib.crc32(kept) == crc:
+            return memoryview(kept)
+        data = self._source.read(offset, length)
         if zlib.crc32(data) != crc and isinstance(self._source, RemoteSource):
             # A cache may hold bytes of another version of the file (SPEC 8.8).
             data = self._source.reread(offset, length)
@@ -224,7 +231,14 @@ class StoredFile:
                 clause="5.3",
                 offset=offset,
             )
+        if self._cache is not None:
+            self._cache.put(key, data)
         return memoryview(data)
+
+    def is_kept(self, row: int) -> bool:
+        """Whether a segment is on disk already, of a file that is read over a network."""
+        cache = self._cache
+        return cache is not None and cache.has(self.segments.hash[row].tobytes())
 
     def rows_of(self, chunk: int) -> ChunkRows:
         """Return where a chunk's segments stand in the segment table."""

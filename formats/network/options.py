@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -46,6 +47,11 @@ class NetworkOptions:
     options_of_store : mapping of str to str
         For ``s3://``, ``gs://`` and ``az://``: configuration of obstore's store, such as
         ``endpoint`` and ``region``. What is not there is taken from the environment.
+    cache : path, optional
+        Folder in which segments are kept by their hashes, for the next time and for every other
+        scene that has them. Roots are fetched each time.
+    cache_bytes : int
+        What is kept there, nearly.
     random : callable
         Gives the share of a pause that is left to chance, 0 to 1.
 
@@ -69,6 +75,8 @@ class NetworkOptions:
     request_bytes: int = 4 * MIB
     window_bytes: int = 32 * MIB
     options_of_store: Mapping[str, str] = field(default_factory=dict)
+    cache: str | os.PathLike[str] | None = None
+    cache_bytes: int = 1 << 30
     random: Callable[[], float] | None = None
 
     def __post_init__(self) -> None:

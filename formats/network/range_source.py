@@ -7,6 +7,7 @@ import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 from cogsplat.codec.errors import Cancelled, CogsplatWarning, TruncatedError
 from cogsplat.formats.storage.source import Cancel
@@ -15,6 +16,7 @@ from .answers import Transport
 from .options import NetworkOptions
 from .range_queue import Piece
 from .range_reader import BEGINNING_BYTES, RangeReader
+from .segment_cache import SegmentCache
 from .traffic import Traffic
 
 
@@ -63,6 +65,10 @@ class RangeSource:
         self._moved = self._reader.moved
         self._pieces: dict[tuple[int, int], Piece] = {}
         self._told = False
+        options = options or NetworkOptions()
+        self.cache: SegmentCache | None = None
+        if options.cache is not None:
+            self.cache = SegmentCache(Path(options.cache), options.cache_bytes)
         self._thread = threading.Thread(
             target=self._run, name=f"cogsplat fetches {name}", daemon=True
         )
