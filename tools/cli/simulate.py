@@ -34,7 +34,7 @@ from .serve import BitRate
 @click.command(
     epilog="\b\nExample:\n"
     "  cogsplat simulate scene.cogs --cameras scene.cameras.json\n"
-    "  cogsplat simulate house.cogs --cameras house.cameras.json --trace house.walk.json"
+    "  cogsplat simulate house.cogs --cameras views.json --trace house.walk.json"
 )
 @click.argument("path", type=INPUT, metavar="IN.cogs")
 @click.option("--cameras", type=PATH, required=True, metavar="PATH", help="Views of the scene.")

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr
-from cogsplat.codec.render.rasteriser import RenderConfig, render
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
@@ -49,6 +47,9 @@ class ShownScene:
 
     def contributions(self, camera: Camera) -> F64:
         """Return what each chunk contributes to a picture, (c,) float64."""
+        # Imported late: commands that only decode need no compiler.
+        from cogsplat.codec.scoring.contribution import ScoreConfig, score
+
         config = ScoreConfig(jitter=False, threads=self._threads)
         by_splat = score(self._fine, [camera], config).contribution
         starts = [run.start for run in self._runs]
@@ -56,6 +57,8 @@ class ShownScene:
 
     def picture(self, camera: Camera) -> NDArray[np.float32]:
         """Return the picture of the whole."""
+        from cogsplat.codec.render.rasteriser import RenderConfig, render
+
         return np.clip(render(self._fine, camera, RenderConfig(threads=self._threads)), 0.0, 1.0)
 
     def psnr_db(
@@ -74,6 +77,8 @@ class ShownScene:
             is_fine[self._runs[chunk]] = SegmentKind.REFINEMENT in have
             has_tail[self._runs[chunk]] = SegmentKind.TAIL in have
         drawn = self._drawn(np.flatnonzero(keep), is_fine, has_tail)
+        from cogsplat.codec.render.rasteriser import RenderConfig, render
+
         config = RenderConfig(threads=self._threads)
         return psnr(np.clip(render(drawn, camera, config), 0.0, 1.0), whole)
 
