@@ -50,9 +50,7 @@ class Shown:
 def terrace(tmp_path_factory: pytest.TempPathFactory) -> Shown:
     """The synthetic scene, in about 300 kB."""
     path = tmp_path_factory.mktemp("terrace") / "scene.cogs"
-    config = EncodeConfig(compensate=True)
-    cameras = synth_cameras(12, 160, 120)
-    cogsplat.encode(synth(40_000), path, cameras=cameras, preset="fast", config=config)
+    cogsplat.encode(synth(40_000), path, cameras=synth_cameras(12, 160, 120))
     return Shown(path, synth_cameras(48, 480, 360)[8], 0.32)
 
 
