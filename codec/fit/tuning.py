@@ -23,7 +23,7 @@ from cogsplat.codec.threads import ordered_map, thread_count
 
 from .deletion import deletion_errors
 from .drawing import Gradients, with_values
-from .lessons import Lessons
+from .lessons import Lessons, lessons_of
 from .pace import Pace
 from .storing import Storing
 from .trainer import TrainConfig, Trainer
@@ -106,8 +106,7 @@ class Milestone:
     splats : int
         That are left.
     psnr_db, worst_db : float
-        Mean over views and the worst of them, dB: of ``trained`` in the given views that teach, of
-        ``stored`` in the test views.
+        Mean over the test views and the worst of them, dB; ``trained`` in as many pixels as teach.
     size_bytes : int
         Of the whole file; 0 before the scene is stored.
     """
@@ -191,7 +190,17 @@ def tune(
         ``invalid-rows``; ``target-out-of-reach``.
     """
     source.require_valid()
-    run = _Run(source, lessons, target, config, checkpoint, notify, progress)
+    measured = lessons
+    if test_views:
+        measured = lessons_of(
+            source,
+            test_views,
+            copies=False,
+            background=lessons.configs[0].background,
+            threads=config.train.threads,
+            progress=progress,
+        )
+    run = _Run(source, lessons, measured, target, config, checkpoint, notify, progress)
     if resume is not None:
         run.restore(resume)
     if run.base is None:
@@ -212,6 +221,7 @@ class _Run:
         self,
         source: Splats,
         lessons: Lessons,
+        measured: Lessons,
         target: Target,
         config: TuneConfig,
         checkpoint: Callable[[State], None] | None,
@@ -220,6 +230,7 @@ class _Run:
     ) -> None:
         self.base: Splats | None = None
         self._lessons = lessons
+        self._measured = measured
         self._target = target
         self._config = config
         self._checkpoint = checkpoint
@@ -292,8 +303,8 @@ class _Run:
         return work + Pace.work(config.recovery_steps, end)
 
     def _measured_db(self) -> tuple[float, float]:
-        """Return the mean and the least PSNR in the given views, dB."""
-        lessons = self._lessons
+        """Return the mean and the least PSNR in the test views, dB."""
+        lessons = self._measured
 
         def measure(view: int) -> float:
             picture = render(self.trainer.splats, lessons.cameras[view], lessons.configs[view])

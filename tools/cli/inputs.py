@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -28,6 +28,9 @@ from cogsplat.tools.terminal.limits import current_limits
 from cogsplat.tools.terminal.partial import partial_accepted
 from cogsplat.tools.terminal.standard_streams import fetched, url_of
 from cogsplat.tools.terminal.values import ChunkRange
+
+if TYPE_CHECKING:
+    from cogsplat.codec.views.planner import ViewPlan
 
 EVAL_CAMERAS: Final = "eval_cameras.json"
 """File of test views beside a scene; splats are not scored in these views."""
@@ -387,17 +390,23 @@ def measured_in(cameras: Sequence[Camera], every: int) -> list[Camera]:
     return found if len(found) >= _FEWEST_TEST_VIEWS else allowed
 
 
-def virtual_views(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> list[Camera]:
-    """Plan the views of a scene that came without cameras.
+def planned_views(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> ViewPlan:
+    """Plan views, and others to test in, of a scene that came without cameras.
 
     Raises
     ------
     DataError
         ``empty-scene``.
     """
-    from cogsplat.codec.views.planner import ViewPlanConfig, plan_views
+    from cogsplat.codec.views.planner import ViewPlanConfig, plan
 
-    return plan_views(splats, ViewPlanConfig(threads=threads), progress=progress)
+    return plan(splats, ViewPlanConfig(threads=threads), progress=progress)
+
+
+def virtual_views(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> list[Camera]:
+    """Plan the views of a scene that came without cameras; see `planned_views`."""
+    found = planned_views(splats, threads=threads, progress=progress)
+    return found.views + found.covering_views
 
 
 def evaluation_cameras(

@@ -37,10 +37,10 @@ from .inputs import (
     given_cameras,
     given_files,
     measured_in,
+    planned_views,
     read_any,
     scoring_cameras,
     usable_rows,
-    virtual_views,
 )
 from .tune_checkpoint import fingerprint, read_checkpoint, write_checkpoint
 
@@ -160,8 +160,8 @@ def tune(
     """Train fewer splats to show what SCENE shows, and encode them.
 
     In rounds, splats whose absence changes the pictures least are left out and the others trained
-    to make up for them; then what is left trains on through the encoder's quantisers. A file of
-    equal PSNR is a half to a quarter of what encode makes.
+    to make up for them; then what is left trains on through the encoder's quantisers. How much
+    smaller the file becomes depends on the scene and on its cameras.
     """
     from cogsplat.codec.fit.lessons import lessons_of
     from cogsplat.codec.fit.trainer import TrainConfig
@@ -191,8 +191,12 @@ def tune(
                 raise DataError("empty-scene", f"{scene}: 0 splats, expected some to train")
         planned = views is None
         if views is None:
-            views = virtual_views(splats, threads=threads, progress=stages)
-        tests = measured_in(given_cameras(cameras), eval_every) if cameras else views
+            plan = planned_views(splats, threads=threads, progress=stages)
+            # Quality is not measured where the scene is trained: it is better there.
+            views, tests = plan.views + plan.covering_views, plan.test_views
+        else:
+            assert cameras is not None
+            tests = measured_in(given_cameras(cameras), eval_every)
         photos = None
         if images is not None:
             taken = read_photos(images, splats, views, background, threads=threads)

@@ -1,5 +1,6 @@
 """tune: a smaller file of fewer splats, checkpoints to go on from, and what is refused."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,11 @@ from PIL import Image
 from running import Run, SmallScene
 
 import cogsplat
+from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
+from cogsplat.codec.views.planner import ViewPlanConfig, plan
+from cogsplat.codec.views.view_sets import evenly
 
 # Steps of training become as few as they may be.
 SHORT = ["--minutes", "0.01", "--target-size", "20KB"]
@@ -34,6 +39,21 @@ def test_a_scene_becomes_smaller_and_is_told(run: Run, small: SmallScene, tmp_pa
     assert "stored: " in told.err
     again = run("tune", small.ply, out, "--cameras", small.cameras, *SHORT)
     assert (again.code, "[exists]" in again.err) == (2, True)
+
+
+@pytest.mark.slow
+def test_without_cameras_quality_is_measured_where_nothing_is_trained(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    out = tmp_path / "a.cogs"
+    told = run("tune", small.ply, out, *SHORT, "--json")
+    assert told.code == 0, told.err
+    said = json.loads(told.out)
+    source, decoded = cogsplat.read(small.ply), cogsplat.decode(out)
+    views = evenly(plan(source, ViewPlanConfig()).test_views, PRESETS["fast"].test_views)
+    assert said["test_views"] == {"from": "planned", "count": len(views)}
+    found = [psnr(render(source, view), render(decoded, view)) for view in views]
+    assert said["predicted_psnr_db"] == pytest.approx(np.mean(found), abs=0.3)
 
 
 @pytest.mark.slow
