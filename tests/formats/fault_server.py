@@ -156,6 +156,9 @@ class FaultServer:
         What happens to the first requests; the rest are answered right.
     always : Fault, optional
         What happens to all requests after those.
+    pages : dict of str to (str, bytes)
+        Media type and body of paths that are answered right and are no part of what is counted,
+        for browsers, which read the file from the server that their page is from.
     """
 
     data: bytes
@@ -167,6 +170,7 @@ class FaultServer:
     port: int = 0
     connections: int = 0
     open_connections: int = 0
+    pages: dict[str, tuple[str, bytes]] = field(default_factory=dict)
 
     def url(self, path: str = "scene.cogs") -> str:
         return f"http://127.0.0.1:{self.port}/{path}"
@@ -176,8 +180,13 @@ class FaultServer:
         self.open_connections += 1
         try:
             while (asked := await self._request(reader)) is not None:
-                self.asked.append(asked)
                 exchange = Exchange(self, asked, writer)
+                if asked.path in self.pages:
+                    kind, body = self.pages[asked.path]
+                    headers = {"Content-Type": kind, "Content-Length": str(len(body))}
+                    await exchange.send(200, headers, body)
+                    continue
+                self.asked.append(asked)
                 fault = self.faults.pop(0) if self.faults else self.always
                 await fault(exchange)
                 if not exchange.keep:
@@ -233,6 +242,9 @@ def listening(handler: Handler) -> Iterator[int]:
         port.append(made.sockets[0].getsockname()[1])
         ready.set()
         await stopping.wait()
+        # What was accepted last takes its place before the server closes; else it stays open.
+        loop.remove_reader(made.sockets[0].fileno())
+        await asyncio.sleep(0.01)
         made.close()
         for writer in writers:
             writer.transport.abort()

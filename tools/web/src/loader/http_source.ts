@@ -74,6 +74,7 @@ export class HttpSource implements ByteSource {
     const { status, headers } = response;
     const what = `bytes ${range.offset} to ${range.offset + range.length - 1} of ${String(this.url)}`;
     if (status === 416) throw new CogsplatError("source-changed", `the file ends before ${what}`);
+    if (status === 412) throw new CogsplatError("source-changed", `${what}: status 412, the file is another one`);
     if (status !== 206 && status !== 200) {
       const isRetryable = RETRYABLE.has(status);
       const wait = isRetryable ? retryAfter(headers.get("Retry-After"), headers.get("Date")) : undefined;
@@ -82,6 +83,10 @@ export class HttpSource implements ByteSource {
     const encoding = headers.get("Content-Encoding");
     if (encoding !== null && encoding !== "identity") {
       throw new SourceError(`${what}: an answer with Content-Encoding ${encoding} is not of these bytes`, status);
+    }
+    const type = headers.get("Content-Type");
+    if (status === 206 && type?.trim().toLowerCase().startsWith("multipart/byteranges")) {
+      throw new SourceError(`${what}: an answer of several parts, expected one range`, status);
     }
     const contentRange = headers.get("Content-Range");
     const stated = /^bytes (\d+)-(\d+)\/(\d+|\*)$/.exec(contentRange ?? "");

@@ -19,6 +19,9 @@ import { bytesPerSplat, type ChunkUpdate, type StreamOptions } from "./stream_op
 /** Bytes of the first request; they always hold the root (SPEC 8.1). */
 const FIRST_BYTES = 65_536;
 
+/** Reason codes of a beginning whose bytes are not those that were written. */
+const DAMAGED_ROOT: ReadonlySet<string> = new Set(["preamble-crc", "root-crc"]);
+
 /** How a scene is opened. */
 export interface OpenOptions {
   readonly signal?: AbortSignal;
@@ -62,7 +65,14 @@ export class StreamedScene {
    * ```
    */
   static async open(source: string | URL | Blob | ByteSource, options: OpenOptions = {}): Promise<StreamedScene> {
-    return StreamedScene.begin(source, options, false);
+    try {
+      return await StreamedScene.begin(source, options, false);
+    } catch (error) {
+      const isDamaged = error instanceof CogsplatError && DAMAGED_ROOT.has(error.code);
+      if (!isDamaged || (typeof source !== "string" && !(source instanceof URL))) throw error;
+      // A cache may hold damaged bytes; those of the server are asked for, once.
+      return StreamedScene.begin(source, { ...options, http: { ...options.http, fresh: true } }, false);
+    }
   }
 
   /**
