@@ -21,14 +21,17 @@ from cogsplat.tools.terminal.options import (
     eval_every_option,
     force_option,
     json_option,
+    quality_option,
     quiet_option,
+    taught_by_option,
     threads_option,
+    training_seed_option,
 )
 from cogsplat.tools.terminal.output import name_of, say, say_json, size_text, table
 from cogsplat.tools.terminal.output_names import COGS, check_name, format_option
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
-from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Colour
 
 from .inputs import given_cameras, given_files, read_any, usable_rows, virtual_views
@@ -71,29 +74,9 @@ _LEAST_PIXELS: Final = 11
     metavar="N",
     help="Training steps of each level; a view teaches in each.",
 )
-@click.option(
-    "--images",
-    type=PATH,
-    metavar="DIR",
-    help="Photos named as the cameras are: train against them. Without it the renders of SCENE "
-    "teach.",
-)
-@click.option(
-    "--quality",
-    type=click.FloatRange(10, 90),
-    default=40.0,
-    show_default=True,
-    metavar="DB",
-    help="Nominal PSNR of what is stored, as in encode.",
-)
-@click.option(
-    "--seed",
-    type=click.IntRange(0),
-    default=0,
-    show_default=True,
-    metavar="N",
-    help="Decides in which order the views teach.",
-)
+@taught_by_option
+@quality_option("Nominal PSNR of what is stored, as in encode.")
+@training_seed_option
 @eval_every_option(0, "Keep from training, and measure in, the")
 @format_option(["cogs"], "Without it, a name that says another format is refused.")
 @background_option

@@ -24,7 +24,9 @@ from cogsplat.tools.terminal.options import (
     json_option,
     quiet_option,
     target_psnr_option,
+    taught_by_option,
     threads_option,
+    training_seed_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
 from cogsplat.tools.terminal.output_names import COGS, check_distinct, check_name, format_option
@@ -84,13 +86,7 @@ _GROUPS: Final = {
     help="Train for about so long. Without it, the number of steps is fixed, and the result is "
     "the same on every run.",
 )
-@click.option(
-    "--images",
-    type=PATH,
-    metavar="DIR",
-    help="Photos named as the cameras are: train against them. Without it the renders of SCENE "
-    "teach.",
-)
+@taught_by_option
 @click.option(
     "--keep",
     type=click.FloatRange(0, 1, min_open=True),
@@ -105,14 +101,7 @@ _GROUPS: Final = {
     help="How the tuned scene is scored and ordered, as in encode; balanced and best show more of "
     "it in the first bytes.",
 )
-@click.option(
-    "--seed",
-    type=click.IntRange(0),
-    default=0,
-    show_default=True,
-    metavar="N",
-    help="Decides in which order the views teach.",
-)
+@training_seed_option
 @eval_every_option(0, "Keep from training the")
 @click.option(
     "--ply",

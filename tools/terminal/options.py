@@ -127,6 +127,29 @@ def target_psnr_option(what: str) -> Callable[[Command], Command]:
     return click.option("--target-psnr", type=click.FloatRange(5, 90), metavar="DB", help=what)
 
 
+def taught_by_option(command: Command) -> Command:
+    """Add ``--images`` of commands that train."""
+    return click.option(
+        "--images",
+        type=PATH,
+        metavar="DIR",
+        help="Photos named as the cameras are: train against them. Without it the renders of "
+        "SCENE teach.",
+    )(command)
+
+
+def training_seed_option(command: Command) -> Command:
+    """Add ``--seed`` of commands that train."""
+    return click.option(
+        "--seed",
+        type=click.IntRange(0),
+        default=0,
+        show_default=True,
+        metavar="N",
+        help="Decides in which order the views teach.",
+    )(command)
+
+
 def jitter_option(command: Command) -> Command:
     """Add ``--no-jitter``."""
     return click.option(
