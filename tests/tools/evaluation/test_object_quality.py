@@ -64,7 +64,7 @@ def test_each_object_is_measured_over_its_own_pixels() -> None:
 
 def test_a_scene_without_labels_is_refused() -> None:
     scene, _ = four_balls()
-    with pytest.raises(DataError, match="no attribute 'object'"):
+    with pytest.raises(DataError, match="expected labels of objects as the attribute 'object'"):
         object_qualities(scene, scene, [CAMERA])
     with pytest.raises(DataError, match="0 cameras"):
         object_qualities(scene, scene, [])

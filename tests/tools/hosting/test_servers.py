@@ -1,6 +1,7 @@
 """Servers that people use, with the configurations of ``docs/hosting.md``, examined as they run."""
 
 import functools
+import getpass
 import os
 import re
 import shutil
@@ -67,9 +68,6 @@ def www(small: SmallScene, tmp_path: Path) -> Path:
     shutil.copyfile(small.cogs, folder / "scene.cogs")
     with cogsplat.open(small.cogs) as file:
         unpack_cogs(file, folder / "scene")
-    for path in (tmp_path, *tmp_path.parents[:2]):
-        # nginx gives up the rights of root.
-        path.chmod(0o755)
     return folder
 
 
@@ -79,8 +77,9 @@ def nginx(www: Path, server: str, http: str = "") -> list[str]:
         f"{kind}_temp_path {base}/{kind};\n"
         for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
     )
+    # Of its own, nginx run by root serves as a user who may not read folders of tests.
     (base / "nginx.conf").write_text(
-        f"daemon off; pid {base}/nginx.pid; error_log {base}/nginx.log;\n"
+        f"user {getpass.getuser()}; daemon off; pid {base}/nginx.pid; error_log {base}/nginx.log;\n"
         f"events {{ }}\nhttp {{ access_log off; {temporary} {http}\n{server}\n}}\n"
     )
     return ["nginx", "-c", str(base / "nginx.conf"), "-e", str(base / "nginx.log")]
