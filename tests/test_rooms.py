@@ -300,7 +300,7 @@ DOORS: dict[str, dict[str, str]] = {
             "FolderMap MANIFEST_NAME MANIFEST_SUFFIX SEGMENT_FOLDER is_manifest segment_name"
         ),
         "folder_source": "FolderSource manifest_path names_folder",
-        "folder_writer": "check_manifest_name pack_cogs unpack_cogs",
+        "folder_writer": "check_manifest_name manifest_of pack_cogs unpack_cogs",
         "layout": (
             "COLOUR_BANDS MAGIC MAJOR MINOR PREAMBLE_BYTES SKIPPABLE_KIND SegmentKind "
             "unpack_preamble"

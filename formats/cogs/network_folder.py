@@ -15,6 +15,7 @@ from cogsplat.formats.network.faults import Backoff, PassingFault
 from cogsplat.formats.network.http_transport import HttpTransport
 from cogsplat.formats.network.options import NetworkOptions
 from cogsplat.formats.network.range_source import RangeSource
+from cogsplat.formats.network.traffic import Traffic
 from cogsplat.formats.network.urls import shown
 
 from . import layout
@@ -22,6 +23,9 @@ from .folder_map import FolderMap, Piece
 
 # Objects of one request that are asked for before the first of them is there.
 _AHEAD: Final = 6
+
+# Bytes of so many index pages are kept.
+_PAGES_KEPT: Final = 8
 
 
 class NetworkFolder(RangeSource):
@@ -72,7 +76,21 @@ class NetworkFolder(RangeSource):
         # A request of one byte at most: no two segments are asked for together.
         single = replace(options, gap_bytes=0, request_bytes=1)
         transport = FolderTransport(HttpTransport(url, options), folder, head, name, options)
-        super().__init__(transport, name, single, fresh=fresh)
+        self._objects = transport
+        self._head_bytes = len(head)
+        # No more than the root, which is there: segments are objects of their own.
+        super().__init__(transport, name, single, fresh=fresh, beginning_bytes=self._root_end)
+
+    @property
+    def traffic(self) -> Traffic:
+        """What was asked for and what came, object by object; the request for `head` counted."""
+        objects = self._objects
+        return replace(
+            super().traffic,
+            requests=1 + objects.requests,
+            received_bytes=self._head_bytes + objects.received_bytes,
+            failures=objects.failures,
+        )
 
     @property
     def opening_bytes(self) -> int:
@@ -92,6 +110,11 @@ class FolderTransport:
     name : str
         Names the folder in messages.
     options : NetworkOptions
+
+    Attributes
+    ----------
+    requests, received_bytes, failures : int
+        As in `Traffic`, of all objects.
     """
 
     def __init__(
@@ -107,14 +130,16 @@ class FolderTransport:
         self._map = folder
         self._head = folder.preamble + head[layout.PREAMBLE_BYTES :]
         self._name = name
+        self.requests = self.received_bytes = self.failures = 0
+        # The last pages that were read, by their place in the manifest.
+        self._pages: dict[tuple[int, int], bytes] = {}
 
     @asynccontextmanager
     async def get(self, first: int, end: int, *, fresh: bool = False) -> AsyncIterator[Answer]:
         """Ask for a range; see `answers.Transport.get`."""
         end = min(end, self._map.file_length)
         for page in self._map.pages_for(first, end - first):
-            data = await self._of_manifest(page.offset, page.length, fresh)
-            self._map.add_page(page.page, data)
+            self._map.add_page(page.page, await self._of_index(page.offset, page.length, fresh))
         stated = Stated(first, end, self._map.file_length, None, is_whole=False)
         parts = self._parts(self._map.pieces(first, end - first), fresh)
         try:
@@ -143,7 +168,7 @@ class FolderTransport:
 
     async def _bytes_of(self, piece: Piece, fresh: bool) -> bytes:
         if not piece.name:
-            return await self._of_manifest(piece.offset, piece.length, fresh)
+            return await self._of_index(piece.offset, piece.length, fresh)
         try:
             return await self._of_object(piece, fresh)
         except StorageError as error:
@@ -166,6 +191,7 @@ class FolderTransport:
             try:
                 await self._take(transport, piece, data, fresh)
             except PassingFault as fault:
+                self.failures += 1
                 if len(data) > before:
                     backoff.progressed()
                 await asyncio.sleep(backoff.pause_after(fault))
@@ -176,6 +202,7 @@ class FolderTransport:
     ) -> None:
         """Add to the bytes of a piece what one answer brings of those that are missing."""
         start, end = piece.offset + len(data), piece.offset + piece.length
+        self.requests += 1
         async with transport.get(start, end, fresh=fresh) as answer:
             stated = answer.stated
             if stated.total is not None and stated.total != piece.object_bytes:
@@ -185,6 +212,7 @@ class FolderTransport:
             received = 0
             async for part in answer.parts:
                 received += len(part)
+                self.received_bytes += len(part)
                 data += part[skip:]
                 skip = max(0, skip - len(part))
                 if received > piece.object_bytes:
@@ -206,9 +234,25 @@ class FolderTransport:
             clause="3.4",
         )
 
+    async def _of_index(self, offset: int, length: int, fresh: bool) -> bytes:
+        """Return bytes of the root or of a page; those of the last pages are kept.
+
+        A page is read as a part of the file and, to name segments, by the map.
+        """
+        place = offset, length
+        data = None if fresh else self._pages.get(place)
+        if data is None:
+            data = await self._of_manifest(offset, length, fresh)
+            if offset + length > len(self._head):
+                self._pages[place] = data
+            while len(self._pages) > _PAGES_KEPT:
+                del self._pages[next(iter(self._pages))]
+        return data
+
     async def _of_manifest(self, offset: int, length: int, fresh: bool) -> bytes:
         end = offset + length
         if end > len(self._head):
+            self.requests += 1
             async with self._manifest.get(offset, end, fresh=fresh) as answer:
                 stated = answer.stated
                 if stated.total is not None:
@@ -216,6 +260,7 @@ class FolderTransport:
                 data = b""
                 async for part in answer.parts:
                     data += part
+                    self.received_bytes += len(part)
                     if len(data) > self._map.manifest_bytes:
                         break
             if len(data) < (stated.end if stated.is_whole else length):

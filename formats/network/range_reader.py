@@ -46,6 +46,8 @@ class RangeReader:
     options : NetworkOptions
     fresh : bool
         Go around caches with every request.
+    beginning_bytes : int
+        What the first request asks for.
 
     Attributes
     ----------
@@ -62,10 +64,16 @@ class RangeReader:
     """
 
     def __init__(
-        self, transport: Transport, name: str, options: NetworkOptions, *, fresh: bool
+        self,
+        transport: Transport,
+        name: str,
+        options: NetworkOptions,
+        *,
+        fresh: bool,
+        beginning_bytes: int = BEGINNING_BYTES,
     ) -> None:
         self.moved = threading.Condition()
-        self.beginning = Piece(0, BEGINNING_BYTES)
+        self.beginning = Piece(0, beginning_bytes)
         self.size: int | None = None
         self.whole: WholeBody | None = None
         self.error: BaseException | None = None

@@ -35,6 +35,8 @@ class RangeSource:
     options : NetworkOptions
     fresh : bool
         Go around caches, because what they gave was damaged.
+    beginning_bytes : int
+        What the first request asks for.
 
     Raises
     ------
@@ -59,9 +61,16 @@ class RangeSource:
         options: NetworkOptions | None = None,
         *,
         fresh: bool = False,
+        beginning_bytes: int = BEGINNING_BYTES,
     ) -> None:
         self.name = name
-        self._reader = RangeReader(transport, name, options or NetworkOptions(), fresh=fresh)
+        self._reader = RangeReader(
+            transport,
+            name,
+            options or NetworkOptions(),
+            fresh=fresh,
+            beginning_bytes=beginning_bytes,
+        )
         self._moved = self._reader.moved
         self._pieces: dict[tuple[int, int], Piece] = {}
         self._told = False

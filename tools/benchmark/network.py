@@ -24,6 +24,8 @@ import click
 import numpy as np
 
 import cogsplat
+from cogsplat.formats.cogs.folder_map import MANIFEST_NAME, SEGMENT_FOLDER, segment_name
+from cogsplat.formats.cogs.folder_writer import manifest_of
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.cogs.root import Root
@@ -182,10 +184,30 @@ def _segment(file: CogsFile, row: int, owner: int) -> Segment:
     )
 
 
-def large_file(path: Path, tries: int, seed: int = 1) -> LargeFile:
-    """Open a large file over a server on this machine, and get some of its chunks."""
+def make_folder(path: Path, folder: Path) -> None:
+    """Write a large file as a folder: as `unpack_cogs`, but each object once."""
+    with cogsplat.open(path) as file:
+        _, first = np.unique(file.segments.hash, axis=0, return_index=True)
+        (folder / SEGMENT_FOLDER).mkdir(parents=True)
+        for row in first:
+            name = segment_name(file.segments.hash[row].tobytes())
+            (folder / name).write_bytes(file.read_segment(int(row)))
+        (folder / MANIFEST_NAME).write_bytes(manifest_of(file))
+
+
+def large_file(path: Path, tries: int, seed: int = 1, place: Path | None = None) -> LargeFile:
+    """Open a large file over a server on this machine, and get some of its chunks.
+
+    Parameters
+    ----------
+    path : Path
+    tries : int
+    seed : int
+    place : Path, optional
+        The folder that stands for the file, to be read in its place.
+    """
     chosen = random.Random(seed)
-    with served(path) as (url, _):
+    with served(place or path) as (url, _):
         # What importing and decoding take at first is no part of it.
         with cogsplat.open(path, size_bytes=1 << 20) as file:
             file.decode([0])
@@ -325,17 +347,21 @@ def main() -> None:
 @main.command()
 @click.option("--chunks", type=click.IntRange(min=1), default=100_000, show_default=True)
 @click.option("--tries", type=click.IntRange(min=0), default=20, show_default=True)
+@click.option("--folder", "as_folder", is_flag=True, help="As a folder of objects.")
 @json_option
-def large(chunks: int, tries: int, as_json: bool) -> None:
+def large(chunks: int, tries: int, as_folder: bool, as_json: bool) -> None:
     """Open a file of many chunks, and get single ones."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "large.cogs"
         # In a process of its own: what making it takes is not measured.
         command = "import sys; from pathlib import Path; "
-        command += "from cogsplat.tools.benchmark.network import make_large; "
-        command += "make_large(Path(sys.argv[1]), int(sys.argv[2]))"
-        subprocess.run([sys.executable, "-c", command, str(path), str(chunks)], check=True)
-        _tell(large_file(path, tries), as_json)
+        command += "from cogsplat.tools.benchmark.network import make_folder, make_large; "
+        command += "make_large(Path(sys.argv[1]), int(sys.argv[2])); "
+        command += "[make_folder(Path(sys.argv[1]), Path(x)) for x in sys.argv[3:]]"
+        place = [Path(folder) / "large"] if as_folder else []
+        arguments = [str(x) for x in (path, chunks, *place)]
+        subprocess.run([sys.executable, "-c", command, *arguments], check=True)
+        _tell(large_file(path, tries, place=place[0] if place else None), as_json)
 
 
 @main.command()

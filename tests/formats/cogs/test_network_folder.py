@@ -64,10 +64,16 @@ def test_one_chunk_takes_the_objects_that_it_needs(data: bytes) -> None:
     with serving(FaultServer(b"", always=of_folder(unpacked(data)))) as server:
         with cogsplat.open(server.url("scene/?key=1")) as file:
             file.decode([7], sh_degree=0)
+            assert file.traffic is not None
+            traffic = file.traffic
         asked = [asked.path for asked in server.asked]
     assert all(path.endswith("?key=1") for path in asked)
-    # The manifest, what the first 64 KiB of the file hold, and the head with its codebook.
-    assert len(set(asked)) <= len(unpacked(data[:])) // 2
+    # The manifest, the head and the codebook of its shapes.
+    assert len(set(asked)) == len(asked) == traffic.requests == 3
+    sizes = {name: len(x) for name, x in unpacked(data).items()}
+    assert traffic.received_bytes == sum(
+        sizes[path.removeprefix("/scene/").removesuffix("?key=1")] for path in asked
+    )
 
 
 def test_large_manifests_are_read_by_ranges_or_whole() -> None:
@@ -83,9 +89,34 @@ def test_large_manifests_are_read_by_ranges_or_whole() -> None:
                 assert source.read(0, source.size) == data
             cut = objects | {MANIFEST: objects[MANIFEST][:-1]}
             server.always = of_folder(cut, answered)
-            with pytest.raises(TruncatedError) as refused:
-                NetworkFolder(url, objects[MANIFEST][:root_end], QUICK)
+            with (
+                NetworkFolder(url, objects[MANIFEST][:root_end], QUICK) as source,
+                pytest.raises(TruncatedError) as refused,
+            ):
+                source.read(0, source.size)
             assert refused.value.code == "file-truncated"
+
+
+def test_each_page_is_asked_for_once_and_opening_asks_for_no_segment() -> None:
+    data = PAGED.read_bytes()
+    objects = unpacked(data)
+    root_end = 64 + int.from_bytes(data[12:16], "little")
+    with serving(FaultServer(b"", always=of_folder(objects))) as server:
+        url = server.url(f"scene/{MANIFEST}")
+        # As if the first request had brought the root alone.
+        with (
+            NetworkFolder(url, objects[MANIFEST][:root_end], QUICK) as source,
+            cogsplat.open(source) as file,
+        ):
+            assert server.asked == []
+            file.decode([file.num_chunks - 1])
+            chunk = [(asked.path, asked.first) for asked in server.asked]
+            assert source.traffic.requests == 1 + len(chunk)
+            file.decode()
+        asked = [(asked.path, asked.first) for asked in server.asked]
+    assert len(chunk) == len(set(chunk))
+    pages = [place for place in asked if place[0].endswith(MANIFEST)]
+    assert len(pages) == len(set(pages)) > 0
 
 
 def test_an_object_that_is_missing_spoils_no_other(data: bytes) -> None:

@@ -23,6 +23,16 @@ def test_a_large_file_is_opened_by_its_root_and_chunks_take_two_requests():
 
 
 @pytest.mark.slow
+def test_of_a_large_folder_the_manifest_is_opened_and_a_chunk_takes_its_page_and_objects():
+    found = told("large", "--chunks", 2000, "--tries", 2, "--folder")
+    assert found["pages"] > 1
+    assert (found["opening_requests"], found["opening_bytes"]) == (1, 65536)
+    # A page; head, refinement and tail; codebooks of shapes and of two bands of colours or three.
+    assert found["chunk_requests"] <= 1 + 3 + 4
+    assert found["memory_bytes"] < 100 << 20
+
+
+@pytest.mark.slow
 def test_over_a_link_no_byte_comes_twice(small):
     found = told("link", small.cogs, "--bits", 50e6, "--latency", 1)
     assert found["received_bytes"] == found["file_bytes"] == small.cogs.stat().st_size
