@@ -10,6 +10,7 @@ from cogsplat.formats.storage.atomic import atomic_write
 
 from .opening import open_url
 from .options import MIB, NetworkOptions
+from .range_reader import BEGINNING_BYTES
 
 _PART_BYTES: Final = MIB
 
@@ -33,7 +34,7 @@ def download(
     force : bool
         Replace an existing file.
     progress : Progress
-        Called with ``("fetch", MiB that are there, MiB of the file)``.
+        Called with ``("fetch", parts that are there, parts of the file)``: 64 KiB, then MiB.
 
     Returns
     -------
@@ -54,8 +55,10 @@ def download(
     True
     """
     with open_url(url, options) as source, atomic_write(path, force=force) as file:
-        starts = range(0, source.size, _PART_BYTES)
-        ranges = [(start, min(_PART_BYTES, source.size - start)) for start in starts]
+        # The first request is under way: what comes after it is asked for beside it, once.
+        starts = [0, *range(BEGINNING_BYTES, source.size, _PART_BYTES)]
+        ends = [*starts[1:], source.size]
+        ranges = [(start, end - start) for start, end in zip(starts, ends, strict=True)]
         with source.prefetch(ranges):
             for done, (offset, length) in enumerate(ranges, start=1):
                 file.write(source.read(offset, length))

@@ -1,8 +1,9 @@
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from fault_server import FaultServer, broken_after, right, serving, status
+from fault_server import FaultServer, broken_after, right, serving, slow, status
 
 from cogsplat.codec.errors import StorageError
 from cogsplat.formats.network.download import download
@@ -20,7 +21,17 @@ def test_all_bytes_arrive_and_progress_is_told(tmp_path):
         )
     assert size == len(DATA)
     assert (tmp_path / "a").read_bytes() == DATA
-    assert told == [("fetch", step, 4) for step in range(1, 5)]
+    # The first request is part one.
+    assert told == [("fetch", step, 5) for step in range(1, 6)]
+
+
+def test_no_byte_is_asked_for_twice(tmp_path):
+    with serving(FaultServer(DATA, always=slow(4e6, 8192))) as server:
+        download(server.url(), tmp_path / "a", QUICK)
+    spans = sorted((asked.first, asked.end) for asked in server.asked)
+    assert spans[0][0] == 0
+    assert spans[-1][1] == len(DATA)
+    assert all(end == first for (_, end), (first, _) in pairwise(spans))
 
 
 def test_a_failure_leaves_what_was_there(tmp_path):
