@@ -38,7 +38,7 @@ def validate(path: Path, quiet: bool, as_json: bool) -> None:
     --partial, a file that is short is no finding.
     """
     with Stages(shown=not (quiet or as_json)) as stages:
-        found = _findings(path, stages)
+        found = file_findings(path, stages)
     if as_json:
         say_json(
             {
@@ -60,7 +60,14 @@ def validate(path: Path, quiet: bool, as_json: bool) -> None:
         raise click.exceptions.Exit(_INVALID)
 
 
-def _findings(path: Path, stages: Stages) -> list[Finding]:
+def file_findings(path: Path, stages: Stages) -> list[Finding]:
+    """Return the rules that a file or folder breaks, within the limits of the command.
+
+    Raises
+    ------
+    StorageError
+        It cannot be read.
+    """
     try:
         source = cogs_source(path)
     except StorageError:

@@ -9,9 +9,7 @@ from typing import Final
 
 import click
 
-from cogsplat.codec.errors import CogsplatError, StorageError
-from cogsplat.formats.cogs.opening import source_of_place
-from cogsplat.formats.cogs.verification import Finding, finding_of, findings
+from cogsplat.formats.cogs.verification import Finding
 from cogsplat.formats.network.urls import HTTP_SCHEMES, scheme_of
 from cogsplat.tools.hosting.doctor import Diagnosis, examine
 from cogsplat.tools.hosting.remedies import HOSTS, host_of, remedies
@@ -19,8 +17,10 @@ from cogsplat.tools.hosting.rules import ERROR, NOTE, SEVERITIES, WARNING, HostF
 from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import counted, facts, say, say_json
-from cogsplat.tools.terminal.partial import partial_accepted, partial_option
+from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
+
+from .validate import file_findings
 
 _INVALID: Final = 3
 
@@ -76,7 +76,7 @@ def verify(
         if headers_only:
             raise click.UsageError(f"{target}: is no URL, expected one with --headers-only")
         with Stages(shown=not (quiet or as_json)) as stages:
-            content = _local(Path(target), stages)
+            content = file_findings(Path(target), stages)
         if as_json:
             say_json({"source": target, "valid": not content, **_content(content)})
         else:
@@ -94,21 +94,6 @@ def _hosts(text: str | None) -> list[str] | None:
         if name not in HOSTS:
             raise click.BadParameter(f"{name!r}, expected some of {', '.join(HOSTS)}")
     return names
-
-
-def _local(path: Path, stages: Stages) -> list[Finding]:
-    try:
-        source = source_of_place(path)
-    except StorageError:
-        raise
-    except CogsplatError as error:
-        return [finding_of(error)]
-    try:
-        return findings(
-            source, partial=partial_accepted(), limits=current_limits(), progress=stages
-        )
-    finally:
-        source.close()
 
 
 def _changes(found: Diagnosis, wanted: Sequence[str] | None) -> dict[str, dict[str, str]]:
