@@ -16,7 +16,7 @@ from typing import Any, Final, TypeVar, cast
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
-def compiled(function: Function, *, fuses: bool = False) -> Function:
+def compiled(function: Function, *, fuses: bool = False, kept: bool = True) -> Function:
     """Compile a function on its first call, and keep the machine code on disk where that works.
 
     Parameters
@@ -26,9 +26,17 @@ def compiled(function: Function, *, fuses: bool = False) -> Function:
         divides as numpy does.
     fuses : bool
         Whether a product and a sum may become one instruction.
+    kept : bool
+        Whether its machine code is kept; False for inner kernels, which only kernels call. What is
+        kept of a kernel holds the inner ones that it calls.
 
     Notes
     -----
+    A kernel that is kept is called with one set of types only. Of a function with two, two
+    processes that compile one each at the same time may give both the same file name, and later
+    ones would run the machine code of the wrong types (seen in numba 0.62). Inner kernels are
+    called with many: a constant argument is a type of its own.
+
     The code is kept in ``NUMBA_CACHE_DIR`` where that is set, otherwise beside the module or in the
     user's cache folder: the first of them that can be written. Where none can, as in an
     installation that is read-only for a user without a home, every process compiles anew.
@@ -36,6 +44,8 @@ def compiled(function: Function, *, fuses: bool = False) -> Function:
     from numba import njit
 
     fastmath = {"contract"} if fuses else False
+    if not kept:
+        return cast(Function, njit(nogil=True, error_model="numpy", fastmath=fastmath)(function))
     try:
         found = njit(nogil=True, cache=True, error_model="numpy", fastmath=fastmath)(function)
     except RuntimeError:
@@ -89,8 +99,14 @@ class DeclaredKernel:
         """Compile it, or load it where its machine code is kept already."""
         dispatcher = cast(Any, self.function)
         # With NUMBA_DISABLE_JIT it is plain Python.
-        if hasattr(dispatcher, "compile"):
-            dispatcher.compile(f"({self.types},)")
+        if not hasattr(dispatcher, "compile"):
+            return
+        from numba.core import sigutils
+
+        # numba files machine code under what it is given here, and a call looks it up under a
+        # tuple of types: under the text of a signature no call would find it.
+        types, _ = cast(Any, sigutils).normalize_signature(f"({self.types},)")
+        dispatcher.compile(tuple(types))
 
 
 _DECLARED: Final[dict[str, DeclaredKernel]] = {}

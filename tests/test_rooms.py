@@ -227,7 +227,7 @@ DOORS: dict[str, dict[str, str]] = {
             "blend_tile footprint_in_tile open_pixels rows_in_tile tile_area"
         ),
         "gradients": "Gradient gradient",
-        "jit": "kernel",
+        "jit": "inner_kernel kernel",
         "label_votes": "label_votes",
         "marginal_gains": "marginal_gains",
         "peak_weights": "peak_weights",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry import sh
-from cogsplat.codec.render.jit import kernel
+from cogsplat.codec.render.jit import inner_kernel, kernel
 from cogsplat.codec.render.projection import FLAT, GUARD, NARROW, SHEAR
 from cogsplat.codec.render.shading import sh_terms
 
@@ -23,7 +23,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 
-@kernel
+@inner_kernel
 def _by_direction(x: float, y: float, z: float, c: F64, degree: int) -> tuple[float, float, float]:
     """Return the gradient by (x, y, z) of the sum of the bases above DC, each times its c.
 

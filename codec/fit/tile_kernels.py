@@ -32,7 +32,7 @@ from cogsplat.codec.render.blending import (
     rows_in_tile,
     tile_area,
 )
-from cogsplat.codec.render.jit import kernel
+from cogsplat.codec.render.jit import inner_kernel, kernel
 from cogsplat.codec.render.tiles import TILE
 
 F32 = NDArray[np.float32]
@@ -121,7 +121,7 @@ def draw_tiles(
                 image[top + y, left + x, 2] = state[pixel + BLUE] + rest * background[2]
 
 
-@kernel
+@inner_kernel
 def _load(state: F32, values: F32, plane: int, top: int, left: int, rows: int, cols: int) -> None:
     """Copy a tile of an (H, W, 3) picture into three planes of a state, 0 outside the image."""
     for channel in range(3):

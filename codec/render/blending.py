@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.geometry.frustum import ALPHA_MIN
 
-from .jit import kernel
+from .jit import inner_kernel
 from .projection import FLAT, NARROW, OPACITY, SHEAR, X, Y
 from .tiles import TILE
 
@@ -57,7 +57,7 @@ PLANES_COMPARED = 8
 """The same and those that `compare_tile` fills."""
 
 
-@kernel
+@inner_kernel
 def falloff(exponent: np.float32) -> np.float32:
     """Return exp(exponent) for an exponent of at most 0; below -6, exp(-6)."""
     t = max(exponent, _EXPONENT_MIN) * _EXPONENT_STEP
@@ -67,7 +67,7 @@ def falloff(exponent: np.float32) -> np.float32:
     return p * p
 
 
-@kernel
+@inner_kernel
 def blend_pixel(
     live: np.float32, opacity: np.float32, exponent: np.float32
 ) -> tuple[np.float32, np.float32, np.float32, np.bool_, np.float32]:
@@ -104,7 +104,7 @@ def blend_pixel(
     return raw, alpha, weight, drawn, after
 
 
-@kernel
+@inner_kernel
 def all_ended(pair: int, state: F32) -> bool:
     """Return whether no pixel of a tile is live any more; looked up after some of the pairs only.
 
@@ -127,7 +127,7 @@ def all_ended(pair: int, state: F32) -> bool:
     return bool(any_live == 0)
 
 
-@kernel
+@inner_kernel
 def tile_area(tile: int, width: int, height: int) -> tuple[int, int, int, int]:
     """Return the first row and column of a tile, px, and how many of each lie in the image."""
     tiles_x = (width + TILE - 1) // TILE
@@ -136,7 +136,7 @@ def tile_area(tile: int, width: int, height: int) -> tuple[int, int, int, int]:
     return top, left, min(TILE, height - top), min(TILE, width - left)
 
 
-@kernel
+@inner_kernel
 def footprint_in_tile(
     ellipse: F32, top: int, left: int
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]:
@@ -149,13 +149,13 @@ def footprint_in_tile(
     return ellipse[NARROW], ellipse[SHEAR], ellipse[FLAT], ellipse[OPACITY], centre_x, centre_y
 
 
-@kernel
+@inner_kernel
 def rows_in_tile(rows: NDArray[np.int32], top: int, num_rows: int) -> tuple[int, int]:
     """Return the half-open rows of a tile that one of `Footprints.rows` may cover."""
     return max(rows[0] - top, 0), min(rows[1] - top, num_rows)
 
 
-@kernel
+@inner_kernel
 def open_pixels(state: F32, num_rows: int, num_columns: int) -> None:
     """Set the first plane of a tile's state: transmittance 1 inside the image, 0 outside."""
     state[:PIXELS] = _ZERO
@@ -164,7 +164,7 @@ def open_pixels(state: F32, num_rows: int, num_columns: int) -> None:
             state[y * TILE + x] = _ONE
 
 
-@kernel
+@inner_kernel
 def blend_tile(
     state: F32,
     begin: int,
@@ -243,7 +243,7 @@ def blend_tile(
     return end
 
 
-@kernel
+@inner_kernel
 def compare_tile(
     state: F32,
     target: F32,

@@ -1,4 +1,4 @@
-"""`kernel`: the numba options that every loop over splats or pixels is compiled with."""
+"""`kernel`, `inner_kernel`: the numba options of every loop over splats or pixels."""
 
 from __future__ import annotations
 
@@ -35,3 +35,14 @@ def kernel(function: Function) -> Function:
     such a module is being edited, set ``NUMBA_CACHE_DIR`` to a fresh folder.
     """
     return compiled(function, fuses=True)
+
+
+def inner_kernel(function: Function) -> Function:
+    """Compile a function that only kernels call, as `kernel` does, as a part of their code.
+
+    Parameters
+    ----------
+    function : callable
+        Python that numba compiles (nopython mode).
+    """
+    return compiled(function, fuses=True, kept=False)

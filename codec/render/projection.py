@@ -14,7 +14,7 @@ from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
 from cogsplat.codec.splats import Splats
 
 from .depth_order import depth_order
-from .jit import kernel
+from .jit import inner_kernel, kernel
 
 # 3DGS, computeCov2D: the Jacobian is taken inside the image widened by this share of its half size
 # (1.3 tan(fov / 2) for a centred principal point).
@@ -66,7 +66,7 @@ class Footprints:
         return rows
 
 
-@kernel
+@inner_kernel
 def slack(centre: float, extent: float) -> float:
     """Return by how much the bounds of an ellipse are widened, px."""
     return _SLACK_PX + _SLACK * (abs(centre) + extent)

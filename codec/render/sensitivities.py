@@ -33,7 +33,7 @@ from .blending import (
     rows_in_tile,
     tile_area,
 )
-from .jit import kernel
+from .jit import inner_kernel, kernel
 from .projection import FLAT, GUARD, NARROW, SHEAR, Footprints
 from .tiles import TILE, TileLists, gather
 
@@ -265,7 +265,7 @@ def add_moments(
     gather(lists.members, pair_sums, moments, 0)
 
 
-@kernel
+@inner_kernel
 def _quartic(moments: NDArray[np.float64], c: float, p: float, q: float, r: float) -> float:
     """Return Σ g·(c + p u² + q uv + r v²)² from the moments."""
     total = c * c * moments[M00]

@@ -10,12 +10,12 @@ from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry import sh
 from cogsplat.codec.splats import Splats, sh_coefficients
 
-from .jit import kernel
+from .jit import inner_kernel, kernel
 from .projection import Footprints
 
 _ZERO = np.float32(0.0)
 
-sh_terms = kernel(sh.terms)
+sh_terms = inner_kernel(sh.terms)
 """`sh.terms`, compiled for kernels."""
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.compiling import called_with
 from cogsplat.codec.threads import ordered_map
 
-from .jit import kernel
+from .jit import inner_kernel, kernel
 from .projection import HALF_HEIGHT, HALF_WIDTH, SHEAR, Footprints, X, Y, slack
 
 TILE = 16
@@ -65,7 +65,7 @@ class TileLists:
             pass
 
 
-@kernel
+@inner_kernel
 def _tile_columns(
     ellipse: NDArray[np.float32], first_row: int, last_row: int, width: int
 ) -> tuple[int, int]:

@@ -5,20 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .kernels_bits import exact
+from .adaptive_step import MAX_EXTRA_BITS
+from .kernels_bits import inner_exact
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 
-@exact
-def write_extra_bits(scales: F32, coefficients: F32, knees: F32, most: int, extra: U8) -> None:
+@inner_exact
+def write_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) -> None:
     """Write the extra bits of rows (SPEC 6.10)."""
     c0, c1, c2 = coefficients[0], coefficients[1], coefficients[2]
     c3, c4, c5 = coefficients[3], coefficients[4], coefficients[5]
     k0, k1, k2, k3 = knees[0], knees[1], knees[2], knees[3]
-    limit = np.float32(most)
+    limit = np.float32(MAX_EXTRA_BITS)
     zero = np.float32(0)
     for row in range(len(extra)):
         middle, thin, long = scales[row, 0], scales[row, 1], scales[row, 2]
@@ -34,12 +35,12 @@ def write_extra_bits(scales: F32, coefficients: F32, knees: F32, most: int, extr
         extra[row] = np.uint8(np.int32(total if total > zero else zero))
 
 
-@exact
-def count_extra_bits(scales: F32, coefficients: F32, knees: F32, most: int, extra: U8) -> I64:
+@inner_exact
+def count_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) -> I64:
     """Write the extra bits of rows (SPEC 6.10); return how many rows have each."""
-    write_extra_bits(scales, coefficients, knees, most, extra)
+    write_extra_bits(scales, coefficients, knees, extra)
     # Two histograms in turn: a count need not wait for the one before.
-    rows = np.zeros((2, most + 1), np.int64)
+    rows = np.zeros((2, MAX_EXTRA_BITS + 1), np.int64)
     for row in range(len(extra)):
         rows[row & 1, extra[row]] += 1
     total_rows: I64 = rows[0] + rows[1]

@@ -22,6 +22,11 @@ def exact(function: Function) -> Function:
     return compiled(function)
 
 
+def inner_exact(function: Function) -> Function:
+    """Compile a function that only kernels call, as `exact` does, as a part of their code."""
+    return compiled(function, kept=False)
+
+
 def words(plane: U8) -> U64:
     """Return the bytes of a plane as 64-bit words, with two of zeros behind them."""
     found = np.empty((len(plane) + 7 >> 3) + 2, np.uint64)
@@ -36,7 +41,7 @@ def zeros_behind(plane: U8, bits: int) -> bool:
     return not (bits & 7 and int(plane[-1]) >> (bits & 7))
 
 
-@exact
+@inner_exact
 def window(packed: U64, position: int) -> np.uint64:
     """Return the 64 bits from a position on."""
     index = position >> 6

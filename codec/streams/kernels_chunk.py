@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from cogsplat.codec.compiling import called_with
 
 from . import swing_twist, zstd_frames
-from .adaptive_step import KNEES, MAX_COEFFICIENT, MAX_EXTRA_BITS
+from .adaptive_step import KNEES, MAX_COEFFICIENT
 from .byte_planes import digit_tables
 from .grid import MAX_LEVELS, MAX_VALUE
-from .kernels_bits import exact
+from .kernels_bits import exact, inner_exact
 from .kernels_chunk_layout import (
     MEAN_BITS_SLOT,
     MEANS_SLOT,
@@ -65,7 +65,7 @@ _ROW_BYTES: Final = 96
 _LEAST_BYTES: Final = 1 << 14
 
 
-@exact
+@inner_exact
 def _grid(
     octets: U8, at: int, components: int, limit: int
 ) -> tuple[bool, tuple[F32, F32, NDArray[np.uint32]]]:
@@ -86,7 +86,7 @@ def _grid(
     return right, (low.copy(), high.copy(), levels)
 
 
-@exact
+@inner_exact
 def _planes_of(levels: NDArray[np.uint32]) -> int:
     """Return how many planes the codes of a grid take (SPEC 6.4)."""
     planes = 0
@@ -98,7 +98,7 @@ def _planes_of(levels: NDArray[np.uint32]) -> int:
     return planes
 
 
-@exact
+@inner_exact
 def _floats(octets: U8, at: int, count: int, most: float, out: F32) -> bool:
     """Read float32 values; return whether none is beyond ±`most`."""
     bits = np.empty(count, np.uint32)
@@ -112,7 +112,7 @@ def _floats(octets: U8, at: int, count: int, most: float, out: F32) -> bool:
     return True
 
 
-@exact
+@inner_exact
 def _words(octets: U8, start: int, length: int) -> U64:
     """Return the bytes of a plane as 64-bit words, with two of zeros behind them."""
     found = np.zeros((length + 7 >> 3) + 2, np.uint64)
@@ -122,13 +122,13 @@ def _words(octets: U8, start: int, length: int) -> U64:
     return found
 
 
-@exact
+@inner_exact
 def _is_padded(octets: U8, start: int, bits: int) -> bool:
     """Tell whether what follows the bits of a plane in its last byte is zeros."""
     return not (bits & 7 and signed(octets[start + (bits >> 3)]) >> (bits & 7))
 
 
-@exact
+@inner_exact
 def _values(
     octets: U8,
     work: U8,
@@ -150,7 +150,7 @@ def _values(
     if not starts_of(octets, work, spans, found[slot, 2], count, rows, tables, starts, 0):
         return False
     if not found[digits, 0]:
-        return grid_rows(octets, starts, coarse, 0, out)
+        return grid_rows(octets, starts, coarse, int(np.int64(0)), out)
     right, fine = _grid(octets, found[digits, 1], components, MAX_LEVELS)
     radices = np.empty(components, np.int64)
     finer = 0
@@ -166,7 +166,7 @@ def _values(
     return digit_rows(octets, starts, coarse, radices, fine, coarse_out, out)
 
 
-@exact
+@inner_exact
 def _read_rotations(
     octets: U8,
     work: U8,
@@ -188,7 +188,7 @@ def _read_rotations(
         return False
     extra = np.empty((2, rows), np.uint8)
     counts = np.empty((2, GROUPS + 1), np.int64)
-    plan_rotations(scales, models, knees, MAX_EXTRA_BITS, extra, counts)
+    plan_rotations(scales, models, knees, extra, counts)
     starts = np.zeros(3 * GROUPS, np.int64)
     for column in range(3):
         for group in range(1, GROUPS + 1):
@@ -203,7 +203,7 @@ def _read_rotations(
     return rotations(octets, starts, extra, counts, steps, out)
 
 
-@exact
+@inner_exact
 def _read_means(
     octets: U8,
     work: U8,
@@ -229,7 +229,7 @@ def _read_means(
         return False
     classes = octets[start : start + rows]
     extra = np.empty(rows, np.uint8)
-    bits, low_bits = plan_means(classes, scales, model, knees, MAX_EXTRA_BITS, extra)
+    bits, low_bits = plan_means(classes, scales, model, knees, extra)
     if bits < 0:
         return False
     differences = start_of(octets, work, spans, first + 1, bits + 7 >> 3, tables)
@@ -274,7 +274,7 @@ def _read_means(
     )
 
 
-@exact
+@inner_exact
 def _read_coefficients(
     octets: U8,
     work: U8,

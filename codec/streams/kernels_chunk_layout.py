@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.compiling import called_with
 
 from .byte_planes import LENGTH_MASK, PACKED_FLAG, ZSTD_FLAG
-from .kernels_bits import exact
+from .kernels_bits import exact, inner_exact
 from .kernels_planes import digits_in_byte, frame, spread
 from .limits import MAX_PLANE_BYTES
 from .records import COMPONENTS, Attribute, Kind
@@ -45,19 +45,19 @@ MOST_PLANES: Final = 128
 refinements, 1 + 2 · 3 · 12 of coordinates."""
 
 
-@exact
+@inner_exact
 def signed(value: np.unsignedinteger[Any]) -> int:
     """Return a number as a signed one: of signed and unsigned ones, numba makes floating point."""
     return int(np.int64(value))
 
 
-@exact
+@inner_exact
 def u16(octets: U8, at: int) -> int:
     """Return the number in two bytes, the lower one first."""
     return signed(octets[at]) | signed(octets[at + 1]) << 8
 
 
-@exact
+@inner_exact
 def u32(octets: U8, at: int) -> int:
     """Return the number in four bytes, the lowest one first."""
     return u16(octets, at) | u16(octets, at + 2) << 16
@@ -204,7 +204,7 @@ def locate(
     return frame_count, expanded, symbols
 
 
-@exact
+@inner_exact
 def start_of(octets: U8, work: U8, spans: I64, plane: int, length: int, tables: U8) -> int:
     """Return where the symbols of a plane start, taken apart if need be; -1 where it is wrong."""
     radix, start, size = spans[0, plane], spans[1, plane], spans[2, plane]
@@ -224,7 +224,7 @@ def start_of(octets: U8, work: U8, spans: I64, plane: int, length: int, tables: 
     return out
 
 
-@exact
+@inner_exact
 def starts_of(
     octets: U8,
     work: U8,

@@ -10,7 +10,7 @@ from cogsplat.codec.compiling import called_with
 from . import grid_planes, quaternion, refinement_digits, scalar, sh0_transform
 from .grid import Grid
 from .inputs import Inputs
-from .kernels_bits import exact
+from .kernels_bits import exact, inner_exact
 from .kernels_planes import join, join_run
 from .records import StoredStream
 
@@ -86,7 +86,7 @@ def grid_rows(planes: U8, starts: I64, grid: tuple[F32, F32, U32], extra: int, o
     return True
 
 
-@exact
+@inner_exact
 def _spread_codes(codes: I32, width: np.float32, low: np.float32, column: int, out: F32) -> None:
     """Write what codes of a grid are worth into a column."""
     # Into a run first, then apart: only runs are done several at a time.

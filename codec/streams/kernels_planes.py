@@ -12,7 +12,7 @@ from cogsplat.codec.compiling import called_with
 
 from . import zstd_frames
 from .byte_planes import LENGTH_MASK, PACKED_FLAG, ZSTD_FLAG, digit_tables
-from .kernels_bits import exact
+from .kernels_bits import exact, inner_exact
 from .limits import MAX_PLANE_BYTES
 from .records import StoredStream
 
@@ -25,7 +25,7 @@ _MAGIC: Final = 0xFD2FB528
 _SINGLE_SEGMENT: Final = 0x20
 
 
-@exact
+@inner_exact
 def spread(packed: U8, start: int, table: U8, count: int, out: U8, at: int, length: int) -> int:
     """Write the digits of bytes of one radix; return the digits behind the last that are not 0."""
     whole = length // count
@@ -61,14 +61,14 @@ def spread(packed: U8, start: int, table: U8, count: int, out: U8, at: int, leng
     return beyond
 
 
-@exact
+@inner_exact
 def _copy(packed: U8, start: int, out: U8, at: int, length: int) -> None:
     """Copy bytes. Not by slices: numba compiles its error messages about shapes for seconds."""
     for i in range(length):
         out[at + i] = packed[start + i]
 
 
-@exact
+@inner_exact
 def frame(octets: U8, start: int, stored: int) -> tuple[int, int]:
     """Return where a zstd frame ends and what it holds, -1 where its header is not the usual one.
 
@@ -166,7 +166,7 @@ def _locate(octets: U8, spans: I64, frames: U64, sizes: U64) -> int:
     return found
 
 
-@exact
+@inner_exact
 def digits_in_byte(radix: int) -> tuple[int, int]:
     """Return how many digits fit a byte, and how many values they have (SPEC 6.9)."""
     count = 1

@@ -11,7 +11,7 @@ from cogsplat.codec.compiling import called_with
 
 from . import shn_transform
 from .inputs import Inputs
-from .kernels_bits import exact
+from .kernels_bits import exact, inner_exact
 from .kernels_planes import join_run
 from .records import StoredStream
 
@@ -25,14 +25,14 @@ BASIS_COLUMNS: Final = 48
 _FULL_COLUMNS: Final = 45
 
 
-@exact
+@inner_exact
 def _coordinate(symbol: int, step: np.float32, shrink: np.float32) -> np.float32:
     magnitude = np.float32((symbol + 1) >> 1)
     value = (magnitude - shrink) * step if symbol > 0 else np.float32(0) * step
     return value if symbol & 1 else -value
 
 
-@exact
+@inner_exact
 def _code(planes: U8, begin: I64, place: int, count: int) -> int:
     code = 0
     for byte in range(count):

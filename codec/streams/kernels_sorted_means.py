@@ -39,20 +39,16 @@ AXES_OF_BITS: Final = _axes_of_bits()
 """Three bits of each axis, 21 bits apart, of nine bits of a Morton code."""
 
 
-@called_with(
-    "Array(uint8, 1, 'C', True), float32[:, ::1], float32[::1], float32[::1], int64, uint8[::1]"
-)
+@called_with("Array(uint8, 1, 'C', True), float32[:, ::1], float32[::1], float32[::1], uint8[::1]")
 @exact
-def plan(
-    classes: U8, scales: F32, coefficients: F32, knees: F32, most: int, extra: U8
-) -> tuple[int, int]:
+def plan(classes: U8, scales: F32, coefficients: F32, knees: F32, extra: U8) -> tuple[int, int]:
     """Write the extra bits of rows; return the bits of the differences and of the plane below.
 
     The first is -1 where a class is above 51.
     """
-    rows = count_extra_bits(scales, coefficients, knees, most, extra)
+    rows = count_extra_bits(scales, coefficients, knees, extra)
     fields = 0
-    for bits in range(most + 1):
+    for bits in range(MAX_EXTRA_BITS + 1):
         fields += 3 * bits * rows[bits]
     total = 0
     top = 0
@@ -152,7 +148,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
     coefficients = np.array(model.coefficients, np.float32)
     extra = np.empty(stream.rows, np.uint8)
     scales = adaptive_step.scales_of(inputs)
-    used = plan(classes, scales, coefficients, KNEES, MAX_EXTRA_BITS, extra)
+    used = plan(classes, scales, coefficients, KNEES, extra)
     if used[0] < 0:
         return False
     differences = stream.plane(1, used[0] + 7 >> 3)

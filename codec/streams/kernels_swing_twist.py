@@ -13,7 +13,7 @@ from . import adaptive_step, swing_twist
 from .adaptive_step import KNEES, MAX_EXTRA_BITS
 from .inputs import Inputs
 from .kernels_adaptive_step import count_extra_bits
-from .kernels_bits import exact
+from .kernels_bits import exact, inner_exact
 from .kernels_planes import join_run
 from .records import StoredStream
 
@@ -25,9 +25,9 @@ GROUPS: Final = swing_twist.SYMBOL_BITS + 1
 """Rows without extra bits, which have no plane, and those of each plane of symbols."""
 
 
-@called_with("float32[:, ::1], float32[:, ::1], float32[::1], int64, uint8[:, ::1], int64[:, ::1]")
+@called_with("float32[:, ::1], float32[:, ::1], float32[::1], uint8[:, ::1], int64[:, ::1]")
 @exact
-def plan(scales: F32, coefficients: F32, knees: F32, most: int, extra: U8, counts: I64) -> None:
+def plan(scales: F32, coefficients: F32, knees: F32, extra: U8, counts: I64) -> None:
     """Write the extra bits of swing and twist (SPEC 6.10), and what planes follow from them.
 
     Parameters
@@ -35,8 +35,6 @@ def plan(scales: F32, coefficients: F32, knees: F32, most: int, extra: U8, count
     scales : (n, 3) float32
     coefficients : (2, 6) float32
     knees : (4,) float32
-    most : int
-        Extra bits at most.
     extra : (2, n) uint8, out
         Extra bits.
     counts : (2, GROUPS + 1) int64, out
@@ -44,14 +42,14 @@ def plan(scales: F32, coefficients: F32, knees: F32, most: int, extra: U8, count
     """
     counts[:] = 0
     for which in range(2):
-        rows = count_extra_bits(scales, coefficients[which], knees, most, extra[which])
-        for bits in range(most + 1):
+        rows = count_extra_bits(scales, coefficients[which], knees, extra[which])
+        for bits in range(MAX_EXTRA_BITS + 1):
             group = min(bits, GROUPS - 1)
             counts[which, group] += rows[bits]
             counts[which, GROUPS] += rows[bits] * (bits - group)
 
 
-@exact
+@inner_exact
 def _positions(planes: U8, starts: I64, counts: I64) -> tuple[I64, I64, bool]:
     """Return where symbols and low bits of each component start, and whether paddings are 0."""
     symbols = np.zeros((3, GROUPS), np.int64)
@@ -84,7 +82,7 @@ def rotations(planes: U8, starts: I64, extra: U8, counts: I64, steps: F32, out: 
         Where each begins.
     extra, counts
         As `plan` writes them.
-    steps : (most + 1,) float32
+    steps : (MAX_EXTRA_BITS + 1,) float32
         Distance between levels at each number of extra bits.
     out : (n, 4) float32
 
@@ -134,7 +132,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
     extra = np.empty((2, stream.rows), np.uint8)
     counts = np.empty((2, GROUPS + 1), np.int64)
     scales = adaptive_step.scales_of(inputs)
-    plan(scales, coefficients, KNEES, MAX_EXTRA_BITS, extra, counts)
+    plan(scales, coefficients, KNEES, extra, counts)
     swing, twist = ([*found[1:-1], found[-1] + 7 >> 3] for found in counts.tolist())
     lengths = [*swing, *swing, *twist]
     starts = np.cumsum([0, *lengths[:-1]], dtype=np.int64)

@@ -14,7 +14,7 @@ from cogsplat.codec.geometry.bounds import CUT_SIGMA
 from cogsplat.codec.geometry.frustum import ALPHA_MIN
 from cogsplat.codec.geometry.rotations import matrices, unit
 from cogsplat.codec.render.blending import ALPHA_MAX
-from cogsplat.codec.render.jit import kernel
+from cogsplat.codec.render.jit import inner_kernel, kernel
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
@@ -34,7 +34,7 @@ _THINNEST: Final = 1e-4
 _RAYS_AT_ONCE: Final = 16
 
 
-@kernel
+@inner_kernel
 def _crossing(
     whiten: F64, opacity: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
 ) -> tuple[float, float]:

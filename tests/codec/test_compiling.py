@@ -48,6 +48,33 @@ def test_a_kernel_is_compiled_with_its_types_and_kept(module):
     assert len(kernel.function.signatures) == before == 1
 
 
+def test_a_call_in_another_process_finds_what_was_kept(module):
+    (kernel,) = compiling.declared_in([module])
+    kernel.compile()
+    code = (
+        f"import numpy, {module} as m\nassert m.scaled(2, numpy.ones(3, numpy.float32)) == 6\n"
+        "stats = m.scaled.stats\nassert sum(stats.cache_hits.values()) == 1\n"
+        "assert not stats.cache_misses"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", code],
+        env={"PYTHONPATH": ":".join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert found.returncode == 0, found.stderr
+
+
+def test_of_inner_kernels_nothing_is_kept(tmp_path, monkeypatch):
+    from numba.core import config
+
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    inner = compiling.compiled(lambda x: x + 1, kept=False)
+    assert inner(1) == 2
+    assert not list(tmp_path.rglob("*.nb?"))
+
+
 def test_a_name_that_is_not_declared_is_not_found(module):
     with pytest.raises(KeyError):
         compiling.declared(f"{module}:other")
