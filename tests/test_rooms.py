@@ -157,7 +157,7 @@ DOORS: dict[str, dict[str, str]] = {
     "codec.encode": {
         "compensation_fit": "blank compensated",
         "config": "Ablation EncodeConfig MAX_QUALITY_DB MIN_QUALITY_DB",
-        "encoded": "EncodeReport EncodedChunk EncodedLevel EncodedScene",
+        "encoded": "EncodeReport EncodedChunk EncodedCodebook EncodedLevel EncodedScene",
         "encoder": "encode_chunks",
         "needed_kernels": "needed_kernels",
         "pipeline": "SizeOf encode",
@@ -172,7 +172,9 @@ DOORS: dict[str, dict[str, str]] = {
     "codec.fit": {
         "lessons": "lessons_of",
         "level_encoding": "LevelEncoding encode_levels",
-        "levels": "LevelledSplats LevelsConfig averaged scaled_camera train_levels",
+        "levels": (
+            "LevelledSplats LevelsConfig averaged scaled_camera train_for_all_scales train_levels"
+        ),
         "trainer": "TrainConfig",
         "tuning": "Milestone State TuneConfig tune",
     },
@@ -246,7 +248,7 @@ DOORS: dict[str, dict[str, str]] = {
     "codec.segments": {
         "attributes": "AttributeType attribute_bytes pack_attributes types_of unpack_attributes",
         "chunks": "decode_chunk",
-        "codebooks": "Codebook decode_colour_codebook decode_shape_codebook",
+        "codebooks": "Codebook ShapeCodebook decode_colour_codebook decode_shape_codebook",
         "compensation": (
             "Compensation Layer MAX_CODE_BITS OPACITY_STEP SCALE_STEP STRENGTH_STEP code_bits "
             "pack_codes packed_bytes unpack_codes"

@@ -43,7 +43,14 @@ class TrainingConfig:
     seed: int = 1
 
 
-def train(vectors: F32, weights: F64, rows: int, config: TrainingConfig | None = None) -> F32:
+def train(
+    vectors: F32,
+    weights: F64,
+    rows: int,
+    config: TrainingConfig | None = None,
+    *,
+    start: F32 | None = None,
+) -> F32:
     """Train the codebook of weighted vectors.
 
     Parameters
@@ -56,6 +63,10 @@ def train(vectors: F32, weights: F64, rows: int, config: TrainingConfig | None =
     rows : int
         Most rows of the codebook; it has fewer where fewer distinct vectors have weight.
     config : TrainingConfig, optional
+    start : (c, d) float32, optional
+        Codebook of nearly the same vectors, which training goes on from. Of more than `rows` rows
+        the first are taken; where there are fewer, the others begin at the vectors whose weighted
+        distance to the nearest row is largest.
 
     Returns
     -------
@@ -76,7 +87,7 @@ def train(vectors: F32, weights: F64, rows: int, config: TrainingConfig | None =
     [[0.0, 0.5], [9.0, 9.0]]
     """
     # scikit-learn costs a second to import and is needed by encoders only.
-    from sklearn.cluster import KMeans, kmeans_plusplus
+    from sklearn.cluster import KMeans
     from threadpoolctl import threadpool_limits
 
     config = config or TrainingConfig()
@@ -85,17 +96,10 @@ def train(vectors: F32, weights: F64, rows: int, config: TrainingConfig | None =
     if len(vectors) <= rows:
         return np.unique(vectors, axis=0)
     with threadpool_limits(limits=1):
-        # Seeding takes time in proportion to rows times vectors; a sample of a few times the rows
-        # gives seeds that are as good.
-        seeds = min(len(vectors), max(8 * rows, 4096))
-        chosen = rng.choice(len(vectors), seeds, replace=False, p=weights / weights.sum())
-        centres, _ = kmeans_plusplus(
-            vectors[chosen],
-            rows,
-            sample_weight=weights[chosen],
-            random_state=config.seed,
-            n_local_trials=1,
-        )
+        if start is None or not len(start):
+            centres = _seeds(vectors, weights, rows, config.seed, rng)
+        else:
+            centres = _completed(start, vectors, weights, rows)
         model = KMeans(
             len(centres),
             init=np.ascontiguousarray(centres),
@@ -108,6 +112,29 @@ def train(vectors: F32, weights: F64, rows: int, config: TrainingConfig | None =
         _without_warnings(lambda: model.fit(vectors, sample_weight=weights))
     used = np.unique(model.labels_)
     return np.unique(model.cluster_centers_[used].astype(np.float32), axis=0)
+
+
+def _seeds(vectors: F32, weights: F64, rows: int, seed: int, rng: np.random.Generator) -> F32:
+    """Return vectors to begin with, chosen by k-means++."""
+    from sklearn.cluster import kmeans_plusplus
+
+    # Seeding takes time in proportion to rows times vectors; a sample of a few times the rows
+    # gives seeds that are as good.
+    seeds = min(len(vectors), max(8 * rows, 4096))
+    chosen = rng.choice(len(vectors), seeds, replace=False, p=weights / weights.sum())
+    centres, _ = kmeans_plusplus(
+        vectors[chosen], rows, sample_weight=weights[chosen], random_state=seed, n_local_trials=1
+    )
+    found: F32 = centres
+    return found
+
+
+def _completed(start: F32, vectors: F32, weights: F64, rows: int) -> F32:
+    """Return an earlier codebook with as many rows as asked for."""
+    _, errors = nearest(vectors, start, 1)
+    missing = max(rows - len(start), 0)
+    worst = np.argsort(-(weights * errors), kind="stable")[:missing]
+    return np.concatenate([start[:rows], vectors[worst]])
 
 
 def _without_warnings(work: Callable[[], object]) -> None:

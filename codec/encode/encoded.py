@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.rate import segment_order
 from cogsplat.codec.rate.segment_order import ChunkParts, Part, Place, Placed
+from cogsplat.codec.segments.codebooks import (
+    Codebook,
+    decode_colour_codebook,
+    decode_shape_codebook,
+)
 from cogsplat.codec.segments.compensation import Compensation
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
@@ -31,6 +36,21 @@ class EncodedCodebook:
     attribute: str
     rows: int
     payloads: tuple[bytes, ...]
+
+    def decoded(self, sh_degree: int) -> Codebook:
+        """Return its rows as a reader decodes them.
+
+        Parameters
+        ----------
+        sh_degree : int
+            Of the scene.
+        """
+        where = f"{self.attribute} codebook"
+        payloads = [memoryview(payload) for payload in self.payloads]
+        if self.attribute == "shape":
+            return decode_shape_codebook(payloads[0], self.rows, where)
+        bands = dict(enumerate(payloads, start=1))
+        return decode_colour_codebook(bands, self.rows, sh_degree, where)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,18 +13,14 @@ from cogsplat.codec.geometry.bounds import box
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.rate import segment_order
 from cogsplat.codec.segments.attributes import pack_attributes
-from cogsplat.codec.segments.codebooks import (
-    Codebook,
-    decode_colour_codebook,
-    decode_shape_codebook,
-)
+from cogsplat.codec.segments.codebooks import Codebook
 from cogsplat.codec.segments.heads import decode_head
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.segments.tails import decode_tail
 from cogsplat.codec.splats import Splats, empty
 
 from .config import require_quality
-from .encoded import EncodedChunk, EncodedCodebook, EncodedScene
+from .encoded import EncodedChunk, EncodedScene
 from .prepared import LaidOutScene, PreparedScene
 from .profiles.dispatch import PROFILES, PlannedScene
 
@@ -66,9 +62,7 @@ def encode_chunks(
         planned = PROFILES[scene.config.profile](scene, quality_db, progress)
         progress("quantisers", 1, 1)
     degree = scene.source.sh_degree
-    codebooks = {
-        number: _decoded_codebook(book, degree) for number, book in enumerate(planned.codebooks)
-    }
+    codebooks = {number: book.decoded(degree) for number, book in enumerate(planned.codebooks)}
     decoded = prepared.workspace.splats(len(scene.rows), degree, scene.source.info)
 
     chunks: list[EncodedChunk] = []
@@ -146,14 +140,6 @@ def _chunk(
             scene.scores.basis_spread,
         ),
     )
-
-
-def _decoded_codebook(book: EncodedCodebook, degree: int) -> Codebook:
-    payloads = [memoryview(payload) for payload in book.payloads]
-    if book.attribute == "shape":
-        return decode_shape_codebook(payloads[0], book.rows, "shape codebook")
-    bands = dict(enumerate(payloads, start=1))
-    return decode_colour_codebook(bands, book.rows, degree, "colour codebook")
 
 
 def _decode_chunk(

@@ -27,6 +27,7 @@ from cogsplat.codec.streams.grid import MAX_VALUE
 from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 from .config import EncodeConfig
+from .encoded import EncodedCodebook
 
 # The least splats of a chunk of a cell, as a share of the most: cells of fewer wait for the next
 # layer.
@@ -57,6 +58,8 @@ class LaidOutScene:
     config : EncodeConfig
     workspace : Workspace
         Where long arrays are kept.
+    codebooks : sequence of EncodedCodebook
+        As `PreparedScene` has them.
     """
 
     source: Splats
@@ -67,6 +70,7 @@ class LaidOutScene:
     cells: NDArray[np.uint32]
     config: EncodeConfig
     workspace: Workspace
+    codebooks: Sequence[EncodedCodebook] = ()
 
     def part(self, run: slice) -> Splats:
         """Return the splats of a run of rows in chunk order, gathered from the source.
@@ -91,6 +95,9 @@ class PreparedScene:
     config : EncodeConfig
     workspace : Workspace
         Where what is decoded again is kept.
+    codebooks : sequence of EncodedCodebook
+        Of an earlier encode of nearly the same scene: the training of the profile ``vq`` goes on
+        from them. None where it begins anew.
     """
 
     source: Splats
@@ -98,6 +105,7 @@ class PreparedScene:
     scores: Scores
     config: EncodeConfig
     workspace: Workspace = IN_MEMORY
+    codebooks: Sequence[EncodedCodebook] = ()
     # The layout that was made last. A search for a target often keeps the same splats in every
     # trial, and arranging the rows of a large scene takes longer than comparing their numbers.
     _made: dict[str, tuple[NDArray[np.int64], LaidOutScene]] = field(
@@ -214,6 +222,7 @@ def _lay_out(prepared: PreparedScene, rows: NDArray[np.int64]) -> LaidOutScene:
         cells=np.zeros(len(arranged.slices), np.uint32) if cells is None else cells,
         config=config,
         workspace=prepared.workspace,
+        codebooks=prepared.codebooks,
     )
 
 

@@ -225,6 +225,49 @@ def train_levels(
     return LevelledSplats(joined, config.scales, first, last, opacities)
 
 
+def train_for_all_scales(
+    splats: Splats,
+    cameras: Sequence[Camera],
+    config: LevelsConfig | None = None,
+    *,
+    progress: Progress = silent,
+) -> LevelledSplats:
+    """Train one model on renders of all scales, for comparison with levels.
+
+    It has as many splats as the last level and takes as many steps as all levels together.
+
+    Parameters
+    ----------
+    splats, cameras, config, progress
+        As `train_levels` takes them; `progress` is called with one stage, ``level 0``.
+
+    Returns
+    -------
+    LevelledSplats
+        Of one level, for pictures of the last scale.
+
+    Raises
+    ------
+    ValueError
+        No cameras.
+    """
+    config = config or LevelsConfig()
+    if not cameras:
+        raise ValueError("no cameras, expected some to train in")
+    source = splats.without_extras()
+    targets = _targets(source, cameras, None, config, progress)
+    scored = score(source, cameras, ScoreConfig(threads=config.threads), progress=progress)
+    order = np.argsort(-scored.contribution, kind="stable")
+    scene = source.take(np.sort(order[: round(config.shares[-1] * len(source))]))
+    views = [scaled_camera(camera, scale) for scale in config.scales for camera in cameras]
+    pictures = [averaged(target, scale) for scale in config.scales for target in targets]
+    longer = replace(config, steps=config.steps * len(config.scales))
+    scene = _trained(scene, 0, views, pictures, longer, 0, progress)
+    scene = scene.take(np.flatnonzero(_opacity(scene.opacities) >= LEAST_OPACITY))
+    zeros = np.zeros(len(scene), np.int64)
+    return LevelledSplats(scene, config.scales[-1:], zeros, zeros, scene.opacities[None])
+
+
 def _targets(
     source: Splats,
     cameras: Sequence[Camera],

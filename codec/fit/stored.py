@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.encode.encoded import EncodedScene
+from cogsplat.codec.encode.encoded import EncodedCodebook, EncodedScene
 from cogsplat.codec.encode.encoder import encode_chunks
 from cogsplat.codec.encode.prepared import PreparedScene
 from cogsplat.codec.executor import LocalThreads
@@ -44,7 +45,10 @@ def _facing(quats: F32, scales: F32, as_quats: F32) -> tuple[F32, F32]:
 
 
 def stored(
-    prepared: PreparedScene, splats: Splats, quality_db: float
+    prepared: PreparedScene,
+    splats: Splats,
+    quality_db: float,
+    codebooks: Sequence[EncodedCodebook] = (),
 ) -> tuple[Splats, EncodedScene]:
     """Encode a scene in the order and with the quantiser steps of an earlier state of it.
 
@@ -57,6 +61,8 @@ def stored(
         N of them, row by row those of `prepared`.
     quality_db : float
         Nominal quality, dB.
+    codebooks : sequence of EncodedCodebook
+        Of the encode before, which those of the profile ``vq`` go on from.
 
     Returns
     -------
@@ -66,7 +72,7 @@ def stored(
     encoded : EncodedScene
         Without compensation and without predicted quality.
     """
-    now = replace(prepared, source=splats)
+    now = replace(prepared, source=splats, codebooks=codebooks)
     layout = now.laid_out(quality_db)
     encoded = encode_chunks(now, quality_db, executor=LocalThreads(prepared.config.threads))
     rows = np.concatenate(

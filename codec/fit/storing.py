@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.compensation_fit import blank, compensated
 from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig
-from cogsplat.codec.encode.encoded import EncodedScene
+from cogsplat.codec.encode.encoded import EncodedCodebook, EncodedScene
 from cogsplat.codec.encode.pipeline import SizeOf
 from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, predicted
 from cogsplat.codec.encode.prepared import prepare
@@ -65,6 +66,8 @@ class Storing:
         To score in.
     target : Target
     preset : str
+    profile : str
+        ``transform`` or ``vq``.
     test_views : sequence of Camera
         To measure in; some of `cameras` where there are none.
     size_of : callable
@@ -80,6 +83,7 @@ class Storing:
         cameras: Sequence[Camera],
         target: Target,
         preset: str,
+        profile: str,
         test_views: Sequence[Camera],
         size_of: SizeOf,
         threads: int,
@@ -92,7 +96,7 @@ class Storing:
         self._progress = progress
         self._fit = self._preset.fit_config(threads)
         views = evenly(cameras, _MOST_SCORED)
-        settings = self._preset.score_config("transform", threads=threads)
+        settings = self._preset.score_config(profile, threads=threads)
         scores = score(base, views, settings, progress=progress)
         # Prefixes are compared with the source, which they are to look like.
         self._references = render_references(
@@ -106,7 +110,7 @@ class Storing:
         self._prepared = prepare(
             base,
             scores,
-            EncodeConfig(threads=threads),
+            EncodeConfig(profile=profile, threads=threads),
             views=views,
             references=self._references,
             effort=self._preset.gain,
@@ -116,6 +120,28 @@ class Storing:
             source, evenly(test_views or cameras, self._preset.test_views), threads
         )
         self._scored_views = len(views)
+        # Of the last encode; those of the profile `vq` go on from them in the next one.
+        self._codebooks: Sequence[EncodedCodebook] = ()
+
+    def state(self) -> dict[str, NDArray[np.generic]]:
+        """Return all that `restore` needs, as arrays by name."""
+        arrays: dict[str, NDArray[np.generic]] = {}
+        for number, book in enumerate(self._codebooks):
+            of = f"codebook.{number}.{book.attribute}.{book.rows}"
+            for part, payload in enumerate(book.payloads):
+                arrays[f"{of}.{part}"] = np.frombuffer(payload, np.uint8)
+        return arrays
+
+    def restore(self, state: Mapping[str, NDArray[np.generic]]) -> None:
+        """Go on from what `state` returned; arrays of other names are passed over."""
+        parts: dict[tuple[str, ...], list[bytes]] = {}
+        for name in sorted(name for name in state if name.startswith("codebook.")):
+            _, *of, _ = name.split(".")
+            parts.setdefault(tuple(of), []).append(state[name].tobytes())
+        self._codebooks = [
+            EncodedCodebook(attribute, int(rows), tuple(payloads))
+            for (_, attribute, rows), payloads in parts.items()
+        ]
 
     @staticmethod
     def rate(done: float) -> float:
@@ -128,7 +154,7 @@ class Storing:
             return _within(self._target.psnr_db + _FIRST_ABOVE_DB)
         quality = 36.0
         for _ in range(4):
-            _, encoded = stored(self._prepared, splats, quality)
+            _, encoded = self._store(splats, quality)
             moved = _within(quality + self._missed_db(encoded))
             if abs(moved - quality) < 0.1:
                 break
@@ -147,13 +173,13 @@ class Storing:
         done : float
             Share of the steps through quantisers that are made.
         """
-        decoded, encoded = stored(self._prepared, splats, quality_db)
+        decoded, encoded = self._store(splats, quality_db)
         self.last_figures = self.figures(encoded)
         if done < _AIMING:
             missed = self._missed_db(encoded)
             quality_db = _within(quality_db + min(max(missed, -_LONGEST_DB), _LONGEST_DB))
             if missed:
-                decoded, _ = stored(self._prepared, splats, quality_db)
+                decoded, _ = self._store(splats, quality_db)
         return quality_db, decoded
 
     def figures(self, encoded: EncodedScene) -> tuple[int, float, float, int]:
@@ -171,7 +197,7 @@ class Storing:
         """
         best: EncodedScene | None = None
         for trial in range(_CORRECTIONS + 1):
-            _, encoded = stored(self._prepared, trainer.splats, quality_db)
+            _, encoded = self._store(trainer.splats, quality_db)
             missed = self._missed_db(encoded)
             fits = self._fits(encoded)
             if fits and (best is None or self._is_better(encoded, best)):
@@ -180,7 +206,7 @@ class Storing:
                 break
             quality_db = _within(quality_db + (missed or -0.05))
             for _ in range(_CORRECTION_REFRESHES):
-                decoded, _ = stored(self._prepared, trainer.splats, quality_db)
+                decoded, _ = self._store(trainer.splats, quality_db)
                 trainer.run(refresh, _RATES[1], _RATES[1], drawn_as=decoded)
         if best is None:
             raise DataError(
@@ -218,6 +244,12 @@ class Storing:
             # Only the order of segments can have made it larger; this one was measured before.
             finished = replace(finished, prefix_mse=None)
         return finished
+
+    def _store(self, splats: Splats, quality_db: float) -> tuple[Splats, EncodedScene]:
+        """Return what the scene becomes when it is stored, and the encoded scene."""
+        decoded, encoded = stored(self._prepared, splats, quality_db, self._codebooks)
+        self._codebooks = encoded.codebooks
+        return decoded, encoded
 
     def _bytes(self, encoded: EncodedScene) -> int:
         """Return the bytes of the file that the finished scene will make."""

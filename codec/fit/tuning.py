@@ -45,6 +45,9 @@ _LARGEST_LOGIT: Final = 8.0
 # Where the number of splats is not known before, the work is planned for this share of them.
 _USUAL_SHARE: Final = 0.25
 
+# Profiles whose quantisers a scene can be trained through; `near-lossless` bounds errors instead.
+_PROFILES: Final = ("transform", "vq")
+
 State = Mapping[str, NDArray[np.generic]]
 """All that going on takes, as arrays by name."""
 
@@ -68,6 +71,10 @@ class TuneConfig:
         fast the machine is.
     preset : str
         One of `presets.PRESETS`: how the tuned scene is scored, ordered and compensated.
+    profile : str
+        ``transform`` or ``vq``: what the scene is stored as. Of ``vq`` the codebooks train with the
+        splats, each beginning where the one before ended, and every splat takes the row that is
+        nearest by then (Niedermayr et al. 2024, section 3.3, with the means trained too).
     train : TrainConfig
     """
 
@@ -79,6 +86,7 @@ class TuneConfig:
     refresh: int = 10
     seconds: float | None = None
     preset: str = "fast"
+    profile: str = "transform"
     train: TrainConfig = field(default_factory=TrainConfig)
 
     def __post_init__(self) -> None:
@@ -93,6 +101,8 @@ class TuneConfig:
             raise ValueError(f"{self.seconds} seconds, expected more than 0")
         if self.preset not in PRESETS:
             raise ValueError(f"preset {self.preset!r}, expected one of {tuple(PRESETS)}")
+        if self.profile not in _PROFILES:
+            raise ValueError(f"profile {self.profile!r}, expected one of {_PROFILES}")
 
 
 @dataclass(frozen=True)
@@ -207,9 +217,11 @@ def tune(
         run.leave_out()
         run.base = run.trainer.copy()
     storing = Storing(
-        source, run.base, cameras, target, config.preset, test_views, size_of, config.train.threads,
-        progress,
+        source, run.base, cameras, target, config.preset, config.profile, test_views, size_of,
+        config.train.threads, progress,
     )  # fmt: skip
+    if resume is not None:
+        storing.restore(resume)
     encoded = run.through_quantisers(storing)
     return Tuned(storing.finished(encoded), run.base)
 
@@ -346,7 +358,7 @@ class _Run:
         if self._notify is not None:
             self._notify(Milestone("stored", *storing.last_figures))
         if self._checkpoint is not None:
-            self._checkpoint(self.state())
+            self._checkpoint(self.state() | storing.state())
 
     def state(self) -> dict[str, NDArray[np.generic]]:
         """Return all that `restore` needs."""

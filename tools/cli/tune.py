@@ -55,7 +55,7 @@ _DEFAULT_DB: Final = 40.0
 
 _GROUPS: Final = {
     "Most used": ("--cameras", "--target-psnr", "--target-size", "--minutes", "--images"),
-    "Training": ("--keep", "--preset", "--seed", "--eval-every"),
+    "Training": ("--keep", "--profile", "--preset", "--seed", "--eval-every"),
     "More files": ("--ply", "--checkpoint", "--resume"),
 }
 
@@ -92,6 +92,13 @@ _GROUPS: Final = {
     type=click.FloatRange(0, 1, min_open=True),
     metavar="SHARE",
     help="Keep this share of the splats. Without it, as few as the target allows.",
+)
+@click.option(
+    "--profile",
+    type=click.Choice(["transform", "vq"]),
+    default="transform",
+    show_default=True,
+    help="What OUT is stored as, as in encode. The codebooks of vq train with the splats.",
 )
 @click.option(
     "--preset",
@@ -133,6 +140,7 @@ def tune(
     minutes: float | None,
     images: Path | None,
     keep: float | None,
+    profile: str,
     preset: str,
     seed: int,
     eval_every: int,
@@ -198,6 +206,7 @@ def tune(
             keep=keep,
             seconds=None if minutes is None else 60 * minutes,
             preset=preset,
+            profile=profile,
             train=TrainConfig(loss="photo" if photos else "squared", seed=seed, threads=threads),
         )
         writer = f"cogsplat {cogsplat.__version__}"

@@ -15,6 +15,8 @@ from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 
+from .lpips import Lpips
+
 F32 = NDArray[np.float32]
 
 
@@ -91,19 +93,28 @@ class PictureFigures:
         Mean and least over the views.
     ssim : float
         Mean over the views.
+    lpips : float or None
+        Mean over the views; None without weights, and for pictures that are too small for them.
     """
 
     psnr_db: float
     worst_psnr_db: float
     ssim: float
+    lpips: float | None = None
 
     def report(self) -> dict[str, object]:
-        """Return the fields as JSON output has them, rounded."""
-        return {name: round(value, 4) for name, value in asdict(self).items()}
+        """Return the fields that were measured as JSON output has them, rounded."""
+        fields = asdict(self).items()
+        return {name: round(value, 4) for name, value in fields if value is not None}
 
 
 def compared(
-    splats: Splats, cameras: Sequence[Camera], targets: Sequence[F32], threads: int = 0
+    splats: Splats,
+    cameras: Sequence[Camera],
+    targets: Sequence[F32],
+    threads: int = 0,
+    *,
+    lpips: Lpips | None = None,
 ) -> PictureFigures:
     """Return how the pictures of a scene compare with others of the same cameras.
 
@@ -114,6 +125,8 @@ def compared(
     targets : sequence of (H, W, 3) float32
         At least 11 px wide and high.
     threads : int
+    lpips : Lpips, optional
+        Weights of the network to measure LPIPS with.
     """
     info = splats.info
     config = RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased, threads=threads)
@@ -123,4 +136,13 @@ def compared(
     ]
     decibels = [psnr(picture, target) for picture, target in pairs]
     alike = [ssim(picture, target) for picture, target in pairs]
-    return PictureFigures(float(np.mean(decibels)), min(decibels), float(np.mean(alike)))
+    distance = None
+    if lpips is not None and min(min(target.shape[:2]) for target in targets) >= (
+        lpips.smallest_side
+    ):
+        distance = float(np.mean([_distance(lpips, *pair) for pair in pairs]))
+    return PictureFigures(float(np.mean(decibels)), min(decibels), float(np.mean(alike)), distance)
+
+
+def _distance(lpips: Lpips, picture: F32, target: F32) -> float:
+    return lpips.distance(lpips.features(picture), lpips.features(target))

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.encode.encoded import EncodedCodebook
 from cogsplat.codec.encode.prepared import LaidOutScene
+from cogsplat.codec.geometry import covariance
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.rate import allocation, segment_order
 from cogsplat.codec.rate import costs as rate_costs
 from cogsplat.codec.rate.costs import Costs
+from cogsplat.codec.segments.codebooks import ShapeCodebook
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
 
@@ -111,6 +113,7 @@ def _vq(scene: LaidOutScene, quality_db: float, progress: Progress) -> PlannedSc
         training=config.training,
         threads=config.threads,
         progress=progress,
+        start=_vq_start(scene.codebooks, ordered.sh_degree),
     )
     codebooks = [EncodedCodebook("shape", plan.shape_rows, (plan.shape_payload,))]
     if plan.colour_rows:
@@ -119,6 +122,18 @@ def _vq(scene: LaidOutScene, quality_db: float, progress: Progress) -> PlannedSc
         codebooks,
         lambda run: vq.encode_chunk(ordered, plan, np.arange(run.start, run.stop), config.morton),
     )
+
+
+def _vq_start(codebooks: Sequence[EncodedCodebook], degree: int) -> vq.VqStart:
+    """Return the rows of earlier codebooks, as they were decoded."""
+    start = vq.VqStart()
+    for book in codebooks:
+        rows = book.decoded(degree)
+        if isinstance(rows, ShapeCodebook):
+            start = replace(start, shapes=covariance.vectors(rows.quats, rows.scales))
+        else:
+            start = replace(start, colours=rows.shN.reshape(len(rows), -1))
+    return start
 
 
 PROFILES: Final[Mapping[str, Profile]] = MappingProxyType(

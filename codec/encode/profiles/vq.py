@@ -81,6 +81,22 @@ class VqPlan:
     colour_escape: NDArray[np.bool_]
 
 
+@dataclass(frozen=True, eq=False)
+class VqStart:
+    """Rows of codebooks of an earlier encode of nearly the same scene.
+
+    Parameters
+    ----------
+    shapes : (C, 6) float32 or None
+        As `covariance.vectors` has them.
+    colours : (D, 3·(K-1)) float32 or None
+        SH coefficients above DC.
+    """
+
+    shapes: F32 | None = None
+    colours: F32 | None = None
+
+
 MAX_COEFFICIENT: Final = 1e4
 """SH coefficients beyond ± this are stored as this: the least alpha of one saturates a pixel, and a
 stray value widens the steps of all that share its grid."""
@@ -128,6 +144,7 @@ def plan(
     training: TrainingConfig,
     threads: int,
     progress: Progress,
+    start: VqStart | None = None,
 ) -> VqPlan:
     """Train the codebooks of a scene and assign its splats.
 
@@ -142,14 +159,21 @@ def plan(
     training : TrainingConfig
     threads : int
     progress : Progress
+    start : VqStart, optional
+        Codebooks that training goes on from.
     """
     progress("codebooks", 0, 2)
+    start = start or VqStart()
     costs = EnergyCosts(lagrangian, energy)
     quats, scales = rotations.largest_w(rotations.unit(splats.quats), splats.scales)
     factors = covariance.scale_factor(scales)
     vectors = covariance.vectors(quats, scales)
     rows = kmeans.train(
-        vectors, energy, codebook_rows(len(splats), _SPLATS_PER_SHAPE_ROW), training
+        vectors,
+        energy,
+        codebook_rows(len(splats), _SPLATS_PER_SHAPE_ROW),
+        training,
+        start=start.shapes,
     )
     indices, _ = kmeans.nearest(vectors, rows, threads)
     payload, rows = _store_shapes(rows, indices, costs)
@@ -164,7 +188,11 @@ def plan(
     if splats.sh_degree:
         coefficients = splats.shN.reshape(len(splats), -1)
         values = kmeans.train(
-            coefficients, energy, codebook_rows(len(splats), _SPLATS_PER_COLOUR_ROW), training
+            coefficients,
+            energy,
+            codebook_rows(len(splats), _SPLATS_PER_COLOUR_ROW),
+            training,
+            start=start.colours,
         )
         colour_indices, _ = kmeans.nearest(coefficients, values, threads)
         colour_payloads, values = _store_colours(values, colour_indices, costs)

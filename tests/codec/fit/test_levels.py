@@ -8,6 +8,7 @@ from cogsplat.codec.fit.levels import (
     LevelsConfig,
     averaged,
     scaled_camera,
+    train_for_all_scales,
     train_levels,
 )
 from cogsplat.codec.metrics import psnr, ssim
@@ -53,6 +54,26 @@ def test_lower_levels_keep_all_but_opacities(scene):
     later = both.rows(2)
     later = later[later < count]
     assert (both.opacities[2, later] != both.opacities[1, later]).mean() > 0.5
+
+
+def test_one_model_of_all_scales_is_better_than_an_untrained_one_at_each(scene):
+    splats, cameras = scene
+    short = LevelsConfig(scales=(4, 1), shares=(0.2, 0.5), steps=40, threads=1)
+    model = train_for_all_scales(splats, cameras, short)
+    assert model.scales == (1,)
+    assert 0.9 * 300 <= len(model.splats) <= 300
+    assert model.rows(0).tolist() == list(range(len(model.splats)))
+    cut = train_for_all_scales(splats, cameras, LevelsConfig((4, 1), (0.2, 0.5), 0, threads=1))
+    for scale in short.scales:
+        views = [scaled_camera(camera, scale) for camera in cameras]
+        targets = [averaged(render(splats, camera), scale) for camera in cameras]
+        trained, untrained = (
+            np.mean([ssim(render(one.at(0), v), t) for v, t in zip(views, targets, strict=True)])
+            for one in (model, cut)
+        )
+        assert trained > untrained
+    with pytest.raises(ValueError, match="no cameras"):
+        train_for_all_scales(splats, [], short)
 
 
 def test_added_splats_move_and_keep_their_sh(scene, levels):

@@ -75,3 +75,35 @@ def test_the_steps_stay_while_the_values_move(prepared):
     assert after.splats == before.splats
     for one, other in zip(before.chunks, after.chunks, strict=True):
         np.testing.assert_array_equal(one.payloads.order, other.payloads.order)
+
+
+def test_codebooks_go_on_from_those_of_the_encode_before():
+    splats, cameras = synth(1500, seed=3), synth_cameras(6, 64, 48)
+    config = EncodeConfig(
+        profile="vq", order="contribution", compensate=False, prune=None, threads=1
+    )
+    prepared = prepare(splats, score(splats, cameras), config, views=cameras)
+    found, first = stored(prepared, splats, QUALITY)
+    assert np.isfinite(found.opacities).all()
+    _, again = stored(prepared, splats, QUALITY, first.codebooks)
+    _, anew = stored(prepared, splats, QUALITY)
+
+    def rows(encoded):
+        return encoded.codebooks[0].decoded(splats.sh_degree)
+
+    def moved(encoded):
+        """Return how far the scales of each row are from the nearest of the first codebook."""
+        far = rows(encoded).scales[:, None] - rows(first).scales[None]
+        return np.linalg.norm(far, axis=2).min(axis=1)
+
+    assert [book.attribute for book in again.codebooks] == ["shape", "colour"]
+    assert anew.codebooks[0].payloads == first.codebooks[0].payloads
+    assert again.codebooks[0].payloads != first.codebooks[0].payloads
+    assert np.median(moved(again)) < 0.1
+    # What is decoded is nearer to the scene than with codebooks that were trained once.
+    cameras = synth_cameras(3, 64, 48)
+    decibels = [
+        np.mean([psnr(render(splats, view), render(each.decoded, view)) for view in cameras])
+        for each in (first, again)
+    ]
+    assert decibels[1] > decibels[0] - 0.1

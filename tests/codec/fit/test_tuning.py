@@ -14,6 +14,8 @@ from cogsplat.codec.fit.drawing import Gradients
 from cogsplat.codec.fit.lessons import lessons_of
 from cogsplat.codec.fit.trainer import TrainConfig
 from cogsplat.codec.fit.tuning import TuneConfig, tune
+from cogsplat.codec.metrics import psnr
+from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.synthetic.scene import synth, synth_cameras
 
 SHORT = TuneConfig(round_steps=20, recovery_steps=30, storing_steps=60)
@@ -28,13 +30,20 @@ def size_of(encoded):
     )
 
 
+def size_of_all(encoded):
+    """Return the bytes of the payloads, codebooks with them."""
+    return size_of(encoded) + sum(
+        len(payload) for book in encoded.codebooks for payload in book.payloads
+    )
+
+
 @pytest.fixture(scope="module")
 def scene():
     splats, cameras = synth(700, seed=1), synth_cameras(6, 64, 48)
     return splats, cameras, lessons_of(splats, cameras)
 
 
-def tuned(scene, target, config=SHORT, **given):
+def tuned(scene, target, config=SHORT, size_of=size_of, **given):
     splats, cameras, lessons = scene
     return tune(splats, lessons, cameras, target, config, size_of=size_of, **given)
 
@@ -90,6 +99,38 @@ def test_the_result_is_the_same_for_any_threads_and_after_a_restart(scene):
 
 
 @pytest.mark.slow
+def test_codebooks_train_with_the_splats(scene):
+    splats, cameras, _ = scene
+    config = replace(SHORT, profile="vq", keep=0.7)
+    states = []
+
+    def keep(state):
+        states.append({name: np.array(values) for name, values in state.items()})
+
+    made = tuned(scene, Target(size_bytes=9000), config, size_of_all, checkpoint=keep)
+    assert [book.attribute for book in made.encoded.codebooks] == ["shape", "colour"]
+    untrained = encode(
+        made.splats,
+        EncodeConfig(profile="vq", order="contribution", compensate=False, prune=None),
+        cameras=cameras,
+        target=Target(size_bytes=9000),
+        size_of=size_of_all,
+    )
+    views = synth_cameras(6, 64, 48)
+    trained_db, untrained_db = (
+        np.mean([psnr(render(splats, view), render(one.decoded, view)) for view in views])
+        for one in (made.encoded, untrained)
+    )
+    assert trained_db > untrained_db + 1.0
+    # The codebooks are part of what a restart goes on from.
+    again = tuned(scene, Target(size_bytes=9000), config, size_of_all, resume=states[-1])
+    assert again.encoded.codebooks == made.encoded.codebooks
+    assert [chunk.payloads.head for chunk in again.encoded.chunks] == [
+        chunk.payloads.head for chunk in made.encoded.chunks
+    ]
+
+
+@pytest.mark.slow
 def test_the_share_that_is_kept_can_be_given(scene):
     config = replace(SHORT, keep=0.5, preset="balanced")
     made = tuned(scene, Target(psnr_db=30.0), config)
@@ -121,6 +162,7 @@ def test_a_size_out_of_reach_is_refused(scene):
         ({"storing_steps": 0}, "at least 1 each"),
         ({"seconds": 0.0}, "0.0 seconds"),
         ({"preset": "slow"}, "preset 'slow'"),
+        ({"profile": "near-lossless"}, "profile 'near-lossless'"),
     ],
 )
 def test_settings_that_mean_nothing_are_refused(settings, said):
