@@ -208,7 +208,7 @@ DOORS: dict[str, dict[str, str]] = {
         "cuboid_program": "cheapest_partition",
         "grid_trees": "kd_partition octree_partition",
         "guillotine": "cut_costs",
-        "nested_cells": "DEFAULT_LARGEST NestedCells nested_cells parents",
+        "nested_cells": "DEFAULT_LARGEST NestedCells WHOLE nested_cells parents",
     },
     "codec.rate": {
         "allocation": "equal_step lagrangian own_steps shn_step",
@@ -242,6 +242,7 @@ DOORS: dict[str, dict[str, str]] = {
         "tiles": "TILE TileLists gather tile_lists",
     },
     "codec.scoring": {
+        "chunk_contributions": "PIXELS chunk_contributions",
         "contribution": "LEAST_WEIGHT MOST_BY_VIEW ScoreConfig Scores score unscored",
         "reference_views": "PICTURE_PIXELS ReferenceViews render_references",
     },
@@ -257,6 +258,9 @@ DOORS: dict[str, dict[str, str]] = {
         "opacities": "MAX_LOGIT decode_opacities pack_opacities",
         "payloads": "Payloads",
         "tails": "decode_tail",
+        "view_table": (
+            "MAX_CODES MAX_VIEWS ViewTable pack_codes share_codes stored_directions unpack_codes"
+        ),
     },
     "codec.streams": {
         "adaptive_step": "StepModel fit",
@@ -288,6 +292,7 @@ DOORS: dict[str, dict[str, str]] = {
     "codec.views": {
         "low_discrepancy": "STEP_1D",
         "planner": "ViewPlan ViewPlanConfig plan plan_views",
+        "view_clusters": "view_clusters",
         "view_sets": "evenly hold_out jitter roam",
     },
     "formats.cameras": {

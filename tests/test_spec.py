@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from cogsplat.codec.segments import view_table
 from cogsplat.codec.splats import MAX_EXTRA_COMPONENTS, MAX_EXTRAS, MAX_SH_DEGREE
 from cogsplat.codec.streams import (
     adaptive_step,
@@ -208,7 +209,7 @@ def test_numbers_of_segment_kinds():
     words = {"head": "HEAD", "tail": "TAIL", "shape codebook": "SHAPE_CODEBOOK"}
     words |= {"refinement": "REFINEMENT", "opacities": "OPACITIES"}
     words |= {"cameras": "CAMERAS", "attributes": "ATTRIBUTES"}
-    words |= {"compensation": "COMPENSATION"}
+    words |= {"compensation": "COMPENSATION", "view table": "VIEW_TABLE"}
     words |= {f"colour codebook, band {b}": f"COLOUR_BAND{b}" for b in (1, 2, 3)}
     assert {n: words[name] for n, name in known.items()} == {
         int(k): k.name for k in layout.SegmentKind
@@ -247,6 +248,7 @@ def test_limits_are_the_constants():
         "components of an attribute": MAX_EXTRA_COMPONENTS,
         "cameras": layout.MAX_CAMERAS,
         "levels of a scene": layout.MAX_LEVELS,
+        "viewpoints of a view table": view_table.MAX_VIEWS,
         "nesting of root and pages": canonical_msgpack.MAX_DEPTH,
         "values of a msgpack map": canonical_msgpack.MAX_VALUES,
         "values of a map of cameras": layout.MAX_CAMERA_VALUES,

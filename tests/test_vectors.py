@@ -184,6 +184,17 @@ def test_attributes_and_cameras_come_to_the_bit(entry):
 
 
 @pytest.mark.parametrize("entry", VALID, ids=name_of)
+def test_view_tables_come_to_the_bit(entry):
+    with open_cogs(BytesSource(data_of("valid", entry))) as file:
+        table = file.view_table()
+    expected = entry.get("view_table")
+    assert (table is None) == (expected is None)
+    if table is not None:
+        columns = (table.positions.tolist(), table.directions.tolist(), table.shares.tolist())
+        assert [list(row) for row in zip(*columns, strict=True)] == expected
+
+
+@pytest.mark.parametrize("entry", VALID, ids=name_of)
 def test_first_chunks_are_compensated_to_the_bit(entry):
     expected = dict(entry.get("compensated", []))
     with open_cogs(BytesSource(data_of("valid", entry))) as file:

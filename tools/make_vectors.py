@@ -29,6 +29,7 @@ from cogsplat.tools.conformance import (
     order_in_payloads,
     order_of_refusals,
     reference_decoder,
+    view_tables,
     worked_example,
     zstd_headers,
 )
@@ -76,6 +77,7 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     extras.attributes,
     extras.cameras,
     compensations.compensation,
+    view_tables.view_tables,
     levels.ends,
     levels.levels,
     levels.opacities,
@@ -98,6 +100,7 @@ def valid() -> list[Valid]:
         *refinements.valid(),
         *extras.valid(),
         *compensations.valid(),
+        *view_tables.valid(),
         *levels.valid(),
         *msgpack_faults.valid(),
         *zstd_headers.valid(),
@@ -108,6 +111,7 @@ ASIDE: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     extras.attributes,
     extras.cameras,
     compensations.compensation,
+    view_tables.view_tables,
     boxes.sizes,
 )
 """What a viewer leaves aside (SPEC 8.6): it need not refuse these files."""
@@ -207,6 +211,12 @@ def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
     if scene.cameras:
         cameras: list[Json] = [_camera(camera) for camera in scene.cameras]
         entry["cameras"] = cameras
+    if scene.view_table:
+        viewpoints: list[Json] = [
+            [list(position), list(direction), list(shares)]
+            for position, direction, shares in scene.view_table
+        ]
+        entry["view_table"] = viewpoints
     return entry, arrays
 
 

@@ -84,6 +84,9 @@ class EncodeConfig:
         Whether chunks are cut by cells of space as well, finer from layer to layer, so that a
         client can fetch what it looks at; `partition.nested_cells.DEFAULT_LARGEST` splats in a
         chunk cost hardly more bytes than chunks that are not cut.
+    view_table : bool
+        Whether scenes that are cut into cells get a table of what the pictures of some viewpoints
+        show of each chunk (SPEC 5.12), where they have cameras, given or planned.
     morton : bool
         Whether to sort by Morton code inside the chunk.
     refine : bool
@@ -110,6 +113,7 @@ class EncodeConfig:
     ordering: OrderConfig = field(default_factory=OrderConfig)
     chunk_splats: int = chunking.DEFAULT_LARGEST
     cells: bool = False
+    view_table: bool = True
     morton: bool = True
     refine: bool = True
     prune: PruneConfig | None = field(default_factory=PruneConfig)

@@ -17,6 +17,7 @@ from cogsplat.codec.segments.codebooks import (
 )
 from cogsplat.codec.segments.compensation import Compensation
 from cogsplat.codec.segments.payloads import Payloads
+from cogsplat.codec.segments.view_table import ViewTable
 from cogsplat.codec.splats import Splats
 
 
@@ -193,6 +194,8 @@ class EncodedScene:
     report : EncodeReport
     levels : sequence of EncodedLevel
         Coarsest first; none where the scene has no levels.
+    view_table : ViewTable or None
+        What the pictures of some viewpoints show of each chunk; None where nothing is stored.
     """
 
     scene: Splats
@@ -206,6 +209,7 @@ class EncodedScene:
     prefix_mse: NDArray[np.float64] | None = None
     report: EncodeReport = field(default_factory=EncodeReport)
     levels: Sequence[EncodedLevel] = ()
+    view_table: ViewTable | None = None
 
     def placed(self) -> list[Place]:
         """Return the segments that splats need in the order of the file, shape codebooks aside."""

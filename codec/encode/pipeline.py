@@ -40,6 +40,7 @@ from .prepared import PreparedScene, prepare
 from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .rate_control import Hit, Target, to_finished_size, to_nominal, to_psnr
 from .shift_optimiser import FitConfig
+from .view_tables import foreseen, with_view_table
 
 LEAST_COVERAGE: Final[Mapping[str, float]] = MappingProxyType({"planned": 0.9, "given": 0.75})
 """Coverage of planned and of given views below which a warning is issued. Given views may leave out
@@ -97,8 +98,8 @@ def encode(
     progress : Progress
         Called with the stages ``plan views``, ``score``, ``reference views``, those of the order,
         ``order``, ``codebooks``, ``quantisers``, ``chunks``, ``search`` around these where there
-        may be several encodes, ``compensate`` and ``predict``. Those of a single step report it
-        when it is done.
+        may be several encodes, ``view table``, ``compensate`` and ``predict``. Those of a single
+        step report it when it is done.
 
     Returns
     -------
@@ -196,8 +197,9 @@ def encode(
         progress=timed,
     )
     timed("order", 1, 1)
+    table_views = views if config.cells and config.view_table else []
     finishing = _Finishing(
-        prepared, references if fits else None, tests or views, preset, executor, timed
+        prepared, references if fits else None, tests or views, table_views, preset, executor, timed
     )
     if target is None and report.views == "planned" and config.profile != "near-lossless":
         hit = to_nominal(finishing.measured, config.quality_db, _mean_test_psnr_db, progress=timed)
@@ -284,7 +286,7 @@ def _planned(
 
 @dataclass(frozen=True, eq=False)
 class _Finishing:
-    """What is added to a scene once its chunks are encoded: compensation and predicted quality.
+    """What is added to a scene once its chunks are encoded: compensation, view table, predictions.
 
     Parameters
     ----------
@@ -293,6 +295,8 @@ class _Finishing:
         Pictures that compensation is fitted to; None where none is fitted.
     test_views : sequence of Camera
         Views to predict in; empty where nothing is predicted.
+    table_views : sequence of Camera
+        Views that a view table is made of; empty where there is none.
     preset : Preset
         How many of these are rendered, and how long compensation is fitted.
     executor : Executor or None
@@ -302,6 +306,7 @@ class _Finishing:
     prepared: PreparedScene
     references: ReferenceViews | None
     test_views: Sequence[Camera]
+    table_views: Sequence[Camera]
     preset: Preset
     executor: Executor | None
     progress: Progress
@@ -331,9 +336,16 @@ class _Finishing:
         return whole_measured(encoded, self.evaluator)
 
     def finish(self, encoded: EncodedScene) -> EncodedScene:
-        """Return a scene with compensation and predicted quality."""
+        """Return a scene with compensation, a view table and predicted quality."""
+        at_once = self.prepared.workspace.views_at_once
+        if self.table_views:
+            encoded = with_view_table(
+                encoded,
+                self.table_views,
+                executor=self.executor if at_once else LocalThreads(1),
+                progress=self.progress,
+            )
         if self.references is not None:
-            at_once = self.prepared.workspace.views_at_once
             encoded = compensated(
                 encoded,
                 self.references,
@@ -357,6 +369,8 @@ class _Finishing:
             counts = [chunk.splats for chunk in encoded.chunks]
             carriers = effective_splats(self.prepared.scores.contribution)
             encoded = replace(encoded, compensation=blank(counts, carriers, self.fit))
+        if self.table_views:
+            encoded = foreseen(encoded, len(self.table_views))
         if self.test_views:
             chunks = [replace(chunk, quality_db=1.0) for chunk in encoded.chunks]
             encoded = replace(encoded, chunks=chunks)

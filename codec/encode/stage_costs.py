@@ -18,11 +18,13 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.progress import StageCost
+from cogsplat.codec.scoring.chunk_contributions import PIXELS
 from cogsplat.codec.scoring.reference_views import PICTURE_PIXELS
 
 from .config import EncodeConfig
 from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .rate_control import Target
+from .view_tables import MOST_CAMERAS
 
 # Planned views have this size, and planning adds some to those that a preset asks for.
 _PLANNED_PIXELS: Final = 480 * 360
@@ -38,6 +40,8 @@ _WITHOUT_COPIES: Final = 1 / 3
 # Of the whole, and for every splat, as `balanced` does it; pixels are thinned.
 _GAIN: Final = (5.5, 6e-5)
 _COMPENSATE: Final = (1.35, 3.7e-5)
+# Of each view of a view table.
+_VIEW_TABLE: Final = (1.4e-7, 4e-7)
 # The first prefix of the order by gain, as a share of the scene.
 _FIRST_PREFIX: Final = 1 / 8000
 _ORDER: Final = (1e-3, 7e-8)
@@ -121,6 +125,9 @@ def stage_costs(
         trial = books + quantisers + chunks + looked * _ONE_RENDER * prediction
         trials = _NOMINAL_TRIALS if target is None else _TRIALS
         costs.append(StageCost("search", trial * trials, inner="chunks"))
+    if seen and config.cells and config.view_table:
+        drawn = min(views, MOST_CAMERAS)
+        costs.append(StageCost("view table", _of_view(_VIEW_TABLE, PIXELS, splats), drawn))
     if seen and fits:
         costs.append(_fitted(splats, preset))
     if seen:

@@ -51,6 +51,8 @@ class Index:
     layers : sequence of int
         Rows of the layers of compensation, in the order of the layers; those of pages that are not
         there are left out.
+    view_table : int
+        Row of the view table; -1 where there is none, or its page is not there.
     codebooks : sequence of mapping of SegmentKind to int
         For each codebook, the rows of its segments by kind; a page that is not there may lack some.
     all_chunks : int
@@ -69,6 +71,7 @@ class Index:
     attributes: I64
     cameras: int
     layers: Sequence[int]
+    view_table: int
     codebooks: Sequence[Mapping[SegmentKind, int]]
     all_chunks: int
 
@@ -135,6 +138,10 @@ class AnyIndex(Protocol):
 
     @property
     def layers(self) -> Sequence[int]:
+        """See `Index`."""
+
+    @property
+    def view_table(self) -> int:
         """See `Index`."""
 
     @property
@@ -372,6 +379,7 @@ def join_pages(
         attributes=_attribute_rows(source, root, table, heads),
         cameras=_camera_segment(source, table),
         layers=_layer_rows(source, table) if whole or not keep_numbers else [],
+        view_table=_view_table_row(source, table),
         all_chunks=_all_chunks(root),
     )
 
@@ -573,6 +581,20 @@ def _camera_segment(source: Source, table: SegmentTable) -> int:
             f"{source.name}: cameras of the owners {owners.tolist()[:8]}, expected one segment at "
             "most, of owner 0",
             clause="5.8",
+        )
+    return int(rows[0]) if len(rows) else -1
+
+
+def _view_table_row(source: Source, table: SegmentTable) -> int:
+    """Return the row of the view table (SPEC 5.12)."""
+    rows = np.flatnonzero(table.kind == SegmentKind.VIEW_TABLE)
+    owners = table.owner[rows]
+    if len(rows) > 1 or owners.any():
+        raise FormatError(
+            "view-table-segments",
+            f"{source.name}: view tables of the owners {owners.tolist()[:8]}, expected one segment "
+            "at most, of owner 0",
+            clause="5.12",
         )
     return int(rows[0]) if len(rows) else -1
 

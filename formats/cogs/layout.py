@@ -52,6 +52,7 @@ class SegmentKind(IntEnum):
     CAMERAS = 128
     ATTRIBUTES = 129
     COMPENSATION = 130
+    VIEW_TABLE = 131
 
 
 COLOUR_BANDS: Final = (

@@ -190,6 +190,11 @@ class LazyIndex:
         return self.whole().layers
 
     @property
+    def view_table(self) -> int:
+        """See `Index`."""
+        return self.whole().view_table
+
+    @property
     def codebooks(self) -> Sequence[Mapping[SegmentKind, int]]:
         """See `Index`."""
         return self.whole().codebooks

@@ -17,6 +17,7 @@ from cogsplat.codec.segments.chunks import decode_chunk
 from cogsplat.codec.segments.codebooks import Codebook
 from cogsplat.codec.segments.compensation import Compensation, Layer
 from cogsplat.codec.segments.opacities import decode_opacities
+from cogsplat.codec.segments.view_table import ViewTable
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from cogsplat.codec.streams import compiled
 from cogsplat.codec.threads import ordered_map, thread_count
@@ -31,6 +32,7 @@ from cogsplat.formats.storage.source import (
 
 from . import cameras as cogs_cameras
 from . import compensation as cogs_compensation
+from . import view_table as cogs_view_table
 from .decoded_rows import SCRATCH_ROW_BYTES, allocate, row_bytes, scratch_bytes
 from .drawn_chunks import drawn_chunks
 from .fetch_order import opacities_rows, ranges_to_decode
@@ -99,6 +101,28 @@ class CogsFile(StoredFile):
             raise self._not_there("the segment of cameras")
         payload = bytes(self.read_segment(row))
         return cogs_cameras.unpack_cameras(payload, f"{self.name}: cameras", self._allowed)
+
+    def view_table(self) -> ViewTable | None:
+        """Return what each chunk adds to the pictures of some viewpoints; None where it is absent.
+
+        Raises
+        ------
+        TruncatedError
+            ``file-truncated``: a partial source does not hold it.
+        FormatError, UnsupportedError
+            It breaks SPEC 5.12.
+        LimitError
+            ``decoded-size``: its codes take more memory than `Limits` allow.
+        """
+        row = self.view_table_row
+        if row is None:
+            return None
+        if not self.is_present(row):
+            raise self._not_there("the view table")
+        payload = bytes(self.read_segment(row))
+        return cogs_view_table.unpack_view_table(
+            payload, f"{self.name}: view table", self._index.all_chunks, self._allowed
+        )
 
     def compensation(self) -> Compensation:
         """Return the compensation of the scene's prefixes: the layers that are there.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.encoded import EncodedChunk, EncodedScene
+from cogsplat.codec.partition.nested_cells import WHOLE
 from cogsplat.codec.rate.segment_order import Place, Placed
 from cogsplat.codec.segments.attributes import types_of
 from cogsplat.codec.segments.payloads import Payloads
@@ -19,6 +20,7 @@ from .cameras import pack_cameras
 from .compensation import pack_layer
 from .layout import SegmentKind
 from .root import ChunkTable, CodebookEntry, Level, Root, no_segments
+from .view_table import pack_view_table
 from .writer import Segment, lay_out, write_cogs
 
 
@@ -117,11 +119,12 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
     """Return the segments of a scene in the order a client should receive them (SPEC 5.1).
 
     Layers of compensation stand before the first chunk that they are about and the layer before is
-    not, the opacities of a level before the last of its chunks. Behind all that a picture needs
-    stand the cameras, then the extra attributes.
+    not, the opacities of a level before the last of its chunks, and the view table before the first
+    chunk of a part of space, where clients begin to choose. Behind all that a picture needs stand
+    the cameras, then the extra attributes.
     """
     out: list[Segment] = []
-    layers, opacities = _layers(scene), _opacities(scene)
+    layers, opacities, view_table = _layers(scene), _opacities(scene), _view_table(scene)
     codebooks: list[Segment] = []
     for number, book in enumerate(scene.codebooks):
         if book.attribute == "shape":
@@ -136,6 +139,7 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
             if place.what is Placed.HEAD:
                 out += layers.get(place.chunk, [])
                 out += opacities.get(place.chunk, [])
+                out += view_table.get(place.chunk, [])
             out.append(_segment(place, scene.chunks[place.chunk].payloads))
     if cameras:
         out.append(Segment(SegmentKind.CAMERAS, 0, pack_cameras(cameras)))
@@ -168,6 +172,17 @@ def _opacities(scene: EncodedScene) -> dict[int, list[Segment]]:
             last = scene.levels[level].chunks - 1
             found.setdefault(last, []).append(Segment(SegmentKind.OPACITIES, number, payload))
     return found
+
+
+def _view_table(scene: EncodedScene) -> dict[int, list[Segment]]:
+    """Return the view table by the chunk that it stands before."""
+    if scene.view_table is None:
+        return {}
+    parts = (number for number, chunk in enumerate(scene.chunks) if chunk.cell > WHOLE)
+    payload = pack_view_table(scene.view_table)
+    # Of a scene without parts, behind all chunks but the last.
+    before = next(parts, len(scene.chunks) - 1)
+    return {before: [Segment(SegmentKind.VIEW_TABLE, 0, payload)]}
 
 
 def _segment(place: Place, parts: Payloads) -> Segment:

@@ -168,6 +168,11 @@ class StoredFile:
         """Row of the segment of cameras, None where the file has none."""
         return self._index.cameras if self._index.cameras >= 0 else None
 
+    @property
+    def view_table_row(self) -> int | None:
+        """Row of the segment of the view table, None where the file has none."""
+        return self._index.view_table if self._index.view_table >= 0 else None
+
     def select(
         self,
         *,

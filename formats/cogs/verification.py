@@ -93,8 +93,9 @@ def checks(file: CogsFile) -> Iterator[Check]:
     Yields
     ------
     Check
-        The decoded size, CRC and hash of every segment, then codebooks, cameras, compensation, and
-        of every chunk its head, its refinement, its tail with its attributes, and its box.
+        The decoded size, CRC and hash of every segment, then codebooks, cameras, compensation, the
+        view table, and of every chunk its head, its refinement, its tail with its attributes, and
+        its box.
     """
     yield Check("decoded size", 0, file.require_size)
     for row in range(len(file.segments)):
@@ -110,6 +111,8 @@ def checks(file: CogsFile) -> Iterator[Check]:
     layers = np.flatnonzero(file.segments.kind == SegmentKind.COMPENSATION)
     if len(layers):
         yield Check("compensation", int(file.offsets[layers[0]]), file.compensation)
+    if file.view_table_row is not None:
+        yield Check("view table", int(file.offsets[file.view_table_row]), file.view_table)
     for chunk in range(file.num_chunks):
         yield from _chunk_checks(file, chunk)
 

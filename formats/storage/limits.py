@@ -22,7 +22,8 @@ class Limits:
     ----------
     decoded_bytes : int
         Bytes of the decoded arrays, extra attributes among them, and of what is unpacked on the
-        way to them; of a COGS file also its codebooks, its codes of compensation and its cameras.
+        way to them; of a COGS file also its codebooks, its codes of compensation, its view table
+        and its cameras.
     expansion : int
         Those bytes per byte of a COGS file, above 64 MiB. A splat of SH degree 3 takes 236 bytes:
         the default admits every scene of a byte a splat or more.

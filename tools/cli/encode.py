@@ -107,6 +107,7 @@ _GROUPS: Final = {
         "--store-cameras",
         "--chunk-splats",
         "--cells",
+        "--no-view-table",
         "--no-morton",
     ),
     "Memory": ("--memory",),
@@ -174,6 +175,12 @@ _GROUPS: Final = {
     is_flag=True,
     help="Cut chunks by space as well, finer from layer to layer, so that a client can fetch what "
     "it looks at.",
+)
+@click.option(
+    "--no-view-table",
+    is_flag=True,
+    help="With --cells: store no table of what each chunk adds to the pictures of up to 64 "
+    "viewpoints, from which a client knows what is behind walls.",
 )
 @click.option("--no-morton", is_flag=True, help="Keep the order inside chunks as well.")
 @click.option("--no-refine", is_flag=True, help="Write heads fine at once, none coarse first.")
@@ -244,6 +251,7 @@ def encode(
     choice: OrderChoice,
     chunk_splats: int | None,
     cells: bool,
+    no_view_table: bool,
     no_morton: bool,
     no_refine: bool,
     no_compensation: bool,
@@ -306,6 +314,7 @@ def encode(
         order=choice.base,
         chunk_splats=chunk_splats or (CELL_LARGEST if cells else DEFAULT_LARGEST),
         cells=cells,
+        view_table=not no_view_table,
         morton=not no_morton,
         refine=not no_refine,
         compensate=not no_compensation,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.segments.attributes import AttributeType, types_of
+from cogsplat.codec.segments.view_table import ViewTable
 from cogsplat.codec.splats import SceneInfo, Splats, sh_coefficients
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.registry import format_of
@@ -82,14 +83,27 @@ def info(path: Path, verify: bool, all_chunks: bool, quiet: bool, as_json: bool)
         version = format_version(file)
         row = file.camera_row
         cameras = len(file.cameras()) if row is None or file.is_present(row) else None
+        row = file.view_table_row
+        table = file.view_table() if row is not None and file.is_present(row) else None
+        viewpoints = None if table is None and row is not None else _viewpoints(table)
     if as_json:
-        say_json({**_cogs_report(path, version, file, sizes, cameras), "verified": verify})
+        report = _cogs_report(path, version, file, sizes, cameras)
+        say_json({**report, "viewpoints": viewpoints, "verified": verify})
         return
     _tell_root(path, version, file, cameras)
+    if file.view_table_row is not None:
+        size = size_text(int(file.segments.length[file.view_table_row]))
+        there = "not there" if viewpoints is None else counted(viewpoints, "viewpoint")
+        facts(("view table", f"{there}, {size}"))
     if verify:
         facts(("verified", f"{counted(len(file.segments), 'segment')}, all chunks decoded"))
     _tell_chunks(chunk_sizes(file), all_chunks=all_chunks)
     tell_attributes(sizes, file)
+
+
+def _viewpoints(table: ViewTable | None) -> int:
+    """Return how many viewpoints a view table has, 0 without a table."""
+    return 0 if table is None else len(table.positions)
 
 
 def _decoded_bytes(file: CogsFile) -> int:

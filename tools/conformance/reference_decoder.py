@@ -33,12 +33,13 @@ from .reference_streams import (
 
 # SPEC 5.2, by number.
 _HEAD, _TAIL, _SHAPE_BOOK, _REFINEMENT, _OPACITIES = 1, 2, 3, 7, 8
-_CAMERAS, _ATTRIBUTES, _COMPENSATION = 128, 129, 130
+_CAMERAS, _ATTRIBUTES, _COMPENSATION, _VIEW_TABLE = 128, 129, 130, 131
 _BAND_VALUES: Final = (9, 15, 21)
 _NAMES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 
 Rows = dict[str, list[Row]]
 Camera = dict[str, str | int | float | list[float]]
+Viewpoint = tuple[list[float], list[int], list[float]]
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,8 @@ class Scene:
         For each chunk that has them the little-endian values of each attribute, row by row.
     cameras : list of dict
         With the keys of `first_view` and ``name``.
+    view_table : list of (list of float, list of int, list of float)
+        Position, direction and shares of each viewpoint.
     compensated : dict of int to list of float
         By the number of first chunks, the log scales and then the logits of those of them that
         have not ended, compensated.
@@ -113,6 +116,7 @@ class Scene:
     attributes: list[tuple[str, str, int]]
     attribute_values: dict[int, list[bytes]]
     cameras: list[Camera]
+    view_table: list[Viewpoint]
     compensated: dict[int, Row]
     until: list[int]
     levels: list[tuple[float, int, Rows]]
@@ -298,6 +302,29 @@ def _cameras(file: _File) -> list[Camera]:
     return out
 
 
+def _view_table(file: _File) -> list[Viewpoint]:
+    """Return the viewpoints of a file's view table (SPEC 5.12)."""
+    found = file.of(_VIEW_TABLE, 0)
+    if not found:
+        return []
+    table = msgpack.unpackb(file.data[found[0].start : found[0].end])
+    views, chunks = len(table["position"]) // 12, len(file.chunk_splats)
+    (word,) = struct.unpack_from("<I", table["codes"])
+    differences = streams.plane(word, table["codes"][4:], views * chunks)
+    codes = [0] * chunks
+    out: list[Viewpoint] = []
+    for view in range(views):
+        shares = []
+        for chunk in range(chunks):
+            codes[chunk] = (codes[chunk] + differences[view * chunks + chunk]) % 256
+            exponent, low = divmod(codes[chunk], 2)
+            shares.append((2 + low) * 2.0 ** (exponent - 128) if codes[chunk] else 0.0)
+        position = list(struct.unpack_from("<3f", table["position"], 12 * view))
+        direction = list(struct.unpack_from("<3b", table["direction"], 3 * view))
+        out.append((position, direction, shares))
+    return out
+
+
 def _compensated(file: _File, rows: Rows) -> dict[int, Row]:
     """Return the compensated scales and opacities of each prefix of chunks (SPEC 8.5)."""
     segments = [s for s in file.segments if s.kind == _COMPENSATION]
@@ -425,6 +452,7 @@ def decode(data: bytes, *, refine: bool = True) -> Scene:
         attributes=_attribute_types(file),
         attribute_values=_attributes(file),
         cameras=_cameras(file),
+        view_table=_view_table(file),
         compensated=_compensated(file, made.joined(parts)),
         until=file.until,
         levels=[made.level(number) for number in range(len(file.root.get("levels", [])))],

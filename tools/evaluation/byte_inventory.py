@@ -174,6 +174,9 @@ def stored_sizes(file: CogsFile, *, by_stream: bool = True) -> list[StoredSize]:
         if number == SegmentKind.COMPENSATION:
             found["compensation", "shifts and codes"] += int(file.segments.length[row])
             continue
+        if number == SegmentKind.VIEW_TABLE:
+            found["view table", "viewpoints and shares"] += int(file.segments.length[row])
+            continue
         if number >= SKIPPABLE_KIND:
             found[f"kind {number}", "unknown"] += int(file.segments.length[row])
             continue

@@ -33,6 +33,30 @@ def test_cells_stand_in_the_chunk_table(run: Run, cells: Path, small: SmallScene
     assert " cell" not in run("info", small.cogs).out
 
 
+def test_info_tells_of_the_view_table(
+    run: Run, cells: Path, small: SmallScene, tmp_path: Path
+) -> None:
+    with cogsplat.open(cells) as file:
+        table = file.view_table()
+    viewpoints = run("info", cells, "--json").json["viewpoints"]
+    assert viewpoints == (0 if table is None else len(table.positions))
+    assert run("info", small.cogs, "--json").json["viewpoints"] == 0
+    assert "view table" not in run("info", small.cogs).out
+    # A table takes half a percent at most: of few splats there is none.
+    scene, cameras = tmp_path / "scene.ply", tmp_path / "scene.cameras.json"
+    assert run("synth", scene, "--splats", 4000).code == 0
+    options = ["--cameras", cameras, "--cells", "--chunk-splats", 256, "--no-prune"]
+    options += ["--preset", "fast"]
+    with_table, without = tmp_path / "with.cogs", tmp_path / "without.cogs"
+    assert run("encode", scene, with_table, *options).code == 0
+    assert run("encode", scene, without, *options, "--no-view-table").code == 0
+    assert run("info", with_table, "--json").json["viewpoints"] >= 4
+    assert "viewpoints, " in run("info", with_table).out
+    assert run("info", without, "--json").json["viewpoints"] == 0
+    assert without.stat().st_size < with_table.stat().st_size
+    assert run("validate", with_table).code == 0
+
+
 def test_the_command_writes_the_same_file_of_all_splats(
     run: Run, cells: Path, small: SmallScene, tmp_path: Path
 ) -> None:

@@ -55,6 +55,7 @@ const REASONS = {
   "attribute-record": ["format", "5.7"],
   "camera-segments": ["format", "5.8"],
   "compensation-segments": ["format", "5.9"],
+  "view-table-segments": ["format", "5.12"],
   "page-crc": ["format", "5.6"],
   "page-entry": ["format", "5.6"],
   "segment-count": ["format", "9.1"],

@@ -89,6 +89,13 @@ function checkExtras(file: SceneFile, vector: ValidVector): void {
     assert.equal(file.attributes(chunk) !== undefined, withAttributes.has(chunk));
   }
   assert.deepEqual(file.cameras(), vector.cameras);
+  const table = file.viewTable();
+  const viewpoints = table && Array.from({ length: table.views }, (_, view) => [
+    Array.from(table.positions.subarray(3 * view, 3 * view + 3)),
+    Array.from(table.directions.subarray(3 * view, 3 * view + 3)),
+    Array.from(table.shares.subarray(table.chunks * view, table.chunks * (view + 1))),
+  ]);
+  assert.deepEqual(viewpoints, vector.view_table);
   for (const [prefix, hash] of vector.compensated ?? []) {
     const drawn = Array.from({ length: prefix }, (_, chunk) => chunk).filter((chunk) => file.index.isDrawn(chunk, prefix));
     const chunks = drawn.map((chunk) => {

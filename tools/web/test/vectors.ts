@@ -22,6 +22,8 @@ export interface ValidVector {
   readonly attribute_chunks?: readonly (readonly [number, readonly string[]])[];
   readonly compensated?: readonly (readonly [number, string])[];
   readonly cameras?: readonly Camera[];
+  /** Position, direction and shares of each viewpoint. */
+  readonly view_table?: readonly (readonly [readonly number[], readonly number[], readonly number[]])[];
 }
 
 /** A file to refuse, as `manifest.json` has it. */

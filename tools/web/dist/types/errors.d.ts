@@ -54,6 +54,7 @@ declare const REASONS: {
     readonly "attribute-record": readonly ["format", "5.7"];
     readonly "camera-segments": readonly ["format", "5.8"];
     readonly "compensation-segments": readonly ["format", "5.9"];
+    readonly "view-table-segments": readonly ["format", "5.12"];
     readonly "page-crc": readonly ["format", "5.6"];
     readonly "page-entry": readonly ["format", "5.6"];
     readonly "segment-count": readonly ["format", "9.1"];

@@ -8,6 +8,7 @@ export type { Shifts } from "./container/compensation.js";
 export type { Camera } from "./container/cameras.js";
 export type { Pinhole } from "./container/pinhole.js";
 export type { AttributeEntry, CodebookEntry, SceneInfo } from "./container/root.js";
+export type { ViewTable } from "./container/view_table.js";
 export type { ByteRange, ChunkSegments, SceneIndex } from "./container/scene_index.js";
 export { CogsplatError, REASON_CODES, SourceError, type ReasonCode, type RefusalClass } from "./errors.js";
 export { JavascriptKernels } from "./kernels/javascript.js";

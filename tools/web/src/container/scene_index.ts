@@ -49,9 +49,10 @@ export class SceneIndex {
   offsets = new Float64Array(0);
   /** Pages that were read. */
   pagesRead = 0;
-  /** Segments of compensation and of cameras, in file order. */
+  /** Segments of compensation, of cameras and of the view table, in file order. */
   readonly compensation: number[] = [];
   readonly cameras: number[] = [];
+  readonly viewTables: number[] = [];
 
   private readonly totalChunks: number;
   private readonly heads: number[] = [];
@@ -259,6 +260,7 @@ export class SceneIndex {
     this.enterOnce(first, SegmentKind.attributes, this.attributes, "attribute-segments");
     this.enterCameras(first);
     this.enterCompensation(first);
+    this.enterViewTable(first);
   }
 
   /** Give the segments of one index their places, and compare the number of its heads with that of its chunks. */
@@ -361,6 +363,15 @@ export class SceneIndex {
         throw new CogsplatError("camera-segments", `a segment of cameras of owner ${owner}, or a second one`);
       }
       this.cameras.push(segment);
+    }
+  }
+
+  private enterViewTable(first: number): void {
+    for (const [segment, owner] of this.ofKind(SegmentKind.viewTable, first)) {
+      if (owner !== 0 || this.viewTables.length > 0) {
+        throw new CogsplatError("view-table-segments", `a view table of owner ${owner}, or a second one`);
+      }
+      this.viewTables.push(segment);
     }
   }
 

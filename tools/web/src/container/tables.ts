@@ -14,6 +14,7 @@ export const SegmentKind = {
   cameras: 128,
   attributes: 129,
   compensation: 130,
+  viewTable: 131,
 } as const;
 
 /** Segment kinds from here on may be skipped by readers that do not know them. */

@@ -1,5 +1,6 @@
 import type { AttributeArray } from "../container/attributes.js";
 import { readCameras, type Camera } from "../container/cameras.js";
+import { readViewTable, type ViewTable } from "../container/view_table.js";
 import { ATTRIBUTE_TYPES, type SceneInfo } from "../container/root.js";
 import { SceneIndex } from "../container/scene_index.js";
 import { CogsplatError } from "../errors.js";
@@ -169,6 +170,13 @@ export class SceneFile {
     return segment === undefined || !this.isThere(segment) ? undefined : readCameras(this.payload(segment));
   }
 
+  /** What each chunk adds to the pictures of some viewpoints; undefined where the file does not say, or it is not there. */
+  viewTable(): ViewTable | undefined {
+    const [segment] = this.index.viewTables;
+    if (segment === undefined || !this.isThere(segment)) return undefined;
+    return readViewTable(this.k, this.payload(segment), this.index.totalChunkCount, this.maxDecodedBytes);
+  }
+
   /**
    * Add what the file says of missing chunks (SPEC 8.5) to rows of one chunk, in place.
    *
@@ -184,7 +192,7 @@ export class SceneFile {
   }
 
   /**
-   * Check everything of a whole file: hashes, codebooks, cameras, compensation, and of each chunk all that it has, in
+   * Check everything of a whole file: hashes, codebooks, cameras, compensation, the view table, and of each chunk all that it has, in
    * the order of SPEC 8.10.
    *
    * @throws CogsplatError for the first fault.
@@ -204,6 +212,7 @@ export class SceneFile {
     for (const segment of this.index.allCodebookSegments()) this.addCodebook(segment);
     this.cameras();
     this.readLayers();
+    this.viewTable();
     for (let chunk = 0; chunk < this.index.chunkCount; chunk++) {
       this.checkBox(this.decodeChunk(chunk, 0, false), chunk);
       if (this.refinementIsThere(chunk)) this.checkBox(this.decodeChunk(chunk, 0), chunk);

@@ -32,9 +32,10 @@ export declare class SceneIndex {
     offsets: Float64Array<ArrayBuffer>;
     /** Pages that were read. */
     pagesRead: number;
-    /** Segments of compensation and of cameras, in file order. */
+    /** Segments of compensation, of cameras and of the view table, in file order. */
     readonly compensation: number[];
     readonly cameras: number[];
+    readonly viewTables: number[];
     private readonly totalChunks;
     private readonly heads;
     private readonly tails;
@@ -106,6 +107,7 @@ export declare class SceneIndex {
     private checkNeeds;
     private enterCodebooks;
     private enterCameras;
+    private enterViewTable;
     private enterCompensation;
     /** Segments of a kind from a row on, each with its owner. */
     private ofKind;

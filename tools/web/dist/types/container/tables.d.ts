@@ -12,6 +12,7 @@ export declare const SegmentKind: {
     readonly cameras: 128;
     readonly attributes: 129;
     readonly compensation: 130;
+    readonly viewTable: 131;
 };
 /** The rows of one or several segment tables (SPEC 5.3). */
 export interface SegmentTable {

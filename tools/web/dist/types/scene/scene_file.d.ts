@@ -1,5 +1,6 @@
 import type { AttributeArray } from "../container/attributes.js";
 import { type Camera } from "../container/cameras.js";
+import { type ViewTable } from "../container/view_table.js";
 import { type SceneInfo } from "../container/root.js";
 import { SceneIndex } from "../container/scene_index.js";
 import type { Kernels } from "../kernels/kernels.js";
@@ -66,6 +67,8 @@ export declare class SceneFile {
     attributes(chunk: number): Map<string, AttributeArray> | undefined;
     /** The cameras that the file brings; undefined where there are none. */
     cameras(): Camera[] | undefined;
+    /** What each chunk adds to the pictures of some viewpoints; undefined where the file does not say, or it is not there. */
+    viewTable(): ViewTable | undefined;
     /**
      * Add what the file says of missing chunks (SPEC 8.5) to rows of one chunk, in place.
      *
@@ -74,7 +77,7 @@ export declare class SceneFile {
      */
     compensate(splats: Splats, chunk: number, prefix: number): void;
     /**
-     * Check everything of a whole file: hashes, codebooks, cameras, compensation, and of each chunk all that it has, in
+     * Check everything of a whole file: hashes, codebooks, cameras, compensation, the view table, and of each chunk all that it has, in
      * the order of SPEC 8.10.
      *
      * @throws CogsplatError for the first fault.

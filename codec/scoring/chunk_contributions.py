@@ -1,0 +1,108 @@
+"""What each chunk of a scene contributes to each of some views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.executor import Executor, LocalThreads
+from cogsplat.codec.geometry.frustum import NEAR
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.render.blend_weights import WEIGHT, add_weights
+from cogsplat.codec.render.projection import project
+from cogsplat.codec.render.tiles import tile_lists
+from cogsplat.codec.splats import Splats
+
+F64 = NDArray[np.float64]
+
+PIXELS: Final = 20_000
+"""Pixels that a view is drawn with at most: shares of whole chunks need no more."""
+
+
+def chunk_contributions(
+    splats: Splats,
+    chunks: NDArray[np.int64],
+    count: int,
+    cameras: Sequence[Camera],
+    *,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> F64:
+    """Measure what part of each view's picture is made of each chunk.
+
+    Parameters
+    ----------
+    splats : Splats
+    chunks : (N,) int64
+        Chunk of each splat.
+    count : int
+        Number of chunks.
+    cameras : sequence of Camera
+        In the frame of the means.
+    executor : Executor, optional
+        What runs the work of single views; threads of this process where it is not given.
+    progress : Progress
+        Called with ``("view table", views done, views)``.
+
+    Returns
+    -------
+    (V, count) float64
+        Sum of the blending weights T·alpha of the chunk's splats over the pixels of a view, over
+        the number of its pixels: 0 to 1. The same for any number of threads.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.scoring.chunk_contributions import chunk_contributions
+    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
+    >>> halves = np.arange(500) // 250
+    >>> chunk_contributions(synth(500), halves, 2, synth_cameras(3)).shape
+    (3, 2)
+    """
+    shares = np.zeros((len(cameras), count))
+    views = (executor or LocalThreads()).map(
+        partial(_of_view, count=count), [_smaller(camera) for camera in cameras], splats, chunks
+    )
+    progress("view table", 0, len(cameras))
+    for view, found in enumerate(views):
+        shares[view] = found
+        progress("view table", view + 1, len(cameras))
+    return shares
+
+
+def _of_view(camera: Camera, splats: Splats, chunks: NDArray[np.int64], *, count: int) -> F64:
+    footprints = project(
+        splats,
+        camera,
+        kernel_px=splats.info.kernel_px,
+        antialiased=splats.info.antialiased,
+        near_plane=NEAR,
+    )
+    sums = np.zeros((len(footprints), 3), np.float64)
+    for lists in tile_lists(footprints, camera.width, camera.height):
+        # Every weight counts, however small.
+        add_weights(lists, footprints, camera, 0, 1, sums)
+    weights = np.bincount(chunks[footprints.index], sums[:, WEIGHT], minlength=count)
+    return weights / (camera.width * camera.height)
+
+
+def _smaller(camera: Camera) -> Camera:
+    """Return a camera with a picture of at most `PIXELS`."""
+    scale = min(1.0, (PIXELS / (camera.width * camera.height)) ** 0.5)
+    width, height = max(1, int(camera.width * scale)), max(1, int(camera.height * scale))
+    across, down = width / camera.width, height / camera.height
+    return replace(
+        camera,
+        width=width,
+        height=height,
+        fx=camera.fx * across,
+        fy=camera.fy * down,
+        cx=camera.cx * across,
+        cy=camera.cy * down,
+    )

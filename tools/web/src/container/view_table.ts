@@ -1,0 +1,74 @@
+import { CogsplatError } from "../errors.js";
+import type { Kernels } from "../kernels/kernels.js";
+import { readPlane, storedBytes } from "../streams/planes.js";
+import { Fields } from "./fields.js";
+import { parseMap } from "./msgpack.js";
+
+/** Most viewpoints of a table (SPEC 5.12). */
+const MAX_VIEWS = 64;
+/** Bytes of the word in front of the plane of codes. */
+const WORD_BYTES = 4;
+
+/** What each chunk of a scene adds to the pictures of some viewpoints (SPEC 5.12). */
+export interface ViewTable {
+  readonly views: number;
+  readonly chunks: number;
+  /** Where each viewpoint is, three numbers, in the space of the means. */
+  readonly positions: Float32Array;
+  /** Where each viewpoint looks, three numbers, about 127 long. */
+  readonly directions: Int8Array;
+  /** Of each viewpoint the share of the picture that each chunk makes up, viewpoint by viewpoint. */
+  readonly shares: Float64Array;
+}
+
+/** Shares that codes stand for: exact binary fractions. */
+const SHARES = Float64Array.from({ length: 256 }, (_, code) => (code === 0 ? 0 : (2 + (code & 1)) * 2 ** ((code >> 1) - 128)));
+
+/**
+ * Read a view table.
+ *
+ * @param k - Decompresses the codes.
+ * @param payload - The segment's bytes; their CRC was checked.
+ * @param chunks - Chunks of the whole file.
+ * @param allowedBytes - Most bytes of codes.
+ */
+export function readViewTable(k: Kernels, payload: Uint8Array, chunks: number, allowedBytes = Infinity): ViewTable {
+  const fields = new Fields(parseMap(payload), "view table");
+  const position = fields.column("position", 12);
+  const views = position.byteLength / 12;
+  const direction = fields.column("direction", 3, views);
+  const packed = fields.binary("codes");
+  const word = packed.length < WORD_BYTES ? 0 : new DataView(packed.buffer, packed.byteOffset).getUint32(0, true);
+  if (packed.length !== WORD_BYTES + storedBytes(word)) {
+    throw new CogsplatError("root-columns", `${packed.length} bytes of codes for a plane of ${storedBytes(word)} and its word`);
+  }
+  fields.finish();
+  if (views < 1 || views > MAX_VIEWS) throw fields.outOfRange("position", `${views} viewpoints`);
+  const positions = Float32Array.from({ length: 3 * views }, (_, i) => position.getFloat32(4 * i, true));
+  if (!positions.every(Number.isFinite)) throw fields.outOfRange("position", "a number that is not finite");
+  const directions = Int8Array.from({ length: 3 * views }, (_, i) => direction.getInt8(i));
+  for (let view = 0; view < views; view++) {
+    if (directions.subarray(3 * view, 3 * view + 3).every((x) => x === 0)) throw fields.outOfRange("direction", "zeros");
+  }
+  if (views * chunks > allowedBytes) throw new CogsplatError("decoded-size", `${views * chunks} codes of a view table`);
+  return { views, chunks, positions, directions, shares: readShares(k, packed, word, views, chunks) };
+}
+
+function readShares(k: Kernels, packed: Uint8Array, word: number, views: number, chunks: number): Float64Array {
+  const mark = k.mark();
+  try {
+    const base = k.alloc(packed.length);
+    k.u8.set(packed, base);
+    const plane = readPlane(k, { word, address: base + WORD_BYTES }, views * chunks);
+    const codes = new Uint8Array(chunks);
+    const shares = new Float64Array(views * chunks);
+    for (let i = 0; i < shares.length; i++) {
+      // Of each chunk what its code has more than at the viewpoint before, modulo 256.
+      codes[i % chunks]! += k.u8[plane + i]!;
+      shares[i] = SHARES[codes[i % chunks]!]!;
+    }
+    return shares;
+  } finally {
+    k.release(mark);
+  }
+}
