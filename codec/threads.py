@@ -6,6 +6,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -55,3 +56,25 @@ def ordered_map(
         finally:
             for future in waiting:
                 future.cancel()
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let numpy's BLAS work on one thread, for this thread and those it starts, in the block.
+
+    Work that is spread over threads anyway is slowed down by BLAS's own, which wait for each other
+    on the same cores; and the order of BLAS's sums, so their last bits, depends on their number.
+    Also a decorator. Blocks may be nested.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.threads import one_blas_thread
+    >>> with one_blas_thread():
+    ...     float(np.ones(3) @ np.ones(3))
+    3.0
+    """
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield

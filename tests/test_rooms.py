@@ -145,7 +145,7 @@ DOORS: dict[str, dict[str, str]] = {
             "EXTRA_DTYPES Extra MAX_EXTRAS MAX_EXTRA_COMPONENTS MAX_EXTRA_NAME_BYTES "
             "MAX_SH_DEGREE SceneInfo Splats concatenate empty sh_coefficients"
         ),
-        "threads": "ordered_map thread_count",
+        "threads": "one_blas_thread ordered_map thread_count",
         "workspace": "Gather IN_MEMORY Workspace Zeros",
     },
     "codec.clustering": {
@@ -277,7 +277,8 @@ DOORS: dict[str, dict[str, str]] = {
         "opacity_differences": "write",
         "quaternion": "PER_ROW write",
         "records": (
-            "Attribute COMPONENTS ESCAPE INFINITIES Kind SH_BANDS StoredStream Stream pack unpack"
+            "Attribute COMPONENTS ESCAPE INFINITIES Kind SH_BANDS StoredStream Stream "
+            "compressed pack pack_plain unpack"
         ),
         "refinement_bits": "coarse_codes half_of write",
         "refinement_digits": "MAX_RADIX write",

@@ -196,6 +196,8 @@ class EncodedScene:
         Coarsest first; none where the scene has no levels.
     view_table : ViewTable or None
         What the pictures of some viewpoints show of each chunk; None where nothing is stored.
+    compressed : bool
+        Whether the planes of all payloads are. Those of a trial that may be thrown away are not.
     """
 
     scene: Splats
@@ -210,6 +212,7 @@ class EncodedScene:
     report: EncodeReport = field(default_factory=EncodeReport)
     levels: Sequence[EncodedLevel] = ()
     view_table: ViewTable | None = None
+    compressed: bool = True
 
     def placed(self) -> list[Place]:
         """Return the segments that splats need in the order of the file, shape codebooks aside."""

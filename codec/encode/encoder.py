@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +19,20 @@ from cogsplat.codec.segments.heads import decode_head
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.segments.tails import decode_tail
 from cogsplat.codec.splats import Splats, empty
+from cogsplat.codec.threads import one_blas_thread
 
-from .config import require_quality
+from .config import EncodeConfig, require_quality
 from .encoded import EncodedChunk, EncodedScene
 from .prepared import LaidOutScene, PreparedScene
 from .profiles.dispatch import PROFILES, PlannedScene
 
 
+@one_blas_thread()
 def encode_chunks(
     prepared: PreparedScene,
     quality_db: float,
     *,
+    compress: bool = True,
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> EncodedScene:
@@ -39,6 +43,9 @@ def encode_chunks(
     prepared : PreparedScene
     quality_db : float
         Nominal PSNR, 10 to 90 dB.
+    compress : bool
+        Whether the planes of payloads are compressed, which takes a third of the time. Where that
+        is left to `compress_chunks`, they take several times the memory until then.
     executor : Executor, optional
         What encodes the chunks; threads of this process where it is not given.
     progress : Progress
@@ -69,7 +76,8 @@ def encode_chunks(
     count = len(scene.slices)
     progress("chunks", 0, count)
     executor = executor or LocalThreads(scene.config.threads)
-    plan = _Plan(planned, codebooks, empty(degree, 0, scene.source.info))
+    digits = _digits(scene.config) if compress else None
+    plan = _Plan(planned, codebooks, empty(degree, 0, scene.source.info), digits)
     made = executor.map(_encode_chunk, scene.slices, plan)
     for number, (payloads, reach, rows) in enumerate(made):
         _write_rows(rows, decoded.take(scene.slices[number]))
@@ -88,16 +96,69 @@ def encode_chunks(
         codebooks=planned.codebooks,
         chunks=chunks,
         decoded=decoded,
+        compressed=compress,
     )
+
+
+def compress_chunks(
+    encoded: EncodedScene,
+    config: EncodeConfig,
+    *,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> EncodedScene:
+    """Compress the planes of a scene that was encoded without that.
+
+    Parameters
+    ----------
+    encoded : EncodedScene
+        Returned as it is where its planes are compressed.
+    config : EncodeConfig
+        That it was encoded with.
+    executor : Executor, optional
+        As `encode_chunks` takes it.
+    progress : Progress
+        Called with ``chunks``.
+
+    Returns
+    -------
+    EncodedScene
+        The same bytes as if `encode_chunks` had compressed them.
+    """
+    if encoded.compressed:
+        return encoded
+    executor = executor or LocalThreads(config.threads)
+    payloads = [chunk.payloads for chunk in encoded.chunks]
+    chunks: list[EncodedChunk] = []
+    for made in executor.map(partial(Payloads.compressed, digits=_digits(config)), payloads):
+        chunks.append(replace(encoded.chunks[len(chunks)], payloads=made))
+        progress("chunks", len(chunks), len(payloads))
+    return replace(encoded, chunks=chunks, compressed=True)
+
+
+def _digits(config: EncodeConfig) -> bool:
+    """Whether several symbols may share a byte of a plane."""
+    return config.ablation.digits or config.profile != "transform"
 
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What encoding a chunk takes: `blank` is a scene without rows, for the decoded ones."""
+    """What encoding a chunk takes.
+
+    Parameters
+    ----------
+    planned : PlannedScene
+    codebooks : mapping of int to Codebook
+    blank : Splats
+        A scene without rows, for the decoded ones.
+    digits : bool or None
+        As `Payloads.compressed` takes it; None where planes are not compressed.
+    """
 
     planned: PlannedScene
     codebooks: Mapping[int, Codebook]
     blank: Splats
+    digits: bool | None
 
 
 def _write_rows(rows: Splats, out: Splats) -> None:
@@ -105,11 +166,15 @@ def _write_rows(rows: Splats, out: Splats) -> None:
         getattr(out, name)[:] = getattr(rows, name)
 
 
+# Worker processes of an executor have a BLAS of their own.
+@one_blas_thread()
 def _encode_chunk(run: slice, plan: _Plan) -> tuple[Payloads, NDArray[np.float64], Splats]:
     """Encode the rows of a chunk; return its payloads, the box it reaches and its decoded rows."""
     payloads = plan.planned.encode_chunk(run)
     rows = empty(plan.blank.sh_degree, run.stop - run.start, plan.blank.info)
     reach = _decode_chunk(payloads, plan.codebooks, rows)
+    if plan.digits is not None:
+        payloads = payloads.compressed(digits=plan.digits)
     return payloads, reach, rows
 
 

@@ -27,6 +27,7 @@ from cogsplat.codec.scoring.contribution import (
 )
 from cogsplat.codec.scoring.reference_views import ReferenceViews, render_references
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.threads import one_blas_thread
 from cogsplat.codec.views.planner import ViewPlan, plan
 from cogsplat.codec.views.view_sets import evenly
 from cogsplat.codec.workspace import IN_MEMORY, Workspace
@@ -34,7 +35,7 @@ from cogsplat.codec.workspace import IN_MEMORY, Workspace
 from .compensation_fit import blank, compensated
 from .config import EncodeConfig
 from .encoded import EncodedScene, EncodeReport
-from .encoder import encode_chunks
+from .encoder import compress_chunks, encode_chunks
 from .prefix_quality import PrefixEvaluator, predicted, whole_measured
 from .prepared import PreparedScene, prepare
 from .presets import DEFAULT_PRESET, PRESETS, Preset
@@ -50,6 +51,7 @@ SizeOf = Callable[[EncodedScene], int]
 """Returns the bytes of the whole file that an encoded scene makes."""
 
 
+@one_blas_thread()
 def encode(
     splats: Splats,
     config: EncodeConfig,
@@ -329,15 +331,26 @@ class _Finishing:
         return self.preset.fit_config(self.prepared.config.threads)
 
     def measured(self, quality_db: float) -> EncodedScene:
-        """Return the scene at a nominal quality, its report with the PSNR in each test view."""
+        """Return the scene at a nominal quality, its report with the PSNR in each test view.
+
+        Another quality may be tried after it, so that its planes are compressed by `finish`; but
+        not where arrays are in files, since until then they take several times the memory.
+        """
         encoded = encode_chunks(
-            self.prepared, quality_db, executor=self.executor, progress=self.progress
+            self.prepared,
+            quality_db,
+            compress=not self.prepared.workspace.views_at_once,
+            executor=self.executor,
+            progress=self.progress,
         )
         return whole_measured(encoded, self.evaluator)
 
     def finish(self, encoded: EncodedScene) -> EncodedScene:
-        """Return a scene with compensation, a view table and predicted quality."""
+        """Return a scene with compensation, a view table and predicted quality, all compressed."""
         at_once = self.prepared.workspace.views_at_once
+        encoded = compress_chunks(
+            encoded, self.prepared.config, executor=self.executor, progress=self.progress
+        )
         if self.table_views:
             encoded = with_view_table(
                 encoded,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from cogsplat.codec.streams import records
 
 
 @dataclass(frozen=True)
@@ -33,3 +35,18 @@ class Payloads:
     order: NDArray[np.int64] = field(compare=False)
     refinement: bytes | None = None
     refinement_drop: float = 0.0
+
+    def compressed(self, *, digits: bool = True) -> Payloads:
+        """Return the same with compressed planes, where these are stored as they are.
+
+        Parameters
+        ----------
+        digits : bool
+            As `records.pack` takes it.
+        """
+
+        def of(plain: bytes | None) -> bytes | None:
+            return None if plain is None else records.compressed(plain, digits=digits)
+
+        head = records.compressed(self.head, digits=digits)
+        return replace(self, head=head, tail=of(self.tail), refinement=of(self.refinement))

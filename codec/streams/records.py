@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import FormatError, UnsupportedError
 
 from .byte_planes import LENGTH_MASK, pack_plane, unpack_plane
-from .limits import MAX_STREAMS
+from .limits import MAX_CHUNK_SPLATS, MAX_STREAMS
 from .stored_planes import StoredPlanes, locate
 
 U8 = NDArray[np.uint8]
@@ -118,10 +118,63 @@ def pack(streams: Sequence[Stream], *, digits: bool = True) -> bytes:
     digits : bool
         Whether several symbols may share a byte of a plane.
     """
+    return _payload(streams, lambda plane: pack_plane(plane, digits=digits))
+
+
+def pack_plain(streams: Sequence[Stream]) -> bytes:
+    """Return the payload of a segment with all planes as they are, which takes no time.
+
+    Parameters
+    ----------
+    streams : sequence of Stream
+        In the order a decoder reads them.
+    """
+    return _payload(streams, lambda plane: (len(plane), plane.tobytes()))
+
+
+def compressed(plain: bytes, *, digits: bool = True) -> bytes:
+    """Return what `pack` makes of the streams that `pack_plain` made a payload of.
+
+    Parameters
+    ----------
+    plain : bytes
+        From `pack_plain`.
+    digits : bool
+        As `pack` takes it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.streams.records import Attribute, compressed, pack, pack_plain
+    >>> from cogsplat.codec.streams import grid, scalar
+    >>> values = np.zeros((500, 3), np.float32)
+    >>> streams = [scalar.write(Attribute.SH0, values, grid.fit(values, 0.1))]
+    >>> compressed(pack_plain(streams)) == pack(streams)
+    True
+    """
+    streams = [
+        Stream(
+            stored.attribute,
+            stored.kind,
+            stored.rows,
+            bytes(stored.params),
+            [
+                np.frombuffer(stored.planes.body(stored.first + index), np.uint8)
+                for index in range(len(stored.words))
+            ],
+            stored.flags,
+        )
+        for stored in unpack(memoryview(plain), "segment", MAX_CHUNK_SPLATS)
+    ]
+    return pack(streams, digits=digits)
+
+
+def _payload(streams: Sequence[Stream], stored: Callable[[U8], tuple[int, bytes]]) -> bytes:
+    """Return a payload with the word and the bytes that `stored` gives for each plane."""
     records: list[bytes] = []
     bodies: list[bytes] = []
     for stream in streams:
-        packed = [pack_plane(plane, digits=digits) for plane in stream.planes]
+        packed = [stored(plane) for plane in stream.planes]
         records.append(
             RECORD.pack(
                 stream.attribute,
@@ -135,7 +188,7 @@ def pack(streams: Sequence[Stream], *, digits: bool = True) -> bytes:
         )
         records.append(stream.params)
         records += [_WORD.pack(word) for word, _ in packed]
-        bodies += [stored for _, stored in packed]
+        bodies += [body for _, body in packed]
     return b"".join([_COUNT.pack(len(streams)), *records, *bodies])
 
 

@@ -2,7 +2,7 @@ import threading
 
 import pytest
 
-from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.codec.threads import one_blas_thread, ordered_map, thread_count
 
 
 def test_zero_threads_means_at_least_one():
@@ -61,3 +61,26 @@ def test_an_error_reaches_the_caller_and_ends_the_work(threads):
     with pytest.raises(RuntimeError, match="three"):
         list(ordered_map(work, range(1000), threads))
     assert len(started) < 20
+
+
+def blas_threads():
+    info = pytest.importorskip("threadpoolctl").threadpool_info()
+    return [library["num_threads"] for library in info if library["user_api"] == "blas"]
+
+
+def test_blas_works_on_one_thread_in_a_block_and_in_threads_that_it_starts():
+    before = blas_threads()
+    ones = [1] * len(before)
+    with one_blas_thread():
+        with one_blas_thread():
+            assert blas_threads() == ones
+        assert blas_threads() == ones
+        assert list(ordered_map(lambda _: blas_threads(), range(4), 2)) == [ones] * 4
+    assert blas_threads() == before
+
+
+def test_blas_has_its_threads_back_after_an_error():
+    before = blas_threads()
+    with pytest.raises(ZeroDivisionError), one_blas_thread():
+        1 / 0  # noqa: B018 - raises
+    assert blas_threads() == before

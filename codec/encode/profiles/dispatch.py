@@ -36,7 +36,8 @@ class PlannedScene:
     ----------
     codebooks : sequence of EncodedCodebook
     encode_chunk : callable
-        Takes the rows of a chunk as a slice of the ordered scene; several threads call it.
+        Takes the rows of a chunk as a slice of the ordered scene, and returns payloads whose planes
+        are not compressed yet (`Payloads.compressed`); several threads call it.
     """
 
     codebooks: Sequence[EncodedCodebook] = ()

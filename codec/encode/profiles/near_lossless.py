@@ -72,6 +72,8 @@ def encode_chunk(
 ) -> Payloads:
     """Return the head and the tail of a chunk whose every value stays within bounds.
 
+    Their planes are not compressed yet.
+
     Parameters
     ----------
     splats : Splats
@@ -96,7 +98,8 @@ def encode_chunk(
         first, last = band * band - 1, (band + 1) * (band + 1) - 1
         values = np.ascontiguousarray(splats.shN[:, first:last].reshape(len(splats), -1))
         tail.append(_bounded(attribute, values, bounds.shN))
-    return Payloads(records.pack(head), records.pack(tail) if tail else None, (), (), rows)
+    tail_payload = records.pack_plain(tail) if tail else None
+    return Payloads(records.pack_plain(head), tail_payload, (), (), rows)
 
 
 def _quat_step(bound: float) -> float:

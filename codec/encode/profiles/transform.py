@@ -117,7 +117,7 @@ def plan(
 
 
 def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> Payloads:
-    """Return the head, the refinement and the tail of a chunk.
+    """Return the head, the refinement and the tail of a chunk, their planes not compressed yet.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
         if used.sh0_makes_up:
             # What shN lost, as its views see it on average.
             sh0 += np.einsum("nk,nkc->nc", costs.basis_mean, missed) / rate_costs.SH0_BASIS
-        tail = records.pack([stream], digits=used.digits)
+        tail = records.pack_plain([stream])
     before = source_scales[inside] if used.areas else scales
     logits = shapes.opacities_to_store(part.opacities, before, scales)
     opacities = refinement_split.split(
@@ -191,12 +191,12 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
     ]
     streams = [part.stream for part in refined if part.stream is not None]
     return Payloads(
-        records.pack(head, digits=used.digits),
+        records.pack_plain(head),
         tail,
         (),
         (BASIS,) if tail is not None else (),
         inside,
-        records.pack(streams, digits=used.digits) if streams else None,
+        records.pack_plain(streams) if streams else None,
         sum(part.distortion_drop for part in refined),
     )
 

@@ -218,7 +218,10 @@ def plan(
 
 
 def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton: bool) -> Payloads:
-    """Return the head and the tail of the chunk that holds `rows` of a planned scene."""
+    """Return the head and the tail of the chunk that holds `rows` of a planned scene.
+
+    Their planes are not compressed yet.
+    """
     costs = plan_.costs.take(rows)
     step = costs.mean_step(plan_.scales[rows])
     inside, means, _ = chunk_means(splats.means[rows], step, morton)
@@ -246,7 +249,7 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
         scalar.write(Attribute.SH0, splats.sh0[rows], grids.fit(splats.sh0[rows], sh0_step)),
     ]
     if not plan_.colour_rows:
-        return Payloads(records.pack(head), None, (SHAPE_CODEBOOK,), (), inside)
+        return Payloads(records.pack_plain(head), None, (SHAPE_CODEBOOK,), (), inside)
     escape = plan_.colour_escape[rows]
     tail: list[Stream] = []
     if escape.any():
@@ -255,7 +258,9 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
     indices = plan_.colour_indices[rows]
     tail.append(_indices(Attribute.SHN, COLOUR_CODEBOOK, plan_.colour_rows, indices, escape))
     needs = (COLOUR_CODEBOOK,)
-    return Payloads(records.pack(head), records.pack(tail), (SHAPE_CODEBOOK,), needs, inside)
+    return Payloads(
+        records.pack_plain(head), records.pack_plain(tail), (SHAPE_CODEBOOK,), needs, inside
+    )
 
 
 def _indices(

@@ -6,8 +6,8 @@ import oracle
 import pytest
 from encoding import encode, unseen
 
-from cogsplat.codec.encode.config import PROFILE_NAMES, EncodeConfig
-from cogsplat.codec.encode.encoder import encode_chunks
+from cogsplat.codec.encode.config import PROFILE_NAMES, Ablation, EncodeConfig
+from cogsplat.codec.encode.encoder import compress_chunks, encode_chunks
 from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.profiles.near_lossless import NearLosslessBounds
 from cogsplat.codec.errors import Cancelled, DataError
@@ -214,6 +214,21 @@ def test_pruned_rows_are_gone_and_counted(profile):
     assert encoded.pruned == gone.sum() > 5
     out = check(encoded, 800 - encoded.pruned, 3)
     assert sorted(tags(out)) == np.flatnonzero(~gone).tolist()
+
+
+@pytest.mark.parametrize("ablation", [Ablation(), Ablation(digits=False)])
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
+def test_planes_can_be_compressed_later(profile, ablation):
+    settings = unseen(profile=profile, ablation=ablation, chunk_splats=300)
+    prepared = prepare(tagged(800), scored(800), settings)
+    at_once = encode_chunks(prepared, 35.0)
+    trial = encode_chunks(prepared, 35.0, compress=False)
+    assert len(payload_bytes(trial)) > len(payload_bytes(at_once))
+    later = compress_chunks(trial, settings)
+    for chunk, expected in zip(later.chunks, at_once.chunks, strict=True):
+        assert chunk.payloads == expected.payloads
+    assert compress_chunks(later, settings) is later
+    np.testing.assert_array_equal(trial.decoded.shN, at_once.decoded.shN)
 
 
 def test_the_near_profile_meets_its_bounds_in_every_chunk():

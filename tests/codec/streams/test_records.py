@@ -64,6 +64,18 @@ def read_all(data):
     return values
 
 
+@pytest.mark.parametrize("digits", [True, False])
+def test_planes_can_be_compressed_after_they_were_packed(digits):
+    plain = streams.pack_plain(some_streams())
+    at_once = streams.pack(some_streams(), digits=digits)
+    assert streams.compressed(plain, digits=digits) == at_once
+    assert len(at_once) < len(plain)
+    for one in streams.unpack(memoryview(plain), "head 5", 200):
+        assert not (one.words & np.uint32(ZSTD_FLAG | PACKED_FLAG)).any()
+    for before, after in zip(read_all(plain), read_all(at_once), strict=True):
+        np.testing.assert_array_equal(before, after)
+
+
 def test_a_payload_gives_back_its_records():
     given_streams = some_streams()
     data = streams.pack(given_streams)
