@@ -20,6 +20,8 @@ app.root.addChild(camera);
 const scene = await StreamedScene.open(url, { service: (index) => new DecoderPool(index) });
 if (parameters.get("rules") !== "own") drawBySpec(pc, app, scene);
 const shown = streamToPlayCanvas(scene, pc, app.graphicsDevice, {
+  application: app,
+  leastRows: parameters.get("rules") === "own" ? 0 : 65_536,
   degree: Number(parameters.get("degree") ?? 3),
   onUpload: (rows) => (output.textContent = `${rows.toLocaleString()} of ${scene.info.splats.toLocaleString()} splats`),
 });

@@ -1,10 +1,11 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { axesMatrix, axesRotation } from "../src/adapters/axes.js";
-import { drawBySpec as drawPlayCanvasBySpec, streamToPlayCanvas } from "../src/adapters/playcanvas.js";
+import { drawBySpec as drawPlayCanvasBySpec, streamToPlayCanvas, type PlayCanvasOptions } from "../src/adapters/playcanvas.js";
+import { sortBehindCameras } from "../src/adapters/playcanvas_sorting.js";
 import { toPly } from "../src/adapters/ply.js";
 import { drawBySpec as drawSparkBySpec, streamToSpark, type SparkExtSplats } from "../src/adapters/spark.js";
-import { placeOf, type AdapterOptions } from "../src/adapters/texel_stream.js";
+import { placeOf } from "../src/adapters/texel_stream.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
 import { SceneFile } from "../src/scene/scene_file.js";
@@ -107,6 +108,65 @@ for (const layout of LAYOUTS) {
   });
 }
 
+test("playcanvas: rows that show nothing stand in the middle of the box", async () => {
+  const scene = await StreamedScene.open(new Blob([new Uint8Array(vectorBytes("valid", "chunks"))]));
+  const { splats, box } = scene.info;
+  const leastRows = splats + 100;
+  const { done, drawn, centers, arrays } = start("playcanvas", scene, { leastRows });
+  await done;
+  assert.ok(drawn.at(-1)! >= leastRows);
+  const middle = [0, 1, 2].map((i) => Math.fround((box[i]! + box[i + 3]!) / 2));
+  for (let row = splats; row < drawn.at(-1)!; row++) assert.deepEqual(Array.from(centers.subarray(3 * row, 3 * row + 3)), middle);
+  const [colours] = arrays;
+  assert.ok(colours!.length >= 4 * drawn.at(-1)!);
+  assert.ok(colours!.subarray(0, 4 * splats).some((word) => word !== 0));
+  assert.ok(colours!.subarray(4 * splats).every((word) => word === 0), "without opacity");
+});
+
+for (const leastRows of [0, 5000]) {
+  test(`playcanvas: no two uploads have the same number of splats, ${leastRows} rows at least`, async () => {
+    const scene = await StreamedScene.open(new Blob([new Uint8Array(vectorBytes("valid", "chunks"))]));
+    const { done, drawn } = start("playcanvas", scene, { leastRows, uploadInterval: 0 });
+    await done;
+    assert.ok(drawn.length > 3);
+    assert.equal(new Set(drawn).size, drawn.length, `${drawn}`);
+    assert.ok(drawn.at(-1)! >= Math.max(leastRows, scene.info.splats));
+  });
+}
+
+test("playcanvas: a view that came while the engine sorted is sorted for, once", () => {
+  const told = new Map<string, () => void>();
+  const on = (name: string, listener: () => void) => {
+    told.set(name, listener);
+    return { off: () => told.delete(name) };
+  };
+  const forward = { x: 0, y: 0, z: -1 };
+  let asked = 0;
+  const end = sortBehindCameras({ on, scene: { on }, systems: { camera: { cameras: [{ entity: { forward } }] } } }, () => asked++);
+  const frame = () => told.get("frameend")!();
+  const sorted = () => told.get("gsplat:sorted")!();
+  frame();
+  sorted();
+  frame();
+  assert.equal(asked, 1, "the first view");
+  sorted();
+  frame();
+  assert.equal(asked, 1, "the answer to what was asked for");
+  forward.x = 0.1;
+  frame();
+  forward.x = 0.2;
+  sorted();
+  frame();
+  frame();
+  assert.equal(asked, 1, "an answer from before the last movement says nothing");
+  sorted();
+  frame();
+  frame();
+  assert.equal(asked, 2);
+  end();
+  assert.equal(told.size, 0);
+});
+
 test("scenes with other origins are placed beside each other", async () => {
   const scene = await StreamedScene.open(new Blob([new Uint8Array(vectorBytes("valid", "root-values"))]));
   const [x, y, z] = scene.info.origin as [number, number, number];
@@ -125,8 +185,9 @@ function halvesApart(a: number, b: number): number {
 }
 
 /** Stream into a renderer that keeps what it is given. */
-function start(layout: TexelLayout, scene: StreamedScene, options: AdapterOptions) {
+function start(layout: TexelLayout, scene: StreamedScene, options: PlayCanvasOptions) {
   let disposed = 0;
+  const drawn: number[] = [];
   if (layout === "spark") {
     class ExtSplats {
       numSplats = 0;
@@ -159,7 +220,7 @@ function start(layout: TexelLayout, scene: StreamedScene, options: AdapterOption
     const bands = ["sh1", "sh2", "sh3a", "sh3b"].map((name) => mesh.splats.extra[name] as Uint32Array | undefined);
     const arrays = [...mesh.splats.options.extArrays, ...bands].filter((array) => array !== undefined) as TexelArray[];
     assert.ok(arrays.every((array) => array.length % (4 * 2048) === 0), "whole lines of Spark's textures");
-    return { arrays, done, dispose, disposed: () => disposed === 2 };
+    return { arrays, done, dispose, disposed: () => disposed === 2, drawn, centers: new Float32Array() };
   }
   const textures = new Map<string, TexelArray>();
   class GSplatContainer {
@@ -175,8 +236,9 @@ function start(layout: TexelLayout, scene: StreamedScene, options: AdapterOption
     getTexture(name: string) {
       return { lock: () => textures.get(name)!, unlock: () => undefined };
     }
-    update(): void {
-      // The engine sorts by the centres from here on.
+    update(rows: number): void {
+      assert.ok(3 * rows <= this.centers.length);
+      drawn.push(rows);
     }
     configureMaterialDefines(_defines: Map<string, string>): void {
       throw new Error("the engine's own says that there are no bands");
@@ -194,7 +256,9 @@ function start(layout: TexelLayout, scene: StreamedScene, options: AdapterOption
   shown.resource.configureMaterialDefines(defines);
   assert.equal(defines.get("SH_BANDS"), String(scene.info.shDegree));
   assert.equal(shown.resource.gsplatData.shBands, scene.info.shDegree);
-  return { arrays: [...textures.values()], done: shown.done, dispose: () => shown.dispose(), disposed: () => disposed === 1 };
+  const { done, resource } = shown;
+  const dispose = () => shown.dispose();
+  return { arrays: [...textures.values()], done, dispose, disposed: () => disposed === 1, drawn, centers: resource.centers };
 }
 
 function rotate([x, y, z, w]: readonly number[], v: readonly number[]): number[] {

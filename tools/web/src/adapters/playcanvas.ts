@@ -6,10 +6,26 @@
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import { texelWidths } from "../scene/texels.js";
 import { axesRotation } from "./axes.js";
+import { sortBehindCameras, type PlayCanvasApplication } from "./playcanvas_sorting.js";
 import { editShader, glslFloat } from "./shader_edits.js";
 import { ownAbort, placeOf, sceneArrays, streamTexels, wantedDegree, type AdapterOptions, type AdapterStream } from "./texel_stream.js";
 
+export type { PlayCanvasApplication } from "./playcanvas_sorting.js";
 export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
+
+/** How a scene is streamed into PlayCanvas. */
+export interface PlayCanvasOptions extends AdapterOptions {
+  /**
+   * Rows that the engine is given at least; those beyond the scene's show nothing. In WebGL the engine sorts few splats by few
+   * keys, a quarter of their number and 1,025 at least, so that many share one: with 65,536 rows it sorts by 16,385. None by default.
+   */
+  readonly leastRows?: number;
+  /**
+   * The application that shows the scene. Where it is given, the splats are sorted once more when its cameras have come to
+   * rest: PlayCanvas 2.23.3 forgets a view that comes while it sorts for another one.
+   */
+  readonly application?: PlayCanvasApplication;
+}
 
 /** What the adapter uses of a texture. */
 export interface PlayCanvasTexture {
@@ -81,7 +97,8 @@ export interface PlayCanvasSettings {
  * kernel, and the Jacobian of a point within 1.3 times the picture. In WebGL the engine (2.23.3, its
  * `gsplat-unified-sort-worker`) sorts by whole-numbered keys: 2^b + 1 of them, where b is log₂ of a quarter of the number of
  * splats, rounded and held between 10 and 20, so 1,025 up to 5,792 splats. Splats of one key are drawn in an order that has
- * nothing to do with their depths. No setting changes the number of keys.
+ * nothing to do with their depths. No setting changes the number of keys; `leastRows` of `streamToPlayCanvas` does, by rows
+ * that show nothing.
  *
  * Call it before the first picture. It holds for all splats of the application.
  *
@@ -120,6 +137,9 @@ export function drawBySpec(pc: PlayCanvasShaders, app: PlayCanvasSettings, { inf
   for (const [name, text] of edited) gsplat.material.getShaderChunks("glsl").set(name, text!);
   return true;
 }
+
+/** Uploads whose numbers of splats differ. At four uploads a second they last four minutes without a frame. */
+const SPARE_ROWS = 1024;
 
 /** How the engine's shader reads a splat; it reads the bands as those of its own uncompressed splats. */
 const READ_GLSL = `
@@ -188,7 +208,7 @@ fn getRotation() -> vec4f {
  * ```
  */
 export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
-  scene: StreamedScene, pc: PlayCanvasModule<D, C>, device: D, options: AdapterOptions = {},
+  scene: StreamedScene, pc: PlayCanvasModule<D, C>, device: D, options: PlayCanvasOptions = {},
 ): PlayCanvasScene<C> {
   const degree = wantedDegree(scene, options);
   const widths = texelWidths("playcanvas", degree);
@@ -198,7 +218,9 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
     format: bytes === 2 ? pc.PIXELFORMAT_RGBA16F : width === 1 ? pc.PIXELFORMAT_R32U : pc.PIXELFORMAT_RGBA32U,
   }));
   const format = new pc.GSplatFormat(device, streams, { readGLSL: READ_GLSL, readWGSL: READ_WGSL });
-  const resource = new pc.GSplatContainer(device, Math.max(1, scene.info.splats), format as never);
+  const leastRows = options.leastRows ?? 0;
+  const most = Math.max(scene.info.splats, leastRows) + SPARE_ROWS - 1;
+  const resource = new pc.GSplatContainer(device, most, format as never);
   // A container takes splats one after the other but draws them without bands, unless it is told of them; and colours
   // follow the camera only where its data says that there are bands.
   resource.configureMaterialDefines = (defines) => defines.set("SH_BANDS", String(degree));
@@ -207,7 +229,15 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
   const [center, half] = [[0, 1, 2].map((i) => (box[i]! + box[i + 3]!) / 2), [0, 1, 2].map((i) => (box[i + 3]! - box[i]!) / 2)];
   resource.aabb.center.set(center[0]!, center[1]!, center[2]!);
   resource.aabb.halfExtents.set(half[0]!, half[1]!, half[2]!);
+  // Rows that show nothing are sorted as well, and the engine's keys end at the box.
+  for (let at = 0; at < 3 * most; at++) resource.centers[at] = center[at % 3]!;
   resource.update(0);
+  // The engine copies what the textures hold into those that it draws from when, from one of its frames to the next, the
+  // number of splats has changed; with the same number it goes on to draw what it copied before. Rows without data show
+  // nothing, so that every upload can have a number of its own: frames are missed for fewer uploads than there are spare rows.
+  let uploads = 0;
+  const redraw = (rows: number, centersUpdated: boolean): void => resource.update(rows + (uploads++ % SPARE_ROWS), centersUpdated);
+  let drawn = 0;
   const transformA = arrays[1]!;
   const means = new Float32Array(transformA.buffer, transformA.byteOffset, transformA.length);
   const upload = (rows: number): void => {
@@ -220,8 +250,13 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
     for (let row = 0; row < rows; row++) {
       for (let axis = 0; axis < 3; axis++) centers[3 * row + axis] = means[4 * row + axis]!;
     }
-    resource.update(rows, true);
+    drawn = Math.max(rows, leastRows);
+    redraw(drawn, true);
   };
+  const { application } = options;
+  const unfollow = application && sortBehindCameras(application, () => {
+    if (drawn > 0) redraw(drawn, false);
+  });
   const abort = ownAbort(options.signal);
   const done = streamTexels(scene, "playcanvas", { arrays, upload }, options, abort.signal);
   return {
@@ -231,6 +266,7 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
     done,
     dispose(): void {
       abort.abort();
+      unfollow?.();
       resource.destroy();
     },
   };

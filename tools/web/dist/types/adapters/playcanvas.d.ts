@@ -4,8 +4,23 @@
  * @packageDocumentation
  */
 import type { StreamedScene } from "../loader/streamed_scene.js";
+import { type PlayCanvasApplication } from "./playcanvas_sorting.js";
 import { type AdapterOptions, type AdapterStream } from "./texel_stream.js";
+export type { PlayCanvasApplication } from "./playcanvas_sorting.js";
 export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
+/** How a scene is streamed into PlayCanvas. */
+export interface PlayCanvasOptions extends AdapterOptions {
+    /**
+     * Rows that the engine is given at least; those beyond the scene's show nothing. In WebGL the engine sorts few splats by few
+     * keys, a quarter of their number and 1,025 at least, so that many share one: with 65,536 rows it sorts by 16,385. None by default.
+     */
+    readonly leastRows?: number;
+    /**
+     * The application that shows the scene. Where it is given, the splats are sorted once more when its cameras have come to
+     * rest: PlayCanvas 2.23.3 forgets a view that comes while it sorts for another one.
+     */
+    readonly application?: PlayCanvasApplication;
+}
 /** What the adapter uses of a texture. */
 export interface PlayCanvasTexture {
     lock(): {
@@ -83,7 +98,8 @@ export interface PlayCanvasSettings {
  * kernel, and the Jacobian of a point within 1.3 times the picture. In WebGL the engine (2.23.3, its
  * `gsplat-unified-sort-worker`) sorts by whole-numbered keys: 2^b + 1 of them, where b is log₂ of a quarter of the number of
  * splats, rounded and held between 10 and 20, so 1,025 up to 5,792 splats. Splats of one key are drawn in an order that has
- * nothing to do with their depths. No setting changes the number of keys.
+ * nothing to do with their depths. No setting changes the number of keys; `leastRows` of `streamToPlayCanvas` does, by rows
+ * that show nothing.
  *
  * Call it before the first picture. It holds for all splats of the application.
  *
@@ -117,4 +133,4 @@ export declare function drawBySpec(pc: PlayCanvasShaders, app: PlayCanvasSetting
  * await done;
  * ```
  */
-export declare function streamToPlayCanvas<D, C extends PlayCanvasContainer>(scene: StreamedScene, pc: PlayCanvasModule<D, C>, device: D, options?: AdapterOptions): PlayCanvasScene<C>;
+export declare function streamToPlayCanvas<D, C extends PlayCanvasContainer>(scene: StreamedScene, pc: PlayCanvasModule<D, C>, device: D, options?: PlayCanvasOptions): PlayCanvasScene<C>;
