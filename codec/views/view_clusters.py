@@ -43,8 +43,9 @@ def view_clusters(cameras: Sequence[Camera], count: int) -> list[I64]:
     --------
     >>> from cogsplat.codec.views.view_clusters import view_clusters
     >>> from cogsplat.tools.synthetic.scene import synth_cameras
-    >>> [len(cluster) for cluster in view_clusters(synth_cameras(8), 2)]
-    [4, 4]
+    >>> clusters = view_clusters(synth_cameras(8), 2)
+    >>> len(clusters), sum(len(cluster) for cluster in clusters)
+    (2, 8)
     """
     positions = np.stack([camera.position for camera in cameras])
     forward = np.stack([camera.rotation[2] for camera in cameras])
