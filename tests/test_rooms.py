@@ -248,6 +248,7 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "codec.segments": {
         "attributes": "AttributeType attribute_bytes pack_attributes types_of unpack_attributes",
+        "chunk_sets": "equivalent_prefixes is_closed",
         "chunks": "decode_chunk",
         "codebooks": "Codebook ShapeCodebook decode_colour_codebook decode_shape_codebook",
         "compensation": (

@@ -213,6 +213,19 @@ def test_first_chunks_are_compensated_to_the_bit(entry):
 
 
 @pytest.mark.parametrize("entry", VALID, ids=name_of)
+def test_sets_of_chunks_are_compensated_to_the_bit(entry):
+    expected = entry.get("compensated_sets", [])
+    with open_cogs(BytesSource(data_of("valid", entry))) as file:
+        is_cut = bool(len(file.chunks.cell)) and bool(file.chunks.cell.all())
+        assert bool(expected) == (is_cut and "compensated" in entry)
+        for chunks, sha256 in expected:
+            found = file.decode(chunks, compensate=True)
+            values = [found.scales.astype("<f4"), found.opacities.astype("<f4")]
+            data = b"".join(part.tobytes() for part in values)
+            assert hashlib.sha256(data).hexdigest() == sha256
+
+
+@pytest.mark.parametrize("entry", VALID, ids=name_of)
 def test_chunks_alone_in_any_order_are_rows_of_the_whole(entry, kernels):
     arrays = arrays_of(entry)
     counts = counts_of(entry)

@@ -208,6 +208,11 @@ def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
             [chunks, _sha256(struct.pack(f"<{len(values)}f", *values))]
             for chunks, values in scene.compensated.items()
         ]
+    if scene.compensated_sets:
+        entry["compensated_sets"] = [
+            [list(chosen), _sha256(struct.pack(f"<{len(values)}f", *values))]
+            for chosen, values in scene.compensated_sets
+        ]
     if scene.cameras:
         cameras: list[Json] = [_camera(camera) for camera in scene.cameras]
         entry["cameras"] = cameras

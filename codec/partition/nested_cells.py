@@ -84,10 +84,8 @@ def parents(cells: NDArray[np.integer]) -> I64:
     last: dict[int, int] = {}
     found = []
     for chunk, cell in enumerate(cells.tolist()):
-        above = cell
-        while above and above not in last:
-            above >>= 1
-        found.append(last[above] if above else -1)
+        around = (cell >> k for k in range(cell.bit_length()))
+        found.append(max((last.get(above, -1) for above in around), default=-1))
         last[cell] = chunk
     return np.array(found, np.int64)
 

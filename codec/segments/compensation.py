@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.splats import Splats
 
 F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
 
 MAX_CODE_BITS: Final = 8
 """Bits of a splat's code, at most (SPEC 5.9)."""
@@ -94,20 +95,55 @@ class Compensation:
         ValueError
             The splats are not as many as these chunks hold.
         """
-        counts = self.chunk_splats[:chunks]
-        expected = int((counts if drawn is None else counts[list(drawn)]).sum())
-        if not 0 <= chunks <= len(self.chunk_splats) or len(splats) != expected:
+        if not 0 <= chunks <= len(self.chunk_splats):
             raise ValueError(
-                f"{len(splats)} splats of {chunks} chunks, expected the {expected} of the first "
-                f"{min(chunks, len(self.chunk_splats))}"
+                f"{len(splats)} splats of {chunks} chunks, expected up to {len(self.chunk_splats)}"
             )
-        if not self.layers or chunks in (0, len(self.chunk_splats)):
+        held = np.arange(chunks) if drawn is None else np.asarray(drawn, np.int64)
+        return self.apply_each(splats, held, np.full(len(held), chunks, np.int64))
+
+    def apply_each(self, splats: Splats, chunks: I64, prefixes: I64) -> Splats:
+        """Return some chunks of a scene, each shifted as in a prefix of its own.
+
+        Parameters
+        ----------
+        splats : Splats
+            Of these chunks, one behind the other.
+        chunks : (k,) int64
+            Their numbers.
+        prefixes : (k,) int64
+            Chunks of each one's prefix, more than its number; nothing is added to chunks whose
+            prefix is the whole scene.
+
+        Returns
+        -------
+        Splats
+            With other scales and opacities; the same object where nothing is added.
+
+        Raises
+        ------
+        ValueError
+            The splats are not as many as these chunks hold.
+        """
+        counts = self.chunk_splats[chunks]
+        if len(splats) != int(counts.sum()):
+            raise ValueError(
+                f"{len(splats)} splats of {len(chunks)} chunks, expected the {int(counts.sum())} "
+                "that these hold"
+            )
+        is_part = prefixes < len(self.chunk_splats)
+        if not self.layers or not is_part.any():
             return splats
-        shifts = self.shifts(chunks)
-        if drawn is not None:
-            shifts = shifts[np.repeat(np.isin(np.arange(chunks), drawn), counts)]
-        scales: F32 = splats.scales + shifts[:, :1]
-        opacities: F32 = splats.opacities + shifts[:, 1]
+        shifts = self.shifts_of(chunks[is_part], prefixes[is_part])
+        if is_part.all():
+            scales: F32 = splats.scales + shifts[:, :1]
+            opacities: F32 = splats.opacities + shifts[:, 1]
+            return replace(splats, scales=scales, opacities=opacities)
+        # Rows to which nothing is added keep their bits, -0 among them.
+        rows = np.repeat(is_part, counts)
+        scales, opacities = splats.scales.copy(), splats.opacities.copy()
+        scales[rows] += shifts[:, :1]
+        opacities[rows] += shifts[:, 1]
         return replace(splats, scales=scales, opacities=opacities)
 
     def shifts(self, chunks: int) -> F32:
@@ -122,55 +158,89 @@ class Compensation:
         -------
         (n, 2) float32
         """
+        return self.shifts_of(np.arange(chunks), np.full(chunks, chunks, np.int64))
+
+    def shifts_of(self, chunks: I64, prefixes: I64) -> F32:
+        """Return what is added to the log scales and the logits of chunks, each as in a prefix.
+
+        Parameters
+        ----------
+        chunks : (k,) int64
+            Their numbers.
+        prefixes : (k,) int64
+            Chunks of each one's prefix: more than its number, less than all.
+
+        Returns
+        -------
+        (n, 2) float32
+            Of the splats of these chunks, one behind the other.
+        """
+        counts = self.chunk_splats[chunks]
+        entries = self._entries(chunks)
+        if len(prefixes) and (prefixes == prefixes[0]).all():
+            return self._in_prefix(int(prefixes[0]), chunks, entries)
+        out = np.zeros((int(counts.sum()), 2), np.float32)
+        for prefix in np.unique(prefixes).tolist():
+            are_of = prefixes == prefix
+            rows = np.repeat(are_of, counts)
+            out[rows] = self._in_prefix(prefix, chunks[are_of], entries[rows])
+        return out
+
+    def _in_prefix(self, prefix: int, chunks: I64, entries: NDArray[np.int8]) -> F32:
+        """Return the shifts of some chunks' splats in one prefix."""
         ends = np.concatenate([[0], np.cumsum(self.chunk_splats)])
         above = next(
-            (k for k, layer in enumerate(self.layers) if layer.chunks >= chunks), len(self.layers)
+            (k for k, layer in enumerate(self.layers) if layer.chunks >= prefix), len(self.layers)
         )
-        upper = self._of_layer(above, chunks)
-        if above == 0 or (above < len(self.layers) and self.layers[above].chunks == chunks):
+        upper = self._of_layer(above, chunks, entries)
+        if above == 0 or (above < len(self.layers) and self.layers[above].chunks == prefix):
             return upper
         # Between two layers, from one to the other in proportion to the splats that are there.
         # Behind the last layer comes the whole scene, whose shifts are 0.
         below = self.layers[above - 1].chunks
         stop = self.layers[above].chunks if above < len(self.layers) else len(self.chunk_splats)
         part = np.float32(
-            float(ends[chunks] - ends[below]) / max(float(ends[stop] - ends[below]), 1.0)
+            float(ends[prefix] - ends[below]) / max(float(ends[stop] - ends[below]), 1.0)
         )
-        known = int(ends[below])
-        lower = self._of_layer(above - 1, below)
-        upper[:known] = lower + (upper[:known] - lower) * part
+        in_both = chunks < below
+        rows = np.repeat(in_both, self.chunk_splats[chunks])
+        lower = self._of_layer(above - 1, chunks[in_both], entries[rows])
+        upper[rows] = lower + (upper[rows] - lower) * part
         return upper
 
-    def _of_layer(self, number: int, chunks: int) -> F32:
-        """Return the shifts of a layer for the splats of the first `chunks` chunks."""
-        counts = self.chunk_splats[:chunks]
-        out = np.zeros((int(counts.sum()), 2), np.float32)
+    def _of_layer(self, number: int, chunks: I64, entries: NDArray[np.int8]) -> F32:
+        """Return the shifts of a layer for the splats of some of its chunks."""
+        out = np.zeros((len(entries), 2), np.float32)
         if number == len(self.layers):
             return out
         layer = self.layers[number]
-        per_chunk = np.stack([layer.scales, layer.opacities], axis=1)[:chunks].astype(np.int32)
-        strengths = layer.strengths[:chunks].astype(np.int32)
-        own = self._entries(number, chunks).astype(np.int32)
-        chunk = np.repeat(np.arange(chunks), counts)
+        per_chunk = np.stack([layer.scales[chunks], layer.opacities[chunks]], axis=1)
+        strengths = layer.strengths[chunks].astype(np.int32)
+        chunk = np.repeat(np.arange(len(chunks)), self.chunk_splats[chunks])
         # Integers up to 2^15 + 2^15 in units of a step and 1/64 of it.
-        units = per_chunk[chunk] * 64 + strengths[chunk] * own
+        units = per_chunk.astype(np.int32)[chunk] * 64 + strengths[chunk] * entries.astype(np.int32)
         out[:, 0] = units[:, 0].astype(np.float32) * np.float32(SCALE_STEP * STRENGTH_STEP)
         out[:, 1] = units[:, 1].astype(np.float32) * np.float32(OPACITY_STEP * STRENGTH_STEP)
         return out
 
-    def _entries(self, last: int, chunks: int) -> NDArray[np.int8]:
-        """Return the books' entries of the splats of the first chunks, up to a layer's: (n, 2)."""
-        parts: list[NDArray[np.int8]] = []
+    def _entries(self, chunks: I64) -> NDArray[np.int8]:
+        """Return the books' entries of the splats of some chunks, (n, 2)."""
+        counts = self.chunk_splats[chunks]
+        out = np.zeros((int(counts.sum()), 2), np.int8)
         first = 0
-        for layer in self.layers[: last + 1]:
-            stop = min(layer.chunks, chunks)
-            count = int(self.chunk_splats[first:stop].sum()) if stop > first else 0
-            if len(layer.book):
-                parts.append(layer.book[layer.codes[:count]])
-            else:
-                parts.append(np.zeros((count, 2), np.int8))
-            first = max(first, stop)
-        return np.concatenate(parts)
+        for layer in self.layers:
+            own = (first <= chunks) & (chunks < layer.chunks)
+            if len(layer.book) and own.any():
+                starts = np.concatenate([[0], np.cumsum(self.chunk_splats[first : layer.chunks])])
+                codes = np.concatenate(
+                    [
+                        layer.codes[starts[chunk] : starts[chunk + 1]]
+                        for chunk in (chunks[own] - first).tolist()
+                    ]
+                )
+                out[np.repeat(own, counts)] = layer.book[codes]
+            first = layer.chunks
+        return out
 
 
 def code_bits(rows: int) -> int:

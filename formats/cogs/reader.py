@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import LimitError
+from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.segments import codebooks
 from cogsplat.codec.segments.attributes import unpack_attributes
+from cogsplat.codec.segments.chunk_sets import equivalent_prefixes, is_closed
 from cogsplat.codec.segments.chunks import decode_chunk
 from cogsplat.codec.segments.codebooks import Codebook
 from cogsplat.codec.segments.compensation import Compensation, Layer
@@ -183,8 +187,9 @@ class CogsFile(StoredFile):
         extras : bool
             Whether to read extra attributes of the splats.
         compensate : bool
-            Whether to make up for the chunks that are missing (SPEC 8.5); those asked for must be
-            the first ones of the file, in order.
+            Whether to make up for the chunks that are missing (SPEC 8.5). Those asked for must be
+            the first ones of the file, in order; of a file that is cut into cells, also any others,
+            ascending and each with its parent (5.4).
         level : int, optional
             Level whose opacities the splats have, 0 the coarsest (SPEC 5.11); by default the
             finest that is there.
@@ -211,19 +216,32 @@ class CogsFile(StoredFile):
             raise ValueError(f"level {level}, expected one of {len(self.root.levels)}")
         count = self.complete_chunks() if level is None else self.root.levels[level].chunks
         wanted = self._wanted(chunks, count)
+        prefixes = np.full(len(wanted), count, np.int64)
         if compensate and chunks is not None:
-            count = len(wanted)
-            if wanted != list(range(count)):
-                raise ValueError(
-                    f"chunks {wanted[:8]} compensated, expected the first ones of the file in order"
-                )
+            prefixes = self._prefixes_of(wanted)
         file = self if compensate else self._knowing(wanted, sh_degree, refine, extras)
         compiled.prepare(int(file.chunks.splats[wanted].sum()))
-        shifted = int(self.chunks.splats[:count].sum()) if compensate else 0
+        shifted = int(self.chunks.splats[wanted].sum()) if compensate else 0
         out = file._decode(
             wanted, sh_degree, refine, extras, level, shifted, threads=threads, progress=progress
         )
-        return self.compensation().apply(out, count, wanted) if compensate else out
+        if not compensate:
+            return out
+        return self.compensation().apply_each(out, np.array(wanted, np.int64), prefixes)
+
+    def _prefixes_of(self, wanted: Sequence[int]) -> NDArray[np.int64]:
+        """Return the prefix that each of some chunks is compensated as (SPEC 8.5)."""
+        count = len(wanted)
+        if list(wanted) == list(range(count)):
+            return np.full(count, count, np.int64)
+        above = parents(self.chunks.cell)
+        ascend = all(one < other for one, other in pairwise(wanted))
+        if not ascend or not self.chunks.cell.all() or not is_closed(wanted, above):
+            raise ValueError(
+                f"chunks {wanted[:8]} compensated, expected the first ones of the file in order "
+                "or, in a file that is cut into cells, ascending ones that each have their parent"
+            )
+        return equivalent_prefixes(wanted, above, self.chunks.splats.astype(np.int64))
 
     def _knowing(
         self, chunks: Sequence[int], sh_degree: int | None, refine: bool, extras: bool

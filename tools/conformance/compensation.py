@@ -18,6 +18,8 @@ from .valid import Valid
 
 _CHUNKS = 5
 _ROWS = 3
+# Rows of the chunks that shifts between layers round in.
+_SIZES = (5, 1, 2, 3, 1, 4, 2)
 
 
 def _layer(
@@ -92,12 +94,26 @@ def valid() -> list[Valid]:
         Valid("compensation-pages", build(paged), ("5.6", *clauses), "layers listed in pages"),
         _blend(),
         _zeros(),
+        _cells(),
     ]
 
 
 def _blend() -> Valid:
     """Return chunks of many sizes between two layers, and behind the last: parts that round."""
-    sizes = [5, 1, 2, 3, 1, 4, 2]
+    data = build(_sized([0] * len(_SIZES)))
+    note = "prefixes between two layers and behind the last, where every operation rounds"
+    return Valid("compensation-blend", data, ("5.9", "8.5"), note)
+
+
+def _cells() -> Valid:
+    """Return the same chunks cut into cells, the whole once more behind one of its halves."""
+    data = build(_sized([1, 3, 1, 3, 2, 7, 2]))
+    note = "the same chunks cut into cells: sets of chunks that hold with each chunk its parent"
+    return Valid("compensation-cells", data, ("5.4", "5.9", "8.5"), note)
+
+
+def _sized(cells: Sequence[int]) -> Draft:
+    """Return chunks of `_SIZES` rows with two layers."""
     entries = [k for row in range(16) for k in (7 * row - 50, 113 - 15 * row)]
     first = _layer([85], [-77], [63, 61], entries, _packed([3, 15, 8, 11, 6], 4))
     second = _layer(
@@ -105,7 +121,7 @@ def _blend() -> Valid:
         entries, _packed([1, 14, 5, 2, 9, 12, 7], 4),
     )  # fmt: skip
     segments = []
-    for chunk, rows in enumerate(sizes):
+    for chunk, rows in enumerate(_SIZES):
         if chunk in (0, 1):
             data = pack((first, second)[chunk])
             segments.append(Segment(SegmentKind.COMPENSATION, chunk, data))
@@ -116,10 +132,8 @@ def _blend() -> Valid:
         ]
         head = pack_streams(scenes.still_head(rows, *near))
         segments.append(Segment(SegmentKind.HEAD, chunk, head))
-    rows_of = [ChunkRow(rows) for rows in sizes]
-    data = build(Draft(root_keys(sum(sizes), 0), [Group(segments, rows_of)]))
-    note = "prefixes between two layers and behind the last, where every operation rounds"
-    return Valid("compensation-blend", data, ("5.9", "8.5"), note)
+    rows_of = [ChunkRow(rows, cell=cell) for rows, cell in zip(_SIZES, cells, strict=True)]
+    return Draft(root_keys(sum(_SIZES), 0), [Group(segments, rows_of)])
 
 
 def _zeros() -> Valid:

@@ -87,6 +87,47 @@ def shifts(
     return out
 
 
+def closed_sets(cells: Sequence[int]) -> list[list[int]]:
+    """Return the sets of chunks that hold with each chunk its parent and that are no prefix.
+
+    Parameters
+    ----------
+    cells : sequence of int
+        Of the chunks of a small file, each at least 1 (SPEC 5.4).
+    """
+    sets = [
+        [chunk for chunk in range(len(cells)) if number >> chunk & 1]
+        for number in range(1, 1 << len(cells))
+    ]
+    return [
+        chosen
+        for chosen in sets
+        if chosen != list(range(len(chosen)))
+        and all(parent(cells, chunk) in (None, *chosen) for chunk in chosen)
+    ]
+
+
+def parent(cells: Sequence[int], chunk: int) -> int | None:
+    """Return the last chunk before one whose cell is the same or lies around it (SPEC 5.4)."""
+    around = [cells[chunk] >> k for k in range(32)]
+    return next((c for c in range(chunk - 1, -1, -1) if cells[c] in around), None)
+
+
+def prefix_of(cells: Sequence[int], sizes: Sequence[int], chosen: Sequence[int], chunk: int) -> int:
+    """Return the chunks of the prefix that a chunk of a set is compensated as (SPEC 8.5)."""
+
+    def descends(other: int | None) -> bool:
+        while other is not None and other != chunk:
+            other = parent(cells, other)
+        return other == chunk
+
+    held = sum(sizes[other] for other in chosen if descends(other))
+    lengths = range(max(chosen) + 1, 0, -1)
+    return next(
+        m for m in lengths if sum(sizes[other] for other in range(m) if descends(other)) <= held
+    )
+
+
 def added(values: Sequence[float], shift: float) -> list[float]:
     """Return float32 values with a shift added."""
     return [_f32(value + shift) for value in values]

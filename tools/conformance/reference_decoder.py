@@ -101,6 +101,8 @@ class Scene:
     compensated : dict of int to list of float
         By the number of first chunks, the log scales and then the logits of those of them that
         have not ended, compensated.
+    compensated_sets : list of (list of int, list of float)
+        The same of every other set of chunks that compensation is defined for, by their numbers.
     until : list of int
         Of each chunk, 0 where it does not end.
     levels : list of (float, int, dict of str to list of list of float)
@@ -118,6 +120,7 @@ class Scene:
     cameras: list[Camera]
     view_table: list[Viewpoint]
     compensated: dict[int, Row]
+    compensated_sets: list[tuple[list[int], Row]]
     until: list[int]
     levels: list[tuple[float, int, Rows]]
     drawn: list[Rows]
@@ -134,6 +137,7 @@ class _File:
         self.segments: list[Segment] = []
         self.chunk_splats: list[int] = []
         self.until: list[int] = []
+        self.cells: list[int] = []
         # Where the index that lists each segment ends.
         self.known_at: list[int] = []
         position = self._add(self.root, self.root_end)
@@ -157,8 +161,9 @@ class _File:
             position += length
         splats = index["chunks"]["splats"]
         self.chunk_splats += struct.unpack(f"<{len(splats) // 4}I", splats)
-        until = index["chunks"].get("until", bytes(len(splats)))
-        self.until += struct.unpack(f"<{len(until) // 4}I", until)
+        for name, values in (("until", self.until), ("cell", self.cells)):
+            column = index["chunks"].get(name, bytes(len(splats)))
+            values += struct.unpack(f"<{len(column) // 4}I", column)
         return position
 
     def drawn(self, chunks: int) -> list[int]:
@@ -351,6 +356,31 @@ def _compensated(file: _File, rows: Rows) -> dict[int, Row]:
     return out
 
 
+def _compensated_sets(file: _File, rows: Rows) -> list[tuple[list[int], Row]]:
+    """Return the same of the sets of chunks that are no prefix (SPEC 8.5)."""
+    segments = [s for s in file.segments if s.kind == _COMPENSATION]
+    payloads = [file.data[s.start : s.end] for s in sorted(segments, key=lambda s: s.owner)]
+    if not payloads or not all(file.cells):
+        return []
+    starts = [sum(file.chunk_splats[:chunk]) for chunk in range(len(file.chunk_splats))]
+    out = []
+    for chosen in compensation.closed_sets(file.cells):
+        scales: Row = []
+        opacities: Row = []
+        for chunk in chosen:
+            prefix = compensation.prefix_of(file.cells, file.chunk_splats, chosen, chunk)
+            shifts = compensation.shifts(payloads, file.chunk_splats, prefix)
+            for place in range(starts[chunk], starts[chunk] + file.chunk_splats[chunk]):
+                if shifts is None:
+                    scales += rows["scales"][place]
+                    opacities += rows["opacities"][place]
+                else:
+                    scales += compensation.added(rows["scales"][place], shifts[place][0])
+                    opacities += compensation.added(rows["opacities"][place], shifts[place][1])
+        out.append((chosen, scales + opacities))
+    return out
+
+
 def _prefixes(file: _File) -> list[Prefix]:
     """Return what each length of the file gives (SPEC 8.2)."""
 
@@ -443,6 +473,7 @@ def decode(data: bytes, *, refine: bool = True) -> Scene:
     chunks = range(len(file.chunk_splats))
     parts = [made.one(chunk, refine=refine, tail=True, opacities=every) for chunk in chunks]
     prefixes = _prefixes(file)
+    every_row = made.joined(parts)
     is_plain = not any(file.until) and not any(s.kind == _OPACITIES for s in file.segments)
     return Scene(
         sh_degree=file.root["sh_degree"],
@@ -453,7 +484,8 @@ def decode(data: bytes, *, refine: bool = True) -> Scene:
         attribute_values=_attributes(file),
         cameras=_cameras(file),
         view_table=_view_table(file),
-        compensated=_compensated(file, made.joined(parts)),
+        compensated=_compensated(file, every_row),
+        compensated_sets=_compensated_sets(file, every_row),
         until=file.until,
         levels=[made.level(number) for number in range(len(file.root.get("levels", [])))],
         drawn=[] if is_plain else [made.prefix(prefix) for prefix in prefixes],

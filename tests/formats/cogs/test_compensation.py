@@ -1,6 +1,7 @@
 """Layers of compensation as payloads: as they were, refused, or about chunks not known yet."""
 
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from hypothesis import strategies as st
 from cogsplat.codec.errors import CogsplatError, FormatError, LimitError
 from cogsplat.codec.segments.compensation import Layer, pack_codes, unpack_codes
 from cogsplat.formats.cogs.compensation import pack_layer, unpack_layer
+from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.storage.source import FileSource
 
 COUNTS = [3, 2, 4]
 
@@ -78,3 +81,12 @@ def test_damaged_layers_are_read_or_refused(data):
         return
     assert len(found.codes) == (sum(COUNTS[: found.chunks]) if len(found.book) else 0)
     assert int(found.codes.max(initial=0)) < max(len(found.book), 1)
+
+
+@pytest.mark.parametrize("chunks", [[1], [0, 4], [0, 2, 1]])
+def test_sets_without_parents_or_out_of_order_are_refused(chunks: list[int]) -> None:
+    path = Path(__file__).parents[2] / "vectors" / "valid" / "compensation-cells.cogs"
+    with open_cogs(FileSource(path)) as file:
+        assert len(file.decode([0, 2, 4], compensate=True)) == 5 + 2 + 1
+        with pytest.raises(ValueError, match="each have their parent"):
+            file.decode(chunks, compensate=True)

@@ -21,6 +21,7 @@ export interface ValidVector {
   readonly attributes?: readonly (readonly [string, string, number])[];
   readonly attribute_chunks?: readonly (readonly [number, readonly string[]])[];
   readonly compensated?: readonly (readonly [number, string])[];
+  readonly compensated_sets?: readonly (readonly [readonly number[], string])[];
   readonly cameras?: readonly Camera[];
   /** Position, direction and shares of each viewpoint. */
   readonly view_table?: readonly (readonly [readonly number[], readonly number[], readonly number[]])[];

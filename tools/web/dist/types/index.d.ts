@@ -4,6 +4,7 @@
  * @packageDocumentation
  */
 export type { AttributeArray } from "./container/attributes.js";
+export { equivalentPrefixes, isClosed, parentsOf } from "./container/chunk_sets.js";
 export type { Shifts } from "./container/compensation.js";
 export type { Camera } from "./container/cameras.js";
 export type { Pinhole } from "./container/pinhole.js";

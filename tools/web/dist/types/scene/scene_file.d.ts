@@ -73,7 +73,8 @@ export declare class SceneFile {
      * Add what the file says of missing chunks (SPEC 8.5) to rows of one chunk, in place.
      *
      * @param splats - The chunk's rows, decoded.
-     * @param prefix - Number of chunks that are there, from the first on.
+     * @param prefix - Number of chunks that are there, from the first on; where other chunks than these are there, what
+     *   {@link equivalentPrefixes} says of the chunk.
      */
     compensate(splats: Splats, chunk: number, prefix: number): void;
     /**

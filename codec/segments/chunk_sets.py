@@ -1,0 +1,78 @@
+"""Sets of chunks that hold with each chunk its parent, as clients that choose by view have them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+I64 = NDArray[np.int64]
+
+
+def is_closed(chunks: Sequence[int], parents: I64) -> bool:
+    """Return whether each chunk's parent stands before it in a set.
+
+    Parameters
+    ----------
+    chunks : sequence of int
+        Numbers of the set, ascending.
+    parents : (c,) int64
+        Of each chunk of the file; -1 where it has none (SPEC 5.4).
+    """
+    held = set(chunks)
+    return all(int(parents[chunk]) in held or parents[chunk] < 0 for chunk in chunks)
+
+
+def equivalent_prefixes(chunks: Sequence[int], parents: I64, chunk_splats: I64) -> I64:
+    """Return for each chunk of a set the prefix that holds as much of its descendants (SPEC 8.5).
+
+    Parameters
+    ----------
+    chunks : sequence of int
+        Numbers of the set, ascending, with each chunk its parent.
+    parents : (c,) int64
+        Of each chunk of the file; -1 where it has none.
+    chunk_splats : (c,) int64
+        Splats of each chunk of the file.
+
+    Returns
+    -------
+    (k,) int64
+        Chunks of each one's prefix: the longest, up to the last chunk of the set, in which the
+        chunk and its descendants have no more splats than in the set. Where the set is the first n
+        chunks, n for all.
+
+    Examples
+    --------
+    Chunk 0 has the children 1 and 2, chunk 1 the child 3, chunk 2 the child 4; 2 and 4 are missing.
+
+    >>> import numpy as np
+    >>> from cogsplat.codec.segments.chunk_sets import equivalent_prefixes
+    >>> above = np.array([-1, 0, 0, 1, 2])
+    >>> equivalent_prefixes([0, 1, 3], above, np.full(5, 10)).tolist()
+    [3, 4, 4]
+    """
+    end = chunks[-1] + 1 if len(chunks) else 0
+    lines = _lines(end, parents)
+    held = np.zeros(end, np.int64)
+    for chunk in chunks:
+        for above in lines[chunk]:
+            held[above] += chunk_splats[chunk]
+    passed = np.zeros(end, np.int64)
+    found = np.full(end, end, np.int64)
+    for chunk in range(end):
+        for above in lines[chunk]:
+            passed[above] += chunk_splats[chunk]
+            if passed[above] > held[above] and found[above] == end:
+                found[above] = chunk
+    return found[np.asarray(chunks, np.int64)]
+
+
+def _lines(chunks: int, parents: I64) -> list[tuple[int, ...]]:
+    """Return each of the first chunks with its parent, the parent's parent and so on."""
+    lines: list[tuple[int, ...]] = []
+    for chunk in range(chunks):
+        above = int(parents[chunk])
+        lines.append((chunk,) if above < 0 else (chunk, *lines[above]))
+    return lines
