@@ -190,7 +190,7 @@ DOORS: dict[str, dict[str, str]] = {
         "transforms": "AxesChange axes_change convert_axes transform transform_camera",
     },
     "codec.order": {
-        "baselines": "antimatter descending",
+        "baselines": "antimatter descending sgss",
         "chunks": "DEFAULT_LARGEST FIRST_SPLATS GROWTH plan_chunks sort_runs",
         "gain_effort": "GainEffort",
         "objects": "ATTRIBUTE Arrangement arrange labels_of ranked require with_labels",

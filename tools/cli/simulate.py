@@ -5,15 +5,25 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
+from typing import Final
 
 import click
 import numpy as np
+from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.storage.atomic import atomic_write, check_output
+from cogsplat.tools.pictures.png import write_png
 from cogsplat.tools.streaming.client import Link
-from cogsplat.tools.streaming.comparison import POLICIES, SHARES, Moment, Simulation
+from cogsplat.tools.streaming.comparison import (
+    POLICIES,
+    SHARES,
+    Moment,
+    Simulation,
+    bytes_until,
+)
+from cogsplat.tools.streaming.curves import chart, strips
 from cogsplat.tools.streaming.traces import Trace, dolly, orbital, recorded
 from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
@@ -26,9 +36,13 @@ from cogsplat.tools.terminal.output import facts, name_of, say, say_json, table
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
+from cogsplat.tools.terminal.values import number_of_bytes
 
 from .inputs import given_cameras, given_files, input_source, is_cogs_input
 from .serve import BitRate
+
+# Moments that a strip shows: as many as fit beside each other on a page.
+_STRIP_PICTURES: Final = 6
 
 
 @click.command(
@@ -62,6 +76,13 @@ from .serve import BitRate
     "trace.",
 )
 @click.option(
+    "--as-large-as",
+    type=number_of_bytes,
+    metavar="SIZE",
+    help="Divide the bandwidth by how many times larger a scene of SIZE is, such as 734MB: the "
+    "whole takes as long as that would.",
+)
+@click.option(
     "--latency",
     type=click.FloatRange(0.0),
     default=20.0,
@@ -92,7 +113,29 @@ from .serve import BitRate
     metavar="N",
     help="Every so many cameras are the test views; what chunks contribute is known of others.",
 )
+@click.option(
+    "--compensate/--as-stored",
+    default=True,
+    show_default=True,
+    help="Whether the file's clients make up for what is missing, as the file says.",
+)
+@click.option(
+    "--goal",
+    type=click.FloatRange(0.0, 100.0),
+    default=50.0,
+    show_default=True,
+    metavar="DB",
+    help="PSNR; the bytes are told from which on the trace keeps it.",
+)
 @click.option("--csv", "csv_path", type=PATH, metavar="OUT.csv", help="Write every moment.")
+@click.option("--plot", "plot_path", type=PATH, metavar="OUT.svg", help="Draw PSNR over time.")
+@click.option(
+    "--strip",
+    "strip_path",
+    type=PATH,
+    metavar="OUT.png",
+    help="Write pictures of up to six moments, a row for each policy.",
+)
 @partial_option
 @limits_option
 @threads_option
@@ -105,11 +148,16 @@ def simulate(
     trace: str,
     pose_seconds: float,
     bandwidth: float | None,
+    as_large_as: int | None,
     latency: float,
     policies: tuple[str, ...],
     moments: int,
     eval_every: int,
+    compensate: bool,
+    goal: float,
     csv_path: Path | None,
+    plot_path: Path | None,
+    strip_path: Path | None,
     threads: int,
     force: bool,
     quiet: bool,
@@ -117,16 +165,21 @@ def simulate(
 ) -> None:
     """Simulate clients that fetch IN.cogs by what a visitor looks at.
 
-    Each policy fetches the same segments in another order: the file's, whole chunks by distance,
-    by the priority of SGSS, and the file's order put off where boxes, the contributions to the
-    nearest views, or those to the pose itself (which no client knows) say that a chunk shows
-    little. Pictures of what has arrived are compared with those of the whole, along the trace and
-    in test views at rest. Files that were encoded with --cells gain most.
+    Most policies fetch the same segments in another order: the file's, shown as it comes or once
+    the whole is there, whole chunks by distance, by the priority of SGSS, and the file's order put
+    off where boxes, the contributions to the nearest views, or those to the pose itself (which no
+    client knows) say that a chunk shows little. antimatter and sgss-cells fetch splats one by one,
+    by volume times opacity and in cells of SGSS' own, each for the mean bytes of a splat of the
+    file. Pictures of what has arrived are compared with those of the whole, along the trace and in
+    test views at rest. Files that were encoded with --cells gain most.
     """
     if not is_cogs_input(path):
         raise click.UsageError(f"{path}: is no COGS file, expected one")
-    if csv_path is not None:
-        check_output(csv_path, force=force, inputs=given_files(path, cameras))
+    if as_large_as is not None and bandwidth is None:
+        raise click.UsageError("--as-large-as without --bandwidth, expected both")
+    for out in (csv_path, plot_path, strip_path):
+        if out is not None:
+            check_output(out, force=force, inputs=given_files(path, cameras))
     chosen = policies or POLICIES
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
@@ -138,13 +191,22 @@ def simulate(
                 input_source(path), partial=partial_accepted(), limits=current_limits()
             )
         with file:
-            simulation = Simulation(file, known, threads=threads, progress=stages)
-        bits = bandwidth or _bits_for(simulation, walked)
+            simulation = Simulation(
+                file, known, threads=threads, compensate=compensate, progress=stages
+            )
+        bits = _bits_for(simulation, walked, bandwidth, as_large_as)
         link = Link(bits, latency / 1000.0)
-        along = simulation.along(walked, link, chosen, moments, stages)
+        film = _Film(moments if strip_path is not None else 0)
+        along = simulation.along(walked, link, chosen, moments, stages, film.take)
         at_rest = simulation.at_rest(tests, chosen, stages)
     if csv_path is not None:
         _write_csv(along, csv_path, force=force)
+    title = f"{name_of(path)}, {trace} at {bits / 1e6:.3g} Mbit/s"
+    if plot_path is not None:
+        with atomic_write(plot_path, force=force) as opened:
+            opened.write(chart(along, title).encode())
+    if strip_path is not None:
+        write_png(strips(film.pictures, film.judged(along), title), strip_path, force=force)
     means = {name: float(np.mean([m.psnr_db for m in seen])) for name, seen in along.items()}
     if as_json:
         say_json(
@@ -157,12 +219,21 @@ def simulate(
                 "trace_s": walked.seconds,
                 "bits_per_second": bits,
                 "latency_s": link.latency,
+                "compensated": compensate,
+                "goal_db": goal,
                 "policies": [
                     {
                         "policy": name,
                         "psnr_db": means[name],
+                        "goal_bytes": bytes_until(along[name], goal),
                         "moments": [
-                            {"time_s": m.seconds, "bytes": m.bytes, "psnr_db": m.psnr_db}
+                            {
+                                "time_s": m.seconds,
+                                "bytes": m.bytes,
+                                "psnr_db": m.psnr_db,
+                                "ssim": m.ssim,
+                                "wasted_bytes": m.wasted_bytes,
+                            }
                             for m in along[name]
                         ],
                         "at_rest": [
@@ -180,13 +251,23 @@ def simulate(
         return
     say(
         f"{walked.seconds:.1f} s of {trace} at {bits / 1e6:.3g} Mbit/s: PSNR against the whole, "
-        "dB, mean of the trace, and in test views at rest after shares of the bytes"
+        f"dB, and SSIM, means of the trace; share of the bytes from which on it keeps {goal:g} dB, "
+        "and of those fetched that it showed nothing of; PSNR in test views at rest after shares "
+        "of the bytes"
     )
     rows = [
-        (name, f"{means[name]:.2f}", *(f"{quality:.2f}" for quality in at_rest[name]))
+        (
+            name,
+            f"{means[name]:.2f}",
+            f"{np.mean([m.ssim for m in along[name]]):.3f}",
+            _share(bytes_until(along[name], goal), simulation),
+            _share(along[name][-1].wasted_bytes, simulation),
+            *(f"{quality:.2f}" for quality in at_rest[name]),
+        )
         for name in chosen
     ]
-    table(("policy", "trace", *(f"{share:.0%}" for share in SHARES)), rows)
+    shares = (f"{share:.0%}" for share in SHARES)
+    table(("policy", "trace", "SSIM", f"{goal:g} dB", "waste", *shares), rows)
     facts(
         ("file", f"{simulation.chunks} chunks"),
         ("known", f"what each chunk contributes to {simulation.known_views} views"),
@@ -202,18 +283,47 @@ def _trace(name: str, tests: list[cogsplat.Camera], pose_seconds: float) -> Trac
     return recorded(given_cameras(Path(name)), pose_seconds)
 
 
-def _bits_for(simulation: Simulation, trace: Trace) -> float:
-    """Return the bandwidth at which the whole takes as long as the trace, or a second."""
+def _bits_for(
+    simulation: Simulation, trace: Trace, bandwidth: float | None, as_large_as: int | None
+) -> float:
+    """Return the bandwidth: by default that at which the whole takes as long as the trace."""
     total = float(simulation.units.size_bytes.sum()) + simulation.units.opening_bytes
-    return 8.0 * total / (trace.seconds or 1.0)
+    if bandwidth is None:
+        return 8.0 * total / (trace.seconds or 1.0)
+    return bandwidth if as_large_as is None else bandwidth * total / as_large_as
+
+
+def _share(size: int | None, simulation: Simulation) -> str:
+    return "" if size is None else f"{size / simulation.units.size_bytes.sum():.0%}"
+
+
+class _Film:
+    """Keeps pictures of some moments, evenly spread to the last."""
+
+    def __init__(self, moments: int) -> None:
+        kept = min(moments, _STRIP_PICTURES)
+        self._kept = [round((k + 1) * moments / kept) - 1 for k in range(kept)]
+        self._counts: dict[str, int] = {}
+        self.pictures: dict[str, list[NDArray[np.float32]]] = {}
+
+    def take(self, policy: str, _: float, picture: NDArray[np.float32]) -> None:
+        number = self._counts.get(policy, 0)
+        self._counts[policy] = number + 1
+        if number in self._kept:
+            self.pictures.setdefault(policy, []).append(picture)
+
+    def judged(self, along: dict[str, list[Moment]]) -> dict[str, list[Moment]]:
+        """Return the moments of the pictures."""
+        return {name: [seen[number] for number in self._kept] for name, seen in along.items()}
 
 
 def _write_csv(along: dict[str, list[Moment]], path: Path, *, force: bool) -> None:
     page = io.StringIO()
     lines = csv.writer(page, lineterminator="\n")
-    lines.writerow(("policy", "time_s", "bytes", "psnr_db"))
+    lines.writerow(("policy", "time_s", "bytes", "psnr_db", "ssim", "wasted_bytes"))
     for name, seen in along.items():
-        for moment in seen:
-            lines.writerow((name, f"{moment.seconds:.4f}", moment.bytes, f"{moment.psnr_db:.3f}"))
+        for m in seen:
+            figures = f"{m.seconds:.4f}", m.bytes, f"{m.psnr_db:.3f}", f"{m.ssim:.4f}"
+            lines.writerow((name, *figures, m.wasted_bytes))
     with atomic_write(path, force=force) as file:
         file.write(page.getvalue().encode())

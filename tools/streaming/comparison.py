@@ -10,26 +10,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import evenly
 from cogsplat.formats.cogs.reader import CogsFile
 
 from .client import Link, Priorities, Units, fetch, units_of
 from .policies import by_pose, by_views, file_order, frustum, nearest_boxes, sgss
+from .row_clients import RowClient, by_antimatter, by_sgss_cells
 from .shown import ShownScene
 from .traces import Trace
 
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 
-POLICIES: Final = ("file", "distance", "sgss", "frustum", "views", "oracle")
-"""Names of the policies: the order of the file; whole chunks by distance; SGSS' priority; the
-file's order put off by boxes, by what the nearest views show, and by what the pose itself shows."""
+POLICIES: Final = (
+    "file",
+    "whole",
+    "distance",
+    "antimatter",
+    "sgss",
+    "sgss-cells",
+    "frustum",
+    "views",
+    "oracle",
+)
+"""Names of the policies. ``file`` is the order of the file, ``whole`` the same shown once all of it
+is there. ``distance`` and ``sgss`` fetch whole chunks by their distance and by SGSS' priority.
+``antimatter`` and ``sgss-cells`` fetch splats by volume times opacity, and as SGSS does, in cells
+and an order of its own. ``frustum``, ``views`` and ``oracle`` put the file's order off by boxes, by
+what the nearest views show, and by what the pose itself shows."""
 
 SHARES: Final = (0.2, 0.3, 0.5, 0.7)
 """Shares of the bytes after which a view at rest is judged."""
 
 TABLE_VIEWS: Final = 64
 """Views, at most, whose contributions `views` knows."""
+
+Shown = Callable[[str, float, F32], None]
+"""Takes a picture: the policy, empty for the whole scene, and the second of the trace."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +64,48 @@ class Moment:
         Of segments that have arrived.
     psnr_db : float
         Against the picture of the whole; 100 at most.
+    ssim : float
+        Likewise.
+    wasted_bytes : int
+        Of `bytes`, those of chunks that no moment so far has shown anything of.
     """
 
     seconds: float
     bytes: int
     psnr_db: float
+    ssim: float
+    wasted_bytes: int
+
+
+def bytes_until(moments: Sequence[Moment], goal_db: float) -> int | None:
+    """Return the bytes at the first moment from which on a PSNR is kept; None where none is."""
+    found = None
+    for moment in reversed(moments):
+        if moment.psnr_db < goal_db:
+            break
+        found = moment.bytes
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Client:
+    """Somebody who fetches a scene.
+
+    Parameters
+    ----------
+    units : Units
+        What may be fetched.
+    wanted : Priorities
+    rows : list of slice or (n,) int64
+        Rows of the scene that each unit is about; none for codebooks.
+    drawn : callable
+        What is drawn of units that are there.
+    """
+
+    units: Units
+    wanted: Priorities
+    rows: Sequence[slice | I64]
+    drawn: Callable[[Sequence[int]], Splats]
 
 
 class Simulation:
@@ -59,6 +117,8 @@ class Simulation:
     known : sequence of Camera
         Views whose contributions `views` knows; at most `TABLE_VIEWS` of them, evenly chosen.
     threads : int
+    compensate : bool
+        Whether clients of the file change what they have to make up for what is missing.
     progress : Progress
         Called with the stage ``table``.
     """
@@ -69,10 +129,11 @@ class Simulation:
         known: Sequence[Camera],
         *,
         threads: int = 0,
+        compensate: bool = False,
         progress: Progress = silent,
     ) -> None:
         self.units: Units = units_of(file)
-        self._shown = ShownScene(file, threads)
+        self._shown = ShownScene(file, threads, compensate=compensate)
         self._known = evenly(known, TABLE_VIEWS)
         count = len(self._known)
         rows = []
@@ -109,6 +170,36 @@ class Simulation:
         }
         return makers[name]()
 
+    def client(self, name: str) -> Client:
+        """Return the client of a policy."""
+        splats, units = self._shown.splats, self.units
+        size = int(units.size_bytes.sum())
+        if name in ("antimatter", "sgss-cells"):
+            made: RowClient = (
+                by_antimatter(splats, size, units.opening_bytes)
+                if name == "antimatter"
+                else by_sgss_cells(splats, self._known, size, units.opening_bytes)
+            )
+            rows = made.rows
+
+            def of_rows(there: Sequence[int]) -> Splats:
+                return splats.take(
+                    np.concatenate([np.zeros(0, np.int64), *(rows[u] for u in there)])
+                )
+
+            return Client(made.units, made.wanted, rows, of_rows)
+        of_units = [
+            self._shown.rows(chunk) if chunk >= 0 else slice(0, 0) for chunk in units.chunk.tolist()
+        ]
+
+        def of_segments(there: Sequence[int]) -> Splats:
+            if name == "whole" and len(there) < len(units):
+                return splats.take(slice(0, 0))
+            return self._shown.drawn(units, there)
+
+        wanted = self.policy("file" if name == "whole" else name)
+        return Client(units, wanted, of_units, of_segments)
+
     def along(
         self,
         trace: Trace,
@@ -116,6 +207,7 @@ class Simulation:
         policies: Sequence[str],
         moments: int,
         progress: Progress = silent,
+        shown: Shown | None = None,
     ) -> dict[str, list[Moment]]:
         """Return what a visitor sees along a trace, by policy.
 
@@ -126,25 +218,49 @@ class Simulation:
         policies : sequence of str
         moments : int
             How many, evenly over the time that the trace or, where that is shorter, the download
-            of the whole takes.
+            of the whole takes. So the mean over them is the area under a curve over time.
         progress : Progress
             Called with the stage ``trace``.
+        shown : callable, optional
+            Called with every picture.
         """
         total = float(self.units.size_bytes.sum() + self.units.opening_bytes)
         download = link.latency + 8.0 * total / link.bits_per_second
         end = min(trace.seconds, download) if trace.seconds > 0.0 else download
         times = end * np.arange(1, moments + 1) / moments
-        arrivals = {name: fetch(self.units, trace, link, self.policy(name)) for name in policies}
+        clients = {name: self.client(name) for name in policies}
+        arrivals = {
+            name: fetch(client.units, trace, link, client.wanted)
+            for name, client in clients.items()
+        }
         seen: dict[str, list[Moment]] = {name: [] for name in policies}
+        is_seen = np.zeros(len(self._shown.splats), np.bool_)
         for number, seconds in enumerate(times.tolist()):
             progress("trace", number, moments)
             pose = trace.at(seconds)
             whole = self._shown.picture(pose)
+            is_seen |= self._shown.contributions_of_splats(pose) > 0.0
+            if shown is not None:
+                shown("", seconds, whole)
             for name, arrived in arrivals.items():
+                client = clients[name]
                 there = arrived.units[: int(np.searchsorted(arrived.seconds, seconds, "right"))]
-                size = int(self.units.size_bytes[there].sum())
-                quality = self._shown.psnr_db(self.units, there, pose, whole)
-                seen[name].append(Moment(seconds, size, quality))
+                sizes = client.units.size_bytes[there]
+                unseen = [
+                    client.units.chunk[unit] >= 0 and not is_seen[client.rows[unit]].any()
+                    for unit in there
+                ]
+                picture = self._shown.picture(pose, client.drawn(there))
+                if shown is not None:
+                    shown(name, seconds, picture)
+                moment = Moment(
+                    seconds,
+                    int(sizes.sum()),
+                    psnr(picture, whole),
+                    ssim(picture, whole),
+                    int(sizes[np.array(unseen, np.bool_)].sum()),
+                )
+                seen[name].append(moment)
         progress("trace", moments, moments)
         return seen
 
@@ -157,23 +273,23 @@ class Simulation:
         ``views``.
         """
         total = int(self.units.size_bytes.sum())
+        clients = {name: self.client(name) for name in policies}
         found: dict[str, list[list[float]]] = {name: [] for name in policies}
         for number, camera in enumerate(views):
             progress("views", number, len(views))
             whole = self._shown.picture(camera)
             trace = Trace([camera], np.zeros(1))
-            for name in policies:
+            for name, client in clients.items():
                 # The pose stays: what it wants is worked out once.
-                wanted = self.policy(name)(camera)
-                arrived = fetch(self.units, trace, Link(1e9, 0.0), _always(wanted))
-                sizes = np.cumsum(self.units.size_bytes[arrived.units])
+                wanted = client.wanted(camera)
+                arrived = fetch(client.units, trace, Link(1e9, 0.0), _always(wanted))
+                sizes = np.cumsum(client.units.size_bytes[arrived.units])
                 counts = [int(np.searchsorted(sizes, share * total, "right")) for share in SHARES]
-                found[name].append(
-                    [
-                        self._shown.psnr_db(self.units, arrived.units[:count], camera, whole)
-                        for count in counts
-                    ]
+                pictures = (
+                    self._shown.picture(camera, client.drawn(arrived.units[:count]))
+                    for count in counts
                 )
+                found[name].append([psnr(picture, whole) for picture in pictures])
         progress("views", len(views), len(views))
         return {name: np.mean(rows, axis=0).tolist() for name, rows in found.items()}
 

@@ -53,7 +53,7 @@ def sgss(units: Units, boxes: F64, splats: F64) -> Priorities:
     density = splats / size.prod(axis=1)
 
     def wanted(camera: Camera) -> F64:
-        share, depth = _seen(boxes, camera)
+        share, depth = seen_share(boxes, camera)
         return _of_units(units, density * share / (np.maximum(depth, 0.0) + _EPSILON))
 
     return wanted
@@ -63,7 +63,7 @@ def frustum(units: Units, boxes: F64, contribution: F64) -> Priorities:
     """Return the file's order, with chunks put off by how little of a picture their boxes take."""
 
     def wanted(camera: Camera) -> F64:
-        share, depth = _seen(boxes, camera)
+        share, depth = seen_share(boxes, camera)
         near = np.maximum(depth, NEAR)
         return _put_off(units, contribution * (share > 0.0) / (near * near), contribution)
 
@@ -124,7 +124,7 @@ def _of_units(units: Units, of_chunks: F64) -> F64:
     return -rank.astype(np.float64)
 
 
-def _seen(boxes: F64, camera: Camera) -> tuple[F64, F64]:
+def seen_share(boxes: F64, camera: Camera) -> tuple[F64, F64]:
     """Return the share of a picture that each box takes, and the depth of its middle."""
     corners = np.stack(
         [boxes[:, [3 * (i & 1), 1 + 3 * (i >> 1 & 1), 2 + 3 * (i >> 2)]] for i in range(8)], axis=1

@@ -8,13 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.metrics import psnr
+from cogsplat.codec.partition.nested_cells import parents
+from cogsplat.codec.segments.chunk_sets import equivalent_prefixes, is_closed
+from cogsplat.codec.segments.compensation import Compensation
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 
 from .client import Units
 
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 
@@ -27,9 +30,13 @@ class ShownScene:
         Its chunks that are complete are decoded, with refinements and without.
     threads : int
         That draw.
+    compensate : bool
+        Whether what is there is changed to make up for what is missing, where SPEC 8.5 says how:
+        for the first chunks of a file and, in one that is cut into cells, for chunks that each have
+        their parent.
     """
 
-    def __init__(self, file: CogsFile, threads: int = 0) -> None:
+    def __init__(self, file: CogsFile, threads: int = 0, *, compensate: bool = False) -> None:
         self._threads = threads
         chunks = range(file.complete_chunks())
         self._fine = file.decode(chunks, extras=False)
@@ -39,55 +46,82 @@ class ShownScene:
         self._runs = [
             slice(int(end - count), int(end)) for end, count in zip(ends, counts, strict=True)
         ]
+        self._parents = parents(file.chunks.cell)
+        self._is_cut = bool(file.chunks.cell.all())
+        self._compensation: Compensation | None = file.compensation() if compensate else None
 
     @property
     def chunks(self) -> int:
         """Number of chunks."""
         return len(self._runs)
 
-    def contributions(self, camera: Camera) -> F64:
-        """Return what each chunk contributes to a picture, (c,) float64."""
+    @property
+    def splats(self) -> Splats:
+        """The whole scene, chunk by chunk, refined."""
+        return self._fine
+
+    def rows(self, chunk: int) -> slice:
+        """Return the rows of `splats` that a chunk holds."""
+        return self._runs[chunk]
+
+    def contributions_of_splats(self, camera: Camera) -> F64:
+        """Return what each splat contributes to a picture, (N,) float64."""
         # Imported late: commands that only decode need no compiler.
         from cogsplat.codec.scoring.contribution import ScoreConfig, score
 
         config = ScoreConfig(jitter=False, threads=self._threads)
-        by_splat = score(self._fine, [camera], config).contribution
+        return score(self._fine, [camera], config).contribution
+
+    def contributions(self, camera: Camera) -> F64:
+        """Return what each chunk contributes to a picture, (c,) float64."""
+        by_splat = self.contributions_of_splats(camera)
         starts = [run.start for run in self._runs]
         return np.add.reduceat(by_splat, starts) if starts else np.zeros(0)
 
-    def picture(self, camera: Camera) -> NDArray[np.float32]:
-        """Return the picture of the whole."""
+    def picture(self, camera: Camera, splats: Splats | None = None) -> F32:
+        """Return the picture of the whole, or of other splats: (H, W, 3), 0 to 1."""
         from cogsplat.codec.render.rasteriser import RenderConfig, render
 
-        return np.clip(render(self._fine, camera, RenderConfig(threads=self._threads)), 0.0, 1.0)
+        drawn = self._fine if splats is None else splats
+        return np.clip(render(drawn, camera, RenderConfig(threads=self._threads)), 0.0, 1.0)
 
-    def psnr_db(
-        self, units: Units, there: Iterable[int], camera: Camera, whole: NDArray[np.float32]
-    ) -> float:
-        """Return how near the picture of what is there comes to the whole, dB."""
+    def drawn(self, units: Units, there: Iterable[int]) -> Splats:
+        """Return what a client draws that has some units.
+
+        Of chunks without their refinement that are coarse splats, without their tail ones of SH
+        degree 0 but in the shape of the others.
+        """
         kinds: dict[int, set[int]] = {}
         for unit in there:
             if units.chunk[unit] >= 0:
                 kinds.setdefault(int(units.chunk[unit]), set()).add(int(units.kind[unit]))
-        keep = np.zeros(len(self._fine), np.bool_)
+        held = sorted(chunk for chunk, have in kinds.items() if SegmentKind.HEAD in have)
         is_fine = np.zeros(len(self._fine), np.bool_)
         has_tail = np.zeros(len(self._fine), np.bool_)
         for chunk, have in kinds.items():
-            keep[self._runs[chunk]] = SegmentKind.HEAD in have
             is_fine[self._runs[chunk]] = SegmentKind.REFINEMENT in have
             has_tail[self._runs[chunk]] = SegmentKind.TAIL in have
-        drawn = self._drawn(np.flatnonzero(keep), is_fine, has_tail)
-        from cogsplat.codec.render.rasteriser import RenderConfig, render
-
-        config = RenderConfig(threads=self._threads)
-        return psnr(np.clip(render(drawn, camera, config), 0.0, 1.0), whole)
-
-    def _drawn(
-        self, rows: NDArray[np.intp], is_fine: NDArray[np.bool_], has_tail: NDArray[np.bool_]
-    ) -> Splats:
+        rows = np.concatenate(
+            [np.zeros(0, np.int64), *(np.arange(run.start, run.stop) for run in self._held(held))]
+        )
         out = self._fine.take(rows)
         left = ~is_fine[rows]
         for name in ("means", "scales", "quats", "opacities", "sh0"):
             getattr(out, name)[left] = getattr(self._coarse, name)[rows[left]]
         out.shN[~has_tail[rows]] = 0.0
-        return out
+        return self._compensated(out, held)
+
+    def _held(self, chunks: list[int]) -> list[slice]:
+        return [self._runs[chunk] for chunk in chunks]
+
+    def _compensated(self, splats: Splats, held: list[int]) -> Splats:
+        if self._compensation is None or not held:
+            return splats
+        is_prefix = held == list(range(len(held)))
+        if not is_prefix and not (self._is_cut and is_closed(held, self._parents)):
+            return splats
+        counts = self._compensation.chunk_splats
+        prefixes = equivalent_prefixes(held, self._parents, counts)
+        if is_prefix:
+            prefixes = np.full(len(held), len(held), np.int64)
+        return self._compensation.apply_each(splats, np.array(held, np.int64), prefixes)

@@ -67,9 +67,13 @@ def _between(one: Camera, other: Camera, share: float) -> Camera:
 
 
 def orbital(cameras: Sequence[Camera]) -> Trace:
-    """Return SGSS' orbital trace: up to 40 poses, evenly chosen from the cameras, 2 s each."""
+    """Return SGSS' orbital trace: 40 poses, evenly chosen from the cameras, 2 s each.
+
+    Of fewer cameras all are visited, in the same time.
+    """
     chosen = evenly(cameras, _ORBITAL_POSES)
-    return Trace(chosen, _ORBITAL_SECONDS * np.arange(len(chosen), dtype=np.float64))
+    seconds = _ORBITAL_SECONDS * (_ORBITAL_POSES - 1) / max(len(chosen) - 1, 1)
+    return Trace(chosen, seconds * np.arange(len(chosen), dtype=np.float64))
 
 
 def dolly(cameras: Sequence[Camera]) -> Trace:

@@ -8,7 +8,13 @@ import pytest
 from cogsplat.codec.cameras import Camera
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.streaming.client import Link
-from cogsplat.tools.streaming.comparison import POLICIES, SHARES, Simulation
+from cogsplat.tools.streaming.comparison import (
+    POLICIES,
+    SHARES,
+    Moment,
+    Simulation,
+    bytes_until,
+)
 from cogsplat.tools.streaming.traces import recorded
 from cogsplat.tools.synthetic.rooms import rooms_cameras, rooms_walk
 
@@ -47,6 +53,39 @@ def test_along_a_trace_more_bytes_come_with_time(simulation: Simulation) -> None
         sizes = [moment.bytes for moment in moments]
         assert sizes == sorted(sizes)
         assert sizes[0] < sizes[-1]
+
+
+def test_bytes_that_no_moment_has_shown_are_wasted(simulation: Simulation) -> None:
+    trace = recorded(small(rooms_walk(4))[:2], 1.0)
+    total = 8.0 * float(simulation.units.end[-1])
+    pictures: dict[str, int] = {}
+
+    def shown(name: str, seconds: float, picture: np.ndarray) -> None:
+        pictures[name] = pictures.get(name, 0) + 1
+        assert picture.shape == (45, 60, 3)
+
+    link = Link(total / trace.seconds, 0.0)
+    seen = simulation.along(trace, link, ["whole", "antimatter", "views"], 3, shown=shown)
+    assert pictures == {"": 3, "whole": 3, "antimatter": 3, "views": 3}
+    last = {name: moments[-1] for name, moments in seen.items()}
+    # From one room nothing of the others is seen; at the last moment all of the file is there.
+    assert last["whole"].psnr_db == 100.0
+    assert last["whole"].ssim == pytest.approx(1.0)
+    assert 0.2 < last["whole"].wasted_bytes / last["whole"].bytes < 1.0
+    assert seen["whole"][0].psnr_db < 20.0
+    for moments in seen.values():
+        assert all(0 <= moment.wasted_bytes <= moment.bytes for moment in moments)
+    assert seen["views"][0].wasted_bytes < seen["antimatter"][0].bytes
+
+
+def test_a_goal_counts_from_where_it_is_kept() -> None:
+    seen = [
+        Moment(seconds=float(n), bytes=10 * n, psnr_db=db, ssim=1.0, wasted_bytes=0)
+        for n, db in enumerate([60.0, 40.0, 55.0, 50.0])
+    ]
+    assert bytes_until(seen, 50.0) == 20
+    assert bytes_until(seen, 30.0) == 0
+    assert bytes_until(seen, 58.0) is None
 
 
 def test_a_fast_link_ends_the_comparison_with_the_download(simulation: Simulation) -> None:
