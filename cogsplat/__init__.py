@@ -263,7 +263,16 @@ def decode(
             progress=progress,
         )
 
-    return with_place(whole, path, size_bytes=size_bytes, limits=limits, network=network)
+    # Of a file on a network all is asked for before its root says where what is.
+    parts = (chunks, splats, size_bytes, objects, sh_degree, level)
+    return with_place(
+        whole,
+        path,
+        size_bytes=size_bytes,
+        limits=limits,
+        network=network,
+        whole=refine and all(part is None for part in parts),
+    )
 
 
 def encode(

@@ -305,11 +305,10 @@ DOORS: dict[str, dict[str, str]] = {
         "between_levels": "decode_between",
         "cameras": "check_cameras",
         "canonical_msgpack": "MAX_DEPTH MAX_VALUES Value pack unpack",
-        "folder_map": (
-            "FolderMap MANIFEST_NAME MANIFEST_SUFFIX SEGMENT_FOLDER is_manifest segment_name"
-        ),
+        "folder_map": "FolderMap MANIFEST_NAME MANIFEST_SUFFIX is_manifest",
+        "folder_places": "SEGMENT_FOLDER check_object",
         "folder_source": "FolderSource manifest_path names_folder",
-        "folder_writer": "check_manifest_name manifest_of pack_cogs unpack_cogs",
+        "folder_writer": "check_manifest_name pack_cogs unpack_cogs",
         "layout": (
             "COLOUR_BANDS MAGIC MAJOR MINOR PREAMBLE_BYTES SKIPPABLE_KIND SegmentKind "
             "unpack_preamble"
@@ -319,15 +318,14 @@ DOORS: dict[str, dict[str, str]] = {
         "root": "Root",
         "scene": "save size_bytes",
         "sources": "cogs_source",
-        "verification": "Finding finding_of findings read_verified",
+        "verification": "Finding finding_of findings",
         "writer": "Segment write_cogs",
     },
     "formats.network": {
-        "answers": "Answer Stated",
+        "answers": "Answer NeighbouringTransport Stated",
         "download": "download",
-        "faults": "Backoff PassingFault",
-        "http_transport": "HttpTransport",
-        "opening": "open_url",
+        "faults": "PassingFault",
+        "opening": "open_url transport_of",
         "options": "NetworkOptions",
         "range_source": "RangeSource",
         "segment_cache": "SegmentCache",

@@ -1,4 +1,4 @@
-"""Where the bytes of a file lie in the folder that stands for it: manifest and segments (SPEC 3.4).
+"""Where the bytes of a file lie in the folder that stands for it: manifest and objects (SPEC 3.4).
 
 Nothing is read here, so that folders on disk, over HTTP and in object stores share these rules.
 """
@@ -8,8 +8,10 @@ from __future__ import annotations
 import struct
 import zlib
 from bisect import bisect_right
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from itertools import accumulate
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,17 +21,13 @@ from cogsplat.formats.storage.magic import MANIFEST_MAGIC, describe
 
 from . import canonical_msgpack, layout
 from . import root as cogs_root
+from .folder_places import Places, object_name, places_bytes, unpack_places
 from .root import Root, SegmentTable
 
 MANIFEST_NAME: Final = "manifest.cogsm"
 """The manifest's name where a folder is named and no manifest in it."""
 
 MANIFEST_SUFFIX: Final = ".cogsm"
-
-SEGMENT_FOLDER: Final = "segments"
-
-# What servers call application/octet-stream without being told.
-_SEGMENT_SUFFIX: Final = ".bin"
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ class PageRange:
     ----------
     page : int
     offset, length : int
-        Its bytes within the manifest.
+        Its bytes and those of its table of places, within the manifest.
     """
 
     page: int
@@ -85,17 +83,6 @@ class IndexPlace:
     start: int
     segments: int
     end: int
-
-
-def segment_name(hash_bytes: bytes) -> str:
-    """Return the name of a segment's object by the hash that its table states.
-
-    Examples
-    --------
-    >>> segment_name(bytes(range(16)))
-    'segments/000102030405060708090a0b0c0d0e0f.bin'
-    """
-    return f"{SEGMENT_FOLDER}/{hash_bytes.hex()}{_SEGMENT_SUFFIX}"
 
 
 def is_manifest(head: bytes) -> bool:
@@ -167,13 +154,28 @@ def file_preamble(manifest_head: bytes, name: str) -> bytes:
     return preamble
 
 
+@runtime_checkable
+class ObjectSource(Protocol):
+    """A source that reads a folder: what it has beside the bytes of the file."""
+
+    def tables(self) -> list[tuple[SegmentTable, Places]]:
+        """Return segments and their places, of the root and of each page."""
+
+    def objects(self) -> Mapping[str, int]:
+        """Return the bytes of all objects that the manifest names, by their names."""
+
+    def read_object(self, name: str) -> bytes:
+        """Return the bytes of an object."""
+
+
 class FolderMap:
     """The bytes of a file, mapped to the objects of its folder.
 
     Parameters
     ----------
     manifest_head : bytes
-        First bytes of the manifest: preamble and root, or more.
+        First bytes of the manifest: preamble, root and the root's table of places, or more; the
+        first 64 KiB hold them (SPEC 8.8).
     name : str
         Names the manifest in messages.
 
@@ -187,11 +189,14 @@ class FolderMap:
         Bytes of the manifest.
     root_end : int
         First byte behind the root, in the file and in the manifest.
+    head_end : int
+        First byte of the manifest behind the root's table of places.
 
     Raises
     ------
     FormatError, TruncatedError, UnsupportedError
-        As `file_preamble`; ``root-truncated``, ``root-crc``, and what breaks SPEC 4 and 5.
+        As `file_preamble`; ``root-truncated``, ``root-crc``, what breaks SPEC 4 and 5,
+        ``file-truncated``, ``places-crc`` and ``places-range``.
     """
 
     def __init__(self, manifest_head: bytes, name: str) -> None:
@@ -217,16 +222,22 @@ class FolderMap:
             )
         where = f"{name}: root"
         self._root = cogs_root.parse_root(canonical_msgpack.unpack(data, where), where)
+        table = self._root.segments
+        self.head_end = self.root_end + places_bytes(len(table))
+        if len(manifest_head) < self.head_end:
+            raise self._short(len(manifest_head), self.head_end)
+        found = unpack_places(manifest_head[self.root_end : self.head_end], table.length, where)
         self._places = places(self.root_end, self._root)
         self._starts = [place.start for place in self._places]
-        self._tables: dict[int, _Segments] = {
-            0: _Segments(self._root.segments, self._places[0].segments)
-        }
+        pages = [page.length + places_bytes(page.segments) for page in self._root.pages]
+        # First byte of each page in the manifest, and the end of the last.
+        self._page_offsets = list(accumulate(pages, initial=self.head_end))
+        self._tables = {0: _Segments(table, found, self._places[0].segments)}
 
     @property
     def manifest_bytes(self) -> int:
-        """Bytes of the manifest: preamble, root and pages."""
-        return self.root_end + sum(page.length for page in self._root.pages)
+        """Bytes of the manifest: preamble, root, pages and their tables of places."""
+        return self._page_offsets[-1]
 
     def check_manifest_size(self, size: int) -> None:
         """Refuse a manifest of another length than its root states.
@@ -239,13 +250,7 @@ class FolderMap:
             ``file-trailing``.
         """
         if size < self.manifest_bytes:
-            raise TruncatedError(
-                "file-truncated",
-                f"{self.name}: {size} bytes, expected {self.manifest_bytes}",
-                clause="3.4",
-                offset=size,
-                needed=self.manifest_bytes,
-            )
+            raise self._short(size, self.manifest_bytes)
         if size > self.manifest_bytes:
             raise FormatError(
                 "file-trailing",
@@ -257,30 +262,59 @@ class FolderMap:
     def pages_for(self, offset: int, length: int) -> list[PageRange]:
         """Return the pages that `pieces` needs for a range of the file and does not know yet."""
         return [
-            PageRange(number - 1, self._page_offset(number - 1), place.segments - place.start)
+            self.page_range(number - 1)
             for number, place in self._within(offset, length)
             if number not in self._tables and place.segments < offset + length
         ]
 
+    def page_range(self, page: int) -> PageRange:
+        """Return where a page and its table of places are in the manifest."""
+        start, end = self._page_offsets[page : page + 2]
+        return PageRange(page, start, end - start)
+
+    def page_at(self, offset: int) -> int | None:
+        """Return the page that has a byte of the manifest, None for the root and its places."""
+        page = bisect_right(self._page_offsets, offset) - 1
+        return None if page < 0 else page
+
+    def knows(self, page: int) -> bool:
+        """Whether a page was added."""
+        return page + 1 in self._tables
+
     def add_page(self, page: int, data: bytes) -> None:
-        """Take the bytes of an index page.
+        """Take the bytes of an index page and of its table of places.
 
         Raises
         ------
         FormatError, UnsupportedError
-            ``page-crc``, ``page-entry``, and what breaks SPEC 5.
+            ``page-crc``, ``page-entry``, what breaks SPEC 5, ``places-crc`` and ``places-range``.
         """
         where = f"{self.name}: index page {page}"
         entry = self._root.pages[page]
-        if zlib.crc32(data) != entry.crc:
+        index = data[: entry.length]
+        if zlib.crc32(index) != entry.crc:
             raise FormatError(
                 "page-crc",
                 f"{where}: its CRC does not match",
                 clause="5.6",
-                offset=self._page_offset(page),
+                offset=self._page_offsets[page],
             )
-        table, _ = cogs_root.parse_page(canonical_msgpack.unpack(data, where), entry, where)
-        self._tables[page + 1] = _Segments(table, self._places[page + 1].segments)
+        table, _ = cogs_root.parse_page(canonical_msgpack.unpack(index, where), entry, where)
+        found = unpack_places(data[entry.length :], table.length, where)
+        self._tables[page + 1] = _Segments(table, found, self._places[page + 1].segments)
+
+    def tables(self) -> list[tuple[SegmentTable, Places]]:
+        """Return segments and places of the root and of each page; all pages have been added."""
+        every = (self._tables[number] for number in range(len(self._places)))
+        return [(segments.table, segments.places) for segments in every]
+
+    def objects(self) -> dict[str, int]:
+        """Return the bytes of all objects by their names; all pages have been added."""
+        return {
+            object_name(key.tobytes()): int(size)
+            for _, found in self.tables()
+            for key, size in zip(found.objects, found.sizes, strict=True)
+        }
 
     def pieces(self, offset: int, length: int) -> list[Piece]:
         """Return where the bytes of a range of the file lie, in order.
@@ -314,16 +348,21 @@ class FolderMap:
         for number, place in self._within(offset, length):
             first, last = max(offset, place.start), min(end, place.segments)
             if first < last:
-                at = first - place.start + (self._page_offset(number - 1) if number else 0)
+                at = first - place.start + (self._page_offsets[number - 1] if number else 0)
                 found.append(Piece("", at, last - first, self.manifest_bytes))
             first, last = max(offset, place.segments), min(end, place.end)
             if first < last:
                 found += self._tables[number].pieces(first, last)
         return found
 
-    def _page_offset(self, page: int) -> int:
-        """Return where a page begins in the manifest."""
-        return self.root_end + sum(entry.length for entry in self._root.pages[:page])
+    def _short(self, size: int, expected: int) -> TruncatedError:
+        return TruncatedError(
+            "file-truncated",
+            f"{self.name}: {size} bytes, expected {expected}",
+            clause="3.4",
+            offset=size,
+            needed=expected,
+        )
 
     def _within(self, offset: int, length: int) -> list[tuple[int, IndexPlace]]:
         """Return the indexes that have bytes in a range, themselves or their segments."""
@@ -337,10 +376,10 @@ class FolderMap:
 
 
 class _Segments:
-    """The segments of one index, by their places in the file."""
+    """The segments of one index, by their places in the file and in objects."""
 
-    def __init__(self, table: SegmentTable, start: int) -> None:
-        self._hashes = table.hash
+    def __init__(self, table: SegmentTable, found: Places, start: int) -> None:
+        self.table, self.places = table, found
         self._lengths: NDArray[np.int64] = table.length.astype(np.int64)
         self._ends: NDArray[np.int64] = start + np.cumsum(self._lengths)
 
@@ -349,9 +388,10 @@ class _Segments:
         found = []
         row = int(np.searchsorted(self._ends, first, side="right"))
         while first < last:
-            size, end = int(self._lengths[row]), int(self._ends[row])
-            stop = min(end, last)
-            name = segment_name(self._hashes[row].tobytes())
-            found.append(Piece(name, first - (end - size), stop - first, size))
+            start = int(self._ends[row] - self._lengths[row])
+            stop = min(int(self._ends[row]), last)
+            offset = int(self.places.offsets[row]) + first - start
+            name = object_name(self.places.objects[row].tobytes())
+            found.append(Piece(name, offset, stop - first, int(self.places.sizes[row])))
             first, row = stop, row + 1
         return found

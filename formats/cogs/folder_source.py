@@ -1,10 +1,11 @@
-"""A folder of a manifest and segments on disk, read as the file that it stands for (SPEC 3.4)."""
+"""A folder of a manifest and objects on disk, read as the file that it stands for (SPEC 3.4)."""
 
 from __future__ import annotations
 
 import os
 import stat
 import threading
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -14,13 +15,9 @@ from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_erro
 from cogsplat.formats.storage.source import FileSource
 
 from . import layout
-from .folder_map import (
-    MANIFEST_NAME,
-    SEGMENT_FOLDER,
-    FolderMap,
-    Piece,
-    is_manifest,
-)
+from .folder_map import MANIFEST_NAME, FolderMap, Piece, is_manifest
+from .folder_places import SEGMENT_FOLDER, Places
+from .root import SegmentTable
 
 # Not there on Windows, where links need rights that few have.
 _NO_LINKS: Final = getattr(os, "O_NOFOLLOW", 0)
@@ -81,7 +78,7 @@ class FolderSource:
         self._folder = manifest.parent
         self._manifest = FileSource(manifest)
         try:
-            head = self._manifest.read(0, min(layout.MAX_ROOT_END, self._manifest.size))
+            head = self._manifest.read(0, min(layout.FIRST_READ, self._manifest.size))
             self._map = FolderMap(head, self._manifest.name)
             self._map.check_manifest_size(self._manifest.size)
         except BaseException:
@@ -112,8 +109,8 @@ class FolderSource:
         TruncatedError
             ``file-truncated``: the file ends before; ``segment-missing``: an object is not there.
         FormatError
-            ``segment-object``: an object has another length than its segment, or is no file;
-            ``page-crc`` and what else breaks SPEC 5 in a page.
+            ``segment-object``: an object has another length than stated, or is no file;
+            ``page-crc``, ``places-crc`` and what else breaks SPEC 3.4 and 5 in a page.
         StorageError
             ``permission`` or ``io``.
         """
@@ -136,9 +133,28 @@ class FolderSource:
             not piece.name or piece.name in self._objects for piece in self._pieces(offset, length)
         )
 
+    def tables(self) -> list[tuple[SegmentTable, Places]]:
+        """Return segments and their places, of the root and of each page; raises as `read`."""
+        self._pieces(0, self.size)
+        return self._map.tables()
+
+    def objects(self) -> Mapping[str, int]:
+        """Return the bytes of all objects that the manifest names; raises as `read`."""
+        return self._named
+
+    def read_object(self, name: str) -> bytes:
+        """Return the bytes of an object, as `objects` names it; raises as `read`."""
+        size = self._named[name]
+        return self._object_bytes(Piece(name, 0, size, size))
+
     def close(self) -> None:
         """Close the manifest."""
         self._manifest.close()
+
+    @cached_property
+    def _named(self) -> dict[str, int]:
+        self._pieces(0, self.size)
+        return self._map.objects()
 
     @cached_property
     def _objects(self) -> dict[str, int]:
@@ -180,7 +196,7 @@ class FolderSource:
             except (FileNotFoundError, NotADirectoryError):
                 raise TruncatedError(
                     "segment-missing",
-                    f"{self.name}: {piece.name} is not there, expected a segment of "
+                    f"{self.name}: {piece.name} is not there, expected an object of "
                     f"{piece.object_bytes} bytes",
                     clause="3.4",
                 ) from None

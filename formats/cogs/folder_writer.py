@@ -1,33 +1,29 @@
-"""One file into a folder of a manifest and segments, and back, byte for byte (SPEC 3.4)."""
+"""One file into a folder of a manifest and objects, and back, byte for byte (SPEC 3.4)."""
 
 from __future__ import annotations
 
-import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
+
+import numpy as np
 
 from cogsplat.codec.errors import StorageError, TruncatedError
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.formats.storage.atomic import (
-    atomic_write,
-    check_output,
-    storage_errors,
-    sync_all,
-)
+from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors, sync_all
 from cogsplat.formats.storage.magic import MANIFEST_MAGIC
 
 from . import layout
-from .folder_map import (
-    MANIFEST_NAME,
-    MANIFEST_SUFFIX,
-    SEGMENT_FOLDER,
-    places,
-    segment_name,
-    with_magic,
-)
+from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX, places, with_magic
+from .folder_places import SEGMENT_FOLDER, Places, key_of, object_name, pack_places
+from .joined_segments import Place, StoredSegments, is_stored, joined
 from .reader import CogsFile
 from .root import HASH_BYTES
 from .verification import read_verified
+
+# Sizes of objects are 32 bits (SPEC 3.4).
+_MOST_OBJECT_BYTES: Final = (1 << 32) - 1
 
 
 @dataclass(frozen=True)
@@ -39,12 +35,11 @@ class Unpacked:
     manifest : Path
     manifest_bytes : int
     segments : int
-        Of the file.
+        Of the file, those that are there.
     written, written_bytes : int
         Objects that were not in the folder before, and their bytes.
     shared : int
-        Segments whose object was there already, from another version of the scene or from another
-        place of this one.
+        Objects that were there already, from another version of the scene.
     """
 
     manifest: Path
@@ -55,8 +50,14 @@ class Unpacked:
     shared: int
 
 
-def manifest_of(file: CogsFile) -> bytes:
-    """Return the manifest of a file: its preamble under another magic, its root and its pages.
+def manifest_of(file: CogsFile, found: Sequence[Place]) -> bytes:
+    """Return the manifest of a file: preamble, root and pages, and where the segments lie.
+
+    Parameters
+    ----------
+    file : CogsFile
+    found : sequence of Place
+        Of each segment, in the order of the file.
 
     Raises
     ------
@@ -66,9 +67,18 @@ def manifest_of(file: CogsFile) -> bytes:
     first = file.read_bytes(0, layout.PREAMBLE_BYTES)
     root_end = layout.PREAMBLE_BYTES + layout.unpack_preamble(first, file.name).root_length
     parts = [with_magic(first, MANIFEST_MAGIC)]
-    for place in places(root_end, file.root):
+    table = Places(
+        np.frombuffer(b"".join(place.key for place in found), np.uint8).reshape(-1, HASH_BYTES),
+        np.array([place.size for place in found], np.uint32),
+        np.array([place.offset for place in found], np.uint32),
+    )
+    counts = [len(file.root.segments), *(page.segments for page in file.root.pages)]
+    row = 0
+    for place, count in zip(places(root_end, file.root), counts, strict=True):
         start = max(place.start, layout.PREAMBLE_BYTES)
         parts.append(_exactly(file, start, place.segments - start))
+        parts.append(pack_places(table.rows(slice(row, row + count))))
+        row += count
     return b"".join(parts)
 
 
@@ -80,7 +90,7 @@ def unpack_cogs(
     force: bool = False,
     progress: Progress = silent,
 ) -> Unpacked:
-    """Write a file as a folder: its segments first, then the manifest.
+    """Write a file as a folder: its objects first, then the manifest.
 
     Parameters
     ----------
@@ -112,36 +122,80 @@ def unpack_cogs(
 
     Notes
     -----
-    An object that is there is compared with the segment, and replaced where it differs: it is
-    damaged, or half-written from before.
+    The segments of a chunk are joined in one object, and those of all codebooks, but a segment that
+    another manifest of the folder has is left in its object. An object that is there is compared
+    with what it should hold, and replaced where it differs: it is damaged, or half-written from
+    before. A manifest beside that cannot be read gives a `CogsplatWarning`.
     """
     check_manifest_name(name)
-    manifest = manifest_of(file)
     objects = folder / SEGMENT_FOLDER
     with storage_errors(folder):
         objects.mkdir(parents=True, exist_ok=True)
     if objects.is_symlink():
         raise StorageError("not-a-folder", f"{objects}: is a link, expected a folder")
     check_output(folder / name, force=force)
-    written: list[Path] = []
-    written_bytes = 0
-    rows = [row for row in range(len(file.segments)) if file.is_present(row)]
-    for done, row in enumerate(rows, start=1):
-        data = read_verified(file, row)
-        path = folder / segment_name(file.segments.hash[row].tobytes())
-        if not _is_stored(path, data):
-            _write_object(path, data)
-            written.append(path)
-            written_bytes += len(data)
-        progress("unpack", done, len(rows))
-    sync_all(written)
+    # What is missing of a part lies in an object of its own, wherever that is.
+    found = [
+        Place(key.tobytes(), int(length), 0)
+        for key, length in zip(file.segments.hash, file.segments.length, strict=True)
+    ]
+    # Refused before anything is written where pages are not there.
+    manifest_of(file, found)
+    stored = StoredSegments(folder)
+    present = [row for row in range(len(found)) if file.is_present(row)]
+    there = set(present)
+    written: dict[bytes, int] = {}
+    used: set[bytes] = set()
+    done = 0
+    for rows in joined(file.segments):
+        group = [row for row in rows if row in there]
+        new = []
+        for row in group:
+            place = stored.place_of(found[row].key)
+            if place is None:
+                new.append(row)
+            else:
+                found[row] = place
+                used.add(place.key)
+        for part in _objects(file, new):
+            data = b"".join(bytes(read_verified(file, row)) for row in part)
+            key, offset = key_of(data), 0
+            for row in part:
+                found[row] = Place(key, len(data), offset)
+                offset += int(file.segments.length[row])
+            if key not in used and not is_stored(folder, key, len(data)):
+                _write_object(folder / object_name(key), data)
+                written[key] = len(data)
+            used.add(key)
+        done += len(group)
+        if group:
+            progress("unpack", done, len(present))
+    sync_all([folder / object_name(key) for key in written])
+    manifest = manifest_of(file, found)
     # Last, so that no manifest names what is not there.
     with atomic_write(folder / name, force=force) as out:
         out.write(manifest)
-    count = len(written)
     return Unpacked(
-        folder / name, len(manifest), len(rows), count, written_bytes, len(rows) - count
+        folder / name,
+        len(manifest),
+        len(present),
+        len(written),
+        sum(written.values()),
+        len(used) - len(written),
     )
+
+
+def _objects(file: CogsFile, rows: Sequence[int]) -> list[list[int]]:
+    """Cut segments that are joined where an object would become larger than one may be."""
+    parts: list[list[int]] = []
+    size = _MOST_OBJECT_BYTES
+    for row in rows:
+        size += int(file.segments.length[row])
+        if size > _MOST_OBJECT_BYTES:
+            parts.append([])
+            size = int(file.segments.length[row])
+        parts[-1].append(row)
+    return parts
 
 
 def pack_cogs(
@@ -214,23 +268,10 @@ def _exactly(file: CogsFile, offset: int, length: int) -> bytes:
     return data
 
 
-def _write_object(path: Path, data: memoryview) -> None:
+def _write_object(path: Path, data: bytes) -> None:
     with storage_errors(path):
         # What a link leads to is not of this folder and stays as it is.
         if path.is_symlink():
             path.unlink()
     with atomic_write(path, force=True, durable=False) as out:
         out.write(data)
-
-
-def _is_stored(path: Path, data: memoryview) -> bool:
-    """Whether a file has these bytes; one of another kind is none."""
-    with storage_errors(path):
-        try:
-            status = path.lstat()
-        except FileNotFoundError:
-            return False
-        if path.is_symlink() or not path.is_file() or status.st_size != len(data):
-            return False
-        digest = hashlib.sha256(path.read_bytes()).digest()[:HASH_BYTES]
-        return digest.hex() == path.stem

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from cogsplat.codec.errors import TruncatedError
 from cogsplat.formats.storage.source import Source, is_there
 
-from .folder_map import segment_name
 from .index import AnyIndex
 
 
@@ -26,13 +25,22 @@ def require_all(source: Source, index: AnyIndex) -> None:
     """
     missing = list(_gaps(source, index))
     if missing:
-        first = segment_name(index.segments.hash[missing[0]].tobytes())
+        first = _told_of(source, int(index.offsets[missing[0]]))
         raise TruncatedError(
             "segment-missing",
             f"{source.name}: {len(missing)} of {len(index.segments)} segments are not there, "
-            f"expected all; the first is {first}",
+            f"expected all; the first: {first}",
             clause="3.4",
         )
+
+
+def _told_of(source: Source, offset: int) -> str:
+    """Return what a source says of a byte that it lacks, such as the name of the object."""
+    try:
+        source.read(offset, 1)
+    except TruncatedError as error:
+        return error.message
+    return f"at byte {offset}"
 
 
 def _gaps(source: Source, index: AnyIndex) -> Iterator[int]:

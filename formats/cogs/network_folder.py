@@ -1,34 +1,33 @@
-"""A folder of a manifest and segments on a network, read as the file it stands for (SPEC 3.4)."""
+"""A folder of a manifest and objects on a network, read as the file it stands for (SPEC 3.4)."""
 
 from __future__ import annotations
 
-import asyncio
-from collections import deque
-from collections.abc import AsyncGenerator, AsyncIterator, Sequence
-from contextlib import asynccontextmanager
+import threading
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from functools import cached_property
 from typing import Final
 
-from cogsplat.codec.errors import FormatError, StorageError, TruncatedError
-from cogsplat.formats.network.answers import Answer, Stated
-from cogsplat.formats.network.faults import Backoff, PassingFault
-from cogsplat.formats.network.http_transport import HttpTransport
+from cogsplat.codec.errors import TruncatedError
+from cogsplat.formats.network.opening import transport_of
 from cogsplat.formats.network.options import NetworkOptions
 from cogsplat.formats.network.range_source import RangeSource
 from cogsplat.formats.network.traffic import Traffic
 from cogsplat.formats.network.urls import shown
+from cogsplat.formats.storage.source import Cancel
 
 from . import layout
 from .folder_map import FolderMap, Piece
-
-# Objects of one request that are asked for before the first of them is there.
-_AHEAD: Final = 6
+from .folder_places import Places
+from .folder_transport import FolderTransport, address_of
+from .root import SegmentTable
 
 # Bytes of so many index pages are kept.
 _PAGES_KEPT: Final = 8
 
 
-class NetworkFolder(RangeSource):
+class NetworkFolder:
     """A folder on a network as a `Source`, whose bytes are those of the file that it stands for.
 
     Parameters
@@ -36,12 +35,20 @@ class NetworkFolder(RangeSource):
     url : str
         Of the manifest.
     head : bytes
-        First bytes of the manifest, its root among them; all of a small one.
+        First bytes of the manifest, its root and the places of the root's segments among them; all
+        of a small one.
     options : NetworkOptions, optional
     fresh : bool
         Go around caches.
     manifest_bytes : int, optional
         Bytes that the server states of the manifest.
+
+    Attributes
+    ----------
+    name : str
+        Names the folder in messages.
+    cache : SegmentCache or None
+        Segments on disk, where the options name a folder for them.
 
     Raises
     ------
@@ -54,8 +61,9 @@ class NetworkFolder(RangeSource):
 
     Notes
     -----
-    Objects are asked for whole, each by a request of its own, so that no ranges are needed and one
-    that is missing or damaged spoils no other.
+    Safe to read from several threads. Of an object, what lies close together is asked for with one
+    request; a server without ranges sends all of it, which is kept. A request is of one object, so
+    that one that is missing or damaged spoils no other.
     """
 
     def __init__(
@@ -68,209 +76,185 @@ class NetworkFolder(RangeSource):
         manifest_bytes: int | None = None,
     ) -> None:
         options = options or NetworkOptions()
-        name = shown(url)
-        folder = FolderMap(head, name)
-        self._root_end = folder.root_end
+        self.name = shown(url)
+        self._map = FolderMap(head, self.name)
         if manifest_bytes is not None:
-            folder.check_manifest_size(manifest_bytes)
-        # A request of one byte at most: no two segments are asked for together.
-        single = replace(options, gap_bytes=0, request_bytes=1)
-        transport = FolderTransport(HttpTransport(url, options), folder, head, name, options)
-        self._objects = transport
-        self._head_bytes = len(head)
-        # No more than the root, which is there: segments are objects of their own.
-        super().__init__(transport, name, single, fresh=fresh, beginning_bytes=self._root_end)
+            self._map.check_manifest_size(manifest_bytes)
+        self._head = head[: self._map.manifest_bytes]
+        self._objects = FolderTransport(transport_of(url, options), self._map, self._head)
+        self._ranges = RangeSource(
+            self._objects, self.name, options, fresh=fresh, beginning_bytes=len(self._head)
+        )
+        self.cache = self._ranges.cache
+        self._lock = threading.Lock()
+        self._pages: dict[int, bytes] = {}
+
+    def __enter__(self) -> NetworkFolder:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
 
     @property
-    def traffic(self) -> Traffic:
-        """What was asked for and what came, object by object; the request for `head` counted."""
-        objects = self._objects
-        return replace(
-            super().traffic,
-            requests=1 + objects.requests,
-            received_bytes=self._head_bytes + objects.received_bytes,
-            failures=objects.failures,
-        )
+    def size(self) -> int:
+        """Bytes of the file that the folder stands for."""
+        return self._map.file_length
 
     @property
     def opening_bytes(self) -> int:
         """Bytes of preamble and root, which no segment is needed for."""
-        return self._root_end
+        return self._map.root_end
 
-
-class FolderTransport:
-    """Asks for ranges of a file by the objects of its folder; see `answers.Transport`.
-
-    Parameters
-    ----------
-    manifest : HttpTransport
-    folder : FolderMap
-    head : bytes
-        What is there of the manifest already, from its first byte on.
-    name : str
-        Names the folder in messages.
-    options : NetworkOptions
-
-    Attributes
-    ----------
-    requests, received_bytes, failures : int
-        As in `Traffic`, of all objects.
-    """
-
-    def __init__(
-        self,
-        manifest: HttpTransport,
-        folder: FolderMap,
-        head: bytes,
-        name: str,
-        options: NetworkOptions,
-    ) -> None:
-        self._options = options
-        self._manifest = manifest
-        self._map = folder
-        self._head = folder.preamble + head[layout.PREAMBLE_BYTES :]
-        self._name = name
-        self.requests = self.received_bytes = self.failures = 0
-        # The last pages that were read, by their place in the manifest.
-        self._pages: dict[tuple[int, int], bytes] = {}
-
-    @asynccontextmanager
-    async def get(self, first: int, end: int, *, fresh: bool = False) -> AsyncIterator[Answer]:
-        """Ask for a range; see `answers.Transport.get`."""
-        end = min(end, self._map.file_length)
-        for page in self._map.pages_for(first, end - first):
-            self._map.add_page(page.page, await self._of_index(page.offset, page.length, fresh))
-        stated = Stated(first, end, self._map.file_length, None, is_whole=False)
-        parts = self._parts(self._map.pieces(first, end - first), fresh)
-        try:
-            yield Answer(stated, parts)
-        finally:
-            await parts.aclose()
-
-    async def close(self) -> None:
-        """Close the connections."""
-        await self._manifest.close()
-
-    async def _parts(self, pieces: Sequence[Piece], fresh: bool) -> AsyncGenerator[bytes, None]:
-        """Yield the bytes of pieces in their order, the next ones asked for meanwhile."""
-        waiting = deque(pieces)
-        under_way: deque[asyncio.Task[bytes]] = deque()
-        try:
-            while waiting or under_way:
-                while waiting and len(under_way) < _AHEAD:
-                    under_way.append(asyncio.create_task(self._bytes_of(waiting.popleft(), fresh)))
-                yield await under_way[0]
-                under_way.popleft()
-        finally:
-            for task in under_way:
-                task.cancel()
-            await asyncio.gather(*under_way, return_exceptions=True)
-
-    async def _bytes_of(self, piece: Piece, fresh: bool) -> bytes:
-        if not piece.name:
-            return await self._of_index(piece.offset, piece.length, fresh)
-        try:
-            return await self._of_object(piece, fresh)
-        except StorageError as error:
-            if error.code != "not-found":
-                raise
-            raise TruncatedError(
-                "segment-missing",
-                f"{self._name}: {piece.name} is not there, expected a segment of "
-                f"{piece.object_bytes} bytes",
-                clause="3.4",
-            ) from error
-
-    async def _of_object(self, piece: Piece, fresh: bool) -> bytes:
-        """Return bytes of an object, asked for again where an answer breaks off."""
-        transport = self._manifest.beside(piece.name)
-        backoff = Backoff(self._options)
-        data = bytearray()
-        while len(data) < piece.length:
-            before = len(data)
-            try:
-                await self._take(transport, piece, data, fresh)
-            except PassingFault as fault:
-                self.failures += 1
-                if len(data) > before:
-                    backoff.progressed()
-                await asyncio.sleep(backoff.pause_after(fault))
-        return bytes(data[: piece.length])
-
-    async def _take(
-        self, transport: HttpTransport, piece: Piece, data: bytearray, fresh: bool
-    ) -> None:
-        """Add to the bytes of a piece what one answer brings of those that are missing."""
-        start, end = piece.offset + len(data), piece.offset + piece.length
-        self.requests += 1
-        async with transport.get(start, end, fresh=fresh) as answer:
-            stated = answer.stated
-            if stated.total is not None and stated.total != piece.object_bytes:
-                raise self._another_length(piece, stated.total)
-            # A server without ranges sends all of it.
-            skip = start if stated.is_whole else 0
-            received = 0
-            async for part in answer.parts:
-                received += len(part)
-                self.received_bytes += len(part)
-                data += part[skip:]
-                skip = max(0, skip - len(part))
-                if received > piece.object_bytes:
-                    # However much more would come.
-                    raise self._another_length(piece, received)
-        if stated.is_whole and stated.total is None and received != piece.object_bytes:
-            raise self._another_length(piece, received)
-        if piece.offset + len(data) < min(end, stated.end):
-            raise PassingFault(
-                "connection-broken",
-                f"{self._name}: {piece.name}: the answer ended at byte "
-                f"{piece.offset + len(data)}, expected {end}",
-            )
-
-    def _another_length(self, piece: Piece, size: int) -> FormatError:
-        return FormatError(
-            "segment-object",
-            f"{self._name}: {piece.name} has {size} bytes, expected {piece.object_bytes}",
-            clause="3.4",
+    @property
+    def traffic(self) -> Traffic:
+        """What was asked for and what came, object by object; the request for `head` counted."""
+        found, objects = self._ranges.traffic, self._objects
+        return replace(
+            found,
+            requests=1 + objects.requests,
+            received_bytes=len(self._head) + objects.received_bytes,
         )
 
-    async def _of_index(self, offset: int, length: int, fresh: bool) -> bytes:
-        """Return bytes of the root or of a page; those of the last pages are kept.
+    def read(self, offset: int, length: int) -> bytes:
+        """Return exactly `length` bytes from `offset` of the file; see `Source.read`.
 
-        A page is read as a part of the file and, to name segments, by the map.
+        Raises
+        ------
+        TruncatedError
+            ``file-truncated``: the file ends before; ``segment-missing``: an object is not there.
+        FormatError
+            ``segment-object``; ``page-crc``, ``places-crc`` and what else breaks SPEC 3.4 and 5 in
+            a page.
+        StorageError
+            As `RangeSource.read`.
         """
-        place = offset, length
-        data = None if fresh else self._pages.get(place)
+        pieces = self._pieces(offset, length)
+        ahead = (
+            self._ranges.prefetch([self._range_of(x) for x in pieces if not self._is_here(x)])
+            if len(pieces) > 1
+            else nullcontext()
+        )
+        with ahead:
+            parts = [self._bytes_of(piece) for piece in pieces]
+        return parts[0] if len(parts) == 1 else b"".join(parts)
+
+    def arrived(self, offset: int, length: int) -> bool:
+        """Whether bytes that are fetched ahead are here."""
+        return all(
+            self._is_here(piece) or self._ranges.arrived(*self._range_of(piece))
+            for piece in self._pieces(offset, length)
+        )
+
+    def reread(self, offset: int, length: int) -> bytes:
+        """Return bytes of segments that came damaged, asked for once more around caches.
+
+        Raises as `read`, and ValueError where there are other bytes among them.
+        """
+        pieces = self._pieces(offset, length)
+        if not all(piece.name for piece in pieces):
+            raise ValueError(f"{length} bytes from byte {offset}, expected those of segments")
+        return b"".join(self._ranges.reread(*self._range_of(piece)) for piece in pieces)
+
+    def prefetch(
+        self, ranges: Sequence[tuple[int, int]], *, any_order: bool = False
+    ) -> AbstractContextManager[Cancel]:
+        """Fetch ranges ahead of reading them, as long as the block lasts; see `RemoteSource`.
+
+        In any order, what lies in one object is asked for together.
+        """
+        pieces = [
+            piece
+            for offset, length in ranges
+            if offset + length <= self.size
+            for piece in self._pieces(offset, length)
+            if not self._is_here(piece)
+        ]
+        if any_order:
+            turn: dict[str, int] = {}
+            for piece in pieces:
+                turn.setdefault(piece.name, len(turn))
+            pieces.sort(key=lambda piece: (turn[piece.name], piece.offset))
+        return self._ranges.prefetch([self._range_of(piece) for piece in pieces])
+
+    def tables(self) -> list[tuple[SegmentTable, Places]]:
+        """Return segments and their places, of the root and of each page; raises as `read`."""
+        self._pieces(0, self.size)
+        return self._map.tables()
+
+    def objects(self) -> Mapping[str, int]:
+        """Return the bytes of all objects that the manifest names; raises as `read`."""
+        return self._named
+
+    def read_object(self, name: str) -> bytes:
+        """Return the bytes of an object, as `objects` names it; raises as `read`."""
+        size = self._named[name]
+        return self._ranges.read(*self._range_of(Piece(name, 0, size, size)))
+
+    def close(self) -> None:
+        """End all requests; reading is over."""
+        self._ranges.close()
+
+    @cached_property
+    def _named(self) -> dict[str, int]:
+        self._pieces(0, self.size)
+        return self._map.objects()
+
+    def _pieces(self, offset: int, length: int) -> list[Piece]:
+        """Return where bytes of the file lie; pages that say so are read."""
+        if offset < 0 or length < 0:
+            raise ValueError(f"offset {offset} and length {length}, expected none negative")
+        if offset + length > self.size:
+            raise TruncatedError(
+                "file-truncated",
+                f"{self.name}: {self.size} bytes, expected {offset + length} for the {length} "
+                f"bytes at byte {offset}",
+                offset=offset,
+                needed=offset + length,
+            )
+        with self._lock:
+            pages = self._map.pages_for(offset, length)
+            if pages:
+                with self._ranges.prefetch([(page.offset, page.length) for page in pages]):
+                    for page in pages:
+                        self._page(page.page)
+            return self._map.pieces(offset, length)
+
+    def _is_here(self, piece: Piece) -> bool:
+        """Whether bytes of the manifest came with its first, or with a page."""
+        if piece.name:
+            return False
+        page = self._map.page_at(piece.offset)
+        return piece.offset + piece.length <= len(self._head) or page in self._pages
+
+    def _bytes_of(self, piece: Piece) -> bytes:
+        if piece.name:
+            return self._ranges.read(*self._range_of(piece))
+        page = self._map.page_at(piece.offset)
+        if page is None:
+            # The file's own preamble stands in the place of the manifest's.
+            data = self._map.preamble + self._head[layout.PREAMBLE_BYTES :]
+            return data[piece.offset : piece.offset + piece.length]
+        with self._lock:
+            start = piece.offset - self._map.page_range(page).offset
+            return self._page(page)[start : start + piece.length]
+
+    def _page(self, page: int) -> bytes:
+        """Return a page and its places; those of the last pages are kept, and all are known."""
+        data = self._pages.get(page)
         if data is None:
-            data = await self._of_manifest(offset, length, fresh)
-            if offset + length > len(self._head):
-                self._pages[place] = data
+            place = self._map.page_range(page)
+            data = self._ranges.read(place.offset, place.length)
+            if not self._map.knows(page):
+                self._map.add_page(page, data)
+            self._pages[page] = data
             while len(self._pages) > _PAGES_KEPT:
                 del self._pages[next(iter(self._pages))]
         return data
 
-    async def _of_manifest(self, offset: int, length: int, fresh: bool) -> bytes:
-        end = offset + length
-        if end > len(self._head):
-            self.requests += 1
-            async with self._manifest.get(offset, end, fresh=fresh) as answer:
-                stated = answer.stated
-                if stated.total is not None:
-                    self._map.check_manifest_size(stated.total)
-                data = b""
-                async for part in answer.parts:
-                    data += part
-                    self.received_bytes += len(part)
-                    if len(data) > self._map.manifest_bytes:
-                        break
-            if len(data) < (stated.end if stated.is_whole else length):
-                raise PassingFault(
-                    "connection-broken",
-                    f"{self._name}: the answer ended after {len(data)} bytes, expected {length}",
-                )
-            if not stated.is_whole:
-                return data[:length]
-            # The server sends no ranges: all of the manifest is kept.
-            self._map.check_manifest_size(len(data))
-            self._head = self._map.preamble + data[layout.PREAMBLE_BYTES :]
-        return self._head[offset:end]
+    def _range_of(self, piece: Piece) -> tuple[int, int]:
+        """Return the address and length by which a piece is asked for; of a page, all."""
+        page = None if piece.name else self._map.page_at(piece.offset)
+        if page is not None:
+            place = self._map.page_range(page)
+            return place.offset, place.length
+        return address_of(self._objects.number_of(piece), piece.offset), piece.length

@@ -23,7 +23,11 @@ Result = TypeVar("Result")
 
 
 def source_of_place(
-    place: Readable, network: NetworkOptions | None = None, *, fresh: bool = False
+    place: Readable,
+    network: NetworkOptions | None = None,
+    *,
+    fresh: bool = False,
+    whole: bool = False,
 ) -> Source:
     """Return what reads ranges of a file, by its path or its URL, or of what `cogs_source` takes.
 
@@ -35,6 +39,9 @@ def source_of_place(
     network : NetworkOptions, optional
     fresh : bool
         Go around caches of the network.
+    whole : bool
+        Whether all of it will be read: then all is asked for at once, where it is one file on a
+        network and no segment of it can be on disk.
 
     Raises
     ------
@@ -46,16 +53,20 @@ def source_of_place(
         It is nothing that can be read.
     """
     if isinstance(place, str) and is_url(place):
-        return _network_source(place, network, fresh=fresh)
+        return _network_source(place, network, fresh=fresh, whole=whole)
     return cogs_source(place)
 
 
-def _network_source(url: str, network: NetworkOptions | None, *, fresh: bool) -> Source:
+def _network_source(
+    url: str, network: NetworkOptions | None, *, fresh: bool, whole: bool
+) -> Source:
     address = manifest_address(url)
     source = open_url(address, network, fresh=fresh)
     try:
         head = source.read(0, min(PREAMBLE_BYTES, source.size))
         if not is_manifest(head):
+            if whole and source.cache is None:
+                source.fetch_all()
             return source
         size = source.size
         head = source.read(0, min(FIRST_READ, size))
@@ -121,6 +132,7 @@ def with_place(
     limits: Limits | None = None,
     network: NetworkOptions | None = None,
     close: bool = True,
+    whole: bool = False,
 ) -> Result:
     """Open a COGS file, do something with it and close it; begin anew, once, where it changed.
 
@@ -130,12 +142,14 @@ def with_place(
         Of the open file.
     close : bool
         Whether the file is closed where the work succeeds.
+    whole : bool
+        As in `source_of_place`.
 
     Other parameters are those of `open_place`, which says what is raised.
     """
 
     def once(*, fresh: bool) -> Result:
-        source = source_of_place(place, network, fresh=fresh)
+        source = source_of_place(place, network, fresh=fresh, whole=whole)
         try:
             file = open_cogs(source, partial=partial, size_bytes=size_bytes, limits=limits)
             result = work(file)

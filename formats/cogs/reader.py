@@ -471,7 +471,8 @@ class CogsFile(StoredFile):
                 extras=extras,
                 level=level,
                 is_kept=self.is_kept,
-            )
+            ),
+            any_order=True,
         )
 
     def _wanted(self, chunks: Iterable[int] | None, count: int) -> list[int]:

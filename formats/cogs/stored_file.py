@@ -17,6 +17,8 @@ from cogsplat.formats.network.traffic import Traffic
 from cogsplat.formats.storage.source import RemoteSource, Source, is_there
 
 from .fetch_order import needed_codebooks
+from .folder_map import ObjectSource
+from .folder_places import object_name
 from .gaps import gap_bytes
 from .index import I64, AnyIndex, codebook_kinds
 from .layout import SegmentKind
@@ -239,6 +241,41 @@ class StoredFile:
         if self._cache is not None:
             self._cache.put(key, data)
         return memoryview(data)
+
+    def objects(self) -> dict[str, int]:
+        """Return the first segment in each object of a folder by the object's name; of a file none.
+
+        An object that is one whole segment is left out: its name is the segment's hash.
+
+        Raises
+        ------
+        CogsplatError
+            A page of the manifest cannot be read, or breaks SPEC.
+        """
+        if not isinstance(self._source, ObjectSource):
+            return {}
+        found: dict[str, int] = {}
+        row = 0
+        for table, places in self._source.tables():
+            same = (places.objects == table.hash).all(axis=1)
+            for at in np.flatnonzero(~same).tolist():
+                found.setdefault(object_name(places.objects[at].tobytes()), row + at)
+            row += len(places)
+        return found
+
+    def read_object(self, name: str) -> bytes:
+        """Return the bytes of an object of a folder, as `objects` names it.
+
+        Raises
+        ------
+        TruncatedError
+            ``segment-missing``.
+        FormatError
+            ``segment-object``.
+        """
+        if not isinstance(self._source, ObjectSource):
+            raise ValueError(f"{self.name}: is no folder, expected one")
+        return self._source.read_object(name)
 
     def is_kept(self, row: int) -> bool:
         """Whether a segment is on disk already, of a file that is read over a network."""

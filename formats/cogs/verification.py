@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -22,8 +21,8 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.formats.storage.source import Source
 
 from .drawn_chunks import first_level
+from .folder_places import check_object, key_of
 from .layout import SegmentKind
-from .root import HASH_BYTES
 
 if TYPE_CHECKING:
     from cogsplat.formats.storage.limits import Limits
@@ -36,6 +35,10 @@ _CLAUSE: Final = re.compile(r"\(SPEC (\d+(?:\.\d+)?)\)")
 
 # What a source that has not arrived whole lacks: its end, or objects of a folder.
 _NOT_THERE: Final = ("file-truncated", "segment-missing")
+
+
+# Segments whose bytes are not those that were written.
+_DAMAGED: Final = ("segment-crc", "segment-hash")
 
 
 @dataclass(frozen=True)
@@ -93,13 +96,15 @@ def checks(file: CogsFile) -> Iterator[Check]:
     Yields
     ------
     Check
-        The decoded size, CRC and hash of every segment, then codebooks, cameras, compensation, the
-        view table, and of every chunk its head, its refinement, its tail with its attributes, and
-        its box.
+        The decoded size, CRC and hash of every segment, of a folder the names of its objects, then
+        codebooks, cameras, compensation, the view table, and of every chunk its head, its
+        refinement, its tail with its attributes, and its box.
     """
     yield Check("decoded size", 0, file.require_size)
     for row in range(len(file.segments)):
         yield Check(f"segment {row}", int(file.offsets[row]), partial(read_verified, file, row))
+    for name, row in file.objects().items():
+        yield Check(name, int(file.offsets[row]), partial(_check_object, file, name))
     for book in range(len(file.root.codebooks)):
         # Codebooks that no chunk needs are part of the file too.
         kinds = (SegmentKind.SHAPE_CODEBOOK, SegmentKind.COLOUR_BAND1)
@@ -164,8 +169,7 @@ def read_verified(file: CogsFile, row: int) -> memoryview:
         ``segment-crc``, ``segment-hash``, and as `CogsFile.read_segment`.
     """
     data = file.read_segment(row)
-    digest = hashlib.sha256(data).digest()[:HASH_BYTES]
-    if digest != file.segments.hash[row].tobytes():
+    if key_of(data) != file.segments.hash[row].tobytes():
         raise FormatError(
             "segment-hash",
             f"{file.name}: segment {row}: its SHA-256 does not match the table's",
@@ -173,6 +177,10 @@ def read_verified(file: CogsFile, row: int) -> memoryview:
             offset=int(file.offsets[row]),
         )
     return data
+
+
+def _check_object(file: CogsFile, name: str) -> None:
+    check_object(name, file.read_object(name), file.name)
 
 
 def _require_inside(file: CogsFile, chunk: int, means: np.ndarray, offset: int) -> None:
@@ -254,8 +262,11 @@ def findings(
         except CogsplatError as error:
             finding = finding_of(error, check.offset)
             # A broken segment fails again wherever it is used, and so does what is not there.
-            truncated = finding.code in passed_over
-            if not truncated and all(
+            follows = finding.code in passed_over
+            if finding.code == "object-hash":
+                # The object of a damaged segment has another hash because of it.
+                follows = any(other.code in _DAMAGED for other in found)
+            if not follows and all(
                 (finding.code, finding.offset) != (other.code, other.offset) for other in found
             ):
                 found.append(finding)

@@ -75,6 +75,13 @@ class Transport(Protocol):
         """Close all connections."""
 
 
+class NeighbouringTransport(Transport, Protocol):
+    """A transport that reaches the files beside its own, over the same connections."""
+
+    def beside(self, name: str) -> Transport:
+        """Return a transport of a file that is named relative to this one."""
+
+
 def stated_by(status: int, headers: Mapping[str, str], first: int, end: int, where: str) -> Stated:
     """Check the status and headers of an answer to a range request.
 

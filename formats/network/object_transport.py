@@ -29,6 +29,8 @@ class ObjectTransport:
         ``s3://bucket/key``, ``gs://bucket/key`` or ``az://container/key``.
     options : NetworkOptions
         `NetworkOptions.options_of_store` configures the store.
+    store : obstore store, optional
+        That the address names, in place of a new one.
 
     Raises
     ------
@@ -38,13 +40,17 @@ class ObjectTransport:
         ``store-options``: the store cannot be configured so.
     """
 
-    def __init__(self, url: str, options: NetworkOptions) -> None:
+    def __init__(self, url: str, options: NetworkOptions, store: Any = None) -> None:
         obstore = self._obstore = _obstore()
         parts = urlsplit(url)
         self._key = parts.path.lstrip("/")
+        self._url = url
         self._name = shown(url)
         self._options = options
         endpoint = options.options_of_store.get("endpoint", "")
+        if store is not None:
+            self._store = store
+            return
         try:
             self._store = obstore.store.from_url(
                 f"{parts.scheme}://{parts.netloc}",
@@ -59,6 +65,11 @@ class ObjectTransport:
             )
         except (obstore.exceptions.BaseError, ValueError) as error:
             raise StorageError("store-options", f"{self._name}: {_line(error)}") from error
+
+    def beside(self, name: str) -> ObjectTransport:
+        """Return a transport of an object that is named relative to this one, of the same store."""
+        folder, slash, _ = self._url.rpartition("/")
+        return ObjectTransport(f"{folder}{slash}{name}", self._options, self._store)
 
     @asynccontextmanager
     async def get(self, first: int, end: int, *, fresh: bool = False) -> AsyncIterator[Answer]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .answers import NeighbouringTransport
 from .http_transport import HttpTransport
 from .object_transport import ObjectTransport
 from .options import NetworkOptions
@@ -43,10 +44,15 @@ def open_url(
     ...     source.size > 64
     True
     """
-    scheme = scheme_of(url)
     options = options or NetworkOptions()
+    return RangeSource(transport_of(url, options), shown(url), options, fresh=fresh)
+
+
+def transport_of(url: str, options: NetworkOptions) -> NeighbouringTransport:
+    """Return what asks for ranges of a file by its address; raises as `open_url`."""
+    scheme = scheme_of(url)
     if scheme in HTTP_SCHEMES:
-        return RangeSource(HttpTransport(url, options), shown(url), options, fresh=fresh)
+        return HttpTransport(url, options)
     if scheme:
-        return RangeSource(ObjectTransport(url, options), shown(url), options, fresh=fresh)
+        return ObjectTransport(url, options)
     raise ValueError(f"{shown(url)!r}, expected the address of a file")

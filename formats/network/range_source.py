@@ -8,16 +8,20 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 from cogsplat.codec.errors import Cancelled, CogsplatWarning, TruncatedError
 from cogsplat.formats.storage.source import Cancel
 
 from .answers import Transport
-from .options import NetworkOptions
+from .options import KIB, NetworkOptions
 from .range_queue import Piece
 from .range_reader import BEGINNING_BYTES, RangeReader
 from .segment_cache import SegmentCache
 from .traffic import Traffic
+
+# Of a file that is fetched whole; small, so that what is read first does not wait for much.
+_PART_BYTES: Final = 256 * KIB
 
 
 class RangeSource:
@@ -73,8 +77,11 @@ class RangeSource:
         )
         self._moved = self._reader.moved
         self._pieces: dict[tuple[int, int], Piece] = {}
+        # What lies behind the beginning, in parts, where all of the file was asked for.
+        self._rest: list[Piece] = []
         self._told = False
         options = options or NetworkOptions()
+        self._window_bytes = options.window_bytes
         self.cache: SegmentCache | None = None
         if options.cache is not None:
             self.cache = SegmentCache(Path(options.cache), options.cache_bytes)
@@ -118,6 +125,24 @@ class RangeSource:
         """
         return self._read(offset, length, again=False)
 
+    def fetch_all(self) -> None:
+        """Ask for all of the file at once, before it is known what is where in it.
+
+        Requests begin as soon as the length of the file is known, while its first bytes come. All
+        bytes are kept until `close`; a file that is longer than the window of `NetworkOptions` is
+        fetched as it is read, as if this had not been called.
+        """
+        first = self._reader.beginning.end
+        with self._moved:
+            if self._rest or self._size > self._window_bytes:
+                return
+            ends = [*range(first + _PART_BYTES, self._size, _PART_BYTES), self._size]
+            starts = [first, *ends[:-1]]
+            self._rest = [
+                Piece(start, end) for start, end in zip(starts, ends, strict=True) if start < end
+            ]
+            self._reader.want(self._rest)
+
     def arrived(self, offset: int, length: int) -> bool:
         """Whether bytes that are fetched ahead are here."""
         end = offset + length
@@ -125,6 +150,9 @@ class RangeSource:
         with self._moved:
             if reader.whole is not None:
                 return reader.whole.received >= end
+            if self._rest:
+                parts = self._parts_with(offset, end)
+                return all(min(end, part.end) <= part.position for part in parts)
             piece = self._pieces.get((offset, end), reader.beginning)
             return piece.first <= offset and end <= piece.position
 
@@ -152,6 +180,11 @@ class RangeSource:
             usable = not again and reader.whole is None and beginning.error is None
             if usable and end <= beginning.end:
                 data = self._wait_for(beginning, offset, end)
+            elif usable and self._rest:
+                data = b"".join(
+                    self._wait_for(part, max(offset, part.first), min(end, part.end))
+                    for part in self._parts_with(offset, end)
+                )
             else:
                 piece = None if again else self._pieces.pop((offset, end), None)
                 if piece is not None:
@@ -167,7 +200,9 @@ class RangeSource:
         return data
 
     @contextmanager
-    def prefetch(self, ranges: Sequence[tuple[int, int]]) -> Iterator[Cancel]:
+    def prefetch(
+        self, ranges: Sequence[tuple[int, int]], *, any_order: bool = False
+    ) -> Iterator[Cancel]:
         """Fetch ranges ahead of reading them, in this order, as long as the block lasts.
 
         What is read of them is given as soon as it is there; of what is not, the requests end with
@@ -177,6 +212,8 @@ class RangeSource:
         ----------
         ranges : sequence of (int, int)
             Offset and length, as they will be read.
+        any_order : bool
+            Without effect: of one file, the order of the file takes the fewest requests.
 
         Yields
         ------
@@ -186,7 +223,8 @@ class RangeSource:
         beginning = self._reader.beginning
         with self._moved:
             own: list[Piece] = []
-            for offset, length in ranges:
+            # All of the file is on its way where its rest is.
+            for offset, length in () if self._rest else ranges:
                 key = offset, offset + length
                 kept = key[1] <= beginning.end
                 if key not in self._pieces and not kept and key[1] <= self._size:
@@ -199,7 +237,7 @@ class RangeSource:
 
         def cancel() -> None:
             with self._moved:
-                for piece in own:
+                for piece in (*own, *self._rest):
                     piece.error = piece.error or Cancelled()
                 self._moved.notify_all()
 
@@ -212,6 +250,11 @@ class RangeSource:
                     if self._pieces.get(key) is piece:
                         del self._pieces[key]
                         self._reader.release(piece)
+
+    def _parts_with(self, first: int, end: int) -> list[Piece]:
+        """Return the beginning and the parts behind it that have bytes of a range."""
+        every = (self._reader.beginning, *self._rest)
+        return [part for part in every if part.first < end and part.end > first]
 
     def close(self) -> None:
         """End all requests and the thread; reading is over."""

@@ -58,13 +58,18 @@ Cancel = Callable[[], None]
 class RemoteSource(Source, Protocol):
     """A source of which a read takes long: it fetches ahead, and fetches anew what came damaged."""
 
-    def prefetch(self, ranges: Sequence[tuple[int, int]]) -> AbstractContextManager[Cancel]:
+    def prefetch(
+        self, ranges: Sequence[tuple[int, int]], *, any_order: bool = False
+    ) -> AbstractContextManager[Cancel]:
         """Fetch ranges, in this order, as long as the block lasts.
 
         Parameters
         ----------
         ranges : sequence of (int, int)
             Offset and length, as they will be read.
+        any_order : bool
+            Whether nothing is done before most of them are there, so that they may be fetched in
+            whatever order takes the fewest requests.
 
         Returns
         -------
@@ -77,7 +82,7 @@ class RemoteSource(Source, Protocol):
 
 
 def prefetching(
-    source: Source, ranges: Sequence[tuple[int, int]]
+    source: Source, ranges: Sequence[tuple[int, int]], *, any_order: bool = False
 ) -> AbstractContextManager[Cancel]:
     """Have a source fetch ranges ahead as long as the block lasts, where that helps.
 
@@ -86,9 +91,11 @@ def prefetching(
     source : Source
     ranges : sequence of (int, int)
         Offset and length, in the order in which they are wanted.
+    any_order : bool
+        As in `RemoteSource.prefetch`.
     """
     if isinstance(source, RemoteSource):
-        return source.prefetch(ranges)
+        return source.prefetch(ranges, any_order=any_order)
     return nullcontext(lambda: None)
 
 
@@ -261,9 +268,12 @@ class PrefixSource:
         """Bytes that the source is kept in."""
         return min(self._size, stored_bytes(self._source))
 
-    def prefetch(self, ranges: Sequence[tuple[int, int]]) -> AbstractContextManager[Cancel]:
+    def prefetch(
+        self, ranges: Sequence[tuple[int, int]], *, any_order: bool = False
+    ) -> AbstractContextManager[Cancel]:
         """Have the source behind fetch ranges ahead; see `RemoteSource.prefetch`."""
-        return prefetching(self._source, [x for x in ranges if x[0] + x[1] <= self._size])
+        kept = [x for x in ranges if x[0] + x[1] <= self._size]
+        return prefetching(self._source, kept, any_order=any_order)
 
     def reread(self, offset: int, length: int) -> bytes:
         """Have the source behind fetch bytes anew, where it can; see `RemoteSource.reread`."""

@@ -24,8 +24,7 @@ import click
 import numpy as np
 
 import cogsplat
-from cogsplat.formats.cogs.folder_map import MANIFEST_NAME, SEGMENT_FOLDER, segment_name
-from cogsplat.formats.cogs.folder_writer import manifest_of
+from cogsplat.formats.cogs.folder_writer import unpack_cogs
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.cogs.root import Root
@@ -86,7 +85,10 @@ class OverLink:
     fetched_seconds : float
         From the beginning to the last byte, where nothing is decoded.
     opened_seconds, first_chunk_seconds, last_chunk_seconds : float
-        From the beginning to the index, to the first chunk that can be drawn, and to the whole.
+        From the beginning to the index, to the first chunk that can be drawn, and to the whole,
+        where chunks are decoded as they come.
+    decoded_seconds : float
+        From the beginning to all splats, by `cogsplat.decode`.
     """
 
     file_bytes: int
@@ -97,6 +99,7 @@ class OverLink:
     opened_seconds: float
     first_chunk_seconds: float
     last_chunk_seconds: float
+    decoded_seconds: float
 
 
 @dataclass(frozen=True)
@@ -185,14 +188,9 @@ def _segment(file: CogsFile, row: int, owner: int) -> Segment:
 
 
 def make_folder(path: Path, folder: Path) -> None:
-    """Write a large file as a folder: as `unpack_cogs`, but each object once."""
+    """Write a large file as a folder."""
     with cogsplat.open(path) as file:
-        _, first = np.unique(file.segments.hash, axis=0, return_index=True)
-        (folder / SEGMENT_FOLDER).mkdir(parents=True)
-        for row in first:
-            name = segment_name(file.segments.hash[row].tobytes())
-            (folder / name).write_bytes(file.read_segment(int(row)))
-        (folder / MANIFEST_NAME).write_bytes(manifest_of(file))
+        unpack_cogs(file, folder)
 
 
 def large_file(path: Path, tries: int, seed: int = 1, place: Path | None = None) -> LargeFile:
@@ -253,6 +251,9 @@ def over_link(path: Path, bits_per_second: float, latency_ms: float) -> OverLink
             last = time.perf_counter() - start
             assert file.traffic is not None
             traffic = file.traffic
+        start = time.perf_counter()
+        cogsplat.decode(url)
+        decoded = time.perf_counter() - start
     size = path.stat().st_size
     return OverLink(
         size,
@@ -263,6 +264,7 @@ def over_link(path: Path, bits_per_second: float, latency_ms: float) -> OverLink
         opened,
         first,
         last,
+        decoded,
     )
 
 

@@ -51,11 +51,12 @@ def _manifest_name(
 @quiet_option
 @json_option
 def unpack(source: Path, folder: Path, name: str, force: bool, quiet: bool, as_json: bool) -> None:
-    """Write a COGS file as a folder: a manifest and its segments.
+    """Write a COGS file as a folder: a manifest, and objects that hold its segments.
 
-    For hosts without byte ranges, and for scenes of which new versions keep most segments. Objects
-    are named by their content, so that they can be cached forever; those that are there already
-    are kept. Every command reads such a folder as it reads the file.
+    For hosts without byte ranges, and for scenes of which new versions keep most segments. The
+    segments of a chunk are one object. Objects are named by their content, so that they can be
+    cached forever; those that are there already are kept. Every command reads such a folder as it
+    reads the file.
     """
     with (
         Stages(shown=not (quiet or as_json)) as stages,
@@ -69,16 +70,16 @@ def unpack(source: Path, folder: Path, name: str, force: bool, quiet: bool, as_j
                 "source": name_of(source),
                 "bytes": done.manifest_bytes,
                 "segments": done.segments,
-                "segments_written": done.written,
-                "segment_bytes_written": done.written_bytes,
-                "segments_shared": done.shared,
+                "objects_written": done.written,
+                "object_bytes_written": done.written_bytes,
+                "objects_shared": done.shared,
                 "seconds": stages.rounded(),
             }
         )
     elif not quiet:
         say(
             f"{done.manifest}: {size_text(done.manifest_bytes)}, "
-            f"{counted(done.segments, 'segment')}, {done.written:,} of them written "
+            f"{counted(done.segments, 'segment')}; {counted(done.written, 'object')} written "
             f"({size_text(done.written_bytes)}), {done.shared:,} there already"
         )
 

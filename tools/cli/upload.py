@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
 
 import click
 
 import cogsplat
-from cogsplat.formats.cogs.folder_source import names_folder
+from cogsplat.formats.cogs.folder_source import FolderSource, names_folder
 from cogsplat.tools.hosting.object_store import Bucket
 from cogsplat.tools.hosting.upload import (
     Unused,
@@ -38,7 +39,7 @@ from cogsplat.tools.terminal.standard_streams import PATH
 @click.option(
     "--delete",
     is_flag=True,
-    help="Afterwards delete the segments that no manifest in the bucket needs; asks first.",
+    help="Afterwards delete the objects that no manifest in the bucket needs; asks first.",
 )
 @click.option("--yes", is_flag=True, help="Delete without asking.")
 @click.option(
@@ -76,8 +77,8 @@ def upload(
 ) -> None:
     """Upload a folder of objects to a bucket.
 
-    Only what is not there is sent, with its media type and cache headers: segments first, the
-    manifest last, so that readers never see one whose segments are missing. An upload that broke
+    Only what is not there is sent, with its media type and cache headers: objects first, the
+    manifest last, so that readers never see one whose objects are missing. An upload that broke
     off goes on when it is begun again. Credentials come from the environment
     (AWS_ACCESS_KEY_ID …), as for gs:// and az:// addresses.
     """
@@ -91,11 +92,13 @@ def upload(
     target = Bucket(bucket, {name: value for name, value in settings.items() if value})
     with (
         Stages(shown=not (quiet or as_json)) as stages,
-        cogsplat.open(folder, limits=current_limits()) as file,
+        # Opened as a scene first: what is no scene, or lacks an object, is not sent.
+        cogsplat.open(folder, limits=current_limits()),
+        closing(FolderSource(folder)) as source,
     ):
-        plan = plan_upload(file, folder, target)
+        plan = plan_upload(source, folder, target)
         if not dry_run:
-            send(plan, file, target, concurrency=concurrency, progress=stages)
+            send(plan, source, target, concurrency=concurrency, progress=stages)
     unused = Unused()
     if delete:
         unused = find_unused(target, older_than=timedelta(hours=older_than))
@@ -109,9 +112,9 @@ def upload(
                 "source": str(folder),
                 "output": target.name,
                 "dry_run": dry_run,
-                "segments_written": len(plan.segments),
-                "segment_bytes_written": plan.segment_bytes,
-                "segments_shared": plan.there,
+                "objects_written": len(plan.objects),
+                "object_bytes_written": plan.object_bytes,
+                "objects_shared": plan.there,
                 "manifest_written": plan.manifest_changes,
                 "deleted": len(unused.names),
                 "deleted_bytes": unused.size_bytes,
@@ -121,20 +124,20 @@ def upload(
     elif not quiet:
         would = "would be " if dry_run else ""
         say(
-            f"{target.name}: {counted(len(plan.segments), 'segment')} {would}written "
-            f"({size_text(plan.segment_bytes)}), {plan.there:,} there already; manifest "
+            f"{target.name}: {counted(len(plan.objects), 'object')} {would}written "
+            f"({size_text(plan.object_bytes)}), {plan.there:,} there already; manifest "
             f"{plan.manifest.name} {would + 'written' if plan.manifest_changes else 'the same'}"
         )
         if delete:
             say(
-                f"{target.name}: {counted(len(unused.names), 'segment')} {would}deleted "
+                f"{target.name}: {counted(len(unused.names), 'object')} {would}deleted "
                 f"({size_text(unused.size_bytes)}), {unused.recent:,} unused and too new"
             )
 
 
 def _ask(unused: Unused, name: str, *, as_json: bool) -> None:
     question = (
-        f"Delete {counted(len(unused.names), 'segment')} ({size_text(unused.size_bytes)}) of "
+        f"Delete {counted(len(unused.names), 'object')} ({size_text(unused.size_bytes)}) of "
         f"{name} that {counted(len(unused.manifests), 'manifest')} do not need?"
     )
     if as_json:

@@ -5,8 +5,10 @@ Nothing of `formats` that knows folders is used here, so that one can be held ag
 
 from __future__ import annotations
 
+import hashlib
 import struct
-from collections.abc import Iterator, Mapping
+import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,6 +20,10 @@ from .file_builder import PREAMBLE_BYTES, poke, seal
 
 MANIFEST: Final = "manifest.cogsm"
 MANIFEST_MAGIC: Final = b"\x89COGM\r\n\x1a"
+
+# Kinds of SPEC 5.2: of codebooks, and of what belongs to one chunk.
+_CODEBOOKS: Final = (3, 4, 5, 6)
+_OF_CHUNKS: Final = (1, 2, 7, 8, 129)
 
 Objects = dict[str, bytes]
 """Contents by name, relative to the folder."""
@@ -77,9 +83,15 @@ def valid(files: Mapping[str, bytes]) -> list[ValidFolder]:
     return [
         one("empty", "a manifest and no objects"),
         one("one-splat", "one object"),
-        one("pages", "index pages without gaps in the manifest"),
+        one("pages", "index pages, each with its places behind it"),
         one("compensation-pages", "segments of equal bytes are one object"),
         ValidFolder("versions", versions, "two manifests that share objects", both),
+        ValidFolder(
+            "one-object",
+            {MANIFEST: "attributes-pages"},
+            "all segments backwards in one object, with bytes of no segment around them",
+            in_one_object(files["attributes-pages"], b"between"),
+        ),
     ]
 
 
@@ -91,6 +103,9 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
     (segment,) = (name for name in small if name != MANIFEST)
     content = small[segment]
     flipped = content[:-1] + bytes([content[-1] ^ 1])
+    root_end, _ = _root(manifest)
+    other = f"segments/{bytes(16).hex()}.bin"
+    last_page = len(paged) - _places_bytes(_root(paged)[1]["pages"][-1]["segments"])
 
     def head(name: str, data: bytes, code: str, note: str, clause: str = "3.4") -> InvalidFolder:
         return InvalidFolder(name, small | {MANIFEST: data}, code, clause, note)
@@ -120,7 +135,7 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
             "version 0.2",
             "3.2",
         ),
-        head("folder-root-cut", manifest[:-1], "root-truncated", "ends inside the root"),
+        head("folder-root-cut", manifest[: root_end - 1], "root-truncated", "ends inside the root"),
         head(
             "folder-root-flip",
             poke(manifest, 70, "B", manifest[70] ^ 1),
@@ -128,19 +143,50 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
             "a bit of the root flipped",
         ),
         head("folder-behind", manifest + b"\0", "file-trailing", "a byte behind the manifest"),
+        head(
+            "folder-places-cut",
+            manifest[:-1],
+            "file-truncated",
+            "ends inside the places of the root",
+        ),
+        head(
+            "folder-places-flip",
+            poke(manifest, root_end, "B", manifest[root_end] ^ 1),
+            "places-crc",
+            "a bit of the root's places flipped",
+        ),
+        head(
+            "folder-places-offset",
+            manifest[:root_end] + _places([(_key_of(content), len(content), 1)]),
+            "places-range",
+            "a segment that ends a byte behind its object",
+        ),
+        head(
+            "folder-places-size",
+            manifest[:root_end] + _places([(_key_of(content), len(content) - 1, 0)]),
+            "places-range",
+            "an object that is stated a byte shorter than its segment",
+        ),
         InvalidFolder(
             "folder-pages-cut",
             large | {MANIFEST: paged[:-1]},
             "file-truncated",
             "3.4",
-            "a manifest that ends inside the last page",
+            "a manifest that ends inside the places of the last page",
         ),
         InvalidFolder(
             "folder-page-flip",
-            large | {MANIFEST: poke(paged, len(paged) - 2, "B", paged[-2] ^ 1)},
+            large | {MANIFEST: poke(paged, last_page - 2, "B", paged[last_page - 2] ^ 1)},
             "page-crc",
             "5.6",
             "a bit of the last page flipped",
+        ),
+        InvalidFolder(
+            "folder-page-places-flip",
+            large | {MANIFEST: poke(paged, last_page, "B", paged[last_page] ^ 1)},
+            "places-crc",
+            "3.4",
+            "a bit of the places of the last page flipped",
         ),
         body("folder-missing", {MANIFEST: manifest}, "segment-missing", "no object", "open"),
         body(
@@ -165,24 +211,54 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
             "decode",
             "5.3",
         ),
+        body(
+            "folder-object-hash",
+            {
+                MANIFEST: manifest[:root_end] + _places([(bytes(16), len(content), 0)]),
+                other: content,
+            },
+            "object-hash",
+            "an object with another name than its bytes have",
+            "verify",
+        ),
     ]
 
 
 def unpacked(data: bytes, manifest: str = MANIFEST) -> Objects:
-    """Return the folder of a file."""
-    root_end, root = _root(data)
-    head, position, objects = data[:root_end], root_end, {}
-    for page in [None, *root.get("pages", [])]:
-        index = root
-        if page is not None:
-            body = data[position : position + page["length"]]
-            head += body
-            position += page["length"]
-            index = msgpack.unpackb(body)
-        for name, length in _segments(index):
-            objects[name] = data[position : position + length]
-            position += length
-    return {manifest: _with_magic(head, MANIFEST_MAGIC), **objects}
+    """Return the folder of a file, its segments joined as SPEC 3.4 recommends."""
+    indexes = _indexes(data)
+    groups: dict[tuple[object, ...], list[_Segment]] = {}
+    for segment in (segment for index in indexes for segment in index.segments):
+        key: tuple[object, ...] = ("alone", segment.position)
+        if segment.kind in _CODEBOOKS:
+            key = ("codebooks",)
+        elif segment.kind in _OF_CHUNKS:
+            key = ("chunk", segment.owner)
+        groups.setdefault(key, []).append(segment)
+    objects: Objects = {}
+    where: dict[int, _Place] = {}
+    for group in groups.values():
+        content = b"".join(data[x.position : x.position + x.length] for x in group)
+        offset = 0
+        for segment in group:
+            where[segment.position] = _key_of(content), len(content), offset
+            offset += segment.length
+        objects[_name_of(content)] = content
+    return {manifest: _manifest(data, indexes, where), **objects}
+
+
+def in_one_object(data: bytes, around: bytes) -> Objects:
+    """Return the folder of a file whose segments are all in one object.
+
+    They lie in it backwards, with other bytes in front of them, behind them and between.
+    """
+    indexes = _indexes(data)
+    content, offsets = around, {}
+    for segment in reversed([x for index in indexes for x in index.segments]):
+        offsets[segment.position] = len(content)
+        content += data[segment.position : segment.position + segment.length] + around
+    where = {at: (_key_of(content), len(content), offset) for at, offset in offsets.items()}
+    return {MANIFEST: _manifest(data, indexes, where), _name_of(content): content}
 
 
 def packed(objects: Mapping[str, bytes], manifest: str = MANIFEST) -> bytes:
@@ -196,8 +272,66 @@ def packed(objects: Mapping[str, bytes], manifest: str = MANIFEST) -> bytes:
             parts.append(data[position : position + page["length"]])
             position += page["length"]
             index = msgpack.unpackb(parts[-1])
-        parts += [objects[name] for name, _ in _segments(index)]
+        segments = _segments(index, 0)
+        count = len(segments)
+        names = [data[position + 16 * row :][:16].hex() for row in range(count)]
+        offsets = struct.unpack_from(f"<{count}I", data, position + 20 * count)
+        position += _places_bytes(count)
+        for name, offset, segment in zip(names, offsets, segments, strict=True):
+            parts.append(objects[f"segments/{name}.bin"][offset : offset + segment.length])
     return _with_magic(b"".join(parts), MAGIC)
+
+
+@dataclass(frozen=True)
+class _Segment:
+    kind: int
+    owner: int
+    length: int
+    position: int
+
+
+@dataclass(frozen=True)
+class _Index:
+    """Root or page: its bytes, those of the preamble too, and what it lists."""
+
+    stored: bytes
+    segments: list[_Segment]
+
+
+# Key, bytes of the object, first byte in it.
+_Place = tuple[bytes, int, int]
+
+
+def _indexes(data: bytes) -> list[_Index]:
+    """Return root and pages of a file, with the places of their segments in it."""
+    root_end, root = _root(data)
+    found = [_Index(data[:root_end], _segments(root, root_end))]
+    position = root_end + sum(segment.length for segment in found[0].segments)
+    for page in root.get("pages", []):
+        body = data[position : position + page["length"]]
+        position += page["length"]
+        found.append(_Index(body, _segments(msgpack.unpackb(body), position)))
+        position += page["span"]
+    return found
+
+
+def _manifest(data: bytes, indexes: list[_Index], where: Mapping[int, _Place]) -> bytes:
+    stored = b""
+    for index in indexes:
+        rows = [where[segment.position] for segment in index.segments]
+        stored += index.stored + _places(rows)
+    return _with_magic(stored, MANIFEST_MAGIC)
+
+
+def _places(rows: Sequence[_Place]) -> bytes:
+    columns = b"".join(key for key, _, _ in rows)
+    columns += struct.pack(f"<{len(rows)}I", *(size for _, size, _ in rows))
+    columns += struct.pack(f"<{len(rows)}I", *(offset for _, _, offset in rows))
+    return columns + struct.pack("<I", zlib.crc32(columns))
+
+
+def _places_bytes(segments: int) -> int:
+    return 24 * segments + 4
 
 
 def _root(data: bytes) -> tuple[int, dict[str, list[dict[str, int]]]]:
@@ -205,12 +339,25 @@ def _root(data: bytes) -> tuple[int, dict[str, list[dict[str, int]]]]:
     return PREAMBLE_BYTES + length, msgpack.unpackb(data[PREAMBLE_BYTES : PREAMBLE_BYTES + length])
 
 
-def _segments(index: Mapping[str, object]) -> Iterator[tuple[str, int]]:
+def _segments(index: Mapping[str, object], position: int) -> list[_Segment]:
     table = index["segments"]
     assert isinstance(table, dict)
-    hashes, lengths = table["hash"], table["length"]
-    for row, (length,) in enumerate(struct.iter_unpack("<I", lengths)):
-        yield f"segments/{hashes[16 * row : 16 * row + 16].hex()}.bin", length
+    found = []
+    columns = (table["kind"], struct.iter_unpack("<I", table["owner"]))
+    for kind, (owner,), (length,) in zip(
+        *columns, struct.iter_unpack("<I", table["length"]), strict=True
+    ):
+        found.append(_Segment(kind, owner, length, position))
+        position += length
+    return found
+
+
+def _key_of(content: bytes) -> bytes:
+    return hashlib.sha256(content).digest()[:16]
+
+
+def _name_of(content: bytes) -> str:
+    return f"segments/{_key_of(content).hex()}.bin"
 
 
 def _with_magic(data: bytes, magic: bytes) -> bytes:

@@ -265,6 +265,8 @@ class _Judge:
 
     def invalid_folder(self, entry: Entry) -> None:
         """Try a folder to refuse: with its code, or by a viewer with any."""
+        if entry["stage"] == "verify" and self._hello.level != "verifier":
+            return
         self._refused(f"invalid-folders/{entry['name']}", "/manifest.cogsm", entry)
 
     def _refused(self, vector: str, rest: str, entry: Entry) -> None:

@@ -1,4 +1,4 @@
-"""Upload a folder of a manifest and segments: objects first, the manifest last (SPEC 3.4)."""
+"""Upload a folder of a manifest and objects: objects first, the manifest last (SPEC 3.4)."""
 
 from __future__ import annotations
 
@@ -12,20 +12,14 @@ from typing import Final
 
 from cogsplat.codec.errors import CogsplatError, DataError, StorageError
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.formats.cogs.folder_map import (
-    MANIFEST_SUFFIX,
-    SEGMENT_FOLDER,
-    FolderMap,
-    segment_name,
-)
-from cogsplat.formats.cogs.folder_source import manifest_path
-from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.formats.cogs.verification import read_verified
+from cogsplat.formats.cogs.folder_map import MANIFEST_SUFFIX, FolderMap
+from cogsplat.formats.cogs.folder_places import SEGMENT_FOLDER, check_object
+from cogsplat.formats.cogs.folder_source import FolderSource, manifest_path
 from cogsplat.formats.storage.atomic import open_for_read, storage_errors
 
 from .object_store import Bucket
 
-SEGMENT_HEADERS: Final[Mapping[str, str]] = {
+OBJECT_HEADERS: Final[Mapping[str, str]] = {
     "Content-Type": "application/octet-stream",
     "Cache-Control": "public, max-age=31536000, immutable, no-transform",
 }
@@ -38,7 +32,7 @@ MANIFEST_HEADERS: Final[Mapping[str, str]] = {
 """What manifests are served with: caches ask whether there is a new one."""
 
 # Whatever else is in the bucket is not ours to delete.
-_SEGMENT: Final = re.compile(rf"{SEGMENT_FOLDER}/[0-9a-f]{{32}}\.bin")
+_OBJECT: Final = re.compile(rf"{SEGMENT_FOLDER}/[0-9a-f]{{32}}\.bin")
 
 
 @dataclass(frozen=True)
@@ -48,10 +42,8 @@ class Plan:
     Parameters
     ----------
     manifest : Path
-    segments : dict of str to int
-        Rows of the segment table by the names of the objects to write.
-    segment_bytes : int
-        Of these objects.
+    objects : dict of str to int
+        Bytes of the objects to write, by their names.
     there : int
         Objects that the bucket has already.
     manifest_changes : bool
@@ -59,10 +51,14 @@ class Plan:
     """
 
     manifest: Path
-    segments: dict[str, int]
-    segment_bytes: int
+    objects: dict[str, int]
     there: int
     manifest_changes: bool
+
+    @property
+    def object_bytes(self) -> int:
+        """Bytes of the objects to write."""
+        return sum(self.objects.values())
 
 
 @dataclass(frozen=True)
@@ -85,15 +81,15 @@ class Unused:
     recent: int = 0
 
 
-def plan_upload(file: CogsFile, folder: Path, bucket: Bucket) -> Plan:
+def plan_upload(source: FolderSource, folder: Path, bucket: Bucket) -> Plan:
     """Compare a folder with what a bucket has; nothing is written.
 
     Parameters
     ----------
-    file : CogsFile
-        The folder, open and whole.
+    source : FolderSource
+        The folder.
     folder : Path
-        Or one of its manifests.
+        Its path, or that of one of its manifests.
     bucket : Bucket
 
     Raises
@@ -103,27 +99,19 @@ def plan_upload(file: CogsFile, folder: Path, bucket: Bucket) -> Plan:
     """
     manifest = manifest_path(folder)
     there = {entry.name: entry.size for entry in bucket.objects(SEGMENT_FOLDER)}
-    rows: dict[str, int] = {}
-    present: set[str] = set()
-    for row in range(len(file.segments)):
-        name = segment_name(file.segments.hash[row].tobytes())
-        # One of another length is what an upload left that broke off.
-        if there.get(name) == int(file.segments.length[row]):
-            present.add(name)
-        else:
-            rows[name] = row
+    # One of another length is what an upload left that broke off.
+    missing = {name: size for name, size in source.objects().items() if there.get(name) != size}
     return Plan(
         manifest,
-        rows,
-        sum(int(file.segments.length[row]) for row in rows.values()),
-        len(present),
+        missing,
+        len(source.objects()) - len(missing),
         bucket.read(manifest.name) != _bytes_of(manifest),
     )
 
 
 def upload(
     plan: Plan,
-    file: CogsFile,
+    source: FolderSource,
     bucket: Bucket,
     *,
     concurrency: int = 8,
@@ -134,7 +122,7 @@ def upload(
     Parameters
     ----------
     plan : Plan
-    file : CogsFile
+    source : FolderSource
         What it was made of.
     bucket : Bucket
     concurrency : int
@@ -145,19 +133,23 @@ def upload(
     Raises
     ------
     FormatError
-        ``segment-crc``, ``segment-hash``: a damaged object is not sent.
+        ``object-hash``, ``segment-object``: a damaged object is not sent.
+    TruncatedError
+        ``segment-missing``.
     StorageError
         As `Bucket`. The manifest is written after all objects, so that it never names what is not
         there.
     """
 
-    def send(name: str, row: int) -> None:
-        bucket.write(name, bytes(read_verified(file, row)), SEGMENT_HEADERS)
+    def send(name: str) -> None:
+        data = source.read_object(name)
+        check_object(name, data, source.name)
+        bucket.write(name, data, OBJECT_HEADERS)
 
-    total = len(plan.segments) + plan.manifest_changes
+    total = len(plan.objects) + plan.manifest_changes
     pool = ThreadPoolExecutor(concurrency)
     try:
-        sent = [pool.submit(send, name, row) for name, row in plan.segments.items()]
+        sent = [pool.submit(send, name) for name in plan.objects]
         for done, future in enumerate(as_completed(sent), start=1):
             future.result()
             progress("upload", done, total)
@@ -189,7 +181,7 @@ def find_unused(bucket: Bucket, *, older_than: timedelta) -> Unused:
         As `Bucket`.
     """
     # Objects first: one that is written after this list is on none that is deleted.
-    objects = [entry for entry in bucket.objects(SEGMENT_FOLDER) if _SEGMENT.fullmatch(entry.name)]
+    objects = [entry for entry in bucket.objects(SEGMENT_FOLDER) if _OBJECT.fullmatch(entry.name)]
     manifests = [
         entry.name for entry in bucket.top_objects() if entry.name.endswith(MANIFEST_SUFFIX)
     ]
@@ -228,7 +220,7 @@ def _names_in(manifest: bytes, where: str) -> set[str]:
         found.check_manifest_size(len(manifest))
         for page in found.pages_for(0, found.file_length):
             found.add_page(page.page, manifest[page.offset : page.offset + page.length])
-        return {piece.name for piece in found.pieces(0, found.file_length) if piece.name}
+        return set(found.objects())
     except CogsplatError as error:
         raise DataError(
             "no-manifest",

@@ -8,15 +8,17 @@ import pytest
 from cogsplat.codec.errors import FormatError
 from cogsplat.formats.cogs.folder_map import (
     FolderMap,
+    ObjectSource,
     Piece,
     file_preamble,
     is_manifest,
-    segment_name,
 )
+from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.storage.magic import MANIFEST_MAGIC
 from cogsplat.tools.conformance.folders import MANIFEST, unpacked
 
 VALID = Path(__file__).resolve().parents[2] / "vectors" / "valid"
+FOLDERS = VALID.parent / "folders"
 FILES = ["empty", "one-splat", "pages", "pages-only", "attributes-pages", "compensation-pages"]
 
 
@@ -60,19 +62,27 @@ def test_only_the_pages_of_a_range_are_asked_for() -> None:
     data, objects, folder = mapped("pages")
     both = folder.pages_for(0, len(data))
     assert [page.page for page in both] == [0, 1, 2]
-    assert sum(page.length for page in both) == folder.manifest_bytes - folder.root_end
+    assert sum(page.length for page in both) == folder.manifest_bytes - folder.head_end
+    assert [folder.page_at(page.offset) for page in both] == [0, 1, 2]
+    assert [folder.page_at(page.offset - 1) for page in both] == [None, 0, 1]
     # The root's own segments, and the bytes of the pages themselves, need none.
     assert folder.pages_for(0, folder.root_end + 1) == []
     assert [page.page for page in folder.pages_for(len(data) - 1, 1)] == [2]
     read(folder, objects, len(data) - 1, 1)
     assert [page.page for page in folder.pages_for(0, len(data))] == [0, 1]
+    assert [folder.knows(page) for page in range(3)] == [False, False, True]
 
 
-def test_a_segment_s_name_is_its_hash_alone() -> None:
+def test_pieces_name_objects_and_what_lies_in_them() -> None:
     data, objects, folder = mapped("one-splat")
     (name,) = (name for name in objects if name != MANIFEST)
     assert folder.pieces(folder.root_end + 3, 5) == [Piece(name, 3, 5, len(objects[name]))]
-    assert segment_name(bytes([0xAB] * 16)) == "segments/" + "ab" * 16 + ".bin"
+    assert folder.objects() == {name: len(objects[name])}
+    source = FolderSource(FOLDERS / "one-splat")
+    assert isinstance(source, ObjectSource)
+    assert source.objects() == folder.objects()
+    assert source.read_object(name) == objects[name]
+    source.close()
     assert is_manifest(objects[MANIFEST])
     assert not is_manifest(data)
     assert file_preamble(objects[MANIFEST], "x") == data[:64]
@@ -97,3 +107,11 @@ def test_a_manifest_of_another_length_is_refused(change: int, code: str) -> None
     with pytest.raises(FormatError) as refused:
         folder.check_manifest_size(folder.manifest_bytes + change)
     assert refused.value.code == code
+
+
+def test_a_manifest_of_no_more_than_the_root_is_too_short() -> None:
+    _, objects, folder = mapped("pages")
+    with pytest.raises(FormatError) as refused:
+        FolderMap(objects[MANIFEST][: folder.head_end - 1], "pages")
+    assert refused.value.code == "file-truncated"
+    assert FolderMap(objects[MANIFEST][: folder.head_end], "pages").file_length > 0

@@ -17,6 +17,8 @@ from fault_server import (
 
 import cogsplat
 from cogsplat.codec.errors import CogsplatError, FormatError, TruncatedError
+from cogsplat.formats.cogs.folder_map import FolderMap
+from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.network_folder import NetworkFolder
 from cogsplat.formats.cogs.opening import source_of_place
 from cogsplat.formats.network.options import NetworkOptions
@@ -70,27 +72,32 @@ def test_one_chunk_takes_the_objects_that_it_needs(data: bytes) -> None:
     assert all(path.endswith("?key=1") for path in asked)
     # The manifest, the head and the codebook of its shapes.
     assert len(set(asked)) == len(asked) == traffic.requests == 3
-    sizes = {name: len(x) for name, x in unpacked(data).items()}
-    assert traffic.received_bytes == sum(
-        sizes[path.removeprefix("/scene/").removesuffix("?key=1")] for path in asked
-    )
+    with cogsplat.open(data) as whole:
+        lengths = whole.segments.length
+        (book,) = whole.segment_rows(SegmentKind.SHAPE_CODEBOOK, 0)
+        wanted = int(lengths[whole.rows_of(7).head]) + int(lengths[book])
+        fine = whole.rows_of(7).refinement
+        wanted += 0 if fine is None else int(lengths[fine])
+    # Of the objects no more than that: tails and codebooks of colours lie in them too.
+    assert traffic.received_bytes == len(unpacked(data)[MANIFEST]) + wanted
+    assert traffic.received_bytes < sum(map(len, unpacked(data).values())) / 2
 
 
 def test_large_manifests_are_read_by_ranges_or_whole() -> None:
     data = PAGED.read_bytes()
     objects = unpacked(data)
-    root_end = 64 + int.from_bytes(data[12:16], "little")
+    head_end = FolderMap(objects[MANIFEST], "pages").head_end
     for answered in (right, no_ranges):
         with serving(FaultServer(b"", always=of_folder(objects, answered))) as server:
             url = server.url(f"scene/{MANIFEST}")
-            # As if the first request had brought the root alone.
-            with NetworkFolder(url, objects[MANIFEST][:root_end], QUICK) as source:
-                assert source.opening_bytes == root_end
+            # As if the first request had brought the root and its places alone.
+            with NetworkFolder(url, objects[MANIFEST][:head_end], QUICK) as source:
+                assert source.opening_bytes < head_end
                 assert source.read(0, source.size) == data
             cut = objects | {MANIFEST: objects[MANIFEST][:-1]}
             server.always = of_folder(cut, answered)
             with (
-                NetworkFolder(url, objects[MANIFEST][:root_end], QUICK) as source,
+                NetworkFolder(url, objects[MANIFEST][:head_end], QUICK) as source,
                 pytest.raises(TruncatedError) as refused,
             ):
                 source.read(0, source.size)
@@ -100,12 +107,12 @@ def test_large_manifests_are_read_by_ranges_or_whole() -> None:
 def test_each_page_is_asked_for_once_and_opening_asks_for_no_segment() -> None:
     data = PAGED.read_bytes()
     objects = unpacked(data)
-    root_end = 64 + int.from_bytes(data[12:16], "little")
+    head_end = FolderMap(objects[MANIFEST], "pages").head_end
     with serving(FaultServer(b"", always=of_folder(objects))) as server:
         url = server.url(f"scene/{MANIFEST}")
         # As if the first request had brought the root alone.
         with (
-            NetworkFolder(url, objects[MANIFEST][:root_end], QUICK) as source,
+            NetworkFolder(url, objects[MANIFEST][:head_end], QUICK) as source,
             cogsplat.open(source) as file,
         ):
             assert server.asked == []
@@ -123,7 +130,9 @@ def test_an_object_that_is_missing_spoils_no_other(data: bytes) -> None:
     objects = unpacked(data)
     with cogsplat.open(data) as whole:
         rows = [whole.rows_of(9).head, whole.rows_of(10).head]
-        gone, wrong = (f"segments/{whole.segments.hash[row].tobytes().hex()}.bin" for row in rows)
+        places = [(int(whole.offsets[row]), int(whole.segments.length[row])) for row in rows]
+        found = FolderMap(objects[MANIFEST], "whole")
+        gone, wrong = (found.pieces(*place)[0].name for place in places)
         expected = whole.decode([8, 11])
     broken = {name: x for name, x in objects.items() if name != gone}
     broken[wrong] += b"\0"

@@ -11,6 +11,7 @@ from cogsplat.codec.errors import MissingExtraError, StorageError
 from cogsplat.formats.network.object_transport import ObjectTransport
 from cogsplat.formats.network.opening import open_url
 from cogsplat.formats.network.options import NetworkOptions
+from cogsplat.tools.conformance.folders import unpacked
 
 URL = "s3://bucket/scenes/a.cogs"
 
@@ -34,6 +35,21 @@ def test_a_scene_is_read_by_ranges(data):
         assert_same(cogsplat.decode(URL, network=options_of(server)), cogsplat.decode(data))
     assert [asked.path for asked in server.asked][:1] == ["/bucket/scenes/a.cogs"]
     assert (server.asked[0].first, server.asked[0].end) == (0, 65536)
+
+
+def test_a_folder_is_read_object_by_object(data):
+    objects = unpacked(data)
+
+    async def one_object(exchange):
+        exchange.server.data = objects[exchange.asked.path.removeprefix("/bucket/scenes/")]
+        await right(exchange)
+
+    with serving(FaultServer(b"", always=one_object)) as server:
+        network = options_of(server)
+        with cogsplat.open("s3://bucket/scenes/", network=network) as file:
+            assert_same(file.decode([3]), cogsplat.decode(data, chunks=(3, 4)))
+            assert file.traffic.requests == 3
+        assert_same(cogsplat.decode("s3://bucket/scenes/", network=network), cogsplat.decode(data))
 
 
 def test_what_breaks_is_asked_for_again(data):

@@ -228,3 +228,39 @@ def test_threads_end_with_their_sources(server):
     ):
         open_url(other.url())
     assert not [thread for thread in threading.enumerate() if "fetches" in thread.name]
+
+
+def test_a_file_that_is_wanted_whole_is_asked_for_at_once(server):
+    ranges = [(0, 64), (60_000, 10_000), (2_900_000, 100_000), (65_536, 2_000_000), (70_000, 5)]
+    with open_url(server.url()) as source:
+        source.fetch_all()
+        source.fetch_all()
+        with source.prefetch(ranges, any_order=True):
+            for offset, length in ranges:
+                assert source.read(offset, length) == DATA[offset : offset + length]
+                assert source.arrived(offset, length)
+        assert source.read(0, len(DATA)) == DATA
+        assert source.traffic.received_bytes == len(DATA)
+        assert source.reread(100_000, 4) == DATA[100_000:100_004]
+    asked = sorted((asked.first, asked.end) for asked in server.asked[:-1])
+    # Nothing is asked for twice.
+    assert [end for _, end in asked[:-1]] == [first for first, _ in asked[1:]]
+
+
+def test_of_a_file_longer_than_the_window_nothing_is_asked_for_before_it_is_known(server):
+    with open_url(server.url(), NetworkOptions(window_bytes=1_000_000)) as source:
+        source.fetch_all()
+        assert source.read(2_000_000, 10) == DATA[2_000_000:2_000_010]
+        assert source.traffic.received_bytes == 65536 + 10
+
+
+def test_waiting_for_a_file_that_was_wanted_whole_is_cancelled():
+    async def stalling(exchange):
+        await (right if exchange.asked.first == 0 else slow(1, 100))(exchange)
+
+    with serving(FaultServer(DATA, always=stalling)) as server, open_url(server.url()) as source:
+        source.fetch_all()
+        with source.prefetch([(100_000, 5)]) as cancel:
+            cancel()
+            with pytest.raises(Cancelled):
+                source.read(100_000, 5)

@@ -18,9 +18,9 @@ def test_a_file_goes_and_comes_back(
 ) -> None:
     again = run("unpack", small.cogs, folder, "--name", "second.cogsm", "--json").json
     count = len(list((folder / "segments").iterdir()))
-    assert (again["segments_written"], again["segments_shared"]) == (0, again["segments"])
+    assert (again["objects_written"], again["objects_shared"]) == (0, count)
     assert again["bytes"] == (folder / "second.cogsm").stat().st_size
-    assert again["segments"] >= count
+    assert again["segments"] > count
     packed = run("pack", folder, tmp_path / "back.cogs", "--json").json
     assert packed["bytes"] == small.cogs.stat().st_size
     assert (tmp_path / "back.cogs").read_bytes() == small.cogs.read_bytes()
@@ -60,7 +60,7 @@ def test_faults_of_folders_are_findings(run: Run, folder: Path) -> None:
     manifest.write_bytes(manifest.read_bytes()[:-1])
     found = run("validate", folder, "--json")
     assert found.code == 3
-    assert [x["code"] for x in json.loads(found.out)["findings"]] == ["root-truncated"]
+    assert [x["code"] for x in json.loads(found.out)["findings"]] == ["file-truncated"]
 
 
 def test_misuse_is_told(run: Run, small: SmallScene, folder: Path, tmp_path: Path) -> None:

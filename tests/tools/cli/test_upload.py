@@ -47,11 +47,11 @@ def test_a_folder_goes_to_a_bucket(
     count = len(list((folder / "segments").iterdir()))
     words = ["upload", folder, "s3://bucket/a/scene", "--endpoint", endpoint, "--region", "x"]
     planned = run(*words, "--dry-run", "--json").json
-    assert (planned["dry_run"], planned["segments_written"]) == (True, count)
+    assert (planned["dry_run"], planned["objects_written"]) == (True, count)
     done = run(*words, "--json").json
-    assert (done["segments_written"], done["manifest_written"]) == (count, True)
+    assert (done["objects_written"], done["manifest_written"]) == (count, True)
     again = run(*words, "--json", "--delete", "--yes").json
-    assert (again["segments_shared"], again["manifest_written"]) == (count, False)
+    assert (again["objects_shared"], again["manifest_written"]) == (count, False)
     page = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
     listed = page.partition("### `upload`\n")[2].partition("### ")[0]
     keys = {key.partition(".")[0] for key in re.findall("`([^`]+)`", listed)}
@@ -60,7 +60,7 @@ def test_a_folder_goes_to_a_bucket(
     # Asked and not answered, nothing is deleted.
     (folder / "manifest.cogsm").rename(folder / "other.cogsm")
     assert run("upload", folder / "other.cogsm", *words[2:]).code == 0
-    assert "0 segments deleted" in run(
+    assert "0 objects deleted" in run(
         "upload", folder / "other.cogsm", *words[2:], "--delete", "--older-than", "0"
     ).out  # fmt: skip
 

@@ -1,6 +1,7 @@
 """Uploads into a bucket in memory: what is sent, in what order, what is deleted, what goes on."""
 
 from collections.abc import Mapping
+from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
 
@@ -10,11 +11,12 @@ from running import SmallScene
 
 import cogsplat
 from cogsplat.codec.errors import CogsplatError, DataError, FormatError, StorageError
+from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.cogs.folder_writer import unpack_cogs
 from cogsplat.tools.hosting.object_store import Bucket
 from cogsplat.tools.hosting.upload import (
     MANIFEST_HEADERS,
-    SEGMENT_HEADERS,
+    OBJECT_HEADERS,
     delete_unused,
     find_unused,
     plan_upload,
@@ -47,10 +49,10 @@ def folder(small: SmallScene, tmp_path: Path) -> Path:
 
 
 def put(folder: Path, bucket: Bucket, concurrency: int = 4) -> int:
-    with cogsplat.open(folder) as file:
-        plan = plan_upload(file, folder, bucket)
-        upload(plan, file, bucket, concurrency=concurrency)
-        return len(plan.segments)
+    with closing(FolderSource(folder)) as source:
+        plan = plan_upload(source, folder, bucket)
+        upload(plan, source, bucket, concurrency=concurrency)
+        return len(plan.objects)
 
 
 def test_objects_come_first_and_the_manifest_last(folder: Path) -> None:
@@ -60,7 +62,7 @@ def test_objects_come_first_and_the_manifest_last(folder: Path) -> None:
     assert names[-1] == "manifest.cogsm"
     assert sorted(names[:-1]) == sorted(f"segments/{p.name}" for p in folder.glob("segments/*"))
     assert count == len(names) - 1
-    assert all(headers == SEGMENT_HEADERS for _, headers in bucket.written[:-1])
+    assert all(headers == OBJECT_HEADERS for _, headers in bucket.written[:-1])
     assert bucket.written[-1][1] == MANIFEST_HEADERS
     for path in folder.rglob("*"):
         if path.is_file():
@@ -122,8 +124,7 @@ def test_only_segments_that_no_manifest_needs_are_deleted(
     unused = find_unused(bucket, older_than=NOW)
     assert unused.names
     delete_unused(unused, bucket)
-    with cogsplat.open(folder / "second.cogsm") as file:
-        assert plan_upload(file, folder / "second.cogsm", bucket).segments == {}
+    assert put(folder / "second.cogsm", bucket) == 0
 
 
 @pytest.mark.parametrize("manifest", [None, b"", b"no manifest"])

@@ -39,6 +39,9 @@ declare const REASONS: {
     readonly "segment-hash": readonly ["format", "5.3"];
     readonly "segment-missing": readonly ["truncated", "3.4"];
     readonly "segment-object": readonly ["format", "3.4"];
+    readonly "places-crc": readonly ["format", "3.4"];
+    readonly "places-range": readonly ["format", "3.4"];
+    readonly "object-hash": readonly ["format", "3.4"];
     readonly "chunk-box": readonly ["format", "5.4"];
     readonly "chunk-heads": readonly ["format", "5.4"];
     readonly "chunk-tails": readonly ["format", "5.4"];
