@@ -1,0 +1,73 @@
+import type { Pose } from "./poses.js";
+
+/** Boxes of chunks: six numbers each, minimum then maximum corner. */
+export type Boxes = ArrayLike<number>;
+
+/** Means nearer than this are not drawn (SPEC 8.7). */
+const NEAR = 0.2;
+
+/** A point in a pose's space: right, down, forward. */
+function local({ position, rotation }: Pose, x: number, y: number, z: number): [number, number, number] {
+  const dx = x - position[0]!;
+  const dy = y - position[1]!;
+  const dz = z - position[2]!;
+  const row = (i: number): number => rotation[i]! * dx + rotation[i + 1]! * dy + rotation[i + 2]! * dz;
+  return [row(0), row(3), row(6)];
+}
+
+/** The eight corners of a box in a pose's space. */
+function corners(boxes: Boxes, box: number, pose: Pose): [number, number, number][] {
+  const at = 6 * box;
+  return Array.from({ length: 8 }, (_, i) =>
+    local(pose, boxes[at + 3 * (i & 1)]!, boxes[at + 1 + 3 * ((i >> 1) & 1)]!, boxes[at + 2 + 3 * (i >> 2)]!));
+}
+
+/** The share of the picture that the rectangle around a box takes; 0 behind the eye or beside the picture. */
+export function pictureShare(boxes: Boxes, box: number, pose: Pose): number {
+  const points = corners(boxes, box, pose);
+  if (!(Math.max(...points.map((point) => point[2])) > NEAR)) return 0;
+  let share = 1;
+  for (const [axis, tan] of [[0, pose.tanX], [1, pose.tanY]] as const) {
+    const tangents = points.map((point) => point[axis] / Math.max(point[2], NEAR));
+    const low = Math.max(Math.min(...tangents), -tan);
+    const high = Math.min(Math.max(...tangents), tan);
+    share *= Math.max((high - low) / (2 * tan), 0);
+  }
+  return share;
+}
+
+/** How deep the middle of a box lies, scene units. */
+export function middleDepth(boxes: Boxes, box: number, pose: Pose): number {
+  const middle = (axis: number): number => 0.5 * (boxes[6 * box + axis]! + boxes[6 * box + 3 + axis]!);
+  return local(pose, middle(0), middle(1), middle(2))[2];
+}
+
+type Point = readonly [number, number];
+
+/** Whether SGSS' test finds a box visible: it meets the pyramid of view in the planes of the pose's axes. */
+export function inPyramid(boxes: Boxes, box: number, pose: Pose): boolean {
+  const points = corners(boxes, box, pose);
+  const far = Math.max(Math.max(...points.map((point) => point[2])), NEAR);
+  const wide = pose.tanX * far;
+  const high = pose.tanY * far;
+  const on = (a: 0 | 1 | 2, b: 0 | 1 | 2): Point[] => points.map((point) => [point[a], point[b]]);
+  return (
+    meet(on(0, 2), [[0, 0], [wide, far], [-wide, far]]) &&
+    meet(on(1, 2), [[0, 0], [high, far], [-high, far]]) &&
+    meet(on(0, 1), [[wide, high], [wide, -high], [-wide, -high], [-wide, high]])
+  );
+}
+
+/** Whether a projected box and a convex polygon meet: no edge of either separates them. */
+function meet(box: readonly Point[], polygon: readonly Point[]): boolean {
+  const from = (a: Point, b: Point): Point => [b[0] - a[0], b[1] - a[1]];
+  const edges = [
+    ...[1, 2, 4].map((i) => from(box[0]!, box[i]!)),
+    ...polygon.map((point, i) => from(point, polygon[(i + 1) % polygon.length]!)),
+  ];
+  return edges.every(([along, up]) => {
+    const ofBox = box.map(([x, y]) => along * y - up * x);
+    const ofPolygon = polygon.map(([x, y]) => along * y - up * x);
+    return Math.max(...ofBox) >= Math.min(...ofPolygon) && Math.max(...ofPolygon) >= Math.min(...ofBox);
+  });
+}

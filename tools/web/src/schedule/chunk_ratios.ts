@@ -1,0 +1,135 @@
+import type { ViewTable } from "../container/view_table.js";
+import { inPyramid, middleDepth, pictureShare, type Boxes } from "./boxes.js";
+import { cross, dot, type Pose, type WeightedPose } from "./poses.js";
+
+/** Ratio of a chunk that a pose shows nothing of: it comes when all that is seen is there. */
+const LEAST_RATIO = 1 / 512;
+/** Tangent of half the angle that viewpoints are taken to see in both directions. */
+const TABLE_TANGENT = 1;
+/** Half a turn counts as much as 0.6 times the spread of the viewpoints. */
+const TURN = 0.3;
+/** What keeps the weight of a viewpoint finite. */
+const NEAREST = 0.01;
+/** Shares of contribution below this count as this. */
+const LEAST_USUAL = 1e-12;
+const NEAREST_DEPTH = 0.2;
+/** SGSS: sparser boxes have low priority, whatever they show. */
+const SPARSE = 10;
+const EPSILON = 1e-6;
+
+/** How much more than usual a pose shows of each chunk (docs/streaming.md, 3 to 6). */
+export type PoseRatios = (pose: Pose) => Float64Array;
+
+/** A sum from the first value on. */
+function total(values: Float64Array): number {
+  let sum = 0;
+  for (const value of values) sum += value;
+  return sum;
+}
+
+/** The sum of a path's ratios, each times its weight, from the first pose on. */
+export function along(ratios: PoseRatios, path: readonly WeightedPose[]): Float64Array {
+  const [[first, weight], ...rest] = path as [WeightedPose, ...WeightedPose[]];
+  const sum = ratios(first).map((ratio) => ratio * weight);
+  for (const [pose, share] of rest) ratios(pose).forEach((ratio, chunk) => (sum[chunk]! += ratio * share));
+  return sum;
+}
+
+/** Ratios by boxes alone: contribution over the square of the depth, where they show. */
+export function byBoxes(boxes: Boxes, contribution: Float64Array): PoseRatios {
+  return (pose) => {
+    const shown = contribution.map((value, chunk) => {
+      const depth = Math.max(middleDepth(boxes, chunk, pose), NEAREST_DEPTH);
+      return pictureShare(boxes, chunk, pose) > 0 ? value / (depth * depth) : 0;
+    });
+    return overUsual(shown, contribution);
+  };
+}
+
+/** Ratios by what the viewpoints near a pose show (docs/streaming.md, 4). */
+export function byViewTable(table: ViewTable, boxes: Boxes, contribution: Float64Array): PoseRatios {
+  const { chunks, shares } = table;
+  const viewpoints = viewpointsOf(table);
+  // What a viewpoint shows of a chunk is no more than its box takes, whatever angle was seen.
+  const taken = Float64Array.from(shares, (share, i) =>
+    Math.max(pictureShare(boxes, i % chunks, viewpoints[Math.floor(i / chunks)]!), share));
+  const spread = spreadOf(viewpoints);
+  const whole = total(contribution) || 1;
+  return (pose) => {
+    const weights = viewpoints.map((view) => weightOf(pose, view, spread));
+    const shown = contribution.map((value, chunk) => {
+      let sum = 0;
+      let most = 0;
+      weights.forEach((weight, view) => {
+        sum += shares[view * chunks + chunk]! * weight;
+        most += taken[view * chunks + chunk]! * weight;
+      });
+      // Of chunks that no viewpoint looks at, what they contribute on average.
+      return pictureShare(boxes, chunk, pose) * (most > 0 ? sum / most : value / whole);
+    });
+    return overUsual(shown, contribution);
+  };
+}
+
+/** SGSS' priorities in the place of ratios; 0 for what its test finds not visible. */
+export function bySgss(boxes: Boxes, splats: ArrayLike<number>): PoseRatios {
+  const densities = Float64Array.from(splats, (count, chunk) => {
+    const size = (axis: number): number => Math.max(boxes[6 * chunk + 3 + axis]! - boxes[6 * chunk + axis]!, 1e-9);
+    return count / (size(0) * size(1) * size(2));
+  });
+  return (pose) =>
+    densities.map((density, chunk) => {
+      if (!inPyramid(boxes, chunk, pose)) return 0;
+      if (density < SPARSE) return density * EPSILON;
+      return (density * pictureShare(boxes, chunk, pose)) / (Math.max(middleDepth(boxes, chunk, pose), 0) + EPSILON);
+    });
+}
+
+/** Shares of what is shown over shares of what chunks contribute. */
+function overUsual(shown: Float64Array, contribution: Float64Array): Float64Array {
+  const everything = total(shown);
+  const whole = total(contribution);
+  if (!(everything > 0) || !(whole > 0)) return shown.map(() => 1);
+  return shown.map((value, chunk) =>
+    Math.max(value / everything / Math.max(contribution[chunk]! / whole, LEAST_USUAL), LEAST_RATIO));
+}
+
+/** The viewpoints of a table as poses: upright or not does not matter. */
+function viewpointsOf({ views, positions, directions }: ViewTable): Pose[] {
+  return Array.from({ length: views }, (_, view) => {
+    const stored = Array.from(directions.subarray(3 * view, 3 * view + 3));
+    const length = Math.sqrt(dot(stored, stored));
+    const forward = stored.map((x) => x / length);
+    const sizes = forward.map(Math.abs);
+    // The axis that is most across, the first of several.
+    const across = sizes.indexOf(Math.min(...sizes));
+    const sideways = cross([0, 1, 2].map((axis) => (axis === across ? 1 : 0)), forward);
+    const width = Math.sqrt(dot(sideways, sideways));
+    const right = sideways.map((x) => x / width);
+    return {
+      position: Array.from(positions.subarray(3 * view, 3 * view + 3)),
+      rotation: [...right, ...cross(forward, right), ...forward],
+      tanX: TABLE_TANGENT,
+      tanY: TABLE_TANGENT,
+    };
+  });
+}
+
+/** The root mean square distance of viewpoints from their mean. */
+function spreadOf(viewpoints: readonly Pose[]): number {
+  const count = viewpoints.length;
+  const middle = [0, 1, 2].map((axis) => total(Float64Array.from(viewpoints, ({ position }) => position[axis]!)) / count);
+  const squares = Float64Array.from(viewpoints, ({ position }) => {
+    const away = position.map((x, axis) => x - middle[axis]!);
+    return dot(away, away);
+  });
+  return Math.max(Math.sqrt(total(squares) / count), 1e-9);
+}
+
+/** How much a viewpoint says about a pose. */
+function weightOf(pose: Pose, view: Pose, spread: number): number {
+  const away = pose.position.map((x, axis) => x - view.position[axis]!);
+  const turned = 1 - dot(pose.rotation.slice(6), view.rotation.slice(6));
+  const near = 1 / (Math.sqrt(dot(away, away)) / spread + TURN * turned + NEAREST);
+  return near * near * (near * near);
+}

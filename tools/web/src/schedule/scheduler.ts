@@ -1,0 +1,207 @@
+/** What is asked for beyond a round trip, seconds: requests never run dry, and none is made long before. */
+const AHEAD_SECONDS = 0.25;
+/** What is thrown away must be worth so many times less than what takes its place. */
+const EVICT_FACTOR = 2;
+/** What is stopped must be worth so many times less than the best that waits. */
+const ABORT_FACTOR = 4;
+
+/** A segment that a client may fetch; units stand in the order of the file. */
+export interface Unit {
+  /** −1 for one that belongs to no chunk, such as a segment of a codebook. */
+  readonly chunk: number;
+  readonly isHead: boolean;
+  /** Byte of the file behind the segment. */
+  readonly end: number;
+  readonly size: number;
+  /** Units that it is of no use without; the head of a chunk names that of its parent. */
+  readonly after: readonly number[];
+}
+
+/** What a client has, and its means. */
+export interface Holdings {
+  /** Units that have come. */
+  readonly there: ReadonlySet<number>;
+  /** Units that are asked for. */
+  readonly underWay: ReadonlySet<number>;
+  /** Bytes that have come of units that are not whole, under way or stopped. */
+  readonly received: ReadonlyMap<number, number>;
+  /** Most splats of chunks whose heads are there or under way; 0 for any number. */
+  readonly budgetSplats: number;
+  /** What the connection is thought to bring. */
+  readonly bytesPerSecond: number;
+  /** Seconds from a request to its first byte. */
+  readonly latency: number;
+}
+
+/** What a client does now, in this order. */
+export interface Decision {
+  /** Units under way that are no longer wanted now; what has come of them stays. */
+  readonly stop: readonly number[];
+  /** Chunks whose units are thrown away. */
+  readonly evict: readonly number[];
+  /** Units to ask for, the first first. */
+  readonly fetch: readonly number[];
+}
+
+/** Decides what to fetch next, what to stop and what to throw away (docs/streaming.md, 7 to 9). */
+export class Scheduler {
+  private readonly heads = new Map<number, number>();
+
+  constructor(
+    private readonly units: readonly Unit[],
+    private readonly splats: ArrayLike<number>,
+  ) {
+    units.forEach(({ chunk, isHead }, at) => isHead && this.heads.set(chunk, at));
+  }
+
+  /** What a byte of each unit is thought to gain: its chunk's ratio over its place in the file. */
+  urgency(ratios: Float64Array): Float64Array {
+    return Float64Array.from(this.units, ({ chunk, end }) => (chunk >= 0 ? ratios[chunk]! : 1) / end);
+  }
+
+  decide(ratios: Float64Array, holdings: Holdings): Decision {
+    const urgency = this.urgency(ratios);
+    const order = this.units.map((_, unit) => unit).sort((a, b) => urgency[b]! - urgency[a]! || a - b);
+    const round = new Round(this.units, this.splats, this.heads, urgency, holdings);
+    round.stopWhatWaits(order);
+    for (const unit of order) {
+      if (round.isFull) break;
+      round.want(unit);
+    }
+    return { stop: round.stopped, evict: round.evicted, fetch: round.chosen };
+  }
+}
+
+/** One decision while it is made. */
+class Round {
+  readonly stopped: number[] = [];
+  readonly evicted: number[] = [];
+  readonly chosen: number[] = [];
+  private readonly there: Set<number>;
+  private readonly coming: Set<number>;
+  private readonly received: Map<number, number>;
+  private readonly window: number;
+
+  constructor(
+    private readonly units: readonly Unit[],
+    private readonly splats: ArrayLike<number>,
+    private readonly heads: ReadonlyMap<number, number>,
+    private readonly urgency: Float64Array,
+    private readonly holdings: Holdings,
+  ) {
+    this.there = new Set(holdings.there);
+    this.coming = new Set(holdings.underWay);
+    this.received = new Map(holdings.received);
+    this.window = holdings.bytesPerSecond * (holdings.latency + AHEAD_SECONDS);
+  }
+
+  /** Whether as much is under way as the window holds. */
+  get isFull(): boolean {
+    let left = 0;
+    for (const unit of this.coming) left += this.left(unit);
+    return left >= this.window && this.coming.size > 0;
+  }
+
+  /** Stop units under way that are worth far less than the best that is not. */
+  stopWhatWaits(order: readonly number[]): void {
+    const best = order.find((unit) => !this.isHeld(unit));
+    if (best === undefined) return;
+    const { underWay, bytesPerSecond, latency } = this.holdings;
+    for (const unit of [...underWay].sort((a, b) => this.urgency[a]! - this.urgency[b]! || b - a)) {
+      if (this.urgency[unit]! * ABORT_FACTOR >= this.urgency[best]!) break;
+      // What would be here before another answer began is let come.
+      if (this.left(unit) / bytesPerSecond <= latency || this.isNeeded(unit)) continue;
+      this.coming.delete(unit);
+      this.stopped.push(unit);
+    }
+  }
+
+  /** Choose a unit behind those that it is of no use without, where there is room for it. */
+  want(unit: number): void {
+    if (this.isHeld(unit)) return;
+    const chain = this.needed(unit);
+    // What was stopped or thrown away in this decision is not asked for by it again.
+    if (chain.some((part) => this.stopped.includes(part) || this.evicted.includes(this.units[part]!.chunk))) return;
+    const rows = chain.reduce((sum, part) => {
+      const { isHead, chunk } = this.units[part]!;
+      return sum + (isHead ? this.splats[chunk]! : 0);
+    }, 0);
+    if (rows > 0 && !this.makeRoom(rows, unit, chain)) return;
+    for (const part of chain) this.coming.add(part);
+    this.chosen.push(...chain);
+  }
+
+  private left(unit: number): number {
+    return this.units[unit]!.size - (this.received.get(unit) ?? 0);
+  }
+
+  private isHeld(unit: number): boolean {
+    return this.there.has(unit) || this.coming.has(unit);
+  }
+
+  /** A unit behind those that are neither there nor coming and that it needs. */
+  private needed(unit: number): number[] {
+    const out: number[] = [];
+    for (const before of this.units[unit]!.after) {
+      if (!this.isHeld(before)) out.push(...this.needed(before).filter((other) => !out.includes(other)));
+    }
+    return [...out, unit];
+  }
+
+  /** Whether something that is there or coming is of no use without a unit. */
+  private isNeeded(unit: number): boolean {
+    return this.units.some(({ after }, other) => after.includes(unit) && this.isHeld(other));
+  }
+
+  /** Evict chunks that are worth less until so many rows fit; none where they would not. */
+  private makeRoom(rows: number, wanted: number, chain: readonly number[]): boolean {
+    const budget = this.holdings.budgetSplats;
+    if (budget === 0) return true;
+    const held = new Set([...this.heads].filter(([, head]) => this.isHeld(head)).map(([chunk]) => chunk));
+    let used = 0;
+    for (const chunk of held) used += this.splats[chunk]!;
+    const kept = this.ancestors(chain);
+    const going: number[] = [];
+    while (used + rows > budget) {
+      const chunk = this.least(held, kept, this.urgency[wanted]!);
+      if (chunk === undefined) return false;
+      held.delete(chunk);
+      used -= this.splats[chunk]!;
+      going.push(chunk);
+    }
+    for (const chunk of going) this.evict(chunk);
+    return true;
+  }
+
+  private evict(chunk: number): void {
+    this.evicted.push(chunk);
+    this.units.forEach((part, unit) => {
+      if (part.chunk !== chunk) return;
+      this.there.delete(unit);
+      this.received.delete(unit);
+      if (this.coming.delete(unit)) this.stopped.push(unit);
+    });
+  }
+
+  /** The chunks of units and of all that these need. */
+  private ancestors(chain: readonly number[]): Set<number> {
+    const found = new Set<number>();
+    const left = [...chain];
+    for (let unit = left.pop(); unit !== undefined; unit = left.pop()) {
+      const { chunk, after } = this.units[unit]!;
+      if (chunk >= 0) found.add(chunk);
+      left.push(...after);
+    }
+    return found;
+  }
+
+  /** The chunk to evict first: worth least, parent of none that is held. */
+  private least(held: ReadonlySet<number>, kept: ReadonlySet<number>, urgency: number): number | undefined {
+    const worth = (chunk: number): number => this.urgency[this.heads.get(chunk)!]!;
+    const parents = new Set([...held].flatMap((chunk) => this.units[this.heads.get(chunk)!]!.after.map((unit) => this.units[unit]!.chunk)));
+    const chosen = new Set(this.chosen.map((unit) => this.units[unit]!.chunk));
+    return [...held]
+      .filter((chunk) => !kept.has(chunk) && !parents.has(chunk) && !chosen.has(chunk) && worth(chunk) * EVICT_FACTOR < urgency)
+      .sort((a, b) => worth(a) - worth(b) || b - a)[0];
+  }
+}

@@ -1,0 +1,76 @@
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
+import { test } from "node:test";
+import type { ViewTable } from "../src/container/view_table.js";
+import { along, byBoxes, bySgss, byViewTable, type PoseRatios } from "../src/schedule/chunk_ratios.js";
+import { path, type Pose } from "../src/schedule/poses.js";
+import { Scheduler, type Unit } from "../src/schedule/scheduler.js";
+
+/** What `tools/make_decisions.py` writes. */
+interface Scene {
+  readonly boxes: readonly (readonly number[])[];
+  readonly contribution: readonly number[];
+  readonly splats: readonly number[];
+  readonly units: readonly (readonly [number, number, number, number, readonly number[]])[];
+  readonly positions: readonly (readonly number[])[];
+  readonly directions: readonly (readonly number[])[];
+  readonly codes: readonly (readonly number[])[];
+}
+interface State {
+  readonly scene: number;
+  readonly rule: "views" | "boxes" | "sgss";
+  readonly now: readonly number[];
+  readonly before: readonly number[];
+  readonly elapsed: number;
+  readonly there: readonly number[];
+  readonly under_way: readonly number[];
+  readonly received: readonly (readonly [number, number])[];
+  readonly budget_splats: number;
+  readonly bytes_per_second: number;
+  readonly latency: number;
+  readonly decision: readonly (readonly number[])[];
+}
+
+const FILE = join(process.cwd(), "..", "..", "tests", "codec", "scheduling", "decisions.json");
+const { scenes, states } = JSON.parse(readFileSync(FILE, "utf8")) as { scenes: readonly Scene[]; states: readonly State[] };
+
+function poseOf(numbers: readonly number[]): Pose {
+  return { position: numbers.slice(0, 3), rotation: numbers.slice(3, 12), tanX: numbers[12]!, tanY: numbers[13]! };
+}
+
+function tableOf({ positions, directions, codes, splats }: Scene): ViewTable {
+  const share = (code: number): number => (code === 0 ? 0 : (2 + (code & 1)) * 2 ** ((code >> 1) - 128));
+  return {
+    views: positions.length,
+    chunks: splats.length,
+    positions: Float32Array.from(positions.flat()),
+    directions: Int8Array.from(directions.flat()),
+    shares: Float64Array.from(codes.flat(), share),
+  };
+}
+
+function ratiosOf(scene: Scene, rule: State["rule"]): PoseRatios {
+  const boxes = Float64Array.from(scene.boxes.flat());
+  const contribution = Float64Array.from(scene.contribution);
+  if (rule === "sgss") return bySgss(boxes, scene.splats);
+  return rule === "boxes" ? byBoxes(boxes, contribution) : byViewTable(tableOf(scene), boxes, contribution);
+}
+
+test("the scheduler decides as the reference does in every state", () => {
+  assert.ok(states.length >= 1000);
+  for (const [number, state] of states.entries()) {
+    const scene = scenes[state.scene]!;
+    const units: Unit[] = scene.units.map(([chunk, isHead, end, size, after]) => ({ chunk, isHead: isHead === 1, end, size, after }));
+    const ratios = along(ratiosOf(scene, state.rule), path(poseOf(state.now), poseOf(state.before), state.elapsed));
+    const { stop, evict, fetch } = new Scheduler(units, scene.splats).decide(ratios, {
+      there: new Set(state.there),
+      underWay: new Set(state.under_way),
+      received: new Map(state.received),
+      budgetSplats: state.budget_splats,
+      bytesPerSecond: state.bytes_per_second,
+      latency: state.latency,
+    });
+    assert.deepEqual([stop, evict, fetch], state.decision, `state ${number}`);
+  }
+});
