@@ -241,6 +241,11 @@ DOORS: dict[str, dict[str, str]] = {
         "shading": "footprint_colours row_colours sh_terms",
         "tiles": "TILE TileLists gather tile_lists",
     },
+    "codec.scheduling": {
+        "chunk_ratios": ("PoseRatios along by_boxes by_sgss by_view_table"),
+        "poses": "Pose path",
+        "scheduler": "Holdings Scheduler Unit",
+    },
     "codec.scoring": {
         "chunk_contributions": "PIXELS chunk_contributions",
         "contribution": "LEAST_WEIGHT MOST_BY_VIEW ScoreConfig Scores score unscored",

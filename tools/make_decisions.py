@@ -28,8 +28,10 @@ _STATES: Final = 40
 
 
 class Scene(TypedDict):
-    """A scene of the vectors: its chunks, its units (chunk, whether a head, end, size, units that
-    it needs) and its view table."""
+    """A scene of the vectors.
+
+    A unit is its chunk, whether it is a head, end, size, and the units that it needs.
+    """
 
     boxes: list[list[float]]
     contribution: list[float]
@@ -41,8 +43,11 @@ class Scene(TypedDict):
 
 
 class State(TypedDict):
-    """What a client has and where it looks from; a pose is a position, a rotation row by row, and
-    two tangents. `decision` is what it stops, evicts and fetches."""
+    """What a client has, where it looks from, and what is decided.
+
+    A pose is a position, a rotation row by row, and two tangents; a decision is what to stop, to
+    evict and to fetch.
+    """
 
     scene: int
     rule: str
@@ -107,7 +112,9 @@ def make() -> tuple[list[Scene], list[State]]:
 def text() -> str:
     """Return the vectors as JSON, a scene or state a line."""
     parts = []
-    for name, entries in zip(("scenes", "states"), make(), strict=True):
+    scenes, states = make()
+    named: dict[str, list[Scene] | list[State]] = {"scenes": scenes, "states": states}
+    for name, entries in named.items():
         lines = ",\n".join(json.dumps(entry, separators=(",", ":")) for entry in entries)
         parts.append(f'"{name}": [\n{lines}\n]')
     return "{\n" + ",\n".join(parts) + "\n}\n"

@@ -24,10 +24,8 @@ def _local(pose: Pose, x: F64, y: F64, z: F64) -> tuple[F64, F64, F64]:
 
 def _corners(boxes: F64, pose: Pose) -> tuple[F64, F64, F64]:
     """Return right, down and forward of the eight corners of boxes, (8, c) each."""
-    parts = [
-        _local(pose, boxes[:, 3 * (i & 1)], boxes[:, 1 + 3 * (i >> 1 & 1)], boxes[:, 2 + 3 * (i >> 2)])
-        for i in range(8)
-    ]
+    x, y, z = (boxes[:, [axis, axis + 3]] for axis in range(3))
+    parts = [_local(pose, x[:, i & 1], y[:, i >> 1 & 1], z[:, i >> 2]) for i in range(8)]
     right, down, forward = (np.stack(part) for part in zip(*parts, strict=True))
     return right, down, forward
 
@@ -47,7 +45,7 @@ def picture_shares(boxes: F64, pose: Pose) -> F64:
         0 to 1; 0 for boxes behind the eye or beside the picture.
     """
     right, down, forward = _corners(boxes, pose)
-    share = (forward.max(axis=0) > _NEAR).astype(np.float64)
+    share: F64 = (forward.max(axis=0) > _NEAR).astype(np.float64)
     depth = np.maximum(forward, _NEAR)
     for across, tan in ((right, pose.tan_x), (down, pose.tan_y)):
         tangents = across / depth
@@ -60,7 +58,8 @@ def picture_shares(boxes: F64, pose: Pose) -> F64:
 def middle_depths(boxes: F64, pose: Pose) -> F64:
     """Return how deep the middle of each box lies, (c,) float64, scene units."""
     middle = 0.5 * (boxes[:, :3] + boxes[:, 3:])
-    return _local(pose, middle[:, 0], middle[:, 1], middle[:, 2])[2]
+    depth: F64 = _local(pose, middle[:, 0], middle[:, 1], middle[:, 2])[2]
+    return depth
 
 
 def in_pyramid(boxes: F64, pose: Pose) -> NDArray[np.bool_]:
@@ -90,8 +89,7 @@ def _meet(box: tuple[F64, F64], polygon: list[tuple[F64, F64]]) -> NDArray[np.bo
     # Edges of a projected box run as its three axes do: from corner 0 to corners 1, 2 and 4.
     edges = [(x[i] - x[0], y[i] - y[0]) for i in (1, 2, 4)]
     edges += [
-        (b[0] - a[0], b[1] - a[1])
-        for a, b in zip(polygon, [*polygon[1:], polygon[0]], strict=True)
+        (b[0] - a[0], b[1] - a[1]) for a, b in zip(polygon, [*polygon[1:], polygon[0]], strict=True)
     ]
     meets = np.ones(x.shape[1], np.bool_)
     for along, up in edges:

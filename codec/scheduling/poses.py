@@ -80,7 +80,7 @@ def path(now: Pose, before: Pose, elapsed: float) -> list[tuple[Pose, float]]:
 
 
 def _orthonormal(turned: F64) -> F64 | None:
-    """Return the rotation of two rows: forward as it is, right across it; None where it has none."""
+    """Return the rotation of forward as it is and right across it; None where it has none."""
     forward = _unit(turned[2])
     if forward is None:
         return None

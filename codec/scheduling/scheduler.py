@@ -104,7 +104,7 @@ class Scheduler:
     --------
     >>> import numpy as np
     >>> from cogsplat.codec.scheduling.scheduler import Holdings, Scheduler, Unit
-    >>> units = [Unit(chunk, True, 100 * chunk + 100, 100, (0,) * (chunk > 0)) for chunk in range(3)]
+    >>> units = [Unit(k, True, 100 * k + 100, 100, (0,) * (k > 0)) for k in range(3)]
     >>> nothing = Holdings(frozenset(), frozenset(), {}, 0, 400.0, 0.25)
     >>> Scheduler(units, [10, 10, 10]).decide(np.array([1.0, 0.1, 1.0]), nothing).fetch
     [0, 2]
@@ -128,9 +128,7 @@ class Scheduler:
             Of each chunk, of `chunk_ratios.along`.
         """
         chunks = ratios.tolist()
-        return [
-            (chunks[unit.chunk] if unit.chunk >= 0 else 1.0) / unit.end for unit in self._units
-        ]
+        return [(chunks[unit.chunk] if unit.chunk >= 0 else 1.0) / unit.end for unit in self._units]
 
     def decide(self, ratios: F64, holdings: Holdings) -> Decision:
         """Return what to do now.

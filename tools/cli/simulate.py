@@ -167,8 +167,9 @@ def simulate(
 
     Most policies fetch the same segments in another order: the file's, shown as it comes or once
     the whole is there, whole chunks by distance, by the priority of SGSS, and the file's order put
-    off where boxes, the contributions to the nearest views, or those to the pose itself (which no
-    client knows) say that a chunk shows little. antimatter and sgss-cells fetch splats one by one,
+    off where a chunk shows little: by boxes, by boxes and what viewpoints near show (the file's
+    view table, or other cameras), or by what the pose itself shows, which no client knows.
+    antimatter and sgss-cells fetch splats one by one,
     by volume times opacity and in cells of SGSS' own, each for the mean bytes of a splat of the
     file. Pictures of what has arrived are compared with those of the whole, along the trace and in
     test views at rest. Files that were encoded with --cells gain most.

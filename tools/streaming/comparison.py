@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.segments.view_table import ViewTable
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import evenly
 from cogsplat.formats.cogs.reader import CogsFile
 
 from .client import Link, Priorities, Units, fetch, units_of
-from .policies import by_pose, by_views, file_order, frustum, nearest_boxes, sgss
+from .policies import by_pose, by_views, file_order, frustum, nearest_boxes, sgss, table_of
 from .row_clients import RowClient, by_antimatter, by_sgss_cells
 from .shown import ShownScene
 from .traces import Trace
@@ -115,12 +116,13 @@ class Simulation:
     ----------
     file : CogsFile
     known : sequence of Camera
-        Views whose contributions `views` knows; at most `TABLE_VIEWS` of them, evenly chosen.
+        Views whose contributions `views` knows where the file has no view table; at most
+        `TABLE_VIEWS` of them, evenly chosen.
     threads : int
     compensate : bool
         Whether clients of the file change what they have to make up for what is missing.
     progress : Progress
-        Called with the stage ``table``.
+        Called with the stage ``table``, of a file without a view table.
     """
 
     def __init__(
@@ -135,17 +137,26 @@ class Simulation:
         self.units: Units = units_of(file)
         self._shown = ShownScene(file, threads, compensate=compensate)
         self._known = evenly(known, TABLE_VIEWS)
+        chunks = slice(0, self._shown.chunks)
+        row = file.view_table_row
+        stored = file.view_table() if row is not None and file.is_present(row) else None
+        if stored is None:
+            self._table = self._measured_table(progress)
+        else:
+            self._table = replace(stored, codes=stored.codes[:, chunks])
+        self._boxes = file.chunks.box[chunks].astype(np.float64)
+        self._splats = file.chunks.splats[chunks].astype(np.float64)
+        self._contribution = file.chunks.contribution[chunks].astype(np.float64)
+
+    def _measured_table(self, progress: Progress) -> ViewTable:
+        """Return what the known views show, of a file that does not say."""
         count = len(self._known)
         rows = []
         for number, camera in enumerate(self._known):
             progress("table", number, count)
             rows.append(self._shown.contributions(camera))
         progress("table", count, count)
-        self._table = np.stack(rows)
-        chunks = slice(0, self._shown.chunks)
-        self._boxes = file.chunks.box[chunks].astype(np.float64)
-        self._splats = file.chunks.splats[chunks].astype(np.float64)
-        self._contribution = file.chunks.contribution[chunks].astype(np.float64)
+        return table_of(self._known, np.stack(rows))
 
     @property
     def chunks(self) -> int:
@@ -154,8 +165,8 @@ class Simulation:
 
     @property
     def known_views(self) -> int:
-        """Number of views whose contributions are known."""
-        return len(self._known)
+        """Number of viewpoints whose shares are known."""
+        return len(self._table.positions)
 
     def policy(self, name: str) -> Priorities:
         """Return a policy by its name in `POLICIES`."""
@@ -165,7 +176,7 @@ class Simulation:
             "distance": lambda: nearest_boxes(units, boxes),
             "sgss": lambda: sgss(units, boxes, self._splats),
             "frustum": lambda: frustum(units, boxes, contribution),
-            "views": lambda: by_views(units, self._table, self._known, contribution),
+            "views": lambda: by_views(units, self._table, boxes, contribution),
             "oracle": lambda: by_pose(units, self._shown.contributions, contribution),
         }
         return makers[name]()

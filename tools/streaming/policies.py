@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.geometry.frustum import NEAR
+from cogsplat.codec.scheduling.chunk_ratios import PoseRatios, by_boxes, by_view_table
+from cogsplat.codec.scheduling.poses import Pose
+from cogsplat.codec.segments.view_table import ViewTable, share_codes, stored_directions
 
 from .client import Priorities, Units
 
@@ -17,8 +20,6 @@ F64 = NDArray[np.float64]
 
 # A chunk that a pose shows nothing of waits so many times as long as one of the usual share.
 _LEAST_SHARE: Final = 0.02
-# How many of the views nearest to a pose say what it shows.
-_NEAREST: Final = 3
 # What keeps SGSS' distance from 0; the paper does not state its value (Zhu et al., MMSys 2025).
 _EPSILON: Final = 1e-6
 
@@ -60,49 +61,57 @@ def sgss(units: Units, boxes: F64, splats: F64) -> Priorities:
 
 
 def frustum(units: Units, boxes: F64, contribution: F64) -> Priorities:
-    """Return the file's order, with chunks put off by how little of a picture their boxes take."""
-
-    def wanted(camera: Camera) -> F64:
-        share, depth = seen_share(boxes, camera)
-        near = np.maximum(depth, NEAR)
-        return _put_off(units, contribution * (share > 0.0) / (near * near), contribution)
-
-    return wanted
+    """Return the urgencies of docs/streaming.md, 5: by what boxes alone say."""
+    return _urgent(units, by_boxes(boxes, contribution))
 
 
-def by_views(units: Units, table: F64, cameras: Sequence[Camera], contribution: F64) -> Priorities:
-    """Return the file's order, with chunks put off by how little the nearest views show of them.
+def by_views(units: Units, table: ViewTable, boxes: F64, contribution: F64) -> Priorities:
+    """Return the urgencies of docs/streaming.md, 4: by what the viewpoints near a pose show.
 
     Parameters
     ----------
     units : Units
-    table : (V, c) float64
-        Contribution of each chunk to each view.
-    cameras : sequence of Camera
-        The views.
+    table : ViewTable
+    boxes : (c, 6) float64
     contribution : (c,) float64
         Of each chunk, as the file has it.
     """
-    places = np.stack([camera.position for camera in cameras])
-    forward = np.stack([camera.rotation[2] for camera in cameras])
-    spread = np.sqrt(np.square(places - places.mean(axis=0)).sum(axis=1).mean())
+    return _urgent(units, by_view_table(table, boxes, contribution))
 
-    def wanted(camera: Camera) -> F64:
-        away = np.sqrt(np.square(places - camera.position).sum(axis=1)) / max(spread, 1e-9)
-        # Half a turn counts as much as twice the spread of the views.
-        turned = 1.0 - (forward * camera.rotation[2]).sum(axis=1)
-        far = away + turned
-        nearest = np.argsort(far, kind="stable")[:_NEAREST]
-        weights = 1.0 / (far[nearest] + 1e-3)
-        shown = (table[nearest] * weights[:, None]).sum(axis=0) / weights.sum()
-        return _put_off(units, shown, contribution)
 
-    return wanted
+def table_of(cameras: Sequence[Camera], contributions: F64) -> ViewTable:
+    """Return the view table of some views, for a file that has none.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        At most 64.
+    contributions : (V, c) float64
+        Of each chunk to each view, px.
+    """
+    pixels = np.array([camera.width * camera.height for camera in cameras], np.float64)
+    return ViewTable(
+        np.stack([camera.position for camera in cameras]).astype(np.float32),
+        stored_directions(np.stack([camera.rotation[2] for camera in cameras])),
+        share_codes(contributions / pixels[:, None]),
+    )
 
 
 def by_pose(units: Units, contributions: Callable[[Camera], F64], contribution: F64) -> Priorities:
     """Return the same by what the pose itself shows, which no client can know."""
     return lambda camera: _put_off(units, contributions(camera), contribution)
+
+
+def _urgent(units: Units, ratios: PoseRatios) -> Priorities:
+    """Return what a byte of each unit is thought to gain (docs/streaming.md, 7)."""
+
+    def wanted(camera: Camera) -> F64:
+        found = ratios(Pose.of_camera(camera))
+        of_units = np.where(units.chunk >= 0, found[np.maximum(units.chunk, 0)], 1.0)
+        result: F64 = of_units / units.end
+        return result
+
+    return wanted
 
 
 def _put_off(units: Units, shown: F64, contribution: F64) -> F64:

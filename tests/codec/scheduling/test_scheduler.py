@@ -72,8 +72,8 @@ def test_what_waits_far_behind_is_stopped():
     # What would be here within a round trip is let come, and so is what something else needs.
     nearly = {"received": {4: 95}, **slow}
     assert decide(ratios, there=[0, 1, 2, 3], under_way=[4], **nearly).stop == []
-    parent = decide([1.0, 0.01, 9.0, 0.01], there=[0, 2], under_way=[1, 5], **slow)
-    assert parent.stop == [5]
+    assert decide([1.0, 0.01, 9.0, 5.0], there=[0, 2], under_way=[1, 5], **slow).stop == []
+    assert decide(ratios, there=[0, 2], under_way=[1, 5], **slow).stop == [5, 1]
 
 
 def test_a_budget_is_kept_by_throwing_away_what_is_worth_least():

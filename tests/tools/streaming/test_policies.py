@@ -13,6 +13,7 @@ from cogsplat.tools.streaming.policies import (
     frustum,
     nearest_boxes,
     sgss,
+    table_of,
 )
 
 AHEAD = Camera(
@@ -76,8 +77,8 @@ def test_what_is_outside_the_frustum_is_put_off() -> None:
 
 
 def test_known_views_say_what_a_pose_shows() -> None:
-    table = np.array([[0.0, 3.0, 0.0], [1.0, 0.0, 5.0]])
-    wanted = by_views(UNITS, table, [AHEAD, BACK], SAME)
+    shown = np.array([[0.0, 3000.0, 0.0], [1000.0, 0.0, 5000.0]])
+    wanted = by_views(UNITS, table_of([AHEAD, BACK], shown), BOXES, SAME)
     assert order(wanted(AHEAD))[0] == 1
     assert order(wanted(BACK))[0] == 2
 
