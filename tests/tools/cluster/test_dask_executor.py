@@ -2,11 +2,12 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -64,29 +65,73 @@ def encoded(
 
 
 @contextmanager
-def cluster(folder: Path, workers: int) -> Iterator[tuple[str, list["subprocess.Popen[bytes]"]]]:
-    """Start a scheduler and workers; yield its address and the processes, the scheduler first."""
+def cluster(
+    folder: Path, workers: int, host: str = "127.0.0.1", inside: Sequence[str] = ()
+) -> Iterator[tuple[str, list["subprocess.Popen[bytes]"]]]:
+    """Start a scheduler and workers; yield its address and the processes, the scheduler first.
+
+    The scheduler listens on the address `host`; with `inside`, each worker runs in one of these
+    network namespaces.
+    """
     file = folder / "scheduler.json"
     dask = [sys.executable, "-m", "dask"]
     started = []
 
-    def start(*words: str) -> None:
+    def start(*words: str, before: Sequence[str] = ()) -> None:
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        started.append(subprocess.Popen([*dask, *words, "--scheduler-file", str(file)], **quiet))
+        command = [*before, *dask, *words, "--scheduler-file", str(file)]
+        started.append(subprocess.Popen(command, **quiet))
 
     try:
-        start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+        start("scheduler", "--host", host, "--port", "0", "--no-dashboard")
         while not file.exists() or not file.read_text():
             assert started[0].poll() is None
             time.sleep(0.05)
-        for _ in range(workers):
-            start("worker", "--nthreads", "1", "--no-nanny", "--no-dashboard")
+        for number in range(workers):
+            before = ["ip", "netns", "exec", inside[number]] if inside else []
+            start("worker", "--nthreads", "1", "--no-nanny", "--no-dashboard", before=before)
         yield json.loads(file.read_text())["address"], started
     finally:
         for process in started:
             process.kill()
         for process in started:
             process.wait()
+
+
+@pytest.fixture
+def networks() -> Iterator[tuple[str, list[str]]]:
+    """Two network namespaces on a bridge: the bridge's address here, and their names."""
+    if not hasattr(os, "geteuid") or os.geteuid() or not shutil.which("ip"):
+        pytest.skip("network namespaces take Linux, root and `ip`")
+    name = f"cogs{os.getpid()}"
+    # Of the block for tests of networks (RFC 2544), which no real one has.
+    net = "198.18.77"
+    bridge, names = f"{name}b", [f"{name}-{number}" for number in range(2)]
+
+    def ip(*words: str) -> None:
+        subprocess.run(["ip", *words], check=True, capture_output=True)
+
+    try:
+        try:
+            ip("link", "add", bridge, "type", "bridge")
+        except subprocess.CalledProcessError as error:
+            pytest.skip(f"no bridges here: {error.stderr.decode()}")
+        ip("addr", "add", f"{net}.1/24", "dev", bridge)
+        ip("link", "set", bridge, "up")
+        for number, space in enumerate(names):
+            here, there = f"{name}h{number}", f"{name}t{number}"
+            ip("netns", "add", space)
+            ip("link", "add", here, "type", "veth", "peer", "name", there)
+            ip("link", "set", here, "master", bridge, "up")
+            ip("link", "set", there, "netns", space)
+            ip("-n", space, "addr", "add", f"{net}.{10 + number}/24", "dev", there)
+            ip("-n", space, "link", "set", there, "up")
+            ip("-n", space, "link", "set", "lo", "up")
+        yield f"{net}.1", names
+    finally:
+        # The links end with their namespaces.
+        for words in (["link", "del", bridge], *(["netns", "del", space] for space in names)):
+            subprocess.run(["ip", *words], check=False, capture_output=True)
 
 
 def once_at(stage: str, step: int, act: Callable[[], object]) -> Progress:
@@ -156,6 +201,32 @@ def test_a_worker_that_ends_midway_changes_nothing(
         end = once_at("gain", 100, lambda: started[1].send_signal(signal.SIGKILL))
         assert encoded(scene, executor, tmp_path, end) == expected
         assert started[1].wait() == -signal.SIGKILL
+
+
+def test_workers_of_other_networks_work_and_end_as_those_of_this_machine(
+    scene: tuple[Splats, list[Camera]],
+    expected: bytes,
+    tmp_path: Path,
+    networks: tuple[str, list[str]],
+) -> None:
+    host, inside = networks
+    with (
+        cluster(tmp_path, 2, host, inside) as (address, started),
+        connected(address) as executor,
+    ):
+        executor._client.wait_for_workers(2, timeout=60)
+        places = {worker.split("//")[1].split(":")[0] for worker in executor._client.nthreads()}
+        assert len(places) == 2
+        assert host not in places
+        end = once_at("gain", 100, lambda: started[1].send_signal(signal.SIGKILL))
+        assert encoded(scene, executor, tmp_path, end) == expected
+        assert len(executor._client.nthreads()) == 1
+        (tmp_path / "b.cogs").unlink()
+        end = once_at("gain", 100, lambda: started[0].send_signal(signal.SIGKILL))
+        with pytest.raises(StorageError) as error:
+            encoded(scene, executor, tmp_path, end)
+    assert error.value.code == "scheduler-lost"
+    assert not (tmp_path / "b.cogs").exists()
 
 
 def test_what_the_only_worker_held_is_brought_again(
