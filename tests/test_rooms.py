@@ -330,8 +330,9 @@ DOORS: dict[str, dict[str, str]] = {
         "answers": "Answer NeighbouringTransport Stated",
         "download": "download",
         "faults": "PassingFault",
+        "object_output": "ObjectOutput",
         "opening": "open_url transport_of",
-        "options": "NetworkOptions",
+        "options": "MIB NetworkOptions",
         "range_source": "RangeSource",
         "segment_cache": "SegmentCache",
         "traffic": "Traffic",
@@ -355,7 +356,8 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "formats.storage": {
         "atomic": (
-            "StrPath atomic_write check_output open_for_read storage_error storage_errors sync_all"
+            "StrPath TargetExistsError atomic_write check_output open_for_read storage_error "
+            "storage_errors sync_all"
         ),
         "byte_counts": "ByteCount parse_byte_count parse_bytes",
         "images": "MAX_SIDE decode_image encode_image image_size picture_size",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from types import ModuleType
@@ -18,6 +19,9 @@ from .urls import shown
 
 # obstore makes chunks of at least so many bytes of what arrives.
 _PART_BYTES: Final = 16384
+
+# Where the environment names the server of a store, as obstore reads it.
+_ENDPOINTS: Final = ("AWS_ENDPOINT", "AWS_ENDPOINT_URL")
 
 
 class ObjectTransport:
@@ -41,30 +45,13 @@ class ObjectTransport:
     """
 
     def __init__(self, url: str, options: NetworkOptions, store: Any = None) -> None:
-        obstore = self._obstore = _obstore()
-        parts = urlsplit(url)
-        self._key = parts.path.lstrip("/")
+        self._obstore = _obstore()
+        self._key = urlsplit(url).path.lstrip("/")
         self._url = url
         self._name = shown(url)
         self._options = options
-        endpoint = options.options_of_store.get("endpoint", "")
-        if store is not None:
-            self._store = store
-            return
-        try:
-            self._store = obstore.store.from_url(
-                f"{parts.scheme}://{parts.netloc}",
-                config=dict(options.options_of_store),
-                client_options={
-                    "connect_timeout": f"{options.connect_seconds:g}s",
-                    # Whoever names an endpoint without TLS, as one of this machine, means it.
-                    "allow_http": endpoint.startswith("http://"),
-                },
-                # Attempts are counted, and paused, in one place: `faults.Backoff`.
-                retry_config={"max_retries": 0},
-            )
-        except (obstore.exceptions.BaseError, ValueError) as error:
-            raise StorageError("store-options", f"{self._name}: {_line(error)}") from error
+        # Attempts are counted, and paused, in one place: `faults.Backoff`.
+        self._store = object_store(url, options, retries=0) if store is None else store
 
     def beside(self, name: str) -> ObjectTransport:
         """Return a transport of an object that is named relative to this one, of the same store."""
@@ -101,14 +88,14 @@ class ObjectTransport:
             ) from error
         except (exceptions.PermissionDeniedError, exceptions.UnauthenticatedError) as error:
             raise StorageError(
-                "permission", f"{self._name}: the store refuses access: {_line(error)}"
+                "permission", f"{self._name}: the store refuses access: {first_line(error)}"
             ) from error
         except exceptions.PreconditionError as error:
             raise StorageError(
-                "source-changed", f"{self._name}: is another object now: {_line(error)}"
+                "source-changed", f"{self._name}: is another object now: {first_line(error)}"
             ) from error
         except exceptions.BaseError as error:
-            raise PassingFault("connection-broken", f"{self._name}: {_line(error)}") from error
+            raise PassingFault("connection-broken", f"{self._name}: {first_line(error)}") from error
 
     async def _parts(self, stream: Any) -> AsyncIterator[bytes]:
         """Give the parts of an answer, none of which may be waited for too long."""
@@ -124,7 +111,44 @@ class ObjectTransport:
         """Do nothing: the store's connections end with it."""
 
 
-def _line(error: Exception) -> str:
+def object_store(url: str, options: NetworkOptions, *, retries: int) -> Any:
+    """Return obstore's store of an object's bucket.
+
+    Parameters
+    ----------
+    url : str
+        ``s3://bucket/key``, ``gs://bucket/key`` or ``az://container/key``.
+    options : NetworkOptions
+        Its `options_of_store` configures the store; the environment does otherwise.
+    retries : int
+        Times that obstore makes a request again by itself.
+
+    Raises
+    ------
+    MissingExtraError
+        ``needs-cloud``: obstore is not installed.
+    StorageError
+        ``store-options``: the store cannot be configured so.
+    """
+    obstore = _obstore()
+    parts = urlsplit(url)
+    client = {"connect_timeout": f"{options.connect_seconds:g}s"}
+    named = [options.options_of_store.get("endpoint"), *map(os.environ.get, _ENDPOINTS)]
+    if next(filter(None, named), "").startswith("http://"):
+        # Whoever names an endpoint without TLS, as one of this machine, means it.
+        client["allow_http"] = "true"
+    try:
+        return obstore.store.from_url(
+            f"{parts.scheme}://{parts.netloc}",
+            config=dict(options.options_of_store),
+            client_options=client,
+            retry_config={"max_retries": retries},
+        )
+    except (obstore.exceptions.BaseError, ValueError) as error:
+        raise StorageError("store-options", f"{shown(url)}: {first_line(error)}") from error
+
+
+def first_line(error: Exception) -> str:
     """Return the first line of a message; obstore prints its insides below."""
     return str(error).strip().partition("\n")[0]
 

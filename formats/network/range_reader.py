@@ -91,6 +91,7 @@ class RangeReader:
         self._changed = asyncio.Event()
         self._stopping = False
         self._etags: set[str] = set()
+        self.etag: str | None = None
         self._requests = self._failures = self._received = 0
         self._busy_seconds = self._busy_since = 0.0
 
@@ -302,6 +303,7 @@ class RangeReader:
                 "while it was read",
             )
         self._etags.add(etag)
+        self.etag = self.etag or etag
 
     async def _begins_alike(self) -> bool:
         """Whether the file still begins with the bytes that were kept, which hold its root."""

@@ -108,6 +108,12 @@ class RangeSource:
         return self._size
 
     @property
+    def etag(self) -> str | None:
+        """The strong ETag that the server stated at first; None where it states none."""
+        with self._moved:
+            return self._reader.etag
+
+    @property
     def traffic(self) -> Traffic:
         """What was asked for and what came, up to now."""
         with self._moved:

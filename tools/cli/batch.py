@@ -18,6 +18,8 @@ import click
 
 import cogsplat
 from cogsplat.codec.errors import CogsplatError
+from cogsplat.formats.network.object_output import ObjectOutput
+from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.storage.atomic import open_for_read, storage_errors
 from cogsplat.tools.terminal.options import (
     json_option,
@@ -55,15 +57,15 @@ class _Batch:
         """Encode a scene in a process of its own; return its line of the log."""
         line: dict[str, object] = {"input": scene.input, "output": scene.output}
         start = time.monotonic()
+        earlier = self.before.get(scene.output, {})
         try:
-            fingerprint = scene.fingerprint(self.folder)
+            line["fingerprint"] = scene.fingerprint(self.folder)
+            same = earlier.get("fingerprint") == line["fingerprint"]
+            if same and self._is_there(scene, earlier):
+                return {**line, "status": "skipped"}
         except CogsplatError as error:
             told = {"code": error.code, "message": error.message, "exit_code": error.exit_code}
             return {**line, "status": "failed", "error": told}
-        line["fingerprint"] = fingerprint
-        earlier = self.before.get(scene.output, {})
-        if earlier.get("fingerprint") == fingerprint and self._is_there(scene, earlier):
-            return {**line, "status": "skipped"}
         # What an earlier run has made may be replaced; what is not ours may not.
         words = [*scene.words, *(["--force"] if earlier else []), *self.common]
         code, out, err = self._run(["encode", scene.input, scene.output, *words, "--json"])
@@ -79,8 +81,10 @@ class _Batch:
 
     def _is_there(self, scene: BatchScene, earlier: Mapping[str, object]) -> bool:
         result = earlier.get("result")
-        path = self.folder / scene.output
         expected = result.get("bytes") if isinstance(result, dict) else None
+        if is_url(scene.output):
+            return ObjectOutput(scene.output).size() == expected
+        path = self.folder / scene.output
         return path.is_file() and path.stat().st_size == expected
 
     def _run(self, words: list[str]) -> tuple[int, str, str]:
@@ -156,8 +160,9 @@ def batch(
 
     A line of JSON is printed for each. A manifest is JSON lines such as {"input": "a.ply",
     "output": "a.cogs", "options": {"quality": 38}}, or TOML with the same keys in [[scene]].
-    Options are those of encode, true for a flag; paths begin at the manifest's folder. A scene that
-    fails does not stop the others; the exit status is then 3.
+    Options are those of encode, true for a flag; paths begin at the manifest's folder; addresses
+    such as s3://bucket/a.ply may stand for them. A scene that fails does not stop the others; the
+    exit status is then 3.
     """
     names = {name for param in encode.params for name in param.opts if name.startswith("--")}
     scenes = read_manifest(manifest, frozenset(name[2:] for name in names) - _OWN)

@@ -10,6 +10,9 @@ from pathlib import Path
 from typing import Final
 
 from cogsplat.codec.errors import DataError, FormatError
+from cogsplat.formats.network.opening import open_url
+from cogsplat.formats.network.options import MIB
+from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.scenes.registry import is_cogs, scene_files
 from cogsplat.formats.storage.atomic import open_for_read
 
@@ -24,7 +27,7 @@ class BatchScene:
     Parameters
     ----------
     input, output : str
-        Paths as the manifest has them, from its own folder.
+        Paths as the manifest has them, from its own folder, or addresses on a network.
     words : tuple of str
         Options of ``cogsplat encode``.
     """
@@ -35,6 +38,8 @@ class BatchScene:
 
     def fingerprint(self, folder: Path) -> str:
         """Return SHA-256, in hexadecimal, of the input's bytes, the output's name and the options.
+
+        Of an input on a network its length and its ETag stand for the bytes, where it has one.
 
         Parameters
         ----------
@@ -47,11 +52,23 @@ class BatchScene:
             The input cannot be read.
         """
         digest = hashlib.sha256(json.dumps([self.output, self.words]).encode())
+        if is_url(self.input):
+            _update_by_url(digest, self.input)
+            return digest.hexdigest()
         path = folder / self.input
         for part in [path] if is_cogs(path) else scene_files(path):
             with open_for_read(part) as file:
                 digest.update(hashlib.file_digest(file, "sha256").digest())
         return digest.hexdigest()
+
+
+def _update_by_url(digest: hashlib._Hash, url: str) -> None:
+    """Add what tells the versions of a file on a network apart."""
+    with open_url(url) as source:
+        digest.update(f"{url} {source.size} {source.etag}".encode())
+        if source.etag is None:
+            for start in range(0, source.size, MIB):
+                digest.update(source.read(start, min(MIB, source.size - start)))
 
 
 def read_manifest(path: Path, options: frozenset[str]) -> list[BatchScene]:

@@ -6,11 +6,12 @@ import logging
 import pickle
 import weakref
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sized
 from contextlib import contextmanager, suppress
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from cogsplat.codec.errors import MissingExtraError, StorageError
+from cogsplat.codec.errors import CogsplatError, MissingExtraError, StorageError
 from cogsplat.codec.threads import thread_count
 
 if TYPE_CHECKING:
@@ -27,6 +28,14 @@ _PATIENCE_S: Final = 20.0
 
 # Tasks that wait for each thread of the workers, so that none is idle while results are taken.
 _AHEAD: Final = 2
+
+# A map of few items over a small scene is one of many, as in a stage of the order by gain or a step
+# of the fit. There a task's way through the scheduler costs more than a thread gains by taking the
+# next item alone, so up to so many items go together: with two workers the client and the scheduler
+# took 7.4 s of processor time in place of 13.3. Of large scenes each result takes much memory.
+_FEW: Final = 32
+_TOGETHER: Final = 4
+_SMALL_BYTES: Final = 1 << 26
 
 
 class DaskExecutor:
@@ -68,16 +77,19 @@ class DaskExecutor:
             one task ended several workers.
         """
         waiting: deque[Future] = deque()
+        small = sum(getattr(value, "nbytes", 0) for value in shared) <= _SMALL_BYTES
+        given = list(items) if small and isinstance(items, Sized) else items
         try:
             # By turns: left to itself, the scheduler gives most tasks to the worker that has the
             # scene already.
             turns = self._threads()
-            for turn, item in enumerate(items):
+            for turn, batch in enumerate(_batches(given, len(turns))):
                 with self._told():
                     held = [self._bring(value) for value in shared]
                     future = self._client.submit(
+                        _call_all,
                         function,
-                        item,
+                        batch,
                         *held,
                         pure=False,
                         workers=turns[turn % len(turns)],
@@ -86,9 +98,9 @@ class DaskExecutor:
                     )
                 waiting.append(future)
                 if len(waiting) > _AHEAD * len(turns):
-                    yield self._result(waiting.popleft())
+                    yield from self._results(waiting.popleft())
             while waiting:
-                yield self._result(waiting.popleft())
+                yield from self._results(waiting.popleft())
         finally:
             self._cancel(list(waiting))
 
@@ -132,6 +144,13 @@ class DaskExecutor:
         self._brought[key] = gone, future
         return future
 
+    def _results(self, future: Future) -> Iterator[Any]:
+        """Yield what a task gave for its items, up to the one that it failed at."""
+        results, error = self._result(future)
+        yield from results
+        if error is not None:
+            raise error
+
     def _result(self, future: Future) -> Any:
         from distributed import KilledWorker
         from distributed.client import FutureCancelledError
@@ -166,6 +185,32 @@ class DaskExecutor:
         # Without a scheduler there is nothing to cancel, and what is raised already says so.
         with suppress(OSError, TimeoutError):
             self._client.cancel(futures)
+
+
+def _batches(items: Iterable[Item], threads: int) -> Iterator[list[Item]]:
+    """Give items in the runs that one task works through: of many items each alone."""
+    if not isinstance(items, list) or len(items) > _FEW:
+        for item in items:
+            yield [item]
+        return
+    # As many for each thread, so that none waits for another.
+    count = min(threads * -(-len(items) // (threads * _TOGETHER)), len(items))
+    bounds = [len(items) * number // max(count, 1) for number in range(count + 1)]
+    for first, last in pairwise(bounds):
+        yield items[first:last]
+
+
+def _call_all(
+    function: Callable[..., Result], items: Iterable[Item], *shared: object
+) -> tuple[list[Result], CogsplatError | None]:
+    """Return what a function gives for each item, on a worker, and what ended that early."""
+    results: list[Result] = []
+    try:
+        for item in items:
+            results.append(function(item, *shared))  # noqa: PERF401 - those before an error count
+    except CogsplatError as error:
+        return results, error
+    return results, None
 
 
 def _scheduler_lost() -> StorageError:

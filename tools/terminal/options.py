@@ -27,8 +27,10 @@ def json_option(command: Command) -> Command:
 
 
 def force_option(command: Command) -> Command:
-    """Add ``--force``."""
-    return click.option("--force", is_flag=True, help="Replace what exists.")(command)
+    """Add ``--force``; `standard_streams.OutputPath` asks for it, so that it is read first."""
+    return click.option("--force", is_flag=True, is_eager=True, help="Replace what exists.")(
+        command
+    )
 
 
 def quiet_option(command: Command) -> Command:

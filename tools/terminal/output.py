@@ -17,7 +17,7 @@ from rich.text import Text
 
 from cogsplat.codec.errors import printable
 
-from .standard_streams import is_output_taken, with_streams_named
+from .standard_streams import hold_back, is_output_taken, with_streams_named
 
 Json = Mapping[str, object]
 
@@ -49,11 +49,16 @@ def _print(text: str, *, to_error: bool | None = None) -> None:
 
 
 def say_json(value: Json) -> None:
-    """Print one JSON object, with the command's warnings where there are any."""
+    """Print one JSON object, with the command's warnings where there are any.
+
+    Where the command writes into an object store, it is printed once that has taken everything.
+    """
     context = click.get_current_context(silent=True)
     told = context.meta.get(WARNINGS) if context else None
     whole = {**value, "warnings": told} if told else value
-    click.echo(json.dumps(whole, indent=2, allow_nan=False))
+    text = json.dumps(whole, indent=2, allow_nan=False)
+    if not hold_back(text):
+        click.echo(text)
 
 
 def facts(*rows: tuple[str, str]) -> None:

@@ -19,7 +19,8 @@ from urllib.parse import urlsplit
 import click
 
 from cogsplat.formats.network.download import download
-from cogsplat.formats.network.urls import is_url, shown
+from cogsplat.formats.network.object_output import ObjectOutput
+from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, scheme_of, shown
 
 STREAM: Final = "-"
 """What stands for a stream in place of a path."""
@@ -99,6 +100,9 @@ class NamedPath(click.Path):
 class OutputPath(click.Path):
     """A file to write; with ``-`` it goes to standard output once it is complete.
 
+    The address of an object in a store stands for a file as well, which is sent there once the
+    command is done, with all files that were written beside it.
+
     Parameters
     ----------
     suffix : str
@@ -115,8 +119,17 @@ class OutputPath(click.Path):
         param: click.Parameter | None,
         ctx: click.Context | None,
     ) -> Path:
-        """Return the path, that of a temporary file for ``-``."""
+        """Return the path, that of a temporary file for ``-`` and for an object."""
         streams = _streams(ctx)
+        if streams is not None and ctx is not None and is_url(value):
+            if scheme_of(str(value)) in HTTP_SCHEMES:
+                self.fail(
+                    f"{shown(str(value))}: web servers take no files, expected the name of a "
+                    "file, or of an object such as s3://bucket/key",
+                    param,
+                    ctx,
+                )
+            return streams.promise_object(str(value), force=bool(ctx.params.get("force")))
         if os.fspath(value) != STREAM or streams is None or ctx is None:
             return Path(os.fsdecode(super().convert(value, param, ctx)))
         if ctx.meta.get(AS_JSON):
@@ -149,6 +162,10 @@ class StandardStreams:
         self._output: Path | None = None
         self._names: dict[str, str] = {}
         self._urls: dict[Path, str] = {}
+        self._objects: dict[Path, str] = {}
+        self._force = False
+        self._held = ""
+        self._ended = False
 
     def receive(self) -> Path:
         """Read standard input to its end, into a file.
@@ -182,14 +199,18 @@ class StandardStreams:
         CogsplatError
             It cannot be fetched.
         """
+        path = self._standing_for(url, f"url{len(self._urls)}")
+        self._urls[path] = url
+        return path if later else self.fetched(path)
+
+    def _standing_for(self, url: str, folder: str) -> Path:
+        """Return the path of a file in a new folder that is named as that of a URL."""
         # Its own name, since extensions say formats.
         name = PurePosixPath(urlsplit(url).path).name or "scene"
-        folder = self._folder / f"url{len(self._urls)}"
-        folder.mkdir()
-        path = folder / name[-_LONGEST_NAME:]
-        self._urls[path] = url
+        (self._folder / folder).mkdir()
+        path = self._folder / folder / name[-_LONGEST_NAME:]
         self.call(path, shown(url))
-        return path if later else self.fetched(path)
+        return path
 
     def fetched(self, path: Path) -> Path:
         """Return a path, of which the file is there if it stands for a URL."""
@@ -217,6 +238,31 @@ class StandardStreams:
         self.call(self._output, _OUTPUT)
         return self._output
 
+    def promise_object(self, url: str, *, force: bool) -> Path:
+        """Return the file to write that goes to an object store.
+
+        Parameters
+        ----------
+        url : str
+        force : bool
+            Whether an object that is there may be replaced.
+
+        Raises
+        ------
+        TargetExistsError
+            There is one. Exit code 2.
+        CogsplatError
+            The store cannot be asked.
+        """
+        output = ObjectOutput(url)
+        if not force:
+            # Before the work that would fill it.
+            output.require_absent()
+        self._force = force
+        path = self._standing_for(url, f"object{len(self._objects)}")
+        self._objects[path] = url
+        return path
+
     @property
     def is_output_taken(self) -> bool:
         """Whether standard output is for a file, and nothing else may be written to it."""
@@ -227,11 +273,37 @@ class StandardStreams:
         return path == self._output
 
     def send(self) -> None:
-        """Copy what was promised to standard output."""
+        """Copy what was promised to standard output, and to object stores.
+
+        Raises
+        ------
+        CogsplatError
+            A store does not take it.
+        """
         if self._output is not None and self._output.is_file():
             with self._output.open("rb") as file:
                 shutil.copyfileobj(file, sys.stdout.buffer)
             sys.stdout.buffer.flush()
+        for path, url in self._objects.items():
+            # What the named file refers to is there before it.
+            beside = sorted(other for other in path.parent.iterdir() if other != path)
+            start = url[: len(url) - len(PurePosixPath(urlsplit(url).path).name)]
+            for other in beside:
+                ObjectOutput(f"{start}{other.name}").write(other, force=self._force)
+            if path.is_file():
+                ObjectOutput(url).write(path, force=self._force)
+        click.echo(self._held, nl=False)
+
+    def hold_back(self, line: str) -> bool:
+        """Keep a line until what the command wrote is in its store, if it is to go to one."""
+        if self._objects and not self._ended:
+            self._held += f"{line}\n"
+            return True
+        return False
+
+    def end(self) -> None:
+        """Hold nothing back any more: what failed is told at once."""
+        self._ended = True
 
     def call(self, path: Path, name: str) -> None:
         """Let a name stand for a temporary file in what is printed."""
@@ -249,8 +321,11 @@ def standard_streams(ctx: click.Context) -> Iterator[None]:
     """Let the command of a context use ``-``; what it wrote is sent when the block ends well."""
     with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
         streams = ctx.meta[_KEY] = StandardStreams(Path(folder))
-        yield
-        streams.send()
+        try:
+            yield
+            streams.send()
+        finally:
+            streams.end()
 
 
 def is_standard_output(path: Path) -> bool:
@@ -281,6 +356,19 @@ def fetched(path: Path) -> Path:
     """
     streams = _streams(click.get_current_context(silent=True))
     return path if streams is None else streams.fetched(path)
+
+
+def hold_back(line: str) -> bool:
+    """Keep what a program will read until the running command is done, where it may still fail.
+
+    Returns
+    -------
+    bool
+        Whether the line is kept, and printed once what the command wrote is in its store. It is
+        not where nothing goes to a store.
+    """
+    streams = _streams(click.get_current_context(silent=True))
+    return streams is not None and streams.hold_back(line)
 
 
 def call_file(path: Path, name: str) -> None:

@@ -179,6 +179,36 @@ def test_what_is_shared_is_brought_once_and_let_go_of() -> None:
         assert key not in executor._brought
 
 
+def test_few_items_of_a_small_scene_share_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+    small, large = np.ones(1), np.ones(dask_executor._SMALL_BYTES // 8 + 1)
+    with connected("local", workers=2) as executor:
+        submit, tasks = executor._client.submit, []
+
+        def counted(function: Callable[..., object], *words: object, **options: object) -> object:
+            if function is dask_executor._call_all:
+                tasks.append(function)
+            return submit(function, *words, **options)
+
+        monkeypatch.setattr(executor._client, "submit", counted)
+        for items, count, shared, expected in (
+            (range(7), 7, small, 2),
+            (range(9), 9, small, 4),
+            (range(1), 1, small, 1),
+            (range(40), 40, small, 40),
+            (range(7), 7, large, 7),
+            (iter(range(7)), 7, small, 7),
+            (range(0), 0, small, 0),
+        ):
+            tasks.clear()
+            found = list(executor.map(_first_times, items, shared))
+            assert found == [float(item) for item in range(count)]
+            assert len(tasks) == expected
+
+
+def _first_times(item: int, shared: np.ndarray) -> float:
+    return float(shared[0] * item)
+
+
 def test_errors_of_the_work_come_back_as_they_are() -> None:
     with connected("local", workers=1) as executor:
         found = executor.map(_refuse, [1, -1])
