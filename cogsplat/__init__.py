@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from .codec.encode.config import EncodeConfig as EncodeConfig
     from .codec.encode.encoded import EncodedScene
     from .codec.encode.encoded import EncodeReport as EncodeReport
+    from .codec.encode.opening import Opening
     from .codec.encode.rate_control import Target as Target
     from .codec.scoring.contribution import ScoreConfig, Scores
     from .codec.workspace import Workspace
@@ -288,6 +289,7 @@ def encode(
     target_size: int | str | None = None,
     target: Target | None = None,
     preset: str = "balanced",
+    opening: float | None = None,
     stored_cameras: Sequence[Camera] = (),
     test_views: Sequence[Camera] | None = None,
     memory: int | str | None = None,
@@ -325,6 +327,10 @@ def encode(
     preset : str
         One of `codec.encode.presets.PRESETS`: how many views are looked at, and how much work goes
         into the order by marginal gain and into compensation.
+    opening : float, optional
+        Share of the file's bytes, such as 0.02, that goes into splats which stand for the whole
+        scene until more of it has come: the first bytes show far more, and the whole file grows by
+        this share (`codec.fit.opening`).
     stored_cameras : sequence of Camera
         Stored in the file for its readers; nothing else depends on them.
     test_views : sequence of Camera, optional
@@ -363,7 +369,8 @@ def encode(
     ValueError
         An unknown preset; more than one of quality, PSNR and size; a target for the profile
         `near-lossless`; a PSNR as target with no views
-        to measure it in; `scores` without cameras for an order that renders.
+        to measure it in; `scores` without cameras for an order that renders; an opening that
+        nothing is compensated with, or with cells, objects or `memory`.
 
     Examples
     --------
@@ -427,6 +434,7 @@ def encode(
                 jitter=score_config is None or score_config.jitter,
                 scored=scores is not None,
                 target=aim,
+                opening=opening is not None,
             )
             progress = WholeProgress(costs, progress, whole)
         encoded = pipeline.encode(
@@ -439,6 +447,7 @@ def encode(
             target=aim,
             test_views=test_views or (),
             size_of=size_of,
+            opening=_opening(opening, config.threads),
             workspace=workspace,
             executor=executor,
             progress=progress,
@@ -462,6 +471,15 @@ def encode(
         seconds={**report.seconds, **writing.seconds},
         cpu_seconds={**report.cpu_seconds, **writing.cpu_seconds},
     )
+
+
+def _opening(share: float | None, threads: int) -> Opening | None:
+    """Return what makes an opening of a share of the file; None where none is asked for."""
+    if share is None:
+        return None
+    from .codec.fit.opening import OpeningConfig, TrainedOpening
+
+    return TrainedOpening(OpeningConfig(share=share, threads=threads))
 
 
 def _byte_count(memory: int | str | None) -> int | None:

@@ -155,11 +155,12 @@ DOORS: dict[str, dict[str, str]] = {
         "scalar_kmeans": "nearest_scalars train_scalars",
     },
     "codec.encode": {
-        "compensation_fit": "blank compensated",
+        "compensation_fit": "blank compensated plan_layers usual_errors",
         "config": "Ablation EncodeConfig MAX_QUALITY_DB MIN_QUALITY_DB",
         "encoded": "EncodeReport EncodedChunk EncodedCodebook EncodedLevel EncodedScene",
         "encoder": "encode_chunks",
         "needed_kernels": "needed_kernels",
+        "opening": "Opening with_first_chunks",
         "pipeline": "SizeOf encode",
         "prefix_quality": "PrefixEvaluator predicted",
         "prepared": "PreparedScene prepare",
@@ -175,6 +176,7 @@ DOORS: dict[str, dict[str, str]] = {
         "levels": (
             "LevelledSplats LevelsConfig averaged scaled_camera train_for_all_scales train_levels"
         ),
+        "opening": "OpeningConfig TrainedOpening",
         "trainer": "TrainConfig",
         "tuning": "Milestone State TuneConfig tune",
     },
@@ -200,7 +202,7 @@ DOORS: dict[str, dict[str, str]] = {
             "FIRST_VIEW FRUSTUM ORDERS OrderConfig POSE_RULES Unordered needs_scores order_rows "
             "require_order split_name"
         ),
-        "prefix_inflation": "effective_splats typical",
+        "prefix_inflation": "Inflation effective_splats inflate typical",
     },
     "codec.partition": {
         "basic_cuboids": "BasicCuboids basic_cuboids",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -81,6 +81,8 @@ def arriving(encoded: EncodedScene, prefixes: Sequence[int], most_splats: int) -
     Returns
     -------
     list of Splats
+        Of all their chunks; splats of those that have ended have a logit of minus infinity, with
+        which nothing is drawn.
     """
     ends = np.concatenate([[0], np.cumsum([chunk.splats for chunk in encoded.chunks])])
     runs = [slice(*pair) for pair in pairwise(ends.tolist())]
@@ -99,8 +101,23 @@ def arriving(encoded: EncodedScene, prefixes: Sequence[int], most_splats: int) -
                         getattr(prefix, name)[run] = getattr(coarse, name)[run]
                 if number not in state.tailed:
                     prefix.shN[run] = 0.0
-        found.append(prefix)
+        found.append(_without_ended(prefix, encoded, chunks, runs))
     return found
+
+
+def _without_ended(
+    prefix: Splats, encoded: EncodedScene, chunks: int, runs: Sequence[slice]
+) -> Splats:
+    """Return a prefix that shows nothing of chunks that have ended (SPEC 5.10)."""
+    ended = [
+        run for run, chunk in zip(runs, encoded.chunks, strict=True) if 0 < chunk.until <= chunks
+    ]
+    if not ended:
+        return prefix
+    opacities = prefix.opacities.copy()
+    for run in ended:
+        opacities[run] = -np.inf
+    return replace(prefix, opacities=opacities)
 
 
 def _heads(encoded: EncodedScene, runs: Sequence[slice]) -> Splats:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.order import prefix_inflation
+from cogsplat.codec.order.prefix_inflation import Inflation
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring.reference_views import ReferenceViews
@@ -91,6 +92,7 @@ def fit(
     config: FitConfig | None = None,
     *,
     prefixes: Sequence[Splats] | None = None,
+    inflations: Sequence[Inflation] | None = None,
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Compensation:
@@ -110,6 +112,9 @@ def fit(
     prefixes : sequence of Splats, optional
         Of each layer (`plan_layers`), as they are drawn where nothing is added to them; those of
         `splats` where this is not given.
+    inflations : sequence of Inflation, optional
+        What the fit of each layer begins with; the typical inflation of its prefix where this is
+        not given.
     executor : Executor, optional
         What runs the work of single views; threads of this process where it is not given.
     progress : Progress
@@ -137,7 +142,12 @@ def fit(
     ends = np.cumsum(counts)
     if prefixes is None:
         prefixes = [splats.take(slice(0, int(ends[chunks - 1]))) for chunks in layers]
-    optimiser = ShiftOptimiser(prefixes, chunk_splats, layers, effective_splats, config, executor)
+    if inflations is None:
+        sizes = [int(ends[chunks - 1]) for chunks in layers]
+        inflations = [prefix_inflation.typical(size / effective_splats) for size in sizes]
+    optimiser = ShiftOptimiser(
+        prefixes, chunk_splats, layers, inflations, effective_splats, config, executor
+    )
     every = [_iterations_between(int(ends[chunks - 1])) for chunks in layers]
     total = config.iterations * len(layers)
     progress("compensate", 0, total)
@@ -194,11 +204,9 @@ def compensated(
     progress("compensate", 0, config.iterations * len(layers))
     # The order of the segments says what is there of each prefix. It follows from errors, and those
     # of the fitted compensation would put segments into places that are no better.
-    start = usual(counts, effective_splats)
-    prefix_mse = errors(
-        start, splats, references, views=_MEASURED_VIEWS * config.views, executor=executor
-    )
-    encoded = replace(encoded, prefix_mse=prefix_mse)
+    if encoded.prefix_mse is None:
+        prefix_mse = usual_errors(encoded, references, effective_splats, config, executor=executor)
+        encoded = replace(encoded, prefix_mse=prefix_mse)
     found = fit(
         splats,
         counts,
@@ -206,10 +214,61 @@ def compensated(
         effective_splats,
         config,
         prefixes=arriving(encoded, layers, _LONG_LAYER),
+        inflations=[_beginning(encoded, chunks, effective_splats) for chunks in layers],
         executor=executor,
         progress=progress,
     )
     return replace(encoded, compensation=found)
+
+
+def _beginning(encoded: EncodedScene, chunks: int, effective_splats: int) -> Inflation:
+    """Return what the fit of a prefix begins with: its typical inflation.
+
+    A prefix that draws a chunk which ends later shows the whole scene already.
+    """
+    own = encoded.chunks[:chunks]
+    if any(chunk.until > chunks for chunk in own):
+        return Inflation(0.0, 0.0)
+    size = sum(chunk.splats for chunk in own if not chunk.until)
+    return prefix_inflation.typical(size / effective_splats)
+
+
+def usual_errors(
+    encoded: EncodedScene,
+    references: ReferenceViews,
+    effective_splats: int,
+    config: FitConfig | None = None,
+    *,
+    executor: Executor | None = None,
+) -> F64:
+    """Measure how far prefixes with the typical inflation are from the whole.
+
+    Parameters
+    ----------
+    encoded : EncodedScene
+    references : ReferenceViews
+    effective_splats : int
+        Of the source (`prefix_inflation.effective_splats`).
+    config : FitConfig, optional
+    executor : Executor, optional
+        What runs the work of single views; threads of this process where it is not given.
+
+    Returns
+    -------
+    (c + 1,) float64
+        As `errors`. Chunks that end are left out of the pictures, and make no difference.
+    """
+    config = config or FitConfig()
+    stay = np.array([not chunk.until for chunk in encoded.chunks])
+    counts = np.array([chunk.splats for chunk in encoded.chunks])
+    splats = encoded.decoded
+    if not stay.all():
+        splats = splats.take(np.repeat(stay, counts))
+    start = usual(counts[stay].tolist(), effective_splats)
+    views = _MEASURED_VIEWS * config.views
+    found = errors(start, splats, references, views=views, executor=executor)
+    each: F64 = found[np.concatenate([[0], np.cumsum(stay)])]
+    return each
 
 
 def usual(chunk_splats: Sequence[int], effective_splats: int) -> Compensation:

@@ -214,6 +214,21 @@ class EncodedScene:
     view_table: ViewTable | None = None
     compressed: bool = True
 
+    def drawn(self, chunks: int) -> Splats:
+        """Return the decoded rows that the prefix of the first chunks draws (SPEC 5.10).
+
+        Parameters
+        ----------
+        chunks : int
+            From 0 to all.
+        """
+        own = self.chunks[:chunks]
+        rows = self.decoded.take(slice(0, sum(chunk.splats for chunk in own)))
+        ended = [0 < chunk.until <= chunks for chunk in own]
+        if not any(ended):
+            return rows
+        return rows.take(~np.repeat(ended, [chunk.splats for chunk in own]))
+
     def placed(self) -> list[Place]:
         """Return the segments that splats need in the order of the file, shape codebooks aside."""
         if self.prefix_mse is None:

@@ -36,6 +36,7 @@ from .compensation_fit import blank, compensated
 from .config import EncodeConfig
 from .encoded import EncodedScene, EncodeReport
 from .encoder import compress_chunks, encode_chunks
+from .opening import Opening
 from .prefix_quality import PrefixEvaluator, predicted, whole_measured
 from .prepared import PreparedScene, prepare
 from .presets import DEFAULT_PRESET, PRESETS, Preset
@@ -63,6 +64,7 @@ def encode(
     target: Target | None = None,
     test_views: Sequence[Camera] = (),
     size_of: SizeOf | None = None,
+    opening: Opening | None = None,
     workspace: Workspace = IN_MEMORY,
     executor: Executor | None = None,
     progress: Progress = silent,
@@ -92,6 +94,8 @@ def encode(
         or some of `cameras`.
     size_of : callable, optional
         Needed for a size as target.
+    opening : Opening, optional
+        Makes first chunks that stand for the whole scene until more of it has come.
     workspace : Workspace
         Where arrays as long as the scene are kept, and whether several views are drawn at once.
     executor : Executor, optional
@@ -100,8 +104,8 @@ def encode(
     progress : Progress
         Called with the stages ``plan views``, ``score``, ``reference views``, those of the order,
         ``order``, ``codebooks``, ``quantisers``, ``chunks``, ``search`` around these where there
-        may be several encodes, ``view table``, ``compensate`` and ``predict``. Those of a single
-        step report it when it is done.
+        may be several encodes, ``view table``, ``opening``, ``compensate`` and ``predict``. Those
+        of a single step report it when it is done.
 
     Returns
     -------
@@ -117,7 +121,8 @@ def encode(
         ``target-out-of-reach``.
     ValueError
         The order ``gain`` with scores and no cameras; a target for the profile ``near-lossless``;
-        a PSNR as target and no views to measure it in; a size without `size_of`.
+        a PSNR as target and no views to measure it in; a size without `size_of`; an opening where
+        no compensation is fitted, with cells, chunks by object or a workspace in files.
 
     Examples
     --------
@@ -130,6 +135,8 @@ def encode(
     (1, 100)
     """
     _require_consistent(config, cameras, scores, target, size_of)
+    if opening is not None:
+        _require_room_for_opening(config, workspace)
     if executor is not None and not workspace.views_at_once:
         raise ValueError("an executor and a workspace in files, expected one of them")
     timed = TimedProgress(progress)
@@ -172,6 +179,8 @@ def encode(
         # There are no pictures to fit it to, so nothing may count on it.
         config = replace(config, compensate=False)
     fits = config.compensate and config.profile != "near-lossless"
+    if opening is not None and not fits and len(splats):
+        raise ValueError("an opening and no views to compensate in, expected cameras")
     # With arrays in files, one view is worked on after the other, as in scoring.
     by_view = executor if workspace.views_at_once else LocalThreads(1)
     references = None
@@ -201,8 +210,9 @@ def encode(
     timed("order", 1, 1)
     table_views = views if config.cells and config.view_table else []
     finishing = _Finishing(
-        prepared, references if fits else None, tests or views, table_views, preset, executor, timed
-    )
+        prepared, references if fits else None, tests or views, table_views, preset, opening,
+        executor, timed,
+    )  # fmt: skip
     if target is None and report.views == "planned" and config.profile != "near-lossless":
         hit = to_nominal(finishing.measured, config.quality_db, _mean_test_psnr_db, progress=timed)
         hit = replace(hit, encoded=finishing.finish(hit.encoded))
@@ -266,6 +276,16 @@ def _require_consistent(
         raise ValueError("a size as target without size_of, expected what measures a file")
 
 
+def _require_room_for_opening(config: EncodeConfig, workspace: Workspace) -> None:
+    """Refuse what an opening cannot stand in: it is of all cells and objects, and in memory."""
+    if not config.compensate or config.profile == "near-lossless":
+        raise ValueError("an opening without compensation, expected a profile that compensates")
+    if config.cells or config.ordering.by_object:
+        raise ValueError("an opening with cells or objects, expected one of them")
+    if not workspace.views_at_once:
+        raise ValueError("an opening and a workspace in files, expected one of them")
+
+
 def _planned(
     splats: Splats,
     config: EncodeConfig,
@@ -301,6 +321,7 @@ class _Finishing:
         Views that a view table is made of; empty where there is none.
     preset : Preset
         How many of these are rendered, and how long compensation is fitted.
+    opening : Opening or None
     executor : Executor or None
     progress : Progress
     """
@@ -310,6 +331,7 @@ class _Finishing:
     test_views: Sequence[Camera]
     table_views: Sequence[Camera]
     preset: Preset
+    opening: Opening | None
     executor: Executor | None
     progress: Progress
 
@@ -346,7 +368,10 @@ class _Finishing:
         return whole_measured(encoded, self.evaluator)
 
     def finish(self, encoded: EncodedScene) -> EncodedScene:
-        """Return a scene with compensation, a view table and predicted quality, all compressed."""
+        """Return a scene with all that is added to its chunks, all compressed.
+
+        That is a view table, an opening, compensation and predicted quality.
+        """
         at_once = self.prepared.workspace.views_at_once
         encoded = compress_chunks(
             encoded, self.prepared.config, executor=self.executor, progress=self.progress
@@ -359,6 +384,14 @@ class _Finishing:
                 progress=self.progress,
             )
         if self.references is not None:
+            if self.opening is not None:
+                contribution = self.prepared.scores.contribution
+                encoded = self.opening.added(
+                    encoded,
+                    self.references,
+                    effective_splats(contribution),
+                    progress=self.progress,
+                )
             encoded = compensated(
                 encoded,
                 self.references,
@@ -379,6 +412,8 @@ class _Finishing:
     def foresee(self, encoded: EncodedScene) -> EncodedScene:
         """Return a scene that takes the bytes of the finished one, without fitting anything."""
         if self.references is not None:
+            if self.opening is not None:
+                encoded = self.opening.foreseen(encoded)
             counts = [chunk.splats for chunk in encoded.chunks]
             carriers = effective_splats(self.prepared.scores.contribution)
             encoded = replace(encoded, compensation=blank(counts, carriers, self.fit))

@@ -112,6 +112,16 @@ class PrefixEvaluator:
             for number, pixels in zip(numbers, found, strict=True)
         ]
 
+    def _prefix_db(
+        self, encoded: EncodedScene, chunks: int, views: Sequence[int] | None
+    ) -> list[float]:
+        """Return the PSNR of the first chunks in each view, dB."""
+        if any(chunk.until for chunk in encoded.chunks):
+            return self.views_db(encoded.drawn(chunks), views)
+        # One object for all prefixes, which an executor hands to its workers once.
+        size = sum(chunk.splats for chunk in encoded.chunks[:chunks])
+        return self.views_db(encoded.decoded, views, size=size)
+
     def prefixes_db(
         self,
         encoded: EncodedScene,
@@ -146,15 +156,14 @@ class PrefixEvaluator:
             if chunks == len(counts) and whole_db is not None:
                 values.append(whole_db)
             else:
-                size = sum(counts[:chunks])
-                values.append(float(np.mean(self.views_db(encoded.decoded, views, size=size))))
+                values.append(float(np.mean(self._prefix_db(encoded, chunks, views))))
             progress("predict", done, len(measured))
         return [float(x) for x in interpolated(counts, measured, np.array(values))]
 
 
 def whole_measured(encoded: EncodedScene, evaluator: PrefixEvaluator) -> EncodedScene:
     """Return an encoded scene whose report has the PSNR of the whole in each view."""
-    values = tuple(evaluator.views_db(encoded.decoded))
+    values = tuple(evaluator.views_db(encoded.drawn(len(encoded.chunks))))
     return replace(encoded, report=replace(encoded.report, test_psnr_db=values))
 
 

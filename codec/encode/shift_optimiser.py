@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.clustering import few_rows
 from cogsplat.codec.executor import Executor
-from cogsplat.codec.order import prefix_inflation
+from cogsplat.codec.order.prefix_inflation import Inflation
 from cogsplat.codec.render.gradients import Gradient, gradient
 from cogsplat.codec.render.shading import row_colours
 from cogsplat.codec.scoring.reference_views import ReferenceViews
@@ -141,6 +141,8 @@ class ShiftOptimiser:
         Splats of each chunk of the scene.
     layers : sequence of int
         Chunks of each layer's prefix, ascending.
+    inflations : sequence of Inflation
+        What the shifts of all chunks of each layer begin with.
     effective_splats : int
         Of the source (`prefix_inflation.effective_splats`).
     config : FitConfig
@@ -153,6 +155,7 @@ class ShiftOptimiser:
         prefixes: Sequence[Splats],
         chunk_splats: Sequence[int],
         layers: Sequence[int],
+        inflations: Sequence[Inflation],
         effective_splats: int,
         config: FitConfig,
         executor: Executor,
@@ -179,9 +182,8 @@ class ShiftOptimiser:
         self._drawn = np.empty((size, 3), np.float32), np.empty(size, np.float32)
         self._chunk_shifts = np.zeros((len(layers), chunks, 2))
         self._strengths = np.zeros((len(layers), chunks, 2))
-        for number, (count, size) in enumerate(zip(layers, self._sizes, strict=True)):
-            usual = prefix_inflation.typical(size / effective_splats)
-            self._chunk_shifts[number, :count] = usual.scales, usual.opacities
+        for number, (count, by) in enumerate(zip(layers, inflations, strict=True)):
+            self._chunk_shifts[number, :count] = by.scales, by.opacities
             self._strengths[number, :count] = _FADE ** (number - self._first_layer[:count])[:, None]
         self._chunk_steps = Adam(self._chunk_shifts.shape, _CHUNK_RATES)
         self._strength_steps = Adam(self._strengths.shape, _STRENGTH_RATES)

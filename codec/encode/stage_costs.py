@@ -44,6 +44,7 @@ _COMPENSATE: Final = (1.35, 3.7e-5)
 _VIEW_TABLE: Final = (1.4e-7, 4e-7)
 # The first prefix of the order by gain, as a share of the scene.
 _FIRST_PREFIX: Final = 1 / 8000
+_OPENING: Final = 12.0
 _ORDER: Final = (1e-3, 7e-8)
 _QUANTISERS: Final = (0.2, 2e-6)
 _CHUNKS: Final = (0.05, 2e-5)
@@ -67,6 +68,7 @@ def stage_costs(
     jitter: bool = True,
     scored: bool = False,
     target: Target | None = None,
+    opening: bool = False,
 ) -> list[StageCost]:
     """Return what the stages of an encode will cost, in their order.
 
@@ -84,6 +86,8 @@ def stage_costs(
         Whether scores are there already.
     target : Target, optional
         What is searched for.
+    opening : bool
+        Whether an opening is trained.
 
     Returns
     -------
@@ -128,6 +132,8 @@ def stage_costs(
     if seen and config.cells and config.view_table:
         drawn = min(views, MOST_CAMERAS)
         costs.append(StageCost("view table", _of_view(_VIEW_TABLE, PIXELS, splats), drawn))
+    if seen and fits and opening:
+        costs.append(StageCost("opening", _OPENING * preset.reference_pixels / PICTURE_PIXELS))
     if seen and fits:
         costs.append(_fitted(splats, preset))
     if seen:

@@ -103,6 +103,7 @@ _GROUPS: Final = {
         "--no-prune",
         "--no-refine",
         "--no-compensation",
+        "--opening",
         "--no-extras",
         "--store-cameras",
         "--chunk-splats",
@@ -190,6 +191,13 @@ _GROUPS: Final = {
     help="Store no prefix compensation; order for prefixes that are drawn without it.",
 )
 @click.option(
+    "--opening",
+    type=click.FloatRange(0, 0.5, min_open=True),
+    metavar="SHARE",
+    help="Spend so much more, 0.02 of the file, on splats that are trained to stand for the whole "
+    "scene until more of it has come. The first bytes show far more.",
+)
+@click.option(
     "--prune",
     type=click.FloatRange(0, 1, max_open=True),
     show_default="0.06",
@@ -255,6 +263,7 @@ def encode(
     no_morton: bool,
     no_refine: bool,
     no_compensation: bool,
+    opening: float | None,
     prune: float | None,
     no_prune: bool,
     no_extras: bool,
@@ -296,6 +305,16 @@ def encode(
         raise click.UsageError("--cells with chunks of 1 splat, expected at least 2")
     if cells and choice.by_object:
         raise click.UsageError("--cells and --objects: expected one of them")
+    if opening is not None:
+        _require_room_for_opening(
+            {
+                "--no-compensation": no_compensation,
+                "--profile near-lossless": profile == "near-lossless",
+                "--cells": cells,
+                "--objects": choice.by_object,
+                "--memory": memory is not None,
+            }
+        )
     if store_cameras and cameras is None:
         raise click.UsageError("--store-cameras without --cameras, expected cameras to store")
     _require_one_aim(profile, target_psnr, target_size)
@@ -365,8 +384,9 @@ def encode(
             raise click.UsageError("--target-size of 0 bytes, expected at least 1")
         target = None if target_psnr is None and aimed is None else Target(target_psnr, aimed)
         costs = stage_costs(
-            len(splats), config, chosen, cameras=views, jitter=not no_jitter, target=target
-        )
+            len(splats), config, chosen, cameras=views, jitter=not no_jitter, target=target,
+            opening=opening is not None,
+        )  # fmt: skip
         if evaluation is not None:
             costs += evaluation.stage_costs()
         stages.plan(costs)
@@ -382,6 +402,7 @@ def encode(
             score_config=score_config,
             target=target,
             preset=preset,
+            opening=opening,
             stored_cameras=list(numbered or []) if store_cameras else [],
             test_views=measured_in(numbered, eval_every) if cameras and numbered else None,
             workspace=workspace,
@@ -438,6 +459,13 @@ def encode(
     if evaluation is not None:
         tell_attributes(sizes, file)
         evaluation.tell(qualities)
+
+
+def _require_room_for_opening(others: dict[str, bool]) -> None:
+    """Refuse options that an opening cannot be made with."""
+    for option, given in others.items():
+        if given:
+            raise click.UsageError(f"--opening and {option}: expected one of them")
 
 
 def _require_one_aim(

@@ -8,7 +8,10 @@ from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.encode.stage_costs import order_costs, render_cost, score_cost, stage_costs
+from cogsplat.codec.fit.opening import OpeningConfig, TrainedOpening
 from cogsplat.codec.progress import WholeProgress
+
+SHORT = OpeningConfig(share=0.1, round_steps=2, storing_steps=2, threads=1)
 
 
 def views(count):
@@ -16,15 +19,17 @@ def views(count):
 
 
 @pytest.mark.parametrize(
-    ("preset", "given", "target", "profile"),
+    ("preset", "given", "target", "profile", "opening"),
     [
-        ("balanced", True, None, "transform"),
-        ("fast", True, Target(psnr_db=35.0), "vq"),
-        ("fast", True, Target(size_bytes=6000), "transform"),
-        ("fast", False, None, "vq"),
+        ("balanced", True, None, "transform", None),
+        ("balanced", True, None, "transform", TrainedOpening(SHORT)),
+        ("fast", True, Target(psnr_db=35.0), "vq", None),
+        ("fast", True, Target(psnr_db=35.0), "vq", TrainedOpening(SHORT)),
+        ("fast", True, Target(size_bytes=6000), "transform", None),
+        ("fast", False, None, "vq", None),
     ],
 )
-def test_the_stages_are_those_that_an_encode_reports(preset, given, target, profile):
+def test_the_stages_are_those_that_an_encode_reports(preset, given, target, profile, opening):
     splats = oracle.scene(5, n=300)
     chosen = PRESETS[preset]
     config = EncodeConfig(
@@ -33,7 +38,9 @@ def test_the_stages_are_those_that_an_encode_reports(preset, given, target, prof
         threads=1,
     )
     cameras = views(4) if given else None
-    costs = stage_costs(len(splats), config, chosen, cameras=cameras, target=target)
+    costs = stage_costs(
+        len(splats), config, chosen, cameras=cameras, target=target, opening=opening is not None
+    )
     shares, stages = [], []
     whole = WholeProgress(costs, lambda stage, *_: stages.append(stage), shares.append)
     pipeline.encode(
@@ -43,6 +50,7 @@ def test_the_stages_are_those_that_an_encode_reports(preset, given, target, prof
         preset=chosen,
         target=target,
         size_of=lambda encoded: 20 * encoded.splats,
+        opening=opening,
         progress=whole,
     )
     whole("write", 1, 1)

@@ -104,3 +104,41 @@ def test_a_size_as_target_holds_with_compensation(
     assert 39000 < out.stat().st_size <= 40000
     with cogsplat.open(out) as file:
         assert file.compensation().layers
+
+
+@pytest.mark.slow
+def test_an_opening_stands_in_the_first_chunks_alone(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    plain, opened = tmp_path / "plain.cogs", tmp_path / "opened.cogs"
+    words = ["--cameras", small.cameras, "--preset", "fast", "-q"]
+    for path, more in ((plain, []), (opened, ["--opening", 0.05])):
+        told = run("encode", small.ply, path, *words, *more)
+        assert told.code == 0, told.err
+    assert 1.0 < opened.stat().st_size / plain.stat().st_size < 1.08
+    with cogsplat.open(opened) as file:
+        file.verify()
+        ending = file.chunks.until > 0
+        assert ending.any()
+        shown = int(file.chunks.splats[ending].sum())
+        first = file.decode(range(int(ending.sum())), compensate=True)
+    assert len(first) == shown
+    with cogsplat.open(plain) as file:
+        whole = file.decode()
+    np.testing.assert_array_equal(cogsplat.decode(opened).means, whole.means)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--no-compensation"],
+        ["--cells"],
+        ["--profile", "near-lossless"],
+        ["--memory", "4GiB"],
+    ],
+)
+def test_what_an_opening_cannot_stand_in_is_misuse(
+    run: Run, small: SmallScene, tmp_path: Path, words: list[str]
+) -> None:
+    told = run("encode", small.ply, tmp_path / "a.cogs", "--opening", 0.02, *words)
+    assert (told.code, "--opening and" in told.err) == (2, True)
