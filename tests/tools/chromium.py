@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.metrics import psnr
 from cogsplat.formats.storage.images import decode_image
 
 # Rendered in software, whatever the machine: WebGL 2 by SwiftShader.
@@ -23,6 +24,8 @@ _ARGUMENTS: Final = (
 )
 # Software pictures on a busy machine take seconds.
 PATIENCE_MS: Final = 60_000
+# Pictures that are looked at until one is as it should be.
+_ATTEMPTS: Final = 60
 
 # The policy of the page forbids style elements, not sheets that scripts make; a shadow root has
 # sheets of its own.
@@ -125,3 +128,16 @@ def picture(page: Page) -> NDArray[np.float32]:
     page.evaluate("() => window.restorePage()")
     pixels: NDArray[np.float32] = decode_image(data, "PNG")[..., :3].astype(np.float32) / 255
     return pixels
+
+
+def shows(page: Page, ours: NDArray[np.float32], least_db: float) -> float:
+    """Wait until the canvas shows a picture; return how much it is like ours at the end, dB."""
+    found = 0.0
+    for _ in range(_ATTEMPTS):
+        wait_until(page, "s.upToDate || s.state === 'failed'")
+        found = psnr(picture(page), ours)
+        if found >= least_db:
+            break
+        # Refinements and tails that came with the last bytes are still being decoded.
+        page.wait_for_timeout(200)
+    return found

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import look_from, picture, wait_until
+from chromium import look_from, picture, shows, wait_until
 from faulty_server import FaultyServer
 from numpy.typing import NDArray
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
@@ -28,7 +28,6 @@ SAME_DB = 38.0
 """What a picture must have against our own render of the same data."""
 RECOGNISABLE_DB = 24.0
 """What a picture must have against our own render of the whole, to be recognised."""
-ATTEMPTS = 60
 
 
 @dataclass(frozen=True)
@@ -67,19 +66,6 @@ def fox(tmp_path_factory: pytest.TempPathFactory) -> Shown:
     return Shown(path, cameras[8], 0.12)
 
 
-def shows(page: Page, ours: NDArray[np.float32], least_db: float = SAME_DB) -> float:
-    """Wait until the canvas shows a picture; return how much it is like ours at the end, dB."""
-    found = 0.0
-    for _ in range(ATTEMPTS):
-        wait_until(page, "s.upToDate || s.state === 'failed'")
-        found = psnr(picture(page), ours)
-        if found >= least_db:
-            break
-        # Refinements and tails that came with the last bytes are still being decoded.
-        page.wait_for_timeout(200)
-    return found
-
-
 @pytest.mark.parametrize("scene", ["terrace", pytest.param("fox", marks=pytest.mark.shared)])
 def test_pictures_equal_our_renders_as_bytes_arrive(
     browser: Browser, request: pytest.FixtureRequest, scene: str
@@ -96,7 +82,7 @@ def test_pictures_equal_our_renders_as_bytes_arrive(
         look_from(page, shown.camera)
         for size_bytes in sorted({16 << 10, recognisable, 64 << 10, 256 << 10, total}):
             server.hold_at(size_bytes)
-            found = shows(page, shown.drawn(size_bytes))
+            found = shows(page, shown.drawn(size_bytes), SAME_DB)
             assert found >= SAME_DB, f"{size_bytes} of {total} bytes"
             if size_bytes == recognisable:
                 assert psnr(picture(page), whole) >= RECOGNISABLE_DB

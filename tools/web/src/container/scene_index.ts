@@ -186,7 +186,7 @@ export class SceneIndex {
   }
 
   /** The levels that draw a chunk. */
-  private levelsOf(chunk: number): number[] {
+  levelsOf(chunk: number): number[] {
     const until = this.chunks.until[chunk]!;
     const { levels } = this.scene;
     return [...levels.keys()].filter((k) => levels[k]!.chunks > chunk && (until === 0 || levels[k]!.chunks < until));

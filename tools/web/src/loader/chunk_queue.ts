@@ -18,8 +18,8 @@ export interface DecodeOptions {
 interface Given {
   readonly tail: boolean;
   readonly refined: boolean;
-  /** Segment of the opacities, undefined for the head's. */
-  readonly opacities: number | undefined;
+  /** Of how many later levels opacities were there. */
+  readonly opacities: number;
 }
 
 /**
@@ -86,6 +86,15 @@ export class ChunkQueue {
     return segment === undefined ? [] : [segment];
   }
 
+  /** The opacities of a chunk that have come: of packed chunks those of all levels, else the last. */
+  private opacitiesHere(chunk: number): { readonly count: number; readonly payloads: readonly (Uint8Array | undefined)[] | undefined } {
+    const { format, level } = this.options;
+    const all = this.opacities(chunk).map((segment) => this.payloads.get(segment));
+    const here = all.filter((payload) => payload !== undefined);
+    const ofLevels = format === "packed" && level === undefined && this.index.scene.levels.length > 0;
+    return { count: here.length, payloads: ofLevels ? all : here.length > 0 ? here.slice(-1) : undefined };
+  }
+
   /** Whether a segment has come. */
   has(segment: number): boolean {
     return this.payloads.has(segment) || this.codebooks.has(segment);
@@ -133,11 +142,11 @@ export class ChunkQueue {
     }
     const withTail = degree > 0 && tail >= 0 && this.ready(tail, degree);
     const refined = refinement >= 0 && this.payloads.has(refinement);
-    const opacities = this.opacities(chunk).filter((segment) => this.payloads.has(segment)).at(-1);
+    const opacities = this.opacitiesHere(chunk);
     const before = this.given.get(chunk);
     // A page that is not known yet may bring a tail or a refinement.
     const final = this.index.complete && this.missing(chunk).length === 0;
-    if (before !== undefined && before.tail === withTail && before.refined === refined && before.opacities === opacities) {
+    if (before !== undefined && before.tail === withTail && before.refined === refined && before.opacities === opacities.count) {
       if (final) this.close(chunk);
       return;
     }
@@ -146,7 +155,7 @@ export class ChunkQueue {
     const kept = this.heads.take(chunk);
     const tailPayload = withTail ? this.payloads.get(tail)! : undefined;
     const isTailAlone =
-      kept !== undefined && tailPayload !== undefined && before?.refined === refined && before.opacities === opacities;
+      kept !== undefined && tailPayload !== undefined && before?.refined === refined && before.opacities === opacities.count;
     const payloads = isTailAlone
       ? { chunk, tail: tailPayload }
       : {
@@ -154,9 +163,9 @@ export class ChunkQueue {
           head: this.payloads.get(head)!,
           tail: tailPayload,
           refinement: refined ? this.payloads.get(refinement)! : undefined,
-          opacities: opacities === undefined ? undefined : this.payloads.get(opacities)!,
+          opacities: opacities.payloads,
         };
-    this.given.set(chunk, { tail: withTail, refined, opacities });
+    this.given.set(chunk, { tail: withTail, refined, opacities: opacities.count });
     if (final) this.close(chunk);
     this.service
       .decode({ payloads, rows, needs: { head: needs[head]!, tail: withTail ? needs[tail]! : 0 }, degree, format, ranges })

@@ -6,7 +6,7 @@ import { addressTable } from "../streams/step_model.js";
 import { readHead, readOpacities, type HeadColumns } from "./chunk_head.js";
 import { readTail, shnFloats, writeShn, type TailSource } from "./chunk_tail.js";
 import { Codebooks } from "./codebooks.js";
-import { SH_WORDS, type PackedSplats, type PackRanges } from "./packed_splats.js";
+import { packedOpacities, SH_WORDS, type PackedSplats, type PackRanges } from "./packed_splats.js";
 import type { Splats } from "./splats.js";
 
 /** The payloads of one chunk. */
@@ -14,8 +14,8 @@ export interface ChunkPayloads {
   readonly chunk: number;
   readonly head: Uint8Array;
   readonly refinement?: Uint8Array | undefined;
-  /** Opacities of a later level. */
-  readonly opacities?: Uint8Array | undefined;
+  /** Opacities of later levels, in the order of the levels; the splats have the last ones that are there. */
+  readonly opacities?: readonly (Uint8Array | undefined)[] | undefined;
   readonly tail?: Uint8Array | undefined;
 }
 
@@ -65,10 +65,11 @@ export class ChunkDecoder {
    * @param rows - Splats of the chunk.
    * @param needs - Codebooks that head and tail need.
    * @param degree - SH degree wanted, at most the scene's.
+   * @param use - Is given addresses: of the head's columns, and of opacities level by level, the head's first.
    */
   withChunk<T>(
     payloads: ChunkPayloads, rows: number, needs: { readonly head: number; readonly tail: number }, degree: number,
-    use: (head: HeadColumns, tail: TailSource | undefined) => T,
+    use: (head: HeadColumns, tail: TailSource | undefined, opacities: readonly (number | undefined)[]) => T,
   ): T {
     const { k, codebooks } = this;
     const mark = k.mark();
@@ -77,12 +78,20 @@ export class ChunkDecoder {
       const refinement = payloads.refinement && new Payload(k, payloads.refinement, rows, "refinement");
       const first = readHead(k, head, refinement, rows, needs.head, codebooks);
       const tail = payloads.tail && degree > 0 ? this.tailOf(payloads.tail, rows, needs.tail, degree) : undefined;
-      const later = payloads.opacities && new Payload(k, payloads.opacities, rows, "opacities");
-      const columns = later ? { ...first, opacities: readOpacities(k, later, first.opacities, rows) } : first;
-      return use(columns, tail);
+      const opacities = [first.opacities, ...(payloads.opacities ?? []).map((payload) => payload && this.laterOpacities(payload, first, rows))];
+      const last = opacities.filter((address) => address !== undefined).at(-1)!;
+      return use({ ...first, opacities: last }, tail, opacities);
     } finally {
       k.release(mark);
     }
+  }
+
+  /** Decode the opacities of a later level; those of the head stay as they are. Returns their address. */
+  private laterOpacities(payload: Uint8Array, head: HeadColumns, rows: number): number {
+    const { k } = this;
+    const before = k.alloc(4 * rows);
+    k.f32.copyWithin(before >>> 2, head.opacities >>> 2, (head.opacities >>> 2) + rows);
+    return readOpacities(k, new Payload(k, payload, rows, "opacities"), before, rows);
   }
 
   /** Decode a tail and hand it to a function; its memory is given back afterwards. */
@@ -140,7 +149,7 @@ export class ChunkDecoder {
     payloads: ChunkPayloads, rows: number, needs: { readonly head: number; readonly tail: number }, degree: number,
     ranges: PackRanges,
   ): PackedSplats {
-    return this.withChunk(payloads, rows, needs, degree, (head, tail) => {
+    return this.withChunk(payloads, rows, needs, degree, (head, tail, opacities) => {
       const { k } = this;
       const columns = [...head.means, ...head.scales, ...head.quats, head.opacities, ...head.sh0];
       const splats = k.alloc(16 * rows);
@@ -153,6 +162,11 @@ export class ChunkDecoder {
             ? SH_WORDS.slice(0, degree).map((words) => new Uint32Array(words * rows))
             : this.packedBands(tail, rows, degree, ranges),
         ranges,
+        ...(payloads.opacities && {
+          opacities: opacities.map((address) =>
+            address === undefined ? undefined : packedOpacities(k.f32.subarray(address >>> 2, (address >>> 2) + rows)),
+          ),
+        }),
       };
     });
   }

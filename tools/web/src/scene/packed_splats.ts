@@ -1,5 +1,6 @@
 import type { Shifts } from "../container/compensation.js";
 import { fromHalf } from "./half_floats.js";
+import { opacityOf } from "./opacities.js";
 import type { Splats } from "./splats.js";
 
 /** Words of a splat in each packed SH band. */
@@ -32,6 +33,11 @@ export interface PackedSplats {
   /** Packed bands from 1 up to the degree that was asked for; zeros where the coefficients are not there. */
   readonly sh: readonly Uint32Array[];
   readonly ranges: PackRanges;
+  /**
+   * Of a chunk of a scene with levels that was decoded with the opacities of more than one: these in 1/255 for each splat,
+   * level by level from the first that has the chunk on (SPEC 5.11); undefined where a level's have not come.
+   */
+  readonly opacities?: readonly (Uint8Array | undefined)[];
 }
 
 /** What the codes of packed splats stand for. Values outside are clamped. */
@@ -51,9 +57,15 @@ const SH_C0 = 0.28209479177387814;
 /** Bits of a value and values of a splat in each packed band. */
 const SH_BITS = [[7, 9], [8, 15], [6, 21]] as const;
 
-/** The same splats with opacities of 0, which are not drawn. */
-export function transparent(packed: PackedSplats): PackedSplats {
-  return { ...packed, words: packed.words.map((word, i) => (i % 4 === 0 ? word & 0xffffff : word)) };
+/** Opacities in 1/255, of their logits. */
+export function packedOpacities(logits: Float32Array): Uint8Array {
+  return Uint8Array.from(logits, (logit) => Math.round(255 * opacityOf(logit)));
+}
+
+/** The same splats with opacities that are less by a factor, 0 to 1. */
+export function faded(packed: PackedSplats, factor: number): PackedSplats {
+  const fade = (word: number): number => (word & 0xffffff) | (Math.round((word >>> 24) * factor) << 24);
+  return { ...packed, words: packed.words.map((word, i) => (i % 4 === 0 ? fade(word) : word)) };
 }
 
 /** The arrays that packed splats stand for, as a shader reads them. */

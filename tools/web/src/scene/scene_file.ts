@@ -114,7 +114,7 @@ export class SceneFile {
       chunk,
       head: this.payload(head),
       refinement: refine && this.refinementIsThere(chunk) ? this.payload(refinement) : undefined,
-      opacities: opacities === undefined ? undefined : this.payload(opacities),
+      opacities: opacities === undefined ? undefined : [this.payload(opacities)],
       tail: withTail ? this.payload(tail) : undefined,
     };
     return { payloads, rows, needs: { head: needs[head]!, tail: withTail ? needs[tail]! : 0 } };

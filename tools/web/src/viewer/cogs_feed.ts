@@ -4,10 +4,13 @@ import { loadKernels } from "../kernels/load.js";
 import { sourceOf, StreamedScene, type OpenOptions } from "../loader/streamed_scene.js";
 import type { ChunkUpdate } from "../loader/stream_options.js";
 import type { ByteRange } from "../container/scene_index.js";
-import { transparent, type PackedSplats } from "../scene/packed_splats.js";
+import { faded, type PackedSplats } from "../scene/packed_splats.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
 import { SlicedService, type ChunkService } from "../workers/decode_task.js";
 import { DecoderPool } from "../workers/decoder_pool.js";
+import { EndingChunks } from "./ending_chunks.js";
+import { LevelOpacities } from "./level_opacities.js";
+import { levelForSize, levelOfPrefix } from "./levels.js";
 import { MeteredSource, type Meter } from "./meter.js";
 import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
 import type { SplatLayer } from "./splat_layer.js";
@@ -31,8 +34,15 @@ export class CogsFeed implements SceneFeed {
   private compensatedFor = -1;
   private waiting: number[] = [];
   private shown: Prefix | undefined;
-  /** Chunks that end, as they came, and whether each is left out of the picture (SPEC 5.10). */
-  private readonly ending = new Map<number, { readonly packed: PackedSplats; hidden: boolean }>();
+  /** Chunks that end, as they came. */
+  private readonly temporary = new Map<number, PackedSplats>();
+  private readonly ending = new EndingChunks(
+    (chunk, prefix) => this.scene!.index.isDrawn(chunk, prefix),
+    (chunk, factor) => this.paint(chunk, factor),
+  );
+  private readonly opacities = new LevelOpacities();
+  /** The coarser one of the two levels whose opacities the layer has. */
+  private coarser = 0;
 
   /**
    * @param source - A URL, a file or another source.
@@ -68,8 +78,10 @@ export class CogsFeed implements SceneFeed {
   private forget(): void {
     this.rowsOf.clear();
     this.shifted.clear();
+    this.temporary.clear();
     this.ending.clear();
-    [this.splats, this.prefix, this.compensatedFor] = [0, 0, -1];
+    this.opacities.clear();
+    [this.splats, this.prefix, this.compensatedFor, this.coarser] = [0, 0, -1, 0];
     this.waiting = [];
     this.shown = this.damage = this.scene = this.layer = undefined;
     this.meter.reset();
@@ -95,7 +107,7 @@ export class CogsFeed implements SceneFeed {
     const { info } = scene;
     await this.workers.found;
     signal.throwIfAborted();
-    this.layer = this.host!.begin({ ...info, linear: info.colourSpace === "linear" }, info);
+    this.layer = this.host!.begin({ ...info, linear: info.colourSpace === "linear", hasLevels: info.levels.length > 0 }, info);
     const stream = scene.stream({
       signal,
       format: "packed",
@@ -114,7 +126,8 @@ export class CogsFeed implements SceneFeed {
   work(milliseconds: number): boolean {
     const { scene, layer } = this;
     if (scene === undefined || layer === undefined) return false;
-    const prefix = this.shown?.chunks ?? this.prefix;
+    const fades = this.ending.work(performance.now());
+    const prefix = this.drawnPrefix;
     if (prefix !== this.compensatedFor && this.waiting.length === 0) {
       this.compensatedFor = prefix;
       if (prefix === scene.index.totalChunkCount) layer.compensated = false;
@@ -135,7 +148,32 @@ export class CogsFeed implements SceneFeed {
         layer.compensated = true;
       }
     }
-    return prefix !== this.compensatedFor;
+    return fades || prefix !== this.compensatedFor;
+  }
+
+  drawLevel(focal: number, chosen: number | undefined): number | undefined {
+    const { scene, layer } = this;
+    if (scene === undefined || layer === undefined || scene.info.levels.length === 0) return undefined;
+    const { levels, firstView } = scene.info;
+    const finest = levels.length - 1;
+    const bySize = firstView === undefined ? finest : levelForSize(levels, focal / firstView.fy);
+    const level = Math.min(Math.max(chosen ?? bySize, 0), levelOfPrefix(levels, this.drawnPrefix));
+    const coarser = Math.min(Math.floor(level), Math.max(finest - 1, 0));
+    layer.between = level - coarser;
+    if (coarser !== this.coarser) {
+      this.coarser = coarser;
+      for (const chunk of this.opacities.known) this.writeLevels(chunk);
+    }
+    return level;
+  }
+
+  /** Chunks of the prefix that is drawn. */
+  private get drawnPrefix(): number {
+    return this.shown?.chunks ?? this.prefix;
+  }
+
+  private writeLevels(chunk: number, factor = 1): void {
+    this.layer!.writeLevels(this.opacities.words(chunk, this.coarser, factor), this.rowsOf.get(chunk)!.firstRow);
   }
 
   prefixes(count: number): Prefix[] {
@@ -168,18 +206,14 @@ export class CogsFeed implements SceneFeed {
     this.waiting = [];
     this.compensatedFor = -1;
     this.layer?.limit(prefix?.rows ?? Infinity);
-    this.hideEnded();
+    this.ending.show(this.drawnPrefix, undefined);
   }
 
-  /** Leave out the chunks that have ended in what is shown, and draw those again that have not. */
-  private hideEnded(): void {
-    const prefix = this.shown?.chunks ?? this.prefix;
-    for (const [chunk, entry] of this.ending) {
-      const hidden = !this.scene!.index.isDrawn(chunk, prefix);
-      if (hidden === entry.hidden) continue;
-      entry.hidden = hidden;
-      this.layer!.write(hidden ? transparent(entry.packed) : copyOf(entry.packed), this.rowsOf.get(chunk)!.firstRow);
-    }
+  /** Draw a chunk that ends with its opacities times a factor. */
+  private paint(chunk: number, factor: number): void {
+    const { packed, firstRow } = { packed: this.temporary.get(chunk)!, ...this.rowsOf.get(chunk)! };
+    if (this.layer!.scene.hasLevels) this.writeLevels(chunk, factor);
+    this.layer!.repaint(factor === 1 ? packed : faded(packed, factor), firstRow);
   }
 
   private take(update: ChunkUpdate): void {
@@ -190,9 +224,19 @@ export class CogsFeed implements SceneFeed {
     this.rowsOf.set(chunk, { firstRow, count });
     this.prefix = update.prefix;
     this.host!.rowsCame(packed!, first);
-    if (this.scene!.index.chunks.until[chunk]! > 0) this.ending.set(chunk, { packed: copyOf(packed!), hidden: false });
+    const { index } = this.scene!;
+    const { hasLevels } = this.layer!.scene;
+    const drawnBy = hasLevels ? index.levelsOf(chunk) : [];
+    // What is drawn at some levels alone is told by its opacities there.
+    const ends = index.chunks.until[chunk]! > 0 && drawnBy.length === 0;
+    if (ends) this.temporary.set(chunk, copyOf(packed!));
+    if (hasLevels) {
+      this.opacities.put(chunk, drawnBy, packed!.opacities!);
+      this.writeLevels(chunk);
+    }
     this.layer!.write(packed!, firstRow);
-    this.hideEnded();
+    if (ends) this.ending.put(chunk, this.drawnPrefix);
+    this.ending.show(this.drawnPrefix, this.shown === undefined ? performance.now() : undefined);
     // A chunk that comes under compensation is shown with its part of it at once.
     if (isNew && this.compensatedFor >= 0) this.compensatedFor = Math.min(this.compensatedFor, this.prefix - 1);
     this.report();

@@ -29,6 +29,7 @@ const NOTHING: ViewerStatistics = {
  * | `against-label` | what the second one is called; its file's name by default |
  * | `background` | a CSS colour behind the splats; black by default |
  * | `sh-degree` | highest SH degree that is drawn, 0 to 3 |
+ * | `level` | of a scene with levels, the one that is drawn, 0 the coarsest, or a place between two; that of the picture's size by default |
  * | `splat-budget` | most splats that are fetched and drawn; 1,500,000 by default where fingers are the pointer |
  * | `pixel-ratio` | most device pixels for a CSS pixel; 2 by default |
  * | `resolution` | `full` draws all pixels of moving and growing pictures too, where graphics are slow |
@@ -38,7 +39,7 @@ const NOTHING: ViewerStatistics = {
  * It fires `cogsplat-change` when `statistics` change. Leaving the page ends its workers and gives all memory back.
  */
 export class CogsplatViewer extends HTMLElement implements ViewerHandle {
-  static readonly observedAttributes = ["src", "against", "label", "against-label", "background", "sh-degree", "splat-budget", "pixel-ratio", "resolution", "fill-holes", "controls"];
+  static readonly observedAttributes = ["src", "against", "label", "against-label", "background", "sh-degree", "level", "splat-budget", "pixel-ratio", "resolution", "fill-holes", "controls"];
   /** How workers are started: from the programs beside this one, by default. */
   static workers: ViewerWorkers | undefined = workersBeside(import.meta.url);
 
@@ -170,7 +171,10 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
       // What is not covered by splats is as clear as the background.
       this.style.background = value ?? "";
     } else if (name === "sh-degree") scene.show({ degree: value === null ? 3 : Number(value) });
-    else if (name === "splat-budget") {
+    else if (name === "level") {
+      scene.level = value === null || !Number.isFinite(Number(value)) ? undefined : Number(value);
+      this.panel!.offerLevels(scene.levels, scene.level);
+    } else if (name === "splat-budget") {
       const phone = matchMedia("(pointer: coarse)").matches;
       scene.limit(value === null ? (phone ? BUDGET_OF_PHONES : Infinity) : Number(value));
     } else if (name === "pixel-ratio") scene.mostPixelRatio = value === null ? 2 : Number(value);
@@ -288,6 +292,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     if (state === "streaming") {
       const wanted = Number(this.getAttribute("sh-degree") ?? 3);
       this.panel!.offerDegrees(this.scene!.degree, wanted);
+      this.panel!.offerLevels(this.scene!.levels, this.scene!.level);
     } else if (state === "complete") {
       this.quiet = setTimeout(() => this.root?.classList.add("quiet"), QUIET_AFTER);
     }

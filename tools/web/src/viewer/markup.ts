@@ -15,6 +15,7 @@ export const MARKUP = `
   <form class="panel glass" id="panel" aria-label="Settings" hidden>
     <h2>Settings</h2>
     <label>Reflections (SH degree) <select name="degree"></select></label>
+    <label hidden id="levelRow">Level <select name="level"></select></label>
     <label>Splats <input name="budget" type="range" min="1" max="100" value="100" /></label>
     <label>Background <select name="background">
       <option value="#000000">Black</option><option value="#808080">Grey</option><option value="#ffffff">White</option><option value="custom">Other …</option>

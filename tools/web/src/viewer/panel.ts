@@ -1,4 +1,5 @@
 import { colourOf } from "./numbers.js";
+import type { LevelEntry } from "../container/root.js";
 import type { SceneView } from "./scene_view.js";
 import type { Movement } from "./controls.js";
 import type { ViewerStatistics } from "./viewer_handle.js";
@@ -47,10 +48,25 @@ export class Panel {
     select.replaceChildren(...options);
   }
 
+  /** Offer the levels of a scene, where it has any. */
+  offerLevels(levels: readonly LevelEntry[], chosen: number | undefined): void {
+    this.form.querySelector<HTMLElement>("#levelRow")!.hidden = levels.length === 0;
+    const select = this.field("level") as unknown as HTMLSelectElement;
+    const options = levels.map(({ scale }, level) => {
+      const text = scale === 1 ? "For full size" : `For 1/${Number(scale.toPrecision(3))} of it`;
+      return new Option(text, String(level), false, level === chosen);
+    });
+    select.replaceChildren(new Option("By the picture's size", ""), ...options);
+    // One between two levels is the page's own choice.
+    if (chosen !== undefined && !Number.isInteger(chosen)) select.append(new Option(`Between: ${chosen}`, String(chosen), false, true));
+  }
+
   /** Write the statistics, where they are shown. */
   update(statistics: ViewerStatistics, canvas: HTMLCanvasElement): void {
     if (this.table.hidden || this.form.hidden) return;
+    const { level } = statistics;
     const rows = [
+      ...(level === undefined ? [] : [["Level", `${level.toFixed(2)} of 0 to ${this.view.levels.length - 1}`]]),
       ["Splats drawn", this.view.drawnRows.toLocaleString()],
       ["Picture", `${canvas.width} × ${canvas.height} px`],
       ["Pictures drawn", statistics.frames.toLocaleString()],
@@ -79,6 +95,7 @@ export class Panel {
     const { view } = this;
     const field = this.field(name);
     if (name === "degree") view.show({ degree: Number(field.value) });
+    else if (name === "level") view.level = field.value === "" ? undefined : Number(field.value);
     else if (name === "budget") view.limit(field.value === "100" ? Infinity : Math.ceil((view.statistics.totalSplats * Number(field.value)) / 100));
     else if (name === "movement") view.controls.movement = field.value as Movement;
     else if (name === "rate") view.meter.bitsPerSecond = Number(field.value) * 1e6;

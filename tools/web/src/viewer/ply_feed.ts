@@ -50,8 +50,8 @@ export class PlyFeed implements SceneFeed {
           const { scene } = response;
           totalSplats = scene.splats;
           totalBytes = response.totalBytes;
-          const info = { axes: scene.axes, box: [-1, -1, -1, 1, 1, 1], firstView: undefined, origin: scene.fileOrigin };
-          this.layer = host.begin(scene, info);
+          const info = { axes: scene.axes, box: [-1, -1, -1, 1, 1, 1], firstView: undefined, origin: scene.fileOrigin, levels: [] };
+          this.layer = host.begin({ ...scene, hasLevels: false }, info);
         } else if (response.type === "rows") {
           splats += response.packed.count;
           // The rate can be changed while rows come.
@@ -86,6 +86,10 @@ export class PlyFeed implements SceneFeed {
 
   show(): void {
     this.layer?.limit(Infinity);
+  }
+
+  drawLevel(): undefined {
+    return undefined;
   }
 
   work(): boolean {

@@ -128,7 +128,11 @@ export class SplatRenderer {
     gl.uniform1i(splats.at("antialiased"), Number(layer.scene.antialiased));
     gl.uniform2f(splats.at("rgbRange"), layer.ranges.rgbMin, layer.ranges.rgbMax);
     gl.uniform1f(splats.at("shRange"), layer.ranges.shRange);
-    const units = 3 + layer.scene.shDegree;
+    const { hasLevels, shDegree } = layer.scene;
+    gl.uniform1i(splats.at("levelled"), Number(hasLevels));
+    gl.uniform1f(splats.at("between"), layer.between);
+    gl.uniform1i(splats.at("levels"), hasLevels ? 3 + shDegree : 0);
+    const units = 3 + shDegree;
     ["splats", "order", "shifts", "sh1", "sh2", "sh3"].forEach((name, unit) => {
       gl.uniform1i(splats.at(name), unit < units ? unit : 0);
     });

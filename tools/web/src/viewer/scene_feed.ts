@@ -32,7 +32,7 @@ export interface FeedHost {
    * @param scene - The means of its rows are relative to its origin.
    * @param info - Poses are relative to its origin.
    */
-  begin(scene: LayerScene, info: Pick<SceneInfo, "axes" | "box" | "firstView" | "origin">): SplatLayer;
+  begin(scene: LayerScene, info: Pick<SceneInfo, "axes" | "box" | "firstView" | "origin" | "levels">): SplatLayer;
   /** Told of rows when they are in the layer. */
   rowsCame(packed: PackedSplats, first: boolean): void;
   progressed(progress: FeedProgress): void;
@@ -50,6 +50,14 @@ export interface SceneFeed {
   prefixes(count: number): Prefix[];
   /** Show the layer as it is with a prefix alone; undefined shows all that is there. */
   show(prefix: Prefix | undefined): void;
+  /**
+   * Draw the level for a size, or one that was chosen, as far as it has come (SPEC 8.11).
+   *
+   * @param focal - Focal length of the picture, px.
+   * @param chosen - 0 the coarsest; 1.25 is a quarter of the way from level 1 to level 2. Undefined for that of the size.
+   * @returns The level that is drawn; undefined for a scene without levels.
+   */
+  drawLevel(focal: number, chosen: number | undefined): number | undefined;
   /** Work of at most some ms; returns whether there is more. */
   work(milliseconds: number): boolean;
 }

@@ -1,3 +1,4 @@
+import type { LevelEntry } from "../container/root.js";
 import type { ByteSource } from "../loader/byte_source.js";
 import { DEFAULT_RANGES } from "../scene/packed_splats.js";
 import { millisecondsLeft } from "./arrival_forecast.js";
@@ -58,6 +59,8 @@ export class SceneView {
   mostPixelRatio = 2;
   /** Device pixels for a CSS pixel, instead of those of the screen. */
   pixelRatio: number | undefined;
+  /** Levels of the scene, the coarsest first; none where it has none. */
+  levels: readonly LevelEntry[] = [];
   /** Whether slow graphics draw moving and growing pictures in fewer pixels. */
   mayHaste = true;
   private readonly renderer: SplatRenderer;
@@ -88,6 +91,9 @@ export class SceneView {
   private readonly waiting: (() => void)[] = [];
   private picture: PictureOptions = { background: [0, 0, 0, 1], degree: 3, fill: 0, divide: 0.5 };
   private fills = true;
+  private chosenLevel: number | undefined;
+  /** Level of the second scene that was drawn last. */
+  private otherLevel: number | undefined;
 
   /** @throws NoWebGlError where the browser has no WebGL 2. */
   constructor(
@@ -141,6 +147,16 @@ export class SceneView {
 
   set fillHoles(fills: boolean) {
     this.fills = fills;
+    this.redraw();
+  }
+
+  /** The level that is drawn, 0 the coarsest, or a place between two; undefined for that of the picture's size (SPEC 8.11). */
+  get level(): number | undefined {
+    return this.chosenLevel;
+  }
+
+  set level(level: number | undefined) {
+    this.chosenLevel = level;
     this.redraw();
   }
 
@@ -265,6 +281,7 @@ export class SceneView {
     return {
       begin: (scene, info) => {
         this.degree = scene.shDegree;
+        this.levels = info.levels;
         this.origin = info.origin;
         this.homeCamera = () => new OrbitCamera(info);
         this.home = undefined;
@@ -345,6 +362,7 @@ export class SceneView {
     const { controls, layers, pace } = this;
     const more = [this.main, this.other].map((shown) => shown?.feed.work(WORK_MILLISECONDS) ?? false).some(Boolean);
     if (!this.canDraw()) return;
+    this.drawLevels();
     pace.splats = layers.reduce((sum, layer) => sum + layer.rows, 0);
     if (!pace.isFree) return this.schedule(LOOK_MILLISECONDS);
     const isUploaded = layers.map((layer) => layer.upload()).every(Boolean);
@@ -378,6 +396,25 @@ export class SceneView {
     if (this.statistics.upToDate) for (const resolve of this.waiting.splice(0)) resolve();
   };
 
+  /** Have the scenes draw the levels for the size of the picture, or the one that was chosen. */
+  private drawLevels(): void {
+    if (this.camera === undefined) return;
+    const [width, height] = this.size(1);
+    const focal = this.camera.view(height, width).focal[1];
+    const [level, other] = [this.main, this.other].map((shown) => shown?.feed.drawLevel(focal, this.chosenLevel));
+    if (level === this.statistics.level && other === this.otherLevel) return;
+    this.otherLevel = other;
+    this.dirty = true;
+    if (level !== undefined) this.note({ level });
+  }
+
+  /** Width and height of pictures, px, of which a share is drawn. */
+  private size(scale: number): [number, number] {
+    const { canvas } = this;
+    const ratio = (this.pixelRatio ?? Math.min(devicePixelRatio, this.mostPixelRatio)) * scale;
+    return [canvas.clientWidth, canvas.clientHeight].map((px) => Math.max(1, Math.round(px * ratio))) as [number, number];
+  }
+
   /** Whether programs are built; where they are not yet, it is looked again soon. */
   private canDraw(): boolean {
     try {
@@ -402,9 +439,8 @@ export class SceneView {
 
   /** Draw what has come; returns whether that is all, in the view asked for. */
   private draw(scale: number): boolean {
-    const { camera, canvas, renderer, layers, pace, statistics } = this;
-    const ratio = (this.pixelRatio ?? Math.min(devicePixelRatio, this.mostPixelRatio)) * scale;
-    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((px) => Math.max(1, Math.round(px * ratio))) as [number, number];
+    const { camera, renderer, layers, pace, statistics } = this;
+    const [width, height] = this.size(scale);
     // Also before there is something to draw: a new size waits for the graphics, which have nothing else to do then.
     renderer.resize(width, height);
     if (camera === undefined || layers.length === 0) return statistics.state === "failed" || statistics.state === "empty";

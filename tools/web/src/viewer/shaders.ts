@@ -19,7 +19,10 @@ uniform usampler2D sh2;
 uniform usampler2D sh3;
 uniform usampler2D order;
 uniform usampler2D shifts;
+uniform usampler2D levels;
 uniform bool compensated;
+uniform bool levelled;
+uniform float between;       // share of the finer level
 uniform int count;
 uniform int degree;
 uniform mat3 rotation;       // world to camera: x right, y down, z forward
@@ -99,6 +102,10 @@ void main() {
   int index = int(texelFetch(order, texel(slot), 0).x);
   uvec4 w = texelFetch(splats, texel(index), 0);
   float opacity = float(w.x >> 24) / 255.0;
+  if (levelled) {
+    uint pair = texelFetch(levels, texel(index), 0).x;
+    opacity = mix(float(pair & 255u), float(pair >> 8 & 255u), between) / 255.0;
+  }
   vec2 shift = vec2(0.0);
   if (compensated) {
     int word = int(texelFetch(shifts, texel(index), 0).x);

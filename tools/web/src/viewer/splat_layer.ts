@@ -15,6 +15,8 @@ export interface LayerScene {
   /** Variance that is added to projected covariances, px². */
   readonly kernelPx: number;
   readonly antialiased: boolean;
+  /** Whether opacities differ between levels (SPEC 5.11). */
+  readonly hasLevels: boolean;
 }
 
 /** The cosine of the angle by which a view may turn before rows are sorted again: 0.05 degrees. */
@@ -29,6 +31,8 @@ export class SplatLayer {
   private arrived = 0;
   /** Whether compensation adds something to a row. */
   compensated = false;
+  /** Share of the finer one of the two levels whose opacities are mixed. */
+  between = 0;
   /** Duration of the last sort, ms. */
   sortMilliseconds = 0;
   private most = Infinity;
@@ -56,7 +60,7 @@ export class SplatLayer {
   ) {
     const lines = gl.getParameter(gl.MAX_TEXTURE_SIZE) as number;
     this.capacity = Math.min(scene.splats, capacity, lines * TEXTURE_WIDTH);
-    this.textures = new SplatTextures(this.capacity, scene.shDegree);
+    this.textures = new SplatTextures(this.capacity, scene.shDegree, scene.hasLevels);
     this.textures.allocate(gl);
     this.sorter = makeSorter(this.capacity);
   }
@@ -88,6 +92,19 @@ export class SplatLayer {
     // What has come is drawn when it is sorted, which need not wait for a picture.
     if (this.forward === undefined) this.changed();
     else void this.sort(this.forward);
+  }
+
+  /** Replace rows whose means stay what they are, so that their order does. */
+  repaint(packed: PackedSplats, firstRow: number): void {
+    if (firstRow + packed.count > this.capacity) return;
+    this.textures.write(packed, firstRow);
+    this.changed();
+  }
+
+  /** Note the opacities of rows at two adjacent levels, as `LevelOpacities` gives them. */
+  writeLevels(words: Uint32Array, firstRow: number): void {
+    if (firstRow + words.length > this.capacity) return;
+    this.textures.writeLevels(words, firstRow);
   }
 
   /** Note what compensation adds to rows. */

@@ -72,25 +72,30 @@ class RowTexture {
   }
 }
 
-/** The textures of a scene: splats, what compensation adds to them, SH bands and the order in which they are drawn. */
+/**
+ * The textures of a scene: splats, what compensation adds to them, SH bands, the order in which they are drawn and, where
+ * the scene has levels, their opacities at two adjacent ones.
+ */
 export class SplatTextures {
   private readonly splats: RowTexture;
   private readonly shifts: RowTexture;
   private readonly order: RowTexture;
   private readonly bands: RowTexture[];
+  private readonly levels: RowTexture | undefined;
 
   /** Rows from the first on that hold something. */
   private written = 0;
 
-  constructor(rows: number, degree: number) {
+  constructor(rows: number, degree: number, hasLevels: boolean) {
     this.splats = new RowTexture(4, rows);
     this.shifts = new RowTexture(1, rows);
     this.order = new RowTexture(1, rows);
     this.bands = SH_WORDS.slice(0, degree).map((words) => new RowTexture(words, rows));
+    this.levels = hasLevels ? new RowTexture(1, rows) : undefined;
   }
 
   private get all(): readonly RowTexture[] {
-    return [this.splats, this.order, this.shifts, ...this.bands];
+    return [this.splats, this.order, this.shifts, ...this.bands, ...(this.levels ? [this.levels] : [])];
   }
 
   /** Make the textures, for the first time or because the graphics memory was lost; rows that were written are uploaded anew. */
@@ -111,6 +116,12 @@ export class SplatTextures {
       this.bands[i]!.words.set(band, SH_WORDS[i]! * firstRow);
       this.bands[i]!.touch(firstRow, packed.count);
     });
+  }
+
+  /** Note the opacities of rows at two adjacent levels, as `LevelOpacities` gives them. */
+  writeLevels(words: Uint32Array, firstRow: number): void {
+    this.levels!.words.set(words, firstRow);
+    this.levels!.touch(firstRow, words.length);
   }
 
   /** Note what compensation adds to rows. */
@@ -135,7 +146,7 @@ export class SplatTextures {
     return this.all.every((texture) => texture.isUploaded);
   }
 
-  /** Bind all to units: splats, order, shifts, then the bands. */
+  /** Bind all to units: splats, order, shifts, then the bands and the opacities of levels. */
   bind(gl: WebGL2RenderingContext): void {
     this.all.forEach((texture, unit) => texture.bind(gl, unit));
   }

@@ -14,6 +14,8 @@ export interface ViewerStatistics {
   readonly totalBytes?: number;
   /** PSNR that the file predicts for what has arrived, dB; only where it does. */
   readonly predictedDb?: number;
+  /** The level that is drawn, as far as it has arrived: 1.25 is a quarter of the way from level 1 to level 2; only of scenes with levels. */
+  readonly level?: number;
   /** Pictures drawn of this scene. */
   readonly frames: number;
   /** Duration of the last picture on the main thread and of the last sort in its worker, ms. */

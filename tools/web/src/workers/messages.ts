@@ -18,7 +18,7 @@ export type Response =
 export function buffersOf({ splats, packed, texels, bands }: DecodedChunk): ArrayBuffer[] {
   const arrays = [
     ...(splats ? [splats.means, splats.scales, splats.quats, splats.opacities, splats.sh0, splats.shN] : []),
-    ...(packed ? [packed.words, ...packed.sh] : []),
+    ...(packed ? [packed.words, ...packed.sh, ...(packed.opacities ?? []).filter((array) => array !== undefined)] : []),
     ...(texels ? texels.arrays : []),
     ...(bands ?? []),
   ];

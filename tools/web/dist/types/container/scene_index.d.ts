@@ -74,7 +74,7 @@ export declare class SceneIndex {
     /** The segment that has a chunk's opacities at a level; undefined where the head has them (SPEC 5.11). */
     opacitiesAt(chunk: number, level: number): number | undefined;
     /** The levels that draw a chunk. */
-    private levelsOf;
+    levelsOf(chunk: number): number[];
     /** Where a segment is in the file. */
     range(segment: number): ByteRange;
     /**

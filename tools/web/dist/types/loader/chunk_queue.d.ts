@@ -44,6 +44,8 @@ export declare class ChunkQueue {
     private missing;
     /** The segments of opacities that are wanted of a chunk. */
     private opacities;
+    /** The opacities of a chunk that have come: of packed chunks those of all levels, else the last. */
+    private opacitiesHere;
     /** Whether a segment has come. */
     has(segment: number): boolean;
     /** Take a segment whose CRC was checked. */

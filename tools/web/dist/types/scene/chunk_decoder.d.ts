@@ -10,8 +10,8 @@ export interface ChunkPayloads {
     readonly chunk: number;
     readonly head: Uint8Array;
     readonly refinement?: Uint8Array | undefined;
-    /** Opacities of a later level. */
-    readonly opacities?: Uint8Array | undefined;
+    /** Opacities of later levels, in the order of the levels; the splats have the last ones that are there. */
+    readonly opacities?: readonly (Uint8Array | undefined)[] | undefined;
     readonly tail?: Uint8Array | undefined;
 }
 /** The tail of a chunk whose head was decoded before. */
@@ -44,11 +44,14 @@ export declare class ChunkDecoder {
      * @param rows - Splats of the chunk.
      * @param needs - Codebooks that head and tail need.
      * @param degree - SH degree wanted, at most the scene's.
+     * @param use - Is given addresses: of the head's columns, and of opacities level by level, the head's first.
      */
     withChunk<T>(payloads: ChunkPayloads, rows: number, needs: {
         readonly head: number;
         readonly tail: number;
-    }, degree: number, use: (head: HeadColumns, tail: TailSource | undefined) => T): T;
+    }, degree: number, use: (head: HeadColumns, tail: TailSource | undefined, opacities: readonly (number | undefined)[]) => T): T;
+    /** Decode the opacities of a later level; those of the head stay as they are. Returns their address. */
+    private laterOpacities;
     /** Decode a tail and hand it to a function; its memory is given back afterwards. */
     private withTail;
     private tailOf;

@@ -29,6 +29,11 @@ export interface PackedSplats {
     /** Packed bands from 1 up to the degree that was asked for; zeros where the coefficients are not there. */
     readonly sh: readonly Uint32Array[];
     readonly ranges: PackRanges;
+    /**
+     * Of a chunk of a scene with levels that was decoded with the opacities of more than one: these in 1/255 for each splat,
+     * level by level from the first that has the chunk on (SPEC 5.11); undefined where a level's have not come.
+     */
+    readonly opacities?: readonly (Uint8Array | undefined)[];
 }
 /** What the codes of packed splats stand for. Values outside are clamped. */
 export interface PackRanges {
@@ -41,8 +46,10 @@ export interface PackRanges {
 }
 /** Ranges that hold nearly all values of trained scenes, in steps within the tolerances of SPEC 8.6. */
 export declare const DEFAULT_RANGES: PackRanges;
-/** The same splats with opacities of 0, which are not drawn. */
-export declare function transparent(packed: PackedSplats): PackedSplats;
+/** Opacities in 1/255, of their logits. */
+export declare function packedOpacities(logits: Float32Array): Uint8Array;
+/** The same splats with opacities that are less by a factor, 0 to 1. */
+export declare function faded(packed: PackedSplats, factor: number): PackedSplats;
 /** The arrays that packed splats stand for, as a shader reads them. */
 export declare function unpackSplats(packed: PackedSplats): Splats;
 /**

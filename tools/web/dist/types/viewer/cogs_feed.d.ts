@@ -24,8 +24,12 @@ export declare class CogsFeed implements SceneFeed {
     private compensatedFor;
     private waiting;
     private shown;
-    /** Chunks that end, as they came, and whether each is left out of the picture (SPEC 5.10). */
+    /** Chunks that end, as they came. */
+    private readonly temporary;
     private readonly ending;
+    private readonly opacities;
+    /** The coarser one of the two levels whose opacities the layer has. */
+    private coarser;
     /**
      * @param source - A URL, a file or another source.
      * @param meter - Counts its bytes.
@@ -40,10 +44,14 @@ export declare class CogsFeed implements SceneFeed {
     private readonly service;
     private stream;
     work(milliseconds: number): boolean;
+    drawLevel(focal: number, chosen: number | undefined): number | undefined;
+    /** Chunks of the prefix that is drawn. */
+    private get drawnPrefix();
+    private writeLevels;
     prefixes(count: number): Prefix[];
     show(prefix: Prefix | undefined): void;
-    /** Leave out the chunks that have ended in what is shown, and draw those again that have not. */
-    private hideEnded;
+    /** Draw a chunk that ends with its opacities times a factor. */
+    private paint;
     private take;
     private report;
 }

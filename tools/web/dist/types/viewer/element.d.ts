@@ -12,6 +12,7 @@ import { type ViewerWorkers } from "./viewer_workers.js";
  * | `against-label` | what the second one is called; its file's name by default |
  * | `background` | a CSS colour behind the splats; black by default |
  * | `sh-degree` | highest SH degree that is drawn, 0 to 3 |
+ * | `level` | of a scene with levels, the one that is drawn, 0 the coarsest, or a place between two; that of the picture's size by default |
  * | `splat-budget` | most splats that are fetched and drawn; 1,500,000 by default where fingers are the pointer |
  * | `pixel-ratio` | most device pixels for a CSS pixel; 2 by default |
  * | `resolution` | `full` draws all pixels of moving and growing pictures too, where graphics are slow |

@@ -1,3 +1,4 @@
+import type { LevelEntry } from "../container/root.js";
 import type { SceneView } from "./scene_view.js";
 import type { ViewerStatistics } from "./viewer_handle.js";
 /** What the panel asks of the viewer beside its scene view. */
@@ -16,6 +17,8 @@ export declare class Panel {
     set background(colour: string);
     /** Offer the SH degrees of a scene. */
     offerDegrees(most: number, chosen: number): void;
+    /** Offer the levels of a scene, where it has any. */
+    offerLevels(levels: readonly LevelEntry[], chosen: number | undefined): void;
     /** Write the statistics, where they are shown. */
     update(statistics: ViewerStatistics, canvas: HTMLCanvasElement): void;
     private get customRow();

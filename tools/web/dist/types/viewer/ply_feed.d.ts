@@ -21,6 +21,7 @@ export declare class PlyFeed implements SceneFeed {
     run(host: FeedHost, signal: AbortSignal): Promise<void>;
     prefixes(): Prefix[];
     show(): void;
+    drawLevel(): undefined;
     work(): boolean;
 }
 /** The source where it is a PLY: by the name of a URL, by the first bytes of a file. */

@@ -1,3 +1,4 @@
+import type { LevelEntry } from "../container/root.js";
 import type { ByteSource } from "../loader/byte_source.js";
 import { Controls } from "./controls.js";
 import { Meter } from "./meter.js";
@@ -30,6 +31,8 @@ export declare class SceneView {
     mostPixelRatio: number;
     /** Device pixels for a CSS pixel, instead of those of the screen. */
     pixelRatio: number | undefined;
+    /** Levels of the scene, the coarsest first; none where it has none. */
+    levels: readonly LevelEntry[];
     /** Whether slow graphics draw moving and growing pictures in fewer pixels. */
     mayHaste: boolean;
     private readonly renderer;
@@ -60,6 +63,9 @@ export declare class SceneView {
     private readonly waiting;
     private picture;
     private fills;
+    private chosenLevel;
+    /** Level of the second scene that was drawn last. */
+    private otherLevel;
     /** @throws NoWebGlError where the browser has no WebGL 2. */
     constructor(canvas: HTMLCanvasElement, host: SceneViewHost, workers: ViewerWorkers | undefined);
     /** Whether something of the scene is on the canvas. */
@@ -70,6 +76,9 @@ export declare class SceneView {
     get drawnRows(): number;
     get fillHoles(): boolean;
     set fillHoles(fills: boolean);
+    /** The level that is drawn, 0 the coarsest, or a place between two; undefined for that of the picture's size (SPEC 8.11). */
+    get level(): number | undefined;
+    set level(level: number | undefined);
     /** Look from somewhere, until a person moves; it holds for scenes to come as well. */
     get view(): ViewerPose | undefined;
     set view(view: ViewerPose | undefined);
@@ -104,6 +113,10 @@ export declare class SceneView {
     /** Have `frame` called with the next frame of the browser, or after some time. */
     private schedule;
     private readonly frame;
+    /** Have the scenes draw the levels for the size of the picture, or the one that was chosen. */
+    private drawLevels;
+    /** Width and height of pictures, px, of which a share is drawn. */
+    private size;
     /** Whether programs are built; where they are not yet, it is looked again soon. */
     private canDraw;
     /** Whether the graphics would still work on a picture when the rest of the scene is there. */

@@ -12,6 +12,8 @@ export interface LayerScene {
     /** Variance that is added to projected covariances, px². */
     readonly kernelPx: number;
     readonly antialiased: boolean;
+    /** Whether opacities differ between levels (SPEC 5.11). */
+    readonly hasLevels: boolean;
 }
 /** One scene that is drawn: its rows, and their order for the view. */
 export declare class SplatLayer {
@@ -26,6 +28,8 @@ export declare class SplatLayer {
     private arrived;
     /** Whether compensation adds something to a row. */
     compensated: boolean;
+    /** Share of the finer one of the two levels whose opacities are mixed. */
+    between: number;
     /** Duration of the last sort, ms. */
     sortMilliseconds: number;
     private most;
@@ -52,6 +56,10 @@ export declare class SplatLayer {
     get isSorting(): boolean;
     /** Put a chunk's rows where they belong. */
     write(packed: PackedSplats, firstRow: number): void;
+    /** Replace rows whose means stay what they are, so that their order does. */
+    repaint(packed: PackedSplats, firstRow: number): void;
+    /** Note the opacities of rows at two adjacent levels, as `LevelOpacities` gives them. */
+    writeLevels(words: Uint32Array, firstRow: number): void;
     /** Note what compensation adds to rows. */
     shift(firstRow: number, count: number, shifts: Shifts | undefined): void;
     /** Draw only the first rows. */
