@@ -29,13 +29,16 @@ def run(command: list[str], folder: Path) -> str:
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """Copy the package and the vectors into a clean tree, and install what it is built with."""
+    """Copy the package into a clean tree, with what its tests read, and install its tools."""
     node = run([installed("node"), "--version"], tmp_path)
     assert int(node.removeprefix("v").split(".")[0]) >= OLDEST_NODE, f"node is {node}"
     folder = tmp_path / "tools" / "web"
     shutil.copytree(WEB, folder, ignore=shutil.ignore_patterns("node_modules", "build"))
     vectors = tmp_path / "tests" / "vectors"
     shutil.copytree(REPOSITORY / "tests" / "vectors", vectors)
+    decisions = "tests/codec/scheduling/decisions.json"
+    (tmp_path / decisions).parent.mkdir(parents=True)
+    shutil.copy(REPOSITORY / decisions, tmp_path / decisions)
     shutil.copy(REPOSITORY / "SPEC.md", tmp_path)
     run([installed("npm"), "ci", "--prefer-offline", "--ignore-scripts", "--no-fund"], folder)
     return folder
