@@ -171,7 +171,7 @@ DOORS: dict[str, dict[str, str]] = {
         "stage_costs": "order_costs render_cost score_cost stage_costs",
     },
     "codec.fit": {
-        "lessons": "lessons_of",
+        "lessons": "lessons_of views_apart",
         "level_encoding": "LevelEncoding encode_levels",
         "levels": (
             "LevelledSplats LevelsConfig averaged scaled_camera train_for_all_scales train_levels"

@@ -47,8 +47,12 @@ _NEAR_DB: Final = 0.05
 # Most corrections of the nominal quality in the end; each trains a little more, at the last rate.
 _CORRECTIONS: Final = 6
 _CORRECTION_REFRESHES: Final = 3
-# Longest step of the nominal quality while it follows the target, dB.
+# Longest step of the nominal quality while it follows the target, dB, and how much of what misses a
+# size is made up for by each step on the way and in the end: values that have settled on one grid
+# take more bytes on any other, so that bytes change twice as fast as by the slope above, and whole
+# steps swing.
 _LONGEST_DB: Final = 4.0
+_FOLLOWED, _SETTLED = 0.4, 0.6
 # Views to score in.
 _MOST_SCORED: Final = 64
 
@@ -161,8 +165,10 @@ class Storing:
             quality = moved
         return quality
 
-    def aimed(self, splats: Splats, quality_db: float, done: float) -> tuple[float, Splats]:
-        """Store the scene; return the nominal quality, which follows the target, and decoded rows.
+    def aimed(
+        self, splats: Splats, quality_db: float, done: float, measure: bool
+    ) -> tuple[float, Splats]:
+        """Store the scene; return the next nominal quality, which follows the target, and the rows.
 
         Parameters
         ----------
@@ -172,11 +178,14 @@ class Storing:
             Nominal quality of the last time.
         done : float
             Share of the steps through quantisers that are made.
+        measure : bool
+            Whether `last_figures` are to be those of this time.
         """
         decoded, encoded = self._store(splats, quality_db)
-        self.last_figures = self.figures(encoded)
+        if measure:
+            self.last_figures = self.figures(encoded)
         if done < _AIMING:
-            missed = self._missed_db(encoded)
+            missed = self._step_db(encoded, _FOLLOWED)
             quality_db = _within(quality_db + min(max(missed, -_LONGEST_DB), _LONGEST_DB))
             if missed:
                 decoded, _ = self._store(splats, quality_db)
@@ -204,7 +213,7 @@ class Storing:
                 best = encoded
             if trial == _CORRECTIONS or (not missed and fits):
                 break
-            quality_db = _within(quality_db + (missed or -0.05))
+            quality_db = _within(quality_db + (self._step_db(encoded, _SETTLED) or -0.05))
             for _ in range(_CORRECTION_REFRESHES):
                 decoded, _ = self._store(trainer.splats, quality_db)
                 trainer.run(refresh, _RATES[1], _RATES[1], drawn_as=decoded)
@@ -273,6 +282,11 @@ class Storing:
             return float(np.log2(_BELOW / found)) / _LOG2_BYTES_PER_DB
         missed = (self._target.psnr_db or 0.0) - self._evaluator.psnr_db(encoded.decoded)
         return 0.0 if abs(missed) <= _NEAR_DB else missed / _PSNR_PER_DB
+
+    def _step_db(self, encoded: EncodedScene, share: float) -> float:
+        """Return what to add to the nominal quality of a scene that is being trained."""
+        missed = self._missed_db(encoded)
+        return missed if self._target.size_bytes is None else share * missed
 
     def _is_better(self, encoded: EncodedScene, best: EncodedScene) -> bool:
         """Tell whether a scene that fits comes nearer to the target than another."""

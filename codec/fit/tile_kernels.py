@@ -40,12 +40,13 @@ F32 = NDArray[np.float32]
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 
-BY_RED, BY_GREEN, BY_BLUE, G, GU, GV, GUU, GUV, GVV = range(9)
-SUMS: Final = 9
-"""Columns that `differentiate_tiles` fills: derivatives by the colour, then moments of g."""
+BY_RED, BY_GREEN, BY_BLUE, G, GU, GV, GUU, GUV, GVV, DELETED = range(10)
+SUMS: Final = 10
+"""Columns that `differentiate_tiles` fills: derivatives by the colour, moments of g, and how much
+the picture would change without the splat."""
 
 # Rows of a tile's lanes.
-_L_RED, _L_GREEN, _L_BLUE, _L_G, _L_GU, _L_GV, _L_GUU, _L_GUV, _L_GVV = (
+_L_RED, _L_GREEN, _L_BLUE, _L_G, _L_GU, _L_GV, _L_GUU, _L_GUV, _L_GVV, _L_DELETED = (
     np.uintp(k * TILE) for k in range(SUMS)
 )
 
@@ -169,7 +170,8 @@ def differentiate_tiles(
         Derivative of the loss by the picture.
     sums : (P, SUMS) float32
         Filled by pair of a tile and a splat: derivatives by the three colours, then the moments
-        1, u, v, uu, uv and vv.
+        1, u, v, uu, uv and vv, then the squared change of the picture where the splat is taken out
+        (`deletion.deletion_errors`).
     first, last : int
         Half-open, numbered row by row over the whole image.
     """
@@ -221,11 +223,12 @@ def differentiate_tiles(
                     by_red = state[at + _D_RED]
                     by_green = state[at + _D_GREEN]
                     by_blue = state[at + _D_BLUE]
-                    g = (
-                        by_red * (shown_red - behind_red * odds)
-                        + by_green * (shown_green - behind_green * odds)
-                        + by_blue * (shown_blue - behind_blue * odds)
-                    )
+                    # What the pixel loses without the splat: also what it gains by ln alpha.
+                    lost_red = shown_red - behind_red * odds
+                    lost_green = shown_green - behind_green * odds
+                    lost_blue = shown_blue - behind_blue * odds
+                    g = by_red * lost_red + by_green * lost_green + by_blue * lost_blue
+                    lost = lost_red * lost_red + lost_green * lost_green + lost_blue * lost_blue
                     # A capped alpha has derivative 0.
                     g = g if drawn & (raw <= ALPHA_MAX) else _ZERO
                     # Where nothing is drawn, u may be too large for its square.
@@ -240,6 +243,7 @@ def differentiate_tiles(
                     lanes[lane + _L_GUU] += gu * u
                     lanes[lane + _L_GUV] += gu * v
                     lanes[lane + _L_GVV] += g * v * v
+                    lanes[lane + _L_DELETED] += lost
             for k in range(SUMS):
                 row = np.uintp(k * TILE)
                 total = _ZERO

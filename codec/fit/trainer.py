@@ -20,6 +20,7 @@ from .adam import Adam
 from .drawing import Drawing, Gradients, draw, with_values
 from .lessons import Lessons
 from .losses import LOSSES
+from .tile_kernels import DELETED
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -42,7 +43,14 @@ _STEPS_AT_ONE_RATE: Final = 20
 # What the error of a view keeps of itself when it is measured again.
 _ERROR_MEMORY: Final = 0.5
 # A view whose error is so many times the mean counts no more than that, or less than its inverse.
-_MOST_WEIGHT: Final = 3.0
+_MOST_WEIGHT: Final = 4.0
+
+# Steps, of two views each, in which all splats have been seen well enough to compare them; fewer
+# where every view has been drawn before.
+_STEPS_TO_SCORE: Final = 90
+
+# What tells the random numbers of noise from those of views.
+_NOISE: Final = 2
 
 
 @dataclass(frozen=True)
@@ -55,6 +63,10 @@ class TrainConfig:
         One of `losses.LOSSES`: ``squared`` or ``photo``.
     worst_views : float
         Views count in proportion to their mean squared error to this power: 0 counts all alike.
+    noise : bool
+        Whether what lies between the values and what is drawn in their place has a random sign,
+        value by value and step by step: noise as large as the errors of the quantisers (Ballé et
+        al. 2017), in place of these errors. Measured to be worse; for comparisons.
     rates : mapping of str to float
         Learning rates by array; arrays that are not in it stay as they are.
     seed : int
@@ -64,7 +76,8 @@ class TrainConfig:
     """
 
     loss: str = "squared"
-    worst_views: float = 0.0
+    worst_views: float = 1.0
+    noise: bool = False
     rates: Mapping[str, float] = field(default_factory=lambda: RATES)
     seed: int = 0
     threads: int = 0
@@ -107,6 +120,7 @@ class Trainer:
         self._config = config
         self._adam = Adam(splats)
         self._gradients = Gradients.zeros(splats)
+        self._forget_deletions()
         # Mean squared error of each view when it was last drawn; NaN before.
         self._errors = np.full(len(lessons), np.nan)
 
@@ -168,6 +182,21 @@ class Trainer:
         self.splats = _copy(self.splats.take(rows))
         self._adam = self._adam.take(rows)
         self._gradients = Gradients.zeros(self.splats)
+        self._forget_deletions()
+
+    def deletion_errors(self) -> F64 | None:
+        """Return what the pictures drawn of late would have lost without each of the splats.
+
+        Returns
+        -------
+        (N,) float64 or None
+            As `deletion.deletion_errors` measures it, in the views drawn since splats were left out
+            last, each by its weight, while the values moved: these sums cost a step nearly nothing.
+            None where too few views have been drawn since.
+        """
+        along, total = self._lessons.along, len(self._lessons)
+        needed = min(max(along, total - along), _STEPS_TO_SCORE)
+        return self._deleted if self._deleted_steps >= needed else None
 
     def state(self) -> dict[str, NDArray[np.generic]]:
         """Return all that `restore` needs, as arrays by name."""
@@ -175,6 +204,7 @@ class Trainer:
             f"splats.{name}": getattr(self.splats, name) for name in Gradients.names()
         }
         arrays |= self._adam.state()
+        arrays |= {"deleted": self._deleted, "deleted_steps": np.array(self._deleted_steps)}
         return arrays | {"steps": np.array(self.steps), "errors": self._errors}
 
     def restore(self, state: Mapping[str, NDArray[np.generic]]) -> None:
@@ -185,11 +215,19 @@ class Trainer:
         self._gradients = Gradients.zeros(self.splats)
         self.steps = int(state["steps"])
         self._errors = np.array(state["errors"], np.float64)
+        self._deleted = np.array(state["deleted"], np.float64)
+        self._deleted_steps = int(state["deleted_steps"])
+
+    def _forget_deletions(self) -> None:
+        self._deleted = np.zeros(len(self.splats))
+        self._deleted_steps = 0
 
     def _step(self, rates: Mapping[str, F32], offsets: Mapping[str, F32] | None) -> list[float]:
         """Move the values once; return the mean squared errors of the views that were drawn."""
         shown = self.splats
         if offsets is not None:
+            if self._config.noise:
+                offsets = self._with_random_signs(offsets)
             moved = {name: getattr(shown, name) + offset for name, offset in offsets.items()}
             shown = with_values(shown, moved)
         views = self._views()
@@ -199,15 +237,25 @@ class Trainer:
         self._gradients.clear()
         errors = []
         found = ordered_map(measure, weighed, thread_count(self._config.threads))
-        for view, (drawing, sums, error) in zip(views, found, strict=True):
+        for (view, weight), (drawing, sums, error) in zip(weighed, found, strict=True):
             drawing.add(sums, self._gradients)
+            self._deleted[drawing.footprints.index] += weight * sums[:, DELETED]
             before = self._errors[view]
             kept = error if math.isnan(before) else _ERROR_MEMORY * (before - error) + error
             self._errors[view] = kept
             errors.append(error)
         self._adam.step(self.splats, self._gradients, rates, self._config.threads)
         self.steps += 1
+        self._deleted_steps += 1
         return errors
+
+    def _with_random_signs(self, offsets: Mapping[str, F32]) -> dict[str, F32]:
+        """Return offsets with other signs; those of splats that are not drawn stay."""
+        rng = np.random.default_rng((self._config.seed, _NOISE, self.steps))
+        return {
+            name: np.where((rng.random(values.shape) < 0.5) & np.isfinite(values), -values, values)
+            for name, values in offsets.items()
+        }
 
     def _measured(self, weighed: tuple[int, float], *, shown: Splats) -> tuple[Drawing, F64, float]:
         """Draw a view; return the picture, what the loss asks of it, and its squared error."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -25,25 +26,32 @@ from .deletion import deletion_errors
 from .drawing import Gradients, with_values
 from .lessons import Lessons, lessons_of
 from .pace import Pace
+from .shares import corrected_count, count_for_size, next_count, next_count_for_psnr
 from .storing import Storing
 from .trainer import TrainConfig, Trainer
 
-# What a stored splat takes where splats and bytes are in balance, by SH degree: a captured scene of
-# degree 3 in 129 kB was shown better by 11,715 splats than by 14,543. The others are in proportion
-# to what SH coefficients take.
-_BYTES_PER_SPLAT: Final = (6.5, 8.0, 9.5, 11.0)
-# By how much pictures are to be better than the target when the last round ends: what follows it
-# brings about half a decibel, and storing takes 1.5 to 2.
-_MARGIN_DB: Final = 1.2
-# Nearer to that than this, rounds leave out half as many.
-_NEAR_DB: Final = 1.0
 # Learning rates of rounds, of what follows them, and of training through quantisers: first, last.
-_ROUND_RATES: Final = (0.5, 0.5)
-_RECOVERY_RATES: Final = (0.5, 0.1)
+_ROUND_RATES: Final = (1.0, 0.3)
+_RECOVERY_RATES: Final = (1.0, 0.1)
 # σ of this is 0.9997: capped alphas of 0.99 (3DGS) stay, and gradients reach the logit.
 _LARGEST_LOGIT: Final = 8.0
 # Where the number of splats is not known before, the work is planned for this share of them.
 _USUAL_SHARE: Final = 0.25
+# What a step through the quantisers takes, in steps without them: the scene is encoded in between.
+_STORING_WORK: Final = 1.6
+# Where a PSNR decides how many splats are left, training tells whether they are as many as it asks
+# for: for this share of the steps of a recovery, and so many times at most.
+_PROBING_SHARE: Final = 0.5
+_MOST_RECOVERIES: Final = 3
+# Earlier rounds that are kept to go back to.
+_ROUNDS_KEPT: Final = 2
+# Time that is kept for what follows training through the quantisers: so many times what preparing
+# it took, and so many times what encoding once and training on takes.
+_FINISHING, _SETTLING = 2.0, 8.0
+# The part that tells what parts take: what happens once only is over by then.
+_PARTS_TIMED: Final = 2
+# Parts between two checkpoints.
+_PARTS_KEPT: Final = 5
 
 # Profiles whose quantisers a scene can be trained through; `near-lossless` bounds errors instead.
 _PROFILES: Final = ("transform", "vq")
@@ -67,8 +75,8 @@ class TuneConfig:
     refresh : int
         Steps of training through the quantisers between two encodes of the scene.
     seconds : float or None
-        Time that all this may take. Steps then become fewer or more, and the result depends on how
-        fast the machine is.
+        Time that all this may take. Steps after the last round then become fewer or more, and those
+        of rounds fewer; the result depends on how fast the machine is.
     preset : str
         One of `presets.PRESETS`: how the tuned scene is scored, ordered and compensated.
     profile : str
@@ -80,9 +88,9 @@ class TuneConfig:
 
     keep: float | None = None
     round_keep: float = 0.8
-    round_steps: int = 150
-    recovery_steps: int = 500
-    storing_steps: int = 400
+    round_steps: int = 100
+    recovery_steps: int = 1000
+    storing_steps: int = 600
     refresh: int = 10
     seconds: float | None = None
     preset: str = "fast"
@@ -180,7 +188,9 @@ def tune(
     size_of : callable
         Bytes of the whole file that an encoded scene makes.
     resume : mapping of str to array, optional
-        What `checkpoint` was given last in a run with the same arguments.
+        What `checkpoint` was given last in a run with the same arguments. With
+        `TuneConfig.seconds`, as many steps follow as that run had planned when it was given this,
+        whatever time they take: all runs that go on from one state have the same result.
     checkpoint : callable, optional
         Called after every round, and now and then while the scene is stored.
     notify : callable, optional
@@ -216,13 +226,14 @@ def tune(
     if run.base is None:
         run.leave_out()
         run.base = run.trainer.copy()
+    begin = run.pace.now()
     storing = Storing(
         source, run.base, cameras, target, config.preset, config.profile, test_views, size_of,
         config.train.threads, progress,
     )  # fmt: skip
     if resume is not None:
         storing.restore(resume)
-    encoded = run.through_quantisers(storing)
+    encoded = run.through_quantisers(storing, run.pace.now() - begin)
     return Tuned(storing.finished(encoded), run.base)
 
 
@@ -249,7 +260,12 @@ class _Run:
         self._notify = notify
         self._progress = progress
         self._all = len(source)
-        self._pace = Pace(config.seconds)
+        self.pace = Pace(config.seconds)
+        # States before the last rounds, how often splats were trained for long after them, and the
+        # number that a correction is on its way to; 0 for none.
+        self._kept: list[dict[str, NDArray[np.generic]]] = []
+        self._recoveries = 0
+        self._aim = 0
         # Steps made through quantisers, all of those planned, and the nominal quality they have.
         self._stored = (0, 0, 0.0)
         clipped = np.minimum(source.opacities, np.float32(_LARGEST_LOGIT))
@@ -261,30 +277,78 @@ class _Run:
 
     def leave_out(self) -> None:
         """Leave out splats round by round, as long as the target allows, and train the others."""
-        config = self._config
-        while (count := self._next_count()) is not None:
+        if not self._recoveries:
+            while (count := self._next_count()) is not None:
+                self._round(count)
+            self._recover()
+        while self._aim or self._turns():
+            keep = self._config.round_keep
+            while (fewer := next_count(len(self.trainer.splats), self._aim, keep)) is not None:
+                self._round(fewer)
+            self._aim = 0
+            self._recover()
+
+    def _round(self, count: int) -> None:
+        """Leave out what pictures lose least without, until so many are left, and train these."""
+        if self._target.psnr_db is not None and self._config.keep is None:
+            state = {name: values.copy() for name, values in self.trainer.state().items()}
+            self._kept = [*self._kept[1 - _ROUNDS_KEPT :], state]
+        errors = self.trainer.deletion_errors()
+        if errors is None:
             errors = deletion_errors(
                 self.trainer.splats,
                 self._lessons,
-                threads=config.train.threads,
+                threads=self._config.train.threads,
                 progress=self._progress,
             )
-            most = np.argsort(-errors, kind="stable")[:count]
-            self.trainer.keep(np.sort(most))
-            self._train(config.round_steps, _ROUND_RATES)
-            self._reached()
-        self._train(config.recovery_steps, _RECOVERY_RATES)
+        most = np.argsort(-errors, kind="stable")[:count]
+        self.trainer.keep(np.sort(most))
+        self._train(self._config.round_steps, _ROUND_RATES, stretched=False)
         self._reached()
+
+    def _recover(self) -> None:
+        """Train for long, with the learning rates falling."""
+        steps = self._config.recovery_steps
+        if self._least_count() is None:
+            steps = math.ceil(_PROBING_SHARE * steps)
+        self._train(steps, _RECOVERY_RATES, stretched=True)
+        self._recoveries += 1
+        self._reached()
+
+    def _turns(self) -> bool:
+        """Turn to another number of splats where the target asks for it; tell whether it does.
+
+        The way to fewer is by further rounds, to more from an earlier round.
+        """
+        count = self._corrected_count()
+        if count is None:
+            return False
+        self._aim = count
+        if count < len(self.trainer.splats):
+            return True
+        rows = [len(state["splats.opacities"]) for state in self._kept]
+        # The last round that had as many; where none is kept any more, the one with most.
+        enough = [number for number, kept in enumerate(rows) if kept >= count]
+        self.trainer.restore(self._kept[enough[-1] if enough else int(np.argmax(rows))])
+        # Having been too few once, they are not made fewer again.
+        self._recoveries = _MOST_RECOVERIES - 1
+        return True
 
     def _next_count(self) -> int | None:
         """Return how many splats the next round keeps; None where no more are left out."""
-        config, count = self._config, len(self.trainer.splats)
+        count, keep = len(self.trainer.splats), self._config.round_keep
         least = self._least_count()
-        if least is None:
-            beyond = self._measured_db()[0] - (self._target.psnr_db or 0.0) - _MARGIN_DB
-            keep = config.round_keep if beyond > _NEAR_DB else (1 + config.round_keep) / 2
-            return int(keep * count) if beyond > 0 and count > 1 else None
-        return max(least, int(config.round_keep * count)) if least < count else None
+        if least is not None:
+            return next_count(count, least, keep)
+        return next_count_for_psnr(count, self._measured_db()[0], self._target.psnr_db or 0.0, keep)
+
+    def _corrected_count(self) -> int | None:
+        """Return how many splats the target asks for after training; None for those there are."""
+        if self._least_count() is not None or self._recoveries >= _MOST_RECOVERIES:
+            return None
+        count = len(self.trainer.splats)
+        most = max([count, *(len(state["splats.opacities"]) for state in self._kept)])
+        return corrected_count(count, self._measured_db()[0], self._target.psnr_db or 0.0, most)
 
     def _least_count(self) -> int | None:
         """Return how many splats are to be left; None where a PSNR decides."""
@@ -292,27 +356,28 @@ class _Run:
             return max(1, round(self._config.keep * self._all))
         if self._target.size_bytes is None:
             return None
-        each = _BYTES_PER_SPLAT[self.trainer.splats.sh_degree]
-        return max(1, min(self._all, int(self._target.size_bytes / each)))
+        degree = self.trainer.splats.sh_degree
+        return count_for_size(self._target.size_bytes, degree, self._all)
 
-    def _train(self, planned: int, rates: tuple[float, float]) -> None:
-        steps = self._pace.steps(planned, self._share, self._work_after(planned))
+    def _train(self, planned: int, rates: tuple[float, float], *, stretched: bool) -> None:
+        self._plan(planned if stretched else 0)
+        steps = self.pace.steps(planned, stretched=stretched)
         run = partial(self.trainer.run, steps, *rates, progress=self._progress)
-        self._pace.timed(lambda: (run(), None)[1], steps, self._share)
+        self.pace.timed(run, Pace.work(steps, self._share))
 
-    def _work_after(self, planned: int) -> float:
-        """Return the work that follows the steps which are being planned."""
-        config = self._config
+    def _plan(self, recovery_steps: int) -> None:
+        """Plan how many steps follow, the steps of a recovery that begins now among them."""
+        config, share = self._config, self._share
         least = self._least_count()
         end = _USUAL_SHARE if least is None else least / max(self._all, 1)
-        work = Pace.work(config.storing_steps * 2, end)
-        if planned == config.recovery_steps:
-            return work
-        share = self._share * config.round_keep
-        while share > end:
-            work += Pace.work(config.round_steps, share)
-            share *= config.round_keep
-        return work + Pace.work(config.recovery_steps, end)
+        rounds = 0.0
+        if not recovery_steps and not self._recoveries:
+            while share > end:
+                rounds += Pace.work(config.round_steps, share)
+                share *= config.round_keep
+            recovery_steps = config.recovery_steps
+        stored = _STORING_WORK * config.storing_steps
+        self.pace.plan(rounds, Pace.work(recovery_steps + stored, min(end, share)))
 
     def _measured_db(self) -> tuple[float, float]:
         """Return the mean and the least PSNR in the test views, dB."""
@@ -332,27 +397,50 @@ class _Run:
         if self._checkpoint is not None:
             self._checkpoint(self.state())
 
-    def through_quantisers(self, storing: Storing) -> EncodedScene:
-        """Train the scene as it will be decoded; return it as it is stored in the end."""
-        config = self._config
+    def through_quantisers(self, storing: Storing, seconds: float) -> EncodedScene:
+        """Train the scene as it will be decoded; return it as it is stored in the end.
+
+        Parameters
+        ----------
+        storing : Storing
+        seconds : float
+            That making it took.
+        """
+        refresh = self._config.refresh
         done, planned, quality = self._stored
-        if not planned:
-            planned = self._pace.steps(config.storing_steps, self._share, 0.0)
-            # Each part of the run has one rate and one set of decoded values.
-            planned = -(-planned // config.refresh) * config.refresh
+        timed = not planned
+        if timed:
+            parts = self.pace.steps(-(-self._config.storing_steps // refresh), stretched=True)
+            planned = parts * refresh
             quality = storing.first_quality(self.trainer.splats)
-        for begin in range(done, planned, config.refresh):
-            quality, decoded = storing.aimed(self.trainer.splats, quality, begin / planned)
-            rates = [storing.rate((begin + k) / planned) for k in (0, config.refresh)]
-            self.trainer.run(config.refresh, rates[0], rates[1], drawn_as=decoded)
-            self._progress("train stored", begin + config.refresh, planned)
-            if (begin // config.refresh) % 5 == 4:
-                self._stored = begin + config.refresh, planned, quality
+        while done < planned:
+            begin = self.pace.now()
+            quality = self._part(storing, done, planned, quality)
+            done += refresh
+            took = self.pace.now() - begin
+            if timed and done == _PARTS_TIMED * refresh:
+                left = self.pace.fitting(
+                    (planned - done) // refresh, took, _FINISHING * seconds + _SETTLING * took
+                )
+                planned = done + left * refresh
+            self._progress("train stored", done, planned)
+            if (done // refresh) % _PARTS_KEPT == 0:
+                self._stored = done, planned, quality
                 self._stored_reached(storing)
-        encoded = storing.settled(self.trainer, quality, config.refresh)
+        encoded = storing.settled(self.trainer, quality, refresh)
         if self._notify is not None:
             self._notify(Milestone("stored", *storing.figures(encoded)))
         return encoded
+
+    def _part(self, storing: Storing, done: int, planned: int, quality: float) -> float:
+        """Encode the scene, and train on as it is decoded; return the next nominal quality."""
+        refresh = self._config.refresh
+        # Each part has one set of decoded values.
+        measure = (done // refresh + 1) % _PARTS_KEPT == 0
+        quality, decoded = storing.aimed(self.trainer.splats, quality, done / planned, measure)
+        rates = [storing.rate((done + k) / planned) for k in (0, refresh)]
+        self.trainer.run(refresh, rates[0], rates[1], drawn_as=decoded)
+        return quality
 
     def _stored_reached(self, storing: Storing) -> None:
         if self._notify is not None:
@@ -364,6 +452,10 @@ class _Run:
         """Return all that `restore` needs."""
         arrays = dict(self.trainer.state())
         arrays["stored"] = np.array(self._stored)
+        arrays["recoveries"] = np.array((self._recoveries, self._aim))
+        arrays["factor"] = np.array(self.pace.factor)
+        for number, kept in enumerate(self._kept):
+            arrays |= {f"kept{number}.{name}": values for name, values in kept.items()}
         if self.base is not None:
             for name in Gradients.names():
                 arrays[f"base.{name}"] = getattr(self.base, name)
@@ -374,6 +466,17 @@ class _Run:
         self.trainer.restore(state)
         done, planned, quality = state["stored"].tolist()
         self._stored = int(done), int(planned), float(quality)
+        self._recoveries, self._aim = state["recoveries"].tolist()
+        self.pace.hold(float(state["factor"]))
+        self._kept = []
+        for number in range(_ROUNDS_KEPT):
+            first = f"kept{number}."
+            kept = {
+                name.removeprefix(first): np.array(values)
+                for name, values in state.items()
+                if name.startswith(first)
+            }
+            self._kept += [kept] if kept else []
         if "base.means" in state:
             arrays = {
                 name: np.array(state[f"base.{name}"], np.float32) for name in Gradients.names()

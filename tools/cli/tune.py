@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -71,7 +73,7 @@ _GROUPS: Final = {
 @cameras_option("Without it, views are planned around the scene.")
 @target_psnr_option(
     "Leave out splats and store the others until renders have this PSNR against renders of SCENE, "
-    "in some of the views of --cameras. 40 where no target is given."
+    "in views between those of --cameras that nothing is trained in. 40 where no target is given."
 )
 @click.option(
     "--target-size",
@@ -83,8 +85,8 @@ _GROUPS: Final = {
     "--minutes",
     type=click.FloatRange(0, min_open=True),
     metavar="N",
-    help="Train for about so long. Without it, the number of steps is fixed, and the result is "
-    "the same on every run.",
+    help="Train until so much time is over, at most 12 times the usual number of steps. Without "
+    "it, that number is fixed, and the result is the same on every run.",
 )
 @taught_by_option
 @click.option(
@@ -122,7 +124,12 @@ _GROUPS: Final = {
     metavar="FILE",
     help="Keep there, after every round, what --resume needs.",
 )
-@click.option("--resume", is_flag=True, help="Go on from --checkpoint, where that is there.")
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Go on from --checkpoint, where that is there, by the steps that were planned when it was "
+    "written, also with --minutes: every run from one checkpoint has the same result.",
+)
 @format_option(["cogs"], "Without it, a name that says another format is refused.")
 @background_option
 @partial_option
@@ -160,7 +167,7 @@ def tune(
     to make up for them; then what is left trains on through the encoder's quantisers. How much
     smaller the file becomes depends on the scene and on its cameras.
     """
-    from cogsplat.codec.fit.lessons import lessons_of
+    from cogsplat.codec.fit.lessons import lessons_of, views_apart
     from cogsplat.codec.fit.trainer import TrainConfig
     from cogsplat.codec.fit.tuning import TuneConfig
     from cogsplat.codec.fit.tuning import tune as tuned_scene
@@ -179,6 +186,7 @@ def tune(
             check_distinct(out, other)
             check_output(other, force=force or other == checkpoint, inputs=inputs)
     shown = not (quiet or as_json)
+    begin = time.monotonic()
     with Stages(shown=shown) as stages:
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)
@@ -186,20 +194,28 @@ def tune(
             splats = usable_rows(given.splats, scene).without_extras()
             if not len(splats):
                 raise DataError("empty-scene", f"{scene}: 0 splats, expected some to train")
-        planned = views is None
+        planned, apart = views is None, []
         if views is None:
             plan = planned_views(splats, threads=threads, progress=stages)
             # Quality is not measured where the scene is trained: it is better there.
             views, tests = plan.views + plan.covering_views, plan.test_views
         else:
             assert cameras is not None
-            tests = measured_in(given_cameras(cameras), eval_every)
+            tests = apart = views_apart(views)
+            if not tests:
+                tests = measured_in(given_cameras(cameras), eval_every)
         photos = None
         if images is not None:
             taken = read_photos(images, splats, views, background, threads=threads)
             photos = [pixels.astype(np.float32) / np.float32(255) for pixels in taken.pictures]
         lessons = lessons_of(
-            splats, views, photos=photos, background=background, threads=threads, progress=stages
+            splats,
+            views,
+            photos=photos,
+            apart=apart,
+            background=background,
+            threads=threads,
+            progress=stages,
         )
         target = _target(target_psnr, target_size, given.file_bytes)
         config = TuneConfig(
@@ -216,6 +232,10 @@ def tune(
             return cogs.size_bytes(encoded, writer=writer, first_view=first_view)
 
         of = fingerprint(splats, f"{target} {config} {[view.name for view in views]}")
+        if minutes is not None:
+            # What was done until now is of these minutes as well.
+            left = 60 * minutes - (time.monotonic() - begin)
+            config = replace(config, seconds=max(left, 0.1 * 60 * minutes))
         state = None
         if checkpoint is not None and resume and checkpoint.exists():
             state = read_checkpoint(checkpoint, of)

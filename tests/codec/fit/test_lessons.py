@@ -5,7 +5,7 @@ import oracle
 import pytest
 
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.fit.lessons import lessons_of
+from cogsplat.codec.fit.lessons import MOST_VIEWS, lessons_of, views_apart
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import SceneInfo
 
@@ -15,7 +15,7 @@ def test_renders_teach_in_the_cameras_and_their_copies():
     cameras = [oracle.camera(angle) for angle in (0.1, 0.6)]
     background = (0.2, 0.0, 1.0)
     lessons = lessons_of(splats, cameras, background=background, threads=2)
-    assert (len(lessons), lessons.given, lessons.along, len(lessons.pictures)) == (7, 2, 3, 7)
+    assert (len(lessons), lessons.given, lessons.along, len(lessons.pictures)) == (8, 2, 3, 8)
     for camera, config, picture in zip(
         lessons.cameras, lessons.configs, lessons.pictures, strict=True
     ):
@@ -35,6 +35,25 @@ def test_a_view_between_two_cameras_is_halfway():
     three = lessons_of(splats, [one, middle, other])
     assert (three.given, three.along) == (3, 6)
     assert len({camera.name for camera in three.cameras}) == len(three)
+
+
+def test_views_that_are_kept_apart_do_not_teach():
+    splats = oracle.scene(5)
+    cameras = [oracle.camera(angle) for angle in np.linspace(0.0, 1.2, 8)]
+    apart = views_apart(cameras)
+    assert 1 <= len(apart) < len(cameras)
+    whole, without = (lessons_of(splats, cameras, apart=views) for views in ((), apart))
+    names = {camera.name for camera in without.cameras}
+    assert not names & {camera.name for camera in apart}
+    assert {camera.name for camera in whole.cameras[: whole.along]} == {
+        camera.name for camera in [*without.cameras[: without.along], *apart]
+    }
+    # Of copies of the views that are kept apart there are none either.
+    assert len(whole) - len(without) == 2 * len(apart)
+    # Halfway between cameras that look at each other may be anything.
+    assert views_apart([oracle.camera(0.0), oracle.camera(np.pi)]) == []
+    assert views_apart([oracle.camera()]) == []
+    assert len(views_apart([oracle.camera(x) for x in np.linspace(0, 3, 200)])) <= MOST_VIEWS
 
 
 def test_photos_teach_in_the_cameras_and_renders_in_the_copies():

@@ -15,31 +15,70 @@ class Clock:
 
 def test_without_a_limit_the_plan_stays():
     pace = Pace(None, Clock())
-    pace.timed(lambda: None, 10, 1.0)
-    assert pace.steps(150, 0.5, 1e9) == 150
+    pace.timed(lambda: None, 10.0)
+    pace.plan(5.0, 1e9)
+    assert pace.steps(150, stretched=True) == pace.steps(150, stretched=False) == 150
+    assert pace.fitting(40, 1e9, 1e9) == 40
 
 
-def test_steps_become_fewer_or_more_until_the_time_is_over():
+def test_before_anything_was_timed_the_plan_stays():
+    pace = Pace(10.0, Clock())
+    pace.plan(1e9, 1e9)
+    assert pace.factor == 1.0
+
+
+def test_steps_become_fewer_until_the_time_is_over():
     clock = Clock()
     pace = Pace(100.0, clock)
-    assert pace.steps(20, 1.0, 80.0) == 20
-    # Two seconds a step: 60 seconds are left for work that would take 160.
-    pace.timed(lambda: clock.spend(40.0), 20, 1.0)
-    steps = pace.steps(40, 1.0, 40.0)
-    assert steps == round(40 * 60 / 160)
-    pace.timed(lambda: clock.spend(2.0 * steps), steps, 1.0)
-    rest = pace.steps(40, 1.0, 0.0)
-    assert clock.now + 2.0 * rest == pytest.approx(200.0, abs=1.0)
+    # Two seconds for one of work: 60 seconds are left for work that would take 160.
+    pace.timed(lambda: clock.spend(40.0), 20.0)
+    pace.plan(40.0, 40.0)
+    assert pace.factor == pytest.approx(60 / 160)
+    assert pace.steps(40, stretched=True) == pace.steps(40, stretched=False) == 15
+
+
+def test_time_that_is_left_goes_to_what_may_be_stretched():
+    clock = Clock()
+    pace = Pace(1000.0, clock)
+    pace.timed(lambda: clock.spend(100.0), 100.0)
+    pace.plan(300.0, 200.0)
+    assert pace.factor == pytest.approx((900 - 300) / 200)
+    assert pace.steps(50, stretched=True) == 150
+    assert pace.steps(50, stretched=False) == 50
 
 
 def test_there_is_always_a_step_and_never_many_times_the_plan():
     clock = Clock()
     pace = Pace(10.0, clock)
-    pace.timed(lambda: clock.spend(1.0), 1000, 1.0)
-    assert pace.steps(100, 1.0, 0.0) == 400
+    pace.timed(lambda: clock.spend(1.0), 1000.0)
+    pace.plan(0.0, 100.0)
+    assert pace.steps(100, stretched=True) == 1200
+    assert pace.fitting(10, 1e-9, 0.0) == 120
     clock.spend(100.0)
-    assert pace.steps(100, 1.0, 0.0) == 5
-    assert pace.steps(1, 1.0, 0.0) == 1
+    pace.plan(0.0, 100.0)
+    assert pace.steps(100, stretched=True) == 5
+    assert pace.steps(1, stretched=True) == 1
+    assert pace.fitting(100, 1.0, 0.0) == 5
+    assert pace.fitting(3, 1.0, 0.0) == 1
+
+
+def test_as_many_parts_follow_as_fit_before_the_time_that_is_kept():
+    clock = Clock()
+    pace = Pace(100.0, clock)
+    begin = pace.now()
+    clock.spend(20.0)
+    assert pace.now() - begin == 20.0
+    assert pace.fitting(20, 2.0, 30.0) == 25
+
+
+def test_a_factor_that_is_held_does_not_look_at_the_clock():
+    clock = Clock()
+    pace = Pace(10.0, clock)
+    pace.hold(2.5)
+    pace.timed(lambda: clock.spend(50.0), 1.0)
+    pace.plan(10.0, 10.0)
+    assert pace.steps(10, stretched=True) == 25
+    assert pace.fitting(7, 100.0, 100.0) == 7
 
 
 def test_a_step_costs_less_with_fewer_splats_but_never_nothing():

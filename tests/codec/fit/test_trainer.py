@@ -6,6 +6,7 @@ import pytest
 from numba.core import sigutils
 
 from cogsplat.codec.compiling import declared_in
+from cogsplat.codec.fit.deletion import deletion_errors
 from cogsplat.codec.fit.drawing import Gradients
 from cogsplat.codec.fit.lessons import lessons_of
 from cogsplat.codec.fit.trainer import TrainConfig, Trainer
@@ -100,6 +101,25 @@ def test_kernels_are_called_with_the_types_that_are_declared(taught):
         types, _ = sigutils.normalize_signature(f"({kernel.types},)")
         called = kernel.function.signatures  # type: ignore[attr-defined]
         assert called == [types], f"{kernel.name}: called with {called}, declared {types}"
+
+
+def test_steps_measure_what_pictures_would_lose_without_each_splat(taught):
+    _, _, noisy = taught
+    lessons = lessons_of(noisy, [oracle.camera()])
+    assert len(lessons) == 3
+    trainer = Trainer(noisy, lessons, TrainConfig(worst_views=0.0, rates={}))
+    trainer.run(1, 1.0, 1.0)
+    # One of the two copies has not been drawn.
+    assert trainer.deletion_errors() is None
+    trainer.run(1, 1.0, 1.0)
+    # The camera itself was drawn in both steps.
+    expected = deletion_errors(noisy, lessons) + deletion_errors(noisy, lessons, [0])
+    np.testing.assert_allclose(trainer.deletion_errors(), expected, rtol=0.02, atol=1e-3)
+    resumed = Trainer(noisy, lessons, TrainConfig())
+    resumed.restore(trainer.state())
+    np.testing.assert_array_equal(resumed.deletion_errors(), trainer.deletion_errors())
+    trainer.keep(np.arange(30))
+    assert trainer.deletion_errors() is None
 
 
 def test_arrays_without_a_rate_stay(taught):

@@ -18,7 +18,7 @@ from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.synthetic.scene import synth, synth_cameras
 
-SHORT = TuneConfig(round_steps=20, recovery_steps=30, storing_steps=60)
+SHORT = TuneConfig(round_steps=20, recovery_steps=80, storing_steps=60)
 
 
 def size_of(encoded):
@@ -63,9 +63,9 @@ def test_a_psnr_is_met_with_fewer_splats_in_fewer_bytes(scene):
         target=Target(psnr_db=33.0),
         size_of=size_of,
     )
-    assert size_of(made.encoded) < 0.8 * size_of(plain)
+    assert size_of(made.encoded) < 0.9 * size_of(plain)
     assert made.encoded.splats < len(splats)
-    assert len(made.splats) == told[-1].splats
+    assert made.encoded.splats == told[-1].splats <= len(made.splats)
     assert {milestone.stage for milestone in told} == {"trained", "stored"}
     assert all(milestone.worst_db <= milestone.psnr_db for milestone in told)
     assert made.encoded.chunks[-1].quality_db > 30.0
@@ -101,7 +101,8 @@ def test_the_result_is_the_same_for_any_threads_and_after_a_restart(scene):
 @pytest.mark.slow
 def test_codebooks_train_with_the_splats(scene):
     splats, cameras, _ = scene
-    config = replace(SHORT, profile="vq", keep=0.7)
+    # Little training before the quantisers, so that it is what follows that tells.
+    config = replace(SHORT, profile="vq", keep=0.7, recovery_steps=30, storing_steps=100)
     states = []
 
     def keep(state):
@@ -131,6 +132,36 @@ def test_codebooks_train_with_the_splats(scene):
 
 
 @pytest.mark.slow
+def test_a_run_that_goes_on_makes_the_steps_that_were_planned_whatever_the_time(scene):
+    states = []
+    target = Target(size_bytes=5000)
+
+    def keep(state):
+        states.append({name: np.array(values) for name, values in state.items()})
+
+    config = replace(SHORT, seconds=3.0)
+    tuned(scene, target, config, checkpoint=keep)
+    # From before the long training that follows the rounds, and from the middle of storing.
+    for state in (states[0], states[-1]):
+        first, second = (tuned(scene, target, config, resume=state) for _ in range(2))
+        assert [chunk.payloads.head for chunk in first.encoded.chunks] == [
+            chunk.payloads.head for chunk in second.encoded.chunks
+        ]
+
+
+@pytest.mark.slow
+def test_splats_come_back_where_too_many_were_left_out(scene):
+    told = []
+    config = replace(SHORT, round_keep=0.25)
+    made = tuned(scene, Target(psnr_db=35.0), config, notify=told.append)
+    counts = [milestone.splats for milestone in told if milestone.stage == "trained"]
+    fewest = counts.index(min(counts))
+    assert counts[0] == 175
+    assert counts[-1] > counts[fewest]
+    assert np.mean(made.encoded.report.test_psnr_db) == pytest.approx(35.0, abs=0.5)
+
+
+@pytest.mark.slow
 def test_the_share_that_is_kept_can_be_given(scene):
     config = replace(SHORT, keep=0.5, preset="balanced")
     made = tuned(scene, Target(psnr_db=30.0), config)
@@ -144,7 +175,8 @@ def test_time_that_is_short_makes_steps_fewer(scene):
     tuned(scene, Target(size_bytes=6000), config, progress=lambda *step: done.append(step))
     totals = [total for stage, step, total in done if stage == "train" and step == 0]
     assert totals[0] == SHORT.round_steps
-    assert totals[-1] < SHORT.recovery_steps
+    assert totals[-1] == 0.05 * SHORT.recovery_steps
+    assert done[-1][0] == "predict"
 
 
 def test_a_size_out_of_reach_is_refused(scene):

@@ -1,0 +1,41 @@
+import pytest
+
+from cogsplat.codec.fit.shares import (
+    corrected_count,
+    count_for_size,
+    next_count,
+    next_count_for_psnr,
+)
+
+
+@pytest.mark.parametrize(("degree", "count"), [(0, 153), (1, 125), (2, 105), (3, 90)])
+def test_a_size_asks_for_fewer_splats_where_these_hold_more(degree, count):
+    assert count_for_size(1000, degree, 10_000) == count
+    assert count_for_size(1000, degree, 50) == 50
+    assert count_for_size(1, degree, 50) == 1
+
+
+def test_rounds_end_at_the_number_that_is_aimed_at():
+    counts = [1000]
+    while (count := next_count(counts[-1], 300, 0.7)) is not None:
+        counts.append(count)
+    assert counts == [1000, 700, 489, 342, 300]
+
+
+def test_rounds_end_when_training_cannot_make_up_for_more():
+    far = next_count_for_psnr(1000, 45.0, 35.0, 0.8)
+    near = next_count_for_psnr(1000, 35.5, 35.0, 0.8)
+    assert (far, near) == (800, 900)
+    assert next_count_for_psnr(1000, 35.0, 35.0, 0.8) is None
+    assert next_count_for_psnr(1, 45.0, 35.0, 0.8) is None
+
+
+def test_counts_are_corrected_by_what_half_of_the_splats_cost():
+    # 2 dB are lost when splats are stored; 4 dB more than that are half of the splats.
+    assert corrected_count(1000, 41.0, 35.0, 5000) == 500
+    assert corrected_count(1000, 33.0, 35.0, 5000) == 2000
+    assert corrected_count(1000, 33.0, 35.0, 1500) == 1500
+    assert corrected_count(1000, 37.0, 35.0, 5000) is None
+    # Somewhat too few may stay; there is nothing to take back either.
+    assert corrected_count(1000, 36.0, 35.0, 5000) is None
+    assert corrected_count(1000, 33.0, 35.0, 1000) is None
