@@ -28,7 +28,10 @@ DEFAULT_LARGEST: Final = 8192
 #   most 4,096, layers grow by 1.5                               +5.7% 30.29 20.8 22.9 24.8
 #   most 8,192, layers grow by 2    +5.9% 39.74 27.2 30.9 32.4
 # Layers that double hold splats too different for one chunk's steps, and while the last layer
-# arrives, half of the picture is coarse.
+# arrives, half of the picture is coarse. Layers of a sixth of the splats at most were tried in the
+# room: 0.5 % fewer bytes at equal PSNR, and 384 KiB show 0.3 dB more, but who chooses by the views
+# nearest to a pose sees 0.9 dB less with half of the bytes (and 0.3 dB more with 70 %), as fewer
+# chunks of the middle layers are cut.
 
 WHOLE: Final = 1
 """Number of the cell that is the whole scene; the halves of cell c are 2c and 2c + 1 (SPEC 5.4)."""

@@ -235,15 +235,16 @@ class Simulation:
         shown : callable, optional
             Called with every picture.
         """
-        total = float(self.units.size_bytes.sum() + self.units.opening_bytes)
-        download = link.latency + 8.0 * total / link.bits_per_second
-        end = min(trace.seconds, download) if trace.seconds > 0.0 else download
-        times = end * np.arange(1, moments + 1) / moments
         clients = {name: self.client(name) for name in policies}
         arrivals = {
             name: fetch(client.units, trace, link, client.wanted)
             for name, client in clients.items()
         }
+        # When the last unit has come: sums of times round, so that it is not reckoned from bytes.
+        ends = [float(arrived.seconds[-1]) for arrived in arrivals.values() if arrived.units]
+        download = max(ends, default=link.latency)
+        end = min(trace.seconds, download) if trace.seconds > 0.0 else download
+        times = end * np.arange(1, moments + 1) / moments
         seen: dict[str, list[Moment]] = {name: [] for name in policies}
         is_seen = np.zeros(len(self._shown.splats), np.bool_)
         for number, seconds in enumerate(times.tolist()):

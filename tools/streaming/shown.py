@@ -122,6 +122,4 @@ class ShownScene:
             return splats
         counts = self._compensation.chunk_splats
         prefixes = equivalent_prefixes(held, self._parents, counts)
-        if is_prefix:
-            prefixes = np.full(len(held), len(held), np.int64)
         return self._compensation.apply_each(splats, np.array(held, np.int64), prefixes)
