@@ -172,6 +172,7 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "codec.fit": {
         "lessons": "lessons_of views_apart",
+        "shares": "count_for_size",
         "level_encoding": "LevelEncoding encode_levels",
         "levels": (
             "LevelledSplats LevelsConfig averaged scaled_camera train_for_all_scales train_levels"
