@@ -51,7 +51,7 @@ def _manifest_name(
 @quiet_option
 @json_option
 def unpack(source: Path, folder: Path, name: str, force: bool, quiet: bool, as_json: bool) -> None:
-    """Write a COGS file as a folder: a manifest, and objects that hold its segments.
+    """Write a COGS file as a folder: a manifest and its objects.
 
     For hosts without byte ranges, and for scenes of which new versions keep most segments. The
     segments of a chunk are one object. Objects are named by their content, so that they can be

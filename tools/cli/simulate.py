@@ -163,7 +163,7 @@ def simulate(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Simulate clients that fetch IN.cogs by what a visitor looks at.
+    """Simulate clients that fetch by what a visitor looks at.
 
     Most policies fetch the same segments in another order: the file's, shown as it comes or once
     the whole is there, whole chunks by distance, by the priority of SGSS, and the file's order put
