@@ -44,7 +44,7 @@ _COMPENSATE: Final = (1.35, 3.7e-5)
 _VIEW_TABLE: Final = (1.4e-7, 4e-7)
 # The first prefix of the order by gain, as a share of the scene.
 _FIRST_PREFIX: Final = 1 / 8000
-_OPENING: Final = 12.0
+_OPENING: Final = 16.0
 _ORDER: Final = (1e-3, 7e-8)
 _QUANTISERS: Final = (0.2, 2e-6)
 _CHUNKS: Final = (0.05, 2e-5)
