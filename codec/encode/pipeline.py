@@ -208,7 +208,9 @@ def encode(
         progress=timed,
     )
     timed("order", 1, 1)
-    table_views = views if config.cells and config.view_table else []
+    # A preset that scores few of the given cameras tells of all of them all the same.
+    told = list(cameras or views)
+    table_views = told if config.cells and config.view_table else []
     finishing = _Finishing(
         prepared, references if fits else None, tests or views, table_views, preset, opening,
         executor, timed,

@@ -14,6 +14,7 @@ await build({
     viewer_worker: "build/src/viewer/viewer_worker.js",
     spark: "build/src/adapters/spark.js",
     playcanvas: "build/src/adapters/playcanvas.js",
+    view_order: "build/src/loader/view_order.js",
   },
   outdir: folder,
   bundle: true,

@@ -16,9 +16,10 @@ export interface RangeRequest extends ByteRange {
  * @param wanted - Segments in the order in which they are wanted; those that are taken are removed.
  * @param rangeOf - Where a segment is in the file.
  * @param maxBytes - Most bytes of the request: small ones first, so that the first chunks come soon.
+ * @param maxGap - Most bytes between two segments of a request; what lies there comes as well, and again where it is wanted later.
  */
 export function nextRequest(
-  wanted: number[], rangeOf: (segment: number) => ByteRange, maxBytes = MAX_REQUEST,
+  wanted: number[], rangeOf: (segment: number) => ByteRange, maxBytes = MAX_REQUEST, maxGap = MAX_GAP,
 ): RangeRequest | undefined {
   const first = wanted[0];
   if (first === undefined) return undefined;
@@ -30,7 +31,7 @@ export function nextRequest(
     const start = Math.min(offset, next.offset);
     const stop = Math.max(end, next.offset + next.length);
     const gap = Math.max(next.offset - end, offset - (next.offset + next.length), 0);
-    if (gap > MAX_GAP || stop - start > Math.min(maxBytes, MAX_REQUEST)) break;
+    if (gap > maxGap || stop - start > Math.min(maxBytes, MAX_REQUEST)) break;
     [offset, end] = [start, stop];
   }
   const segments = wanted.splice(0, taken).sort((a, b) => rangeOf(a).offset - rangeOf(b).offset);

@@ -135,6 +135,7 @@ export class StreamedScene {
       reader: this.reader,
       beginning: this.beginning,
       compensation: this.compensation,
+      kernels: options.order && (await loadKernels())(),
       readPages: (count: number) => this.readPages(count),
     };
     const stream = new SceneStream(source, service, options);

@@ -81,6 +81,8 @@ class Round {
   private readonly coming: Set<number>;
   private readonly received: Map<number, number>;
   private readonly window: number;
+  /** Bytes that are still to come of what is under way. */
+  private bytesComing = 0;
 
   constructor(
     private readonly units: readonly Unit[],
@@ -93,13 +95,12 @@ class Round {
     this.coming = new Set(holdings.underWay);
     this.received = new Map(holdings.received);
     this.window = holdings.bytesPerSecond * (holdings.latency + AHEAD_SECONDS);
+    for (const unit of this.coming) this.bytesComing += this.left(unit);
   }
 
   /** Whether as much is under way as the window holds. */
   get isFull(): boolean {
-    let left = 0;
-    for (const unit of this.coming) left += this.left(unit);
-    return left >= this.window && this.coming.size > 0;
+    return this.bytesComing >= this.window && this.coming.size > 0;
   }
 
   /** Stop units under way that are worth far less than the best that is not. */
@@ -111,8 +112,7 @@ class Round {
       if (this.urgency[unit]! * ABORT_FACTOR >= this.urgency[best]!) break;
       // What would be here before another answer began is let come.
       if (this.left(unit) / bytesPerSecond <= latency || this.isNeeded(unit)) continue;
-      this.coming.delete(unit);
-      this.stopped.push(unit);
+      this.leave(unit);
     }
   }
 
@@ -127,8 +127,18 @@ class Round {
       return sum + (isHead ? this.splats[chunk]! : 0);
     }, 0);
     if (rows > 0 && !this.makeRoom(rows, unit, chain)) return;
-    for (const part of chain) this.coming.add(part);
+    for (const part of chain) {
+      this.coming.add(part);
+      this.bytesComing += this.left(part);
+    }
     this.chosen.push(...chain);
+  }
+
+  /** Stop a unit under way. */
+  private leave(unit: number): void {
+    this.coming.delete(unit);
+    this.bytesComing -= this.left(unit);
+    this.stopped.push(unit);
   }
 
   private left(unit: number): number {
@@ -178,8 +188,8 @@ class Round {
     this.units.forEach((part, unit) => {
       if (part.chunk !== chunk) return;
       this.there.delete(unit);
+      if (this.coming.has(unit)) this.leave(unit);
       this.received.delete(unit);
-      if (this.coming.delete(unit)) this.stopped.push(unit);
     });
   }
 

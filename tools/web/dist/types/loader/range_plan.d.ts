@@ -9,8 +9,9 @@ export interface RangeRequest extends ByteRange {
  * @param wanted - Segments in the order in which they are wanted; those that are taken are removed.
  * @param rangeOf - Where a segment is in the file.
  * @param maxBytes - Most bytes of the request: small ones first, so that the first chunks come soon.
+ * @param maxGap - Most bytes between two segments of a request; what lies there comes as well, and again where it is wanted later.
  */
-export declare function nextRequest(wanted: number[], rangeOf: (segment: number) => ByteRange, maxBytes?: number): RangeRequest | undefined;
+export declare function nextRequest(wanted: number[], rangeOf: (segment: number) => ByteRange, maxBytes?: number, maxGap?: number): RangeRequest | undefined;
 /** Collects the bytes of one request and hands out each segment as soon as its last byte is there. */
 export declare class RangeAssembler {
     private readonly request;
