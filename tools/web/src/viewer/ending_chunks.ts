@@ -1,4 +1,4 @@
-/** How long a chunk that has ended goes on fading, ms; SPEC 8.5 allows a second. */
+/** How long a chunk that has ended goes on fading, ms; SPEC 8.6 allows a second. */
 const FADE_MILLISECONDS = 400;
 
 interface EndingChunk {
