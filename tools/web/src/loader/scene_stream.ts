@@ -16,9 +16,8 @@ import type { Kernels } from "../kernels/kernels.js";
 const MAX_REQUESTS = 6;
 /** Bytes of the first request behind the beginning; each next one is twice as long, so that first chunks come soon. */
 const FIRST_REQUEST = 262_144;
-/** Bytes of every request, and requests under way, where an order is asked again and again: what is asked for cannot be chosen again. */
+/** Most bytes of every request where an order is asked again and again: what is asked for cannot be chosen again. */
 const ORDERED_REQUEST = 65_536;
-const ORDERED_REQUESTS = 2;
 /** Updates that may wait for the caller before no more is fetched. */
 const MAX_WAITING = 64;
 
@@ -250,8 +249,7 @@ export class SceneStream {
   /** Make requests while there is something to ask for and the caller keeps up. */
   private ask(): void {
     const most = this.source.beginning.sequential ? 1 : MAX_REQUESTS;
-    const asked = this.order ? Math.min(most, ORDERED_REQUESTS) : most;
-    while (this.requests < asked && this.waiting.length < MAX_WAITING && this.failure === undefined) {
+    while (this.requests < most && this.waiting.length < MAX_WAITING && this.failure === undefined) {
       if (this.order && this.wanted.length > 0) this.wanted = this.order.order(this.wanted, performance.now() / 1000);
       const request = this.source.beginning.sequential ? this.wholeRest() : this.nextRange();
       if (request === undefined) return;
