@@ -21,6 +21,7 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
+from cogsplat.tools.conformance.folders import unpacked
 from cogsplat.tools.delivery.slow_server import Link, running
 from cogsplat.tools.delivery.viewer_pages import linked_page, write_lone_page
 from cogsplat.tools.synthetic.scene import synth_cameras
@@ -261,6 +262,18 @@ def test_a_page_without_a_server_shows_its_scene(
     look_from(page, camera())
     wait_until(page, COMPLETE)
     assert psnr(picture(page), ours(small, camera())) >= 38
+
+
+@pytest.mark.parametrize("ranges", [True, False])
+def test_a_scene_in_a_folder_of_objects_is_shown(
+    page: Page, small: SmallScene, *, ranges: bool
+) -> None:
+    objects = unpacked(small.cogs.read_bytes())
+    files = linked_page("scene", "scene/") | {f"scene/{name}": x for name, x in objects.items()}
+    with running(FaultyServer(files)) as server:
+        server.faults.ranges = ranges
+        open_whole(page, server)
+        assert psnr(picture(page), ours(small, camera())) >= 38
 
 
 class Quiet(SimpleHTTPRequestHandler):

@@ -5,8 +5,18 @@ import { gzipSync } from "node:zlib";
 import { build } from "esbuild";
 
 const [folder] = process.argv.slice(2);
-const banner = "/*! cogsplat, Apache-2.0 */";
+const common = {
+  outdir: folder,
+  bundle: true,
+  format: "esm",
+  target: "es2022",
+  minify: true,
+  charset: "utf8",
+  legalComments: "inline",
+  banner: { js: "/*! cogsplat, Apache-2.0 */" },
+};
 await build({
+  ...common,
   entryPoints: {
     cogsplat: "build/src/index.js",
     worker: "build/src/workers/worker.js",
@@ -16,17 +26,15 @@ await build({
     playcanvas: "build/src/adapters/playcanvas.js",
     view_order: "build/src/loader/view_order.js",
   },
-  outdir: folder,
-  bundle: true,
-  format: "esm",
-  target: "es2022",
-  minify: true,
-  charset: "utf8",
-  legalComments: "inline",
-  banner: { js: banner },
 });
+// It throws the errors of the library that it is used with.
+const errorsOfLibrary = {
+  name: "errors of the library",
+  setup: ({ onResolve }) => onResolve({ filter: /\/errors\.js$/ }, () => ({ path: "./cogsplat.js", external: true })),
+};
+await build({ ...common, entryPoints: { folders: "build/src/loader/folders.js" }, plugins: [errorsOfLibrary] });
 for (const file of ["viewer.html", "viewer.css"]) copyFileSync(`viewer/${file}`, `${folder}/${file}`);
-for (const file of ["cogsplat.js", "worker.js", "viewer.js", "viewer_worker.js"]) {
+for (const file of ["cogsplat.js", "folders.js", "worker.js", "viewer.js", "viewer_worker.js"]) {
   const bytes = readFileSync(`${folder}/${file}`);
   console.log(`${folder}/${file}: ${bytes.length} bytes, ${gzipSync(bytes, { level: 9 }).length} gzipped`);
 }

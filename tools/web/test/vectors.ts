@@ -1,6 +1,6 @@
 import { createHash } from "node:crypto";
-import { readFileSync } from "node:fs";
-import { join } from "node:path";
+import { readdirSync, readFileSync } from "node:fs";
+import { join, relative } from "node:path";
 import type { Camera } from "../src/container/cameras.js";
 
 /** The conformance files, found from the folder that the tests run in, the package's. */
@@ -39,7 +39,20 @@ export const manifest = JSON.parse(readFileSync(join(FOLDER, "manifest.json"), "
   readonly format: string;
   readonly valid: readonly ValidVector[];
   readonly invalid: readonly InvalidVector[];
+  /** Names of manifests with the files that they stand for. */
+  readonly folders: readonly { readonly name: string; readonly manifests: Readonly<Record<string, string>> }[];
+  readonly invalid_folders: readonly InvalidVector[];
 };
+
+/** What is in a folder of the conformance files, by its path there. */
+export function vectorFolder(kind: "folders" | "invalid-folders", name: string): Map<string, Uint8Array> {
+  const folder = join(FOLDER, kind, name);
+  const files = readdirSync(folder, { recursive: true, withFileTypes: true }).filter((entry) => entry.isFile());
+  return new Map(files.map((entry) => {
+    const path = join(entry.parentPath, entry.name);
+    return [relative(folder, path).replaceAll("\\", "/"), new Uint8Array(readFileSync(path))];
+  }));
+}
 
 /** The bytes of a conformance file. */
 export function vectorBytes(folder: "valid" | "invalid", name: string): Uint8Array {

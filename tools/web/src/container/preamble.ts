@@ -6,6 +6,8 @@ export const PREAMBLE_BYTES = 64;
 /** Most bytes of a root: it ends at byte 16,384 (SPEC 3.3). */
 const MAX_ROOT_BYTES = 16_320;
 const MAGIC = Uint8Array.of(0x89, 0x43, 0x4f, 0x47, 0x53, 0x0d, 0x0a, 0x1a);
+/** Of the manifest of a folder (SPEC 3.4). */
+const MANIFEST_MAGIC = Uint8Array.of(0x89, 0x43, 0x4f, 0x47, 0x4d, 0x0d, 0x0a, 0x1a);
 const MAJOR = 0;
 const MINOR = 3;
 
@@ -24,7 +26,7 @@ export interface Preamble {
 export function readPreamble(bytes: Uint8Array): Preamble {
   const magic = bytes.subarray(0, MAGIC.length);
   if (magic.some((byte, i) => byte !== MAGIC[i])) {
-    throw new CogsplatError("not-cogs", `the file begins with ${hex(magic)}`, 0);
+    throw new CogsplatError("not-cogs", `the file begins with ${hex(magic, " ") || "nothing"}`, 0);
   }
   if (bytes.length < PREAMBLE_BYTES) {
     throw new CogsplatError("preamble-truncated", `${bytes.length} bytes where the preamble has ${PREAMBLE_BYTES}`, 0);
@@ -51,6 +53,28 @@ export function readPreamble(bytes: Uint8Array): Preamble {
   return { rootLength, fileLength: Number(fileLength), rootCrc: view.getUint32(24, true) };
 }
 
-function hex(bytes: Uint8Array): string {
-  return bytes.length === 0 ? "nothing" : Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join(" ");
+/** Whether bytes begin as the manifest of a folder does (SPEC 3.4). */
+export function isManifest(bytes: Uint8Array): boolean {
+  return bytes.length >= MANIFEST_MAGIC.length && MANIFEST_MAGIC.every((byte, i) => bytes[i] === byte);
+}
+
+/**
+ * The same bytes with the preamble of the file that a manifest stands for: its magic, and a CRC that matches.
+ *
+ * @param manifest - Its beginning, 64 bytes or more.
+ */
+export function fileBeginning(manifest: Uint8Array): Uint8Array<ArrayBuffer> {
+  const bytes = Uint8Array.from(manifest);
+  const view = new DataView(bytes.buffer);
+  if (crc32(bytes.subarray(0, 60)) !== view.getUint32(60, true)) {
+    throw new CogsplatError("preamble-crc", "the CRC of the manifest's preamble does not match", 60);
+  }
+  bytes.set(MAGIC);
+  view.setUint32(60, crc32(bytes.subarray(0, 60)), true);
+  return bytes;
+}
+
+/** Bytes as hexadecimal digits, two each. */
+export function hex(bytes: Uint8Array, between = ""): string {
+  return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join(between);
 }

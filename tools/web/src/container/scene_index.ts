@@ -21,6 +21,16 @@ export interface ByteRange {
   readonly length: number;
 }
 
+/** Where the segments of a scene and the pages of its index are, in whatever they are read from. */
+export interface ScenePlaces {
+  /** Where a segment is. */
+  range(segment: number): ByteRange;
+  /** Where the next page that was not read is, or undefined where all were. */
+  nextPage(): ByteRange | undefined;
+  /** Read the page that `nextPage` tells of. */
+  addPage(bytes: Uint8Array): void;
+}
+
 /** The segments of one chunk; −1 where it has none that is known. */
 export interface ChunkSegments {
   readonly head: number;

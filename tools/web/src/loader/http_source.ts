@@ -41,6 +41,14 @@ export class HttpSource implements ByteSource {
     }
   }
 
+  /** A file that is named relative to this one; the query of the address is kept, which may hold a signature for all. */
+  beside(name: string): HttpSource {
+    const own = new URL(this.url, globalThis.document?.baseURI ?? globalThis.location?.href);
+    const url = new URL(name, own);
+    url.search = own.search;
+    return new HttpSource(url, this.options);
+  }
+
   private async request(range: string, signal: AbortSignal | undefined, fresh: boolean): Promise<Response> {
     const { headers, credentials } = this.options;
     // Its own abort ends a request that stays without an answer, and the caller's ends it as well.

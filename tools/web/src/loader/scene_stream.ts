@@ -1,4 +1,4 @@
-import type { ByteRange, SceneIndex } from "../container/scene_index.js";
+import type { ByteRange, SceneIndex, ScenePlaces } from "../container/scene_index.js";
 import { CogsplatError, SourceError } from "../errors.js";
 import type { Beginning } from "./beginning.js";
 import { SegmentKind } from "../container/tables.js";
@@ -30,6 +30,10 @@ const MOST_KEPT_BYTES = 32 * 2 ** 20;
 /** What a stream reads from; shared by all streams of a scene. */
 export interface StreamSource {
   readonly index: SceneIndex;
+  /** Where segments are in what is read. */
+  readonly places: ScenePlaces;
+  /** Whether the source gives the whole file whatever it is asked for. */
+  isSequential(): boolean;
   readonly reader: RetryingReader;
   /** What the first request brings, as it comes. */
   readonly beginning: Beginning;
@@ -215,7 +219,7 @@ export class SceneStream {
   }
 
   private endOf(segment: number): number {
-    const { offset, length } = this.index.range(segment);
+    const { offset, length } = this.rangeOf(segment);
     return offset + length;
   }
 
@@ -236,7 +240,7 @@ export class SceneStream {
           slice = performance.now();
         }
         if (beginning.here.length < end) throw new SourceError(`the file ends before byte ${end}`, undefined, true);
-        this.accept(segment, beginning.here.slice(this.index.range(segment).offset, end));
+        this.accept(segment, beginning.here.slice(this.rangeOf(segment).offset, end));
       } catch (error) {
         this.lose(error, [segment]);
       } finally {
@@ -248,10 +252,11 @@ export class SceneStream {
 
   /** Make requests while there is something to ask for and the caller keeps up. */
   private ask(): void {
-    const most = this.source.beginning.sequential ? 1 : MAX_REQUESTS;
+    const isSequential = this.source.isSequential();
+    const most = isSequential ? 1 : MAX_REQUESTS;
     while (this.requests < most && this.waiting.length < MAX_WAITING && this.failure === undefined) {
       if (this.order && this.wanted.length > 0) this.wanted = this.order.order(this.wanted, performance.now() / 1000);
-      const request = this.source.beginning.sequential ? this.wholeRest() : this.nextRange();
+      const request = isSequential ? this.wholeRest() : this.nextRange();
       if (request === undefined) return;
       this.requestBytes *= 2;
       this.requests++;
@@ -274,7 +279,7 @@ export class SceneStream {
     return { offset, length: last.offset + last.length - offset, segments };
   }
 
-  private readonly rangeOf = (segment: number): ByteRange => this.index.range(segment);
+  private readonly rangeOf = (segment: number): ByteRange => this.source.places.range(segment);
 
   private async run(request: RangeRequest): Promise<void> {
     const assembler = new RangeAssembler(request, this.rangeOf);
@@ -296,7 +301,10 @@ export class SceneStream {
 
   /** Go on without segments that did not come, or end where no others would come either. */
   private lose(error: unknown, segments: readonly number[]): void {
-    if (this.abort.signal.aborted || !(error instanceof SourceError) || !error.retryable) this.stopWith(error);
+    // An object of a folder that is not as it should be spoils no other.
+    const isOfObject = error instanceof CogsplatError && (error.code === "segment-missing" || error.code === "segment-object");
+    const isPartial = isOfObject || (error instanceof SourceError && error.retryable);
+    if (this.abort.signal.aborted || !isPartial) this.stopWith(error);
     else for (const segment of segments) this.damage(error, this.queue.lose(segment));
   }
 
@@ -326,7 +334,7 @@ export class SceneStream {
 
   private async fetchAgain(segment: number): Promise<void> {
     try {
-      const payload = await this.source.reader.all(this.index.range(segment), this.abort.signal, true);
+      const payload = await this.source.reader.all(this.rangeOf(segment), this.abort.signal, true);
       this.index.checkCrc(segment, payload);
       this.take(segment, payload);
     } catch (error) {

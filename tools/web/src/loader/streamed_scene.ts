@@ -1,7 +1,7 @@
 import type { SceneInfo } from "../container/root.js";
-import { SceneIndex } from "../container/scene_index.js";
-import { PREAMBLE_BYTES, readPreamble } from "../container/preamble.js";
-import { CogsplatError } from "../errors.js";
+import { SceneIndex, type ByteRange, type ScenePlaces } from "../container/scene_index.js";
+import { fileBeginning, isManifest, PREAMBLE_BYTES, readPreamble } from "../container/preamble.js";
+import { CogsplatError, SourceError } from "../errors.js";
 import { loadKernels } from "../kernels/load.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
 import { shnFloats } from "../scene/chunk_tail.js";
@@ -20,7 +20,7 @@ import { bytesPerSplat, type ChunkUpdate, type StreamOptions } from "./stream_op
 const FIRST_BYTES = 65_536;
 
 /** Reason codes of a beginning whose bytes are not those that were written. */
-const DAMAGED_ROOT: ReadonlySet<string> = new Set(["preamble-crc", "root-crc"]);
+const DAMAGED_ROOT: ReadonlySet<string> = new Set(["preamble-crc", "root-crc", "places-crc"]);
 
 /** How a scene is opened. */
 export interface OpenOptions {
@@ -31,9 +31,26 @@ export interface OpenOptions {
   readonly maxDecodedBytes?: number;
   /** Makes what decodes the chunks, such as a pool of workers; by default they are decoded where the caller runs. */
   readonly service?: (index: DecoderIndex) => ChunkService | Promise<ChunkService>;
+  /** Reads scenes that are kept as folders: `folders` of `cogsplat/folders`. */
+  readonly folders?: FolderReader;
 }
 
-/** A scene that is read from a URL, a file or another source of bytes while it is drawn. */
+/** Finds the segments of a scene that is kept as a folder of a manifest and objects (SPEC 3.4). */
+export interface FolderReader {
+  /**
+   * Read where the segments are.
+   *
+   * @param manifest - From which the objects are reached.
+   * @param beginning - First bytes of the manifest, its length where it is known, and whether its server answers ranges.
+   * @param index - The root.
+   */
+  open(
+    manifest: ByteSource, beginning: { readonly here: Uint8Array; readonly length: number | undefined; readonly hasRanges: boolean },
+    index: SceneIndex,
+  ): { readonly places: ScenePlaces; readonly source: ByteSource };
+}
+
+/** A scene that is read from the URL of a file or a folder, a file or another source of bytes while it is drawn. */
 export class StreamedScene {
   /** The last page that is being read; pages are read one after the other, once for all streams. */
   private pages: Promise<unknown> = Promise.resolve();
@@ -42,6 +59,8 @@ export class StreamedScene {
 
   private constructor(
     readonly index: SceneIndex,
+    /** Where segments and pages are in what `reader` reads. */
+    private readonly places: ScenePlaces,
     private readonly reader: RetryingReader,
     /** What the first request brings. */
     private readonly beginning: Beginning,
@@ -56,7 +75,8 @@ export class StreamedScene {
   /**
    * Ask for the beginning of a file and read its root.
    *
-   * @param source - A URL, a File or Blob, or any source of bytes.
+   * @param source - A URL, of a file or, with `options.folders`, of a manifest, or of a folder where it ends in a slash (SPEC 3.4); a File
+   * or Blob, or any source of bytes.
    *
    * @example
    * ```ts
@@ -102,9 +122,11 @@ export class StreamedScene {
   private static async begin(
     source: string | URL | Blob | ByteSource, options: OpenOptions, isReopened: boolean,
   ): Promise<StreamedScene> {
-    const reader = new RetryingReader(sourceOf(source, options.http), { ...DEFAULT_RETRY, ...options.retry });
+    const given = sourceOf(source, options.http);
+    const reader = new RetryingReader(given, { ...DEFAULT_RETRY, ...options.retry });
     const beginning = new Beginning(reader, FIRST_BYTES);
     await beginning.upTo(PREAMBLE_BYTES, options.signal);
+    if (isManifest(beginning.here)) return StreamedScene.beginFolder(given, beginning, source, options, isReopened);
     // What is no COGS file is refused by its first bytes.
     const { rootLength } = readPreamble(beginning.here);
     // A source that does not say how long the file is does so by ending.
@@ -112,7 +134,28 @@ export class StreamedScene {
     const { here, total } = beginning;
     const index = SceneIndex.open(here.slice(), total ?? (here.length < FIRST_BYTES ? here.length : undefined));
     index.settle();
-    return new StreamedScene(index, reader, beginning, source, options, isReopened);
+    return new StreamedScene(index, index, reader, beginning, source, options, isReopened);
+  }
+
+  /** Read the root of a folder from the beginning of its manifest (SPEC 3.4). */
+  private static async beginFolder(
+    manifest: ByteSource, beginning: Beginning, source: string | URL | Blob | ByteSource, options: OpenOptions, isReopened: boolean,
+  ): Promise<StreamedScene> {
+    if (options.folders === undefined) throw new SourceError("a scene that is kept as a folder, expected the option `folders`", undefined, false);
+    // The root and its places lie in it (SPEC 8.8).
+    await beginning.upTo(FIRST_BYTES, options.signal);
+    const { here, total, sequential } = beginning;
+    const index = SceneIndex.open(fileBeginning(here));
+    const length = total ?? (here.length < FIRST_BYTES ? here.length : undefined);
+    const { places, source: objects } = options.folders.open(manifest, { here, length, hasRanges: !sequential }, index);
+    index.settle();
+    const reader = new RetryingReader(objects, { ...DEFAULT_RETRY, ...options.retry });
+    return new StreamedScene(index, places, reader, beginning, source, options, isReopened);
+  }
+
+  /** Whether the scene is kept as a folder of a manifest and objects (SPEC 3.4). */
+  get isFolder(): boolean {
+    return this.places !== this.index;
   }
 
   /** What the root says of the scene. */
@@ -132,6 +175,8 @@ export class StreamedScene {
     const service = await makeService({ scene: this.index.scene, codebooks: this.index.codebooks });
     const source = {
       index: this.index,
+      places: this.places,
+      isSequential: () => this.places === this.index && this.beginning.sequential,
       reader: this.reader,
       beginning: this.beginning,
       compensation: this.compensation,
@@ -157,14 +202,24 @@ export class StreamedScene {
     if (rows + books > most) throw new CogsplatError("decoded-size", `${rows + books} decoded bytes, at most ${most}`);
   }
 
+  /** Take a page; one whose CRC does not match is asked for once more, around caches. */
+  private async addPage(page: ByteRange, bytes: Uint8Array): Promise<void> {
+    try {
+      this.places.addPage(bytes);
+    } catch (error) {
+      if (!isDamagedPage(error)) throw error;
+      this.places.addPage(await this.reader.all(page, undefined, true));
+    }
+  }
+
   /** Read index pages until so many are known. */
   private async readPages(count: number): Promise<void> {
     const read = async (): Promise<void> => {
-      for (let page = this.index.nextPage(); page && this.index.pagesRead < count; page = this.index.nextPage()) {
+      for (let page = this.places.nextPage(); page && this.index.pagesRead < count; page = this.places.nextPage()) {
         const end = page.offset + page.length;
         const isHere = this.beginning.holds(end);
         if (isHere) await this.beginning.upTo(end, undefined);
-        this.index.addPage(isHere ? this.beginning.here.slice(page.offset, end) : await this.reader.all(page, undefined));
+        await this.addPage(page, isHere ? this.beginning.here.slice(page.offset, end) : await this.reader.all(page, undefined));
         this.index.settle();
       }
     };
@@ -174,12 +229,30 @@ export class StreamedScene {
   }
 }
 
+/** A page or its places came damaged; nothing of it was taken. */
+function isDamagedPage(error: unknown): boolean {
+  return error instanceof CogsplatError && (error.code === "page-crc" || error.code === "places-crc");
+}
+
 async function inlineService(index: DecoderIndex): Promise<ChunkService> {
   return new InlineService(index, await loadKernels());
 }
 
+/**
+ * The address of a folder's manifest where a URL ends in a slash (SPEC 3.4); else the URL.
+ *
+ * @example
+ * ```ts
+ * manifestAddress("https://example.org/scene/?v=2"); // "https://example.org/scene/manifest.cogsm?v=2"
+ * ```
+ */
+export function manifestAddress(url: string): string {
+  const [, path, rest] = /^([^?#]*)(.*)$/s.exec(url)!;
+  return path!.endsWith("/") ? `${path}manifest.cogsm${rest}` : url;
+}
+
 /** What a scene is read from. */
 export function sourceOf(source: string | URL | Blob | ByteSource, http?: HttpOptions): ByteSource {
-  if (typeof source === "string" || source instanceof URL) return new HttpSource(source, http);
+  if (typeof source === "string" || source instanceof URL) return new HttpSource(manifestAddress(String(source)), http);
   return source instanceof Blob ? new BlobSource(source) : source;
 }

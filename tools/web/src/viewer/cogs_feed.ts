@@ -1,6 +1,7 @@
-import { CogsplatError } from "../errors.js";
+import { CogsplatError, SourceError } from "../errors.js";
 import type { Answer, ByteSource, ReadOptions } from "../loader/byte_source.js";
 import { loadKernels } from "../kernels/load.js";
+import { folders } from "../loader/folders.js";
 import { sourceOf, StreamedScene, type OpenOptions } from "../loader/streamed_scene.js";
 import type { ChunkUpdate } from "../loader/stream_options.js";
 import type { ByteRange } from "../container/scene_index.js";
@@ -95,7 +96,7 @@ export class CogsFeed implements SceneFeed {
   };
 
   private async stream(source: ByteSource, signal: AbortSignal): Promise<void> {
-    const options: OpenOptions = { signal, service: this.service };
+    const options: OpenOptions = { signal, service: this.service, folders };
     const scene = await StreamedScene.open(source, options).catch((error: unknown) => {
       // A file that ends early is shown as far as it goes.
       if (!(error instanceof CogsplatError) || error.code !== "file-truncated") throw error;
@@ -271,5 +272,10 @@ class CutSource implements ByteSource {
 
   async read(range: ByteRange, options?: ReadOptions): Promise<Answer> {
     return { ...(await this.source.read(range, options)), total: undefined };
+  }
+
+  beside(name: string): ByteSource {
+    if (this.source.beside === undefined) throw new SourceError(`${name} cannot be reached`, undefined, false);
+    return this.source.beside(name);
   }
 }

@@ -1,4 +1,5 @@
 import type { ByteRange } from "../container/scene_index.js";
+import { SourceError } from "../errors.js";
 import type { Answer, ByteSource, ReadOptions } from "../loader/byte_source.js";
 
 /** Counts the bytes that come, and where a rate is set lets them come no faster. */
@@ -41,5 +42,10 @@ export class MeteredSource implements ByteSource {
   async read(range: ByteRange, options?: ReadOptions): Promise<Answer> {
     const answer = await this.source.read(range, options);
     return { ...answer, parts: this.meter.through(answer.parts) };
+  }
+
+  beside(name: string): ByteSource {
+    if (this.source.beside === undefined) throw new SourceError(`${name} cannot be reached`, undefined, false);
+    return new MeteredSource(this.source.beside(name), this.meter);
   }
 }

@@ -19,6 +19,8 @@ export interface Answer {
 export interface ByteSource {
     /** Ask for a range; fewer bytes come where the file ends in it. */
     read(range: ByteRange, options?: ReadOptions): Promise<Answer>;
+    /** What is named relative to this source, as the objects of a folder are to its manifest; without it no folder is read. */
+    beside?(name: string): ByteSource;
 }
 /** A File or Blob. */
 export declare class BlobSource implements ByteSource {

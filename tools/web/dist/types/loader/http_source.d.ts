@@ -20,6 +20,8 @@ export declare class HttpSource implements ByteSource {
     private total;
     constructor(url: string | URL, options?: HttpOptions);
     read(range: ByteRange, { signal, fresh }?: ReadOptions): Promise<Answer>;
+    /** A file that is named relative to this one; the query of the address is kept, which may hold a signature for all. */
+    beside(name: string): HttpSource;
     private request;
     private get longestPause();
     /** Accept an answer, or say what is wrong with it; its body was not read yet. */

@@ -1,4 +1,4 @@
-import type { SceneIndex } from "../container/scene_index.js";
+import type { SceneIndex, ScenePlaces } from "../container/scene_index.js";
 import type { Beginning } from "./beginning.js";
 import type { PrefixCompensation } from "../scene/prefix_compensation.js";
 import type { ChunkService } from "../workers/decode_task.js";
@@ -8,6 +8,10 @@ import type { Kernels } from "../kernels/kernels.js";
 /** What a stream reads from; shared by all streams of a scene. */
 export interface StreamSource {
     readonly index: SceneIndex;
+    /** Where segments are in what is read. */
+    readonly places: ScenePlaces;
+    /** Whether the source gives the whole file whatever it is asked for. */
+    isSequential(): boolean;
     readonly reader: RetryingReader;
     /** What the first request brings, as it comes. */
     readonly beginning: Beginning;

@@ -1,5 +1,5 @@
 import type { SceneInfo } from "../container/root.js";
-import { SceneIndex } from "../container/scene_index.js";
+import { SceneIndex, type ScenePlaces } from "../container/scene_index.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
 import { PrefixCompensation } from "../scene/prefix_compensation.js";
 import { type ChunkService } from "../workers/decode_task.js";
@@ -16,10 +16,32 @@ export interface OpenOptions {
     readonly maxDecodedBytes?: number;
     /** Makes what decodes the chunks, such as a pool of workers; by default they are decoded where the caller runs. */
     readonly service?: (index: DecoderIndex) => ChunkService | Promise<ChunkService>;
+    /** Reads scenes that are kept as folders: `folders` of `cogsplat/folders`. */
+    readonly folders?: FolderReader;
 }
-/** A scene that is read from a URL, a file or another source of bytes while it is drawn. */
+/** Finds the segments of a scene that is kept as a folder of a manifest and objects (SPEC 3.4). */
+export interface FolderReader {
+    /**
+     * Read where the segments are.
+     *
+     * @param manifest - From which the objects are reached.
+     * @param beginning - First bytes of the manifest, its length where it is known, and whether its server answers ranges.
+     * @param index - The root.
+     */
+    open(manifest: ByteSource, beginning: {
+        readonly here: Uint8Array;
+        readonly length: number | undefined;
+        readonly hasRanges: boolean;
+    }, index: SceneIndex): {
+        readonly places: ScenePlaces;
+        readonly source: ByteSource;
+    };
+}
+/** A scene that is read from the URL of a file or a folder, a file or another source of bytes while it is drawn. */
 export declare class StreamedScene {
     readonly index: SceneIndex;
+    /** Where segments and pages are in what `reader` reads. */
+    private readonly places;
     private readonly reader;
     /** What the first request brings. */
     private readonly beginning;
@@ -35,7 +57,8 @@ export declare class StreamedScene {
     /**
      * Ask for the beginning of a file and read its root.
      *
-     * @param source - A URL, a File or Blob, or any source of bytes.
+     * @param source - A URL, of a file or, with `options.folders`, of a manifest, or of a folder where it ends in a slash (SPEC 3.4); a File
+     * or Blob, or any source of bytes.
      *
      * @example
      * ```ts
@@ -63,6 +86,10 @@ export declare class StreamedScene {
      */
     reopen(signal?: AbortSignal): Promise<StreamedScene>;
     private static begin;
+    /** Read the root of a folder from the beginning of its manifest (SPEC 3.4). */
+    private static beginFolder;
+    /** Whether the scene is kept as a folder of a manifest and objects (SPEC 3.4). */
+    get isFolder(): boolean;
     /** What the root says of the scene. */
     get info(): SceneInfo;
     /**
@@ -74,8 +101,19 @@ export declare class StreamedScene {
     stream(options?: StreamOptions): AsyncGenerator<ChunkUpdate, void, undefined>;
     /** Refuse a scene whose rows and codebooks take more memory than the caller allows, before anything is fetched. */
     private checkSize;
+    /** Take a page; one whose CRC does not match is asked for once more, around caches. */
+    private addPage;
     /** Read index pages until so many are known. */
     private readPages;
 }
+/**
+ * The address of a folder's manifest where a URL ends in a slash (SPEC 3.4); else the URL.
+ *
+ * @example
+ * ```ts
+ * manifestAddress("https://example.org/scene/?v=2"); // "https://example.org/scene/manifest.cogsm?v=2"
+ * ```
+ */
+export declare function manifestAddress(url: string): string;
 /** What a scene is read from. */
 export declare function sourceOf(source: string | URL | Blob | ByteSource, http?: HttpOptions): ByteSource;

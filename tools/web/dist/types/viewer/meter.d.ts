@@ -21,4 +21,5 @@ export declare class MeteredSource implements ByteSource {
     private readonly meter;
     constructor(source: ByteSource, meter: Meter);
     read(range: ByteRange, options?: ReadOptions): Promise<Answer>;
+    beside(name: string): ByteSource;
 }

@@ -1,0 +1,61 @@
+import type { ByteRange } from "../container/scene_index.js";
+import type { FolderIndex, FolderObject } from "../container/folder_index.js";
+import { CogsplatError, SourceError } from "../errors.js";
+import { readAll, readParts, type Answer, type ByteSource, type ReadOptions } from "./byte_source.js";
+
+/** Bytes that are kept of objects that a server without ranges has sent whole. */
+const KEPT_BYTES = 32 * 2 ** 20;
+
+/** The manifest and the objects of a folder as one source, by the addresses of `FolderIndex`. */
+export class FolderSource implements ByteSource {
+  /** What a server without ranges sends or has sent whole, once for all ranges of an object. */
+  private readonly kept = new Map<FolderObject, Promise<Uint8Array>>();
+
+  constructor(
+    private readonly manifest: ByteSource,
+    private readonly index: FolderIndex,
+    /** Whether the server answers ranges, as far as it is known. */
+    private hasRanges: boolean,
+  ) {
+    if (manifest.beside === undefined) throw new SourceError("the manifest of a folder, expected its URL", undefined, false);
+  }
+
+  async read(range: ByteRange, options: ReadOptions = {}): Promise<Answer> {
+    const { object, offset } = this.index.at(range.offset);
+    if (this.hasRanges || options.fresh) {
+      const answer = await this.ask(object, { offset, length: range.length }, options);
+      this.hasRanges &&= !answer.whole;
+      return { ...answer, offset: range.offset - offset + answer.offset, total: undefined, whole: false };
+    }
+    const bytes = (await this.whole(object)).slice(offset);
+    return { offset: range.offset, total: undefined, whole: false, parts: readParts(new Blob([bytes]).stream(), options.signal) };
+  }
+
+  private async ask(object: FolderObject, range: ByteRange, options?: ReadOptions): Promise<Answer> {
+    const { name, size } = object;
+    const source = name === "" ? this.manifest : this.manifest.beside!(name);
+    const answer = await source.read(range, options).catch((error: unknown) => {
+      const isMissing = name !== "" && error instanceof SourceError && (error.status === 404 || error.status === 410);
+      throw isMissing ? new CogsplatError("segment-missing", `${name} is not there`) : error;
+    });
+    if (answer.total === undefined || answer.total === size) return answer;
+    await answer.parts[Symbol.asyncIterator]().return?.();
+    throw new CogsplatError("segment-object", `${name} has ${answer.total} bytes, expected ${size}`);
+  }
+
+  /** All bytes of an object, from a server without ranges. */
+  private whole(object: FolderObject): Promise<Uint8Array> {
+    const known = this.kept.get(object);
+    if (known !== undefined) return known;
+    // Without a signal: it may be for several requests.
+    const bytes = readAll({ read: (range) => this.ask(object, range) }, { offset: 0, length: object.size });
+    this.kept.set(object, bytes);
+    bytes.catch(() => this.kept.delete(object));
+    let sum = 0;
+    for (const other of [...this.kept.keys()].reverse()) {
+      sum += other.size;
+      if (sum > KEPT_BYTES && other !== object) this.kept.delete(other);
+    }
+    return bytes;
+  }
+}

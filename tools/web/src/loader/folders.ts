@@ -1,0 +1,22 @@
+import { FolderIndex } from "../container/folder_index.js";
+import { FolderSource } from "./folder_source.js";
+import type { FolderReader } from "./streamed_scene.js";
+
+/**
+ * Reads scenes that are kept as folders of a manifest and objects (SPEC 3.4).
+ *
+ * @example
+ * ```ts
+ * import { StreamedScene } from "cogsplat";
+ * import { folders } from "cogsplat/folders";
+ *
+ * const scene = await StreamedScene.open("https://example.org/garden/", { folders });
+ * ```
+ */
+export const folders: FolderReader = {
+  open(manifest, { here, length, hasRanges }, index) {
+    const places = new FolderIndex(index, here);
+    if (length !== undefined) places.checkLength(length);
+    return { places, source: new FolderSource(manifest, places, hasRanges) };
+  },
+};

@@ -1,0 +1,125 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { CogsplatError } from "../src/errors.js";
+import { loadKernels } from "../src/kernels/load.js";
+import { folders } from "../src/loader/folders.js";
+import { manifestAddress, StreamedScene } from "../src/loader/streamed_scene.js";
+import type { ChunkUpdate, StreamOptions } from "../src/loader/stream_options.js";
+import { SceneFile } from "../src/scene/scene_file.js";
+import { FolderServer } from "./folder_server.js";
+import { manifest, sha256, vectorBytes, vectorFolder } from "./vectors.js";
+
+const FAST_RETRY = { retries: 3, pause: 1, longest: 4 };
+const kernels = await loadKernels();
+
+/** Open a folder of a server, do something with its scene, and give what was asked for. */
+async function withScene(
+  server: FolderServer, name: string, work: (scene: StreamedScene) => Promise<void>,
+): Promise<string[]> {
+  const url = await server.start();
+  try {
+    await work(await StreamedScene.open(url + name, { retry: FAST_RETRY, folders }));
+    return server.asked;
+  } finally {
+    await server.stop();
+  }
+}
+
+async function lastUpdates(scene: StreamedScene, options: StreamOptions = {}): Promise<Map<number, ChunkUpdate>> {
+  const last = new Map<number, ChunkUpdate>();
+  for await (const update of scene.stream(options)) last.set(update.chunk, update);
+  return last;
+}
+
+function checkRows(file: SceneFile, chunk: number, { splats }: ChunkUpdate): void {
+  const expected = file.decodeChunk(chunk);
+  assert.equal(sha256(splats!.means, splats!.opacities, splats!.shN), sha256(expected.means, expected.opacities, expected.shN));
+}
+
+for (const { name, manifests } of manifest.folders) {
+  for (const [given, standsFor] of Object.entries(manifests)) {
+    for (const ranges of [true, false]) {
+      test(`${name}/${given} is ${standsFor} ${ranges ? "by ranges" : "from a server without ranges"}`, async () => {
+        const file = new SceneFile(vectorBytes("valid", standsFor), kernels());
+        const server = new FolderServer(vectorFolder("folders", name), { ranges });
+        // A folder is asked for its own manifest, where it has one of that name.
+        const asked = await withScene(server, given === "manifest.cogsm" ? "" : given, async (scene) => {
+          assert.ok(scene.isFolder);
+          const last = await lastUpdates(scene);
+          const drawn = [...file.index.chunks.until.keys()].filter((chunk) => file.index.isDrawn(chunk, file.index.chunkCount));
+          assert.deepEqual([...last.keys()].sort((a, b) => a - b), drawn);
+          for (const [chunk, update] of last) checkRows(file, chunk, update);
+        });
+        // What a server without ranges sends whole is asked for once.
+        if (!ranges) assert.equal(new Set(asked).size, asked.length);
+      });
+    }
+  }
+}
+
+for (const { name, code, stage } of manifest.invalid_folders) {
+  // At its address a file is taken as the file that it is; names of objects are a verifier's business.
+  if (name === "folder-file" || name === "folder-magic" || stage === "verify") continue;
+  test(`${name} is refused with ${code}`, async () => {
+    const server = new FolderServer(vectorFolder("invalid-folders", name));
+    const url = await server.start();
+    const open = async (): Promise<StreamedScene> => StreamedScene.open(url, { retry: FAST_RETRY, folders });
+    const isRefused = (error: unknown): boolean => error instanceof CogsplatError && error.code === code;
+    try {
+      await assert.rejects(async () => lastUpdates(await open()), isRefused);
+    } finally {
+      await server.stop();
+    }
+  });
+}
+
+test("one chunk takes its object and that of the codebooks", async () => {
+  const files = vectorFolder("folders", "pages");
+  const whole = new SceneFile(vectorBytes("valid", "pages"), kernels());
+  const wanted = whole.index.chunkCount - 1;
+  const asked = await withScene(new FolderServer(files), "manifest.cogsm?key=1", async (scene) => {
+    const last = await lastUpdates(scene, { priority: ({ chunk }) => (chunk === wanted ? 1 : -1) });
+    assert.deepEqual([...last.keys()], [wanted]);
+    checkRows(whole, wanted, last.get(wanted)!);
+  });
+  assert.ok(asked.length <= 3, asked.join(" "));
+});
+
+test("a page that came damaged is asked for once more", async () => {
+  const files = vectorFolder("folders", "pages");
+  const whole = new SceneFile(vectorBytes("valid", "pages"), kernels());
+  const [at] = [files.get("manifest.cogsm")!.length - 30];
+  const damage = (body: Buffer, number: number): void => {
+    if (number === 0) body[at]! ^= 1;
+  };
+  const asked = await withScene(new FolderServer(files, { damage }), "", async (scene) => {
+    assert.equal((await lastUpdates(scene)).size, whole.index.chunkCount);
+  });
+  assert.equal(asked.filter((path) => path === "manifest.cogsm").length, 2);
+});
+
+test("an object that is not there spoils no other", async () => {
+  const files = vectorFolder("folders", "pages");
+  const whole = new SceneFile(vectorBytes("valid", "pages"), kernels());
+  const sizes = [...files].filter(([path]) => path !== "manifest.cogsm").sort(([, a], [, b]) => a.length - b.length);
+  files.delete(sizes[0]![0]);
+  const damaged: unknown[] = [];
+  await withScene(new FolderServer(files), "", async (scene) => {
+    const last = await lastUpdates(scene, { onDamage: (error) => damaged.push(error instanceof CogsplatError ? error.code : error) });
+    assert.ok(last.size >= whole.index.chunkCount - 1);
+  });
+  assert.deepEqual([...new Set(damaged)], ["segment-missing"]);
+});
+
+test("without what reads folders, that is told", async () => {
+  const server = new FolderServer(vectorFolder("folders", "pages"));
+  const url = await server.start();
+  await assert.rejects(StreamedScene.open(url), /expected the option `folders`/);
+  await server.stop();
+});
+
+test("addresses of folders end in a slash", () => {
+  assert.equal(manifestAddress("https://example.org/scene/?v=2"), "https://example.org/scene/manifest.cogsm?v=2");
+  assert.equal(manifestAddress("scene/"), "scene/manifest.cogsm");
+  assert.equal(manifestAddress("https://example.org/scene.cogs?at=a/"), "https://example.org/scene.cogs?at=a/");
+});
