@@ -1,8 +1,9 @@
 """Cloud-Optimized Gaussian Splats: encode, decode, read and write splat scenes.
 
 `read` and `write` move scenes between files of any format and arrays, `encode` and `decode`
-between scenes and COGS files, `open` gives a COGS file chunk by chunk. What is written comes
-before the path that it is written to.
+between scenes and COGS files, `open` gives a COGS file chunk by chunk, `unpack` and `pack` make a
+folder of a file and a file of a folder. What is written comes before the path that it is written
+to.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ from .codec.executor import Executor
 from .codec.progress import Progress, TimedProgress, WholeProgress, silent
 from .codec.splats import SceneInfo, Splats
 from .formats.cogs.between_levels import decode_between
+from .formats.cogs.folder_writer import Unpacked
 from .formats.cogs.opening import open_place, with_place
+from .formats.cogs.packing import pack, unpack
 from .formats.cogs.reader import CogsFile
 from .formats.network.options import NetworkOptions
 from .formats.storage.limits import Limits
@@ -64,12 +67,15 @@ __all__ = [
     "StorageError",
     "Target",
     "TruncatedError",
+    "Unpacked",
     "UnsupportedError",
     "decode",
     "encode",
     "open",
+    "pack",
     "read",
     "read_cameras",
+    "unpack",
     "write",
 ]
 

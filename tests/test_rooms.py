@@ -316,12 +316,13 @@ DOORS: dict[str, dict[str, str]] = {
         "folder_map": "FolderMap MANIFEST_NAME MANIFEST_SUFFIX is_manifest",
         "folder_places": "SEGMENT_FOLDER check_object",
         "folder_source": "FolderSource manifest_path names_folder",
-        "folder_writer": "check_manifest_name pack_cogs unpack_cogs",
+        "folder_writer": "Unpacked check_manifest_name pack_cogs unpack_cogs",
         "layout": (
             "COLOUR_BANDS MAGIC MAJOR MINOR PREAMBLE_BYTES SKIPPABLE_KIND SegmentKind "
             "unpack_preamble"
         ),
         "opening": "manifest_address open_place source_of_place with_place",
+        "packing": "pack unpack",
         "reader": "CogsFile open_cogs",
         "root": "Root",
         "scene": "save size_bytes",
