@@ -117,6 +117,7 @@ REMEDIES: Final[Mapping[str, Mapping[str, str]]] = {
     "cache-none": _CACHE,
     "http-version": {
         "nginx": "listen 443 ssl http2;",
+        "caddy": "leave h2 among the protocols of servers { … }, or leave that line out",
         "s3": "S3 itself speaks HTTP/1.1; CloudFront in front speaks HTTP/2",
     },
     "http-plain": {

@@ -2,10 +2,12 @@
 
 import functools
 import getpass
+import json
 import os
 import re
 import shutil
 import socket
+import ssl
 import subprocess
 import sys
 import time
@@ -14,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from running import ROOT, SmallScene
+from running import ROOT, SmallScene, program
 
 import cogsplat
 from cogsplat.formats.cogs.folder_writer import unpack_cogs
@@ -123,6 +125,56 @@ def test_caddy_as_the_page_has_it_has_nothing_to_change(www: Path) -> None:
     file, folder = examined(words, www)
     assert (codes(file), codes(folder)) == (set(), set())
     assert file.server == "Caddy"
+
+
+@needs("caddy")
+@pytest.mark.parametrize(
+    ("spoken", "version", "found"),
+    [("h1 h2", "HTTP/2", set()), ("h1", "HTTP/1.1", {"http-version"})],
+    ids=["h2", "h1"],
+)
+def test_the_protocol_is_what_the_server_speaks(
+    www: Path, spoken: str, version: str, found: set[str]
+) -> None:
+    """Caddy signs its certificate itself; the program is told of its authority as any other is."""
+    base, port = www.parent, free_port()
+    text = recipe("Caddy").replace("http://:80 {", f"https://127.0.0.1:{port} {{\n tls internal")
+    (base / "Caddyfile").write_text(
+        "{\n admin off\n skip_install_trust\n auto_https disable_redirects\n"
+        f" servers {{\n  protocols {spoken}\n }}\n}}\n" + text.replace("/var/www", str(www))
+    )
+    authority = base / "caddy" / "pki" / "authorities" / "local" / "root.crt"
+    words = ["caddy", "run", "--config", str(base / "Caddyfile"), "--adapter", "caddyfile"]
+    with running(words, base):
+        wait_for_certificate(authority, port)
+        done = subprocess.run(
+            program(["verify", f"https://127.0.0.1:{port}/scene.cogs", "--json"]),
+            env=os.environ | {"SSL_CERT_FILE": str(authority)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 0, done.stdout + done.stderr
+    report = json.loads(done.stdout)
+    assert (report["http_version"], report["server"]) == (version, "Caddy")
+    assert {finding["code"] for finding in report["host_findings"]} == found
+    assert {remedy["code"] for remedy in report["remedies"]} == found
+    assert report["valid"]
+
+
+def wait_for_certificate(authority: Path, port: int) -> None:
+    """Wait until a server that has begun to listen has signed what it shows."""
+    for _ in range(100):
+        try:
+            context = ssl.create_default_context(cafile=authority)
+            with (
+                socket.create_connection(("127.0.0.1", port), 5) as plain,
+                context.wrap_socket(plain, server_hostname="127.0.0.1"),
+            ):
+                return
+        except OSError:
+            time.sleep(0.1)
+    pytest.fail("the server shows no certificate of its own authority")
 
 
 def test_pythons_server_has_no_ranges_and_serves_folders(www: Path) -> None:
