@@ -34,9 +34,13 @@ def force_option(command: Command) -> Command:
 
 
 def quiet_option(command: Command) -> Command:
-    """Add ``--quiet``."""
+    """Add ``--quiet``; `standard_streams.InputPath` asks for it, so that it is read first."""
     return click.option(
-        "--quiet", "-q", is_flag=True, help="Neither progress nor summary; errors and warnings."
+        "--quiet",
+        "-q",
+        is_flag=True,
+        is_eager=True,
+        help="Neither progress nor summary; errors and warnings.",
     )(command)
 
 

@@ -22,6 +22,8 @@ from cogsplat.formats.network.download import download
 from cogsplat.formats.network.object_output import ObjectOutput
 from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, scheme_of, shown
 
+from .progress import Stages
+
 STREAM: Final = "-"
 """What stands for a stream in place of a path."""
 
@@ -40,7 +42,8 @@ _OUTPUT: Final = "standard output"
 class InputPath(click.Path):
     """A file to read; ``-`` is what arrives on standard input, which is read to its end.
 
-    A URL stands for a file as well, which is fetched.
+    A URL stands for a file as well, which is fetched; how far that is, is shown unless ``--quiet``
+    or ``--json`` is given.
 
     Parameters
     ----------
@@ -60,8 +63,9 @@ class InputPath(click.Path):
     ) -> Path:
         """Return the path, that of a temporary file for ``-`` and for a URL."""
         streams = _streams(ctx)
-        if streams is not None and is_url(value):
-            return streams.fetch(str(value), later=self._by_ranges)
+        if streams is not None and ctx is not None and is_url(value):
+            quiet = bool(ctx.params.get("quiet") or ctx.meta.get(AS_JSON))
+            return streams.fetch(str(value), later=self._by_ranges, quiet=quiet)
         if os.fspath(value) != STREAM or streams is None:
             return Path(os.fsdecode(super().convert(value, param, ctx)))
         return streams.receive()
@@ -162,6 +166,7 @@ class StandardStreams:
         self._output: Path | None = None
         self._names: dict[str, str] = {}
         self._urls: dict[Path, str] = {}
+        self._quiet: set[Path] = set()
         self._objects: dict[Path, str] = {}
         self._force = False
         self._held = ""
@@ -185,7 +190,7 @@ class StandardStreams:
             shutil.copyfileobj(sys.stdin.buffer, file)
         return self._input
 
-    def fetch(self, url: str, *, later: bool) -> Path:
+    def fetch(self, url: str, *, later: bool, quiet: bool = False) -> Path:
         """Return the file that stands for a URL.
 
         Parameters
@@ -193,6 +198,8 @@ class StandardStreams:
         url : str
         later : bool
             Whether it is fetched only when `fetched` asks for it.
+        quiet : bool
+            Whether nothing is written while it is fetched.
 
         Raises
         ------
@@ -201,6 +208,8 @@ class StandardStreams:
         """
         path = self._standing_for(url, f"url{len(self._urls)}")
         self._urls[path] = url
+        if quiet:
+            self._quiet.add(path)
         return path if later else self.fetched(path)
 
     def _standing_for(self, url: str, folder: str) -> Path:
@@ -215,7 +224,8 @@ class StandardStreams:
     def fetched(self, path: Path) -> Path:
         """Return a path, of which the file is there if it stands for a URL."""
         if path in self._urls and not path.exists():
-            download(self._urls[path], path)
+            with Stages(shown=path not in self._quiet) as stages:
+                download(self._urls[path], path, progress=stages)
         return path
 
     def url_of(self, path: Path) -> str | None:

@@ -7,6 +7,7 @@ from cogs_samples import file_of, scene
 from fault_server import FaultServer, serving, status
 
 import cogsplat
+from cogsplat.tools.terminal import progress
 
 
 @pytest.fixture(scope="module")
@@ -59,3 +60,29 @@ def test_refusals_are_told_with_their_address(run, command):
     assert error["code"] == "not-found"
     assert error["message"].startswith(server.url())
     assert "secret" not in told.out
+
+
+def test_a_fetch_of_a_whole_file_is_shown(run, server, tmp_path, monkeypatch):
+    # Every report is a line, however fast it comes.
+    monkeypatch.setattr(progress, "_LINE_EVERY", 0.0)
+    parts = 1 + -(-(len(server.data) - 65536) // (1 << 20))
+    expected = [f"fetch {part}/{parts}" for part in range(1, parts + 1)]
+    assert parts > 1
+
+    def fetch_lines(*arguments):
+        done = run(*arguments, "--force")
+        assert done.code == 0
+        return [line for line in done.err.splitlines() if line.startswith("fetch")]
+
+    out = tmp_path / "a.splat"
+    assert fetch_lines("convert", server.url(), out) == expected
+    assert fetch_lines("convert", server.url(), out, "--quiet") == []
+    assert fetch_lines("convert", server.url(), out, "--json") == []
+
+
+def test_a_scene_that_turns_out_to_be_fetched_is_shown(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(progress, "_LINE_EVERY", 0.0)
+    cogsplat.write(scene(2000), tmp_path / "a.ply")
+    with serving(FaultServer((tmp_path / "a.ply").read_bytes())) as server:
+        assert "fetch 1/2\nfetch 2/2" in run("info", server.url("a.ply")).err
+        assert "fetch" not in run("info", server.url("a.ply"), "--json").err
