@@ -217,7 +217,7 @@ READER = [
     Mutant(
         "hashes are not checked",
         verification.read_verified,
-        "if digest != file.segments.hash[row].tobytes():",
+        "if key_of(data) != file.segments.hash[row].tobytes():",
         "if False:",
         ("5.3",),
     ),
@@ -252,9 +252,10 @@ READER = [
     ),
     Mutant(
         "a shift of 0 is not added",
-        compensation.Compensation.apply,
-        "shifts = self.shifts(chunks)",
-        "shifts = self.shifts(chunks)\n    if not shifts.any():\n        return splats",
+        compensation.Compensation.apply_each,
+        "shifts = self.shifts_of(chunks[is_part], prefixes[is_part])",
+        "shifts = self.shifts_of(chunks[is_part], prefixes[is_part])\n"
+        "    if not shifts.any():\n        return splats",
         ("8.5",),
     ),
 ]

@@ -66,6 +66,7 @@ def server(tmp_path_factory: pytest.TempPathFactory, small: SmallScene) -> Itera
         "examples/*.*",
         f"{packages}/playcanvas/build/playcanvas.min.mjs",
         f"{packages}/three/build/*.js",
+        f"{packages}/three/examples/jsm/**/*.js",
         f"{packages}/@sparkjsdev/spark/dist/*.js",
     )
     paths = [path for pattern in patterns for path in folder.glob(pattern)]
