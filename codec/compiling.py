@@ -32,10 +32,10 @@ def compiled(function: Function, *, fuses: bool = False, kept: bool = True) -> F
 
     Notes
     -----
-    A kernel that is kept is called with one set of types only. Of a function with two, two
-    processes that compile one each at the same time may give both the same file name, and later
-    ones would run the machine code of the wrong types (seen in numba 0.62). Inner kernels are
-    called with many: a constant argument is a type of its own.
+    A kernel that is kept is called with one set of types only. numba (0.68) numbers the files of a
+    function without a lock: where two processes compile it for two sets of types at the same time,
+    both may take the same number, and later processes would run the machine code of the wrong
+    types. Inner kernels are called with many: a constant argument is a type of its own.
 
     The code is kept in ``NUMBA_CACHE_DIR`` where that is set, otherwise beside the module or in the
     user's cache folder: the first of them that can be written. Where none can, as in an
