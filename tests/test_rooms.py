@@ -373,7 +373,7 @@ DOORS: dict[str, dict[str, str]] = {
         "siblings": "sibling",
         "source": (
             "Cancel FileSource PrefixSource Readable RemoteSource Source has_arrived is_there "
-            "opening_bytes prefetching source_of stored_bytes"
+            "opening_bytes prefetching require_within source_of stored_bytes"
         ),
         "strict_json": "JsonObject parse_object",
         "torch_file": "CODE TorchTensor open_torch read_state_dict",

@@ -146,20 +146,6 @@ class Compensation:
         opacities[rows] += shifts[:, 1]
         return replace(splats, scales=scales, opacities=opacities)
 
-    def shifts(self, chunks: int) -> F32:
-        """Return what is added to the log scales and the logits of the first chunks' splats.
-
-        Parameters
-        ----------
-        chunks : int
-            From 1 to one less than all.
-
-        Returns
-        -------
-        (n, 2) float32
-        """
-        return self.shifts_of(np.arange(chunks), np.full(chunks, chunks, np.int64))
-
     def shifts_of(self, chunks: I64, prefixes: I64) -> F32:
         """Return what is added to the log scales and the logits of chunks, each as in a prefix.
 

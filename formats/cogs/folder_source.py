@@ -12,7 +12,7 @@ from typing import Final
 
 from cogsplat.codec.errors import FormatError, TruncatedError
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
-from cogsplat.formats.storage.source import FileSource
+from cogsplat.formats.storage.source import FileSource, require_within
 
 from . import layout
 from .folder_map import MANIFEST_NAME, FolderMap, Piece, is_manifest
@@ -114,16 +114,7 @@ class FolderSource:
         StorageError
             ``permission`` or ``io``.
         """
-        if offset < 0 or length < 0:
-            raise ValueError(f"offset {offset} and length {length}, expected none negative")
-        if offset + length > self.size:
-            raise TruncatedError(
-                "file-truncated",
-                f"{self.name}: {self.size} bytes, expected {offset + length} for the {length} "
-                f"bytes at byte {offset}",
-                offset=offset,
-                needed=offset + length,
-            )
+        require_within(self, offset, length)
         parts = [self._bytes_of(piece) for piece in self._pieces(offset, length)]
         return parts[0] if len(parts) == 1 else b"".join(parts)
 

@@ -377,9 +377,18 @@ def join_pages(
         opacities=opacities,
         codebooks=_codebook_segments(source, root, table, whole=whole),
         attributes=_attribute_rows(source, root, table, heads),
-        cameras=_camera_segment(source, table),
+        cameras=_only_row(
+            source, table, SegmentKind.CAMERAS, "cameras", code="camera-segments", clause="5.8"
+        ),
         layers=_layer_rows(source, table) if whole or not keep_numbers else [],
-        view_table=_view_table_row(source, table),
+        view_table=_only_row(
+            source,
+            table,
+            SegmentKind.VIEW_TABLE,
+            "view tables",
+            code="view-table-segments",
+            clause="5.12",
+        ),
         all_chunks=_all_chunks(root),
     )
 
@@ -571,30 +580,18 @@ def _misplaced(source: Source, table: SegmentTable, heads: I64, kind: SegmentKin
     )
 
 
-def _camera_segment(source: Source, table: SegmentTable) -> int:
-    """Return the row of the cameras (SPEC 5.8)."""
-    rows = np.flatnonzero(table.kind == SegmentKind.CAMERAS)
+def _only_row(
+    source: Source, table: SegmentTable, kind: SegmentKind, what: str, *, code: str, clause: str
+) -> int:
+    """Return the row of a kind that a file has once at most, of owner 0; -1 where it has none."""
+    rows = np.flatnonzero(table.kind == kind)
     owners = table.owner[rows]
     if len(rows) > 1 or owners.any():
         raise FormatError(
-            "camera-segments",
-            f"{source.name}: cameras of the owners {owners.tolist()[:8]}, expected one segment at "
+            code,
+            f"{source.name}: {what} of the owners {owners.tolist()[:8]}, expected one segment at "
             "most, of owner 0",
-            clause="5.8",
-        )
-    return int(rows[0]) if len(rows) else -1
-
-
-def _view_table_row(source: Source, table: SegmentTable) -> int:
-    """Return the row of the view table (SPEC 5.12)."""
-    rows = np.flatnonzero(table.kind == SegmentKind.VIEW_TABLE)
-    owners = table.owner[rows]
-    if len(rows) > 1 or owners.any():
-        raise FormatError(
-            "view-table-segments",
-            f"{source.name}: view tables of the owners {owners.tolist()[:8]}, expected one segment "
-            "at most, of owner 0",
-            clause="5.12",
+            clause=clause,
         )
     return int(rows[0]) if len(rows) else -1
 

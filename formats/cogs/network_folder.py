@@ -9,13 +9,12 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
-from cogsplat.codec.errors import TruncatedError
 from cogsplat.formats.network.opening import transport_of
 from cogsplat.formats.network.options import NetworkOptions
 from cogsplat.formats.network.range_source import RangeSource
 from cogsplat.formats.network.traffic import Traffic
 from cogsplat.formats.network.urls import shown
-from cogsplat.formats.storage.source import Cancel
+from cogsplat.formats.storage.source import Cancel, require_within
 
 from . import layout
 from .folder_map import FolderMap, Piece
@@ -201,16 +200,7 @@ class NetworkFolder:
 
     def _pieces(self, offset: int, length: int) -> list[Piece]:
         """Return where bytes of the file lie; pages that say so are read."""
-        if offset < 0 or length < 0:
-            raise ValueError(f"offset {offset} and length {length}, expected none negative")
-        if offset + length > self.size:
-            raise TruncatedError(
-                "file-truncated",
-                f"{self.name}: {self.size} bytes, expected {offset + length} for the {length} "
-                f"bytes at byte {offset}",
-                offset=offset,
-                needed=offset + length,
-            )
+        require_within(self, offset, length)
         with self._lock:
             pages = self._map.pages_for(offset, length)
             if pages:

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from cogsplat.codec.errors import Cancelled, CogsplatWarning, TruncatedError
-from cogsplat.formats.storage.source import Cancel
+from cogsplat.codec.errors import Cancelled, CogsplatWarning
+from cogsplat.formats.storage.source import Cancel, require_within
 
 from .answers import Transport
 from .options import KIB, NetworkOptions
@@ -167,17 +167,8 @@ class RangeSource:
         return self._read(offset, length, again=True)
 
     def _read(self, offset: int, length: int, *, again: bool) -> bytes:
-        if offset < 0 or length < 0:
-            raise ValueError(f"offset {offset} and length {length}, expected none negative")
+        require_within(self, offset, length)
         end = offset + length
-        if end > self._size:
-            raise TruncatedError(
-                "file-truncated",
-                f"{self.name}: {self._size} bytes, expected {end} for the {length} bytes at byte "
-                f"{offset}",
-                offset=offset,
-                needed=end,
-            )
         if not length:
             return b""
         reader = self._reader

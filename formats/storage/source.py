@@ -119,7 +119,7 @@ class BytesSource:
 
     def read(self, offset: int, length: int) -> bytes:
         """Return exactly `length` bytes from `offset`; see `Source.read`."""
-        _check_end(self, offset, length)
+        require_within(self, offset, length)
         return self._data[offset : offset + length]
 
     def close(self) -> None:
@@ -156,7 +156,7 @@ class FileSource:
 
     def read(self, offset: int, length: int) -> bytes:
         """Return exactly `length` bytes from `offset`; see `Source.read`."""
-        _check_end(self, offset, length)
+        require_within(self, offset, length)
         try:
             with self._lock:
                 self._file.seek(offset)
@@ -207,7 +207,7 @@ class StreamSource:
 
     def read(self, offset: int, length: int) -> bytes:
         """Return exactly `length` bytes from `offset`; see `Source.read`."""
-        _check_end(self, offset, length)
+        require_within(self, offset, length)
         parts: list[bytes] = []
         missing = length
         try:
@@ -251,7 +251,7 @@ class PrefixSource:
 
     def read(self, offset: int, length: int) -> bytes:
         """Return exactly `length` bytes from `offset`; see `Source.read`."""
-        _check_end(self, offset, length)
+        require_within(self, offset, length)
         return self._source.read(offset, length)
 
     @property
@@ -277,7 +277,7 @@ class PrefixSource:
 
     def reread(self, offset: int, length: int) -> bytes:
         """Have the source behind fetch bytes anew, where it can; see `RemoteSource.reread`."""
-        _check_end(self, offset, length)
+        require_within(self, offset, length)
         source = self._source
         again = source.reread if isinstance(source, RemoteSource) else source.read
         return again(offset, length)
@@ -314,7 +314,16 @@ def stored_bytes(source: Source) -> int:
     return int(getattr(source, "stored_bytes", source.size))
 
 
-def _check_end(source: Source, offset: int, length: int) -> None:
+def require_within(source: Source, offset: int, length: int) -> None:
+    """Refuse a range that a source does not have.
+
+    Raises
+    ------
+    ValueError
+        The offset or the length is negative.
+    TruncatedError
+        ``file-truncated``: the source ends before the range does.
+    """
     if offset < 0 or length < 0:
         raise ValueError(f"offset {offset} and length {length}, expected none negative")
     if offset + length > source.size:

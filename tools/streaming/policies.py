@@ -54,10 +54,15 @@ def sgss(units: Units, boxes: F64, splats: F64) -> Priorities:
     density = splats / size.prod(axis=1)
 
     def wanted(camera: Camera) -> F64:
-        share, depth = seen_share(boxes, camera)
-        return _of_units(units, density * share / (np.maximum(depth, 0.0) + _EPSILON))
+        return _of_units(units, sgss_weights(boxes, density, camera)[0])
 
     return wanted
+
+
+def sgss_weights(boxes: F64, density: F64, camera: Camera) -> tuple[F64, F64]:
+    """Return density times share of the picture over distance of each box, and that share."""
+    share, depth = seen_share(boxes, camera)
+    return density * share / (np.maximum(depth, 0.0) + _EPSILON), share
 
 
 def frustum(units: Units, boxes: F64, contribution: F64) -> Priorities:

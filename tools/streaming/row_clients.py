@@ -24,7 +24,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.layout import SegmentKind
 
 from .client import Priorities, Units
-from .policies import seen_share
+from .policies import sgss_weights
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -37,8 +37,6 @@ _CUBOIDS: Final = 300
 # to the unit of volume it never does.
 _HIGH: Final = 1.0
 _LEAST_DENSITY: Final = 10.0
-# What keeps SGSS' distance from 0; the paper does not state its value.
-_EPSILON: Final = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +110,7 @@ def by_sgss_cells(
     density = count / np.maximum(np.prod(extents[:, 3:] - extents[:, :3], axis=1), 1e-9)
 
     def wanted(camera: Camera) -> F64:
-        share, depth = seen_share(extents, camera)
-        weight = density * share / (np.maximum(depth, 0.0) + _EPSILON)
+        weight, share = sgss_weights(extents, density, camera)
         is_high = (np.log10(np.maximum(weight, 1e-300)) >= _HIGH) & (density >= _LEAST_DENSITY)
         rank = np.where(share > 0.0, np.where(is_high, 2.0, 1.0), 0.0)
         result: F64 = rank[owner] - part
