@@ -322,7 +322,7 @@ DOORS: dict[str, dict[str, str]] = {
             "unpack_preamble"
         ),
         "opening": "manifest_address open_place source_of_place with_place",
-        "packing": "pack unpack",
+        "packing": "folder_files pack unpack",
         "reader": "CogsFile open_cogs",
         "root": "Root",
         "scene": "save size_bytes",

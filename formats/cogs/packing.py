@@ -123,7 +123,7 @@ def pack(
     >>> Path("again.cogs").read_bytes() == Path("scene.cogs").read_bytes()
     True
     """
-    check_output(path, force=force, inputs=_files_of(folder))
+    check_output(path, force=force, inputs=folder_files(folder))
     return with_place(
         lambda file: pack_cogs(file, Path(path), force=force, progress=progress),
         folder,
@@ -133,8 +133,8 @@ def pack(
     )
 
 
-def _files_of(folder: Readable) -> Iterator[Path]:
-    """Yield the files of a folder on disk, or of a manifest and its objects: no output is one."""
+def folder_files(folder: Readable) -> Iterator[Path]:
+    """Yield the files of a folder on disk, or a manifest and its objects: no output may be one."""
     if not isinstance(folder, str | os.PathLike):
         return
     place = Path(folder)

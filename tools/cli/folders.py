@@ -9,6 +9,7 @@ import click
 import cogsplat
 from cogsplat.formats.cogs.folder_map import MANIFEST_NAME
 from cogsplat.formats.cogs.folder_writer import check_manifest_name, pack_cogs, unpack_cogs
+from cogsplat.formats.cogs.packing import folder_files
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import force_option, json_option, quiet_option
@@ -16,8 +17,6 @@ from cogsplat.tools.terminal.output import counted, name_of, say, say_json, size
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
-
-from .inputs import given_files
 
 
 def _manifest_name(
@@ -98,7 +97,7 @@ def pack(source: Path, out: Path, force: bool, quiet: bool, as_json: bool) -> No
     The file is the one that was unpacked, byte for byte. Every segment is checked against its
     CRC and its hash. With --partial, the file ends before the first segment that is missing.
     """
-    check_output(out, force=force, inputs=given_files(source))
+    check_output(out, force=force, inputs=folder_files(source))
     with (
         Stages(shown=not (quiet or as_json)) as stages,
         cogsplat.open(source, partial=partial_accepted(), limits=current_limits()) as file,

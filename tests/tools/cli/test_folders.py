@@ -63,6 +63,16 @@ def test_faults_of_folders_are_findings(run: Run, folder: Path) -> None:
     assert [x["code"] for x in json.loads(found.out)["findings"]] == ["file-truncated"]
 
 
+@pytest.mark.parametrize("named", ["", "manifest.cogsm"])
+def test_a_folder_is_not_packed_over_its_own_objects(run: Run, folder: Path, named: str) -> None:
+    inner = sorted((folder / "segments").iterdir())[0]
+    before = inner.read_bytes()
+    told = run("pack", folder / named, inner, "--force")
+    assert told.code == 2
+    assert "[output-is-input]" in told.err
+    assert inner.read_bytes() == before
+
+
 def test_misuse_is_told(run: Run, small: SmallScene, folder: Path, tmp_path: Path) -> None:
     assert run("unpack", small.cogs, folder).code == 2
     refused = run("unpack", small.cogs, folder, "--name", "../out.cogsm")
