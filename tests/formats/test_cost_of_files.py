@@ -8,6 +8,7 @@ from pathlib import Path
 import hostile_files as hostile
 import numpy as np
 import pytest
+from tracing import start_tracing
 
 from cogsplat.codec.errors import CogsplatError, LimitError
 from cogsplat.formats.cameras.files import read_cameras
@@ -21,7 +22,7 @@ Maker = Callable[[Path], Path]
 
 def cost(read: Callable[[Path], object], path: Path) -> tuple[CogsplatError | None, int]:
     """Return the refusal, and the peak of memory that reading took."""
-    tracemalloc.start()
+    start_tracing()
     try:
         read(path)
     except CogsplatError as error:

@@ -11,6 +11,7 @@ import pytest
 from cogs_samples import ARRAYS, file_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tracing import start_tracing
 
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.codec.streams.records import Attribute
@@ -204,7 +205,7 @@ def test_damaged_scenes_take_little_memory(kernels, profile):
     index = read_index(BytesSource(data), partial=False)
     rng = random.Random(7)
     worst = 0
-    tracemalloc.start()
+    start_tracing()
     for _ in range(40):
         row = rng.randrange(len(index.segments))
         start = int(index.offsets[row])
@@ -222,7 +223,7 @@ def test_damaged_scenes_take_little_memory(kernels, profile):
 
 
 def test_the_must_reject_files_take_little_memory(kernels):
-    tracemalloc.start()
+    start_tracing()
     for entry in MANIFEST["invalid"]:
         data = (VECTORS / "invalid" / f"{entry['name']}.cogs").read_bytes()
         tracemalloc.reset_peak()

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from tracing import start_tracing
 
 from cogsplat.codec.errors import CogsplatError, LimitError, StorageError, TruncatedError
 from cogsplat.formats.cameras import colmap
@@ -175,7 +176,7 @@ def test_counts_beyond_the_file_allocate_nothing(tmp_path: Path, count: int) -> 
         ]
     ):
         folder = model(tmp_path / str(number), cameras, images)
-        tracemalloc.start()
+        start_tracing()
         try:
             error = refused(folder)
             assert tracemalloc.get_traced_memory()[1] < 1 << 20

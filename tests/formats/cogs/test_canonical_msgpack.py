@@ -6,6 +6,7 @@ import msgpack
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tracing import start_tracing
 
 from cogsplat.codec.errors import FormatError, LimitError
 from cogsplat.formats.cogs.canonical_msgpack import (
@@ -90,7 +91,7 @@ def test_values_are_counted_with_their_keys():
 def test_values_take_no_more_memory_than_is_counted():
     count = 60_000
     data = pack({"names": [f"{i:06}.jpg" for i in range(count)], "numbers": [1.5] * count})
-    tracemalloc.start()
+    start_tracing()
     found = unpack(data, "here", most_values=1 << 18)
     used, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -160,7 +161,7 @@ def test_every_cut_is_a_truncation(value):
 def test_nests_of_large_claims_allocate_nothing():
     # Each header claims as many elements as there are bytes left.
     data = b"\x81\xa1x" + b"\xdc\xff\xff" * 7 + bytes(1 << 16)
-    tracemalloc.start()
+    start_tracing()
     with pytest.raises(FormatError) as caught:
         unpack(data, "here", most_values=1 << 20)
     assert caught.value.code == "msgpack-truncated"

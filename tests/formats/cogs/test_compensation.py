@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tracing import start_tracing
 
 from cogsplat.codec.errors import CogsplatError, FormatError, LimitError
 from cogsplat.codec.segments.compensation import Layer, pack_codes, unpack_codes
@@ -57,7 +58,7 @@ def test_codes_count_for_the_limit():
 def test_many_codes_come_back_with_little_memory(bits):
     codes = np.random.default_rng(bits).integers(0, 1 << bits, (1 << 17) + 3).astype(np.uint8)
     packed = pack_codes(codes, bits)
-    tracemalloc.start()
+    start_tracing()
     found = unpack_codes(packed, bits, len(codes))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()

@@ -11,6 +11,7 @@ import plyfile
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tracing import start_tracing
 
 from cogsplat.codec.errors import (
     CogsplatError,
@@ -359,7 +360,7 @@ def test_hostile_counts_allocate_nothing(tmp_path: Path) -> None:
     data = data.replace(b"element vertex 3\n", b"element vertex 2147483647\n")
     data = data.replace(b"element chunk 1\n", b"element chunk 8388608\n")
     path.write_bytes(data.replace(b"element sh 3\n", b"element sh 2147483647\n"))
-    tracemalloc.start()
+    start_tracing()
     try:
         assert refused(path).code == "ply-truncated"
         assert tracemalloc.get_traced_memory()[1] < 4_000_000

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tracing import start_tracing
 
 from cogsplat.codec.errors import CogsplatError, FormatError, TruncatedError, UnsupportedError
 from cogsplat.codec.splats import SceneInfo
@@ -285,7 +286,7 @@ def test_no_memory_for_counts_the_file_does_not_bear_out(tmp_path: Path) -> None
     for at in (4, 16, 4096, 4100, 4104, 4108, 4128, 4132):
         lying = with_field(data, "<I", at, 0x7FFFFFF0)
         (tmp_path / "a.ksplat").write_bytes(lying)
-        tracemalloc.start()
+        start_tracing()
         try:
             # Buckets of any size are fine: there may be room in them.
             if at == 4104:

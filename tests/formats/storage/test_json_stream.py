@@ -4,6 +4,7 @@ import tracemalloc
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tracing import start_tracing
 
 from cogsplat.codec.errors import CogsplatError, FormatError, LimitError
 from cogsplat.formats.storage.json_stream import MAX_VALUE_BYTES, JsonStream
@@ -92,7 +93,7 @@ def test_a_fault_far_before_the_end_is_no_matter_of_length() -> None:
 @pytest.mark.parametrize("item", ["[],", "{},", '"",', "0,", '{"a":{}},', '"\\ud83d\\ude00",'])
 def test_a_long_value_is_refused_with_little_memory(item: str) -> None:
     text = f"[[{item * (4 * MAX_VALUE_BYTES // len(item))}0]]".encode()
-    tracemalloc.start()
+    start_tracing()
     error = refused(text)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
@@ -102,7 +103,7 @@ def test_a_long_value_is_refused_with_little_memory(item: str) -> None:
 
 
 def parse_and_measure(text: bytes, limits: Limits) -> int:
-    tracemalloc.start()
+    start_tracing()
     try:
         parse_object(text, "a.json", "bad", limits=limits)
     finally:

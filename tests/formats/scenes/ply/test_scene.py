@@ -11,6 +11,7 @@ import plyfile
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tracing import start_tracing
 
 from cogsplat.codec.errors import (
     CogsplatError,
@@ -378,7 +379,7 @@ def test_a_truncated_file_says_how_long_it_should_be(tmp_path: Path) -> None:
 def test_a_count_that_does_not_fit_allocates_nothing(tmp_path: Path, layout: str) -> None:
     data = header_of(f"format {layout} 1.0", f"element vertex {MAX_COUNT}", *properties())
     (tmp_path / "a.ply").write_bytes(data + bytes(1000))
-    tracemalloc.start()
+    start_tracing()
     try:
         with pytest.raises(TruncatedError) as caught:
             read_ply(tmp_path / "a.ply")

@@ -17,6 +17,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from tracing import start_tracing
 
 from cogsplat.codec.errors import (
     CogsplatError,
@@ -395,7 +396,7 @@ def test_bombs(tmp_path: Path) -> None:
     files = {name: webp(pixels) for name, pixels in images.items()}
     files["sh0"] = bytes(50_000_000)
     bomb = bundled(tmp_path / "a.sog", meta, files, method=zipfile.ZIP_DEFLATED)
-    tracemalloc.start()
+    start_tracing()
     try:
         error = refused(bomb)
         assert tracemalloc.get_traced_memory()[1] < 5_000_000

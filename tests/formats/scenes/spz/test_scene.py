@@ -15,6 +15,7 @@ import pytest
 import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tracing import start_tracing
 
 from cogsplat.codec.errors import (
     CogsplatError,
@@ -608,7 +609,7 @@ def test_no_memory_for_counts_the_file_does_not_bear_out(tmp_path: Path) -> None
     for code, files in bombs.items():
         for data in files:
             (tmp_path / "a.spz").write_bytes(data)
-            tracemalloc.start()
+            start_tracing()
             try:
                 with pytest.raises(CogsplatError) as caught:
                     read_spz(tmp_path / "a.spz")

@@ -1,0 +1,11 @@
+"""What Python allocates in a test, without what loads kernels in the background meanwhile."""
+
+import tracemalloc
+
+from cogsplat.codec.streams.compiled import LOADER
+
+
+def start_tracing() -> None:
+    """Begin to trace what is allocated, when kernels that are being loaded are there."""
+    LOADER.join()
+    tracemalloc.start()
