@@ -377,18 +377,9 @@ def join_pages(
         opacities=opacities,
         codebooks=_codebook_segments(source, root, table, whole=whole),
         attributes=_attribute_rows(source, root, table, heads),
-        cameras=_only_row(
-            source, table, SegmentKind.CAMERAS, "cameras", code="camera-segments", clause="5.8"
-        ),
+        cameras=_camera_segment(source, table),
         layers=_layer_rows(source, table) if whole or not keep_numbers else [],
-        view_table=_only_row(
-            source,
-            table,
-            SegmentKind.VIEW_TABLE,
-            "view tables",
-            code="view-table-segments",
-            clause="5.12",
-        ),
+        view_table=_view_table_row(source, table),
         all_chunks=_all_chunks(root),
     )
 
@@ -580,20 +571,38 @@ def _misplaced(source: Source, table: SegmentTable, heads: I64, kind: SegmentKin
     )
 
 
-def _only_row(
-    source: Source, table: SegmentTable, kind: SegmentKind, what: str, *, code: str, clause: str
-) -> int:
-    """Return the row of a kind that a file has once at most, of owner 0; -1 where it has none."""
+def _camera_segment(source: Source, table: SegmentTable) -> int:
+    """Return the row of the cameras (SPEC 5.8); -1 where there is none."""
+    row, owners = _only_row(table, SegmentKind.CAMERAS)
+    if owners:
+        raise FormatError(
+            "camera-segments",
+            f"{source.name}: cameras of the owners {owners}, expected one segment at most, of "
+            "owner 0",
+            clause="5.8",
+        )
+    return row
+
+
+def _view_table_row(source: Source, table: SegmentTable) -> int:
+    """Return the row of the view table (SPEC 5.12); -1 where there is none."""
+    row, owners = _only_row(table, SegmentKind.VIEW_TABLE)
+    if owners:
+        raise FormatError(
+            "view-table-segments",
+            f"{source.name}: view tables of the owners {owners}, expected one segment at most, of "
+            "owner 0",
+            clause="5.12",
+        )
+    return row
+
+
+def _only_row(table: SegmentTable, kind: SegmentKind) -> tuple[int, list[int]]:
+    """Return the row of a segment that a file has once, and the first owners of several."""
     rows = np.flatnonzero(table.kind == kind)
     owners = table.owner[rows]
-    if len(rows) > 1 or owners.any():
-        raise FormatError(
-            code,
-            f"{source.name}: {what} of the owners {owners.tolist()[:8]}, expected one segment at "
-            "most, of owner 0",
-            clause=clause,
-        )
-    return int(rows[0]) if len(rows) else -1
+    strange = owners.tolist()[:8] if len(rows) > 1 or owners.any() else []
+    return (int(rows[0]) if len(rows) else -1), strange
 
 
 def _layer_rows(source: Source, table: SegmentTable) -> list[int]:
