@@ -118,7 +118,7 @@ class UnsupportedError(CogsplatError):
 
 
 class MissingExtraError(UnsupportedError):
-    """A package is not installed that an extra of cogsplat brings; the data may be right."""
+    """A package that an extra of cogsplat brings, or its device, is missing; data may be right."""
 
     exit_code = 4
 

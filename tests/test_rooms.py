@@ -231,13 +231,15 @@ DOORS: dict[str, dict[str, str]] = {
             "ALPHA_MAX BLUE GREEN LANES PIXELS PLANES PLANES_COMPARED RED REST blend_pixel "
             "blend_tile footprint_in_tile open_pixels rows_in_tile tile_area"
         ),
+        "cuda_device": "DEVICES cuda_device require_device",
+        "cuda_views": "CudaScene CudaView",
         "gradients": "Gradient gradient",
         "jit": "inner_kernel kernel",
         "label_votes": "label_votes",
         "marginal_gains": "marginal_gains",
         "peak_weights": "peak_weights",
         "projection": "FLAT Footprints GUARD NARROW SHEAR project",
-        "rasteriser": "RenderConfig render render_tiles render_views",
+        "rasteriser": "RenderConfig cuda_view render render_tiles render_views",
         "sensitivities": (
             "COLUMNS PAIRS_AT_ONCE Sensitivities add_moments from_columns view_sensitivities"
         ),
@@ -422,7 +424,7 @@ def test_only_tools_take_the_facade(path: Path) -> None:
     assert [name for module, name in TAKEN[path] if module == FACADE] == []
 
 
-def test_training_alone_takes_torch() -> None:
+def test_training_and_cuda_alone_take_torch() -> None:
     """Whoever imports it waits for seconds, and it comes with the extra `train` only."""
     takers = {
         name_of(path)
@@ -434,9 +436,18 @@ def test_training_alone_takes_torch() -> None:
             if isinstance(node, ast.Import)
             else [node.module or ""] * (node.level == 0)
         )
-        if name.split(".")[0] == "torch"
+        if name.split(".")[0] in ("torch", "gsplat")
     }
-    assert takers == {"codec/fit/autograd.py"}
+    # Those of `codec/render` import them where a device is asked for.
+    on_device = {f"codec/render/cuda_{name}.py" for name in ("device", "pairs", "views")}
+    assert takers == {"codec/fit/autograd.py", *on_device}
+    at_once = [
+        node
+        for path in on_device
+        for node in ast.parse((ROOT / path).read_text(encoding="utf-8")).body
+        if isinstance(node, ast.Import)
+    ]
+    assert not {"torch", "gsplat"} & {alias.name for node in at_once for alias in node.names}
 
 
 @pytest.mark.parametrize(
@@ -457,6 +468,7 @@ TESTED_IN = {
     "codec/encode/profiles/means.py": "encode/profiles/test_transform.py",
     "codec/encode/shift_optimiser.py": "encode/test_compensation_fit.py",
     "codec/fit/splat_kernels.py": "fit/test_drawing.py",
+    "codec/render/cuda_pairs.py": "render/test_cuda_views.py",
     "codec/fit/storing.py": "fit/test_tuning.py",
     "codec/fit/tile_kernels.py": "fit/test_drawing.py",
     "codec/rate/costs.py": "rate/test_allocation.py",

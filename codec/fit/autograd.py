@@ -68,17 +68,20 @@ def rendered(
     camera : Camera
         In the frame of the means.
     config : RenderConfig or None
-        None for 3DGS' kernel of 0.3 px², without anti-aliasing, over black.
+        None for 3DGS' kernel of 0.3 px², without anti-aliasing, over black, drawn on the processor;
+        with its device ``cuda`` pictures and derivatives are made there.
 
     Returns
     -------
     (H, W, 3) float32 tensor
-        On the device of the means; drawn on the processor.
+        On the device of the means.
 
     Raises
     ------
     DataError
         ``bad-shape`` or ``bad-dtype``, as of `Splats`.
+    MissingExtraError, LimitError
+        As `rasteriser.render`.
 
     Examples
     --------

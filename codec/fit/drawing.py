@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.render.cuda_views import CudaScene, CudaView
 from cogsplat.codec.render.projection import Footprints, project
-from cogsplat.codec.render.rasteriser import RenderConfig
+from cogsplat.codec.render.rasteriser import RenderConfig, cuda_view
 from cogsplat.codec.render.shading import footprint_colours
 from cogsplat.codec.render.tiles import TileLists, gather, tile_lists
 from cogsplat.codec.splats import Splats
@@ -91,6 +92,8 @@ class Drawing:
         All tiles of the picture.
     stops : sequence of (tiles,) int64
         For each of the lists, where its tiles ended.
+    on_device : CudaView or None
+        What was drawn on a CUDA device; then there are no lists.
     """
 
     splats: Splats
@@ -101,6 +104,7 @@ class Drawing:
     picture: F32
     lists: Sequence[TileLists]
     stops: Sequence[NDArray[np.int64]]
+    on_device: CudaView | None = None
 
     def backward(self, by_picture: F32, gradients: Gradients) -> F64:
         """Add the derivatives of a loss by the stored values.
@@ -126,6 +130,8 @@ class Drawing:
 
         This is most of the work, and touches no gradients: several pictures can be in it at once.
         """
+        if self.on_device is not None:
+            return self.on_device.loss_sums(by_picture, self.config.background)
         sums = np.zeros((len(self.footprints), SUMS), np.float64)
         threads = thread_count(self.config.threads)
         for lists, stops in zip(self.lists, self.stops, strict=True):
@@ -234,6 +240,10 @@ def draw(splats: Splats, camera: Camera, config: RenderConfig | None = None) -> 
     """
     info = splats.info
     config = config or RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased)
+    if config.device == "cuda":
+        view = cuda_view(CudaScene(splats), camera, config)
+        picture = view.picture(config.background)
+        return Drawing(splats, camera, config, view.footprints, view.colours, picture, (), (), view)
     footprints = project(
         splats,
         camera,

@@ -67,10 +67,14 @@ class Lessons:
         return len(self.cameras)
 
 
-def _config(info: SceneInfo, factor: int, background: Background) -> RenderConfig:
+def _config(info: SceneInfo, factor: int, background: Background, device: str) -> RenderConfig:
     """Return how a view is drawn whose picture was made so many times smaller each way."""
     return RenderConfig(
-        info.kernel_px / (factor * factor), info.antialiased, background=background, threads=1
+        info.kernel_px / (factor * factor),
+        info.antialiased,
+        background=background,
+        threads=1,
+        device=device,
     )
 
 
@@ -181,6 +185,7 @@ def lessons_of(
     background: Background = (0.0, 0.0, 0.0),
     most_pixels: int = MOST_PIXELS,
     threads: int = 0,
+    device: str = "cpu",
     progress: Progress = silent,
 ) -> Lessons:
     """Make the lessons that a scene is trained by: its own renders, or photos.
@@ -204,6 +209,8 @@ def lessons_of(
         Larger pictures are made smaller by a whole number.
     threads : int
         0 for every core this process may use. The pictures do not depend on it.
+    device : str
+        As `RenderConfig` has it: where these pictures, and those of the training, are drawn.
     progress : Progress
         Called with ``lessons``, views done and views.
 
@@ -240,7 +247,7 @@ def lessons_of(
     views = [*given, *between, *off]
     factors = [_factor(camera, most_pixels) for camera in views]
     small = [_smaller(*pair) for pair in zip(views, factors, strict=True)]
-    configs = [_config(source.info, factor, background) for factor in factors]
+    configs = [_config(source.info, factor, background, device) for factor in factors]
     taught = [] if photos is None else [photos[number] for number in chosen]
     pictures = [_smaller_picture(*pair) for pair in zip(taught, factors, strict=False)]
     left = list(zip(small, configs, strict=True))[len(pictures) :]

@@ -218,6 +218,7 @@ def tune(
             copies=False,
             background=lessons.configs[0].background,
             threads=config.train.threads,
+            device=lessons.configs[0].device,
             progress=progress,
         )
     run = _Run(source, lessons, measured, target, config, checkpoint, notify, progress)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -17,6 +17,8 @@ from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
 from .blending import BLUE, GREEN, PIXELS, PLANES, RED, REST, blend_tile, tile_area
+from .cuda_device import require_device
+from .cuda_views import CudaScene, CudaView
 from .jit import kernel
 from .projection import project
 from .shading import footprint_colours
@@ -41,6 +43,9 @@ class RenderConfig:
         Highest SH degree used; None for the scene's own.
     threads : int
         0 for every core this process may use. The picture does not depend on it.
+    device : str
+        ``cpu``, or ``cuda`` to draw with gsplat on a CUDA device (extra ``train``): the same
+        picture but for rounding, which differs from run to run (`cuda_views`).
     """
 
     kernel_px: float = 0.3
@@ -49,6 +54,7 @@ class RenderConfig:
     near_plane: float = NEAR
     sh_degree: int | None = None
     threads: int = 0
+    device: str = "cpu"
 
     def __post_init__(self) -> None:
         if not self.kernel_px >= 0.0:
@@ -58,6 +64,7 @@ class RenderConfig:
         if self.sh_degree is not None and not 0 <= self.sh_degree <= MAX_SH_DEGREE:
             raise ValueError(f"SH degree {self.sh_degree}, expected 0 to {MAX_SH_DEGREE}")
         thread_count(self.threads)
+        require_device(self.device)
 
 
 @called_with(
@@ -178,6 +185,13 @@ def render(
     (H, W, 3) float32
         In the scene's colour space, not clipped.
 
+    Raises
+    ------
+    MissingExtraError
+        ``needs-extra``, ``no-cuda-device``: the device ``cuda`` without one, or without gsplat.
+    LimitError
+        ``device-memory``.
+
     Notes
     -----
     3DGS conventions (Kerbl et al. 2023, section 6 and the published rasteriser's constants): EWA
@@ -195,7 +209,20 @@ def render(
     ((48, 64, 3), 'float32')
     """
     config = config or _config_of(splats)
+    if config.device == "cuda":
+        return cuda_view(CudaScene(splats), camera, config).picture(config.background)
     return _draw(splats, camera, config, thread_count(config.threads))
+
+
+def cuda_view(scene: CudaScene, camera: Camera, config: RenderConfig) -> CudaView:
+    """Return the view of a scene on a CUDA device that a configuration describes."""
+    return scene.view(
+        camera,
+        kernel_px=config.kernel_px,
+        antialiased=config.antialiased,
+        near_plane=config.near_plane,
+        sh_degree=config.sh_degree,
+    )
 
 
 def render_tiles(
@@ -221,7 +248,10 @@ def render_tiles(
     down, across = np.indices(_tiles(camera))
     # Lines of tiles that lean by about a golden section: they follow neither rows nor columns.
     wanted = (across + max(1, round(0.382 * every)) * down) % every == 0
-    image = _draw(splats, camera, config, thread_count(config.threads), wanted)
+    if config.device == "cuda":
+        image = render(splats, camera, config)
+    else:
+        image = _draw(splats, camera, config, thread_count(config.threads), wanted)
     pixels = np.repeat(np.repeat(wanted, TILE, axis=0), TILE, axis=1)
     drawn: NDArray[np.float32] = image[pixels[: camera.height, : camera.width]]
     return drawn
@@ -262,11 +292,17 @@ def render_views(
     by_view = len(cameras) >= threads
     images: list[NDArray[np.float32]] = []
     progress("render", 0, len(cameras))
-    for image in ordered_map(
-        lambda camera: _draw(splats, camera, config, 1 if by_view else threads),
-        cameras,
-        threads if by_view else 1,
-    ):
+    drawn: Iterator[NDArray[np.float32]]
+    if config.device == "cuda":
+        scene = CudaScene(splats)
+        drawn = (cuda_view(scene, camera, config).picture(config.background) for camera in cameras)
+    else:
+        drawn = ordered_map(
+            lambda camera: _draw(splats, camera, config, 1 if by_view else threads),
+            cameras,
+            threads if by_view else 1,
+        )
+    for image in drawn:
         images.append(image)
         progress("render", len(images), len(cameras))
     return images

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -15,6 +15,8 @@ from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.blend_weights import PEAK, SQUARE, WEIGHT, add_weights
+from cogsplat.codec.render.cuda_device import require_device
+from cogsplat.codec.render.cuda_views import CudaScene
 from cogsplat.codec.render.projection import project
 from cogsplat.codec.render.sensitivities import (
     COLUMNS,
@@ -88,6 +90,10 @@ class ScoreConfig:
         much time again as the rest.
     colour_sensitivity : bool
         Also sum `Scores.colour_sensitivity`, which takes 128 bytes a splat.
+    device : str
+        ``cpu``, or ``cuda`` to draw the views with gsplat on a CUDA device (extra ``train``): the
+        same scores but for rounding, which differs from run to run, and with it the order of splats
+        that score alike.
     """
 
     top_k: int = TOP_K
@@ -98,6 +104,7 @@ class ScoreConfig:
     threads: int = 0
     sensitivity_every: int = 0
     colour_sensitivity: bool = True
+    device: str = "cpu"
 
     def __post_init__(self) -> None:
         if self.top_k < 0:
@@ -109,6 +116,7 @@ class ScoreConfig:
         if not self.near_plane > 0.0:
             raise ValueError(f"near_plane {self.near_plane}, expected more than 0")
         thread_count(self.threads)
+        require_device(self.device)
         if self.sensitivity_every < 0:
             raise ValueError(
                 f"sensitivity_every {self.sensitivity_every}, expected 0 (none) or more"
@@ -268,6 +276,27 @@ def _score_view(
     return _ViewScores(index, by_row, index, ascending(footprints, columns))
 
 
+def _score_on_device(
+    view: tuple[Camera, bool], splats: Splats, scene: CudaScene, config: ScoreConfig
+) -> _ViewScores:
+    """Do what `_score_view` does with a view on a CUDA device."""
+    camera, sensitive = view
+    shown = scene.view(
+        camera,
+        kernel_px=splats.info.kernel_px,
+        antialiased=splats.info.antialiased,
+        near_plane=config.near_plane,
+    )
+    footprints, sums = shown.footprints, shown.weights(config.top_k, config.least_weight)
+    index, columns = footprints.ascending(), None
+    if sensitive:
+        moments = shown.moments()
+        columns = view_sensitivities(
+            splats, camera, footprints, shown.colours, moments, sums[:, SQUARE]
+        )
+    return _ViewScores(index, ascending(footprints, sums), footprints.index, columns)
+
+
 def _sensitive(count: int, every: int) -> list[bool]:
     """Mark one of every `every` views of a set, at another place in each run.
 
@@ -315,12 +344,16 @@ def score(
     Returns
     -------
     Scores
-        The same, bit for bit, for any number of threads.
+        The same, bit for bit, for any number of threads, on the device ``cpu``.
 
     Raises
     ------
     DataError
         ``no-cameras`` for an empty list, ``cameras-see-nothing`` when no splat reaches a pixel.
+    MissingExtraError, LimitError
+        With the device ``cuda``, as `rasteriser.render`.
+    ValueError
+        An executor and the device ``cuda``.
 
     Examples
     --------
@@ -362,13 +395,23 @@ def score(
     by_view = executor is not None or (
         workspace.views_at_once and threads <= len(views) and n <= MOST_BY_VIEW
     )
+    if executor is not None and config.device == "cuda":
+        raise ValueError("an executor and the device cuda, expected one of them")
     if executor is None:
         executor = LocalThreads(threads if by_view else 1)
-    results = executor.map(
-        partial(_score_view, config=config, threads=1 if by_view else threads, frugal=not by_view),
-        zip(views, (share > 0.0 for share in sensitive), strict=True),
-        splats,
-    )
+    work = list(zip(views, (share > 0.0 for share in sensitive), strict=True))
+    results: Iterator[_ViewScores]
+    if config.device == "cuda":
+        scene = CudaScene(splats)
+        results = (_score_on_device(view, splats, scene, config) for view in work)
+    else:
+        results = executor.map(
+            partial(
+                _score_view, config=config, threads=1 if by_view else threads, frugal=not by_view
+            ),
+            work,
+            splats,
+        )
     progress("score", 0, len(views))
     for done, result in enumerate(results):
         view_share, pixel_share = shares[done]

@@ -20,6 +20,7 @@ from cogsplat.tools.terminal.options import (
     background_option,
     cameras_option,
     compensate_option,
+    device_option,
     eval_every_option,
     force_option,
     json_option,
@@ -74,6 +75,7 @@ from .inputs import (
 @compensate_option
 @partial_option
 @limits_option
+@device_option("Where the scene is drawn.")
 @threads_option
 @force_option
 @quiet_option
@@ -92,6 +94,7 @@ def render(
     objects: tuple[int, ...] | None,
     sh_degree: int | None,
     compensate: bool,
+    device: str,
     threads: int,
     force: bool,
     quiet: bool,
@@ -117,6 +120,7 @@ def render(
             antialiased=info.antialiased,
             background=background,
             threads=threads,
+            device=device,
         )
         with stages.stage("render"):
             image = to_image(draw(scene.splats, camera, config))

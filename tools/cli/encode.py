@@ -25,6 +25,7 @@ from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
     background_option,
     cameras_option,
+    device_option,
     eval_every_option,
     force_option,
     jitter_option,
@@ -97,7 +98,7 @@ _GROUPS: Final = {
         "--object-budgets",
         "--masks",
     ),
-    "Scoring": ("--no-jitter", "--top-k", "--eval-every"),
+    "Scoring": ("--no-jitter", "--top-k", "--eval-every", "--device"),
     "Contents of the file": (
         "--prune",
         "--no-prune",
@@ -242,6 +243,7 @@ _GROUPS: Final = {
 @edit_options
 @partial_option
 @limits_option
+@device_option("Where views are scored.")
 @threads_option
 @scheduler_option
 @force_option
@@ -278,6 +280,7 @@ def encode(
     format_name: str | None,
     background: Colour,
     edits: SceneEdits,
+    device: str,
     threads: int,
     scheduler: str | None,
     force: bool,
@@ -320,6 +323,8 @@ def encode(
     _require_one_aim(profile, target_psnr, target_size)
     if scheduler is not None and memory is not None:
         raise click.UsageError("--memory and --scheduler: expected one of them")
+    if scheduler is not None and device == "cuda":
+        raise click.UsageError("--device cuda and --scheduler: expected one of them")
     if memory is not None and (measure or report is not None or images is not None):
         raise click.UsageError(
             "--memory with --measure, --report or --images, expected `cogsplat eval` afterwards: "
@@ -376,8 +381,9 @@ def encode(
             views = virtual_views(splats, threads=threads, progress=stages)
         numbered = [edits.camera(view) for view in given_cameras(cameras)] if cameras else views
         config = replace(config, order=choice.name, ordering=choice.config(numbered or []))
-        score_config = chosen.score_config(
-            profile, top_k=top_k, jitter=not no_jitter, threads=threads
+        score_config = replace(
+            chosen.score_config(profile, top_k=top_k, jitter=not no_jitter, threads=threads),
+            device=device,
         )
         aimed = None if target_size is None else target_size.uncapped(given.file_bytes)
         if aimed == 0:

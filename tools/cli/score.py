@@ -15,6 +15,7 @@ from cogsplat.formats.storage.atomic import atomic_write, check_output
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     cameras_option,
+    device_option,
     eval_every_option,
     force_option,
     jitter_option,
@@ -43,6 +44,7 @@ from .inputs import given_files, read_any, scoring_cameras, virtual_views
 @eval_every_option(0, "Keep from scoring the")
 @partial_option
 @limits_option
+@device_option("Where views are drawn.")
 @threads_option
 @force_option
 @quiet_option
@@ -54,6 +56,7 @@ def score(
     no_jitter: bool,
     top_k: int,
     eval_every: int,
+    device: str,
     threads: int,
     force: bool,
     quiet: bool,
@@ -74,7 +77,7 @@ def score(
             views = scoring_cameras(cameras, eval_every)
             splats = read_any(path, threads=threads).splats
         views = views or virtual_views(splats, threads=threads, progress=stages)
-        config = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads)
+        config = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads, device=device)
         scores = score_splats(splats, views, config, progress=stages)
         _write_npy(scores.contribution, out, force=force)
         stages("write", 1, 1)

@@ -21,6 +21,7 @@ from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
     background_option,
     cameras_option,
+    device_option,
     eval_every_option,
     force_option,
     json_option,
@@ -134,6 +135,7 @@ _GROUPS: Final = {
 @background_option
 @partial_option
 @limits_option
+@device_option("Where pictures are drawn and differentiated.")
 @threads_option
 @force_option
 @quiet_option
@@ -156,6 +158,7 @@ def tune(
     resume: bool,
     format_name: str | None,
     background: Colour,
+    device: str,
     threads: int,
     force: bool,
     quiet: bool,
@@ -215,6 +218,7 @@ def tune(
             apart=apart,
             background=background,
             threads=threads,
+            device=device,
             progress=stages,
         )
         target = _target(target_psnr, target_size, given.file_bytes)

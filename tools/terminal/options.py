@@ -8,6 +8,7 @@ from typing import Final, TypeVar
 import click
 
 from cogsplat.codec.metrics import SSIM_BORDERS
+from cogsplat.codec.render.cuda_device import DEVICES, cuda_device
 from cogsplat.codec.splats import MAX_SH_DEGREE
 
 from .standard_streams import PATH
@@ -53,6 +54,25 @@ def threads_option(command: Command) -> Command:
         metavar="N",
         help="Threads; 0 (default) takes all cores. The result does not depend on it.",
     )(command)
+
+
+def device_option(what: str) -> Callable[[Command], Command]:
+    """Add ``--device``; `what` begins its help text. Without the device, the command ends here."""
+
+    def there(context: click.Context, parameter: click.Parameter, device: str) -> str:
+        if device == "cuda":
+            cuda_device()
+        return device
+
+    return click.option(
+        "--device",
+        type=click.Choice(DEVICES),
+        default=DEVICES[0],
+        show_default=True,
+        callback=there,
+        help=f"{what} cuda takes a CUDA device and the extra train (gsplat); results differ by "
+        "rounding, from run to run too.",
+    )
 
 
 def scheduler_option(command: Command) -> Command:

@@ -2,10 +2,12 @@ import numpy as np
 import oracle
 import pytest
 import torch
+from gsplat_on_cpu import on_cpu
 
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.fit.autograd import rendered
 from cogsplat.codec.fit.drawing import Gradients, draw
+from cogsplat.codec.render.rasteriser import RenderConfig
 
 
 def tensors(splats):
@@ -53,3 +55,15 @@ def test_tensors_of_other_types_are_refused():
     values = tensors(oracle.scene(4, n=20))
     with pytest.raises(DataError, match="float32"):
         rendered(values[0].double(), *values[1:], oracle.camera())
+
+
+def test_a_device_draws_what_is_differentiated(monkeypatch):
+    splats, camera = oracle.scene(1, n=30), oracle.camera(width=30, height=20)
+    gradients = []
+    for device in ("cpu", "cuda"):
+        values = tensors(splats)
+        rendered(*values, camera, RenderConfig(device=device)).square().sum().backward()
+        gradients.append([value.grad.numpy() for value in values])
+        on_cpu(monkeypatch)
+    for expected, found in zip(*gradients, strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())

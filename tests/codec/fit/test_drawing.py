@@ -7,6 +7,7 @@ import oracle
 import pytest
 import torch
 import torch_oracle
+from gsplat_on_cpu import on_cpu
 
 from cogsplat.codec.fit.drawing import Gradients, draw
 from cogsplat.codec.render.rasteriser import RenderConfig, render
@@ -130,3 +131,27 @@ def test_opacities_that_are_infinite_and_splats_out_of_sight_do_not_move():
     assert not found.opacities[:2].any()
     assert not any(getattr(found, name)[2].any() for name in Gradients.names())
     assert all(np.isfinite(getattr(found, name)).all() for name in Gradients.names())
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_on_a_device_derivatives_are_the_same_but_for_rounding(monkeypatch, antialiased):
+    splats, camera, target = small_scene(3, 2)
+    splats.opacities[::4] = 9.0
+    config = RenderConfig(antialiased=antialiased, background=BACKGROUND)
+    expected, wanted = draw(splats, camera, config), Gradients.zeros(splats)
+    sums = expected.sums(2 * (expected.picture - target))
+    centres = expected.add(sums, wanted)
+    on_cpu(monkeypatch)
+    drawing, found = draw(splats, camera, replace(config, device="cuda")), Gradients.zeros(splats)
+    np.testing.assert_allclose(drawing.picture, expected.picture, atol=1e-4)
+    np.testing.assert_array_equal(drawing.footprints.index, expected.footprints.index)
+    by_picture = 2 * (drawing.picture - target)
+    assert_close(drawing.sums(by_picture), sums)
+    assert_close(drawing.backward(by_picture, found), centres)
+    for name in Gradients.names():
+        assert_close(getattr(found, name), getattr(wanted, name))
+
+
+def assert_close(found, expected):
+    """All but a few are near: alpha within rounding of 1/255 may fall to either side."""
+    assert np.mean(np.abs(found - expected) > 1e-3 * np.abs(expected).max()) <= 0.01

@@ -3,8 +3,10 @@ from dataclasses import replace
 import numpy as np
 import oracle
 import pytest
+from gsplat_on_cpu import on_cpu
 
 from cogsplat.codec.errors import Cancelled, DataError
+from cogsplat.codec.executor import LocalThreads
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring.contribution import COVERING_SHARE, ScoreConfig, score
 from cogsplat.codec.splats import SceneInfo, empty
@@ -257,3 +259,25 @@ def test_one_jittered_copy_scores_fewer_views():
 def test_senseless_config_is_refused(options):
     with pytest.raises(ValueError, match="expected"):
         ScoreConfig(**options)
+
+
+def test_on_a_device_scores_are_the_same_but_for_rounding(monkeypatch):
+    splats = oracle.scene(3, n=60, info=SceneInfo(antialiased=True))
+    cameras = [replace(camera, width=24, height=17) for camera in CAMERAS]
+    config = ScoreConfig(top_k=0, least_weight=0.01, jitter_copies=1, sensitivity_every=2)
+    expected = score(splats, cameras, config, covering=cameras[:1])
+    on_cpu(monkeypatch)
+    found = score(splats, cameras, replace(config, device="cuda"), covering=cameras[:1])
+    for name in ("contribution", "energy", "largest_energy", "peak", "basis_mean"):
+        values = getattr(expected, name)
+        _close(getattr(found, name), values, np.abs(values).max())
+    np.testing.assert_array_equal(found.seen, expected.seen)
+    np.testing.assert_array_equal(found.covered, expected.covered)
+    for name in ("opacities", "means", "scales", "rotations", "sh0"):
+        values = getattr(expected.sensitivities, name)
+        _close(getattr(found.sensitivities, name), values, values.max())
+
+
+def test_a_device_and_an_executor_are_refused(monkeypatch):
+    with pytest.raises(ValueError, match="an executor and the device cuda"):
+        score(oracle.scene(1), CAMERAS, ScoreConfig(device="cuda"), executor=LocalThreads())

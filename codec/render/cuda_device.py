@@ -1,0 +1,67 @@
+"""The CUDA device that PyTorch and gsplat work on, and what is raised where there is none."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from typing import Any, Final
+
+from cogsplat.codec.errors import LimitError, MissingExtraError
+
+DEVICES: Final = ("cpu", "cuda")
+"""Where views are drawn and weighed: by our kernels, or by gsplat on a CUDA device."""
+
+
+def require_device(device: str) -> None:
+    """Raise ValueError for anything but one of `DEVICES`."""
+    if device not in DEVICES:
+        raise ValueError(f"device {device!r}, expected one of {DEVICES}")
+
+
+def cuda_device() -> Any:
+    """Return PyTorch's CUDA device.
+
+    Raises
+    ------
+    MissingExtraError
+        ``needs-extra`` without PyTorch or gsplat; ``no-cuda-device`` where PyTorch finds none or
+        gsplat has no kernels for it: it compiles them, with CUDA's compiler, when it is first used.
+    """
+    try:
+        import gsplat  # noqa: F401
+        import torch
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            "needs-extra",
+            f"the device cuda takes {error.name}, which is not installed; it needs the extra: "
+            "pip install 'cogsplat[train]'",
+        ) from error
+    if not torch.cuda.is_available():
+        raise MissingExtraError(
+            "no-cuda-device",
+            f"PyTorch {torch.__version__} finds no CUDA device, expected one, or the device cpu",
+        )
+    # What gsplat says while it compiles is no part of a command's output.
+    with redirect_stdout(sys.stderr):
+        from gsplat.cuda import _backend
+    if _backend._C is None:
+        raise MissingExtraError(
+            "no-cuda-device",
+            "gsplat finds no CUDA toolkit (nvcc) to compile its kernels with, expected one, or the "
+            "device cpu",
+        )
+    return torch.device("cuda")
+
+
+@contextmanager
+def within_device_memory() -> Iterator[None]:
+    """Raise `LimitError` (``device-memory``) where the device has no more memory."""
+    import torch
+
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        raise LimitError(
+            "device-memory", f"out of memory on the CUDA device, expected the device cpu: {error}"
+        ) from error
