@@ -260,7 +260,9 @@ DOORS: dict[str, dict[str, str]] = {
         "attributes": "AttributeType attribute_bytes pack_attributes types_of unpack_attributes",
         "chunk_sets": "equivalent_prefixes is_closed",
         "chunks": "decode_chunk",
-        "codebooks": "Codebook ShapeCodebook decode_colour_codebook decode_shape_codebook",
+        "codebooks": (
+            "Codebook ColourCodebook ShapeCodebook decode_colour_codebook decode_shape_codebook"
+        ),
         "compensation": (
             "Compensation Layer MAX_CODE_BITS OPACITY_STEP SCALE_STEP STRENGTH_STEP code_bits "
             "pack_codes packed_bytes unpack_codes"
@@ -292,11 +294,11 @@ DOORS: dict[str, dict[str, str]] = {
             "compressed pack pack_plain unpack"
         ),
         "refinement_bits": "coarse_codes half_of write",
-        "refinement_digits": "MAX_RADIX write",
-        "scalar": "write write_with_infinities",
+        "refinement_digits": "MAX_RADIX parse write",
+        "scalar": "parse write write_with_infinities",
         "scale_differences": "accumulate differences_of write",
-        "sh0_transform": "write",
-        "shn_transform": "MAX_BASIS_ROWS write",
+        "sh0_transform": "parse write",
+        "shn_transform": "MAX_BASIS_ROWS codebook_use parse write",
         "sorted_means": "MAX_CELLS cells_of codes_of morton_order pack_differences values write",
         "swing_twist": "BASE_STEP decompose split write",
         "whole_chunk": "ChunkArrays read",

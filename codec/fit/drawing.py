@@ -67,6 +67,17 @@ class Gradients:
         for name in self.names():
             getattr(self, name).fill(0.0)
 
+    def times(self, factor: float) -> Gradients:
+        """Return all of them times a factor."""
+        return Gradients(
+            **{name: np.float32(factor) * getattr(self, name) for name in self.names()}
+        )
+
+    def add(self, others: Gradients) -> None:
+        """Add others to them."""
+        for name in self.names():
+            getattr(self, name)[...] += getattr(others, name)
+
 
 def with_values(splats: Splats, values: Mapping[str, F32]) -> Splats:
     """Return a scene with other arrays of the names of `Gradients`."""

@@ -241,7 +241,7 @@ class TrainedOpening:
         done = 0
         while done < config.storing_steps:
             steps = min(config.refresh, config.storing_steps - done)
-            decoded, _ = stored(prepared, trainer.splats, quality)
+            decoded = stored(prepared, trainer.splats, quality).decoded
             first, last = (_stored_rate(at / config.storing_steps) for at in (done, done + steps))
             trainer.run(steps, first, last, drawn_as=decoded)
             done += steps

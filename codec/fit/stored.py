@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,26 @@ from cogsplat.codec.splats import Splats
 from .drawing import Gradients, with_values
 
 F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """A scene as it was stored.
+
+    Parameters
+    ----------
+    decoded : Splats
+        Row by row those that were stored, and turned as these are. Splats that were not worth their
+        bytes have a logit of minus infinity.
+    encoded : EncodedScene
+        Without compensation and without predicted quality.
+    rows : sequence of (n,) int64
+        Which of them each chunk holds, in its order.
+    """
+
+    decoded: Splats
+    encoded: EncodedScene
+    rows: Sequence[NDArray[np.int64]]
 
 
 def _facing(quats: F32, scales: F32, as_quats: F32) -> tuple[F32, F32]:
@@ -49,7 +69,7 @@ def stored(
     splats: Splats,
     quality_db: float,
     codebooks: Sequence[EncodedCodebook] = (),
-) -> tuple[Splats, EncodedScene]:
+) -> Stored:
     """Encode a scene in the order and with the quantiser steps of an earlier state of it.
 
     Parameters
@@ -63,24 +83,15 @@ def stored(
         Nominal quality, dB.
     codebooks : sequence of EncodedCodebook
         Of the encode before, which those of the profile ``vq`` go on from.
-
-    Returns
-    -------
-    decoded : Splats
-        In the order of `splats`, and turned as these are. Splats that were not worth their bytes
-        have a logit of minus infinity.
-    encoded : EncodedScene
-        Without compensation and without predicted quality.
     """
     now = replace(prepared, source=splats, codebooks=codebooks)
     layout = now.laid_out(quality_db)
     encoded = encode_chunks(now, quality_db, executor=LocalThreads(prepared.config.threads))
-    rows = np.concatenate(
-        [
-            layout.rows[run][chunk.payloads.order]
-            for run, chunk in zip(layout.slices, encoded.chunks, strict=True)
-        ]
-    )
+    chunk_rows = [
+        layout.rows[run][chunk.payloads.order]
+        for run, chunk in zip(layout.slices, encoded.chunks, strict=True)
+    ]
+    rows = np.concatenate(chunk_rows)
     arrays = {name: getattr(splats, name).copy() for name in Gradients.names()}
     arrays["opacities"].fill(-np.inf)
     for name in ("means", "opacities", "sh0", "shN"):
@@ -89,4 +100,4 @@ def stored(
         rotations.unit(encoded.decoded.quats), encoded.decoded.scales, splats.quats[rows]
     )
     arrays["quats"][rows], arrays["scales"][rows] = turned
-    return with_values(splats, arrays), encoded
+    return Stored(with_values(splats, arrays), encoded, chunk_rows)

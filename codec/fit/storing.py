@@ -21,12 +21,14 @@ from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.order.prefix_inflation import effective_splats
 from cogsplat.codec.progress import Progress
+from cogsplat.codec.rate.allocation import lagrangian
 from cogsplat.codec.scoring.contribution import score
 from cogsplat.codec.scoring.reference_views import render_references
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import evenly
 
-from .stored import stored
+from .bit_slopes import PRICE_OF_A_BIT, bit_slopes
+from .stored import Stored, stored
 from .trainer import Trainer
 
 # Factors on the learning rates while the scene trains through its quantisers: first, last.
@@ -72,6 +74,8 @@ class Storing:
     preset : str
     profile : str
         ``transform`` or ``vq``.
+    rate_weight : float
+        As `TuneConfig` has it.
     test_views : sequence of Camera
         To measure in; some of `cameras` where there are none.
     size_of : callable
@@ -88,6 +92,7 @@ class Storing:
         target: Target,
         preset: str,
         profile: str,
+        rate_weight: float,
         test_views: Sequence[Camera],
         size_of: SizeOf,
         threads: int,
@@ -95,6 +100,7 @@ class Storing:
     ) -> None:
         self.last_figures = (len(base), 0.0, 0.0, 0)
         self._target = target
+        self._rate_weight = rate_weight
         self._size_of = size_of
         self._preset = PRESETS[preset]
         self._progress = progress
@@ -158,7 +164,7 @@ class Storing:
             return _within(self._target.psnr_db + _FIRST_ABOVE_DB)
         quality = 36.0
         for _ in range(4):
-            _, encoded = self._store(splats, quality)
+            encoded = self._store(splats, quality).encoded
             moved = _within(quality + self._missed_db(encoded))
             if abs(moved - quality) < 0.1:
                 break
@@ -167,8 +173,8 @@ class Storing:
 
     def aimed(
         self, splats: Splats, quality_db: float, done: float, measure: bool
-    ) -> tuple[float, Splats]:
-        """Store the scene; return the next nominal quality, which follows the target, and the rows.
+    ) -> tuple[float, Stored]:
+        """Store the scene; return the next nominal quality, which follows the target, and it.
 
         Parameters
         ----------
@@ -181,15 +187,43 @@ class Storing:
         measure : bool
             Whether `last_figures` are to be those of this time.
         """
-        decoded, encoded = self._store(splats, quality_db)
+        made = self._store(splats, quality_db)
         if measure:
-            self.last_figures = self.figures(encoded)
+            self.last_figures = self.figures(made.encoded)
         if done < _AIMING:
-            missed = self._step_db(encoded, _FOLLOWED)
+            missed = self._step_db(made.encoded, _FOLLOWED)
             quality_db = _within(quality_db + min(max(missed, -_LONGEST_DB), _LONGEST_DB))
             if missed:
-                decoded, _ = self._store(splats, quality_db)
-        return quality_db, decoded
+                made = self._store(splats, quality_db)
+        return quality_db, made
+
+    def train(
+        self,
+        trainer: Trainer,
+        made: Stored,
+        quality_db: float,
+        steps: int,
+        rates: tuple[float, float],
+    ) -> None:
+        """Train a scene as it is decoded, and against what its values take in bytes.
+
+        Parameters
+        ----------
+        trainer : Trainer
+        made : Stored
+            Of the trainer's scene as it is now.
+        quality_db : float
+            Nominal quality that it was stored at.
+        steps : int
+        rates : tuple of float
+            Factors on the learning rates of the first and of the last step.
+        """
+        slopes = None
+        if self._rate_weight:
+            price = PRICE_OF_A_BIT * lagrangian(self._prepared.scores, quality_db)
+            slopes = bit_slopes(made.encoded, trainer.splats, made.rows)
+            slopes = slopes.times(self._rate_weight * price)
+        trainer.run(steps, *rates, drawn_as=made.decoded, slopes=slopes)
 
     def figures(self, encoded: EncodedScene) -> tuple[int, float, float, int]:
         """Return splats, mean and least PSNR in the test views, dB, and bytes of the file."""
@@ -206,7 +240,7 @@ class Storing:
         """
         best: EncodedScene | None = None
         for trial in range(_CORRECTIONS + 1):
-            _, encoded = self._store(trainer.splats, quality_db)
+            encoded = self._store(trainer.splats, quality_db).encoded
             missed = self._missed_db(encoded)
             fits = self._fits(encoded)
             if fits and (best is None or self._is_better(encoded, best)):
@@ -215,8 +249,8 @@ class Storing:
                 break
             quality_db = _within(quality_db + (self._step_db(encoded, _SETTLED) or -0.05))
             for _ in range(_CORRECTION_REFRESHES):
-                decoded, _ = self._store(trainer.splats, quality_db)
-                trainer.run(refresh, _RATES[1], _RATES[1], drawn_as=decoded)
+                made = self._store(trainer.splats, quality_db)
+                self.train(trainer, made, quality_db, refresh, (_RATES[1], _RATES[1]))
         if best is None:
             raise DataError(
                 "target-out-of-reach",
@@ -254,11 +288,11 @@ class Storing:
             finished = replace(finished, prefix_mse=None)
         return finished
 
-    def _store(self, splats: Splats, quality_db: float) -> tuple[Splats, EncodedScene]:
-        """Return what the scene becomes when it is stored, and the encoded scene."""
-        decoded, encoded = stored(self._prepared, splats, quality_db, self._codebooks)
-        self._codebooks = encoded.codebooks
-        return decoded, encoded
+    def _store(self, splats: Splats, quality_db: float) -> Stored:
+        """Return what the scene becomes when it is stored."""
+        made = stored(self._prepared, splats, quality_db, self._codebooks)
+        self._codebooks = made.encoded.codebooks
+        return made
 
     def _bytes(self, encoded: EncodedScene) -> int:
         """Return the bytes of the file that the finished scene will make."""

@@ -118,6 +118,7 @@ class Trainer:
         self.steps = steps
         self._lessons = lessons
         self._config = config
+        self._pixels = [picture.shape[0] * picture.shape[1] for picture in lessons.pictures]
         self._adam = Adam(splats)
         self._gradients = Gradients.zeros(splats)
         self._forget_deletions()
@@ -131,6 +132,7 @@ class Trainer:
         last_rate: float,
         *,
         drawn_as: Splats | None = None,
+        slopes: Gradients | None = None,
         progress: Progress = silent,
         stage: str = "train",
     ) -> float:
@@ -146,6 +148,9 @@ class Trainer:
             What is drawn in place of the values that are trained, as stored values are: what lies
             between the two is added to the trained values in every step (straight-through
             gradients, Bengio et al. 2013).
+        slopes : Gradients, optional
+            Derivatives of whatever else the values cost, in units of the mean over pixels of the
+            squared error of a picture, its channels summed.
         progress : Progress
             Called with `stage`, steps done and steps.
         stage : str
@@ -168,7 +173,7 @@ class Trainer:
             if step % _STEPS_AT_ONE_RATE == 0:
                 factor = first_rate * (last_rate / first_rate) ** (step / steps)
                 rates = self._rates(factor)
-            errors = self._step(rates, offsets)
+            errors = self._step(rates, offsets, slopes)
             decibels += sum(-10 * math.log10(max(error, 1e-10)) for error in errors) / len(errors)
             progress(stage, step + 1, steps)
         return decibels / max(steps, 1)
@@ -222,7 +227,12 @@ class Trainer:
         self._deleted = np.zeros(len(self.splats))
         self._deleted_steps = 0
 
-    def _step(self, rates: Mapping[str, F32], offsets: Mapping[str, F32] | None) -> list[float]:
+    def _step(
+        self,
+        rates: Mapping[str, F32],
+        offsets: Mapping[str, F32] | None,
+        slopes: Gradients | None,
+    ) -> list[float]:
         """Move the values once; return the mean squared errors of the views that were drawn."""
         shown = self.splats
         if offsets is not None:
@@ -244,6 +254,9 @@ class Trainer:
             kept = error if math.isnan(before) else _ERROR_MEMORY * (before - error) + error
             self._errors[view] = kept
             errors.append(error)
+        if slopes is not None:
+            # The loss is half the squared error, summed over the pixels of these views.
+            self._gradients.add(slopes.times(0.5 * sum(self._pixels[view] for view in views)))
         self._adam.step(self.splats, self._gradients, rates, self._config.threads)
         self.steps += 1
         self._deleted_steps += 1

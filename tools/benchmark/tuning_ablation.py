@@ -89,6 +89,7 @@ def variants(config: TuneConfig, share: float, *, photos: bool) -> list[Variant]
             "through noise in place of the quantisers",
             replace(config, train=replace(train, noise=True)),
         ),
+        Variant("bits of values do not count", replace(config, rate_weight=0.0)),
         Variant("all views count alike", replace(config, train=replace(train, worst_views=0.0))),
         Variant("half of the views", config, views_share=0.5),
         Variant("a quarter of the views", config, views_share=0.25),

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import oracle
 import pytest
@@ -29,7 +31,8 @@ def covariances(splats):
 
 def test_what_is_stored_is_what_is_decoded_row_by_row(prepared):
     source = prepared.source
-    found, encoded = stored(prepared, source, QUALITY)
+    made = stored(prepared, source, QUALITY)
+    found, encoded = made.decoded, made.encoded
     expected = encode_chunks(prepared, QUALITY)
     assert [chunk.payloads.head for chunk in encoded.chunks] == [
         chunk.payloads.head for chunk in expected.chunks
@@ -57,7 +60,7 @@ def test_what_is_stored_is_what_is_decoded_row_by_row(prepared):
 
 def test_axes_are_turned_as_the_source_has_them(prepared):
     source = prepared.source
-    found, _ = stored(prepared, source, 60.0)
+    found = stored(prepared, source, 60.0).decoded
     left = np.isfinite(found.opacities)
     turned = np.sum(found.quats * source.quats, axis=1)[left]
     lengths = np.linalg.norm(source.quats, axis=1)[left]
@@ -68,13 +71,29 @@ def test_axes_are_turned_as_the_source_has_them(prepared):
 
 def test_the_steps_stay_while_the_values_move(prepared):
     source = prepared.source
-    _, before = stored(prepared, source, QUALITY)
+    before = stored(prepared, source, QUALITY).encoded
     moved = source.take(slice(0, len(source)))
     moved.sh0[:] += np.float32(1e-3)
-    _, after = stored(prepared, moved, QUALITY)
+    after = stored(prepared, moved, QUALITY).encoded
     assert after.splats == before.splats
     for one, other in zip(before.chunks, after.chunks, strict=True):
         np.testing.assert_array_equal(one.payloads.order, other.payloads.order)
+
+
+def test_the_basis_of_sh_follows_the_values(prepared):
+    source = prepared.source
+    rng = np.random.default_rng(5)
+    # All that changes with the direction now changes along one random axis.
+    axis = rng.normal(size=source.shN.shape[1:])
+    along = rng.normal(0.0, 0.3, len(source))[:, None, None] * axis / np.linalg.norm(axis)
+    moved = replace(source, shN=along.astype(np.float32))
+    before, after = (stored(prepared, each, QUALITY).encoded for each in (source, moved))
+    anew = encode_chunks(replace(prepared, source=moved), QUALITY)
+    assert after.codebooks == anew.codebooks
+    rows = after.codebooks[0].decoded(source.sh_degree).shN
+    assert len(rows) < before.codebooks[0].rows
+    first = rows[0].ravel() / np.linalg.norm(rows[0])
+    assert abs(first @ axis.ravel()) / np.linalg.norm(axis) > 0.99
 
 
 def test_codebooks_go_on_from_those_of_the_encode_before():
@@ -83,10 +102,11 @@ def test_codebooks_go_on_from_those_of_the_encode_before():
         profile="vq", order="contribution", compensate=False, prune=None, threads=1
     )
     prepared = prepare(splats, score(splats, cameras), config, views=cameras)
-    found, first = stored(prepared, splats, QUALITY)
-    assert np.isfinite(found.opacities).all()
-    _, again = stored(prepared, splats, QUALITY, first.codebooks)
-    _, anew = stored(prepared, splats, QUALITY)
+    made = stored(prepared, splats, QUALITY)
+    first = made.encoded
+    assert np.isfinite(made.decoded.opacities).all()
+    again = stored(prepared, splats, QUALITY, first.codebooks).encoded
+    anew = stored(prepared, splats, QUALITY).encoded
 
     def rows(encoded):
         return encoded.codebooks[0].decoded(splats.sh_degree)

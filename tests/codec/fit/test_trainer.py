@@ -144,3 +144,22 @@ def test_arrays_without_a_rate_stay(taught):
 def test_settings_that_mean_nothing_are_refused(settings, said):
     with pytest.raises(ValueError, match=said):
         TrainConfig(**settings)
+
+
+def test_slopes_are_weighed_against_the_error_of_the_pictures(taught):
+    source, lessons, _ = taught
+    # The lessons are met: nothing but the slopes moves anything, and one way.
+    slopes = Gradients.zeros(source)
+    slopes.sh0[:, 0] = 1.0
+    trainer = Trainer(source, lessons, TrainConfig())
+    trainer.run(3, 1.0, 1.0, slopes=slopes)
+    assert (trainer.splats.sh0[:, 0] < source.sh0[:, 0]).all()
+    # Pictures that are wrong outweigh slopes that are small beside their error, and not others.
+    off = replace(source, sh0=source.sh0 + np.float32(0.1))
+    moved = []
+    for factor in (0.0, -1e-7, -1.0):
+        trainer = Trainer(off, lessons, TrainConfig(worst_views=0.0))
+        trainer.run(20, 1.0, 1.0, slopes=slopes.times(factor))
+        moved.append(np.median(trainer.splats.sh0[:, 0] - off.sh0[:, 0]))
+    assert moved[0] == pytest.approx(moved[1], abs=0.01)
+    assert moved[0] < 0.0 < moved[2]

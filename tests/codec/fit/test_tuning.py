@@ -192,6 +192,7 @@ def test_a_size_out_of_reach_is_refused(scene):
         ({"keep": 0.0}, "keep 0.0"),
         ({"round_keep": 1.0}, "round_keep 1.0"),
         ({"storing_steps": 0}, "at least 1 each"),
+        ({"rate_weight": -1.0}, "rate_weight -1.0"),
         ({"seconds": 0.0}, "0.0 seconds"),
         ({"preset": "slow"}, "preset 'slow'"),
         ({"profile": "near-lossless"}, "profile 'near-lossless'"),
