@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -143,6 +144,7 @@ class Scheduler:
         order = sorted(range(len(self._units)), key=lambda unit: (-urgency[unit], unit))
         round_ = _Round(self._units, self._splats, self._heads, self._of_chunk, urgency, holdings)
         round_.stop_what_waits(order)
+        round_.make_room(0, math.inf, ())
         for unit in order:
             if round_.is_full():
                 break
@@ -202,7 +204,7 @@ class _Round:
         if any(u in self.stopped or self._units[u].chunk in self.evicted for u in chain):
             return
         rows = sum(self._splats[self._units[u].chunk] for u in chain if self._units[u].is_head)
-        if rows and not self._make_room(rows, unit, chain):
+        if rows and not self.make_room(rows, self._urgency[unit], chain):
             return
         self._coming.update(chain)
         self.chosen += chain
@@ -233,8 +235,18 @@ class _Round:
             if head in self._there or head in self._coming
         }
 
-    def _make_room(self, rows: int, wanted: int, chain: Sequence[int]) -> bool:
-        """Evict chunks that are worth less until so many rows fit; undo that where they do not."""
+    def make_room(self, rows: int, urgency: float, chain: Sequence[int]) -> bool:
+        """Evict chunks that are worth less until so many rows fit; none where they would not.
+
+        Parameters
+        ----------
+        rows : int
+            0 for what a budget that was lowered still has room for.
+        urgency : float
+            Of what the rows are of.
+        chain : sequence of int
+            Units that bring the rows.
+        """
         budget = self._holdings.budget_splats
         if not budget:
             return True
@@ -243,7 +255,7 @@ class _Round:
         kept = self._ancestors(chain)
         going: list[int] = []
         while used + rows > budget:
-            chunk = self._least(held, kept, self._urgency[wanted])
+            chunk = self._least(held, kept, urgency)
             if chunk is None:
                 return False
             held.remove(chunk)

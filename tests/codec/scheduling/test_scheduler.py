@@ -89,6 +89,15 @@ def test_a_budget_is_kept_by_throwing_away_what_is_worth_least():
     assert decide([1.0, 1.0, 1.5, 1.0], there=[0, 1], budget=20).fetch == [2, 4]
 
 
+def test_a_budget_that_was_lowered_is_kept_by_throwing_away_what_is_worth_least():
+    # Chunk 3 is the last of the file, and nobody's parent; chunk 2 is the next.
+    decision = decide(SAME, there=range(7), budget=25)
+    assert decision.evict == [3, 2]
+    assert decision.fetch == []
+    # A parent goes when its children have gone.
+    assert decide([1.0, 0.1, 9.0, 1.0], there=range(7), budget=20).evict == [3, 1]
+
+
 def test_nothing_is_thrown_away_for_what_does_not_fit_all_the_same():
     units = [*UNITS[:2], Unit(2, True, 400, 100, (0,))]
     scheduler = Scheduler(units, [10, 10, 50])

@@ -24,17 +24,16 @@ await build({
     viewer_worker: "build/src/viewer/viewer_worker.js",
     spark: "build/src/adapters/spark.js",
     playcanvas: "build/src/adapters/playcanvas.js",
-    view_order: "build/src/loader/view_order.js",
   },
 });
-// It throws the errors of the library that it is used with.
+// They throw the errors of the library that they are used with.
 const errorsOfLibrary = {
   name: "errors of the library",
   setup: ({ onResolve }) => onResolve({ filter: /\/errors\.js$/ }, () => ({ path: "./cogsplat.js", external: true })),
 };
-await build({ ...common, entryPoints: { folders: "build/src/loader/folders.js" }, plugins: [errorsOfLibrary] });
+await build({ ...common, entryPoints: { folders: "build/src/loader/folders.js", visit: "build/src/loader/visit.js" }, plugins: [errorsOfLibrary] });
 for (const file of ["viewer.html", "viewer.css"]) copyFileSync(`viewer/${file}`, `${folder}/${file}`);
-for (const file of ["cogsplat.js", "folders.js", "worker.js", "viewer.js", "viewer_worker.js"]) {
+for (const file of ["cogsplat.js", "folders.js", "visit.js", "worker.js", "viewer.js", "viewer_worker.js"]) {
   const bytes = readFileSync(`${folder}/${file}`);
   console.log(`${folder}/${file}: ${bytes.length} bytes, ${gzipSync(bytes, { level: 9 }).length} gzipped`);
 }

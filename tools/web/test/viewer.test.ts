@@ -5,6 +5,7 @@ import { SceneFile } from "../src/scene/scene_file.js";
 import { sortByDepth } from "../src/viewer/depth_order.js";
 import { RowSorter } from "../src/viewer/depth_sorter.js";
 import { OrbitCamera } from "../src/viewer/orbit.js";
+import { RowSlots } from "../src/viewer/row_slots.js";
 import { vectorBytes } from "./vectors.js";
 
 const kernels = await loadKernels();
@@ -95,4 +96,19 @@ test("turning keeps the target in the middle and the axes a rotation", () => {
       }
     }
   }
+});
+
+test("rows that chunks give back are taken again, in pieces where they must be", () => {
+  const slots = new RowSlots(10);
+  const [a, b, c] = [slots.take(3), slots.take(3), slots.take(4)];
+  assert.deepEqual([a, b, c], [[{ first: 0, count: 3 }], [{ first: 3, count: 3 }], [{ first: 6, count: 4 }]]);
+  slots.give(a);
+  slots.give(c);
+  const pieces = slots.take(5);
+  assert.deepEqual(pieces, [{ first: 0, count: 3 }, { first: 6, count: 2 }]);
+  assert.throws(() => slots.take(3), /2 are free/);
+  slots.give(b);
+  slots.give(pieces);
+  slots.give([{ first: 8, count: 2 }]);
+  assert.deepEqual(slots.take(10), [{ first: 0, count: 10 }]);
 });

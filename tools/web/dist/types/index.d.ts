@@ -19,7 +19,7 @@ export { BlobSource, type Answer, type ByteSource, type ReadOptions } from "./lo
 export { HttpSource, type HttpOptions } from "./loader/http_source.js";
 export type { RetryOptions } from "./loader/retry.js";
 export { StreamedScene, type FolderReader, type OpenOptions } from "./loader/streamed_scene.js";
-export type { ChunkInfo, ChunkUpdate, SegmentOrder, StreamOptions } from "./loader/stream_options.js";
+export type { ChunkInfo, ChunkUpdate, StreamOptions } from "./loader/stream_options.js";
 export type { DecoderIndex } from "./scene/chunk_decoder.js";
 export { DEFAULT_RANGES, packedMeans, SH_WORDS, shiftPacked, unpackSplats, type PackedSplats, type PackRanges } from "./scene/packed_splats.js";
 export { PrefixCompensation } from "./scene/prefix_compensation.js";

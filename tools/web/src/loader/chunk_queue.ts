@@ -204,8 +204,8 @@ export class ChunkQueue {
     return [segment, ...books].some((part) => this.lost.has(part));
   }
 
-  /** Forget a chunk's payloads: nothing more comes of it. */
-  private close(chunk: number): void {
+  /** Forget a chunk's payloads: nothing more comes of it, unless it is expected again. */
+  close(chunk: number): void {
     this.open.delete(chunk);
     this.heads.take(chunk);
     this.given.delete(chunk);

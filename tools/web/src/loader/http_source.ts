@@ -30,11 +30,11 @@ export class HttpSource implements ByteSource {
     private readonly options: HttpOptions = {},
   ) {}
 
-  async read(range: ByteRange, { signal, fresh }: ReadOptions = {}): Promise<Answer> {
+  async read(range: ByteRange, options: ReadOptions = {}): Promise<Answer> {
     const last = range.offset + range.length - 1;
-    const response = await this.request(`bytes=${range.offset}-${last}`, signal, fresh ?? false);
+    const response = await this.request(`bytes=${range.offset}-${last}`, options);
     try {
-      return this.check(response, range, signal);
+      return this.check(response, range, options.signal);
     } catch (error) {
       await response.body?.cancel();
       throw error;
@@ -49,7 +49,7 @@ export class HttpSource implements ByteSource {
     return new HttpSource(url, this.options);
   }
 
-  private async request(range: string, signal: AbortSignal | undefined, fresh: boolean): Promise<Response> {
+  private async request(range: string, { signal, fresh, priority }: ReadOptions): Promise<Response> {
     const { headers, credentials } = this.options;
     // Its own abort ends a request that stays without an answer, and the caller's ends it as well.
     const stop = new AbortController();
@@ -61,6 +61,7 @@ export class HttpSource implements ByteSource {
         headers: { ...headers, Range: range },
         cache: fresh || this.options.fresh ? "reload" : "default",
         ...(credentials && { credentials }),
+        ...(priority && { priority }),
         signal: stop.signal,
       });
       return await withinPause(answer, this.longestPause);

@@ -49,12 +49,13 @@ export class RetryingReader {
    * The bytes of a range in parts, as they come; after a failure the rest is asked for.
    *
    * @param take - Receives the parts in order, without gaps.
+   * @param priority - How soon they are wanted beside other requests.
    */
-  async parts(range: ByteRange, signal: AbortSignal, take: (part: Uint8Array) => void): Promise<void> {
+  async parts(range: ByteRange, signal: AbortSignal, take: (part: Uint8Array) => void, priority?: RequestPriority): Promise<void> {
     let received = 0;
     await this.attempt(signal, async () => {
       const rest = { offset: range.offset + received, length: range.length - received };
-      const answer = await this.source.read(rest, { signal });
+      const answer = await this.source.read(rest, { signal, priority });
       let skip = rest.offset - answer.offset;
       for await (const part of answer.parts) {
         const useful = part.subarray(Math.min(skip, part.length), Math.min(part.length, skip + range.length - received));

@@ -7,17 +7,13 @@ import type { PrefixCompensation } from "../scene/prefix_compensation.js";
 import type { ChunkService } from "../workers/decode_task.js";
 import { ChunkQueue } from "./chunk_queue.js";
 import { nextRequest, RangeAssembler, type RangeRequest } from "./range_plan.js";
-import { bytesPerSplat, type ChunkInfo, type ChunkUpdate, type SegmentOrder, type StreamOptions } from "./stream_options.js";
+import { bytesPerSplat, type ChunkInfo, type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 import type { RetryingReader } from "./retrying_reader.js";
-import { readViewTable } from "../container/view_table.js";
-import type { Kernels } from "../kernels/kernels.js";
 
 /** Most requests under way (SPEC 8.8). */
 const MAX_REQUESTS = 6;
 /** Bytes of the first request behind the beginning; each next one is twice as long, so that first chunks come soon. */
 const FIRST_REQUEST = 262_144;
-/** Most bytes of every request where an order is asked again and again: what is asked for cannot be chosen again. */
-const ORDERED_REQUEST = 65_536;
 /** Updates that may wait for the caller before no more is fetched. */
 const MAX_WAITING = 64;
 
@@ -32,14 +28,12 @@ export interface StreamSource {
   readonly index: SceneIndex;
   /** Where segments are in what is read. */
   readonly places: ScenePlaces;
-  /** Whether the source gives the whole file whatever it is asked for. */
-  isSequential(): boolean;
+  /** Whether parts can be asked for; else the source gives the whole file whatever it is asked for. */
+  readonly answersRanges: boolean;
   readonly reader: RetryingReader;
   /** What the first request brings, as it comes. */
   readonly beginning: Beginning;
   readonly compensation: PrefixCompensation;
-  /** Decompress the view table, where an order wants it. */
-  readonly kernels?: Kernels | undefined;
   /** Read index pages until so many are known. */
   readPages(count: number): Promise<void>;
 }
@@ -70,7 +64,6 @@ export class SceneStream {
   private wake: () => void = () => undefined;
   private readonly degree: number;
   private readonly rowBytes: number;
-  private readonly order: SegmentOrder | undefined;
 
   constructor(
     private readonly source: StreamSource,
@@ -87,7 +80,6 @@ export class SceneStream {
     this.budget = options.memoryBudget ?? Infinity;
     this.splatBudget = options.splatBudget ?? Infinity;
     const { signal } = options;
-    this.order = options.order?.(index);
     if (signal?.aborted) this.abort.abort(signal.reason);
     else signal?.addEventListener("abort", this.onAbort);
     this.queue = new ChunkQueue(
@@ -172,8 +164,7 @@ export class SceneStream {
     this.queue.keepAtMost(Math.min(MOST_KEPT_BYTES, Math.max(this.budget, 0)));
     for (const chunk of taken) this.queue.expect(chunk);
     const layers = this.options.compensate ? this.index.compensation : [];
-    const tables = this.order ? this.index.viewTables : [];
-    const segments = [...tables, ...layers, ...this.queue.allMissing()].filter((segment) => !this.asked.has(segment));
+    const segments = [...layers, ...this.queue.allMissing()].filter((segment) => !this.asked.has(segment));
     const unique = [...new Set(segments)];
     // Without priorities segments are wanted in the order of the file, which shows most for its bytes.
     if (priority === undefined) unique.sort((a, b) => a - b);
@@ -252,22 +243,15 @@ export class SceneStream {
 
   /** Make requests while there is something to ask for and the caller keeps up. */
   private ask(): void {
-    const isSequential = this.source.isSequential();
+    const isSequential = !this.source.answersRanges;
     const most = isSequential ? 1 : MAX_REQUESTS;
     while (this.requests < most && this.waiting.length < MAX_WAITING && this.failure === undefined) {
-      if (this.order && this.wanted.length > 0) this.wanted = this.order.order(this.wanted, performance.now() / 1000);
-      const request = isSequential ? this.wholeRest() : this.nextRange();
+      const request = isSequential ? this.wholeRest() : nextRequest(this.wanted, this.rangeOf, this.requestBytes);
       if (request === undefined) return;
       this.requestBytes *= 2;
       this.requests++;
       void this.run(request);
     }
-  }
-
-  private nextRange(): RangeRequest | undefined {
-    // What lies in a gap would come twice, since it is wanted at another time.
-    if (this.order) return nextRequest(this.wanted, this.rangeOf, ORDERED_REQUEST, 0);
-    return nextRequest(this.wanted, this.rangeOf, this.requestBytes);
   }
 
   /** One request for all that is wanted, in file order, from a source that does not answer ranges. */
@@ -323,13 +307,8 @@ export class SceneStream {
 
   private take(segment: number, payload: Uint8Array): void {
     const { kind, owner } = this.index.segments;
-    if (kind[segment] === SegmentKind.viewTable) this.takeTable(payload);
-    else if (kind[segment] === SegmentKind.compensation) this.source.compensation.add(owner[segment]!, payload);
+    if (kind[segment] === SegmentKind.compensation) this.source.compensation.add(owner[segment]!, payload);
     else this.queue.add(segment, payload);
-  }
-
-  private takeTable(payload: Uint8Array): void {
-    this.order?.useTable(readViewTable(this.source.kernels!, payload, this.index.totalChunkCount));
   }
 
   private async fetchAgain(segment: number): Promise<void> {

@@ -13,7 +13,7 @@ import { BlobSource, type ByteSource } from "./byte_source.js";
 import { HttpSource, type HttpOptions } from "./http_source.js";
 import { DEFAULT_RETRY, type RetryOptions } from "./retry.js";
 import { RetryingReader } from "./retrying_reader.js";
-import { SceneStream } from "./scene_stream.js";
+import { SceneStream, type StreamSource } from "./scene_stream.js";
 import { bytesPerSplat, type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 
 /** Bytes of the first request; they always hold the root (SPEC 8.1). */
@@ -51,19 +51,21 @@ export interface FolderReader {
 }
 
 /** A scene that is read from the URL of a file or a folder, a file or another source of bytes while it is drawn. */
-export class StreamedScene {
+export class StreamedScene implements StreamSource {
   /** The last page that is being read; pages are read one after the other, once for all streams. */
   private pages: Promise<unknown> = Promise.resolve();
   /** Layers of compensation, as far as a stream with `compensate` has brought them. */
   readonly compensation: PrefixCompensation;
+  /** For what reads segments that are no part of chunks. */
+  readonly loadKernels = loadKernels;
 
   private constructor(
     readonly index: SceneIndex,
     /** Where segments and pages are in what `reader` reads. */
-    private readonly places: ScenePlaces,
-    private readonly reader: RetryingReader,
+    readonly places: ScenePlaces,
+    readonly reader: RetryingReader,
     /** What the first request brings. */
-    private readonly beginning: Beginning,
+    readonly beginning: Beginning,
     private readonly source: string | URL | Blob | ByteSource,
     private readonly options: OpenOptions,
     /** Whether this scene took the place of one that had changed. */
@@ -158,6 +160,11 @@ export class StreamedScene {
     return this.places !== this.index;
   }
 
+  /** Whether parts of the scene can be asked for; from a server that ignores ranges they come as they stand in the file. */
+  get answersRanges(): boolean {
+    return this.isFolder || !this.beginning.sequential;
+  }
+
   /** What the root says of the scene. */
   get info(): SceneInfo {
     return this.index.scene;
@@ -171,19 +178,8 @@ export class StreamedScene {
    */
   async *stream(options: StreamOptions = {}): AsyncGenerator<ChunkUpdate, void, undefined> {
     this.checkSize(options);
-    const makeService = this.options.service ?? inlineService;
-    const service = await makeService({ scene: this.index.scene, codebooks: this.index.codebooks });
-    const source = {
-      index: this.index,
-      places: this.places,
-      isSequential: () => this.places === this.index && this.beginning.sequential,
-      reader: this.reader,
-      beginning: this.beginning,
-      compensation: this.compensation,
-      kernels: options.order && (await loadKernels())(),
-      readPages: (count: number) => this.readPages(count),
-    };
-    const stream = new SceneStream(source, service, options);
+    const service = await this.makeService();
+    const stream = new SceneStream(this, service, options);
     try {
       yield* stream.updates();
     } finally {
@@ -192,8 +188,14 @@ export class StreamedScene {
     }
   }
 
+  /** What decodes the chunks of one run through the scene; who asks for it closes it. */
+  async makeService(): Promise<ChunkService> {
+    const { index, options } = this;
+    return (options.service ?? inlineService)({ scene: index.scene, codebooks: index.codebooks });
+  }
+
   /** Refuse a scene whose rows and codebooks take more memory than the caller allows, before anything is fetched. */
-  private checkSize({ degree = 3, memoryBudget = Infinity, splatBudget = Infinity }: StreamOptions): void {
+  checkSize({ degree = 3, memoryBudget = Infinity, splatBudget = Infinity }: Pick<StreamOptions, "degree" | "memoryBudget" | "splatBudget">): void {
     const { scene, codebooks, fileLength } = this.index;
     const used = Math.min(degree, scene.shDegree);
     const rows = Math.min(Math.min(scene.splats, splatBudget) * bytesPerSplat("splats", used), memoryBudget);
@@ -213,7 +215,7 @@ export class StreamedScene {
   }
 
   /** Read index pages until so many are known. */
-  private async readPages(count: number): Promise<void> {
+  async readPages(count: number): Promise<void> {
     const read = async (): Promise<void> => {
       for (let page = this.places.nextPage(); page && this.index.pagesRead < count; page = this.places.nextPage()) {
         const end = page.offset + page.length;

@@ -9,6 +9,11 @@ export class PrefixCompensation {
 
   constructor(private readonly index: SceneIndex) {}
 
+  /** Layers that count for now. */
+  get knownLayers(): number {
+    return this.layers.length;
+  }
+
   /** Take a layer's segment; its CRC was checked. */
   add(layer: number, payload: Uint8Array): void {
     if (layer >= this.layers.length) this.waiting.set(layer, payload);

@@ -46,6 +46,8 @@ export interface Decision {
 /** Decides what to fetch next, what to stop and what to throw away (docs/streaming.md, 7 to 9). */
 export class Scheduler {
   private readonly heads = new Map<number, number>();
+  /** Ratios of the last decision, and the order that follows from them. */
+  private last: { readonly ratios: Float64Array; readonly urgency: Float64Array; readonly order: readonly number[] } | undefined;
 
   constructor(
     private readonly units: readonly Unit[],
@@ -60,15 +62,24 @@ export class Scheduler {
   }
 
   decide(ratios: Float64Array, holdings: Holdings): Decision {
-    const urgency = this.urgency(ratios);
-    const order = this.units.map((_, unit) => unit).sort((a, b) => urgency[b]! - urgency[a]! || a - b);
+    const { urgency, order } = this.ordered(ratios);
     const round = new Round(this.units, this.splats, this.heads, urgency, holdings);
     round.stopWhatWaits(order);
+    round.makeRoom(0, Infinity, []);
     for (const unit of order) {
       if (round.isFull) break;
       round.want(unit);
     }
     return { stop: round.stopped, evict: round.evicted, fetch: round.chosen };
+  }
+
+  /** Urgencies and units by them; ratios that are asked about again are not put in order again. */
+  private ordered(ratios: Float64Array): { readonly urgency: Float64Array; readonly order: readonly number[] } {
+    if (this.last?.ratios === ratios) return this.last;
+    const urgency = this.urgency(ratios);
+    const order = this.units.map((_, unit) => unit).sort((a, b) => urgency[b]! - urgency[a]! || a - b);
+    this.last = { ratios, urgency, order };
+    return this.last;
   }
 }
 
@@ -83,6 +94,8 @@ class Round {
   private readonly window: number;
   /** Bytes that are still to come of what is under way. */
   private bytesComing = 0;
+  /** Chunks whose heads are held, and their splats; undefined until there is something to make room for. */
+  private held: { readonly chunks: Set<number>; splats: number; leastWorth: number | undefined } | undefined;
 
   constructor(
     private readonly units: readonly Unit[],
@@ -126,8 +139,10 @@ class Round {
       const { isHead, chunk } = this.units[part]!;
       return sum + (isHead ? this.splats[chunk]! : 0);
     }, 0);
-    if (rows > 0 && !this.makeRoom(rows, unit, chain)) return;
+    if (rows > 0 && !this.makeRoom(rows, this.urgency[unit]!, chain)) return;
     for (const part of chain) {
+      const { chunk, isHead } = this.units[part]!;
+      if (isHead) this.hold(chunk);
       this.coming.add(part);
       this.bytesComing += this.left(part);
     }
@@ -163,17 +178,26 @@ class Round {
     return this.units.some(({ after }, other) => after.includes(unit) && this.isHeld(other));
   }
 
-  /** Evict chunks that are worth less until so many rows fit; none where they would not. */
-  private makeRoom(rows: number, wanted: number, chain: readonly number[]): boolean {
+  /**
+   * Evict chunks that are worth less until so many rows fit; none where they would not.
+   *
+   * @param rows - 0 for what a budget that was lowered still has room for.
+   * @param urgency - Of what the rows are of.
+   * @param chain - Units that bring the rows.
+   */
+  makeRoom(rows: number, urgency: number, chain: readonly number[]): boolean {
     const budget = this.holdings.budgetSplats;
     if (budget === 0) return true;
-    const held = new Set([...this.heads].filter(([, head]) => this.isHeld(head)).map(([chunk]) => chunk));
-    let used = 0;
-    for (const chunk of held) used += this.splats[chunk]!;
+    const now = (this.held ??= this.heldChunks());
+    if (now.splats + rows <= budget) return true;
+    now.leastWorth ??= [...now.chunks].reduce((least, chunk) => Math.min(least, this.worth(chunk)), Infinity);
+    if (!(now.leastWorth * EVICT_FACTOR < urgency)) return false;
+    const held = new Set(now.chunks);
+    let used = now.splats;
     const kept = this.ancestors(chain);
     const going: number[] = [];
     while (used + rows > budget) {
-      const chunk = this.least(held, kept, this.urgency[wanted]!);
+      const chunk = this.least(held, kept, urgency);
       if (chunk === undefined) return false;
       held.delete(chunk);
       used -= this.splats[chunk]!;
@@ -183,14 +207,33 @@ class Round {
     return true;
   }
 
+  private heldChunks(): { chunks: Set<number>; splats: number; leastWorth: undefined } {
+    const chunks = new Set([...this.heads].filter(([, head]) => this.isHeld(head)).map(([chunk]) => chunk));
+    let splats = 0;
+    for (const chunk of chunks) splats += this.splats[chunk]!;
+    return { chunks, splats, leastWorth: undefined };
+  }
+
+  private hold(chunk: number): void {
+    if (this.held === undefined) return;
+    this.held.chunks.add(chunk);
+    this.held.splats += this.splats[chunk]!;
+    this.held.leastWorth = undefined;
+  }
+
   private evict(chunk: number): void {
     this.evicted.push(chunk);
+    this.held = undefined;
     this.units.forEach((part, unit) => {
       if (part.chunk !== chunk) return;
       this.there.delete(unit);
       if (this.coming.has(unit)) this.leave(unit);
       this.received.delete(unit);
     });
+  }
+
+  private worth(chunk: number): number {
+    return this.urgency[this.heads.get(chunk)!]!;
   }
 
   /** The chunks of units and of all that these need. */
@@ -207,11 +250,10 @@ class Round {
 
   /** The chunk to evict first: worth least, parent of none that is held. */
   private least(held: ReadonlySet<number>, kept: ReadonlySet<number>, urgency: number): number | undefined {
-    const worth = (chunk: number): number => this.urgency[this.heads.get(chunk)!]!;
     const parents = new Set([...held].flatMap((chunk) => this.units[this.heads.get(chunk)!]!.after.map((unit) => this.units[unit]!.chunk)));
     const chosen = new Set(this.chosen.map((unit) => this.units[unit]!.chunk));
     return [...held]
-      .filter((chunk) => !kept.has(chunk) && !parents.has(chunk) && !chosen.has(chunk) && worth(chunk) * EVICT_FACTOR < urgency)
-      .sort((a, b) => worth(a) - worth(b) || b - a)[0];
+      .filter((chunk) => !kept.has(chunk) && !parents.has(chunk) && !chosen.has(chunk) && this.worth(chunk) * EVICT_FACTOR < urgency)
+      .sort((a, b) => this.worth(a) - this.worth(b) || b - a)[0];
   }
 }

@@ -4,8 +4,10 @@ import { loadKernels } from "../kernels/load.js";
 import { folders } from "../loader/folders.js";
 import { sourceOf, StreamedScene, type OpenOptions } from "../loader/streamed_scene.js";
 import type { ChunkUpdate } from "../loader/stream_options.js";
+import { Visit } from "../loader/visit.js";
 import type { ByteRange } from "../container/scene_index.js";
 import { faded, type PackedSplats } from "../scene/packed_splats.js";
+import type { Pose } from "../schedule/poses.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
 import { SlicedService, type ChunkService } from "../workers/decode_task.js";
 import { DecoderPool } from "../workers/decoder_pool.js";
@@ -16,6 +18,10 @@ import { MeteredSource, type Meter } from "./meter.js";
 import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
 import type { SplatLayer } from "./splat_layer.js";
 import type { AllowedWorkers } from "./viewer_workers.js";
+import { VisitedScene } from "./visited_scene.js";
+
+/** What is fetched first: what the file has first, or what the view shows; by the view where the file was cut for that. */
+export type FetchOrder = "file" | "view" | undefined;
 
 /** Fills a layer from a COGS file while it is fetched. */
 export class CogsFeed implements SceneFeed {
@@ -44,18 +50,23 @@ export class CogsFeed implements SceneFeed {
   private readonly opacities = new LevelOpacities();
   /** The coarser one of the two levels whose opacities the layer has. */
   private coarser = 0;
+  /** Where chunks are chosen by the view: who chooses them, and the layer that they are in. */
+  private visit: Visit | undefined;
+  private visited: VisitedScene | undefined;
+  private pose: Pose | undefined;
 
   /**
    * @param source - A URL, a file or another source.
    * @param meter - Counts its bytes.
    * @param workers - Where the page allows none, chunks are decoded on the caller's thread, one at a time.
-   * @param mostSplats - Chunks beyond are not fetched.
+   * @param mostSplats - Chunks beyond are not fetched; where they are chosen by the view, others make room for them.
    */
   constructor(
     private readonly source: string | Blob | ByteSource,
     private readonly meter: Meter,
     private readonly workers: AllowedWorkers,
     private readonly mostSplats: number,
+    private readonly order: FetchOrder,
   ) {}
 
   get hasFirstView(): boolean {
@@ -84,7 +95,7 @@ export class CogsFeed implements SceneFeed {
     this.opacities.clear();
     [this.splats, this.prefix, this.compensatedFor, this.coarser] = [0, 0, -1, 0];
     this.waiting = [];
-    this.shown = this.damage = this.scene = this.layer = undefined;
+    this.shown = this.damage = this.scene = this.layer = this.visit = this.visited = undefined;
     this.meter.reset();
   }
 
@@ -109,24 +120,80 @@ export class CogsFeed implements SceneFeed {
     await this.workers.found;
     signal.throwIfAborted();
     this.layer = this.host!.begin({ ...info, linear: info.colourSpace === "linear", hasLevels: info.levels.length > 0 }, info);
-    const stream = scene.stream({
-      signal,
-      format: "packed",
-      compensate: true,
-      ending: true,
-      splatBudget: Math.min(this.layer.capacity, this.mostSplats),
-      onDamage: (error) => (this.damage ??= error),
-    });
     this.report();
-    for await (const update of stream) this.take(update);
+    if (this.isVisited(scene)) await this.beVisited(scene, signal);
+    else await this.streamAll(scene, signal);
     this.report();
     // All else that there is has been shown.
     if (this.damage !== undefined) throw this.damage as Error;
   }
 
+  private async streamAll(scene: StreamedScene, signal: AbortSignal): Promise<void> {
+    const stream = scene.stream({
+      signal,
+      format: "packed",
+      compensate: true,
+      ending: true,
+      splatBudget: Math.min(this.layer!.capacity, this.mostSplats),
+      onDamage: (error) => (this.damage ??= error),
+    });
+    for await (const update of stream) this.take(update);
+  }
+
+  /** Whether chunks are chosen by the view: those of levels and those that end are drawn in the order of the file. */
+  private isVisited({ answersRanges, index, info }: StreamedScene): boolean {
+    const { cell, until } = index.chunks;
+    const isAsked = this.order === "view" || (this.order === undefined && cell.length > 0 && cell.every((number) => number > 0));
+    return isAsked && answersRanges && info.levels.length === 0 && until.every((end) => end === 0);
+  }
+
+  private async beVisited(scene: StreamedScene, signal: AbortSignal): Promise<void> {
+    const host = this.host!;
+    const layer = this.layer!;
+    const visited = (this.visited = new VisitedScene(scene, layer, this.shifted));
+    const visit = (this.visit = await Visit.begin(scene, {
+      signal,
+      format: "packed",
+      compensate: true,
+      splatBudget: Math.min(layer.capacity, this.mostSplats),
+      onDamage: (error) => (this.damage ??= error),
+      onSettled: (isSettled) => {
+        host.settled(isSettled);
+        if (isSettled && this.damage !== undefined) host.damaged(this.damage);
+      },
+    }));
+    if (this.pose !== undefined) visit.look(this.pose);
+    for await (const change of visit.changes()) {
+      if (change.kind === "rows") host.rowsCame(change.packed!, visited.splats === 0);
+      visited.take(change);
+      this.splats = visited.splats;
+      this.report();
+    }
+    // All of it is there, in its rows: from now on it is as if it had come in the order of the file.
+    const { splats } = scene.index.chunks;
+    let firstRow = 0;
+    splats.forEach((count, chunk) => {
+      this.rowsOf.set(chunk, { firstRow, count });
+      firstRow += count;
+    });
+    this.prefix = splats.length;
+    this.visit = this.visited = undefined;
+  }
+
+  look(pose: Pose): void {
+    this.pose = pose;
+    this.visit?.look(pose);
+  }
+
+  limit(splats: number): boolean {
+    this.visit?.limit(Math.min(splats, this.layer!.capacity));
+    return this.visit !== undefined;
+  }
+
   work(milliseconds: number): boolean {
     const { scene, layer } = this;
     if (scene === undefined || layer === undefined) return false;
+    if (this.visited !== undefined) return this.visited.work(performance.now() + milliseconds);
     const fades = this.ending.work(performance.now());
     const prefix = this.drawnPrefix;
     if (prefix !== this.compensatedFor && this.waiting.length === 0) {

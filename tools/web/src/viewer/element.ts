@@ -30,7 +30,8 @@ const NOTHING: ViewerStatistics = {
  * | `background` | a CSS colour behind the splats; black by default |
  * | `sh-degree` | highest SH degree that is drawn, 0 to 3 |
  * | `level` | of a scene with levels, the one that is drawn, 0 the coarsest, or a place between two; that of the picture's size by default |
- * | `splat-budget` | most splats that are fetched and drawn; 1,500,000 by default where fingers are the pointer |
+ * | `splat-budget` | most splats in memory; 1,500,000 by default where fingers are the pointer |
+ * | `order` | `view`: what is looked at is fetched first and, in a scene larger than its budget, takes the place of other things; `file`: the first chunks of the file; by default `view` where the file was cut into cells |
  * | `pixel-ratio` | most device pixels for a CSS pixel; 2 by default |
  * | `resolution` | `full` draws all pixels of moving and growing pictures too, where graphics are slow |
  * | `fill-holes` | `off` shows holes between splats while the scene arrives |
@@ -39,7 +40,7 @@ const NOTHING: ViewerStatistics = {
  * It fires `cogsplat-change` when `statistics` change. Leaving the page ends its workers and gives all memory back.
  */
 export class CogsplatViewer extends HTMLElement implements ViewerHandle {
-  static readonly observedAttributes = ["src", "against", "label", "against-label", "background", "sh-degree", "level", "splat-budget", "pixel-ratio", "resolution", "fill-holes", "controls"];
+  static readonly observedAttributes = ["src", "against", "label", "against-label", "background", "sh-degree", "level", "splat-budget", "order", "pixel-ratio", "resolution", "fill-holes", "controls"];
   /** How workers are started: from the programs beside this one, by default. */
   static workers: ViewerWorkers | undefined = workersBeside(import.meta.url);
 
@@ -177,7 +178,8 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     } else if (name === "splat-budget") {
       const phone = matchMedia("(pointer: coarse)").matches;
       scene.limit(value === null ? (phone ? BUDGET_OF_PHONES : Infinity) : Number(value));
-    } else if (name === "pixel-ratio") scene.mostPixelRatio = value === null ? 2 : Number(value);
+    } else if (name === "order") scene.order = value === "view" || value === "file" ? value : undefined;
+    else if (name === "pixel-ratio") scene.mostPixelRatio = value === null ? 2 : Number(value);
     else if (name === "resolution") scene.mayHaste = value !== "full";
     else if (name === "fill-holes") this.fillHoles = value !== "off";
     else if (name === "controls") this.find("#tools").hidden = value === "none";

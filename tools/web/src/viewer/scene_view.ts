@@ -2,7 +2,7 @@ import type { LevelEntry } from "../container/root.js";
 import type { ByteSource } from "../loader/byte_source.js";
 import { DEFAULT_RANGES } from "../scene/packed_splats.js";
 import { millisecondsLeft } from "./arrival_forecast.js";
-import { CogsFeed } from "./cogs_feed.js";
+import { CogsFeed, type FetchOrder } from "./cogs_feed.js";
 import { Controls } from "./controls.js";
 import { DepthSorter } from "./depth_sorter.js";
 import { bulkOf, depthAhead } from "./framing.js";
@@ -63,6 +63,8 @@ export class SceneView {
   levels: readonly LevelEntry[] = [];
   /** Whether slow graphics draw moving and growing pictures in fewer pixels. */
   mayHaste = true;
+  /** What is fetched first of scenes to come. */
+  order: FetchOrder;
   private readonly renderer: SplatRenderer;
   private readonly pace: PicturePace;
   private readonly abort = new AbortController();
@@ -88,6 +90,10 @@ export class SceneView {
   private isSharp = true;
   private isWhole = true;
   private budget = Infinity;
+  /** Whether all that the first view was worth has come: from then on holes are not filled, and nothing is waited for. */
+  private wasSettled = false;
+  /** Where was looked from last. */
+  private looked = "";
   private readonly waiting: (() => void)[] = [];
   private picture: PictureOptions = { background: [0, 0, 0, 1], degree: 3, fill: 0, divide: 0.5 };
   private fills = true;
@@ -177,10 +183,12 @@ export class SceneView {
     this.redraw();
   }
 
-  /** Draw at most so many splats of a scene, the first of its file. */
+  /** Draw at most so many splats of a scene, the first of its file; where they are chosen by the view, those that it is worth most to. */
   limit(splats: number): void {
     this.budget = splats;
-    for (const layer of this.layers) layer.limit(splats);
+    for (const shown of [this.main, this.other]) {
+      if (!(shown?.feed.limit?.(splats) ?? false)) shown?.layer?.limit(splats);
+    }
   }
 
   /** Show a scene in the place of what is shown. */
@@ -190,6 +198,7 @@ export class SceneView {
     this.camera = undefined;
     this.touched = false;
     this.meter.reset();
+    this.wasSettled = false;
     this.statistics = { ...EMPTY, state: "opening" };
     this.host.changed();
     await this.run("main", source);
@@ -221,7 +230,7 @@ export class SceneView {
   /** Show the scene as it is after a part of its file; undefined shows all that has come. */
   showPrefix(prefix: Prefix | undefined): void {
     this.main?.feed.show(prefix);
-    if (prefix === undefined) this.main?.layer?.limit(this.budget);
+    if (prefix === undefined) this.limit(this.budget);
     this.redraw();
   }
 
@@ -261,7 +270,7 @@ export class SceneView {
     if (run !== this.runs[which]) return;
     const workers = new AllowedWorkers(this.workers);
     const meter = isMain ? this.meter : new Meter();
-    const feed = ply !== undefined ? new PlyFeed(ply, meter, workers, this.budget) : new CogsFeed(source, meter, workers, this.budget);
+    const feed = ply !== undefined ? new PlyFeed(ply, meter, workers, this.budget) : new CogsFeed(source, meter, workers, this.budget, this.order);
     const shown: Shown = { feed, abort, workers };
     this[which] = shown;
     try {
@@ -304,6 +313,12 @@ export class SceneView {
         if (!this.touched) this.reset();
       },
       progressed: (progress) => this.progressed(progress),
+      settled: (isSettled) => {
+        this.wasSettled ||= isSettled;
+        this.note({ state: isSettled ? "complete" : "streaming" });
+        this.redraw();
+      },
+      damaged: (error) => this.host.failed(error, "scene"),
     };
   }
 
@@ -315,6 +330,8 @@ export class SceneView {
       },
       rowsCame: () => undefined,
       progressed: () => undefined,
+      settled: () => undefined,
+      damaged: (error) => this.host.failed(error, "other"),
     };
   }
 
@@ -360,6 +377,7 @@ export class SceneView {
     this.scheduled = false;
     if (this.abort.signal.aborted || this.lost) return;
     const { controls, layers, pace } = this;
+    this.look();
     const more = [this.main, this.other].map((shown) => shown?.feed.work(WORK_MILLISECONDS) ?? false).some(Boolean);
     if (!this.canDraw()) return;
     this.drawLevels();
@@ -395,6 +413,22 @@ export class SceneView {
     this.note({ upToDate: isDrawn && this.isWhole && pace.isIdle, pictureMilliseconds: pace.milliseconds });
     if (this.statistics.upToDate) for (const resolve of this.waiting.splice(0)) resolve();
   };
+
+  /** Tell the scenes where is looked from, where that has changed. */
+  private look(): void {
+    const { camera } = this;
+    if (camera === undefined) return;
+    const [width, height] = this.size(1);
+    const { rotation, focal } = camera.view(height, width);
+    const pose = { rotation, tanX: width / (2 * focal[0]), tanY: height / (2 * focal[1]) };
+    const key = JSON.stringify([camera.position, pose, this.other?.layer?.scene.origin]);
+    if (key === this.looked) return;
+    this.looked = key;
+    for (const shown of [this.main, this.other]) {
+      const origin = shown?.layer?.scene.origin ?? this.origin;
+      shown?.feed.look?.({ ...pose, position: camera.position.map((x, axis) => x + this.origin[axis]! - origin[axis]!) });
+    }
+  }
 
   /** Have the scenes draw the levels for the size of the picture, or the one that was chosen. */
   private drawLevels(): void {
@@ -433,7 +467,7 @@ export class SceneView {
   /** Whether the graphics would still work on a picture when the rest of the scene is there. */
   private restComesSoon(): boolean {
     const { meter, pace, statistics } = this;
-    if (statistics.state !== "streaming" || meter.since === undefined) return false;
+    if (statistics.state !== "streaming" || meter.since === undefined || this.wasSettled) return false;
     return millisecondsLeft({ ...statistics, bytes: meter.bytes }, performance.now() - meter.since) < pace.expected;
   }
 
@@ -445,7 +479,7 @@ export class SceneView {
     renderer.resize(width, height);
     if (camera === undefined || layers.length === 0) return statistics.state === "failed" || statistics.state === "empty";
     const start = performance.now();
-    const arriving = statistics.state === "streaming" && this.fills;
+    const arriving = statistics.state === "streaming" && this.fills && !this.wasSettled;
     const fill = arriving ? 1 - Math.min(statistics.splats / statistics.totalSplats, 1) : 0;
     const whole = renderer.draw({ ...camera.view(height, width), origin: this.origin }, layers, { ...this.picture, fill });
     if (this.drawnRows > 0) pace.given(start, { scale, splats: layers.reduce((sum, layer) => sum + layer.drawnRows, 0) });

@@ -94,6 +94,12 @@ export class SplatLayer {
     else void this.sort(this.forward);
   }
 
+  /** Draw rows no longer. */
+  clear(firstRow: number, count: number): void {
+    this.textures.clear(firstRow, count);
+    this.changed();
+  }
+
   /** Replace rows whose means stay what they are, so that their order does. */
   repaint(packed: PackedSplats, firstRow: number): void {
     if (firstRow + packed.count > this.capacity) return;

@@ -118,6 +118,12 @@ export class SplatTextures {
     });
   }
 
+  /** Make rows transparent: what has no opacity is not drawn. */
+  clear(firstRow: number, count: number): void {
+    this.splats.words.fill(0, 4 * firstRow, 4 * (firstRow + count));
+    this.splats.touch(firstRow, count);
+  }
+
   /** Note the opacities of rows at two adjacent levels, as `LevelOpacities` gives them. */
   writeLevels(words: Uint32Array, firstRow: number): void {
     this.levels!.words.set(words, firstRow);

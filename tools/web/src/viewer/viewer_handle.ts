@@ -2,9 +2,9 @@ import type { Pinhole } from "../container/pinhole.js";
 
 /** How far a viewer is, for pages around it and for tests. */
 export interface ViewerStatistics {
-  /** `failed` where `error` is shown; a scene that was cut off stays on the canvas as far as it has come. */
+  /** `complete` where all of the scene is there or, with a budget below it, all that the view is worth; `failed` where `error` is shown; a scene that was cut off stays on the canvas as far as it has come. */
   readonly state: "empty" | "opening" | "streaming" | "complete" | "failed";
-  /** Splats that have arrived. */
+  /** Splats that have arrived and are in memory. */
   readonly splats: number;
   /** Splats of the scene; 0 until its root has been read. */
   readonly totalSplats: number;

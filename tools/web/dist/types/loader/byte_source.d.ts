@@ -4,6 +4,8 @@ export interface ReadOptions {
     readonly signal?: AbortSignal | undefined;
     /** Go around caches, because what they gave was damaged. */
     readonly fresh?: boolean;
+    /** How soon it is wanted beside other requests, where the source can tell others. */
+    readonly priority?: RequestPriority | undefined;
 }
 /** An answer: bytes from `offset` on, in parts, as they arrive. */
 export interface Answer {

@@ -60,8 +60,8 @@ export declare class ChunkQueue {
     /** Whether a segment and the codebooks that it needs are there. */
     private ready;
     private isLost;
-    /** Forget a chunk's payloads: nothing more comes of it. */
-    private close;
+    /** Forget a chunk's payloads: nothing more comes of it, unless it is expected again. */
+    close(chunk: number): void;
     private rowStarts;
     private firstRow;
 }

@@ -19,7 +19,7 @@ export declare class HttpSource implements ByteSource {
     private etag;
     private total;
     constructor(url: string | URL, options?: HttpOptions);
-    read(range: ByteRange, { signal, fresh }?: ReadOptions): Promise<Answer>;
+    read(range: ByteRange, options?: ReadOptions): Promise<Answer>;
     /** A file that is named relative to this one; the query of the address is kept, which may hold a signature for all. */
     beside(name: string): HttpSource;
     private request;

@@ -21,8 +21,9 @@ export declare class RetryingReader {
      * The bytes of a range in parts, as they come; after a failure the rest is asked for.
      *
      * @param take - Receives the parts in order, without gaps.
+     * @param priority - How soon they are wanted beside other requests.
      */
-    parts(range: ByteRange, signal: AbortSignal, take: (part: Uint8Array) => void): Promise<void>;
+    parts(range: ByteRange, signal: AbortSignal, take: (part: Uint8Array) => void, priority?: RequestPriority): Promise<void>;
     /** @param received - Bytes so far: an attempt that brought some is none that failed. */
     private attempt;
 }

@@ -4,20 +4,17 @@ import type { PrefixCompensation } from "../scene/prefix_compensation.js";
 import type { ChunkService } from "../workers/decode_task.js";
 import { type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 import type { RetryingReader } from "./retrying_reader.js";
-import type { Kernels } from "../kernels/kernels.js";
 /** What a stream reads from; shared by all streams of a scene. */
 export interface StreamSource {
     readonly index: SceneIndex;
     /** Where segments are in what is read. */
     readonly places: ScenePlaces;
-    /** Whether the source gives the whole file whatever it is asked for. */
-    isSequential(): boolean;
+    /** Whether parts can be asked for; else the source gives the whole file whatever it is asked for. */
+    readonly answersRanges: boolean;
     readonly reader: RetryingReader;
     /** What the first request brings, as it comes. */
     readonly beginning: Beginning;
     readonly compensation: PrefixCompensation;
-    /** Decompress the view table, where an order wants it. */
-    readonly kernels?: Kernels | undefined;
     /** Read index pages until so many are known. */
     readPages(count: number): Promise<void>;
 }
@@ -49,7 +46,6 @@ export declare class SceneStream {
     private wake;
     private readonly degree;
     private readonly rowBytes;
-    private readonly order;
     constructor(source: StreamSource, service: ChunkService, options: StreamOptions);
     /** Updates until every chunk has been given. */
     updates(): AsyncGenerator<ChunkUpdate, void, undefined>;
@@ -70,7 +66,6 @@ export declare class SceneStream {
     private acceptBeginning;
     /** Make requests while there is something to ask for and the caller keeps up. */
     private ask;
-    private nextRange;
     /** One request for all that is wanted, in file order, from a source that does not answer ranges. */
     private wholeRest;
     private readonly rangeOf;
@@ -80,7 +75,6 @@ export declare class SceneStream {
     /** Check a segment's CRC and hand it on; what is damaged is asked for once more, around caches. */
     private accept;
     private take;
-    private takeTable;
     private fetchAgain;
     /** Report what cannot be had; without a listener the stream ends with the error. */
     private damage;

@@ -2,8 +2,6 @@ import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { Splats } from "../scene/splats.js";
 import { type Texels } from "../scene/texels.js";
 import type { CogsplatError, SourceError } from "../errors.js";
-import type { SceneIndex } from "../container/scene_index.js";
-import type { ViewTable } from "../container/view_table.js";
 import type { ChunkFormat } from "../workers/decode_task.js";
 /** What is known of a chunk before its bytes come: enough to decide what to fetch first. */
 export interface ChunkInfo {
@@ -19,26 +17,12 @@ export interface ChunkInfo {
     /** The chunk is drawn in prefixes of fewer chunks than this; 0 in all (SPEC 5.10). */
     readonly until: number;
 }
-/** Decides in which order segments are asked for, again and again. */
-export interface SegmentOrder {
-    /** Take what the file says of viewpoints (SPEC 5.12), once it is there. */
-    useTable(table: ViewTable): void;
-    /**
-     * Segments in the order in which they are wanted now, each behind those that it is of no use without.
-     *
-     * @param segments - Those that are not asked for yet.
-     * @param seconds - The time of now, on any clock.
-     */
-    order(segments: readonly number[], seconds: number): number[];
-}
 /** What a stream gives, and in which order. */
 export interface StreamOptions {
     /** Ends the stream: requests are aborted and memory is given back. */
     readonly signal?: AbortSignal;
     /** Chunks with larger numbers come first; a number below 0 leaves a chunk out. File order by default. */
     readonly priority?: (chunk: ChunkInfo) => number;
-    /** Says before every request in which order segments are wanted, such as `byView` of `cogsplat/view_order`. */
-    readonly order?: (index: SceneIndex) => SegmentOrder;
     /** SH degree wanted; by default the scene's. */
     readonly degree?: number;
     /** `splats`: arrays to the bit. `packed`: 16 bytes a splat and packed bands. `spark`, `playcanvas`: their textures. */

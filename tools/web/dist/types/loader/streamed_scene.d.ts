@@ -1,11 +1,15 @@
 import type { SceneInfo } from "../container/root.js";
 import { SceneIndex, type ScenePlaces } from "../container/scene_index.js";
+import { loadKernels } from "../kernels/load.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
 import { PrefixCompensation } from "../scene/prefix_compensation.js";
 import { type ChunkService } from "../workers/decode_task.js";
+import { Beginning } from "./beginning.js";
 import { type ByteSource } from "./byte_source.js";
 import { type HttpOptions } from "./http_source.js";
 import { type RetryOptions } from "./retry.js";
+import { RetryingReader } from "./retrying_reader.js";
+import { type StreamSource } from "./scene_stream.js";
 import { type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 /** How a scene is opened. */
 export interface OpenOptions {
@@ -38,13 +42,13 @@ export interface FolderReader {
     };
 }
 /** A scene that is read from the URL of a file or a folder, a file or another source of bytes while it is drawn. */
-export declare class StreamedScene {
+export declare class StreamedScene implements StreamSource {
     readonly index: SceneIndex;
     /** Where segments and pages are in what `reader` reads. */
-    private readonly places;
-    private readonly reader;
+    readonly places: ScenePlaces;
+    readonly reader: RetryingReader;
     /** What the first request brings. */
-    private readonly beginning;
+    readonly beginning: Beginning;
     private readonly source;
     private readonly options;
     /** Whether this scene took the place of one that had changed. */
@@ -53,6 +57,8 @@ export declare class StreamedScene {
     private pages;
     /** Layers of compensation, as far as a stream with `compensate` has brought them. */
     readonly compensation: PrefixCompensation;
+    /** For what reads segments that are no part of chunks. */
+    readonly loadKernels: typeof loadKernels;
     private constructor();
     /**
      * Ask for the beginning of a file and read its root.
@@ -90,6 +96,8 @@ export declare class StreamedScene {
     private static beginFolder;
     /** Whether the scene is kept as a folder of a manifest and objects (SPEC 3.4). */
     get isFolder(): boolean;
+    /** Whether parts of the scene can be asked for; from a server that ignores ranges they come as they stand in the file. */
+    get answersRanges(): boolean;
     /** What the root says of the scene. */
     get info(): SceneInfo;
     /**
@@ -99,12 +107,14 @@ export declare class StreamedScene {
      * its head is there, and given again when its refinement or its tail has come.
      */
     stream(options?: StreamOptions): AsyncGenerator<ChunkUpdate, void, undefined>;
+    /** What decodes the chunks of one run through the scene; who asks for it closes it. */
+    makeService(): Promise<ChunkService>;
     /** Refuse a scene whose rows and codebooks take more memory than the caller allows, before anything is fetched. */
-    private checkSize;
+    checkSize({ degree, memoryBudget, splatBudget }: Pick<StreamOptions, "degree" | "memoryBudget" | "splatBudget">): void;
     /** Take a page; one whose CRC does not match is asked for once more, around caches. */
     private addPage;
     /** Read index pages until so many are known. */
-    private readPages;
+    readPages(count: number): Promise<void>;
 }
 /**
  * The address of a folder's manifest where a URL ends in a slash (SPEC 3.4); else the URL.

@@ -7,6 +7,8 @@ export declare class PrefixCompensation {
     /** Payloads that wait for the layers before them, or for the index of their chunks. */
     private readonly waiting;
     constructor(index: SceneIndex);
+    /** Layers that count for now. */
+    get knownLayers(): number;
     /** Take a layer's segment; its CRC was checked. */
     add(layer: number, payload: Uint8Array): void;
     /**

@@ -38,8 +38,12 @@ export declare class Scheduler {
     private readonly units;
     private readonly splats;
     private readonly heads;
+    /** Ratios of the last decision, and the order that follows from them. */
+    private last;
     constructor(units: readonly Unit[], splats: ArrayLike<number>);
     /** What a byte of each unit is thought to gain: its chunk's ratio over its place in the file. */
     urgency(ratios: Float64Array): Float64Array;
     decide(ratios: Float64Array, holdings: Holdings): Decision;
+    /** Urgencies and units by them; ratios that are asked about again are not put in order again. */
+    private ordered;
 }

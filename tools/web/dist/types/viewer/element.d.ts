@@ -13,7 +13,8 @@ import { type ViewerWorkers } from "./viewer_workers.js";
  * | `background` | a CSS colour behind the splats; black by default |
  * | `sh-degree` | highest SH degree that is drawn, 0 to 3 |
  * | `level` | of a scene with levels, the one that is drawn, 0 the coarsest, or a place between two; that of the picture's size by default |
- * | `splat-budget` | most splats that are fetched and drawn; 1,500,000 by default where fingers are the pointer |
+ * | `splat-budget` | most splats in memory; 1,500,000 by default where fingers are the pointer |
+ * | `order` | `view`: what is looked at is fetched first and, in a scene larger than its budget, takes the place of other things; `file`: the first chunks of the file; by default `view` where the file was cut into cells |
  * | `pixel-ratio` | most device pixels for a CSS pixel; 2 by default |
  * | `resolution` | `full` draws all pixels of moving and growing pictures too, where graphics are slow |
  * | `fill-holes` | `off` shows holes between splats while the scene arrives |

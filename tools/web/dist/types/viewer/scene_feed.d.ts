@@ -1,4 +1,5 @@
 import type { SceneInfo } from "../container/root.js";
+import type { Pose } from "../schedule/poses.js";
 import type { PackedSplats } from "../scene/packed_splats.js";
 import type { LayerScene, SplatLayer } from "./splat_layer.js";
 /** How far a scene has come. */
@@ -33,6 +34,10 @@ export interface FeedHost {
     /** Told of rows when they are in the layer. */
     rowsCame(packed: PackedSplats, first: boolean): void;
     progressed(progress: FeedProgress): void;
+    /** All that the pose is worth has come, or something of it is missing again. */
+    settled(isSettled: boolean): void;
+    /** Something cannot be had, and the rest goes on being shown. */
+    damaged(error: unknown): void;
 }
 /** Fills a layer with one scene. */
 export interface SceneFeed {
@@ -54,6 +59,12 @@ export interface SceneFeed {
      * @returns The level that is drawn; undefined for a scene without levels.
      */
     drawLevel(focal: number, chosen: number | undefined): number | undefined;
+    /**
+     * Look from somewhere, in the space of the means, where that says what is fetched; asked as soon as it has changed.
+     */
+    look?(pose: Pose): void;
+    /** Hold at most so many splats; returns whether the feed sees to it. */
+    limit?(splats: number): boolean;
     /** Work of at most some ms; returns whether there is more. */
     work(milliseconds: number): boolean;
 }

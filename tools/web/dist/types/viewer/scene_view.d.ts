@@ -1,5 +1,6 @@
 import type { LevelEntry } from "../container/root.js";
 import type { ByteSource } from "../loader/byte_source.js";
+import { type FetchOrder } from "./cogs_feed.js";
 import { Controls } from "./controls.js";
 import { Meter } from "./meter.js";
 import { type PictureOptions } from "./renderer.js";
@@ -35,6 +36,8 @@ export declare class SceneView {
     levels: readonly LevelEntry[];
     /** Whether slow graphics draw moving and growing pictures in fewer pixels. */
     mayHaste: boolean;
+    /** What is fetched first of scenes to come. */
+    order: FetchOrder;
     private readonly renderer;
     private readonly pace;
     private readonly abort;
@@ -60,6 +63,10 @@ export declare class SceneView {
     private isSharp;
     private isWhole;
     private budget;
+    /** Whether all that the first view was worth has come: from then on holes are not filled, and nothing is waited for. */
+    private wasSettled;
+    /** Where was looked from last. */
+    private looked;
     private readonly waiting;
     private picture;
     private fills;
@@ -84,7 +91,7 @@ export declare class SceneView {
     set view(view: ViewerPose | undefined);
     /** Change what pictures show. */
     show(options: Partial<Omit<PictureOptions, "fill">>): void;
-    /** Draw at most so many splats of a scene, the first of its file. */
+    /** Draw at most so many splats of a scene, the first of its file; where they are chosen by the view, those that it is worth most to. */
     limit(splats: number): void;
     /** Show a scene in the place of what is shown. */
     load(source: SceneSource): Promise<void>;
@@ -113,6 +120,8 @@ export declare class SceneView {
     /** Have `frame` called with the next frame of the browser, or after some time. */
     private schedule;
     private readonly frame;
+    /** Tell the scenes where is looked from, where that has changed. */
+    private look;
     /** Have the scenes draw the levels for the size of the picture, or the one that was chosen. */
     private drawLevels;
     /** Width and height of pictures, px, of which a share is drawn. */

@@ -56,6 +56,8 @@ export declare class SplatLayer {
     get isSorting(): boolean;
     /** Put a chunk's rows where they belong. */
     write(packed: PackedSplats, firstRow: number): void;
+    /** Draw rows no longer. */
+    clear(firstRow: number, count: number): void;
     /** Replace rows whose means stay what they are, so that their order does. */
     repaint(packed: PackedSplats, firstRow: number): void;
     /** Note the opacities of rows at two adjacent levels, as `LevelOpacities` gives them. */

@@ -18,6 +18,8 @@ export declare class SplatTextures {
     allocate(gl: WebGL2RenderingContext): void;
     /** Put a chunk's rows where they belong. */
     write(packed: PackedSplats, firstRow: number): void;
+    /** Make rows transparent: what has no opacity is not drawn. */
+    clear(firstRow: number, count: number): void;
     /** Note the opacities of rows at two adjacent levels, as `LevelOpacities` gives them. */
     writeLevels(words: Uint32Array, firstRow: number): void;
     /** Note what compensation adds to rows. */

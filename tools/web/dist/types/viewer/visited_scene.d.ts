@@ -1,0 +1,35 @@
+import type { StreamedScene } from "../loader/streamed_scene.js";
+import type { VisitChange } from "../loader/visit.js";
+import type { SplatLayer } from "./splat_layer.js";
+/** Fills a layer with what a visitor looks at, and empties what makes room for it. */
+export declare class VisitedScene {
+    private readonly scene;
+    private readonly layer;
+    private readonly shifted;
+    /** Splats that are in memory. */
+    splats: number;
+    /** Rows of the chunks that are there. */
+    private readonly rows;
+    /** Undefined where the layer has room for all: each chunk then has the rows that it has in the scene. */
+    private readonly slots;
+    /** What each chunk's compensation is for: chunks of a prefix, and layers that were known. */
+    private readonly compensatedFor;
+    private waiting;
+    private isStale;
+    /**
+     * @param layer - May hold fewer rows than the scene has.
+     * @param shifted - Chunks that are shown with what they add for missing ones.
+     */
+    constructor(scene: StreamedScene, layer: SplatLayer, shifted: Set<number>);
+    /** Draw what has come, or draw no longer what is gone. */
+    take(change: VisitChange): void;
+    /**
+     * Change chunks to make up for what is missing, each by what is there of its cell (SPEC 8.5).
+     *
+     * @param end - When to stop, by `performance.now`.
+     * @returns Whether there is more to do.
+     */
+    work(end: number): boolean;
+    private plan;
+    private compensate;
+}

@@ -1,0 +1,45 @@
+/** Rows beside each other. */
+export interface RowRun {
+  readonly first: number;
+  readonly count: number;
+}
+
+/** Rows of a layer that is smaller than its scene: chunks take them and give them back. */
+export class RowSlots {
+  /** Rows that nobody has, ascending, no two runs beside each other. */
+  private free: RowRun[];
+
+  constructor(rows: number) {
+    this.free = [{ first: 0, count: rows }];
+  }
+
+  /**
+   * Take rows, the first that are free, in as many runs as it needs.
+   *
+   * @throws RangeError where there are fewer.
+   */
+  take(count: number): RowRun[] {
+    const taken: RowRun[] = [];
+    let left = count;
+    while (left > 0) {
+      const run = this.free.shift();
+      if (run === undefined) throw new RangeError(`${count} rows, ${count - left} are free`);
+      const used = Math.min(run.count, left);
+      taken.push({ first: run.first, count: used });
+      if (used < run.count) this.free.unshift({ first: run.first + used, count: run.count - used });
+      left -= used;
+    }
+    return taken;
+  }
+
+  /** Give rows back. */
+  give(runs: readonly RowRun[]): void {
+    const joined: RowRun[] = [];
+    for (const run of [...this.free, ...runs].sort((a, b) => a.first - b.first)) {
+      const last = joined.at(-1);
+      if (last !== undefined && last.first + last.count === run.first) joined[joined.length - 1] = { first: last.first, count: last.count + run.count };
+      else joined.push(run);
+    }
+    this.free = joined;
+  }
+}

@@ -1,0 +1,122 @@
+import { equivalentPrefixes, isClosed, parentsOf } from "../container/chunk_sets.js";
+import type { StreamedScene } from "../loader/streamed_scene.js";
+import type { VisitChange } from "../loader/visit.js";
+import { SH_WORDS, type PackedSplats } from "../scene/packed_splats.js";
+import { RowSlots, type RowRun } from "./row_slots.js";
+import type { SplatLayer } from "./splat_layer.js";
+
+/** Most layers of compensation of a scene, or more. */
+const LAYERS = 1 << 16;
+
+/** Fills a layer with what a visitor looks at, and empties what makes room for it. */
+export class VisitedScene {
+  /** Splats that are in memory. */
+  splats = 0;
+  /** Rows of the chunks that are there. */
+  private readonly rows = new Map<number, readonly RowRun[]>();
+  /** Undefined where the layer has room for all: each chunk then has the rows that it has in the scene. */
+  private readonly slots: RowSlots | undefined;
+  /** What each chunk's compensation is for: chunks of a prefix, and layers that were known. */
+  private readonly compensatedFor = new Map<number, number>();
+  private waiting: { readonly chunk: number; readonly prefix: number }[] = [];
+  private isStale = false;
+
+  /**
+   * @param layer - May hold fewer rows than the scene has.
+   * @param shifted - Chunks that are shown with what they add for missing ones.
+   */
+  constructor(
+    private readonly scene: StreamedScene,
+    private readonly layer: SplatLayer,
+    private readonly shifted: Set<number>,
+  ) {
+    if (layer.capacity < scene.info.splats) this.slots = new RowSlots(layer.capacity);
+  }
+
+  /** Draw what has come, or draw no longer what is gone. */
+  take(change: VisitChange): void {
+    this.isStale = true;
+    const { chunk } = change;
+    if (change.kind === "gone") {
+      const runs = this.rows.get(chunk)!;
+      for (const { first, count } of runs) {
+        this.splats -= count;
+        this.layer.clear(first, count);
+        if (this.shifted.has(chunk)) this.layer.shift(first, count, undefined);
+      }
+      this.slots?.give(runs);
+      this.rows.delete(chunk);
+      this.shifted.delete(chunk);
+      this.compensatedFor.delete(chunk);
+      return;
+    }
+    const { firstRow, count, packed } = change;
+    const isNew = !this.rows.has(chunk);
+    const runs = this.rows.get(chunk) ?? this.slots?.take(count) ?? [{ first: firstRow, count }];
+    this.rows.set(chunk, runs);
+    if (isNew) this.splats += count;
+    if (runs.length === 1) {
+      this.layer.write(packed!, runs[0]!.first);
+      return;
+    }
+    let from = 0;
+    for (const run of runs) {
+      this.layer.write(part(packed!, from, run.count), run.first);
+      from += run.count;
+    }
+  }
+
+  /**
+   * Change chunks to make up for what is missing, each by what is there of its cell (SPEC 8.5).
+   *
+   * @param end - When to stop, by `performance.now`.
+   * @returns Whether there is more to do.
+   */
+  work(end: number): boolean {
+    if (this.isStale) this.plan();
+    while (this.waiting.length > 0) {
+      if (performance.now() > end) return true;
+      const { chunk, prefix } = this.waiting.pop()!;
+      this.compensate(chunk, prefix);
+    }
+    return false;
+  }
+
+  private plan(): void {
+    this.isStale = false;
+    const { index, compensation } = this.scene;
+    const { cell, splats } = index.chunks;
+    const held = [...this.rows.keys()].sort((a, b) => a - b);
+    const parents = parentsOf(cell);
+    const isPrefix = held.every((chunk, i) => chunk === i);
+    const isDefined = isPrefix || (cell.every((number) => number > 0) && isClosed(held, parents));
+    const prefixes = isDefined ? equivalentPrefixes(held, parents, splats) : held.map(() => index.totalChunkCount);
+    this.waiting = [];
+    held.forEach((chunk, i) => {
+      const state = prefixes[i]! * LAYERS + compensation.knownLayers;
+      if (this.compensatedFor.get(chunk) !== state) this.waiting.push({ chunk, prefix: prefixes[i]! });
+    });
+  }
+
+  private compensate(chunk: number, prefix: number): void {
+    const { compensation } = this.scene;
+    this.compensatedFor.set(chunk, prefix * LAYERS + compensation.knownLayers);
+    const shifts = compensation.shifts(prefix, chunk);
+    if (shifts === undefined && !this.shifted.has(chunk)) return;
+    let from = 0;
+    for (const { first, count } of this.rows.get(chunk)!) {
+      const ofRun = (values: Float32Array): Float32Array => values.subarray(from, from + count);
+      this.layer.shift(first, count, shifts && { scales: ofRun(shifts.scales), opacities: ofRun(shifts.opacities) });
+      from += count;
+    }
+    if (shifts === undefined) this.shifted.delete(chunk);
+    else this.shifted.add(chunk);
+    this.layer.compensated = this.shifted.size > 0;
+  }
+}
+
+/** Some rows of a chunk, whose words are no one else's: a layer hands those that it is given over to its sorter. */
+function part(packed: PackedSplats, from: number, count: number): PackedSplats {
+  const rows = (words: Uint32Array, each: number): Uint32Array => words.slice(each * from, each * (from + count));
+  return { ...packed, count, words: rows(packed.words, 4), sh: packed.sh.map((band, i) => rows(band, SH_WORDS[i]!)) };
+}

@@ -1,0 +1,275 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { parentsOf } from "../src/container/chunk_sets.js";
+import { loadKernels } from "../src/kernels/load.js";
+import { folders } from "../src/loader/folders.js";
+import { LinkEstimate } from "../src/loader/link_estimate.js";
+import { PoseHistory } from "../src/loader/pose_history.js";
+import { segmentUnits, type UnitIndex } from "../src/loader/segment_units.js";
+import { StreamedScene } from "../src/loader/streamed_scene.js";
+import { Visit, type VisitOptions } from "../src/loader/visit.js";
+import { along, byBoxes } from "../src/schedule/chunk_ratios.js";
+import { path, type Pose } from "../src/schedule/poses.js";
+import { Scheduler } from "../src/schedule/scheduler.js";
+import { SceneFile } from "../src/scene/scene_file.js";
+import { FolderServer } from "./folder_server.js";
+import { padSegments } from "./padded_file.js";
+import { RangeServer } from "./range_server.js";
+import { UnitRequests } from "../src/loader/unit_requests.js";
+import { manifest, sha256, vectorBytes, vectorFolder } from "./vectors.js";
+
+const kernels = await loadKernels();
+
+/** Looks along +z from a place, or turned about by half. */
+function looking(back = false, position: readonly number[] = [0, 0, 0]): Pose {
+  const sign = back ? -1 : 1;
+  return { position, rotation: [sign, 0, 0, 0, 1, 0, 0, 0, sign], tanX: 1, tanY: 1 };
+}
+
+/** An index of a first chunk around the eye, one ahead and one behind, each a head, then the refinements. */
+function smallIndex(): UnitIndex {
+  const boxes = [[-9, -9, -9, 9, 9, 9], [-1, -1, 4, 1, 1, 6], [-1, -1, -6, 1, 1, -4]];
+  return {
+    segments: { kind: Uint8Array.from([1, 1, 1, 7, 7, 7]), owner: Uint32Array.from([0, 1, 2, 0, 1, 2]) },
+    chunks: {
+      splats: Uint32Array.from([5, 5, 5]),
+      box: Float32Array.from(boxes.flat()),
+      contribution: Float64Array.from([1, 1, 1]),
+      cell: Uint32Array.from([1, 2, 3]),
+      until: Uint32Array.from([0, 0, 0]),
+    },
+    range: (segment: number) => ({ offset: 100 * segment, length: 100 }),
+    codebookSegmentsOf: () => [],
+  } as unknown as UnitIndex;
+}
+
+/** The segments of an index in the order in which a pose wants them. */
+function order(index: UnitIndex, pose: Pose): number[] {
+  const units = segmentUnits(index, 0, false);
+  const ratios = along(byBoxes(index.chunks.box, index.chunks.contribution), path(pose, pose, 0));
+  const nothing = { there: new Set<number>(), underWay: new Set<number>(), received: new Map<number, number>() };
+  const { fetch } = new Scheduler(units, index.chunks.splats).decide(ratios, { ...nothing, budgetSplats: 0, bytesPerSecond: Infinity, latency: 0 });
+  return fetch.map((unit) => units[unit]!.segment);
+}
+
+test("what the pose shows comes first, behind its parents", () => {
+  // What lies around the eye shows most, then what is ahead; every head stands behind its parent's.
+  assert.deepEqual(order(smallIndex(), looking()), [0, 3, 1, 4, 2, 5]);
+  const turned = order(smallIndex(), looking(true));
+  assert.ok(turned.indexOf(2) < turned.indexOf(1));
+  assert.ok(turned.indexOf(5) < turned.indexOf(4));
+});
+
+test("chunks that end are no units", () => {
+  const index = smallIndex();
+  index.chunks.until[1] = 3;
+  assert.deepEqual(segmentUnits(index, 0, false).map(({ segment }) => segment), [0, 2, 3, 5]);
+});
+
+test("a connection is judged by what has come lately, pauses left aside", () => {
+  const link = new LinkEstimate();
+  assert.equal(link.bytesPerSecond, 250_000);
+  link.answered(0.3);
+  assert.equal(link.latency, 0.1);
+  link.answered(0.02);
+  assert.equal(link.latency, 0.02);
+  for (let i = 0; i <= 100; i++) link.came(10_000, 5 + 0.01 * i);
+  assert.ok(Math.abs(link.bytesPerSecond - 1e6) < 1);
+  link.rest();
+  // A first part after a pause says nothing yet.
+  link.came(10_000, 90);
+  assert.ok(Math.abs(link.bytesPerSecond - 1e6) < 1);
+  for (let i = 1; i <= 300; i++) link.came(1000, 90 + 0.01 * i);
+  assert.ok(Math.abs(link.bytesPerSecond - 1e5) < 1);
+});
+
+test("a path leads on from where a visitor was a quarter of a second ago, until he stands still", () => {
+  const poses = new PoseHistory();
+  assert.equal(poses.path(0), undefined);
+  for (let i = 0; i <= 10; i++) poses.add(looking(false, [0, 0, 0.1 * i]), 0.1 * i);
+  const [now, soon] = poses.path(1)!;
+  assert.equal(now![0].position[2], 1);
+  assert.ok(poses.isMoving);
+  // Half a second ahead, at 1 a second.
+  assert.ok(Math.abs(soon![0].position[2]! - 1.5) < 1e-9);
+  assert.equal(poses.path(1.3)![1]![0].position[2], 1);
+  assert.ok(!poses.isMoving);
+});
+
+/** Rows of each chunk as they were given last. */
+async function visited(scene: StreamedScene, options: VisitOptions, pose: Pose): Promise<Map<number, string>> {
+  const visit = await Visit.begin(scene, options);
+  visit.look(pose);
+  const last = new Map<number, string>();
+  for await (const change of visit.changes()) {
+    if (change.kind === "gone") assert.fail("there is room for all");
+    const { means, opacities, shN } = change.splats!;
+    const parents = parentsOf(scene.index.chunks.cell);
+    assert.ok(parents[change.chunk]! < 0 || last.has(parents[change.chunk]!), "a chunk before its parent");
+    last.set(change.chunk, sha256(means, opacities, shN));
+  }
+  return last;
+}
+
+function wholeRows(bytes: Uint8Array): [number, string][] {
+  const file = new SceneFile(bytes, kernels());
+  return Array.from({ length: file.index.chunkCount }, (_, chunk) => {
+    const { means, opacities, shN } = file.decodeChunk(chunk);
+    return [chunk, sha256(means, opacities, shN)];
+  });
+}
+
+const sorted = (rows: Map<number, string>): [number, string][] => [...rows].sort(([a], [b]) => a - b);
+
+for (const name of ["chunks", "vq", "two-books", "refinements", "view-table", "compensation-cells"]) {
+  for (const padding of [0, 70_000]) {
+    test(`${name} of ${padding} more bytes a segment is visited to the same rows`, async () => {
+      const bytes = vectorBytes("valid", name);
+      const server = new RangeServer(padding === 0 ? bytes : padSegments(bytes, padding));
+      const url = await server.start();
+      try {
+        const scene = await StreamedScene.open(url);
+        assert.deepEqual(sorted(await visited(scene, { compensate: true }, looking())), wholeRows(bytes));
+      } finally {
+        await server.stop();
+      }
+    });
+  }
+}
+
+for (const { name, manifests } of manifest.folders) {
+  for (const ranges of [true, false]) {
+    test(`the folder ${name} is visited, on a server ${ranges ? "with" : "without"} ranges`, async () => {
+      const server = new FolderServer(vectorFolder("folders", name), { ranges });
+      const url = await server.start();
+      try {
+        for (const [given, standsFor] of Object.entries(manifests)) {
+          const scene = await StreamedScene.open(url + given, { folders });
+          assert.ok(scene.isFolder);
+          assert.deepEqual(sorted(await visited(scene, {}, looking())), wholeRows(vectorBytes("valid", standsFor)));
+        }
+      } finally {
+        await server.stop();
+      }
+    });
+  }
+}
+
+for (const isLasting of [false, true]) {
+  test(`damage that ${isLasting ? "stays is told and spoils no other chunk" : "passes is asked for once more"}`, async () => {
+    const bytes = vectorBytes("valid", "chunks");
+    let flips = 0;
+    // Behind the first bytes all answers are damaged, or one.
+    const server = new RangeServer(padSegments(bytes, 70_000), (_, [, end]) => (end > 70_000 && (isLasting || flips++ === 0) ? "flip" : undefined));
+    const url = await server.start();
+    try {
+      const told = new Set<number | undefined>();
+      const rows = await visited(await StreamedScene.open(url), { onDamage: (_, chunk) => told.add(chunk) }, looking());
+      const whole = wholeRows(bytes);
+      assert.equal(told.size > 0, isLasting);
+      assert.ok(rows.size > 0 && rows.size + told.size >= whole.length);
+      for (const [chunk, hash] of whole) if (!told.has(chunk)) assert.equal(rows.get(chunk), hash);
+    } finally {
+      await server.stop();
+    }
+  });
+}
+
+test("a server without ranges cannot be visited", async () => {
+  const server = new RangeServer(vectorBytes("valid", "chunks"), () => "ignore-range");
+  const url = await server.start();
+  try {
+    await assert.rejects(Visit.begin(await StreamedScene.open(url)), /expected one that answers them/);
+  } finally {
+    await server.stop();
+  }
+});
+
+/** Where a viewpoint of the vector `view-table` stands and looks. */
+function viewpoint(file: SceneFile, view: number): Pose {
+  const { positions, directions } = file.viewTable()!;
+  const [x, y, z] = Array.from(directions.subarray(3 * view, 3 * view + 3)) as [number, number, number];
+  const forward = [x, y, z].map((value) => value / Math.hypot(x, y, z));
+  const across = Math.hypot(forward[0]!, forward[2]!);
+  const right = [forward[2]! / across, 0, -forward[0]! / across];
+  const down = [
+    forward[1]! * right[2]! - forward[2]! * right[1]!, forward[2]! * right[0]! - forward[0]! * right[2]!, forward[0]! * right[1]! - forward[1]! * right[0]!,
+  ];
+  return { position: Array.from(positions.subarray(3 * view, 3 * view + 3)), rotation: [...right, ...down, ...forward], tanX: 1, tanY: 1 };
+}
+
+for (const padding of [0, 70_000]) {
+  test(`a scene larger than its budget is visited, ${padding} more bytes`, async () => {
+    const bytes = vectorBytes("valid", "view-table");
+    const file = new SceneFile(bytes, kernels());
+    const server = new RangeServer(padding === 0 ? bytes : padSegments(bytes, padding));
+    const url = await server.start();
+    const abort = new AbortController();
+    try {
+      const scene = await StreamedScene.open(url);
+      let isSettled = false;
+      // Two of its four chunks of three splats.
+      const visit = await Visit.begin(scene, { signal: abort.signal, splatBudget: 6, onSettled: (now) => (isSettled = now) });
+      const held = new Set<number>();
+      const ended = (async () => {
+        for await (const change of visit.changes()) {
+          if (change.kind === "gone") assert.ok(held.delete(change.chunk));
+          else held.add(change.chunk);
+          assert.ok(held.size <= 2);
+        }
+      })();
+      const look = async (pose: Pose, expected: number[]): Promise<void> => {
+        visit.look(pose);
+        const isThere = (): boolean => isSettled && expected.every((chunk) => held.has(chunk));
+        for (let wait = 0; wait < 500 && !isThere(); wait++) await new Promise((resolve) => setTimeout(resolve, 10));
+        assert.deepEqual([...held].sort(), expected);
+      };
+      await look(viewpoint(file, 0), [2, 3]);
+      await look(viewpoint(file, 2), [0, 1]);
+      await look(viewpoint(file, 0), [2, 3]);
+      // A budget that is lowered is kept at once.
+      visit.limit(3);
+      for (let wait = 0; wait < 500 && held.size > 1; wait++) await new Promise((resolve) => setTimeout(resolve, 10));
+      assert.equal(held.size, 1);
+      abort.abort();
+      await assert.rejects(ended, /abort/i);
+    } finally {
+      await server.stop();
+    }
+  });
+}
+
+test("what was stopped goes on from the byte where it was, and what was asked for with it stops as well", async () => {
+  const file = Uint8Array.from({ length: 1000 }, (_, i) => i & 255);
+  const asked: [number, number, string | undefined][] = [];
+  const takes: ((part: Uint8Array) => void)[] = [];
+  const reader = {
+    parts: (range: { offset: number; length: number }, signal: AbortSignal, take: (part: Uint8Array) => void, priority?: string) => {
+      asked.push([range.offset, range.length, priority]);
+      takes.push(take);
+      return new Promise<void>((_, reject) => signal.addEventListener("abort", () => reject(signal.reason as Error)));
+    },
+  } as unknown as ConstructorParameters<typeof UnitRequests>[0];
+  const came = new Map<number, string>();
+  const requests = new UnitRequests(reader, (unit) => ({ offset: 100 * unit, length: 100 }), {
+    came: (unit, payload) => came.set(unit, sha256(payload)),
+    failed: () => assert.fail("nothing fails"),
+    ended: () => undefined,
+  });
+  requests.start([3, 4, 5, 8], (unit) => (unit === 3 ? "high" : "low"));
+  assert.deepEqual(asked, [[300, 300, "high"], [800, 100, "low"]]);
+  takes[0]!(file.slice(300, 450));
+  assert.deepEqual([...came.keys()], [3]);
+  assert.deepEqual(requests.underWay, [4, 5, 8]);
+  assert.equal(requests.stop([5]), 2);
+  assert.deepEqual(requests.underWay, [8]);
+  // Bytes that were on their way are left.
+  takes[0]!(file.slice(450, 600));
+  assert.deepEqual([...requests.received], [[4, 50]]);
+  requests.start([4, 5], () => "auto");
+  assert.deepEqual(asked.at(-1), [450, 150, "auto"]);
+  takes[2]!(file.slice(450, 600));
+  assert.deepEqual([...came], [3, 4, 5].map((unit) => [unit, sha256(file.slice(100 * unit, 100 * unit + 100))]));
+  requests.close();
+  assert.deepEqual(requests.underWay, []);
+});
