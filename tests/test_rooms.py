@@ -174,10 +174,10 @@ DOORS: dict[str, dict[str, str]] = {
         "lessons": "lessons_of views_apart",
         "shares": "count_for_size",
         "level_encoding": "LevelEncoding encode_levels",
-        "levels": (
-            "LevelledSplats LevelsConfig averaged scaled_camera train_for_all_scales train_levels"
-        ),
+        "levels": ("LevelledSplats LevelsConfig grow_levels train_for_all_scales train_levels"),
         "opening": "OpeningConfig TrainedOpening",
+        "points_start": "splats_from_points",
+        "smaller_pictures": "averaged scaled_camera",
         "trainer": "TrainConfig",
         "tuning": "Milestone State TuneConfig tune",
     },
@@ -310,6 +310,7 @@ DOORS: dict[str, dict[str, str]] = {
         "view_sets": "evenly hold_out jitter roam",
     },
     "formats.cameras": {
+        "colmap_points": "find_points read_points",
         "files": "read_cameras",
         "inria": "write_cameras_json",
     },

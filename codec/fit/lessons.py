@@ -19,6 +19,8 @@ from cogsplat.codec.splats import SceneInfo, Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.views.view_sets import evenly, jitter
 
+from .smaller_pictures import averaged, scaled_camera
+
 F32 = NDArray[np.float32]
 
 MOST_PIXELS: Final = 1 << 18
@@ -82,29 +84,6 @@ def _factor(camera: Camera, most_pixels: int) -> int:
     """Return by how much each side of a picture is divided."""
     factor = math.ceil(math.sqrt(camera.width * camera.height / most_pixels))
     return max(1, min(factor, camera.width, camera.height))
-
-
-def _smaller(camera: Camera, factor: int) -> Camera:
-    """Return a camera of the same view in fewer pixels."""
-    return replace(
-        camera,
-        width=camera.width // factor,
-        height=camera.height // factor,
-        fx=camera.fx / factor,
-        fy=camera.fy / factor,
-        cx=camera.cx / factor,
-        cy=camera.cy / factor,
-    )
-
-
-def _smaller_picture(picture: F32, factor: int) -> F32:
-    """Return means over squares of pixels, (H // factor, W // factor, 3)."""
-    if factor == 1:
-        return np.ascontiguousarray(picture)
-    height, width = picture.shape[0] // factor, picture.shape[1] // factor
-    squares = picture[: height * factor, : width * factor].reshape(height, factor, width, factor, 3)
-    means: F32 = squares.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
-    return means
 
 
 def _between(cameras: Sequence[Camera]) -> list[Camera]:
@@ -246,10 +225,10 @@ def lessons_of(
         off = [*jitter(source, given), *jitter(source, between, 1)]
     views = [*given, *between, *off]
     factors = [_factor(camera, most_pixels) for camera in views]
-    small = [_smaller(*pair) for pair in zip(views, factors, strict=True)]
+    small = [scaled_camera(*pair) for pair in zip(views, factors, strict=True)]
     configs = [_config(source.info, factor, background, device) for factor in factors]
     taught = [] if photos is None else [photos[number] for number in chosen]
-    pictures = [_smaller_picture(*pair) for pair in zip(taught, factors, strict=False)]
+    pictures = [averaged(*pair) for pair in zip(taught, factors, strict=False)]
     left = list(zip(small, configs, strict=True))[len(pictures) :]
     progress("lessons", 0, len(views))
     for picture in ordered_map(partial(_drawn, source=source), left, thread_count(threads)):

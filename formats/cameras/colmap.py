@@ -5,7 +5,6 @@ Layout after COLMAP's documentation, "Output format": little-endian, no padding.
 
 from __future__ import annotations
 
-import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,12 +18,13 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import (
     DataError,
     FormatError,
-    TruncatedError,
     UnsupportedError,
 )
 from cogsplat.codec.geometry.rotations import matrices
 from cogsplat.formats.storage.atomic import open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
+
+from .colmap_records import COUNT, MAX_LINE_BYTES, MAX_NAME_BYTES, RecordReader, skip_line
 
 F64 = NDArray[np.float64]
 
@@ -48,14 +48,9 @@ _OTHER_MODELS = {
 }
 _PARAMETERS = dict(_MODELS.values())
 
-_COUNT = struct.Struct("<Q")
 _CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; parameters follow
 _POSE = struct.Struct("<I7dI")  # id, qw qx qy qz, tx ty tz, camera; a zero-ended name follows
 _POINT_BYTES = 24  # x, y as doubles, then the point's 64-bit number
-
-_MAX_NAME_BYTES = 4096
-_BLOCK_BYTES = 1 << 16
-_MAX_LINE_BYTES = 65536
 
 
 @dataclass(frozen=True)
@@ -222,85 +217,8 @@ def _refuse_model(name: str, where: str) -> UnsupportedError:
     )
 
 
-class _Reader:
-    """Takes records off a file whose size is known, and never more than is there."""
-
-    def __init__(self, file: BinaryIO, where: str) -> None:
-        self.file = file
-        self.where = where
-        self.size = os.fstat(file.fileno()).st_size
-        self.offset = 0
-        # Records are short and many: they are cut from blocks, not read one by one.
-        self._block = b""
-        self._block_offset = 0
-
-    def take(self, length: int, what: str) -> bytes:
-        self.require(length, what)
-        data = self._next(length)
-        if len(data) != length:
-            raise self.truncated(length, what)
-        self.offset += length
-        return data
-
-    def _next(self, length: int) -> bytes:
-        """Return the next bytes, fewer where the file ends, without going on."""
-        at = self.offset - self._block_offset
-        if at + length > len(self._block):
-            self.file.seek(self.offset)
-            self._block = self.file.read(max(length, _BLOCK_BYTES))
-            self._block_offset = self.offset
-            at = 0
-        return self._block[at : at + length]
-
-    def skip(self, length: int, what: str) -> None:
-        self.require(length, what)
-        self.offset += length
-
-    def require(self, length: int, what: str) -> None:
-        if length > self.size - self.offset:
-            raise self.truncated(length, what)
-
-    def truncated(self, length: int, what: str) -> TruncatedError:
-        return TruncatedError(
-            "colmap-truncated",
-            f"{self.where}: {self.size} bytes, expected {length} more from byte {self.offset} on "
-            f"for {what}",
-            offset=self.offset,
-            needed=self.offset + length,
-        )
-
-    def count(self, least_bytes: int, what: str) -> int:
-        """Read a count of records that take at least so many bytes each."""
-        count: int = _COUNT.unpack(self.take(_COUNT.size, f"the count of {what}"))[0]
-        self.require(count * least_bytes, f"{count} {what}")
-        return count
-
-    def name(self, what: str) -> str:
-        data = self._next(min(_MAX_NAME_BYTES, max(self.size - self.offset, 0)))
-        end = data.find(b"\0")
-        if end < 0 and len(data) < _MAX_NAME_BYTES:
-            raise self.truncated(len(data) + 1, f"the name of {what}")
-        if end < 0:
-            raise FormatError(
-                "colmap-malformed",
-                f"{self.where}: the name of {what} at byte {self.offset} is longer than "
-                f"{_MAX_NAME_BYTES - 1} bytes, expected a zero byte",
-                offset=self.offset,
-            )
-        self.offset += end + 1
-        return data[:end].decode("utf-8", "replace")
-
-    def finish(self) -> None:
-        if self.offset != self.size:
-            raise FormatError(
-                "colmap-trailing-bytes",
-                f"{self.where}: {self.size} bytes, expected {self.offset}",
-                offset=self.offset,
-            )
-
-
 def _binary_lenses(file: BinaryIO, where: str, limits: Limits) -> Iterator[tuple[int, _Lens]]:
-    reader = _Reader(file, where)
+    reader = RecordReader(file, where)
     least = _CAMERA.size + 8 * min(map(len, _PARAMETERS.values()))
     count = reader.count(least, "cameras")
     limits.require_cameras(count, where)
@@ -317,8 +235,8 @@ def _binary_lenses(file: BinaryIO, where: str, limits: Limits) -> Iterator[tuple
 
 
 def _binary_images(file: BinaryIO, where: str, limits: Limits) -> Iterator[_Image]:
-    reader = _Reader(file, where)
-    least = _POSE.size + 1 + _COUNT.size
+    reader = RecordReader(file, where)
+    least = _POSE.size + 1 + COUNT.size
     count = reader.count(least, "images")
     limits.require_cameras(count, where)
     for _ in range(count):
@@ -330,24 +248,18 @@ def _binary_images(file: BinaryIO, where: str, limits: Limits) -> Iterator[_Imag
     reader.finish()
 
 
-def _skip_line(file: BinaryIO) -> None:
-    """Read to the end of a line of any length, of which nothing is kept."""
-    while (piece := file.readline(_MAX_LINE_BYTES)) and not piece.endswith(b"\n"):
-        pass
-
-
 def _records(
     file: BinaryIO, where: str, limits: Limits, *, has_points: bool
 ) -> Iterator[tuple[str, list[str]]]:
     """Give the fields of each record and where it stands; images have a line of points behind."""
     number = records = 0
-    while line := file.readline(_MAX_LINE_BYTES + 1):
+    while line := file.readline(MAX_LINE_BYTES + 1):
         number += 1
         at = f"{where}: line {number}"
-        if len(line) > _MAX_LINE_BYTES:
+        if len(line) > MAX_LINE_BYTES:
             raise FormatError(
                 "colmap-malformed",
-                f"{at}: is longer than {_MAX_LINE_BYTES} bytes, expected a record of fewer",
+                f"{at}: is longer than {MAX_LINE_BYTES} bytes, expected a record of fewer",
             )
         text = line.decode("utf-8", "replace").strip()
         if not text or text.startswith("#"):
@@ -359,7 +271,7 @@ def _records(
         if has_points:
             # Empty where there are no points, and megabytes where there are many.
             number += 1
-            _skip_line(file)
+            skip_line(file)
 
 
 def _text_lenses(file: BinaryIO, where: str, limits: Limits) -> Iterator[tuple[int, _Lens]]:
@@ -383,8 +295,8 @@ def _text_images(file: BinaryIO, where: str, limits: Limits) -> Iterator[_Image]
     for at, fields in _records(file, where, limits, has_points=True):
         if len(fields) != 10:
             raise _malformed(at, fields, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME")
-        if len(fields[9]) >= _MAX_NAME_BYTES:
-            raise _malformed(at, fields, f"a name of fewer than {_MAX_NAME_BYTES} characters")
+        if len(fields[9]) >= MAX_NAME_BYTES:
+            raise _malformed(at, fields, f"a name of fewer than {MAX_NAME_BYTES} characters")
         try:
             number, lens = int(fields[0]), int(fields[8])
             pose = [float(field) for field in fields[1:8]]

@@ -5,6 +5,7 @@ finds is added to the folder of its target by hand, under a name that says what 
 """
 
 import json
+import struct
 import sys
 import tempfile
 import zipfile
@@ -117,6 +118,15 @@ def harm(folder: Path) -> Iterator[tuple[str, str, bytes]]:
     parts = [(folder / f"{name}.txt").read_bytes() for name in ("cameras", "images")]
     yield "colmap_txt", "long_line", joined(*parts)
     yield "colmap_txt", "model", joined(parts[0], b"1 1 0 0 0 0 0 0 1 a b.png\n1 2 3\n")
+    track = struct.pack("<2I", 1, 0)
+    points = struct.pack("<Q", 2)
+    points += struct.pack("<Q3d3BdQ", 4, 0.5, -1.0, 2.0, 255, 128, 0, 0.7, 2) + 2 * track
+    points += struct.pack("<Q3d3BdQ", 9, 1e300, 0.0, 0.0, 1, 2, 3, 0.1, 0)
+    yield "points_bin", "model", points
+    yield "points_bin", "track_beyond_the_file", points[:-8] + struct.pack("<Q", 1 << 61)
+    yield "points_txt", "model", b"# points\n4 0.5 -1 2e0 255 128 0 0.7 1 0 1 0\n"
+    yield "points_txt", "long_line", b"4 0.5 -1 2 255 128 0 0.7" + 40_000 * b" 1" + b"\n"
+    yield "points_txt", "beyond_doubles", b"4 1e999 0 0 1 2 3 0.1\n"
     # An object stored under the number 2²⁶, and a frame of 2⁶⁴ - 1 bytes.
     pickles = {"large_memo": b"\x80\x02}r\x00\x00\x00\x04."}
     pickles["large_frame"] = b"\x80\x04\x95" + b"\xff" * 8 + b"}."

@@ -18,6 +18,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatError, CogsplatWarning
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams import compiled
+from cogsplat.formats.cameras.colmap_points import read_points
 from cogsplat.formats.cameras.files import read_cameras
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.scenes.registry import FORMATS, read_scene, scene_bytes
@@ -119,6 +120,12 @@ def _model(path: Path) -> None:
     _cameras(path.parent)
 
 
+def _points(path: Path) -> None:
+    found = read_points(path, limits=LIMITS)
+    assert 0 < len(found.positions) == len(found.colours) <= LIMITS.splats
+    assert np.isfinite(found.positions).all()
+
+
 def _mask(path: Path) -> None:
     view = Camera(4, 3, 4.0, 4.0, 2.0, 1.5, np.eye(3), np.zeros(3), path.stem)
     _, masks = read_masks(path.parent, [view])
@@ -190,6 +197,8 @@ TARGETS: dict[str, Target] = {
         Target("transforms_json", ("transforms.json", "p.png"), _cameras),
         Target("colmap_bin", ("cameras.bin", "images.bin"), _model),
         Target("colmap_txt", ("cameras.txt", "images.txt"), _model),
+        Target("points_bin", ("points3D.bin",), _points),
+        Target("points_txt", ("points3D.txt",), _points),
         Target("mask", ("v.png",), _mask),
     )
 }

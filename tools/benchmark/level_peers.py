@@ -22,11 +22,10 @@ from cogsplat.codec.fit.level_encoding import encode_levels
 from cogsplat.codec.fit.levels import (
     LevelledSplats,
     LevelsConfig,
-    averaged,
-    scaled_camera,
     train_for_all_scales,
     train_levels,
 )
+from cogsplat.codec.fit.smaller_pictures import averaged, scaled_camera
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out

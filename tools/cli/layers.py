@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Final
 
 import click
 import numpy as np
+from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.views.view_sets import hold_out
+from cogsplat.formats.cameras.colmap_points import find_points, read_points
 from cogsplat.formats.cogs import scene as cogs
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.evaluation.photos import read_photos
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
     background_option,
     cameras_option,
@@ -40,16 +42,23 @@ if TYPE_CHECKING:
     from cogsplat.codec.cameras import Camera
     from cogsplat.tools.evaluation.level_figures import LevelSizes, PictureFigures
 
+F32 = NDArray[np.float32]
+
 # What SSIM needs (`metrics.ssim`).
 _LEAST_PIXELS: Final = 11
+# Steps of a level that begins with trained splats, and of one that begins with points.
+_STEPS, _GROWING_STEPS = 400, 2000
+_MOST_SPLATS: Final = 100_000
 
 
 @click.command(
-    epilog="\b\nExample:\n  cogsplat layers scene.ply levels.cogs --cameras cameras.json",
+    epilog="\b\nExamples:\n"
+    "  cogsplat layers scene.ply levels.cogs --cameras cameras.json\n"
+    "  cogsplat layers capture levels.cogs --images capture/images --splats 200000",
 )
 @click.argument("scene", type=INPUT, metavar="SCENE")
 @click.argument("out", type=OutputPath(), metavar="OUT")
-@cameras_option("Without it, views are planned around the scene.")
+@cameras_option("Without it, those of SCENE where it is a COLMAP folder, else planned views.")
 @click.option(
     "--scales",
     type=str,
@@ -64,15 +73,21 @@ _LEAST_PIXELS: Final = 11
     default="8%,25%,60%,100%",
     show_default=True,
     metavar="P%,…",
-    help="Share of the splats of SCENE that each level and those before it have.",
+    help="Share of the splats of SCENE, or of --splats, that each level and those before it have.",
+)
+@click.option(
+    "--splats",
+    "most",
+    type=click.IntRange(1),
+    metavar="N",
+    help=f"Most splats of all levels where SCENE is points.  [default: {_MOST_SPLATS}]",
 )
 @click.option(
     "--steps",
     type=click.IntRange(0),
-    default=400,
-    show_default=True,
     metavar="N",
-    help="Training steps of each level; a view teaches in each.",
+    help="Training steps of each level; a view teaches in each.  "
+    f"[default: {_STEPS}, or {_GROWING_STEPS} where SCENE is points]",
 )
 @taught_by_option
 @quality_option("Nominal PSNR of what is stored, as in encode.")
@@ -92,7 +107,8 @@ def layers(
     cameras: Path | None,
     scales: str,
     shares: str,
-    steps: int,
+    most: int | None,
+    steps: int | None,
     images: Path | None,
     quality: float,
     seed: int,
@@ -109,18 +125,28 @@ def layers(
     The first level is trained on the smallest pictures; each further one adds splats, which are
     trained on larger pictures while those of lower levels keep all but their opacities. A reader
     fetches what one level draws and nothing else.
+
+    SCENE is a trained scene, or a COLMAP folder with points, from which and from --images splats
+    are trained from the beginning.
     """
     from cogsplat.codec.fit.level_encoding import LevelEncoding, encode_levels
-    from cogsplat.codec.fit.levels import LevelsConfig, averaged, scaled_camera, train_levels
+    from cogsplat.codec.fit.levels import LevelsConfig, grow_levels, train_levels
+    from cogsplat.codec.fit.points_start import splats_from_points
+    from cogsplat.codec.fit.smaller_pictures import averaged, scaled_camera
     from cogsplat.tools.evaluation.level_figures import compared, level_sizes
 
-    if images is not None and cameras is None:
+    points = find_points(scene)
+    if points is not None and images is None:
+        raise click.UsageError(f"{scene}: points without --images, expected the photos of them")
+    if points is None and images is not None and cameras is None:
         raise click.UsageError("--images without --cameras, expected where they were taken from")
+    if points is None and most is not None:
+        raise click.UsageError("--splats with a trained scene, expected a COLMAP folder of points")
     try:
         config = LevelsConfig(
             tuple(int(scale) for scale in scales.split(",")),
             tuple(float(share.strip().removesuffix("%")) / 100 for share in shares.split(",")),
-            steps=steps,
+            steps=steps if steps is not None else _STEPS if points is None else _GROWING_STEPS,
             seed=seed,
             threads=threads,
         )
@@ -130,7 +156,13 @@ def layers(
     check_output(out, force=force, inputs=list(given_files(scene, cameras, images)))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
-            splats = usable_rows(read_any(scene, threads=threads).splats, scene).without_extras()
+            if points is not None:
+                found_points = read_points(points, limits=current_limits())
+                read = splats_from_points(found_points.positions, found_points.colours)
+                cameras = cameras or points.parent
+            else:
+                read = read_any(scene, threads=threads).splats
+            splats = usable_rows(read, scene).without_extras()
             if not len(splats):
                 raise DataError("empty-scene", f"{scene}: 0 splats, expected some to train")
         if cameras is not None:
@@ -140,11 +172,20 @@ def layers(
         else:
             views, tests = virtual_views(splats, threads=threads, progress=stages), []
         _require_pixels(views, max(config.scales))
+        judged = tests or views
         photos = None
         if images is not None:
-            taken = read_photos(images, splats, views, background, threads=threads)
-            photos = [pixels.astype(np.float32) / np.float32(255) for pixels in taken.pictures]
-        trained = train_levels(splats, views, config, pictures=photos, progress=stages)
+            photos = _photos(images, splats, views, background, threads)
+        if points is None:
+            trained = train_levels(splats, views, config, pictures=photos, progress=stages)
+            full = _full(splats, judged, threads)
+        else:
+            assert photos is not None
+            trained = grow_levels(
+                splats, views, photos, most or _MOST_SPLATS, config, progress=stages
+            )
+            assert images is not None
+            full = _photos(images, splats, tests, background, threads) if tests else photos
         encoding = LevelEncoding(quality_db=quality, threads=threads)
         encoded = encode_levels(trained, views, encoding, progress=stages)
         with stages.stage("write"):
@@ -155,9 +196,7 @@ def layers(
                 first_view=views[0] if cameras is not None else None,
                 force=force,
             )
-        judged = tests or views
         found: list[tuple[LevelSizes, PictureFigures]] = []
-        full = _full(splats, judged, threads)
         with cogsplat.open(out) as file:
             for sizes in level_sizes(file):
                 scale = int(sizes.scale)
@@ -192,9 +231,15 @@ def _require_pixels(cameras: list[Camera], scale: int) -> None:
             )
 
 
-def _full(
-    splats: cogsplat.Splats, cameras: list[Camera], threads: int
-) -> list[np.ndarray[tuple[int, ...], np.dtype[np.float32]]]:
+def _photos(
+    folder: Path, splats: cogsplat.Splats, cameras: list[Camera], background: Colour, threads: int
+) -> list[F32]:
+    """Return the photos of some views, 0 to 1."""
+    taken = read_photos(folder, splats, cameras, background, threads=threads)
+    return [pixels.astype(np.float32) / np.float32(255) for pixels in taken.pictures]
+
+
+def _full(splats: cogsplat.Splats, cameras: list[Camera], threads: int) -> list[F32]:
     """Return the full pictures of the source."""
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 

@@ -6,11 +6,12 @@ import pytest
 from cogsplat.codec.fit.levels import (
     LEAST_OPACITY,
     LevelsConfig,
-    averaged,
-    scaled_camera,
+    grow_levels,
     train_for_all_scales,
     train_levels,
 )
+from cogsplat.codec.fit.points_start import splats_from_points
+from cogsplat.codec.fit.smaller_pictures import averaged, scaled_camera
 from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.synthetic.scene import synth, synth_cameras
@@ -118,18 +119,6 @@ def test_the_result_does_not_depend_on_threads(scene, levels):
     np.testing.assert_array_equal(other.splats.means, levels.splats.means)
 
 
-def test_averaged_pictures_are_what_scaled_cameras_see():
-    picture = np.arange(7 * 9 * 3, dtype=np.float32).reshape(7, 9, 3)
-    small = averaged(picture, 2)
-    assert small.shape == (3, 4, 3)
-    np.testing.assert_allclose(small[1, 2], picture[2:4, 4:6].mean(axis=(0, 1)))
-    camera = synth_cameras(1, 9, 7)[0]
-    found = scaled_camera(camera, 2)
-    assert (found.width, found.height) == (4, 3)
-    assert found.fx == camera.fx / 2
-    assert found.cy == camera.cy / 2
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -155,3 +144,37 @@ def test_cameras_and_pictures_must_fit(scene):
         train_levels(splats, [], CONFIG)
     with pytest.raises(ValueError, match="pictures"):
         train_levels(splats, cameras, CONFIG, pictures=[np.zeros((4, 4, 3), np.float32)])
+
+
+def test_levels_grow_out_of_points(scene):
+    """From points on, every level comes nearer to its photos, and keeps what lower levels have."""
+    splats, cameras = scene
+    photos = [np.clip(render(splats, camera), 0, 1) for camera in cameras]
+    rows = np.random.default_rng(5).permutation(600)[:80]
+    colours = np.clip(255 * (0.5 + 0.282 * splats.sh0[rows]), 0, 255).astype(np.uint8)
+    points = splats_from_points(splats.means[rows].astype(np.float64), colours)
+    config = LevelsConfig(scales=(4, 2), shares=(0.3, 1.0), steps=120, threads=1)
+    grown = grow_levels(points, cameras, photos, 300, config)
+    counts = np.bincount(grown.first, minlength=2)
+    assert 80 < counts[0] <= 90
+    assert 80 < counts[1] <= 210
+    for level, scale in enumerate(config.scales):
+        views = [scaled_camera(camera, scale) for camera in cameras]
+        targets = [averaged(photo, scale) for photo in photos]
+        found, begun = (
+            np.mean([ssim(render(one, v), t) for v, t in zip(views, targets, strict=True)])
+            for one in (grown.at(level), points)
+        )
+        assert found > begun + 0.1
+    alone = grow_levels(points, cameras, photos, 90, LevelsConfig((4,), (1.0,), 120, threads=2))
+    kept = len(alone.splats)
+    np.testing.assert_array_equal(grown.splats.means[:kept], alone.splats.means)
+    np.testing.assert_array_equal(grown.opacities[:1, :kept], alone.opacities)
+
+
+def test_growth_needs_points(scene):
+    splats, cameras = scene
+    with pytest.raises(ValueError, match="expected at least 1"):
+        grow_levels(splats.take(np.zeros(0, np.int64)), cameras, [], 10)
+    with pytest.raises(ValueError, match="expected at least 1"):
+        grow_levels(splats, cameras, [], 0)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tracing import start_tracing
 
 from cogsplat.codec.errors import CogsplatError, LimitError, StorageError, TruncatedError
-from cogsplat.formats.cameras import colmap
+from cogsplat.formats.cameras import colmap, colmap_records
 from cogsplat.formats.cameras.files import read_cameras
 from cogsplat.formats.storage.limits import Limits
 
@@ -259,7 +259,8 @@ def test_damaged_text_is_named_by_line(tmp_path: Path, cameras: bytes, images: b
 def test_long_lines_of_points_are_passed_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(colmap, "_MAX_LINE_BYTES", 128)
+    monkeypatch.setattr(colmap, "MAX_LINE_BYTES", 128)
+    monkeypatch.setattr(colmap_records, "MAX_LINE_BYTES", 128)
     images = [(k, *IMAGES[0][1:5], 50 * k) for k in range(5)]
     folder = model(tmp_path, cameras_txt(), images_txt(images).rstrip(), ".txt")
     assert len(read_cameras(folder)) == 5

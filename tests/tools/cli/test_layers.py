@@ -4,9 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from running import Run, SmallScene
 
 import cogsplat
+from cogsplat.codec.geometry import rotations
+from cogsplat.codec.render.rasteriser import render
 
 SHORT = ["--scales", "2,1", "--shares", "40%,100%", "--steps", 3]
 
@@ -70,3 +73,63 @@ def test_what_means_nothing_is_misuse(
     told = run("layers", small.ply, tmp_path / "a.cogs", *cameras, *words)
     assert told.code == 2
     assert not (tmp_path / "a.cogs").exists()
+
+
+def write_model(folder: Path, small: SmallScene, points: int) -> Path:
+    """Write photos of a scene, its cameras and some of its means as COLMAP does."""
+    splats, cameras = cogsplat.read(small.ply), cogsplat.read_cameras(small.cameras)
+    (folder / "images").mkdir(parents=True)
+    lenses, images = ["1 PINHOLE {0.width} {0.height} {0.fx} {0.fy} {0.cx} {0.cy}"], []
+    for number, camera in enumerate(cameras):
+        name = f"{number:03d}.png"
+        picture = np.clip(render(splats, camera), 0, 1)
+        Image.fromarray(np.round(255 * picture).astype(np.uint8)).save(folder / "images" / name)
+        quat = rotations.from_matrices(camera.rotation[None])[0]
+        pose = " ".join(map(repr, [*quat.tolist(), *camera.translation.tolist()]))
+        images += [f"{number} {pose} 1 {name}", ""]
+    rows = np.random.default_rng(1).permutation(len(splats))[:points].tolist()
+    lines = [f"{row} {' '.join(map(str, splats.means[row].tolist()))} 99 90 80 0" for row in rows]
+    (folder / "cameras.txt").write_text(lenses[0].format(cameras[0]) + "\n")
+    (folder / "images.txt").write_text("\n".join(images) + "\n")
+    (folder / "points3D.txt").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+@pytest.mark.slow
+def test_levels_are_made_of_photos_and_points(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    model = write_model(tmp_path / "capture", small, 150)
+    out = tmp_path / "a.cogs"
+    words = ["--images", model / "images", "--scales", "4,2", "--shares", "40%,100%"]
+    words += ["--splats", 400, "--steps", 60, "--eval-every", 4, "--json"]
+    told = run("layers", model, out, *words).json
+    assert (told["source_splats"], told["test_views"]) == (150, {"from": "given", "count": 3})
+    levels = told["levels"]
+    assert isinstance(levels, list)
+    assert [level["scale"] for level in levels] == [4.0, 2.0]
+    assert 80 < levels[0]["splats"] <= 160
+    assert levels[0]["splats"] < levels[1]["splats"] <= 400
+    # Judged against the photos: what only starts at the points shows next to nothing.
+    untrained = run("layers", model, tmp_path / "b.cogs", *words, "--steps", 0)
+    for found, begun in zip(levels, untrained.json["levels"], strict=True):
+        assert found["psnr_db"] > begun["psnr_db"] + 1.0
+        assert found["ssim"] > begun["ssim"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--splats", "400"], "points without --images"),
+        (["--images", "images", "--scales", "64,1", "--shares", "8%,100%"], "pixels"),
+    ],
+)
+def test_points_need_photos_of_some_size(
+    run: Run, small: SmallScene, tmp_path: Path, words: list[str], said: str
+) -> None:
+    model = write_model(tmp_path / "capture", small, 9)
+    words = [str(model / word) if word == "images" else word for word in words]
+    told = run("layers", model, tmp_path / "a.cogs", *words)
+    assert told.code == 2
+    assert said in told.err
+    told = run("layers", small.ply, tmp_path / "a.cogs", "--splats", 9)
+    assert told.code == 2
+    assert "trained scene" in told.err

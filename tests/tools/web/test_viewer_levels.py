@@ -14,7 +14,8 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.fit.level_encoding import LevelEncoding, encode_levels
-from cogsplat.codec.fit.levels import LevelledSplats, scaled_camera
+from cogsplat.codec.fit.levels import LevelledSplats
+from cogsplat.codec.fit.smaller_pictures import scaled_camera
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.formats.cogs import scene as cogs

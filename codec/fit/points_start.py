@@ -1,0 +1,82 @@
+"""Splats to begin with: one for each point of a structure-from-motion model."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.geometry.sh import C0, COLOUR_OFFSET
+from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
+
+# Kerbl et al. 2023, section 5.1: how large splats are at first. Their code makes all of them this
+# opaque, and no splat smaller than this.
+_NEIGHBOURS: Final = 3
+_OPACITY: Final = 0.1
+_LEAST_DISTANCE: Final = math.sqrt(1e-7)
+
+
+def splats_from_points(
+    positions: NDArray[np.float64],
+    colours: NDArray[np.uint8],
+    *,
+    sh_degree: int = MAX_SH_DEGREE,
+) -> Splats:
+    """Make splats of points, as 3DGS begins (Kerbl et al. 2023, section 5.1).
+
+    Parameters
+    ----------
+    positions : (P, 3) float64
+        Finite, scene units.
+    colours : (P, 3) uint8
+        RGB, display-referred.
+    sh_degree : int
+        Of the splats, whose higher coefficients are 0.
+
+    Returns
+    -------
+    Splats
+        P round ones, as large as the mean distance to the 3 nearest other points, and of opacity
+        0.1. Rows of positions that float32 cannot hold are invalid (`Splats.invalid_rows`).
+
+    Raises
+    ------
+    ValueError
+        No points.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.fit.points_start import splats_from_points
+    >>> corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float64)
+    >>> splats = splats_from_points(corners, np.full((4, 3), 255, np.uint8))
+    >>> float(np.exp(splats.scales[0, 0]).round(3)), splats.sh_degree
+    (1.0, 3)
+    """
+    from scipy.spatial import KDTree
+
+    count = len(positions)
+    if not count:
+        raise ValueError("no points, expected at least one")
+    nearest = min(_NEIGHBOURS, count - 1)
+    distances = np.ones((count, 1))
+    if nearest:
+        # The nearest of all is the point itself.
+        with np.errstate(over="ignore"):
+            distances, _ = KDTree(positions).query(positions, k=np.arange(2, nearest + 2))
+    sizes = np.maximum(distances.mean(axis=1), _LEAST_DISTANCE)
+    quats = np.zeros((count, 4), np.float32)
+    quats[:, 0] = 1.0
+    with np.errstate(over="ignore"):
+        means = positions.astype(np.float32)
+    shown = (colours.astype(np.float64) / 255 - COLOUR_OFFSET) / C0
+    return Splats(
+        means=means,
+        scales=np.repeat(np.log(sizes)[:, None], 3, axis=1).astype(np.float32),
+        quats=quats,
+        opacities=np.full(count, math.log(_OPACITY / (1 - _OPACITY)), np.float32),
+        sh0=shown.astype(np.float32),
+        shN=np.zeros((count, sh_coefficients(sh_degree) - 1, 3), np.float32),
+    )

@@ -1,0 +1,88 @@
+"""Growth: halves look like what was cut, and the splats that pictures ask for are cut."""
+
+import numpy as np
+import pytest
+
+from cogsplat.codec.fit.adam import Adam
+from cogsplat.codec.fit.growth import Growth, halves
+from cogsplat.codec.geometry import rotations
+from cogsplat.codec.metrics import psnr
+from cogsplat.codec.render.rasteriser import render
+from cogsplat.tools.synthetic.scene import synth, synth_cameras
+
+LEAST = 0.005
+
+
+def covariances(splats):
+    axes = rotations.matrices(rotations.unit(splats.quats))
+    squares = np.exp(2 * splats.scales.astype(np.float64))
+    return np.einsum("nij,nj,nkj->nik", axes, squares, axes)
+
+
+def test_halves_have_the_mean_and_the_covariance_together():
+    splats = synth(50)
+    two = halves(splats)
+    first, second = two.take(np.arange(50)), two.take(np.arange(50, 100))
+    np.testing.assert_allclose((first.means + second.means) / 2, splats.means, atol=1e-5)
+    off = (first.means - second.means).astype(np.float64) / 2
+    together = (covariances(first) + covariances(second)) / 2
+    together += np.einsum("ni,nj->nij", off, off)
+    np.testing.assert_allclose(together, covariances(splats), rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("opacity", "least_db"), [(0.1, 60.0), (0.5, 45.0), (0.95, 35.0), (0.999, 30.0)]
+)
+def test_halves_look_like_the_splat(opacity, least_db):
+    one = synth(40).take(np.array([7]))
+    one.means[:] = 0.0
+    one.scales[:] = np.log([0.5, 0.2, 0.1])
+    one.opacities[:] = np.log(opacity / (1 - opacity))
+    camera = synth_cameras(1, 96, 72)[0]
+    whole, cut = render(one, camera), render(halves(one), camera)
+    assert psnr(whole, cut) > least_db
+    # What is opaque becomes wider at its flanks, and hides as much in its middle.
+    y, x = np.unravel_index(whole.sum(axis=2).argmax(), whole.shape[:2])
+    np.testing.assert_allclose(cut[y, x], whole[y, x], rtol=0.04)
+
+
+def test_infinite_opacities_have_halves():
+    one = synth(3)
+    one.opacities[:] = [np.inf, 400.0, -20.0]
+    assert np.isfinite(halves(one).opacities).all()
+
+
+def test_those_with_the_largest_mean_gradients_are_cut_and_frozen_ones_are_not():
+    scene = synth(20)
+    scene.opacities[:] = 2.0
+    scene.opacities[[2, 11]] = -9.0
+    growth = Growth(frozen=5, target=18, steps=100, least_opacity=LEAST)
+    pulls = np.linspace(1.0, 20.0, 20)
+    for seen in (np.arange(20), np.arange(10)):
+        # What twice as many pictures show does not ask for more.
+        growth.note(seen, np.stack([pulls[seen], np.zeros(len(seen))], axis=1), 20)
+    grown, adam = growth.grown(scene, Adam(scene), 56)
+    # 14 of 15 are seen well enough, and the last time brings all that are aimed at.
+    assert len(grown) == 5 + 18
+    for name in ("means", "scales", "opacities"):
+        np.testing.assert_array_equal(getattr(grown, name)[:5], getattr(scene, name)[:5])
+    whole = {tuple(row) for row in grown.means.tolist()}
+    cut = [row for row in range(20) if tuple(scene.means[row].tolist()) not in whole]
+    assert cut == [11, 16, 17, 18, 19]
+    assert adam.state()["adam_means.means"].shape == (23, 3)
+
+
+def test_it_happens_in_the_first_part_of_training_alone():
+    growth = Growth(frozen=0, target=100, steps=200, least_opacity=LEAST)
+    due = [step for step in range(1, 201) if growth.is_due(step)]
+    assert len(due) == 8
+    assert due[-1] <= 120
+    assert not any(Growth(0, 100, 1, LEAST).is_due(step) for step in range(3))
+
+
+def test_what_no_picture_shows_is_not_cut():
+    scene = synth(10)
+    scene.opacities[:] = 2.0
+    growth = Growth(frozen=0, target=100, steps=100, least_opacity=LEAST)
+    growth.note(np.arange(4), np.ones((4, 2)), 10)
+    assert len(growth.grown(scene, Adam(scene), 56)[0]) == 14
