@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -14,6 +14,12 @@ Result = TypeVar("Result")
 
 # Results that wait for an earlier, slower one: enough to keep every thread busy, little memory.
 _AHEAD = 2
+
+# By the number of their threads. Taking and returning one is a single operation of a list.
+_idle: dict[int, list[ThreadPoolExecutor]] = {}
+if hasattr(os, "register_at_fork"):
+    # A child process has no threads but the one that called fork.
+    os.register_at_fork(after_in_child=_idle.clear)
 
 
 def thread_count(threads: int) -> int:
@@ -44,7 +50,7 @@ def ordered_map(
     if threads <= 1:
         yield from map(function, items)
         return
-    with ThreadPoolExecutor(threads) as pool:
+    with _pool(threads) as pool:
         waiting: deque[Future[Result]] = deque()
         try:
             for item in items:
@@ -54,8 +60,29 @@ def ordered_map(
             while waiting:
                 yield waiting.popleft().result()
         finally:
-            for future in waiting:
-                future.cancel()
+            wait([future for future in waiting if not future.cancel()])
+
+
+@contextmanager
+def _pool(threads: int) -> Iterator[ThreadPoolExecutor]:
+    """Yield a pool that nobody else uses and that has no work left at the end of the block.
+
+    Pools are kept: to encode a small scene takes hundreds, and starting a thread takes milliseconds
+    where others hold the interpreter.
+    """
+    idle = _idle.setdefault(threads, [])
+    try:
+        pool = idle.pop()
+    except IndexError:
+        pool = ThreadPoolExecutor(threads)
+    try:
+        yield pool
+    except BaseException:
+        # An interrupt may have come while a thread started: only a pool that is shut down tells
+        # such a one to end, without which the process would not.
+        pool.shutdown()
+        raise
+    idle.append(pool)
 
 
 @contextmanager

@@ -1,3 +1,6 @@
+import os
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -61,6 +64,85 @@ def test_an_error_reaches_the_caller_and_ends_the_work(threads):
     with pytest.raises(RuntimeError, match="three"):
         list(ordered_map(work, range(1000), threads))
     assert len(started) < 20
+
+
+def test_threads_are_used_again():
+    for _ in range(2):
+        list(ordered_map(lambda k: k, range(10), 3))
+    before = threading.active_count()
+    for _ in range(20):
+        list(ordered_map(lambda k: k, range(10), 3))
+    assert threading.active_count() == before
+
+
+def test_work_inside_of_work_has_threads_of_its_own():
+    gate = threading.Barrier(2, timeout=10)
+
+    def inner(item):
+        gate.wait()
+        return item
+
+    def outer(item):
+        return sum(ordered_map(inner, range(2), 2)) + item
+
+    # One after the other meets at the gate: each pair of inner items needs two threads at once.
+    assert list(ordered_map(outer, range(1), 2)) == [1]
+    assert list(ordered_map(outer, range(3), 1)) == [1, 2, 3]
+
+
+def test_threads_that_an_interrupt_left_half_started_end_with_the_work(monkeypatch):
+    """Python registers a thread that is to end with the process only after it has started."""
+    started = []
+    start = threading.Thread.start
+
+    def interrupted(thread):
+        start(thread)
+        started.append(thread)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(threading.Thread, "start", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        list(ordered_map(lambda k: k, range(10), 97))
+    (thread,) = started
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+def test_nothing_runs_on_once_the_caller_has_left():
+    running, gate = threading.Event(), threading.Event()
+    done = []
+
+    def work(item):
+        if item:
+            running.set()
+            gate.wait(10)
+            done.append(item)
+        return item
+
+    results = ordered_map(work, range(100), 2)
+    assert next(results) == 0
+    running.wait(10)
+    gate.set()
+    results.close()
+    finished = len(done)
+    assert list(ordered_map(lambda k: k, range(10), 2)) == list(range(10))
+    assert len(done) == finished < 10
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="fork is of POSIX")
+def test_a_forked_process_starts_threads_of_its_own():
+    code = (
+        "import os, sys, warnings\n"
+        "from cogsplat.codec.threads import ordered_map\n"
+        "work = lambda: list(ordered_map(abs, range(4), 2))\n"
+        "work()\n"
+        "warnings.simplefilter('ignore')\n"
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        "    os._exit(0 if work() == [0, 1, 2, 3] else 1)\n"
+        "sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
 
 
 def blas_threads():

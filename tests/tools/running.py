@@ -8,6 +8,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import click
+
+from cogsplat.tools.cli.main import cli
+
 ROOT = Path(__file__).resolve().parents[2]
 
 SPLATS = 2000
@@ -82,3 +86,10 @@ def broken_decoder(folder: Path, fault: str) -> str:
     script = folder / "decoder.py"
     script.write_text(_BROKEN.format(root=str(ROOT), fault=fault))
     return shlex.join([sys.executable, str(script)])
+
+
+def all_commands() -> dict[str, click.Command]:
+    """Return the commands by their names, in the order of their use."""
+    context = click.Context(cli)
+    found = {name: cli.get_command(context, name) for name in cli.list_commands(context)}
+    return {name: command for name, command in found.items() if command is not None}

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 import signal
 import sys
 import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import FrameType
+from types import FrameType, MappingProxyType
 from typing import Final
 
 import click
@@ -35,36 +36,12 @@ from cogsplat.tools.terminal.standard_streams import (
     with_streams_named,
 )
 
-from .batch import batch
-from .bench import bench
-from .compare import compare, render
-from .conformance import conformance
-from .convert import convert
-from .decimate import decimate
-from .decode import decode
-from .encode import encode
-from .evaluate import evaluate
-from .export_html import export_html
-from .filter import filter_scene
-from .folders import pack, unpack
-from .info import info
-from .layers import layers
-from .merge import merge
-from .order import order
-from .score import score
-from .serve import serve
-from .simulate import simulate
-from .stats import stats
-from .synth import demo, synth
-from .tune import tune
-from .upload import upload
-from .validate import validate
-from .verify import verify
-from .view import view
-from .views import views
-from .warm import warm
-
 _USAGE: Final = 2
+
+# How long a thread may hold the interpreter while another waits for it. Ours need it for moments,
+# between kernels that take 3 ms and run without it: with Python's own 5 ms, two threads took as
+# long as one to measure gains.
+_SWITCH_SECONDS: Final = 0.0003
 
 # The extra that the message of a `MissingExtraError` names.
 _EXTRA_NAME: Final = re.compile(r"cogsplat\[(\w+)\]")
@@ -88,6 +65,45 @@ _HINTS: Final = {
 }
 
 
+# The commands in the order of their use, and where they are. A module is imported when its command
+# is asked for: together they take longer to import than some commands to run.
+_COMMANDS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "encode": "encode.encode",
+        "batch": "batch.batch",
+        "tune": "tune.tune",
+        "layers": "layers.layers",
+        "decode": "decode.decode",
+        "convert": "convert.convert",
+        "merge": "merge.merge",
+        "filter": "filter.filter_scene",
+        "decimate": "decimate.decimate",
+        "view": "view.view",
+        "export-html": "export_html.export_html",
+        "serve": "serve.serve",
+        "unpack": "folders.unpack",
+        "pack": "folders.pack",
+        "upload": "upload.upload",
+        "info": "info.info",
+        "validate": "validate.validate",
+        "verify": "verify.verify",
+        "stats": "stats.stats",
+        "score": "score.score",
+        "order": "order.order",
+        "views": "views.views",
+        "render": "compare.render",
+        "compare": "compare.compare",
+        "eval": "evaluate.evaluate",
+        "simulate": "simulate.simulate",
+        "bench": "bench.bench",
+        "synth": "synth.synth",
+        "demo": "synth.demo",
+        "conformance": "conformance.conformance",
+        "warm": "warm.warm",
+    }
+)
+
+
 class _OutputError(StorageError):
     """Standard output could not be written."""
 
@@ -107,7 +123,17 @@ class CommandLine(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the commands in the order of their use."""
-        return list(self.commands)
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a command, None where there is none of this name."""
+        # A message on a name that is none suggests others of those that were added.
+        for name in [cmd_name] if cmd_name in _COMMANDS else _COMMANDS:
+            if name not in self.commands:
+                module, attribute = _COMMANDS[name].split(".")
+                found = getattr(importlib.import_module(f"{__package__}.{module}"), attribute)
+                self.add_command(found, name)
+        return super().get_command(ctx, cmd_name)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the group's own options; without any argument, show the help."""
@@ -325,45 +351,9 @@ def cli() -> None:
     """Turn 3D Gaussian splatting scenes into progressive COGS files and back."""
 
 
-_COMMANDS: Final[Sequence[click.Command]] = (
-    encode,
-    batch,
-    tune,
-    layers,
-    decode,
-    convert,
-    merge,
-    filter_scene,
-    decimate,
-    view,
-    export_html,
-    serve,
-    unpack,
-    pack,
-    upload,
-    info,
-    validate,
-    verify,
-    stats,
-    score,
-    order,
-    views,
-    render,
-    compare,
-    evaluate,
-    simulate,
-    bench,
-    synth,
-    demo,
-    conformance,
-    warm,
-)
-for _command in _COMMANDS:
-    cli.add_command(_command)
-
-
 def main() -> None:
     """Run the command line."""
+    sys.setswitchinterval(_SWITCH_SECONDS)
     cli(prog_name="cogsplat")
 
 

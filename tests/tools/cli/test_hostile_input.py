@@ -7,10 +7,9 @@ from pathlib import Path
 import click
 import hostile_files as hostile
 import pytest
-from running import Run, SmallScene
+from running import Run, SmallScene, all_commands
 
 from cogsplat.codec.errors import CogsplatWarning, FormatError, printable
-from cogsplat.tools.cli.main import cli
 
 ESCAPES = "red\x1b[31m \x9b2J \x07 \u202eback\x1b]0;title\x07"
 
@@ -53,7 +52,7 @@ def test_limits_are_exit_status_5(
 def test_every_command_that_reads_takes_limits() -> None:
     without = [
         name
-        for name, command in cli.commands.items()
+        for name, command in all_commands().items()
         if not isinstance(command, click.Group)
         and all("--limits" not in option.opts for option in command.params)
     ]

@@ -11,13 +11,12 @@ from pathlib import Path
 import click
 import pytest
 from fault_server import FaultServer, serving
-from running import ROOT, Run, SmallScene, broken_decoder, program
+from running import ROOT, Run, SmallScene, all_commands, broken_decoder, program
 
 import cogsplat
 from cogsplat.codec.order.objects import with_labels
 from cogsplat.formats.cogs.folder_writer import unpack_cogs
 from cogsplat.tools.cli import demonstration
-from cogsplat.tools.cli.main import cli
 from cogsplat.tools.synthetic import scene as synthetic
 
 PAGE = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
@@ -53,7 +52,7 @@ def paths(value: object, at: str = "") -> Iterator[str]:
 def commands() -> set[str]:
     """Return every command by its words, those inside groups as ``group command``."""
     found = set()
-    for name, command in cli.commands.items():
+    for name, command in all_commands().items():
         inner = command.commands if isinstance(command, click.Group) else {}
         found |= {f"{name} {sub}" for sub in inner} or {name}
     return found

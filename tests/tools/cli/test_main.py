@@ -12,12 +12,12 @@ from pathlib import Path
 import click
 import pytest
 from click.testing import CliRunner
-from running import ROOT, Run, SmallScene, program
+from running import ROOT, Run, SmallScene, all_commands, program
 
 import cogsplat
 from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.formats.cameras.inria import write_cameras_json
-from cogsplat.tools.cli.main import CommandLine, cli
+from cogsplat.tools.cli.main import CommandLine
 from cogsplat.tools.synthetic.scene import synth_cameras
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and descriptors of POSIX")
@@ -26,7 +26,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="signals and descriptors o
 def commands() -> list[str]:
     """Every command by its words, those inside groups included."""
     found = []
-    for name, command in cli.commands.items():
+    for name, command in all_commands().items():
         inner = command.commands if isinstance(command, click.Group) else {}
         found += [f"{name} {sub}" for sub in inner] or [name]
     return found
@@ -39,6 +39,23 @@ def test_every_command_has_help_with_an_example_and_json(run: Run, name: str) ->
     assert f"\n    cogsplat {name}" in shown.out
     assert "--json" in shown.out
     assert all(len(line) <= 80 for line in shown.out.splitlines())
+
+
+def test_a_command_that_is_not_there_is_refused_with_one_that_is() -> None:
+    """In a process of its own, where no other command has been asked for before."""
+    told = subprocess.run(program(["encoed"]), capture_output=True, text=True, check=False)
+    assert told.returncode == 2
+    assert "encode" in told.stderr
+
+
+def test_a_command_imports_no_other() -> None:
+    after = "import atexit; atexit.register(lambda: print(*sys.modules))"
+    told = subprocess.run(
+        program(["info", "--help"], after), capture_output=True, text=True, check=True
+    )
+    loaded = set(told.stdout.split())
+    assert "cogsplat.tools.cli.info" in loaded
+    assert not {"cogsplat.tools.cli.encode", "cogsplat.tools.cli.simulate"} & loaded
 
 
 def test_commands_are_listed_in_the_order_of_their_use(run: Run) -> None:

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import click
 import pytest
-from running import Run, SmallScene
+from running import Run, SmallScene, all_commands
 
 import cogsplat
-from cogsplat.tools.cli.main import cli
 
 # Commands that read a COGS file; those that read several scenes take it for all of them.
 READING = [
@@ -39,12 +38,12 @@ def cut(small: SmallScene, tmp_path: Path) -> Path:
 def test_every_command_that_reads_has_the_option() -> None:
     having = [
         name
-        for name, command in cli.commands.items()
+        for name, command in all_commands().items()
         if any("--partial" in option.opts for option in command.params)
     ]
     limited = [
         name
-        for name, command in cli.commands.items()
+        for name, command in all_commands().items()
         if isinstance(command, click.Command)
         and any("--limits" in option.opts for option in command.params)
     ]
