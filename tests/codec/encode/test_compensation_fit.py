@@ -76,7 +76,7 @@ def test_a_blank_takes_the_same_room(scene):
         for name in ("scales", "opacities", "strengths", "book", "codes"):
             assert getattr(a, name).shape == getattr(b, name).shape
             assert getattr(a, name).dtype == getattr(b, name).dtype
-    assert not empty.shifts(2).any()
+    assert not empty.shifts_of(np.arange(2), np.full(2, 2)).any()
 
 
 def test_codes_name_rows_of_the_book(scene):
