@@ -13,6 +13,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.compensation_fit import blank, compensated
 from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedCodebook, EncodedScene
+from cogsplat.codec.encode.opening import Opening
 from cogsplat.codec.encode.pipeline import SizeOf
 from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, predicted
 from cogsplat.codec.encode.prepared import prepare
@@ -80,6 +81,7 @@ class Storing:
         To measure in; some of `cameras` where there are none.
     size_of : callable
         Bytes of the whole file that an encoded scene makes.
+    opening : Opening or None
     threads : int
     progress : Progress
     """
@@ -95,6 +97,7 @@ class Storing:
         rate_weight: float,
         test_views: Sequence[Camera],
         size_of: SizeOf,
+        opening: Opening | None,
         threads: int,
         progress: Progress,
     ) -> None:
@@ -102,6 +105,7 @@ class Storing:
         self._target = target
         self._rate_weight = rate_weight
         self._size_of = size_of
+        self._opening = opening
         self._preset = PRESETS[preset]
         self._progress = progress
         self._fit = self._preset.fit_config(threads)
@@ -260,11 +264,16 @@ class Storing:
         return best
 
     def finished(self, encoded: EncodedScene) -> EncodedScene:
-        """Return the scene with compensation and predicted quality."""
+        """Return the scene with its opening, compensation and predicted quality."""
+        contribution = self._prepared.scores.contribution
+        if self._opening is not None:
+            encoded = self._opening.added(
+                encoded, self._references, effective_splats(contribution), progress=self._progress
+            )
         encoded = compensated(
             encoded,
             self._references,
-            self._prepared.scores.contribution,
+            contribution,
             self._fit,
             progress=self._progress,
         )
@@ -296,6 +305,8 @@ class Storing:
 
     def _bytes(self, encoded: EncodedScene) -> int:
         """Return the bytes of the file that the finished scene will make."""
+        if self._opening is not None:
+            encoded = self._opening.foreseen(encoded)
         counts = [chunk.splats for chunk in encoded.chunks]
         carriers = effective_splats(self._prepared.scores.contribution)
         encoded = replace(encoded, compensation=blank(counts, carriers, self._fit))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.encoded import EncodedScene
+from cogsplat.codec.encode.opening import Opening
 from cogsplat.codec.encode.pipeline import SizeOf
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.rate_control import Target
@@ -170,6 +171,7 @@ def tune(
     *,
     test_views: Sequence[Camera] = (),
     size_of: SizeOf,
+    opening: Opening | None = None,
     resume: State | None = None,
     checkpoint: Callable[[State], None] | None = None,
     notify: Callable[[Milestone], None] | None = None,
@@ -196,6 +198,8 @@ def tune(
         Where quality is measured; some of `cameras` where none are given.
     size_of : callable
         Bytes of the whole file that an encoded scene makes.
+    opening : Opening, optional
+        Makes first chunks that stand for the source until more of the tuned scene has come.
     resume : mapping of str to array, optional
         What `checkpoint` was given last in a run with the same arguments. With
         `TuneConfig.seconds`, as many steps follow as that run had planned when it was given this,
@@ -205,8 +209,8 @@ def tune(
     notify : callable, optional
         Called with what was reached, at the same times.
     progress : Progress
-        Called with ``deletions``, ``train``, ``score``, ``train stored`` and the stages of the
-        encoder.
+        Called with ``deletions``, ``train``, ``score``, ``train stored``, ``opening`` and the
+        stages of the encoder.
 
     Returns
     -------
@@ -239,7 +243,7 @@ def tune(
     begin = run.pace.now()
     storing = Storing(
         source, run.base, cameras, target, config.preset, config.profile, config.rate_weight,
-        test_views, size_of, config.train.threads, progress,
+        test_views, size_of, opening, config.train.threads, progress,
     )  # fmt: skip
     if resume is not None:
         storing.restore(resume)

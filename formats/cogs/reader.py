@@ -232,7 +232,7 @@ class CogsFile(StoredFile):
     def _prefixes_of(self, wanted: Sequence[int]) -> NDArray[np.int64]:
         """Return the prefix that each of some chunks is compensated as (SPEC 8.5)."""
         count = wanted[-1] + 1 if wanted else 0
-        if list(wanted) == drawn_chunks(self.chunks, count):
+        if list(wanted) in (list(range(count)), drawn_chunks(self.chunks, count)):
             return np.full(len(wanted), count, np.int64)
         above = parents(self.chunks.cell)
         ascend = all(one < other for one, other in pairwise(wanted))

@@ -30,6 +30,7 @@ from cogsplat.tools.terminal.options import (
     force_option,
     jitter_option,
     json_option,
+    opening_option,
     quality_option,
     quiet_option,
     scheduler_option,
@@ -191,13 +192,7 @@ _GROUPS: Final = {
     is_flag=True,
     help="Store no prefix compensation; order for prefixes that are drawn without it.",
 )
-@click.option(
-    "--opening",
-    type=click.FloatRange(0, 0.5, min_open=True),
-    metavar="SHARE",
-    help="Spend so much more, 0.02 of the file, on splats that are trained to stand for the whole "
-    "scene until more of it has come. The first bytes show far more.",
-)
+@opening_option
 @click.option(
     "--prune",
     type=click.FloatRange(0, 1, max_open=True),

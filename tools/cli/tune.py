@@ -25,6 +25,7 @@ from cogsplat.tools.terminal.options import (
     eval_every_option,
     force_option,
     json_option,
+    opening_option,
     quiet_option,
     target_psnr_option,
     taught_by_option,
@@ -58,7 +59,7 @@ _DEFAULT_DB: Final = 40.0
 
 _GROUPS: Final = {
     "Most used": ("--cameras", "--target-psnr", "--target-size", "--minutes", "--images"),
-    "Training": ("--keep", "--profile", "--preset", "--seed", "--eval-every"),
+    "Training": ("--keep", "--profile", "--preset", "--opening", "--seed", "--eval-every"),
     "More files": ("--ply", "--checkpoint", "--resume"),
 }
 
@@ -111,6 +112,7 @@ _GROUPS: Final = {
     help="How the tuned scene is scored and ordered, as in encode; balanced and best show more of "
     "it in the first bytes.",
 )
+@opening_option
 @training_seed_option
 @eval_every_option(0, "Keep from training the")
 @click.option(
@@ -151,6 +153,7 @@ def tune(
     keep: float | None,
     profile: str,
     preset: str,
+    opening: float | None,
     seed: int,
     eval_every: int,
     ply: Path | None,
@@ -171,6 +174,7 @@ def tune(
     smaller the file becomes depends on the scene and on its cameras.
     """
     from cogsplat.codec.fit.lessons import lessons_of, views_apart
+    from cogsplat.codec.fit.opening import OpeningConfig, TrainedOpening
     from cogsplat.codec.fit.trainer import TrainConfig
     from cogsplat.codec.fit.tuning import TuneConfig
     from cogsplat.codec.fit.tuning import tune as tuned_scene
@@ -235,7 +239,10 @@ def tune(
         def size_of(encoded: EncodedScene) -> int:
             return cogs.size_bytes(encoded, writer=writer, first_view=first_view)
 
-        of = fingerprint(splats, f"{target} {config} {[view.name for view in views]}")
+        first = None
+        if opening is not None:
+            first = TrainedOpening(OpeningConfig(share=opening, seed=seed, threads=threads))
+        of = fingerprint(splats, f"{target} {config} {opening} {[view.name for view in views]}")
         if minutes is not None:
             # What was done until now is of these minutes as well.
             left = 60 * minutes - (time.monotonic() - begin)
@@ -256,6 +263,7 @@ def tune(
             config,
             test_views=tests,
             size_of=size_of,
+            opening=first,
             resume=state,
             checkpoint=None if checkpoint is None else keep_state,
             notify=_tell if shown else None,

@@ -176,6 +176,17 @@ def training_seed_option(command: Command) -> Command:
     )(command)
 
 
+def opening_option(command: Command) -> Command:
+    """Add ``--opening``."""
+    return click.option(
+        "--opening",
+        type=click.FloatRange(0, 0.5, min_open=True),
+        metavar="SHARE",
+        help="Spend so much more, 0.02 of the file, on splats that are trained to stand for the "
+        "whole scene until more of it has come. The first bytes show far more.",
+    )(command)
+
+
 def jitter_option(command: Command) -> Command:
     """Add ``--no-jitter``."""
     return click.option(

@@ -1,5 +1,6 @@
 """Beginnings of files that make up for what they lack, by the command line and in Python."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,10 @@ import pytest
 from running import Run, SmallScene
 
 import cogsplat
+from cogsplat.codec.encode import pipeline
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.formats.cogs import scene as cogs
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.storage.source import FileSource, PrefixSource
 
@@ -127,6 +132,28 @@ def test_an_opening_stands_in_the_first_chunks_alone(
     with cogsplat.open(plain) as file:
         whole = file.decode()
     np.testing.assert_array_equal(cogsplat.decode(opened).means, whole.means)
+
+
+def test_a_part_is_compensated_where_its_opening_has_ended(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    out, part = tmp_path / "ending.cogs", tmp_path / "part.ply"
+    encoded = pipeline.encode(
+        cogsplat.read(small.ply),
+        EncodeConfig(chunk_splats=400),
+        cameras=cogsplat.read_cameras(small.cameras),
+        preset=PRESETS["fast"],
+    )
+    first = replace(encoded.chunks[0], until=3)
+    cogs.save(replace(encoded, chunks=[first, *encoded.chunks[1:]]), out, writer="a test")
+    with cogsplat.open(out) as file:
+        assert file.num_chunks > 3
+        splats = int(file.chunks.splats[:3].sum())
+        expected = file.compensation().apply(file.decode([1, 2]), 3, [1, 2])
+        assert not np.array_equal(expected.scales, file.decode([1, 2]).scales)
+    told = run("decode", out, part, "--splats", splats, "--compensate", "-q")
+    assert told.code == 0, told.err
+    np.testing.assert_array_equal(cogsplat.read(part).scales, expected.scales)
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,33 @@ def test_a_scene_becomes_smaller_and_is_told(run: Run, small: SmallScene, tmp_pa
 
 
 @pytest.mark.slow
+def test_an_opening_stands_in_the_first_chunks_and_counts_in_the_size(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    out = tmp_path / "a.cogs"
+    words = ["tune", small.ply, out, "--cameras", small.cameras, *SHORT, "--keep", 0.9, "-q"]
+    told = run(*words, "--opening", 0.1)
+    assert told.code == 0, told.err
+    assert 0.9 * 20_000 < out.stat().st_size <= 20_000
+    with cogsplat.open(out) as file:
+        file.verify()
+        ending = file.chunks.until > 0
+        assert ending.tolist() == sorted(ending.tolist(), reverse=True)
+        assert ending.any()
+        first = file.decode(range(int(ending.sum())), compensate=True)
+    source = cogsplat.read(small.ply)
+    views = cogsplat.read_cameras(small.cameras)
+    seen = np.mean([psnr(render(source, view), render(first, view)) for view in views])
+    nothing = np.mean(
+        [
+            psnr(render(source, view), np.zeros((view.height, view.width, 3), np.float32))
+            for view in views
+        ]
+    )
+    assert seen > nothing + 5
+
+
+@pytest.mark.slow
 def test_without_cameras_quality_is_measured_where_nothing_is_trained(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
