@@ -67,11 +67,13 @@ class Workspace:
         """
         if self.views_at_once:
             return values[rows]
-        # Each row may bring 64 KiB of its file into memory, as Linux maps what lies around it.
+        # Each row may bring 64 KiB of its file into memory, as Linux maps what lies around it: in
+        # the order of the file, what it brings serves the next rows.
         out = np.empty((len(rows), *values.shape[1:]), values.dtype)
+        ascending = np.argsort(rows, kind="stable")
         for start in range(0, len(rows), _GATHERED):
-            stop = start + _GATHERED
-            out[start:stop] = values[rows[start:stop]]
+            places = ascending[start : start + _GATHERED]
+            out[places] = values[rows[places]]
             self.settle()
         return out
 

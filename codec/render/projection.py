@@ -65,6 +65,12 @@ class Footprints:
         rows[self.order] = self.index
         return rows
 
+    def places(self) -> NDArray[np.int32]:
+        """Return the footprint's number of each of the `ascending` rows: (M,)."""
+        places = np.empty_like(self.order)
+        places[self.order] = np.arange(len(self.order), dtype=np.int32)
+        return places
+
 
 @inner_kernel
 def slack(centre: float, extent: float) -> float:

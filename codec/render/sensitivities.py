@@ -278,13 +278,14 @@ def _quartic(moments: NDArray[np.float64], c: float, p: float, q: float, r: floa
 
 
 @called_with(
-    "int32[::1], float32[:, ::1], float64[:], float32[:, ::1], "
+    "int32[::1], int32[::1], float32[:, ::1], float64[:], float32[:, ::1], "
     "float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[::1], float64[:, ::1], "
     "float64[::1], float64[::1], int64, int64, boolean, float64[:, ::1]"
 )
 @kernel
 def _map(
     index: NDArray[np.int32],
+    places: NDArray[np.int32],
     ellipse: NDArray[np.float32],
     squares: NDArray[np.float64],
     colours: NDArray[np.float32],
@@ -302,7 +303,8 @@ def _map(
 ) -> None:
     """Turn the moments of footprints into sums of squared derivatives by stored values, in place.
 
-    Rows of `columns` hold the moments before and the sums after.
+    Rows of `columns` hold the moments before and the sums after. Footprints come in the order
+    `places`, so that the scene, which may be mapped, is read by ascending rows.
     """
     m = np.empty(MOMENTS, np.float64)
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
@@ -316,7 +318,7 @@ def _map(
     bare = np.empty((3, 2), np.float64)
     axes = np.empty((3, 2), np.float64)
     variances = np.empty(3, np.float64)
-    for row in range(len(index)):
+    for row in places:
         i = index[row]
         for k in range(MOMENTS):
             m[k] = columns[row, k]
@@ -440,6 +442,7 @@ def view_sensitivities(
     """
     _map(
         footprints.index,
+        footprints.places(),
         footprints.ellipse,
         squares,
         colours,

@@ -17,7 +17,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.blend_weights import PEAK, SQUARE, WEIGHT, add_weights
 from cogsplat.codec.render.cuda_device import require_device
 from cogsplat.codec.render.cuda_views import CudaScene
-from cogsplat.codec.render.projection import project
+from cogsplat.codec.render.projection import Footprints, project
 from cogsplat.codec.render.sensitivities import (
     COLUMNS,
     PAIRS_AT_ONCE,
@@ -220,15 +220,15 @@ class _ViewScores:
         Rows of the scene, ascending.
     sums : (M, 3) float64
         Of the weights, from `add_weights`.
-    columns_index : (M,) int32
-        Rows of the scene that `columns` are of.
+    places : (M,) int32
+        For each row of `index`, that of `columns`.
     columns : (M, 13) float64 or None
         For `Sensitivities`, where they are asked for.
     """
 
     index: NDArray[np.int32]
     sums: NDArray[np.float64]
-    columns_index: NDArray[np.int32]
+    places: NDArray[np.int32]
     columns: NDArray[np.float64] | None
 
 
@@ -238,12 +238,8 @@ def _score_view(
     *,
     config: ScoreConfig,
     threads: int,
-    frugal: bool,
 ) -> _ViewScores:
-    """Score a view of one camera, with sensitivities where its second value says so.
-
-    In less memory where `frugal`.
-    """
+    """Score a view of one camera, with sensitivities where its second value says so."""
     camera, sensitive = view
     footprints = project(
         splats,
@@ -261,19 +257,25 @@ def _score_view(
     if not sensitive:
         for lists in tile_lists(footprints, camera.width, camera.height):
             weigh(lists)
-        index = footprints.ascending()
-        return _ViewScores(index, ascending(footprints, sums), index, None)
+        return _view_scores(footprints, sums, None)
     colours = footprint_colours(splats, camera, footprints)
     moments = np.zeros((len(footprints), COLUMNS), np.float64)
     for lists in tile_lists(footprints, camera.width, camera.height, PAIRS_AT_ONCE):
         weigh(lists)
         add_moments(lists, footprints, colours, camera, threads, moments)
     columns = view_sensitivities(splats, camera, footprints, colours, moments, sums[:, SQUARE])
-    index, by_row = footprints.ascending(), ascending(footprints, sums)
-    if frugal:
-        # Nearest first they are added more slowly, and are not copied.
-        return _ViewScores(index, by_row, footprints.index, columns)
-    return _ViewScores(index, by_row, index, ascending(footprints, columns))
+    return _view_scores(footprints, sums, columns)
+
+
+def _view_scores(
+    footprints: Footprints,
+    sums: NDArray[np.float64],
+    columns: NDArray[np.float64] | None,
+) -> _ViewScores:
+    """Return what was summed of footprints by ascending rows; the columns, which are most, stay."""
+    return _ViewScores(
+        footprints.ascending(), ascending(footprints, sums), footprints.places(), columns
+    )
 
 
 def _score_on_device(
@@ -288,13 +290,13 @@ def _score_on_device(
         near_plane=config.near_plane,
     )
     footprints, sums = shown.footprints, shown.weights(config.top_k, config.least_weight)
-    index, columns = footprints.ascending(), None
+    columns = None
     if sensitive:
         moments = shown.moments()
         columns = view_sensitivities(
             splats, camera, footprints, shown.colours, moments, sums[:, SQUARE]
         )
-    return _ViewScores(index, ascending(footprints, sums), footprints.index, columns)
+    return _view_scores(footprints, sums, columns)
 
 
 def _sensitive(count: int, every: int) -> list[bool]:
@@ -406,9 +408,7 @@ def score(
         results = (_score_on_device(view, splats, scene, config) for view in work)
     else:
         results = executor.map(
-            partial(
-                _score_view, config=config, threads=1 if by_view else threads, frugal=not by_view
-            ),
+            partial(_score_view, config=config, threads=1 if by_view else threads),
             work,
             splats,
         )
@@ -423,7 +423,7 @@ def score(
             sums[:, SQUARE] *= COVERING_SHARE**2
         totals.add(result.index, sums, camera.position, num_pixels, view_share, pixel_share)
         if result.columns is not None:
-            add_rows(result.columns_index, result.columns, sensitive[done], columns)
+            add_rows(result.index, result.places, result.columns, sensitive[done], columns)
         workspace.settle()
         progress("score", done + 1, len(views))
     if not totals.seen.any():

@@ -114,15 +114,23 @@ def ascending(footprints: Footprints, values: F64) -> F64:
     return by_row
 
 
-@called_with("int32[::1], float64[:, ::1], float64, float64[:, ::1]")
+@called_with("int32[::1], int32[::1], float64[:, ::1], float64, float64[:, ::1]")
 @kernel
-def add_rows(index: NDArray[np.int32], values: F64, share: float, totals: F64) -> None:
+def add_rows(
+    index: NDArray[np.int32],
+    places: NDArray[np.int32],
+    values: F64,
+    share: float,
+    totals: F64,
+) -> None:
     """Add values of some rows to those of a scene, without arrays in between.
 
     Parameters
     ----------
     index : (M,) int32
-        Rows of the scene.
+        Rows of the scene; ascending ones are added fastest, above all to a mapped array.
+    places : (M,) int32
+        Which of the values is of each.
     values : (M, K) float64
     share : float
         Factor on the values.
@@ -130,8 +138,9 @@ def add_rows(index: NDArray[np.int32], values: F64, share: float, totals: F64) -
         Changed in place.
     """
     for row in range(len(index)):
+        place = places[row]
         for column in range(values.shape[1]):
-            totals[index[row], column] += share * values[row, column]
+            totals[index[row], column] += share * values[place, column]
 
 
 class ViewSums:

@@ -94,4 +94,5 @@ def test_the_visible_rows_are_listed_in_ascending_order():
     rows = footprints.ascending()
     np.testing.assert_array_equal(rows, np.sort(footprints.index))
     np.testing.assert_array_equal(rows[footprints.order], footprints.index)
+    np.testing.assert_array_equal(footprints.index[footprints.places()], rows)
     assert (rows != footprints.index).any()

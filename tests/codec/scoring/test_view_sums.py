@@ -92,5 +92,6 @@ def test_values_of_footprints_are_put_in_the_order_of_their_rows():
 
 def test_rows_are_added_with_their_share():
     totals = np.ones((4, 2))
-    add_rows(np.array([3, 0], np.int32), np.array([[1.0, 2.0], [3.0, 4.0]]), 0.5, totals)
+    rows, places = np.array([0, 3], np.int32), np.array([1, 0], np.int32)
+    add_rows(rows, places, np.array([[1.0, 2.0], [3.0, 4.0]]), 0.5, totals)
     assert totals.tolist() == [[2.5, 3.0], [1.0, 1.0], [1.0, 1.0], [1.5, 2.0]]
