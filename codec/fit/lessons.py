@@ -48,7 +48,8 @@ class Lessons:
     Parameters
     ----------
     cameras : sequence of Camera
-        The given ones, those between them, then copies of all these off the capture path.
+        The given ones, those between them, then copies of all these off the capture path, and
+        views that cover what these do not show.
     configs : sequence of RenderConfig
         How each is drawn, on one thread.
     pictures : sequence of (H, W, 3) float32
@@ -160,6 +161,7 @@ def lessons_of(
     *,
     photos: Sequence[F32] | None = None,
     copies: bool = True,
+    covering: Sequence[Camera] = (),
     apart: Sequence[Camera] = (),
     background: Background = (0.0, 0.0, 0.0),
     most_pixels: int = MOST_PIXELS,
@@ -180,6 +182,11 @@ def lessons_of(
     copies : bool
         Whether views between cameras, and copies of all that step back or turn
         (`view_sets.jitter`), are added. They are always taught by the source's renders.
+    covering : sequence of Camera
+        Views of what visitors hardly see (`planner.ViewPlan.covering_views`). They teach as copies
+        do, so that this is not forgotten. As given views, with copies and views between them, a
+        third of what taught a trained figure was its underside, and views from around it had 1 dB
+        less in as many bytes.
     apart : sequence of Camera
         From `views_apart`: views that do not teach.
     background : tuple of float
@@ -223,6 +230,7 @@ def lessons_of(
         names = {camera.name for camera in apart}
         between = [camera for camera in _between(given) if camera.name not in names]
         off = [*jitter(source, given), *jitter(source, between, 1)]
+    off += covering
     views = [*given, *between, *off]
     factors = [_factor(camera, most_pixels) for camera in views]
     small = [scaled_camera(*pair) for pair in zip(views, factors, strict=True)]

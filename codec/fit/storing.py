@@ -71,6 +71,8 @@ class Storing:
         The scene as it is now: scored and ordered once.
     cameras : sequence of Camera
         To score in.
+    covering : sequence of Camera
+        Views of what those leave out (`contribution.score`).
     target : Target
     preset : str
     profile : str
@@ -91,6 +93,7 @@ class Storing:
         source: Splats,
         base: Splats,
         cameras: Sequence[Camera],
+        covering: Sequence[Camera],
         target: Target,
         preset: str,
         profile: str,
@@ -111,7 +114,7 @@ class Storing:
         self._fit = self._preset.fit_config(threads)
         views = evenly(cameras, _MOST_SCORED)
         settings = self._preset.score_config(profile, threads=threads)
-        scores = score(base, views, settings, progress=progress)
+        scores = score(base, views, settings, covering=covering, progress=progress)
         # Prefixes are compared with the source, which they are to look like.
         self._references = render_references(
             source,

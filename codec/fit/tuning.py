@@ -170,6 +170,7 @@ def tune(
     config: TuneConfig,
     *,
     test_views: Sequence[Camera] = (),
+    covering: Sequence[Camera] = (),
     size_of: SizeOf,
     opening: Opening | None = None,
     resume: State | None = None,
@@ -196,6 +197,8 @@ def tune(
     config : TuneConfig
     test_views : sequence of Camera
         Where quality is measured; some of `cameras` where none are given.
+    covering : sequence of Camera
+        Views of what `cameras` leave out (`contribution.score`).
     size_of : callable
         Bytes of the whole file that an encoded scene makes.
     opening : Opening, optional
@@ -242,8 +245,8 @@ def tune(
         run.base = run.trainer.copy()
     begin = run.pace.now()
     storing = Storing(
-        source, run.base, cameras, target, config.preset, config.profile, config.rate_weight,
-        test_views, size_of, opening, config.train.threads, progress,
+        source, run.base, cameras, covering, target, config.preset, config.profile,
+        config.rate_weight, test_views, size_of, opening, config.train.threads, progress,
     )  # fmt: skip
     if resume is not None:
         storing.restore(resume)

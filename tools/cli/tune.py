@@ -201,11 +201,11 @@ def tune(
             splats = usable_rows(given.splats, scene).without_extras()
             if not len(splats):
                 raise DataError("empty-scene", f"{scene}: 0 splats, expected some to train")
-        planned, apart = views is None, []
+        planned, apart, covering = views is None, [], []
         if views is None:
             plan = planned_views(splats, threads=threads, progress=stages)
             # Quality is not measured where the scene is trained: it is better there.
-            views, tests = plan.views + plan.covering_views, plan.test_views
+            views, covering, tests = plan.views, plan.covering_views, plan.test_views
         else:
             assert cameras is not None
             tests = apart = views_apart(views)
@@ -219,6 +219,7 @@ def tune(
             splats,
             views,
             photos=photos,
+            covering=covering,
             apart=apart,
             background=background,
             threads=threads,
@@ -262,6 +263,7 @@ def tune(
             target,
             config,
             test_views=tests,
+            covering=covering,
             size_of=size_of,
             opening=first,
             resume=state,

@@ -56,6 +56,16 @@ def test_views_that_are_kept_apart_do_not_teach():
     assert len(views_apart([oracle.camera(x) for x in np.linspace(0, 3, 200)])) <= MOST_VIEWS
 
 
+def test_covering_views_teach_once_and_without_copies():
+    splats = oracle.scene(6)
+    cameras = [oracle.camera(angle) for angle in (0.1, 0.6)]
+    below = [replace(oracle.camera(2.0), name="covering-000")]
+    lessons, without = (lessons_of(splats, cameras, covering=views) for views in (below, ()))
+    assert len(lessons) == len(without) + 1
+    assert (lessons.given, lessons.along) == (without.given, without.along)
+    assert [camera.name for camera in lessons.cameras[len(without) :]] == ["covering-000"]
+
+
 def test_photos_teach_in_the_cameras_and_renders_in_the_copies():
     splats, camera = oracle.scene(1), oracle.camera()
     photo = np.full((camera.height, camera.width, 3), 0.25, np.float32)
