@@ -179,7 +179,8 @@ DOORS: dict[str, dict[str, str]] = {
         "points_start": "splats_from_points",
         "smaller_pictures": "averaged scaled_camera",
         "trainer": "TrainConfig",
-        "tuning": "Milestone State TuneConfig tune",
+        "tune_config": "TuneConfig",
+        "tuning": "Milestone State tune",
     },
     "codec.geometry": {
         "bounds": "CUT_SIGMA box",

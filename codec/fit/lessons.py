@@ -58,6 +58,8 @@ class Lessons:
         How many of the views are given ones.
     along : int
         How many are given ones or between these.
+    photos : int
+        How many of the given ones, the first, show photos; all others show renders of the source.
     """
 
     cameras: Sequence[Camera]
@@ -65,6 +67,7 @@ class Lessons:
     pictures: Sequence[F32]
     given: int
     along: int
+    photos: int = 0
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -242,4 +245,5 @@ def lessons_of(
     for picture in ordered_map(partial(_drawn, source=source), left, thread_count(threads)):
         pictures.append(picture)
         progress("lessons", len(pictures), len(views))
-    return Lessons(small, configs, pictures, len(given), len(given) + len(between))
+    along = len(given) + len(between)
+    return Lessons(small, configs, pictures, len(given), along, len(taught))

@@ -49,6 +49,10 @@ _MOST_WEIGHT: Final = 4.0
 # where every view has been drawn before.
 _STEPS_TO_SCORE: Final = 90
 
+# What a render of the source counts where photos teach as well: enough for what no photo shows to
+# stay as it was.
+_RENDER_WEIGHT: Final = 0.1
+
 # What tells the random numbers of noise from those of views.
 _NOISE: Final = 2
 
@@ -99,7 +103,7 @@ class Trainer:
     """A scene while it is trained.
 
     Each step draws one view along the cameras and one copy off their path, and moves all values
-    once.
+    once. Where photos teach, it draws one of them and one of all other views, which counts less.
 
     Parameters
     ----------
@@ -182,9 +186,17 @@ class Trainer:
         """Return the scene as it is now, which further steps do not change."""
         return _copy(self.splats)
 
-    def keep(self, rows: NDArray[np.int64]) -> None:
-        """Go on with some of the splats, and with what is known of their gradients."""
-        self.splats = _copy(self.splats.take(rows))
+    def keep(self, rows: NDArray[np.int64], changed: Splats | None = None) -> None:
+        """Go on with some of the splats, and with what is known of their gradients.
+
+        Parameters
+        ----------
+        rows : (n,) int64
+            Those that stay.
+        changed : Splats, optional
+            What all of them are from now on; as they were where it is not given.
+        """
+        self.splats = _copy((self.splats if changed is None else changed).take(rows))
         self._adam = self._adam.take(rows)
         self._gradients = Gradients.zeros(self.splats)
         self._forget_deletions()
@@ -282,16 +294,19 @@ class Trainer:
     def _weight(self, view: int) -> float:
         """Return how much a view counts, by the error that it had when it was last drawn."""
         error = self._errors[view]
+        photos = self._lessons.photos
+        weight = _RENDER_WEIGHT if 0 < photos <= view else 1.0
         if not self._config.worst_views or not error > 0.0:
-            return 1.0
+            return weight
         ratio = float((error / np.nanmean(self._errors)) ** self._config.worst_views)
-        return min(max(ratio, 1.0 / _MOST_WEIGHT), _MOST_WEIGHT)
+        return weight * min(max(ratio, 1.0 / _MOST_WEIGHT), _MOST_WEIGHT)
 
     def _views(self) -> list[int]:
         """Return the views of this step: each comes once in every round through all of its kind."""
-        along, total = self._lessons.along, len(self._lessons)
+        first_kind, total = self._lessons.photos or self._lessons.along, len(self._lessons)
         views = []
-        for kind, (first, count) in enumerate(((0, along), (along, total - along))):
+        kinds = ((0, first_kind), (first_kind, total - first_kind))
+        for kind, (first, count) in enumerate(kinds):
             if count:
                 turn, place = divmod(self.steps, count)
                 rng = np.random.default_rng((self._config.seed, kind, turn))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -15,7 +15,6 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.encoded import EncodedScene
 from cogsplat.codec.encode.opening import Opening
 from cogsplat.codec.encode.pipeline import SizeOf
-from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.progress import Progress, silent
@@ -27,9 +26,11 @@ from .deletion import deletion_errors
 from .drawing import Gradients, with_values
 from .lessons import Lessons, lessons_of
 from .pace import Pace
+from .pairs import merged, pairs
 from .shares import corrected_count, count_for_size, next_count, next_count_for_psnr
 from .storing import Storing
-from .trainer import TrainConfig, Trainer
+from .trainer import Trainer
+from .tune_config import TuneConfig
 
 # Learning rates of rounds, of what follows them, and of training through quantisers: first, last.
 _ROUND_RATES: Final = (1.0, 0.3)
@@ -54,73 +55,8 @@ _PARTS_TIMED: Final = 2
 # Parts between two checkpoints.
 _PARTS_KEPT: Final = 5
 
-# Profiles whose quantisers a scene can be trained through; `near-lossless` bounds errors instead.
-_PROFILES: Final = ("transform", "vq")
-
 State = Mapping[str, NDArray[np.generic]]
 """All that going on takes, as arrays by name."""
-
-
-@dataclass(frozen=True)
-class TuneConfig:
-    """How a scene is tuned.
-
-    Parameters
-    ----------
-    keep : float or None
-        Share of the splats that is kept; None for what the target allows.
-    round_keep : float
-        Share that one round of leaving out and training keeps.
-    round_steps, recovery_steps, storing_steps : int
-        Steps of training in each round, after the last of them, and through the quantisers.
-    refresh : int
-        Steps of training through the quantisers between two encodes of the scene.
-    rate_weight : float
-        How much it counts, while the scene trains through the quantisers, in how many bits its
-        values are coded: at 1 a bit is weighed against the error that it would remove elsewhere
-        (`bit_slopes.PRICE_OF_A_BIT`), at 0 it counts nothing. Of a captured room at 1.59 bytes for
-        each splat of the source, 1, 3 and 8 bring 0.06, 0.11 and 0.01 dB in 0.3, 0.4 and 0.7 %
-        fewer bytes; at 3.8 bytes 1 and 3 bring nothing in 0.3 and 0.6 % fewer.
-    seconds : float or None
-        Time that all this may take. Steps after the last round then become fewer or more, and those
-        of rounds fewer; the result depends on how fast the machine is.
-    preset : str
-        One of `presets.PRESETS`: how the tuned scene is scored, ordered and compensated.
-    profile : str
-        ``transform`` or ``vq``: what the scene is stored as. Of ``vq`` the codebooks train with the
-        splats, each beginning where the one before ended, and every splat takes the row that is
-        nearest by then (Niedermayr et al. 2024, section 3.3, with the means trained too).
-    train : TrainConfig
-    """
-
-    keep: float | None = None
-    round_keep: float = 0.8
-    round_steps: int = 100
-    recovery_steps: int = 1000
-    storing_steps: int = 600
-    refresh: int = 10
-    rate_weight: float = 3.0
-    seconds: float | None = None
-    preset: str = "fast"
-    profile: str = "transform"
-    train: TrainConfig = field(default_factory=TrainConfig)
-
-    def __post_init__(self) -> None:
-        if self.keep is not None and not 0.0 < self.keep <= 1.0:
-            raise ValueError(f"keep {self.keep}, expected above 0 and at most 1")
-        if not 0.0 < self.round_keep < 1.0:
-            raise ValueError(f"round_keep {self.round_keep}, expected between 0 and 1")
-        steps = (self.round_steps, self.recovery_steps, self.storing_steps, self.refresh)
-        if min(steps) < 1:
-            raise ValueError(f"steps {steps}, expected at least 1 each")
-        if not self.rate_weight >= 0:
-            raise ValueError(f"rate_weight {self.rate_weight}, expected 0 or more")
-        if self.seconds is not None and not self.seconds > 0:
-            raise ValueError(f"{self.seconds} seconds, expected more than 0")
-        if self.preset not in PRESETS:
-            raise ValueError(f"preset {self.preset!r}, expected one of {tuple(PRESETS)}")
-        if self.profile not in _PROFILES:
-            raise ValueError(f"profile {self.profile!r}, expected one of {_PROFILES}")
 
 
 @dataclass(frozen=True)
@@ -306,7 +242,7 @@ class _Run:
             self._recover()
 
     def _round(self, count: int) -> None:
-        """Leave out what pictures lose least without, until so many are left, and train these."""
+        """Merge splats that look alike, delete others until so many are left, and train these."""
         if self._target.psnr_db is not None and self._config.keep is None:
             state = {name: values.copy() for name, values in self.trainer.state().items()}
             self._kept = [*self._kept[1 - _ROUNDS_KEPT :], state]
@@ -318,8 +254,13 @@ class _Run:
                 threads=self._config.train.threads,
                 progress=self._progress,
             )
+        splats = self.trainer.splats
+        kept, given_up = pairs(splats, errors, len(splats) - count)
+        # What stands for two stays, and what another stands for goes.
+        errors = errors.copy()
+        errors[kept], errors[given_up] = np.inf, -np.inf
         most = np.argsort(-errors, kind="stable")[:count]
-        self.trainer.keep(np.sort(most))
+        self.trainer.keep(np.sort(most), merged(splats, kept, given_up))
         self._train(self._config.round_steps, _ROUND_RATES, stretched=False)
         self._reached()
 

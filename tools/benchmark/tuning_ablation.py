@@ -23,7 +23,8 @@ from cogsplat.codec.encode.encoded import EncodedScene
 from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.fit.lessons import lessons_of
 from cogsplat.codec.fit.shares import count_for_size
-from cogsplat.codec.fit.tuning import TuneConfig, tune
+from cogsplat.codec.fit.tune_config import TuneConfig
+from cogsplat.codec.fit.tuning import tune
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
@@ -95,7 +96,7 @@ def variants(config: TuneConfig, share: float, *, photos: bool) -> list[Variant]
         Variant("a quarter of the views", config, views_share=0.25),
     ]
     if photos:
-        taught = replace(config, train=replace(train, loss="photo"))
+        taught = replace(config, train=replace(train, worst_views=0.0))
         found.append(Variant("photos teach", taught, photos=True))
     return found
 

@@ -176,7 +176,7 @@ def tune(
     from cogsplat.codec.fit.lessons import lessons_of, views_apart
     from cogsplat.codec.fit.opening import OpeningConfig, TrainedOpening
     from cogsplat.codec.fit.trainer import TrainConfig
-    from cogsplat.codec.fit.tuning import TuneConfig
+    from cogsplat.codec.fit.tune_config import TuneConfig
     from cogsplat.codec.fit.tuning import tune as tuned_scene
 
     if target_psnr is not None and target_size is not None:
@@ -232,7 +232,8 @@ def tune(
             seconds=None if minutes is None else 60 * minutes,
             preset=preset,
             profile=profile,
-            train=TrainConfig(loss="photo" if photos else "squared", seed=seed, threads=threads),
+            # Photos have errors of their own, and those of the worst are no fault of the scene.
+            train=TrainConfig(worst_views=0.0 if photos else 1.0, seed=seed, threads=threads),
         )
         writer = f"cogsplat {cogsplat.__version__}"
         first_view = views[0] if cameras is not None else None

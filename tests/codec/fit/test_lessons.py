@@ -71,6 +71,7 @@ def test_photos_teach_in_the_cameras_and_renders_in_the_copies():
     photo = np.full((camera.height, camera.width, 3), 0.25, np.float32)
     lessons = lessons_of(splats, [camera], photos=[photo])
     np.testing.assert_array_equal(lessons.pictures[0], photo)
+    assert (lessons.photos, lessons_of(splats, [camera]).photos) == (1, 0)
     assert not (lessons.pictures[1] == 0.25).all()
     with pytest.raises(ValueError, match="1 photos for 2 cameras"):
         lessons_of(splats, [camera, camera], photos=[photo])

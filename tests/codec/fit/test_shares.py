@@ -1,3 +1,5 @@
+import itertools
+
 import pytest
 
 from cogsplat.codec.fit.shares import (
@@ -11,8 +13,17 @@ from cogsplat.codec.fit.shares import (
 @pytest.mark.parametrize(("degree", "count"), [(0, 153), (1, 125), (2, 105), (3, 90)])
 def test_a_size_asks_for_fewer_splats_where_these_hold_more(degree, count):
     assert count_for_size(1000, degree, 10_000) == count
-    assert count_for_size(1000, degree, 50) == 50
+    assert count_for_size(10_000, degree, 50) == 50
     assert count_for_size(1, degree, 50) == 1
+
+
+def test_where_more_splats_may_be_kept_each_has_more_bytes():
+    # Of 80,796 splats of degree 3.
+    assert count_for_size(129_270, 3, 80_796) == pytest.approx(11_750, abs=20)
+    assert count_for_size(307_000, 3, 80_796) == pytest.approx(23_300, rel=0.03)
+    counts = [count_for_size(size, 3, 10_000) for size in range(1_000, 300_000, 1_000)]
+    assert all(a <= b for a, b in itertools.pairwise(counts))
+    assert counts[-1] == 10_000
 
 
 def test_rounds_end_at_the_number_that_is_aimed_at():

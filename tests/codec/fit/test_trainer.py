@@ -163,3 +163,24 @@ def test_slopes_are_weighed_against_the_error_of_the_pictures(taught):
         moved.append(np.median(trainer.splats.sh0[:, 0] - off.sh0[:, 0]))
     assert moved[0] == pytest.approx(moved[1], abs=0.01)
     assert moved[0] < 0.0 < moved[2]
+
+
+def test_photos_outweigh_the_renders_of_the_source_that_teach_beside_them():
+    source = oracle.scene(0, n=60)
+    brighter = replace(source, sh0=source.sh0 + np.float32(0.6))
+    camera = oracle.camera(0.0)
+    photo, plain = (np.clip(render(each, camera), 0, 1) for each in (brighter, source))
+    lessons = lessons_of(source, [camera], photos=[photo])
+    assert (lessons.photos, len(lessons)) == (1, 3)
+    trainer = Trainer(source, lessons, TrainConfig(worst_views=0.0))
+    trainer.run(80, 1.0, 0.3)
+    drawn = np.clip(render(trainer.splats, camera), 0, 1)
+    assert psnr(photo, drawn) > psnr(plain, drawn) + 6.0
+    # Where only renders teach, the photo is one view of three.
+    alike = Trainer(source, replace(lessons, photos=0), TrainConfig(worst_views=0.0))
+    alike.run(80, 1.0, 0.3)
+    assert psnr(photo, drawn) > psnr(photo, np.clip(render(alike.splats, camera), 0, 1))
+    # And what the copies show is not given up.
+    off = [psnr(lessons.pictures[view], render(trainer.splats, lessons.cameras[view]))
+           for view in (1, 2)]  # fmt: skip
+    assert min(off) > 12.0

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cogsplat.codec.fit.tuning import TuneConfig
+from cogsplat.codec.fit.tune_config import TuneConfig
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.tools.benchmark import tuning_ablation

@@ -1,0 +1,20 @@
+import pytest
+
+from cogsplat.codec.fit.tune_config import TuneConfig
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"keep": 0.0}, "keep 0.0"),
+        ({"round_keep": 1.0}, "round_keep 1.0"),
+        ({"storing_steps": 0}, "at least 1 each"),
+        ({"rate_weight": -1.0}, "rate_weight -1.0"),
+        ({"seconds": 0.0}, "0.0 seconds"),
+        ({"preset": "slow"}, "preset 'slow'"),
+        ({"profile": "near-lossless"}, "profile 'near-lossless'"),
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(settings, said):
+    with pytest.raises(ValueError, match=said):
+        TuneConfig(**settings)
