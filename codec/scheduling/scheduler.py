@@ -185,15 +185,28 @@ class _Round:
         best = next(missing, None)
         if best is None:
             return
-        for unit in sorted(self._holdings.under_way, key=lambda u: (self._urgency[u], -u)):
+        worths = self._worths()
+        for unit in sorted(self._holdings.under_way, key=lambda u: (worths[u], -u)):
             wait = self._left(unit) / self._holdings.bytes_per_second
-            if self._urgency[unit] * _ABORT_FACTOR >= self._urgency[best]:
+            if worths[unit] * _ABORT_FACTOR >= self._urgency[best]:
                 break
             # What would be here before another answer began is let come.
             if wait <= self._holdings.latency or self._is_needed(unit):
                 continue
             self._coming.remove(unit)
             self.stopped.append(unit)
+
+    def _worths(self) -> dict[int, float]:
+        """Return what units under way are worth: as much as anything missing that needs them."""
+        worths = {unit: self._urgency[unit] for unit in self._coming}
+        for unit in range(len(self._units)):
+            left = [] if unit in self._there or unit in self._coming else [unit]
+            while left:
+                for before in self._units[left.pop()].after:
+                    left.append(before)
+                    if before in worths:
+                        worths[before] = max(worths[before], self._urgency[unit])
+        return worths
 
     def want(self, unit: int) -> None:
         """Choose a unit behind those that it is of no use without, where there is room for it."""

@@ -256,6 +256,15 @@ test("what was stopped goes on from the byte where it was, and what was asked fo
     failed: () => assert.fail("nothing fails"),
     ended: () => undefined,
   });
+  // As much as keeps the connection busy: of 500 bytes a second those of the first unit are enough.
+  requests.link.bytesPerSecond = 500;
+  requests.start([8, 9], () => "auto");
+  assert.deepEqual(asked.splice(0), [[800, 200, "auto"]]);
+  requests.start([3], () => "auto");
+  assert.deepEqual(asked, []);
+  requests.close();
+  takes.splice(0);
+  requests.link.bytesPerSecond = 1e6;
   requests.start([3, 4, 5, 8], (unit) => (unit === 3 ? "high" : "low"));
   assert.deepEqual(asked, [[300, 300, "high"], [800, 100, "low"]]);
   takes[0]!(file.slice(300, 450));

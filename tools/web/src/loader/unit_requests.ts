@@ -7,6 +7,8 @@ import type { RetryingReader } from "./retrying_reader.js";
 const MAX_REQUESTS = 6;
 /** Bytes of a request, at most, on a connection that needs no longer ones: what is asked for together is stopped together. */
 const REQUEST_BYTES = 65_536;
+/** What is under way beyond the latency, seconds: answers share the connection, so that the first would wait for all others. */
+const AHEAD_SECONDS = 0.25;
 
 /** Receives what requests bring. */
 export interface UnitReceiver {
@@ -45,12 +47,14 @@ export class UnitRequests {
   }
 
   /** Whether one more request may be made. */
-  get hasRoom(): boolean {
-    return this.requests.size < MAX_REQUESTS;
+  private get hasRoom(): boolean {
+    const { bytesPerSecond, latency } = this.link;
+    const toCome = this.underWay.reduce((sum, unit) => sum + this.rest(unit).length, 0);
+    return this.requests.size === 0 || (this.requests.size < MAX_REQUESTS && toCome < bytesPerSecond * (latency + AHEAD_SECONDS));
   }
 
   /**
-   * Ask for units, those that lie beside each other together, as far as there is room.
+   * Ask for units, those that lie beside each other together, until as much is under way as keeps the connection busy.
    *
    * @param wanted - In the order in which they are wanted.
    * @param priority - Of `fetch`, of a request whose first unit it is given.

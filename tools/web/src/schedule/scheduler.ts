@@ -121,12 +121,29 @@ class Round {
     const best = order.find((unit) => !this.isHeld(unit));
     if (best === undefined) return;
     const { underWay, bytesPerSecond, latency } = this.holdings;
-    for (const unit of [...underWay].sort((a, b) => this.urgency[a]! - this.urgency[b]! || b - a)) {
-      if (this.urgency[unit]! * ABORT_FACTOR >= this.urgency[best]!) break;
+    const worths = this.worths();
+    for (const unit of [...underWay].sort((a, b) => worths.get(a)! - worths.get(b)! || b - a)) {
+      if (worths.get(unit)! * ABORT_FACTOR >= this.urgency[best]!) break;
       // What would be here before another answer began is let come.
       if (this.left(unit) / bytesPerSecond <= latency || this.isNeeded(unit)) continue;
       this.leave(unit);
     }
+  }
+
+  /** What units under way are worth: as much as anything missing that needs them. */
+  private worths(): Map<number, number> {
+    const worths = new Map([...this.coming].map((unit) => [unit, this.urgency[unit]!]));
+    this.units.forEach((_, unit) => {
+      const left = this.isHeld(unit) ? [] : [unit];
+      for (let next = left.pop(); next !== undefined; next = left.pop()) {
+        for (const before of this.units[next]!.after) {
+          left.push(before);
+          const worth = worths.get(before);
+          if (worth !== undefined) worths.set(before, Math.max(worth, this.urgency[unit]!));
+        }
+      }
+    });
+    return worths;
   }
 
   /** Choose a unit behind those that it is of no use without, where there is room for it. */

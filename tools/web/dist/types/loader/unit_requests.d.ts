@@ -27,9 +27,9 @@ export declare class UnitRequests {
     /** Units that are asked for. */
     get underWay(): number[];
     /** Whether one more request may be made. */
-    get hasRoom(): boolean;
+    private get hasRoom();
     /**
-     * Ask for units, those that lie beside each other together, as far as there is room.
+     * Ask for units, those that lie beside each other together, until as much is under way as keeps the connection busy.
      *
      * @param wanted - In the order in which they are wanted.
      * @param priority - Of `fetch`, of a request whose first unit it is given.
