@@ -29,6 +29,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import evenly
 
 from .bit_slopes import PRICE_OF_A_BIT, bit_slopes
+from .prefixes import Prefixes
 from .stored import Stored, stored
 from .trainer import Trainer
 
@@ -77,8 +78,8 @@ class Storing:
     preset : str
     profile : str
         ``transform`` or ``vq``.
-    rate_weight : float
-        As `TuneConfig` has it.
+    rate_weight, prefix_weight : float
+        As `TuneConfig` has them.
     test_views : sequence of Camera
         To measure in; some of `cameras` where there are none.
     size_of : callable
@@ -98,6 +99,7 @@ class Storing:
         preset: str,
         profile: str,
         rate_weight: float,
+        prefix_weight: float,
         test_views: Sequence[Camera],
         size_of: SizeOf,
         opening: Opening | None,
@@ -107,6 +109,7 @@ class Storing:
         self.last_figures = (len(base), 0.0, 0.0, 0)
         self._target = target
         self._rate_weight = rate_weight
+        self._prefix_weight = prefix_weight
         self._size_of = size_of
         self._opening = opening
         self._preset = PRESETS[preset]
@@ -230,7 +233,11 @@ class Storing:
             price = PRICE_OF_A_BIT * lagrangian(self._prepared.scores, quality_db)
             slopes = bit_slopes(made.encoded, trainer.splats, made.rows)
             slopes = slopes.times(self._rate_weight * price)
-        trainer.run(steps, *rates, drawn_as=made.decoded, slopes=slopes)
+        prefixes = None
+        if self._prefix_weight:
+            carriers = effective_splats(self._prepared.scores.contribution)
+            prefixes = Prefixes.of_chunks(made.rows, carriers, self._prefix_weight)
+        trainer.run(steps, *rates, drawn_as=made.decoded, slopes=slopes, prefixes=prefixes)
 
     def figures(self, encoded: EncodedScene) -> tuple[int, float, float, int]:
         """Return splats, mean and least PSNR in the test views, dB, and bytes of the file."""

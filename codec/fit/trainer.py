@@ -20,6 +20,7 @@ from .adam import Adam
 from .drawing import Drawing, Gradients, draw, with_values
 from .lessons import Lessons
 from .losses import LOSSES
+from .prefixes import Prefixes
 from .tile_kernels import DELETED
 
 F32 = NDArray[np.float32]
@@ -53,8 +54,8 @@ _STEPS_TO_SCORE: Final = 90
 # stay as it was.
 _RENDER_WEIGHT: Final = 0.1
 
-# What tells the random numbers of noise from those of views.
-_NOISE: Final = 2
+# What tells the random numbers of noise and of prefixes from those of views.
+_NOISE, _PREFIX = 2, 3
 
 
 @dataclass(frozen=True)
@@ -137,6 +138,7 @@ class Trainer:
         *,
         drawn_as: Splats | None = None,
         slopes: Gradients | None = None,
+        prefixes: Prefixes | None = None,
         progress: Progress = silent,
         stage: str = "train",
     ) -> float:
@@ -155,6 +157,8 @@ class Trainer:
         slopes : Gradients, optional
             Derivatives of whatever else the values cost, in units of the mean over pixels of the
             squared error of a picture, its channels summed.
+        prefixes : Prefixes, optional
+            In one view of each step one of them is drawn as well.
         progress : Progress
             Called with `stage`, steps done and steps.
         stage : str
@@ -177,7 +181,7 @@ class Trainer:
             if step % _STEPS_AT_ONE_RATE == 0:
                 factor = first_rate * (last_rate / first_rate) ** (step / steps)
                 rates = self._rates(factor)
-            errors = self._step(rates, offsets, slopes)
+            errors = self._step(rates, offsets, slopes, prefixes)
             decibels += sum(-10 * math.log10(max(error, 1e-10)) for error in errors) / len(errors)
             progress(stage, step + 1, steps)
         return decibels / max(steps, 1)
@@ -244,6 +248,7 @@ class Trainer:
         rates: Mapping[str, F32],
         offsets: Mapping[str, F32] | None,
         slopes: Gradients | None,
+        prefixes: Prefixes | None,
     ) -> list[float]:
         """Move the values once; return the mean squared errors of the views that were drawn."""
         shown = self.splats
@@ -266,6 +271,20 @@ class Trainer:
             kept = error if math.isnan(before) else _ERROR_MEMORY * (before - error) + error
             self._errors[view] = kept
             errors.append(error)
+        if prefixes is not None:
+            number = self.steps % len(views)
+            view, weight = weighed[number]
+            prefixes.teach(
+                shown,
+                self._lessons.cameras[view],
+                self._lessons.configs[view],
+                self._lessons.pictures[view],
+                loss=self._config.loss,
+                # One view of a prefix stands for all views of the step.
+                error=len(views) * weight * errors[number],
+                rng=np.random.default_rng((self._config.seed, _PREFIX, self.steps)),
+                gradients=self._gradients,
+            )
         if slopes is not None:
             # The loss is half the squared error, summed over the pixels of these views.
             self._gradients.add(slopes.times(0.5 * sum(self._pixels[view] for view in views)))

@@ -33,6 +33,11 @@ class TuneConfig:
         (`bit_slopes.PRICE_OF_A_BIT`), at 0 it counts nothing. Of a captured room at 1.59 bytes for
         each splat of the source, 1, 3 and 8 bring 0.06, 0.11 and 0.01 dB in 0.3, 0.4 and 0.7 %
         fewer bytes; at 3.8 bytes 1 and 3 bring nothing in 0.3 and 0.6 % fewer.
+    prefix_weight : float
+        What one per cent less error of prefixes counts, while the scene trains through the
+        quantisers, in per cent less error of the whole. 200 more steps with 0.3 brought a captured
+        room of 170 kB 0.2 dB in its first 64 and 128 KiB and no loss in the whole, with 2 they
+        brought 0.65 and 0.8 dB and took 0.4, with 10 1.1 and 1.15 dB and took 1.5.
     seconds : float or None
         Time that all this may take. Steps after the last round then become fewer or more, and those
         of rounds fewer; the result depends on how fast the machine is.
@@ -52,6 +57,7 @@ class TuneConfig:
     storing_steps: int = 600
     refresh: int = 10
     rate_weight: float = 3.0
+    prefix_weight: float = 0.0
     seconds: float | None = None
     preset: str = "fast"
     profile: str = "transform"
@@ -67,6 +73,8 @@ class TuneConfig:
             raise ValueError(f"steps {steps}, expected at least 1 each")
         if not self.rate_weight >= 0:
             raise ValueError(f"rate_weight {self.rate_weight}, expected 0 or more")
+        if not self.prefix_weight >= 0:
+            raise ValueError(f"prefix_weight {self.prefix_weight}, expected 0 or more")
         if self.seconds is not None and not self.seconds > 0:
             raise ValueError(f"{self.seconds} seconds, expected more than 0")
         if self.preset not in PRESETS:

@@ -182,7 +182,8 @@ def tune(
     begin = run.pace.now()
     storing = Storing(
         source, run.base, cameras, covering, target, config.preset, config.profile,
-        config.rate_weight, test_views, size_of, opening, config.train.threads, progress,
+        config.rate_weight, config.prefix_weight, test_views, size_of, opening,
+        config.train.threads, progress,
     )  # fmt: skip
     if resume is not None:
         storing.restore(resume)

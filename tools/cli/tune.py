@@ -56,6 +56,8 @@ if TYPE_CHECKING:
     from cogsplat.codec.fit.tuning import Milestone, State
 
 _DEFAULT_DB: Final = 40.0
+# `TuneConfig.prefix_weight` where the first bytes are to be made for with an opening.
+_PREFIX_WEIGHT: Final = 0.5
 
 _GROUPS: Final = {
     "Most used": ("--cameras", "--target-psnr", "--target-size", "--minutes", "--images"),
@@ -232,6 +234,7 @@ def tune(
             seconds=None if minutes is None else 60 * minutes,
             preset=preset,
             profile=profile,
+            prefix_weight=0.0 if opening is None else _PREFIX_WEIGHT,
             # Photos have errors of their own, and those of the worst are no fault of the scene.
             train=TrainConfig(worst_views=0.0 if photos else 1.0, seed=seed, threads=threads),
         )
