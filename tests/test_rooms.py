@@ -248,9 +248,11 @@ DOORS: dict[str, dict[str, str]] = {
         "tiles": "TILE TileLists gather tile_lists",
     },
     "codec.scheduling": {
-        "chunk_ratios": ("PoseRatios along by_boxes by_sgss by_view_table"),
+        "chunk_ratios": (
+            "PoseRatios along by_boxes by_sgss by_view_table counted_splats over_usual"
+        ),
         "poses": "Pose path",
-        "scheduler": "Holdings Scheduler Unit",
+        "scheduler": "Holdings Scheduler Unit best_chain urgencies",
     },
     "codec.scoring": {
         "chunk_contributions": "PIXELS chunk_contributions",

@@ -50,6 +50,28 @@ def along(ratios: PoseRatios, path: Sequence[tuple[Pose, float]]) -> F64:
     return out
 
 
+def over_usual(shown: F64, contribution: F64) -> F64:
+    """Return shares of what is shown over shares of what chunks contribute (docs/streaming.md, 4).
+
+    Parameters
+    ----------
+    shown : (c,) float64
+        What a picture shows of each chunk, in any unit, at least 0.
+    contribution : (c,) float64
+        As `by_boxes` takes it.
+
+    Returns
+    -------
+    (c,) float64
+        At least `LEAST_RATIO`; 1 for all where nothing is shown or nothing contributes.
+    """
+    everything, whole = total(shown), total(contribution)
+    if not everything > 0.0 or not whole > 0.0:
+        return np.ones(len(shown))
+    usual = np.maximum(contribution / whole, _LEAST_USUAL)
+    return np.maximum(shown / everything / usual, LEAST_RATIO)
+
+
 def by_boxes(boxes: F64, contribution: F64) -> PoseRatios:
     """Return ratios by boxes alone: contribution over the square of the depth, where they show.
 
@@ -63,7 +85,7 @@ def by_boxes(boxes: F64, contribution: F64) -> PoseRatios:
     def ratios(pose: Pose) -> F64:
         depth = np.maximum(middle_depths(boxes, pose), _NEAREST_DEPTH)
         seen = picture_shares(boxes, pose) > 0.0
-        return _over_usual(np.where(seen, contribution / (depth * depth), 0.0), contribution)
+        return over_usual(np.where(seen, contribution / (depth * depth), 0.0), contribution)
 
     return ratios
 
@@ -95,7 +117,7 @@ def by_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseRatios
             most = most + box * weight
         # Of chunks that no viewpoint looks at, what they contribute on average.
         filled = np.where(most > 0.0, shown / np.where(most > 0.0, most, 1.0), usual)
-        return _over_usual(picture_shares(boxes, pose) * filled, contribution)
+        return over_usual(picture_shares(boxes, pose) * filled, contribution)
 
     return ratios
 
@@ -121,13 +143,23 @@ def by_sgss(boxes: F64, splats: F64) -> PoseRatios:
     return ratios
 
 
-def _over_usual(shown: F64, contribution: F64) -> F64:
-    """Return shares of what is shown over shares of what chunks contribute."""
-    everything, whole = total(shown), total(contribution)
-    if not everything > 0.0 or not whole > 0.0:
-        return np.ones(len(shown))
-    usual = np.maximum(contribution / whole, _LEAST_USUAL)
-    return np.maximum(shown / everything / usual, LEAST_RATIO)
+def counted_splats(splats: NDArray[np.int64], ratios: F64) -> NDArray[np.int64]:
+    """Return as how many splats each chunk counts when a picture is compensated (section 10).
+
+    Parameters
+    ----------
+    splats : (c,) int64
+        Splats of each chunk.
+    ratios : (c,) float64
+        Of the pose of the picture.
+
+    Returns
+    -------
+    (c,) int64
+        1 to what the chunk has: fewer where the pose shows less of it than pictures usually do.
+    """
+    counts: NDArray[np.int64] = np.floor(splats * np.minimum(ratios, 1.0)).astype(np.int64)
+    return np.maximum(counts, 1)
 
 
 def _viewpoints(table: ViewTable) -> list[Pose]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 
 _AHEAD_SECONDS: Final = 0.25
 """What is asked for beyond a round trip: requests never run dry, and none is made long before."""
@@ -18,7 +19,7 @@ _AHEAD_SECONDS: Final = 0.25
 # What is thrown away or stopped must be worth so many times less than what takes its place, or two
 # chunks of nearly one worth would take turns.
 _EVICT_FACTOR: Final = 2.0
-_ABORT_FACTOR: Final = 4.0
+_ABORT_FACTOR: Final = 16.0
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,69 @@ class Decision:
     fetch: list[int]
 
 
+def urgencies(ratios: F64, chunk: I64, end: I64) -> F64:
+    """Return what a byte of each unit is thought to gain (docs/streaming.md, 7).
+
+    Parameters
+    ----------
+    ratios : (c,) float64
+        Of each chunk, of `chunk_ratios.along`.
+    chunk : (u,) int64
+        Chunk of each unit; -1 for one that belongs to none.
+    end : (u,) int64
+        Byte of the file behind each unit.
+
+    Returns
+    -------
+    (u,) float64
+    """
+    of_units = np.where(chunk >= 0, ratios[np.maximum(chunk, 0)], 1.0)
+    places = end.astype(np.float64)
+    result: F64 = of_units / (places * places)
+    return result
+
+
+def best_chain(
+    order: Iterable[int],
+    urgency: Sequence[float] | F64,
+    size_bytes: Sequence[int] | I64,
+    chain_of: Callable[[int], Sequence[int]],
+) -> tuple[Sequence[int], float] | None:
+    """Return the chain whose first unit is asked for next, and its worth (docs/streaming.md, 7).
+
+    Parameters
+    ----------
+    order : iterable of int
+        Units that may be asked for, by falling urgency.
+    urgency : (u,) float
+        Of all units, above 0.
+    size_bytes : (u,) int
+    chain_of : callable
+        Returns a unit behind those that it needs and that are missing.
+
+    Returns
+    -------
+    chain, worth : sequence of int, float
+        None where `order` is empty.
+    """
+    best: tuple[Sequence[int], float] | None = None
+    for unit in order:
+        chain = chain_of(unit)
+        if len(chain) == 1:
+            worth = float(urgency[unit])
+        else:
+            gain, size = 0.0, 0.0
+            for part in chain:
+                gain += float(urgency[part]) * float(size_bytes[part])
+                size += float(size_bytes[part])
+            worth = gain / size
+        if best is None or worth > best[1]:
+            best = chain, worth
+        if len(chain) == 1:
+            break
+    return best
+
+
 class Scheduler:
     """Decides for one scene.
 
@@ -114,22 +178,13 @@ class Scheduler:
     def __init__(self, units: Sequence[Unit], splats: Sequence[int]) -> None:
         self._units = units
         self._splats = splats
+        self._chunk = np.array([unit.chunk for unit in units], np.int64)
+        self._end = np.array([unit.end for unit in units], np.int64)
         self._heads = {unit.chunk: at for at, unit in enumerate(units) if unit.is_head}
         self._of_chunk: dict[int, list[int]] = {chunk: [] for chunk in self._heads}
         for at, unit in enumerate(units):
             if unit.chunk >= 0:
                 self._of_chunk[unit.chunk].append(at)
-
-    def urgency(self, ratios: F64) -> list[float]:
-        """Return what a byte of each unit is thought to gain: its ratio over its place in the file.
-
-        Parameters
-        ----------
-        ratios : (c,) float64
-            Of each chunk, of `chunk_ratios.along`.
-        """
-        chunks = ratios.tolist()
-        return [(chunks[unit.chunk] if unit.chunk >= 0 else 1.0) / unit.end for unit in self._units]
 
     def decide(self, ratios: F64, holdings: Holdings) -> Decision:
         """Return what to do now.
@@ -140,15 +195,16 @@ class Scheduler:
             Of each chunk, of `chunk_ratios.along`.
         holdings : Holdings
         """
-        urgency = self.urgency(ratios)
+        urgency = urgencies(ratios, self._chunk, self._end).tolist()
         order = sorted(range(len(self._units)), key=lambda unit: (-urgency[unit], unit))
         round_ = _Round(self._units, self._splats, self._heads, self._of_chunk, urgency, holdings)
         round_.stop_what_waits(order)
         round_.make_room(0, math.inf, ())
-        for unit in order:
-            if round_.is_full():
+        while not round_.is_full():
+            best = round_.best(order)
+            if best is None:
                 break
-            round_.want(unit)
+            round_.want(best[0])
         return Decision(round_.stopped, round_.evicted, round_.chosen)
 
 
@@ -170,6 +226,8 @@ class _Round:
         self._coming = set(holdings.under_way)
         self._received = dict(holdings.received)
         self._window = holdings.bytes_per_second * (holdings.latency + _AHEAD_SECONDS)
+        self._sizes = [unit.size_bytes for unit in units]
+        self._aside: set[int] = set()
         self.stopped: list[int] = []
         self.evicted: list[int] = []
         self.chosen: list[int] = []
@@ -179,16 +237,25 @@ class _Round:
         left = sum(self._left(unit) for unit in self._coming)
         return left >= self._window and bool(self._coming)
 
+    def best(self, order: Sequence[int]) -> tuple[Sequence[int], float] | None:
+        """Return the chain to go on with, of units that were not set aside, and its worth."""
+        missing = (
+            unit
+            for unit in order
+            if unit not in self._there and unit not in self._coming and unit not in self._aside
+        )
+        return best_chain(missing, self._urgency, self._sizes, self._needed)
+
     def stop_what_waits(self, order: Sequence[int]) -> None:
         """Stop units under way that are worth far less than the best that is not."""
-        missing = (unit for unit in order if unit not in self._there and unit not in self._coming)
-        best = next(missing, None)
+        best = self.best(order)
         if best is None:
             return
+        _, worth = best
         worths = self._worths()
         for unit in sorted(self._holdings.under_way, key=lambda u: (worths[u], -u)):
             wait = self._left(unit) / self._holdings.bytes_per_second
-            if worths[unit] * _ABORT_FACTOR >= self._urgency[best]:
+            if worths[unit] * _ABORT_FACTOR >= worth:
                 break
             # What would be here before another answer began is let come.
             if wait <= self._holdings.latency or self._is_needed(unit):
@@ -208,19 +275,22 @@ class _Round:
                         worths[before] = max(worths[before], self._urgency[unit])
         return worths
 
-    def want(self, unit: int) -> None:
-        """Choose a unit behind those that it is of no use without, where there is room for it."""
-        if unit in self._there or unit in self._coming:
-            return
-        chain = self._needed(unit)
+    def want(self, chain: Sequence[int]) -> None:
+        """Choose the first unit of a chain, or set the last aside where there is no room for it."""
+        first, last = self._units[chain[0]], chain[-1]
         # What was stopped or thrown away in this decision is not asked for by it again.
-        if any(u in self.stopped or self._units[u].chunk in self.evicted for u in chain):
+        is_gone = any(u in self.stopped or self._units[u].chunk in self.evicted for u in chain)
+        if is_gone or (
+            first.is_head and not self.make_room(self._splats[first.chunk], self._keep(last), chain)
+        ):
+            self._aside.add(last)
             return
-        rows = sum(self._splats[self._units[u].chunk] for u in chain if self._units[u].is_head)
-        if rows and not self.make_room(rows, self._urgency[unit], chain):
-            return
-        self._coming.update(chain)
-        self.chosen += chain
+        self._coming.add(chain[0])
+        self.chosen.append(chain[0])
+
+    def _keep(self, unit: int) -> float:
+        """Return what it is worth to keep a unit: room costs the same wherever it stands."""
+        return self._urgency[unit] * self._units[unit].end
 
     def _left(self, unit: int) -> int:
         return self._units[unit].size_bytes - self._received.get(unit, 0)
@@ -248,17 +318,17 @@ class _Round:
             if head in self._there or head in self._coming
         }
 
-    def make_room(self, rows: int, urgency: float, chain: Sequence[int]) -> bool:
+    def make_room(self, rows: int, keep: float, chain: Sequence[int]) -> bool:
         """Evict chunks that are worth less until so many rows fit; none where they would not.
 
         Parameters
         ----------
         rows : int
             0 for what a budget that was lowered still has room for.
-        urgency : float
-            Of what the rows are of.
+        keep : float
+            What it is worth to have them.
         chain : sequence of int
-            Units that bring the rows.
+            Units that bring the rows, or go on from them.
         """
         budget = self._holdings.budget_splats
         if not budget:
@@ -268,7 +338,7 @@ class _Round:
         kept = self._ancestors(chain)
         going: list[int] = []
         while used + rows > budget:
-            chunk = self._least(held, kept, urgency)
+            chunk = self._least(held, kept, keep)
             if chunk is None:
                 return False
             held.remove(chunk)
@@ -295,7 +365,7 @@ class _Round:
             left += self._units[unit].after
         return found
 
-    def _least(self, held: set[int], kept: set[int], urgency: float) -> int | None:
+    def _least(self, held: set[int], kept: set[int], keep: float) -> int | None:
         """Return the chunk to evict first: worth least, parent of none that is held."""
         parents = {
             self._units[before].chunk
@@ -309,8 +379,8 @@ class _Round:
             if chunk not in kept
             and chunk not in parents
             and chunk not in chosen
-            and self._urgency[self._heads[chunk]] * _EVICT_FACTOR < urgency
+            and self._keep(self._heads[chunk]) * _EVICT_FACTOR < keep
         ]
         if not open_:
             return None
-        return min(open_, key=lambda chunk: (self._urgency[self._heads[chunk]], -chunk))
+        return min(open_, key=lambda chunk: (self._keep(self._heads[chunk]), -chunk))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.partition.nested_cells import parents
+from cogsplat.codec.scheduling.scheduler import best_chain
 from cogsplat.formats.cogs.layout import COLOUR_BANDS, SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 
@@ -19,7 +20,7 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 Priorities = Callable[[Camera], F64]
-"""How much each unit of a file is wanted from a pose: the largest is fetched next."""
+"""How much a byte of each unit of a file is wanted from a pose, above 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +135,7 @@ def fetch(units: Units, trace: Trace, link: Link, priorities: Priorities) -> Arr
     -------
     Arrivals
         All units. What comes next was chosen one latency before its first byte, from the pose of
-        that moment; units that it is of no use without come first.
+        that moment: the first unit of the chain that is worth most (docs/streaming.md, 7).
     """
     now = link.latency + 8.0 * units.opening_bytes / link.bits_per_second
     missing = np.ones(len(units), np.bool_)
@@ -142,13 +143,20 @@ def fetch(units: Units, trace: Trace, link: Link, priorities: Priorities) -> Arr
     seconds = []
     while missing.any():
         # Without any answer yet, nobody knows what there is to choose from.
-        pose = trace.at(max(now - link.latency, 0.0))
-        wanted = np.where(missing, priorities(pose), -np.inf)
-        for unit in needed(units, int(np.argmax(wanted)), missing):
-            now += 8.0 * float(units.size_bytes[unit]) / link.bits_per_second
-            missing[unit] = False
-            came.append(unit)
-            seconds.append(now)
+        wanted = priorities(trace.at(max(now - link.latency, 0.0)))
+        order = np.argsort(-wanted, kind="stable")
+        best = best_chain(
+            order[missing[order]].tolist(),
+            wanted,
+            units.size_bytes,
+            lambda unit: needed(units, unit, missing),
+        )
+        assert best is not None, "there is a missing unit"
+        unit = best[0][0]
+        now += 8.0 * float(units.size_bytes[unit]) / link.bits_per_second
+        missing[unit] = False
+        came.append(unit)
+        seconds.append(now)
     return Arrivals(came, np.array(seconds))
 
 

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.scheduling.chunk_ratios import by_boxes, by_view_table
+from cogsplat.codec.scheduling.poses import Pose
 from cogsplat.codec.segments.view_table import ViewTable
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import evenly
 from cogsplat.formats.cogs.reader import CogsFile
 
 from .client import Link, Priorities, Units, fetch, units_of
-from .policies import by_pose, by_views, file_order, frustum, nearest_boxes, sgss, table_of
+from .policies import by_pose, by_ratios, file_order, nearest_boxes, sgss, table_of
 from .row_clients import RowClient, by_antimatter, by_sgss_cells
 from .shown import ShownScene
 from .traces import Trace
@@ -100,13 +102,13 @@ class Client:
     rows : list of slice or (n,) int64
         Rows of the scene that each unit is about; none for codebooks.
     drawn : callable
-        What is drawn of units that are there.
+        What is drawn of units that are there, from a pose.
     """
 
     units: Units
     wanted: Priorities
     rows: Sequence[slice | I64]
-    drawn: Callable[[Sequence[int]], Splats]
+    drawn: Callable[[Sequence[int], Camera], Splats]
 
 
 class Simulation:
@@ -147,6 +149,7 @@ class Simulation:
         self._boxes = file.chunks.box[chunks].astype(np.float64)
         self._splats = file.chunks.splats[chunks].astype(np.float64)
         self._contribution = file.chunks.contribution[chunks].astype(np.float64)
+        self._ratios = by_view_table(self._table, self._boxes, self._contribution)
 
     def _measured_table(self, progress: Progress) -> ViewTable:
         """Return what the known views show, of a file that does not say."""
@@ -175,8 +178,8 @@ class Simulation:
             "file": lambda: file_order(units),
             "distance": lambda: nearest_boxes(units, boxes),
             "sgss": lambda: sgss(units, boxes, self._splats),
-            "frustum": lambda: frustum(units, boxes, contribution),
-            "views": lambda: by_views(units, self._table, boxes, contribution),
+            "frustum": lambda: by_ratios(units, by_boxes(boxes, contribution)),
+            "views": lambda: by_ratios(units, self._ratios),
             "oracle": lambda: by_pose(units, self._shown.contributions, contribution),
         }
         return makers[name]()
@@ -193,7 +196,7 @@ class Simulation:
             )
             rows = made.rows
 
-            def of_rows(there: Sequence[int]) -> Splats:
+            def of_rows(there: Sequence[int], _: Camera) -> Splats:
                 return splats.take(
                     np.concatenate([np.zeros(0, np.int64), *(rows[u] for u in there)])
                 )
@@ -203,10 +206,10 @@ class Simulation:
             self._shown.rows(chunk) if chunk >= 0 else slice(0, 0) for chunk in units.chunk.tolist()
         ]
 
-        def of_segments(there: Sequence[int]) -> Splats:
+        def of_segments(there: Sequence[int], camera: Camera) -> Splats:
             if name == "whole" and len(there) < len(units):
                 return splats.take(slice(0, 0))
-            return self._shown.drawn(units, there)
+            return self._shown.drawn(units, there, self._ratios(Pose.of_camera(camera)))
 
         wanted = self.policy("file" if name == "whole" else name)
         return Client(units, wanted, of_units, of_segments)
@@ -262,7 +265,7 @@ class Simulation:
                     client.units.chunk[unit] >= 0 and not is_seen[client.rows[unit]].any()
                     for unit in there
                 ]
-                picture = self._shown.picture(pose, client.drawn(there))
+                picture = self._shown.picture(pose, client.drawn(there, pose))
                 if shown is not None:
                     shown(name, seconds, picture)
                 moment = Moment(
@@ -298,7 +301,7 @@ class Simulation:
                 sizes = np.cumsum(client.units.size_bytes[arrived.units])
                 counts = [int(np.searchsorted(sizes, share * total, "right")) for share in SHARES]
                 pictures = (
-                    self._shown.picture(camera, client.drawn(arrived.units[:count]))
+                    self._shown.picture(camera, client.drawn(arrived.units[:count], camera))
                     for count in counts
                 )
                 found[name].append([psnr(picture, whole) for picture in pictures])

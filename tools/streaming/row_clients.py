@@ -20,11 +20,12 @@ from cogsplat.codec.order import baselines
 from cogsplat.codec.partition.basic_cuboids import BasicCuboids, basic_cuboids
 from cogsplat.codec.partition.box_costs import Box, box_costs
 from cogsplat.codec.partition.guillotine import cut_costs
+from cogsplat.codec.scheduling.chunk_ratios import by_sgss
+from cogsplat.codec.scheduling.poses import Pose
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.layout import SegmentKind
 
 from .client import Priorities, Units
-from .policies import sgss_weights
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -33,10 +34,8 @@ I64 = NDArray[np.int64]
 _PIECE: Final = 256
 # SGSS has 300 to 2,000 basic cuboids (Zhu et al., MMSys 2025).
 _CUBOIDS: Final = 300
-# From this priority, a decimal logarithm, SGSS fetches a cell before others; cells of fewer splats
-# to the unit of volume it never does.
-_HIGH: Final = 1.0
-_LEAST_DENSITY: Final = 10.0
+# SGSS fetches a cell of this priority PW before others: P, its decimal logarithm, is 1 or more.
+_HIGH: Final = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +68,7 @@ def by_antimatter(splats: Splats, size_bytes: int, opening_bytes: int) -> RowCli
         Before the first piece.
     """
     rows = _pieces(baselines.descending(baselines.antimatter(splats)))
-    order = -np.arange(len(rows), dtype=np.float64)
+    order: F64 = 1.0 / (1.0 + np.arange(len(rows), dtype=np.float64))
     return RowClient(_units(rows, size_bytes, opening_bytes), rows, lambda _: order)
 
 
@@ -106,14 +105,12 @@ def by_sgss_cells(
         part_of += [piece / len(pieces) for piece in range(len(pieces))]
     owner, part = np.array(cell_of, np.int64), np.array(part_of)
     extents = _extents(grid, boxes)
-    count = np.bincount(cells, minlength=len(boxes))
-    density = count / np.maximum(np.prod(extents[:, 3:] - extents[:, :3], axis=1), 1e-9)
+    priorities = by_sgss(extents, np.bincount(cells, minlength=len(boxes)).astype(np.float64))
 
     def wanted(camera: Camera) -> F64:
-        weight, share = sgss_weights(extents, density, camera)
-        is_high = (np.log10(np.maximum(weight, 1e-300)) >= _HIGH) & (density >= _LEAST_DENSITY)
-        rank = np.where(share > 0.0, np.where(is_high, 2.0, 1.0), 0.0)
-        result: F64 = rank[owner] - part
+        weight = priorities(Pose.of_camera(camera))
+        rank = np.where(weight > 0.0, np.where(weight >= _HIGH, 2.0, 1.0), 0.0)
+        result: F64 = rank[owner] - part + 1.0
         return result
 
     return RowClient(_units(rows, size_bytes, opening_bytes), rows, wanted)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.partition.nested_cells import parents
+from cogsplat.codec.scheduling.chunk_ratios import counted_splats
 from cogsplat.codec.segments.chunk_sets import equivalent_prefixes, is_closed
 from cogsplat.codec.segments.compensation import Compensation
 from cogsplat.codec.splats import Splats
@@ -85,11 +86,20 @@ class ShownScene:
         drawn = self._fine if splats is None else splats
         return np.clip(render(drawn, camera, RenderConfig(threads=self._threads)), 0.0, 1.0)
 
-    def drawn(self, units: Units, there: Iterable[int]) -> Splats:
+    def drawn(self, units: Units, there: Iterable[int], ratios: F64 | None = None) -> Splats:
         """Return what a client draws that has some units.
 
         Of chunks without their refinement that are coarse splats, without their tail ones of SH
         degree 0 but in the shape of the others.
+
+        Parameters
+        ----------
+        units : Units
+        there : iterable of int
+            What the client has.
+        ratios : (c,) float64, optional
+            What the pose of the picture shows of each chunk; what is missing is made up for where
+            the pose shows it (docs/streaming.md, 10). Without it everywhere alike.
         """
         kinds: dict[int, set[int]] = {}
         for unit in there:
@@ -109,17 +119,19 @@ class ShownScene:
         for name in ("means", "scales", "quats", "opacities", "sh0"):
             getattr(out, name)[left] = getattr(self._coarse, name)[rows[left]]
         out.shN[~has_tail[rows]] = 0.0
-        return self._compensated(out, held)
+        return self._compensated(out, held, ratios)
 
     def _held(self, chunks: list[int]) -> list[slice]:
         return [self._runs[chunk] for chunk in chunks]
 
-    def _compensated(self, splats: Splats, held: list[int]) -> Splats:
+    def _compensated(self, splats: Splats, held: list[int], ratios: F64 | None) -> Splats:
         if self._compensation is None or not held:
             return splats
         is_prefix = held == list(range(len(held)))
         if not is_prefix and not (self._is_cut and is_closed(held, self._parents)):
             return splats
         counts = self._compensation.chunk_splats
+        if ratios is not None:
+            counts = counted_splats(counts, ratios)
         prefixes = equivalent_prefixes(held, self._parents, counts)
         return self._compensation.apply_each(splats, np.array(held, np.int64), prefixes)

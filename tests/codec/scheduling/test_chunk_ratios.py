@@ -6,6 +6,7 @@ from cogsplat.codec.scheduling.chunk_ratios import (
     by_boxes,
     by_sgss,
     by_view_table,
+    counted_splats,
     total,
 )
 from cogsplat.codec.scheduling.poses import Pose
@@ -87,3 +88,9 @@ def test_sums_are_taken_from_the_first_on():
     values = np.array([1e16, 1.0, -1e16, 1.0])
     assert total(values) == ((1e16 + 1.0) - 1e16) + 1.0
     assert total(np.zeros(0)) == 0.0
+
+
+def test_chunks_count_by_what_a_pose_shows_of_them_and_never_for_more_than_they_have():
+    splats = np.array([8192, 1000, 100, 1])
+    ratios = np.array([2.0, 0.5, LEAST_RATIO, LEAST_RATIO])
+    assert counted_splats(splats, ratios).tolist() == [8192, 500, 1, 1]

@@ -53,6 +53,28 @@ def test_what_is_shown_comes_first_behind_what_it_needs():
     assert decide([0.01, 0.01, 9.0, 0.01], there=[0]).fetch == [3, 6]
 
 
+def test_of_a_chain_one_unit_is_asked_for_at_a_time():
+    # Chunk 3 is what the pose shows; it needs chunks 0 and 1, of which it shows nothing.
+    ratios = [0.01, 0.01, 0.02, 90.0]
+    assert decide(ratios, rate=1.0).fetch == [0]
+    assert decide(ratios, rate=1.0, there=[0]).fetch == [1]
+    # The visitor turns around meanwhile: the rest of the chain is not asked for.
+    assert decide([0.01, 0.01, 90.0, 0.02], rate=1.0, there=[0]).fetch == [3]
+    # What the chain needs is not stopped for the sake of what it leads to.
+    slow = {"rate": 100.0, "latency": 0.1}
+    assert decide(ratios, there=[0], under_way=[1], **slow).stop == []
+
+
+def test_a_long_chain_is_worth_what_all_of_it_brings():
+    units = [Unit(0, True, 100, 100, ()), *(Unit(k, True, 200, 100, (k - 1,)) for k in (1, 2, 3))]
+    units.append(Unit(4, True, 200, 100, (0,)))
+    scheduler = Scheduler(units, [10] * 5)
+    state = held(there=[0], rate=1.0)
+    # 3 alone would be worth more than 4, but 1 and 2 come with it.
+    assert scheduler.decide(np.array([1.0, 0.0, 0.0, 2.9, 1.0]), state).fetch == [4]
+    assert scheduler.decide(np.array([1.0, 0.0, 0.0, 3.1, 1.0]), state).fetch == [1]
+
+
 def test_one_unit_is_under_way_however_slow_the_connection():
     assert decide(SAME, rate=1.0, latency=0.0).fetch == [0]
     assert decide(SAME, rate=1.0, latency=0.0, under_way=[0]).fetch == []

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.scheduling.chunk_ratios import by_boxes, by_view_table
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.tools.streaming.client import Units
 from cogsplat.tools.streaming.policies import (
     by_pose,
-    by_views,
+    by_ratios,
     file_order,
-    frustum,
     nearest_boxes,
     sgss,
     table_of,
@@ -66,19 +66,20 @@ def test_boxes_come_by_their_distance() -> None:
 
 
 def test_sgss_takes_dense_near_boxes_that_fill_the_picture() -> None:
-    assert order(sgss(UNITS, BOXES, SAME)(AHEAD)) == [1, 0, 2]
-    assert order(sgss(UNITS, BOXES, np.array([1e6, 1.0, 1.0]))(AHEAD)) == [0, 1, 2]
-    assert order(sgss(UNITS, BOXES, SAME)(BACK))[0] == 2
+    dense = np.full(3, 1000.0)
+    assert order(sgss(UNITS, BOXES, dense)(AHEAD)) == [1, 0, 2]
+    assert order(sgss(UNITS, BOXES, np.array([1e6, 1000.0, 1000.0]))(AHEAD)) == [0, 1, 2]
+    assert order(sgss(UNITS, BOXES, dense)(BACK))[0] == 2
 
 
 def test_what_is_outside_the_frustum_is_put_off() -> None:
-    assert order(frustum(UNITS, BOXES, SAME)(AHEAD)) == [1, 0, 2]
-    assert order(frustum(UNITS, BOXES, SAME)(BACK))[0] == 2
+    assert order(by_ratios(UNITS, by_boxes(BOXES, SAME))(AHEAD)) == [1, 0, 2]
+    assert order(by_ratios(UNITS, by_boxes(BOXES, SAME))(BACK))[0] == 2
 
 
 def test_known_views_say_what_a_pose_shows() -> None:
     shown = np.array([[0.0, 3000.0, 0.0], [1000.0, 0.0, 5000.0]])
-    wanted = by_views(UNITS, table_of([AHEAD, BACK], shown), BOXES, SAME)
+    wanted = by_ratios(UNITS, by_view_table(table_of([AHEAD, BACK], shown), BOXES, SAME))
     assert order(wanted(AHEAD))[0] == 1
     assert order(wanted(BACK))[0] == 2
 
@@ -90,7 +91,7 @@ def test_a_pose_that_shows_nothing_takes_the_order_of_the_file() -> None:
 @pytest.mark.parametrize("shown", [[1.0, 1.0, 1.0], [5.0, 5.0, 5.0]])
 def test_chunks_that_show_their_usual_share_keep_their_places(shown: list[float]) -> None:
     wanted = by_pose(UNITS, lambda _: np.array(shown), SAME)
-    np.testing.assert_allclose(wanted(AHEAD), [-100.0, -200.0, -300.0])
+    np.testing.assert_allclose(1.0 / wanted(AHEAD), [1e4, 4e4, 9e4])
 
 
 def test_segments_of_one_chunk_keep_their_order() -> None:

@@ -10,6 +10,7 @@ from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.metrics import PSNR_CAP_DB, psnr
 from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.render.rasteriser import render
+from cogsplat.codec.scheduling.chunk_ratios import LEAST_RATIO
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.streaming.client import units_of
@@ -66,6 +67,11 @@ def test_what_is_there_makes_up_for_what_is_missing(house: Path, tmp_path: Path)
         np.testing.assert_array_equal(found.opacities, expected.opacities)
         stored = file.decode(held)
         assert not np.array_equal(found.scales, stored.scales)
+        # A pose that shows nothing of what is missing: less has to be made up for.
+        ratios = np.where(np.isin(np.arange(file.num_chunks), held), 1.0, LEAST_RATIO)
+        hidden = shown.drawn(units, there, ratios)
+        change, whole = np.abs(hidden.scales - stored.scales), np.abs(found.scales - stored.scales)
+        assert change.mean() < 0.5 * whole.mean()
         # Chunks without their parents are drawn as they are stored.
         alone = [u for u in there if units.chunk[u] == held[-1]]
         np.testing.assert_array_equal(

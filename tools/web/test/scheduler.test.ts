@@ -3,7 +3,7 @@ import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
 import type { ViewTable } from "../src/container/view_table.js";
-import { along, byBoxes, bySgss, byViewTable, type PoseRatios } from "../src/schedule/chunk_ratios.js";
+import { along, byBoxes, bySgss, byViewTable, countedSplats, type PoseRatios } from "../src/schedule/chunk_ratios.js";
 import { path, type Pose } from "../src/schedule/poses.js";
 import { Scheduler, type Unit } from "../src/schedule/scheduler.js";
 
@@ -73,4 +73,9 @@ test("the scheduler decides as the reference does in every state", () => {
     });
     assert.deepEqual([stop, evict, fetch], state.decision, `state ${number}`);
   }
+});
+
+test("chunks count by what a pose shows of them, and never for more than they have", () => {
+  const ratios = Float64Array.of(2, 0.5, 1 / 512, 1 / 512);
+  assert.deepEqual(countedSplats([8192, 1000, 100, 1], ratios), [8192, 500, 1, 1]);
 });

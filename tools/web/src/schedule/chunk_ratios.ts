@@ -94,6 +94,11 @@ function overUsual(shown: Float64Array, contribution: Float64Array): Float64Arra
     Math.max(value / everything / Math.max(contribution[chunk]! / whole, LEAST_USUAL), LEAST_RATIO));
 }
 
+/** As how many splats each chunk counts when a picture is compensated (docs/streaming.md, 10). */
+export function countedSplats(splats: ArrayLike<number>, ratios: Float64Array): number[] {
+  return Array.from(ratios, (ratio, chunk) => Math.max(Math.floor(splats[chunk]! * Math.min(ratio, 1)), 1));
+}
+
 /** The viewpoints of a table as poses: upright or not does not matter. */
 function viewpointsOf({ views, positions, directions }: ViewTable): Pose[] {
   return Array.from({ length: views }, (_, view) => {

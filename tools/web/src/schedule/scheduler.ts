@@ -3,7 +3,7 @@ const AHEAD_SECONDS = 0.25;
 /** What is thrown away must be worth so many times less than what takes its place. */
 const EVICT_FACTOR = 2;
 /** What is stopped must be worth so many times less than the best that waits. */
-const ABORT_FACTOR = 4;
+const ABORT_FACTOR = 16;
 
 /** A segment that a client may fetch; units stand in the order of the file. */
 export interface Unit {
@@ -56,9 +56,9 @@ export class Scheduler {
     units.forEach(({ chunk, isHead }, at) => isHead && this.heads.set(chunk, at));
   }
 
-  /** What a byte of each unit is thought to gain: its chunk's ratio over its place in the file. */
+  /** What a byte of each unit is thought to gain: its chunk's ratio over the square of its place in the file. */
   urgency(ratios: Float64Array): Float64Array {
-    return Float64Array.from(this.units, ({ chunk, end }) => (chunk >= 0 ? ratios[chunk]! : 1) / end);
+    return Float64Array.from(this.units, ({ chunk, end }) => (chunk >= 0 ? ratios[chunk]! : 1) / (end * end));
   }
 
   decide(ratios: Float64Array, holdings: Holdings): Decision {
@@ -66,9 +66,10 @@ export class Scheduler {
     const round = new Round(this.units, this.splats, this.heads, urgency, holdings);
     round.stopWhatWaits(order);
     round.makeRoom(0, Infinity, []);
-    for (const unit of order) {
-      if (round.isFull) break;
-      round.want(unit);
+    while (!round.isFull) {
+      const best = round.best(order);
+      if (best === undefined) break;
+      round.want(best);
     }
     return { stop: round.stopped, evict: round.evicted, fetch: round.chosen };
   }
@@ -83,6 +84,12 @@ export class Scheduler {
   }
 }
 
+/** Units of which the first is asked for, to have the last: what a byte of them is thought to gain. */
+interface Chain {
+  readonly units: readonly number[];
+  readonly worth: number;
+}
+
 /** One decision while it is made. */
 class Round {
   readonly stopped: number[] = [];
@@ -91,6 +98,7 @@ class Round {
   private readonly there: Set<number>;
   private readonly coming: Set<number>;
   private readonly received: Map<number, number>;
+  private readonly aside = new Set<number>();
   private readonly window: number;
   /** Bytes that are still to come of what is under way. */
   private bytesComing = 0;
@@ -116,14 +124,39 @@ class Round {
     return this.bytesComing >= this.window && this.coming.size > 0;
   }
 
+  /** The chain to go on with, of units that were not set aside. */
+  best(order: readonly number[]): Chain | undefined {
+    let best: Chain | undefined;
+    for (const unit of order) {
+      if (this.isHeld(unit) || this.aside.has(unit)) continue;
+      const units = this.needed(unit);
+      const worth = units.length === 1 ? this.urgency[unit]! : this.mean(units);
+      if (best === undefined || worth > best.worth) best = { units, worth };
+      if (units.length === 1) break;
+    }
+    return best;
+  }
+
+  /** The mean urgency of a byte of some units. */
+  private mean(units: readonly number[]): number {
+    let gain = 0;
+    let bytes = 0;
+    for (const unit of units) {
+      const { size } = this.units[unit]!;
+      gain += this.urgency[unit]! * size;
+      bytes += size;
+    }
+    return gain / bytes;
+  }
+
   /** Stop units under way that are worth far less than the best that is not. */
   stopWhatWaits(order: readonly number[]): void {
-    const best = order.find((unit) => !this.isHeld(unit));
+    const best = this.best(order);
     if (best === undefined) return;
     const { underWay, bytesPerSecond, latency } = this.holdings;
     const worths = this.worths();
     for (const unit of [...underWay].sort((a, b) => worths.get(a)! - worths.get(b)! || b - a)) {
-      if (worths.get(unit)! * ABORT_FACTOR >= this.urgency[best]!) break;
+      if (worths.get(unit)! * ABORT_FACTOR >= best.worth) break;
       // What would be here before another answer began is let come.
       if (this.left(unit) / bytesPerSecond <= latency || this.isNeeded(unit)) continue;
       this.leave(unit);
@@ -146,24 +179,21 @@ class Round {
     return worths;
   }
 
-  /** Choose a unit behind those that it is of no use without, where there is room for it. */
-  want(unit: number): void {
-    if (this.isHeld(unit)) return;
-    const chain = this.needed(unit);
+  /** Choose the first unit of a chain, or set the last aside where there is no room for it. */
+  want({ units }: Chain): void {
+    const first = units[0]!;
+    const last = units[units.length - 1]!;
+    const { chunk, isHead } = this.units[first]!;
     // What was stopped or thrown away in this decision is not asked for by it again.
-    if (chain.some((part) => this.stopped.includes(part) || this.evicted.includes(this.units[part]!.chunk))) return;
-    const rows = chain.reduce((sum, part) => {
-      const { isHead, chunk } = this.units[part]!;
-      return sum + (isHead ? this.splats[chunk]! : 0);
-    }, 0);
-    if (rows > 0 && !this.makeRoom(rows, this.urgency[unit]!, chain)) return;
-    for (const part of chain) {
-      const { chunk, isHead } = this.units[part]!;
-      if (isHead) this.hold(chunk);
-      this.coming.add(part);
-      this.bytesComing += this.left(part);
+    const isGone = units.some((unit) => this.stopped.includes(unit) || this.evicted.includes(this.units[unit]!.chunk));
+    if (isGone || (isHead && !this.makeRoom(this.splats[chunk]!, this.keep(last), units))) {
+      this.aside.add(last);
+      return;
     }
-    this.chosen.push(...chain);
+    if (isHead) this.hold(chunk);
+    this.coming.add(first);
+    this.bytesComing += this.left(first);
+    this.chosen.push(first);
   }
 
   /** Stop a unit under way. */
@@ -171,6 +201,11 @@ class Round {
     this.coming.delete(unit);
     this.bytesComing -= this.left(unit);
     this.stopped.push(unit);
+  }
+
+  /** What it is worth to keep a unit: room costs the same wherever it stands. */
+  private keep(unit: number): number {
+    return this.urgency[unit]! * this.units[unit]!.end;
   }
 
   private left(unit: number): number {
@@ -199,22 +234,22 @@ class Round {
    * Evict chunks that are worth less until so many rows fit; none where they would not.
    *
    * @param rows - 0 for what a budget that was lowered still has room for.
-   * @param urgency - Of what the rows are of.
-   * @param chain - Units that bring the rows.
+   * @param keep - What it is worth to have them.
+   * @param chain - Units that bring the rows, or go on from them.
    */
-  makeRoom(rows: number, urgency: number, chain: readonly number[]): boolean {
+  makeRoom(rows: number, keep: number, chain: readonly number[]): boolean {
     const budget = this.holdings.budgetSplats;
     if (budget === 0) return true;
     const now = (this.held ??= this.heldChunks());
     if (now.splats + rows <= budget) return true;
     now.leastWorth ??= [...now.chunks].reduce((least, chunk) => Math.min(least, this.worth(chunk)), Infinity);
-    if (!(now.leastWorth * EVICT_FACTOR < urgency)) return false;
+    if (!(now.leastWorth * EVICT_FACTOR < keep)) return false;
     const held = new Set(now.chunks);
     let used = now.splats;
     const kept = this.ancestors(chain);
     const going: number[] = [];
     while (used + rows > budget) {
-      const chunk = this.least(held, kept, urgency);
+      const chunk = this.least(held, kept, keep);
       if (chunk === undefined) return false;
       held.delete(chunk);
       used -= this.splats[chunk]!;
@@ -250,7 +285,7 @@ class Round {
   }
 
   private worth(chunk: number): number {
-    return this.urgency[this.heads.get(chunk)!]!;
+    return this.keep(this.heads.get(chunk)!);
   }
 
   /** The chunks of units and of all that these need. */

@@ -11,3 +11,5 @@ export declare function byBoxes(boxes: Boxes, contribution: Float64Array): PoseR
 export declare function byViewTable(table: ViewTable, boxes: Boxes, contribution: Float64Array): PoseRatios;
 /** SGSS' priorities in the place of ratios; 0 for what its test finds not visible. */
 export declare function bySgss(boxes: Boxes, splats: ArrayLike<number>): PoseRatios;
+/** As how many splats each chunk counts when a picture is compensated (docs/streaming.md, 10). */
+export declare function countedSplats(splats: ArrayLike<number>, ratios: Float64Array): number[];

@@ -41,7 +41,7 @@ export declare class Scheduler {
     /** Ratios of the last decision, and the order that follows from them. */
     private last;
     constructor(units: readonly Unit[], splats: ArrayLike<number>);
-    /** What a byte of each unit is thought to gain: its chunk's ratio over its place in the file. */
+    /** What a byte of each unit is thought to gain: its chunk's ratio over the square of its place in the file. */
     urgency(ratios: Float64Array): Float64Array;
     decide(ratios: Float64Array, holdings: Holdings): Decision;
     /** Urgencies and units by them; ratios that are asked about again are not put in order again. */
