@@ -38,6 +38,10 @@ _NEIGHBOURS_IN_ALL: Final = 256
 _APART_EVERY: Final = 6
 _ALIKE: Final = 0.8
 
+# Views that cover what others do not show are made smaller by this in width and height: they are
+# close-ups, of which every pixel shows something, and losses are summed over pixels.
+_COVERING_FACTOR: Final = 2
+
 Background = tuple[float, float, float]
 
 
@@ -236,6 +240,8 @@ def lessons_of(
     off += covering
     views = [*given, *between, *off]
     factors = [_factor(camera, most_pixels) for camera in views]
+    for number in range(len(views) - len(covering), len(views)):
+        factors[number] *= min(_COVERING_FACTOR, views[number].width, views[number].height)
     small = [scaled_camera(*pair) for pair in zip(views, factors, strict=True)]
     configs = [_config(source.info, factor, background, device) for factor in factors]
     taught = [] if photos is None else [photos[number] for number in chosen]

@@ -63,7 +63,11 @@ def test_covering_views_teach_once_and_without_copies():
     lessons, without = (lessons_of(splats, cameras, covering=views) for views in (below, ()))
     assert len(lessons) == len(without) + 1
     assert (lessons.given, lessons.along) == (without.given, without.along)
-    assert [camera.name for camera in lessons.cameras[len(without) :]] == ["covering-000"]
+    last = lessons.cameras[-1]
+    assert last.name == "covering-000"
+    assert (last.width, last.height) == (below[0].width // 2, below[0].height // 2)
+    assert lessons.pictures[-1].shape == (last.height, last.width, 3)
+    assert lessons.configs[-1].kernel_px == lessons.configs[0].kernel_px / 4
 
 
 def test_photos_teach_in_the_cameras_and_renders_in_the_copies():
