@@ -98,6 +98,13 @@ _STRIP_PICTURES: Final = 6
     help="How the client chooses; several times for several, by default all.",
 )
 @click.option(
+    "--budget",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Most splats in memory of the policy visit, which throws others away; any number by "
+    "default.",
+)
+@click.option(
     "--moments",
     type=click.IntRange(1, 1000),
     default=12,
@@ -151,6 +158,7 @@ def simulate(
     as_large_as: int | None,
     latency: float,
     policies: tuple[str, ...],
+    budget: int | None,
     moments: int,
     eval_every: int,
     compensate: bool,
@@ -171,8 +179,10 @@ def simulate(
     view table, or other cameras), or by what the pose itself shows, which no client knows.
     antimatter and sgss-cells fetch splats one by one,
     by volume times opacity and in cells of SGSS' own, each for the mean bytes of a splat of the
-    file. Pictures of what has arrived are compared with those of the whole, along the trace and in
-    test views at rest. Files that were encoded with --cells gain most.
+    file. visit is what the npm package and its viewer do: by the file's view table, for a path that
+    goes on, by requests that are stopped and resumed, within --budget. Pictures of what has arrived
+    are compared with those of the whole, along the trace and in test views at rest. Files that were
+    encoded with --cells gain most.
     """
     if not is_cogs_input(path):
         raise click.UsageError(f"{path}: is no COGS file, expected one")
@@ -198,7 +208,9 @@ def simulate(
         bits = _bits_for(simulation, walked, bandwidth, as_large_as)
         link = Link(bits, latency / 1000.0)
         film = _Film(moments if strip_path is not None else 0)
-        along = simulation.along(walked, link, chosen, moments, stages, film.take)
+        along = simulation.along(
+            walked, link, chosen, moments, stages, film.take, budget_splats=budget or 0
+        )
         at_rest = simulation.at_rest(tests, chosen, stages)
     if csv_path is not None:
         _write_csv(along, csv_path, force=force)

@@ -75,13 +75,28 @@ class Arrivals:
     Parameters
     ----------
     units : list of int
-        In the order of their arrival.
+        In the order of their arrival; one that was thrown away and fetched again several times.
     seconds : (u,) float64
         When each had arrived.
+    leaves : (u,) float64, optional
+        When each was thrown away; none is, by default.
     """
 
     units: list[int]
     seconds: F64
+    leaves: F64 | None = None
+
+    def came(self, seconds: float) -> list[int]:
+        """Return the units that had been fetched by a moment, as often as they were."""
+        return self.units[: int(np.searchsorted(self.seconds, seconds, "right"))]
+
+    def there(self, seconds: float) -> list[int]:
+        """Return the units that are there at a moment."""
+        came = self.came(seconds)
+        if self.leaves is None:
+            return came
+        stays = self.leaves[: len(came)] > seconds
+        return [unit for unit, is_there in zip(came, stays, strict=True) if is_there]
 
 
 def units_of(file: CogsFile) -> Units:

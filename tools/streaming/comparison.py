@@ -19,11 +19,12 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import evenly
 from cogsplat.formats.cogs.reader import CogsFile
 
-from .client import Link, Priorities, Units, fetch, units_of
+from .client import Arrivals, Link, Priorities, Units, fetch, units_of
 from .policies import by_pose, by_ratios, file_order, nearest_boxes, sgss, table_of
 from .row_clients import RowClient, by_antimatter, by_sgss_cells
 from .shown import ShownScene
 from .traces import Trace
+from .visits import Browser, visit
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -38,13 +39,15 @@ POLICIES: Final = (
     "sgss-cells",
     "frustum",
     "views",
+    "visit",
     "oracle",
 )
 """Names of the policies. ``file`` is the order of the file, ``whole`` the same shown once all of it
 is there. ``distance`` and ``sgss`` fetch whole chunks by their distance and by SGSS' priority.
 ``antimatter`` and ``sgss-cells`` fetch splats by volume times opacity, and as SGSS does, in cells
 and an order of its own. ``frustum``, ``views`` and ``oracle`` put the file's order off by boxes, by
-what the nearest views show, and by what the pose itself shows."""
+what the nearest views show, and by what the pose itself shows. ``visit`` is `views` as the npm
+package does it: several requests at a time, for a path, stopped and resumed, within a budget."""
 
 SHARES: Final = (0.2, 0.3, 0.5, 0.7)
 """Shares of the bytes after which a view at rest is judged."""
@@ -180,6 +183,7 @@ class Simulation:
             "sgss": lambda: sgss(units, boxes, self._splats),
             "frustum": lambda: by_ratios(units, by_boxes(boxes, contribution)),
             "views": lambda: by_ratios(units, self._ratios),
+            "visit": lambda: by_ratios(units, self._ratios),
             "oracle": lambda: by_pose(units, self._shown.contributions, contribution),
         }
         return makers[name]()
@@ -214,6 +218,46 @@ class Simulation:
         wanted = self.policy("file" if name == "whole" else name)
         return Client(units, wanted, of_units, of_segments)
 
+    def picture(self, camera: Camera, splats: Splats | None = None) -> F32:
+        """Return the picture of the whole, or of other splats: (H, W, 3), 0 to 1."""
+        return self._shown.picture(camera, splats)
+
+    def arrivals(
+        self,
+        name: str,
+        client: Client,
+        trace: Trace,
+        link: Link,
+        *,
+        budget_splats: int = 0,
+        browser: Browser | None = None,
+    ) -> Arrivals:
+        """Return when a client's units come.
+
+        Parameters
+        ----------
+        name : str
+            Of the client's policy.
+        client : Client
+        trace : Trace
+        link : Link
+        budget_splats : int
+            Most splats in memory of ``visit``; 0 for any number.
+        browser : Browser, optional
+            In which ``visit`` runs.
+        """
+        if name != "visit":
+            return fetch(client.units, trace, link, client.wanted)
+        return visit(
+            client.units,
+            self._splats.astype(np.int64).tolist(),
+            self._ratios,
+            trace,
+            link,
+            budget_splats=budget_splats,
+            browser=browser,
+        )
+
     def along(
         self,
         trace: Trace,
@@ -222,6 +266,8 @@ class Simulation:
         moments: int,
         progress: Progress = silent,
         shown: Shown | None = None,
+        *,
+        budget_splats: int = 0,
     ) -> dict[str, list[Moment]]:
         """Return what a visitor sees along a trace, by policy.
 
@@ -237,10 +283,12 @@ class Simulation:
             Called with the stage ``trace``.
         shown : callable, optional
             Called with every picture.
+        budget_splats : int
+            Most splats in memory of ``visit``; 0 for any number.
         """
         clients = {name: self.client(name) for name in policies}
         arrivals = {
-            name: fetch(client.units, trace, link, client.wanted)
+            name: self.arrivals(name, client, trace, link, budget_splats=budget_splats)
             for name, client in clients.items()
         }
         # When the last unit has come: sums of times round, so that it is not reckoned from bytes.
@@ -259,13 +307,13 @@ class Simulation:
                 shown("", seconds, whole)
             for name, arrived in arrivals.items():
                 client = clients[name]
-                there = arrived.units[: int(np.searchsorted(arrived.seconds, seconds, "right"))]
-                sizes = client.units.size_bytes[there]
+                came = arrived.came(seconds)
+                sizes = client.units.size_bytes[came]
                 unseen = [
                     client.units.chunk[unit] >= 0 and not is_seen[client.rows[unit]].any()
-                    for unit in there
+                    for unit in came
                 ]
-                picture = self._shown.picture(pose, client.drawn(there, pose))
+                picture = self._shown.picture(pose, client.drawn(arrived.there(seconds), pose))
                 if shown is not None:
                     shown(name, seconds, picture)
                 moment = Moment(
