@@ -61,6 +61,12 @@ def with_other_values(target: str, data: bytes, seed: int) -> bytes:
             return joined(
                 cameras, images.replace(b"1 0 0 0 0 0 0 1", f"1 0 0 0 {place} 1".encode())
             )
+        case "points_bin":
+            # Behind the count and the first point's number: where it is.
+            return data[:16] + _scaled_doubles(data[16:40], rng) + data[40:]
+        case "points_txt":
+            place = " ".join(f"{rng.uniform(-9, 9):.3f}" for _ in range(2))
+            return data.replace(b"4 0.5 -1 ", f"4 {place} ".encode())
     raise AssertionError(f"{target}: no values are known")
 
 

@@ -95,7 +95,9 @@ _STRIP_PICTURES: Final = 6
     "policies",
     type=click.Choice(POLICIES),
     multiple=True,
-    help="How the client chooses; several times for several, by default all.",
+    metavar="NAME",
+    help="How the client chooses; several times for several, by default all: "
+    f"{', '.join(POLICIES)}.",
 )
 @click.option(
     "--budget",
