@@ -199,7 +199,7 @@ class Scheduler:
         order = sorted(range(len(self._units)), key=lambda unit: (-urgency[unit], unit))
         round_ = _Round(self._units, self._splats, self._heads, self._of_chunk, urgency, holdings)
         round_.stop_what_waits(order)
-        round_.make_room(0, math.inf, ())
+        round_.make_room(math.inf, ())
         while not round_.is_full():
             best = round_.best(order)
             if best is None:
@@ -280,9 +280,7 @@ class _Round:
         first, last = self._units[chain[0]], chain[-1]
         # What was stopped or thrown away in this decision is not asked for by it again.
         is_gone = any(u in self.stopped or self._units[u].chunk in self.evicted for u in chain)
-        if is_gone or (
-            first.is_head and not self.make_room(self._splats[first.chunk], self._keep(last), chain)
-        ):
+        if is_gone or (first.is_head and not self.make_room(self._keep(last), chain)):
             self._aside.add(last)
             return
         self._coming.add(chain[0])
@@ -318,32 +316,42 @@ class _Round:
             if head in self._there or head in self._coming
         }
 
-    def make_room(self, rows: int, keep: float, chain: Sequence[int]) -> bool:
-        """Evict chunks that are worth less until so many rows fit; none where they would not.
+    def make_room(self, keep: float, chain: Sequence[int]) -> bool:
+        """Evict chunks that are worth less until the first head of a chain fits.
 
         Parameters
         ----------
-        rows : int
-            0 for what a budget that was lowered still has room for.
         keep : float
-            What it is worth to have them.
+            What it is worth to have the chain.
         chain : sequence of int
-            Units that bring the rows, or go on from them.
+            The first is a head; none for what a budget that was lowered still has room for.
+
+        Returns
+        -------
+        bool
+            False, and nothing is evicted, where not all heads of the chain would fit: a parent
+            that nothing can follow would make room for others again, and so on without end.
         """
         budget = self._holdings.budget_splats
         if not budget:
             return True
+        rows = [
+            self._splats[unit.chunk] for unit in (self._units[u] for u in chain) if unit.is_head
+        ]
         held = self._held()
-        used = sum(self._splats[chunk] for chunk in held)
+        room = budget - sum(self._splats[chunk] for chunk in held)
         kept = self._ancestors(chain)
         going: list[int] = []
-        while used + rows > budget:
+        while room < sum(rows):
             chunk = self._least(held, kept, keep)
             if chunk is None:
                 return False
             held.remove(chunk)
-            used -= self._splats[chunk]
             going.append(chunk)
+            room += self._splats[chunk]
+        # The other heads take their room when they are asked for.
+        while going and room - self._splats[going[-1]] >= sum(rows[:1]):
+            room -= self._splats[going.pop()]
         for chunk in going:
             self.evicted.append(chunk)
             for unit in self._of_chunk[chunk]:

@@ -153,6 +153,10 @@ class Simulation:
         self._splats = file.chunks.splats[chunks].astype(np.float64)
         self._contribution = file.chunks.contribution[chunks].astype(np.float64)
         self._ratios = by_view_table(self._table, self._boxes, self._contribution)
+        # A visitor knows what the file says, and no pictures besides.
+        self._visitors_ratios = (
+            by_boxes(self._boxes, self._contribution) if stored is None else self._ratios
+        )
 
     def _measured_table(self, progress: Progress) -> ViewTable:
         """Return what the known views show, of a file that does not say."""
@@ -183,7 +187,7 @@ class Simulation:
             "sgss": lambda: sgss(units, boxes, self._splats),
             "frustum": lambda: by_ratios(units, by_boxes(boxes, contribution)),
             "views": lambda: by_ratios(units, self._ratios),
-            "visit": lambda: by_ratios(units, self._ratios),
+            "visit": lambda: by_ratios(units, self._visitors_ratios),
             "oracle": lambda: by_pose(units, self._shown.contributions, contribution),
         }
         return makers[name]()
@@ -213,7 +217,8 @@ class Simulation:
         def of_segments(there: Sequence[int], camera: Camera) -> Splats:
             if name == "whole" and len(there) < len(units):
                 return splats.take(slice(0, 0))
-            return self._shown.drawn(units, there, self._ratios(Pose.of_camera(camera)))
+            ratios = self._visitors_ratios if name == "visit" else self._ratios
+            return self._shown.drawn(units, there, ratios(Pose.of_camera(camera)))
 
         wanted = self.policy("file" if name == "whole" else name)
         return Client(units, wanted, of_units, of_segments)
@@ -251,7 +256,7 @@ class Simulation:
         return visit(
             client.units,
             self._splats.astype(np.int64).tolist(),
-            self._ratios,
+            self._visitors_ratios,
             trace,
             link,
             budget_splats=budget_splats,

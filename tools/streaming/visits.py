@@ -55,23 +55,33 @@ class Browser:
 
 @dataclass
 class _Request:
-    """Units that are asked for together: the first comes first."""
+    """Units that are asked for together: the first comes first, of which bytes were received."""
 
     units: list[int]
     begins: float
-    can_stop: bool = True
+    received: float = 0.0
 
 
 @dataclass
 class _State:
-    """What a client has at a moment."""
+    """What a client has at a moment.
+
+    What stands in the first bytes is taken from them when it is chosen, as often as it is:
+    `opening` asks for them, `brought` has come with them, and `awaited` was chosen before that.
+    """
 
     there: set[int] = field(default_factory=set)
     received: dict[int, float] = field(default_factory=dict)
     requests: list[_Request] = field(default_factory=list)
+    opening: _Request | None = None
+    brought: set[int] = field(default_factory=set)
+    awaited: set[int] = field(default_factory=set)
 
     def under_way(self) -> list[int]:
         return [unit for request in self.requests for unit in request.units]
+
+    def all_requests(self) -> list[_Request]:
+        return self.requests if self.opening is None else [self.opening, *self.requests]
 
 
 def visit(
@@ -174,7 +184,7 @@ class _Run:
         brought = np.flatnonzero(units.end <= _FIRST_BYTES)
         if len(brought):
             # What stands in front of the first unit is the index.
-            self._state.requests.append(_Request(brought.tolist(), known, can_stop=False))
+            self._state.opening = _Request(brought.tolist(), known)
         return known
 
     def _pose(self, seconds: float) -> Pose:
@@ -195,17 +205,19 @@ class _Run:
             self._stop(decision.stop)
         self._evict(decision.evict, now)
         self._ask(decision.fetch, now)
+        if self._state.brought.intersection(decision.fetch):
+            self._decide(now)
 
     def _holdings(self) -> Holdings:
         state = self._state
         received = {unit: int(size) for unit, size in state.received.items()}
-        way = frozenset(state.under_way())
+        way = frozenset([*state.under_way(), *state.awaited])
         there = frozenset(state.there)
         return Holdings(there, way, received, self._budget, self._rate, self._link.latency)
 
     def _stop(self, units: Sequence[int]) -> int:
         """Stop requests of units; return how many units were stopped."""
-        going = [r for r in self._state.requests if r.can_stop and set(units) & set(r.units)]
+        going = [r for r in self._state.requests if set(units) & set(r.units)]
         self._state.requests = [r for r in self._state.requests if r not in going]
         return sum(len(request.units) for request in going)
 
@@ -213,6 +225,7 @@ class _Run:
         state = self._state
         for unit in np.flatnonzero(np.isin(self._units.chunk, chunks)).tolist():
             state.received.pop(unit, None)
+            state.awaited.discard(unit)
             for request in state.requests:
                 if unit in request.units:
                     request.units.remove(unit)
@@ -226,7 +239,13 @@ class _Run:
         """Make requests of units that lie beside each other, as far as there is room."""
         state = self._state
         most = max(_REQUEST_BYTES, self._rate * self._link.latency / _MOST_REQUESTS)
-        left = list(wanted)
+        first = [unit for unit in wanted if self._units.end[unit] <= _FIRST_BYTES]
+        for unit in first:
+            if unit in state.brought:
+                self._arrive(unit, now)
+            else:
+                state.awaited.add(unit)
+        left = [unit for unit in wanted if unit not in first]
         window = self._rate * (self._link.latency + _AHEAD_SECONDS)
         while left and len(state.requests) < _MOST_REQUESTS:
             if state.requests and sum(self._left(unit) for unit in state.under_way()) >= window:
@@ -237,7 +256,8 @@ class _Run:
                 size += self._left(left[0])
                 together.append(left.pop(0))
             together.sort()
-            state.requests.append(_Request(together, now + self._link.latency))
+            had = state.received.get(together[0], 0.0)
+            state.requests.append(_Request(together, now + self._link.latency, had))
 
     def _joins(self, together: Sequence[int], unit: int) -> bool:
         """Whether a unit lies beside others, without a gap."""
@@ -252,30 +272,47 @@ class _Run:
 
     def _next(self, now: float) -> float | None:
         """Return when something happens next; None where nothing will."""
-        active = [request for request in self._state.requests if request.begins <= now]
-        waits = [request.begins for request in self._state.requests if request.begins > now]
+        requests = self._state.all_requests()
+        active = [request for request in requests if request.begins <= now]
+        waits = [request.begins for request in requests if request.begins > now]
         share = self._rate / max(len(active), 1)
-        ends = [now + self._left(request.units[0]) / share for request in active]
+        ends = [
+            now + (self._sizes[request.units[0]] - request.received) / share for request in active
+        ]
         looks = [max(self._looked + _LOOK_SECONDS, now + 1e-6)] if self._is_moving(now) else []
         return min([*waits, *ends, *looks], default=None)
 
     def _advance(self, now: float, later: float) -> None:
         """Let bytes come; answers share the link."""
-        active = [request for request in self._state.requests if request.begins <= now]
+        state = self._state
+        active = [request for request in state.all_requests() if request.begins <= now]
         came = (later - now) * self._rate / max(len(active), 1)
         for request in active:
             unit = request.units[0]
-            had = self._state.received.get(unit, 0.0) + came
-            if had < self._sizes[unit] - 1e-6:
-                self._state.received[unit] = had
+            request.received += came
+            is_opening = request is state.opening
+            if request.received < self._sizes[unit] - 1e-6:
+                if not is_opening:
+                    state.received[unit] = request.received
                 continue
-            self._state.received.pop(unit, None)
             request.units.pop(0)
-            self._state.there.add(unit)
-            chunk = int(self._units.chunk[unit])
-            rows = self._splats[chunk] if chunk >= 0 else 0
-            self._decoded = max(self._decoded, later) + rows / self._browser.splats_per_second
-            self._came.append(unit)
-            self._seconds.append(self._decoded)
-            self._leaves.append(np.inf)
-        self._state.requests = [request for request in self._state.requests if request.units]
+            request.received = 0.0
+            if is_opening:
+                state.brought.add(unit)
+            else:
+                state.received.pop(unit, None)
+            if not is_opening or unit in state.awaited:
+                self._arrive(unit, later)
+        state.requests = [request for request in state.requests if request.units]
+        if state.opening is not None and not state.opening.units:
+            state.opening = None
+
+    def _arrive(self, unit: int, now: float) -> None:
+        self._state.there.add(unit)
+        self._state.awaited.discard(unit)
+        chunk = int(self._units.chunk[unit])
+        rows = self._splats[chunk] if chunk >= 0 else 0
+        self._decoded = max(self._decoded, now) + rows / self._browser.splats_per_second
+        self._came.append(unit)
+        self._seconds.append(self._decoded)
+        self._leaves.append(np.inf)

@@ -128,6 +128,29 @@ def test_nothing_is_thrown_away_for_what_does_not_fit_all_the_same():
     assert decision.fetch == []
 
 
+@pytest.mark.parametrize("rate", [1.0, 4000.0])
+@pytest.mark.parametrize("number", range(len(VECTORS["scenes"])))
+def test_a_visitor_who_stands_still_is_done_whatever_the_budget(number, rate):
+    scene = VECTORS["scenes"][number]
+    units = [Unit(c, bool(head), end, size, tuple(a)) for c, head, end, size, a in scene["units"]]
+    scheduler = Scheduler(units, scene["splats"])
+    rng = np.random.default_rng(number)
+    for share in (0.3, 0.5, 0.7, 0.9):
+        ratios = np.exp(rng.normal(0.0, 2.0, len(scene["splats"])))
+        budget = int(share * sum(scene["splats"]))
+        there = set()
+        decision = None
+        # All that is asked for comes at once. A unit may come again where others needed its room.
+        for _ in range(4 * len(units)):
+            decision = scheduler.decide(ratios, held(there, budget=budget, rate=rate))
+            there -= {at for at, unit in enumerate(units) if unit.chunk in decision.evict}
+            there |= set(decision.fetch)
+            if not decision.fetch:
+                break
+        assert not decision.fetch
+        assert not decision.evict
+
+
 def test_what_is_thrown_away_on_its_way_is_stopped():
     decision = decide([1.0, 0.001, 9.0, 0.001], there=[0], under_way=[1], budget=20, latency=9.0)
     assert (decision.evict, decision.stop) == ([1], [1])

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.scheduling.chunk_ratios import by_boxes
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.tools.streaming.client import Link
+from cogsplat.tools.streaming.client import Link, units_of
 from cogsplat.tools.streaming.comparison import (
     POLICIES,
     SHARES,
@@ -16,6 +17,7 @@ from cogsplat.tools.streaming.comparison import (
     bytes_until,
 )
 from cogsplat.tools.streaming.traces import recorded
+from cogsplat.tools.streaming.visits import visit
 from cogsplat.tools.synthetic.rooms import rooms_cameras, rooms_walk
 
 
@@ -94,3 +96,17 @@ def test_a_fast_link_ends_the_comparison_with_the_download(simulation: Simulatio
     (last,) = simulation.along(trace, Link(1e9, 0.0), ["file"], 1)["file"]
     assert last.seconds < 0.01
     assert last.psnr_db == 100.0
+
+
+def test_a_visitor_knows_no_more_than_the_file_says(
+    simulation: Simulation, house_file: CogsFile
+) -> None:
+    assert house_file.view_table_row is None
+    trace, link = recorded(rooms_walk(4)[::20], 1.0), Link(80_000.0, 0.05)
+    boxes = house_file.chunks.box.astype(np.float64)
+    ratios = by_boxes(boxes, house_file.chunks.contribution.astype(np.float64))
+    splats = house_file.chunks.splats.astype(np.int64).tolist()
+    expected = visit(units_of(house_file), splats, ratios, trace, link)
+    assert simulation.arrivals("visit", simulation.client("visit"), trace, link).units == (
+        expected.units
+    )

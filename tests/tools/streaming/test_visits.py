@@ -13,6 +13,8 @@ from cogsplat.tools.synthetic.rooms import rooms_walk
 
 WALK = recorded(rooms_walk(4)[::20], 1.0)
 LINK = Link(80_000.0, 0.05)
+# All has come before the walk ends.
+FAST = Link(800_000.0, 0.05)
 
 
 def visited(
@@ -42,7 +44,7 @@ def test_all_of_a_scene_comes_once_and_no_faster_than_the_link(house_file: CogsF
 @pytest.mark.parametrize("share", [0.4, 0.7])
 def test_a_budget_is_kept_at_every_moment(house_file: CogsFile, share: float) -> None:
     budget = int(share * int(house_file.chunks.splats.sum()))
-    units, arrivals = visited(house_file, WALK, budget=budget)
+    units, arrivals = visited(house_file, WALK, FAST, budget=budget)
     splats = house_file.chunks.splats.astype(np.int64)
     assert arrivals.leaves is not None
     assert np.isfinite(arrivals.leaves).any()
@@ -53,6 +55,21 @@ def test_a_budget_is_kept_at_every_moment(house_file: CogsFile, share: float) ->
         held = units.chunk[there[units.kind[there] == SegmentKind.HEAD]]
         most = max(most, int(splats[held].sum()))
     assert 0.5 * budget < most <= budget
+
+
+def test_the_first_bytes_are_kept_and_nothing_of_them_is_fetched_again(
+    house_file: CogsFile,
+) -> None:
+    assert house_file.file_length < 65_536
+    splats = house_file.chunks.splats.astype(np.int64)
+    units, arrivals = visited(house_file, WALK, FAST, budget=int(splats.sum()) // 2)
+    came = np.array(arrivals.units)
+    later = arrivals.seconds > FAST.latency + house_file.file_length / 100_000.0
+    # What is chosen then is there at once, all that one decision chooses at the same moment.
+    assert len(np.unique(arrivals.seconds[later])) < later.sum() / 2
+    # And what there was no room for was not taken out of the first bytes before.
+    heads = units.kind[came] == SegmentKind.HEAD
+    assert splats[np.unique(units.chunk[came[heads & ~later]])].sum() < splats.sum()
 
 
 def test_a_browser_shows_what_has_come_later(house_file: CogsFile) -> None:

@@ -22,6 +22,11 @@ export class PoseHistory {
     this.hasChanged = true;
   }
 
+  /** The pose of now; undefined where nobody has looked yet. */
+  get latest(): Pose | undefined {
+    return this.seen.at(-1)?.pose;
+  }
+
   /** The poses of now and those soon to come; undefined where nobody has looked yet. */
   path(seconds: number): WeightedPose[] | undefined {
     const { seen } = this;

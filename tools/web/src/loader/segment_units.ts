@@ -48,3 +48,10 @@ export function segmentUnits(index: UnitIndex, degree: number, compensates: bool
     return { segment, chunk, isHead, end, size: length, after };
   });
 }
+
+/** The units of each chunk. */
+export function unitsByChunk(units: readonly SegmentUnit[], chunks: number): number[][] {
+  const found: number[][] = Array.from({ length: chunks }, () => []);
+  units.forEach(({ chunk }, unit) => chunk >= 0 && found[chunk]!.push(unit));
+  return found;
+}

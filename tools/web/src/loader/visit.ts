@@ -10,12 +10,12 @@ import { Scheduler } from "../schedule/scheduler.js";
 import type { ChunkService } from "../workers/decode_task.js";
 import { ChunkQueue } from "./chunk_queue.js";
 import { PoseHistory } from "./pose_history.js";
-import { segmentUnits, type SegmentUnit } from "./segment_units.js";
+import { segmentUnits, unitsByChunk, type SegmentUnit } from "./segment_units.js";
 import { bytesPerSplat, type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 import type { StreamedScene } from "./streamed_scene.js";
 import { UnitRequests } from "./unit_requests.js";
 
-export { along, byBoxes, bySgss, byViewTable, type PoseRatios } from "../schedule/chunk_ratios.js";
+export { along, byBoxes, bySgss, byViewTable, countedSplats, type PoseRatios } from "../schedule/chunk_ratios.js";
 export { path, predicted, type Pose, type WeightedPose } from "../schedule/poses.js";
 export { Scheduler, type Decision, type Holdings, type Unit } from "../schedule/scheduler.js";
 
@@ -50,6 +50,7 @@ export class Visit {
   private readonly degree: number;
   private budget: number;
   private units: SegmentUnit[] = [];
+  private unitsOf: readonly (readonly number[])[] = [];
   private scheduler: Scheduler | undefined;
   private parents: Int32Array = new Int32Array();
   private readonly there = new Set<number>();
@@ -127,6 +128,12 @@ export class Visit {
     this.turnSoon();
   }
 
+  /** How much more than usual the pose of now shows of each chunk (docs/streaming.md, 4 and 5); undefined before the first look. */
+  shown(): Float64Array | undefined {
+    const { latest } = this.poses;
+    return latest && (this.rule ?? this.makeRule())(latest);
+  }
+
   /** Hold at most so many splats from now on. */
   limit(splats: number): void {
     this.budget = splats;
@@ -182,6 +189,7 @@ export class Visit {
 
   private enterUnits(): void {
     this.units = segmentUnits(this.index, this.degree, this.options.compensate ?? false);
+    this.unitsOf = unitsByChunk(this.units, this.index.chunkCount);
     this.parents = parentsOf(this.index.chunks.cell);
     this.scheduler = new Scheduler(this.units, this.index.chunks.splats);
     this.rule = undefined;
@@ -385,17 +393,16 @@ export class Visit {
   }
 
   private isHeld(chunk: number): boolean {
-    return this.units.some((unit, number) => unit.isHead && unit.chunk === chunk && this.there.has(number));
+    return this.unitsOf[chunk]!.some((unit) => this.units[unit]!.isHead && this.there.has(unit));
   }
 
   /** Throw a chunk away. */
   private evict(chunk: number): void {
-    this.units.forEach((unit, number) => {
-      if (unit.chunk !== chunk) return;
-      this.there.delete(number);
-      this.aside.delete(number);
-      this.requests.forget(number);
-    });
+    for (const unit of this.unitsOf[chunk]!) {
+      this.there.delete(unit);
+      this.aside.delete(unit);
+      this.requests.forget(unit);
+    }
     this.queue.close(chunk);
     this.early.delete(chunk);
     if (!this.given.delete(chunk)) return;

@@ -65,7 +65,7 @@ export class Scheduler {
     const { urgency, order } = this.ordered(ratios);
     const round = new Round(this.units, this.splats, this.heads, urgency, holdings);
     round.stopWhatWaits(order);
-    round.makeRoom(0, Infinity, []);
+    round.makeRoom(Infinity, []);
     while (!round.isFull) {
       const best = round.best(order);
       if (best === undefined) break;
@@ -186,7 +186,7 @@ class Round {
     const { chunk, isHead } = this.units[first]!;
     // What was stopped or thrown away in this decision is not asked for by it again.
     const isGone = units.some((unit) => this.stopped.includes(unit) || this.evicted.includes(this.units[unit]!.chunk));
-    if (isGone || (isHead && !this.makeRoom(this.splats[chunk]!, this.keep(last), units))) {
+    if (isGone || (isHead && !this.makeRoom(this.keep(last), units))) {
       this.aside.add(last);
       return;
     }
@@ -231,16 +231,20 @@ class Round {
   }
 
   /**
-   * Evict chunks that are worth less until so many rows fit; none where they would not.
+   * Evict chunks that are worth less until the first head of a chain fits.
    *
-   * @param rows - 0 for what a budget that was lowered still has room for.
-   * @param keep - What it is worth to have them.
-   * @param chain - Units that bring the rows, or go on from them.
+   * @param keep - What it is worth to have the chain.
+   * @param chain - The first is a head; none for what a budget that was lowered still has room for.
+   * @returns False, and nothing is evicted, where not all heads of the chain would fit: a parent that nothing can follow
+   * would make room for others again, and so on without end.
    */
-  makeRoom(rows: number, keep: number, chain: readonly number[]): boolean {
+  makeRoom(keep: number, chain: readonly number[]): boolean {
     const budget = this.holdings.budgetSplats;
     if (budget === 0) return true;
     const now = (this.held ??= this.heldChunks());
+    const heads = chain.map((unit) => this.units[unit]!).filter(({ isHead }) => isHead).map(({ chunk }) => this.splats[chunk]!);
+    const first = heads[0] ?? 0;
+    const rows = heads.reduce((sum, count) => sum + count, 0);
     if (now.splats + rows <= budget) return true;
     now.leastWorth ??= [...now.chunks].reduce((least, chunk) => Math.min(least, this.worth(chunk)), Infinity);
     if (!(now.leastWorth * EVICT_FACTOR < keep)) return false;
@@ -254,6 +258,11 @@ class Round {
       held.delete(chunk);
       used -= this.splats[chunk]!;
       going.push(chunk);
+    }
+    // The other heads take their room when they are asked for.
+    for (let last = going.at(-1); last !== undefined && used + this.splats[last]! + first <= budget; last = going.at(-1)) {
+      used += this.splats[last]!;
+      going.pop();
     }
     for (const chunk of going) this.evict(chunk);
     return true;

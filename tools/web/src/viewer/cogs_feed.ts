@@ -150,7 +150,7 @@ export class CogsFeed implements SceneFeed {
   private async beVisited(scene: StreamedScene, signal: AbortSignal): Promise<void> {
     const host = this.host!;
     const layer = this.layer!;
-    const visited = (this.visited = new VisitedScene(scene, layer, this.shifted));
+    const visited = (this.visited = new VisitedScene(scene, layer, this.shifted, () => this.visit?.shown()));
     const visit = (this.visit = await Visit.begin(scene, {
       signal,
       format: "packed",

@@ -1,6 +1,7 @@
 import { equivalentPrefixes, isClosed, parentsOf } from "../container/chunk_sets.js";
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import type { VisitChange } from "../loader/visit.js";
+import { countedSplats } from "../schedule/chunk_ratios.js";
 import { SH_WORDS, type PackedSplats } from "../scene/packed_splats.js";
 import { RowSlots, type RowRun } from "./row_slots.js";
 import type { SplatLayer } from "./splat_layer.js";
@@ -24,11 +25,13 @@ export class VisitedScene {
   /**
    * @param layer - May hold fewer rows than the scene has.
    * @param shifted - Chunks that are shown with what they add for missing ones.
+   * @param shown - How much more than usual the pose of now shows of each chunk, where somebody looks.
    */
   constructor(
     private readonly scene: StreamedScene,
     private readonly layer: SplatLayer,
     private readonly shifted: Set<number>,
+    private readonly shown: () => Float64Array | undefined,
   ) {
     if (layer.capacity < scene.info.splats) this.slots = new RowSlots(layer.capacity);
   }
@@ -67,7 +70,8 @@ export class VisitedScene {
   }
 
   /**
-   * Change chunks to make up for what is missing, each by what is there of its cell (SPEC 8.5).
+   * Change chunks to make up for what is missing, each by what is there of its cell (SPEC 8.5) and what the pose shows
+   * of that (docs/streaming.md, 10).
    *
    * @param end - When to stop, by `performance.now`.
    * @returns Whether there is more to do.
@@ -90,7 +94,9 @@ export class VisitedScene {
     const parents = parentsOf(cell);
     const isPrefix = held.every((chunk, i) => chunk === i);
     const isDefined = isPrefix || (cell.every((number) => number > 0) && isClosed(held, parents));
-    const prefixes = isDefined ? equivalentPrefixes(held, parents, splats) : held.map(() => index.totalChunkCount);
+    const ratios = this.shown();
+    const counts = ratios === undefined ? splats : countedSplats(splats, ratios);
+    const prefixes = isDefined ? equivalentPrefixes(held, parents, counts) : held.map(() => index.totalChunkCount);
     this.waiting = [];
     held.forEach((chunk, i) => {
       const state = prefixes[i]! * LAYERS + compensation.knownLayers;

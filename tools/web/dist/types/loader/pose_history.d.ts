@@ -8,6 +8,8 @@ export declare class PoseHistory {
     /** Whether the path that was asked for last leads somewhere. */
     isMoving: boolean;
     add(pose: Pose, seconds: number): void;
+    /** The pose of now; undefined where nobody has looked yet. */
+    get latest(): Pose | undefined;
     /** The poses of now and those soon to come; undefined where nobody has looked yet. */
     path(seconds: number): WeightedPose[] | undefined;
 }

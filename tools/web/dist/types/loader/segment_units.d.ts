@@ -16,3 +16,5 @@ export interface SegmentUnit extends Unit {
  * @param compensates - Whether the layers of compensation are wanted.
  */
 export declare function segmentUnits(index: UnitIndex, degree: number, compensates: boolean): SegmentUnit[];
+/** The units of each chunk. */
+export declare function unitsByChunk(units: readonly SegmentUnit[], chunks: number): number[][];

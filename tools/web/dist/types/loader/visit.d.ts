@@ -1,7 +1,7 @@
 import type { Pose } from "../schedule/poses.js";
 import { type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 import type { StreamedScene } from "./streamed_scene.js";
-export { along, byBoxes, bySgss, byViewTable, type PoseRatios } from "../schedule/chunk_ratios.js";
+export { along, byBoxes, bySgss, byViewTable, countedSplats, type PoseRatios } from "../schedule/chunk_ratios.js";
 export { path, predicted, type Pose, type WeightedPose } from "../schedule/poses.js";
 export { Scheduler, type Decision, type Holdings, type Unit } from "../schedule/scheduler.js";
 /** How a scene is visited; what `splatBudget` or `memoryBudget` have no room for is fetched when it is looked at, in the place of other things. */
@@ -31,6 +31,7 @@ export declare class Visit {
     private readonly degree;
     private budget;
     private units;
+    private unitsOf;
     private scheduler;
     private parents;
     private readonly there;
@@ -71,6 +72,8 @@ export declare class Visit {
     private constructor();
     /** Look from somewhere: what is fetched follows, and where the path goes on to. */
     look(pose: Pose): void;
+    /** How much more than usual the pose of now shows of each chunk (docs/streaming.md, 4 and 5); undefined before the first look. */
+    shown(): Float64Array | undefined;
     /** Hold at most so many splats from now on. */
     limit(splats: number): void;
     /**

@@ -6,6 +6,7 @@ export declare class VisitedScene {
     private readonly scene;
     private readonly layer;
     private readonly shifted;
+    private readonly shown;
     /** Splats that are in memory. */
     splats: number;
     /** Rows of the chunks that are there. */
@@ -19,12 +20,14 @@ export declare class VisitedScene {
     /**
      * @param layer - May hold fewer rows than the scene has.
      * @param shifted - Chunks that are shown with what they add for missing ones.
+     * @param shown - How much more than usual the pose of now shows of each chunk, where somebody looks.
      */
-    constructor(scene: StreamedScene, layer: SplatLayer, shifted: Set<number>);
+    constructor(scene: StreamedScene, layer: SplatLayer, shifted: Set<number>, shown: () => Float64Array | undefined);
     /** Draw what has come, or draw no longer what is gone. */
     take(change: VisitChange): void;
     /**
-     * Change chunks to make up for what is missing, each by what is there of its cell (SPEC 8.5).
+     * Change chunks to make up for what is missing, each by what is there of its cell (SPEC 8.5) and what the pose shows
+     * of that (docs/streaming.md, 10).
      *
      * @param end - When to stop, by `performance.now`.
      * @returns Whether there is more to do.

@@ -1,0 +1,94 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import type { PackedSplats } from "../src/scene/packed_splats.js";
+import { VisitedScene } from "../src/viewer/visited_scene.js";
+
+type Scene = ConstructorParameters<typeof VisitedScene>[0];
+type Layer = ConstructorParameters<typeof VisitedScene>[1];
+
+/** Splats of each chunk: two cells of the second depth, the first of which has two more below it, the other one. */
+const SPLATS = [10, 10, 30, 10, 10, 10];
+const CELLS = [1, 2, 3, 4, 5, 6];
+
+/** Splats whose words say whose they are: the chunk, then the row of the chunk. */
+function packedOf(chunk: number): PackedSplats {
+  const words = Uint32Array.from({ length: 4 * SPLATS[chunk]! }, (_, i) => 1000 * (chunk + 1) + Math.floor(i / 4));
+  return { words, count: SPLATS[chunk]!, sh: [] } as unknown as PackedSplats;
+}
+
+/** A scene and a layer that keep what is asked of them and what is drawn. */
+function watched(capacity: number, ratios: () => Float64Array | undefined) {
+  const prefixes = new Map<number, number>();
+  const rows = new Array<number>(capacity).fill(0);
+  const shifts = new Array<number>(capacity).fill(0);
+  const scene = {
+    info: { splats: 80 },
+    index: { totalChunkCount: 6, chunks: { splats: SPLATS, cell: CELLS } },
+    compensation: {
+      knownLayers: 1,
+      shifts: (prefix: number, chunk: number) => {
+        prefixes.set(chunk, prefix);
+        if (prefix === 6) return undefined;
+        const added = Float32Array.from({ length: SPLATS[chunk]! }, (_, row) => 1000 * (chunk + 1) + row);
+        return { scales: added, opacities: added };
+      },
+    },
+  } as unknown as Scene;
+  const layer = {
+    capacity,
+    compensated: false,
+    write: ({ words, count }: PackedSplats, first: number) => {
+      for (let i = 0; i < count; i++) rows[first + i] = words[4 * i]!;
+    },
+    clear: (first: number, count: number) => rows.fill(0, first, first + count),
+    shift: (first: number, count: number, added: { scales: Float32Array } | undefined) => {
+      for (let i = 0; i < count; i++) shifts[first + i] = added?.scales[i] ?? 0;
+    },
+  };
+  const visited = new VisitedScene(scene, layer as unknown as Layer, new Set(), ratios);
+  const take = (...chunks: number[]): void => {
+    for (const chunk of chunks) {
+      const firstRow = SPLATS.slice(0, chunk).reduce((sum, count) => sum + count, 0);
+      visited.take({ kind: "rows", chunk, firstRow, count: SPLATS[chunk]!, tail: true, refined: true, packed: packedOf(chunk) });
+    }
+  };
+  return { visited, prefixes, rows, shifts, layer, take };
+}
+
+test("what the pose shows little of is not made up for", () => {
+  const unseen = Float64Array.from([1, 1, 1 / 512, 1, 1, 1]);
+  for (const [ratios, ofFirst] of [[undefined, 2], [new Float64Array(6).fill(3), 2], [unseen, 4]] as const) {
+    const { visited, prefixes, take } = watched(80, () => ratios);
+    take(0, 1, 3, 4);
+    assert.ok(!visited.work(Infinity));
+    // The chunks of the first cell of the second depth are all there, up to the last that came.
+    assert.deepEqual([...prefixes].sort(), [[0, ofFirst], [1, 5], [3, 5], [4, 5]]);
+  }
+});
+
+test("chunks take the rows of those that went, and bring what they add with them", () => {
+  const { visited, rows, shifts, layer, take } = watched(50, () => undefined);
+  const drawn = (): number[] => rows.filter((word) => word > 0).sort((a, b) => a - b);
+  const wanted = (...chunks: number[]): number[] =>
+    chunks.flatMap((chunk) => Array.from({ length: SPLATS[chunk]! }, (_, row) => 1000 * (chunk + 1) + row));
+  take(0, 1, 3, 4);
+  visited.work(Infinity);
+  assert.deepEqual(drawn(), wanted(0, 1, 3, 4));
+  assert.deepEqual(shifts, rows);
+  assert.ok(layer.compensated);
+  visited.take({ kind: "gone", chunk: 3 });
+  visited.take({ kind: "gone", chunk: 4 });
+  visited.work(Infinity);
+  assert.deepEqual(drawn(), wanted(0, 1));
+  assert.equal(visited.splats, 20);
+  // Thirty rows are free, in two runs around none that is held or in one.
+  take(2);
+  visited.work(Infinity);
+  assert.deepEqual(drawn(), wanted(0, 1, 2));
+  for (const [row, added] of shifts.entries()) assert.ok(added === 0 || added === rows[row], `row ${row} is shifted by ${added}`);
+  visited.take({ kind: "gone", chunk: 1 });
+  take(5);
+  visited.work(Infinity);
+  assert.deepEqual(drawn(), wanted(0, 2, 5));
+  for (const [row, added] of shifts.entries()) assert.ok(added === 0 || added === rows[row], `row ${row} is shifted by ${added}`);
+});
