@@ -1,0 +1,43 @@
+// What a browser has of a scene at given moments while a visitor goes along a path: the page of tools/benchmark/visits.py.
+import { DecoderPool, StreamedScene } from "./cogsplat.js";
+import { Visit } from "./visit.js";
+
+/**
+ * Visit a scene, and note which chunks are there at each moment.
+ *
+ * @param poses - Where the visitor is, one pose every `interval` seconds from the first request on.
+ * @param budget - Most splats in memory; 0 for any number.
+ * @param moments - Seconds, ascending.
+ * @returns When the first request was made, and for each moment when it was noted, and the chunks, each with whether it is refined and whether it has its coefficients above DC.
+ */
+window.visit = async ({ url, poses, interval, budget, moments }) => {
+  performance.clearResourceTimings();
+  const begin = performance.now();
+  const seconds = () => (performance.now() - begin) / 1000;
+  const scene = await StreamedScene.open(url, { service: (index) => new DecoderPool(index) });
+  const abort = new AbortController();
+  const options = { format: "packed", compensate: true, signal: abort.signal };
+  const visit = await Visit.begin(scene, budget > 0 ? { ...options, splatBudget: budget } : options);
+  const look = () => visit.look(poses[Math.min(Math.floor(seconds() / interval), poses.length - 1)]);
+  look();
+  const timer = setInterval(look, 1000 * interval);
+  const held = new Map();
+  const gone = (async () => {
+    for await (const change of visit.changes()) {
+      if (change.kind === "gone") held.delete(change.chunk);
+      else held.set(change.chunk, [change.chunk, change.refined, change.tail]);
+    }
+  })().catch((error) => {
+    if (!abort.signal.aborted) throw error;
+  });
+  const noted = [];
+  for (const moment of moments) {
+    await new Promise((resolve) => setTimeout(resolve, 1000 * (moment - seconds())));
+    noted.push({ seconds: seconds(), chunks: [...held.values()] });
+  }
+  clearInterval(timer);
+  abort.abort();
+  await gone;
+  const [first] = performance.getEntriesByName(new URL(url, location.href).href);
+  return { started: (first.startTime - begin) / 1000, noted };
+};
