@@ -51,7 +51,8 @@ def test_a_browser_comes_to_what_is_simulated(house: Path, monkeypatch: pytest.M
         rows, pictures = compare(simulation, walked, link, noted, budget, Browser(started))
         assert 0.0 <= started < 8.0
         (row,) = rows
-        assert row.seconds >= 8.0
+        # Timers of browsers may be a millisecond early.
+        assert row.seconds > 7.9
         assert set(pictures) == {"", "browser", "simulated"}
         if budget:
             assert 0 < row.splats <= budget
