@@ -79,6 +79,11 @@ def chromium() -> Iterator[Browser]:
             browser.close()
 
 
+_TWO_FRAMES: Final = """() => new Promise((done) => {
+    requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 50)));
+})"""
+
+
 def statistics(page: Page) -> Statistics:
     """Return what `ViewerHandle.statistics` of tools/web/src/viewer/viewer_handle.ts says."""
     found: Statistics = page.evaluate("() => window.cogsplatViewer.statistics")
@@ -124,6 +129,8 @@ def picture(page: Page) -> NDArray[np.float32]:
         0 to 1.
     """
     page.evaluate(_SHOW_CANVAS_ALONE)
+    # A screenshot may show the frame before the one that the page has drawn last.
+    page.evaluate(_TWO_FRAMES)
     data = page.locator("canvas").first.screenshot(timeout=PATIENCE_MS)
     page.evaluate("() => window.restorePage()")
     pixels: NDArray[np.float32] = decode_image(data, "PNG")[..., :3].astype(np.float32) / 255
