@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import pickle
+import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sized
@@ -25,6 +26,9 @@ LOCAL: Final = "local"
 
 # How long a scheduler and its first worker are waited for, seconds.
 _PATIENCE_S: Final = 20.0
+
+# How long until a scheduler without workers is asked again, seconds.
+_AGAIN_S: Final = 0.05
 
 # Tasks that wait for each thread of the workers, so that none is idle while results are taken.
 _AHEAD: Final = 2
@@ -112,15 +116,20 @@ class DaskExecutor:
         StorageError
             ``worker-lost``: none is left for as long as a scheduler is waited for.
         """
-        with self._told():
-            try:
-                self._client.wait_for_workers(1, timeout=_PATIENCE_S)
-            except TimeoutError:
+        # Asked of the scheduler itself: what a local cluster knows of its workers may be old, and a
+        # worker that ended is gone from the list before another has taken its place.
+        deadline = time.monotonic() + _PATIENCE_S
+        while True:
+            with self._told():
+                threads: Mapping[str, int] = self._client.nthreads()
+            if threads:
+                break
+            if time.monotonic() > deadline:
                 raise StorageError(
                     "worker-lost", "the scheduler has no workers left, expected at least 1"
-                ) from None
-            threads: Mapping[str, int] = self._client.nthreads()
-        most = max(threads.values(), default=0)
+                )
+            time.sleep(_AGAIN_S)
+        most = max(threads.values())
         return [address for turn in range(most) for address in threads if threads[address] > turn]
 
     def _bring(self, value: object) -> object:
@@ -154,28 +163,31 @@ class DaskExecutor:
     def _result(self, future: Future) -> Any:
         from distributed import KilledWorker
         from distributed.client import FutureCancelledError
+        from distributed.comm import CommClosedError
 
-        with self._told():
-            try:
-                return future.result()
-            except KilledWorker as error:
-                raise StorageError(
-                    "worker-lost",
-                    "a task ended every worker that began it, perhaps for want of memory, "
-                    f"expected one to finish it: {error}",
-                ) from None
-            except FutureCancelledError as error:
-                # Nobody else cancels: the scheduler is gone, or another one is in its place.
-                raise _scheduler_lost() from error
+        try:
+            return future.result()
+        except KilledWorker as error:
+            raise StorageError(
+                "worker-lost",
+                "a task ended every worker that began it, perhaps for want of memory, "
+                f"expected one to finish it: {error}",
+            ) from None
+        except (FutureCancelledError, CommClosedError, ConnectionError) as error:
+            # Nobody else cancels: the scheduler is gone, or another one is in its place.
+            raise _scheduler_lost() from error
 
     @contextmanager
     def _told(self) -> Iterator[None]:
         """Turn the errors of a connection that ended into ours."""
-        from distributed.comm import CommClosedError
+        from distributed.client import ClosedClientError
 
+        # The client closes when a scheduler has not answered for a while.
+        if self._client.status in ("closing", "closed"):
+            raise _scheduler_lost()
         try:
             yield
-        except (CommClosedError, ConnectionError) as error:
+        except (ClosedClientError, OSError) as error:
             raise _scheduler_lost() from error
 
     def _cancel(self, futures: list[Future]) -> None:

@@ -271,6 +271,25 @@ def test_what_the_only_worker_held_is_brought_again(
         assert encoded(scene, executor, tmp_path, once_at("gain", 100, end)) == expected
 
 
+def test_a_worker_that_begins_again_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    with connected("local", workers=1) as executor:
+        client = executor._client
+        # The scheduler dropped the worker that ended, and the next one has not come yet.
+        answers = iter([{}, {}])
+        nthreads = client.nthreads
+        monkeypatch.setattr(client, "nthreads", lambda: next(answers, nthreads()))
+        assert list(executor.map(abs, [-1, -2])) == [1, 2]
+
+
+def test_a_scheduler_whose_workers_stay_away_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    with connected("local", workers=1) as executor:
+        monkeypatch.setattr(dask_executor, "_PATIENCE_S", 0.1)
+        monkeypatch.setattr(executor._client, "nthreads", dict)
+        with pytest.raises(StorageError, match="no workers left") as error:
+            list(executor.map(abs, [-1, -2]))
+    assert error.value.code == "worker-lost"
+
+
 def test_a_scheduler_that_ends_is_told(
     scene: tuple[Splats, list[Camera]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -281,6 +300,25 @@ def test_a_scheduler_that_ends_is_told(
     assert error.value.code == "scheduler-lost"
     assert error.value.exit_code == 4
     assert not (tmp_path / "b.cogs").exists()
+
+
+def test_a_client_that_gave_up_is_told() -> None:
+    with connected("local", workers=1) as executor:
+        executor._client.close()
+        with pytest.raises(StorageError) as error:
+            list(executor.map(abs, [-1]))
+    assert error.value.code == "scheduler-lost"
+
+
+def test_a_scheduler_that_cannot_be_connected_to_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unanswered() -> None:
+        raise OSError("Timed out trying to connect")
+
+    with connected("local", workers=1) as executor:
+        monkeypatch.setattr(executor._client, "nthreads", unanswered)
+        with pytest.raises(StorageError) as error:
+            list(executor.map(abs, [-1]))
+    assert error.value.code == "scheduler-lost"
 
 
 def test_cancelling_drops_what_waits(scene: tuple[Splats, list[Camera]], tmp_path: Path) -> None:
