@@ -252,7 +252,7 @@ DOORS: dict[str, dict[str, str]] = {
             "PoseRatios along by_boxes by_sgss by_view_table counted_splats over_usual"
         ),
         "poses": "Pose path",
-        "scheduler": "Holdings Scheduler Unit best_chain urgencies",
+        "scheduler": "Holdings Scheduler Unit best_chain urgencies window_bytes",
     },
     "codec.scoring": {
         "chunk_contributions": "PIXELS chunk_contributions",

@@ -32,6 +32,7 @@ from .bit_slopes import PRICE_OF_A_BIT, bit_slopes
 from .prefixes import Prefixes
 from .stored import Stored, stored
 from .trainer import Trainer
+from .tune_config import TuneConfig
 
 # Factors on the learning rates while the scene trains through its quantisers: first, last.
 _RATES: Final = (0.4, 0.04)
@@ -75,17 +76,12 @@ class Storing:
     covering : sequence of Camera
         Views of what those leave out (`contribution.score`).
     target : Target
-    preset : str
-    profile : str
-        ``transform`` or ``vq``.
-    rate_weight, prefix_weight : float
-        As `TuneConfig` has them.
+    config : TuneConfig
     test_views : sequence of Camera
         To measure in; some of `cameras` where there are none.
     size_of : callable
         Bytes of the whole file that an encoded scene makes.
     opening : Opening or None
-    threads : int
     progress : Progress
     """
 
@@ -96,24 +92,21 @@ class Storing:
         cameras: Sequence[Camera],
         covering: Sequence[Camera],
         target: Target,
-        preset: str,
-        profile: str,
-        rate_weight: float,
-        prefix_weight: float,
+        config: TuneConfig,
         test_views: Sequence[Camera],
         size_of: SizeOf,
         opening: Opening | None,
-        threads: int,
         progress: Progress,
     ) -> None:
         self.last_figures = (len(base), 0.0, 0.0, 0)
         self._target = target
-        self._rate_weight = rate_weight
-        self._prefix_weight = prefix_weight
+        self._rate_weight = config.rate_weight
+        self._prefix_weight = config.prefix_weight
         self._size_of = size_of
         self._opening = opening
-        self._preset = PRESETS[preset]
+        self._preset = PRESETS[config.preset]
         self._progress = progress
+        threads, profile = config.train.threads, config.profile
         self._fit = self._preset.fit_config(threads)
         views = evenly(cameras, _MOST_SCORED)
         settings = self._preset.score_config(profile, threads=threads)

@@ -181,10 +181,8 @@ def tune(
         run.base = run.trainer.copy()
     begin = run.pace.now()
     storing = Storing(
-        source, run.base, cameras, covering, target, config.preset, config.profile,
-        config.rate_weight, config.prefix_weight, test_views, size_of, opening,
-        config.train.threads, progress,
-    )  # fmt: skip
+        source, run.base, cameras, covering, target, config, test_views, size_of, opening, progress
+    )
     if resume is not None:
         storing.restore(resume)
     encoded = run.through_quantisers(storing, run.pace.now() - begin)

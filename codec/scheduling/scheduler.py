@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
+# What is asked for beyond a round trip: requests never run dry, and none is made long before.
 _AHEAD_SECONDS: Final = 0.25
-"""What is asked for beyond a round trip: requests never run dry, and none is made long before."""
 
 # What is thrown away or stopped must be worth so many times less than what takes its place, or two
 # chunks of nearly one worth would take turns.
@@ -115,11 +115,29 @@ def urgencies(ratios: F64, chunk: I64, end: I64) -> F64:
     return result
 
 
+def window_bytes(bytes_per_second: float, latency: float) -> float:
+    """Return how many bytes are kept under way, at least (docs/streaming.md, 7).
+
+    Parameters
+    ----------
+    bytes_per_second : float
+        What the connection is thought to bring.
+    latency : float
+        Seconds from a request to its first byte.
+
+    Returns
+    -------
+    float
+    """
+    return bytes_per_second * (latency + _AHEAD_SECONDS)
+
+
 def best_chain(
     order: Iterable[int],
     urgency: Sequence[float] | F64,
     size_bytes: Sequence[int] | I64,
-    chain_of: Callable[[int], Sequence[int]],
+    after: Sequence[Sequence[int]],
+    is_missing: Callable[[int], bool],
 ) -> tuple[Sequence[int], float] | None:
     """Return the chain whose first unit is asked for next, and its worth (docs/streaming.md, 7).
 
@@ -130,17 +148,25 @@ def best_chain(
     urgency : (u,) float
         Of all units, above 0.
     size_bytes : (u,) int
-    chain_of : callable
-        Returns a unit behind those that it needs and that are missing.
+    after : sequence of sequence of int
+        Units that each unit is of no use without.
+    is_missing : callable
+        Whether a unit is neither there nor under way.
 
     Returns
     -------
     chain, worth : sequence of int, float
         None where `order` is empty.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.scheduling.scheduler import best_chain
+    >>> best_chain([1, 2], [0.5, 4.0, 1.0], [10, 10, 10], [(), (0,), ()], lambda unit: True)
+    ([0, 1], 2.25)
     """
     best: tuple[Sequence[int], float] | None = None
     for unit in order:
-        chain = chain_of(unit)
+        chain = _chain(unit, after, is_missing)
         if len(chain) == 1:
             worth = float(urgency[unit])
         else:
@@ -154,6 +180,17 @@ def best_chain(
         if len(chain) == 1:
             break
     return best
+
+
+def _chain(
+    unit: int, after: Sequence[Sequence[int]], is_missing: Callable[[int], bool]
+) -> list[int]:
+    """Return a unit behind those that it needs and that are missing."""
+    out: list[int] = []
+    for before in after[unit]:
+        if is_missing(before):
+            out += [other for other in _chain(before, after, is_missing) if other not in out]
+    return [*out, unit]
 
 
 class Scheduler:
@@ -225,8 +262,9 @@ class _Round:
         self._there = set(holdings.there)
         self._coming = set(holdings.under_way)
         self._received = dict(holdings.received)
-        self._window = holdings.bytes_per_second * (holdings.latency + _AHEAD_SECONDS)
+        self._window = window_bytes(holdings.bytes_per_second, holdings.latency)
         self._sizes = [unit.size_bytes for unit in units]
+        self._after = [unit.after for unit in units]
         self._aside: set[int] = set()
         self.stopped: list[int] = []
         self.evicted: list[int] = []
@@ -239,12 +277,8 @@ class _Round:
 
     def best(self, order: Sequence[int]) -> tuple[Sequence[int], float] | None:
         """Return the chain to go on with, of units that were not set aside, and its worth."""
-        missing = (
-            unit
-            for unit in order
-            if unit not in self._there and unit not in self._coming and unit not in self._aside
-        )
-        return best_chain(missing, self._urgency, self._sizes, self._needed)
+        units = (unit for unit in order if self._is_missing(unit) and unit not in self._aside)
+        return best_chain(units, self._urgency, self._sizes, self._after, self._is_missing)
 
     def stop_what_waits(self, order: Sequence[int]) -> None:
         """Stop units under way that are worth far less than the best that is not."""
@@ -267,7 +301,7 @@ class _Round:
         """Return what units under way are worth: as much as anything missing that needs them."""
         worths = {unit: self._urgency[unit] for unit in self._coming}
         for unit in range(len(self._units)):
-            left = [] if unit in self._there or unit in self._coming else [unit]
+            left = [unit] if self._is_missing(unit) else []
             while left:
                 for before in self._units[left.pop()].after:
                     left.append(before)
@@ -293,28 +327,18 @@ class _Round:
     def _left(self, unit: int) -> int:
         return self._units[unit].size_bytes - self._received.get(unit, 0)
 
-    def _needed(self, unit: int) -> list[int]:
-        """Return a unit behind those that are neither there nor coming and that it needs."""
-        out: list[int] = []
-        for before in self._units[unit].after:
-            if before not in self._there and before not in self._coming:
-                out += [other for other in self._needed(before) if other not in out]
-        return [*out, unit]
+    def _is_missing(self, unit: int) -> bool:
+        return unit not in self._there and unit not in self._coming
 
     def _is_needed(self, unit: int) -> bool:
         """Whether something that is there or coming is of no use without a unit."""
         return any(
-            unit in self._units[other].after and (other in self._there or other in self._coming)
-            for other in range(len(self._units))
+            unit in after and not self._is_missing(other) for other, after in enumerate(self._after)
         )
 
     def _held(self) -> set[int]:
         """Return the chunks whose heads are there or coming."""
-        return {
-            chunk
-            for chunk, head in self._heads.items()
-            if head in self._there or head in self._coming
-        }
+        return {chunk for chunk, head in self._heads.items() if not self._is_missing(head)}
 
     def make_room(self, keep: float, chain: Sequence[int]) -> bool:
         """Evict chunks that are worth less until the first head of a chain fits.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -164,7 +164,8 @@ def fetch(units: Units, trace: Trace, link: Link, priorities: Priorities) -> Arr
             order[missing[order]].tolist(),
             wanted,
             units.size_bytes,
-            lambda unit: needed(units, unit, missing),
+            units.after,
+            lambda unit: bool(missing[unit]),
         )
         assert best is not None, "there is a missing unit"
         unit = best[0][0]
@@ -173,12 +174,3 @@ def fetch(units: Units, trace: Trace, link: Link, priorities: Priorities) -> Arr
         came.append(unit)
         seconds.append(now)
     return Arrivals(came, np.array(seconds))
-
-
-def needed(units: Units, unit: int, missing: NDArray[np.bool_]) -> Sequence[int]:
-    """Return a unit behind those of `missing` that it is of no use without."""
-    out: list[int] = []
-    for before in units.after[unit]:
-        if missing[before]:
-            out += [other for other in needed(units, before, missing) if other not in out]
-    return [*out, unit]

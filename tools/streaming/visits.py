@@ -1,6 +1,6 @@
 """A visitor's client, simulated: it asks the scheduler again and again, stops, resumes and evicts.
 
-It is the client of docs/streaming.md, 7 to 10, which the npm package's `Visit` is, over a link
+It is the client of docs/streaming.md, 7 to 11, which the npm package's `Visit` is, over a link
 whose answers share the bandwidth.
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.scheduling.chunk_ratios import PoseRatios, along
 from cogsplat.codec.scheduling.poses import Pose, path
-from cogsplat.codec.scheduling.scheduler import Holdings, Scheduler, Unit
+from cogsplat.codec.scheduling.scheduler import Holdings, Scheduler, Unit, window_bytes
 from cogsplat.formats.cogs.layout import SegmentKind
 
 from .client import Arrivals, Link, Units
@@ -24,12 +24,11 @@ from .traces import Trace
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-# docs/streaming.md, 10.
+# docs/streaming.md, 11.
 _MOST_REQUESTS: Final = 6
 _REQUEST_BYTES: Final = 65_536
 _LOOK_SECONDS: Final = 0.1
 _OBSERVED_SECONDS: Final = 0.25
-_AHEAD_SECONDS: Final = 0.25
 # SPEC 8.8: the first request.
 _FIRST_BYTES: Final = 65_536
 # A visit ends so long after its trace, at the latest: what the last pose is worth has come by then,
@@ -246,7 +245,7 @@ class _Run:
             else:
                 state.awaited.add(unit)
         left = [unit for unit in wanted if unit not in first]
-        window = self._rate * (self._link.latency + _AHEAD_SECONDS)
+        window = window_bytes(self._rate, self._link.latency)
         while left and len(state.requests) < _MOST_REQUESTS:
             if state.requests and sum(self._left(unit) for unit in state.under_way()) >= window:
                 break

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import cogsplat
+from cogsplat.codec.scheduling.scheduler import best_chain
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.tools.streaming.client import Link, fetch, needed, units_of
+from cogsplat.tools.streaming.client import Link, fetch, units_of
 from cogsplat.tools.streaming.policies import file_order
 from cogsplat.tools.streaming.traces import recorded
 from cogsplat.tools.synthetic.rooms import rooms_walk
@@ -45,9 +46,10 @@ def test_whatever_is_wanted_comes_behind_what_it_needs(house_file: CogsFile, see
         assert all(place[other] < place[unit] for other in before)
     # A chunk's head needs the heads of its parents, up to the first chunk.
     last = int(np.flatnonzero(units.chunk == house_file.num_chunks - 1)[0])
-    chain = needed(units, last, np.ones(len(units), np.bool_))
-    assert chain[-1] == last
-    assert 0 in units.chunk[list(chain)]
+    best = best_chain([last], wanted, units.size_bytes, units.after, lambda _: True)
+    assert best is not None
+    assert best[0][-1] == last
+    assert 0 in units.chunk[list(best[0])]
 
 
 def test_what_comes_next_follows_the_pose_of_a_latency_ago(house_file: CogsFile) -> None:

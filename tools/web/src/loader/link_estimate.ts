@@ -8,7 +8,7 @@ const REMEMBERED = 1;
 const LEAST_BYTES = 16_384;
 const LEAST_SECONDS = 0.01;
 
-/** What a connection brings, by what has come lately (docs/streaming.md, 10). */
+/** What a connection brings, by what has come lately (docs/streaming.md, 11). */
 export class LinkEstimate {
   bytesPerSecond = FIRST_RATE;
   private readonly parts: { readonly seconds: number; readonly bytes: number }[] = [];

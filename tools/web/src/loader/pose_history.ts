@@ -1,6 +1,6 @@
 import { path, type Pose, type WeightedPose } from "../schedule/poses.js";
 
-/** How long ago the pose was that shows where a visitor goes, seconds (docs/streaming.md, 10). */
+/** How long ago the pose was that shows where a visitor goes, seconds (docs/streaming.md, 11). */
 const OBSERVED_SECONDS = 0.25;
 
 interface Seen {

@@ -1,4 +1,5 @@
 import type { ByteRange } from "../container/scene_index.js";
+import { windowBytes } from "../schedule/scheduler.js";
 import { LinkEstimate } from "./link_estimate.js";
 import { nextRequest } from "./range_plan.js";
 import type { RetryingReader } from "./retrying_reader.js";
@@ -7,8 +8,6 @@ import type { RetryingReader } from "./retrying_reader.js";
 const MAX_REQUESTS = 6;
 /** Bytes of a request, at most, on a connection that needs no longer ones: what is asked for together is stopped together. */
 const REQUEST_BYTES = 65_536;
-/** What is under way beyond the latency, seconds: answers share the connection, so that the first would wait for all others. */
-const AHEAD_SECONDS = 0.25;
 
 /** Receives what requests bring. */
 export interface UnitReceiver {
@@ -46,11 +45,11 @@ export class UnitRequests {
     return [...this.requests].flatMap(({ left }) => left);
   }
 
-  /** Whether one more request may be made. */
+  /** Whether one more request may be made: answers share the connection, so that the first would wait for all others. */
   private get hasRoom(): boolean {
     const { bytesPerSecond, latency } = this.link;
     const toCome = this.underWay.reduce((sum, unit) => sum + this.rest(unit).length, 0);
-    return this.requests.size === 0 || (this.requests.size < MAX_REQUESTS && toCome < bytesPerSecond * (latency + AHEAD_SECONDS));
+    return this.requests.size === 0 || (this.requests.size < MAX_REQUESTS && toCome < windowBytes(bytesPerSecond, latency));
   }
 
   /**

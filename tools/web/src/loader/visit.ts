@@ -19,7 +19,7 @@ export { along, byBoxes, bySgss, byViewTable, countedSplats, type PoseRatios } f
 export { path, predicted, type Pose, type WeightedPose } from "../schedule/poses.js";
 export { Scheduler, type Decision, type Holdings, type Unit } from "../schedule/scheduler.js";
 
-/** Time between two looks at where a visitor is, at least, seconds (docs/streaming.md, 10). */
+/** Time between two looks at where a visitor is, at least, seconds (docs/streaming.md, 11). */
 const LOOK_SECONDS = 0.1;
 /** Changes that may wait for the caller before no more is fetched. */
 const MAX_WAITING = 64;

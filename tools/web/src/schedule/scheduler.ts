@@ -43,6 +43,11 @@ export interface Decision {
   readonly fetch: readonly number[];
 }
 
+/** How many bytes are kept under way, at least (docs/streaming.md, 7). */
+export function windowBytes(bytesPerSecond: number, latency: number): number {
+  return bytesPerSecond * (latency + AHEAD_SECONDS);
+}
+
 /** Decides what to fetch next, what to stop and what to throw away (docs/streaming.md, 7 to 9). */
 export class Scheduler {
   private readonly heads = new Map<number, number>();
@@ -115,7 +120,7 @@ class Round {
     this.there = new Set(holdings.there);
     this.coming = new Set(holdings.underWay);
     this.received = new Map(holdings.received);
-    this.window = holdings.bytesPerSecond * (holdings.latency + AHEAD_SECONDS);
+    this.window = windowBytes(holdings.bytesPerSecond, holdings.latency);
     for (const unit of this.coming) this.bytesComing += this.left(unit);
   }
 

@@ -1,4 +1,4 @@
-/** What a connection brings, by what has come lately (docs/streaming.md, 10). */
+/** What a connection brings, by what has come lately (docs/streaming.md, 11). */
 export declare class LinkEstimate {
     bytesPerSecond: number;
     private readonly parts;

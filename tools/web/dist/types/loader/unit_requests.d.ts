@@ -26,7 +26,7 @@ export declare class UnitRequests {
     rangeOf: (unit: number) => ByteRange, receiver: UnitReceiver);
     /** Units that are asked for. */
     get underWay(): number[];
-    /** Whether one more request may be made. */
+    /** Whether one more request may be made: answers share the connection, so that the first would wait for all others. */
     private get hasRoom();
     /**
      * Ask for units, those that lie beside each other together, until as much is under way as keeps the connection busy.

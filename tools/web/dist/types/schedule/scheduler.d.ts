@@ -33,6 +33,8 @@ export interface Decision {
     /** Units to ask for, the first first. */
     readonly fetch: readonly number[];
 }
+/** How many bytes are kept under way, at least (docs/streaming.md, 7). */
+export declare function windowBytes(bytesPerSecond: number, latency: number): number;
 /** Decides what to fetch next, what to stop and what to throw away (docs/streaming.md, 7 to 9). */
 export declare class Scheduler {
     private readonly units;
