@@ -1,7 +1,6 @@
 """Headless Chromium for tests, and what they ask of the viewer in it."""
 
 import os
-import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Final
@@ -9,11 +8,12 @@ from typing import Final
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr
 from cogsplat.formats.storage.images import decode_image
+from cogsplat.tools.benchmark import chromium as benchmark
 
 # Rendered in software, whatever the machine: WebGL 2 by SwiftShader.
 _ARGUMENTS: Final = (
@@ -53,8 +53,7 @@ Statistics = Mapping[str, object]
 
 def executable() -> str:
     """Return Chromium's path; without it tests fail in CI and are skipped elsewhere."""
-    given = os.environ.get("COGSPLAT_CHROMIUM")
-    found = given or shutil.which("chromium") or shutil.which("chromium-browser")
+    found = benchmark.executable()
     if found is None:
         message = "Chromium is not installed: `apt-get install chromium`, or set COGSPLAT_CHROMIUM"
         if os.environ.get("CI"):
@@ -66,17 +65,9 @@ def executable() -> str:
 @contextmanager
 def chromium() -> Iterator[Browser]:
     """Start a browser, and end it with the block."""
-    path = executable()
-    root = hasattr(os, "geteuid") and os.geteuid() == 0
-    with sync_playwright() as playwright:
-        # Chromium's own sandbox refuses to run as root.
-        browser = playwright.chromium.launch(
-            executable_path=path, args=list(_ARGUMENTS), chromium_sandbox=not root
-        )
-        try:
-            yield browser
-        finally:
-            browser.close()
+    executable()
+    with benchmark.chromium(_ARGUMENTS) as browser:
+        yield browser
 
 
 _TWO_FRAMES: Final = """() => new Promise((done) => {

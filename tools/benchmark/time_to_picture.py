@@ -14,12 +14,9 @@ import base64
 import csv
 import io
 import json
-import os
-import shutil
 import statistics
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -40,6 +37,7 @@ from cogsplat.formats.storage.atomic import atomic_write
 from cogsplat.tools.delivery.slow_server import SlowServer, running
 from cogsplat.tools.pictures.svg_charts import Series, line_chart
 
+from .chromium import opened_page
 from .packed_splats import unpack, words_of_band
 
 if TYPE_CHECKING:
@@ -58,7 +56,6 @@ _SPLAT_BYTES: Final = 32
 _MARKS_DB: Final = (24.0, 30.0)
 _LATENCY_SECONDS: Final = 0.04
 _HELD_OUT: Final = 8
-_PATIENCE_MS: Final = 300_000
 
 _PAGE: Final = b"""<!doctype html><title>arrivals</title>
 <script type="importmap">{"imports": {
@@ -265,23 +262,6 @@ def page_files(node_modules: Path) -> dict[str, bytes]:
     return files
 
 
-@contextmanager
-def _page(server: SlowServer) -> Iterator[Page]:
-    from playwright.sync_api import sync_playwright
-
-    given = os.environ.get("COGSPLAT_CHROMIUM")
-    chromium = given or shutil.which("chromium") or shutil.which("chromium-browser")
-    root = hasattr(os, "geteuid") and os.geteuid() == 0
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, chromium_sandbox=not root)
-        page = browser.new_page()
-        page.set_default_timeout(_PATIENCE_MS)
-        page.goto(server.url)
-        page.wait_for_function("() => window.arrive !== undefined")
-        yield page
-        browser.close()
-
-
 def run(
     source: Splats,
     files: Sequence[Contender],
@@ -309,7 +289,10 @@ def run(
     arrivals = []
     # Programs are kept by the browser, so that links carry nothing but scenes.
     programs = page_files(node_modules)
-    with running(SlowServer(programs, kept=programs)) as server, _page(server) as page:
+    with (
+        running(SlowServer(programs, kept=programs)) as server,
+        opened_page(server.url, "window.arrive !== undefined") as page,
+    ):
         for contender in files:
             _load(page, server, contender)
         server.link.latency_seconds = _LATENCY_SECONDS

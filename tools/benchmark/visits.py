@@ -10,8 +10,6 @@ count. The simulation begins with its first request when the browser made its ow
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final, TypedDict
@@ -34,9 +32,10 @@ from cogsplat.tools.streaming.curves import strips
 from cogsplat.tools.streaming.traces import Trace, recorded
 from cogsplat.tools.streaming.visits import Browser
 
+from .chromium import opened_page
+
 _WEB: Final = Path(__file__).resolve().parents[1] / "web"
 _PAGE: Final = b'<!doctype html><title>visit</title><script type="module" src="visits.js"></script>'
-_PATIENCE_MS: Final = 300_000
 _LOOK_SECONDS: Final = 1 / 30
 """Between two pictures of a browser."""
 
@@ -95,14 +94,9 @@ def in_browser(
     -------
     tuple of float and list of Noted
     """
-    from playwright.sync_api import sync_playwright
-
     files = {"index.html": _PAGE, "visits.js": (_WEB / "scripts" / "visits.js").read_bytes()}
     for name in ("cogsplat.js", "worker.js", "visit.js"):
         files[name] = (_WEB / "dist" / name).read_bytes()
-    given = os.environ.get("COGSPLAT_CHROMIUM")
-    chromium = given or shutil.which("chromium") or shutil.which("chromium-browser")
-    root = hasattr(os, "geteuid") and os.geteuid() == 0
     times = np.arange(0.0, trace.seconds + _LOOK_SECONDS, _LOOK_SECONDS)
     visit = {
         "url": "/scene.cogs",
@@ -113,17 +107,14 @@ def in_browser(
     }
     programs = dict(files)
     files["scene.cogs"] = scene.read_bytes()
-    with running(SlowServer(files, kept=programs)) as server, sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, chromium_sandbox=not root)
-        page = browser.new_page()
-        page.set_default_timeout(_PATIENCE_MS)
-        page.goto(server.url)
-        page.wait_for_function("() => window.visit !== undefined")
+    with (
+        running(SlowServer(files, kept=programs)) as server,
+        opened_page(server.url, "window.visit !== undefined") as page,
+    ):
         # Once without a link: programs are compiled, and workers have been started.
         page.evaluate("(visit) => window.visit(visit)", {**visit, "moments": [0.5]})
         server.link = slow_server.Link(link.bits_per_second, link.latency)
         result = page.evaluate("(visit) => window.visit(visit)", visit)
-        browser.close()
     return result["started"], result["noted"]
 
 
