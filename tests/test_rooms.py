@@ -361,7 +361,8 @@ DOORS: dict[str, dict[str, str]] = {
             "FORMATS Format WRITABLE format_of format_to_write is_cogs read_scene scene_bytes "
             "scene_files write_scene"
         ),
-        "sog.scene": "read_sog write_sog",
+        "sog.levels": "StreamedSog read_levels",
+        "sog.scene": "read_sog sog_files write_sog",
         "splat": "read_splat write_splat",
         "spz.scene": "SPZ_AXES VERSIONS read_spz write_spz",
         "spz.values": "PRECISIONS",

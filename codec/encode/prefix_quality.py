@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.executor import Executor, LocalThreads
-from cogsplat.codec.metrics import psnr
+from cogsplat.codec.metrics import PSNR_CAP_DB, psnr
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render_tiles
 from cogsplat.codec.splats import Splats
@@ -193,6 +193,12 @@ def predicted(
     -------
     EncodedScene
         Its report has the PSNR of the whole in each view.
+
+    Notes
+    -----
+    Where the whole is far better in the views that prefixes are measured in than in the others,
+    the first prefixes may have fewer dB than is taken away from them. They say 0, which stands for
+    nothing predicted (SPEC 5.4).
     """
     if not encoded.report.test_psnr_db:
         encoded = whole_measured(encoded, evaluator)
@@ -202,7 +208,7 @@ def predicted(
     qualities = evaluator.prefixes_db(encoded, views=some, whole_db=there, progress=progress)
     shift = float(np.mean(whole)) - there
     chunks = [
-        replace(chunk, quality_db=quality + shift)
+        replace(chunk, quality_db=min(max(quality + shift, 0.0), PSNR_CAP_DB))
         for chunk, quality in zip(encoded.chunks, qualities, strict=True)
     ]
     return replace(encoded, chunks=chunks)

@@ -17,6 +17,7 @@ from cogsplat.formats.storage.atomic import atomic_write, check_output
 from cogsplat.tools.pictures.png import write_png
 from cogsplat.tools.streaming.client import Link
 from cogsplat.tools.streaming.comparison import (
+    PEER,
     POLICIES,
     SHARES,
     Moment,
@@ -24,6 +25,7 @@ from cogsplat.tools.streaming.comparison import (
     bytes_until,
 )
 from cogsplat.tools.streaming.curves import chart, strips
+from cogsplat.tools.streaming.streamed_sog import BUDGET_SPLATS, streamed_sog_client
 from cogsplat.tools.streaming.traces import Trace, dolly, orbital, recorded
 from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
@@ -38,7 +40,7 @@ from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import number_of_bytes
 
-from .inputs import given_cameras, given_files, input_source, is_cogs_input
+from .inputs import given_cameras, given_files, input_source, is_cogs_input, read_any, usable_rows
 from .serve import BitRate
 
 # Moments that a strip shows: as many as fit beside each other on a page.
@@ -103,8 +105,20 @@ _STRIP_PICTURES: Final = 6
     "--budget",
     type=click.IntRange(1),
     metavar="N",
-    help="Most splats in memory of the policy visit, which throws others away; any number by "
-    "default.",
+    help="Most splats in memory of the policy visit, which throws others away, and that --peer "
+    "draws; by default any number, and 4 million.",
+)
+@click.option(
+    "--source",
+    type=INPUT,
+    metavar="SCENE",
+    help="Compare with pictures of this scene, instead of those of the whole file.",
+)
+@click.option(
+    "--peer",
+    type=PATH,
+    metavar="PATH/lod-meta.json",
+    help=f"Streamed SOG of --source: as one policy more, {PEER}, by PlayCanvas' rules.",
 )
 @click.option(
     "--moments",
@@ -161,6 +175,8 @@ def simulate(
     latency: float,
     policies: tuple[str, ...],
     budget: int | None,
+    source: Path | None,
+    peer: Path | None,
     moments: int,
     eval_every: int,
     compensate: bool,
@@ -185,15 +201,18 @@ def simulate(
     goes on, by requests that are stopped and resumed, within --budget. Pictures of what has arrived
     are compared with those of the whole, along the trace and in test views at rest. Files that were
     encoded with --cells gain most.
+    With --peer, a client of another format takes part, over the same link; it needs --source.
     """
     if not is_cogs_input(path):
         raise click.UsageError(f"{path}: is no COGS file, expected one")
     if as_large_as is not None and bandwidth is None:
         raise click.UsageError("--as-large-as without --bandwidth, expected both")
+    if peer is not None and source is None:
+        raise click.UsageError("--peer without --source, expected the scene that both were made of")
     for out in (csv_path, plot_path, strip_path):
         if out is not None:
-            check_output(out, force=force, inputs=given_files(path, cameras))
-    chosen = policies or POLICIES
+            check_output(out, force=force, inputs=given_files(path, cameras, source, peer))
+    chosen = (policies or POLICIES) + (() if peer is None else (PEER,))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             known, tests = hold_out(given_cameras(cameras), eval_every)
@@ -203,9 +222,21 @@ def simulate(
             file = cogsplat.open(
                 input_source(path), partial=partial_accepted(), limits=current_limits()
             )
+            drawn = None
+            if source is not None:
+                drawn = usable_rows(read_any(source, threads=threads).splats, source)
+            other = None
+            if peer is not None:
+                other = streamed_sog_client(peer, budget or BUDGET_SPLATS, limits=current_limits())
         with file:
             simulation = Simulation(
-                file, known, threads=threads, compensate=compensate, progress=stages
+                file,
+                known,
+                threads=threads,
+                compensate=compensate,
+                source=drawn,
+                peer=other,
+                progress=stages,
             )
         bits = _bits_for(simulation, walked, bandwidth, as_large_as)
         link = Link(bits, latency / 1000.0)
@@ -216,6 +247,7 @@ def simulate(
         at_rest = simulation.at_rest(tests, chosen, stages)
     if csv_path is not None:
         _write_csv(along, csv_path, force=force)
+    against = "the whole" if source is None else name_of(source)
     title = f"{name_of(path)}, {trace} at {bits / 1e6:.3g} Mbit/s"
     if plot_path is not None:
         with atomic_write(plot_path, force=force) as opened:
@@ -236,6 +268,7 @@ def simulate(
                 "latency_s": link.latency,
                 "compensated": compensate,
                 "goal_db": goal,
+                "compared_with": name_of(path if source is None else source),
                 "policies": [
                     {
                         "policy": name,
@@ -265,7 +298,7 @@ def simulate(
     if quiet:
         return
     say(
-        f"{walked.seconds:.1f} s of {trace} at {bits / 1e6:.3g} Mbit/s: PSNR against the whole, "
+        f"{walked.seconds:.1f} s of {trace} at {bits / 1e6:.3g} Mbit/s: PSNR against {against}, "
         f"dB, and SSIM, means of the trace; share of the bytes from which on it keeps {goal:g} dB, "
         "and of those fetched that it showed nothing of; PSNR in test views at rest after shares "
         "of the bytes"

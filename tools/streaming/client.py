@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,11 @@ from .traces import Trace
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
+# As docs/streaming.md, 11: who wants nothing looks again after so long.
+_LOOK_SECONDS: Final = 0.1
+
 Priorities = Callable[[Camera], F64]
-"""How much a byte of each unit of a file is wanted from a pose, above 0."""
+"""How much a byte of each unit of a file is wanted from a pose; 0 where it is not asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +153,9 @@ def fetch(units: Units, trace: Trace, link: Link, priorities: Priorities) -> Arr
     Returns
     -------
     Arrivals
-        All units. What comes next was chosen one latency before its first byte, from the pose of
-        that moment: the first unit of the chain that is worth most (docs/streaming.md, 7).
+        All units that are asked for before the end of the trace. What comes next was chosen one
+        latency before its first byte, from the pose of that moment: the first unit of the chain
+        that is worth most (docs/streaming.md, 7).
     """
     now = link.latency + 8.0 * units.opening_bytes / link.bits_per_second
     missing = np.ones(len(units), np.bool_)
@@ -158,10 +163,17 @@ def fetch(units: Units, trace: Trace, link: Link, priorities: Priorities) -> Arr
     seconds = []
     while missing.any():
         # Without any answer yet, nobody knows what there is to choose from.
-        wanted = priorities(trace.at(max(now - link.latency, 0.0)))
+        chosen_at = max(now - link.latency, 0.0)
+        wanted = priorities(trace.at(chosen_at))
+        asked = missing & (wanted > 0.0)
+        if not asked.any():
+            if chosen_at >= trace.seconds:
+                break
+            now += _LOOK_SECONDS
+            continue
         order = np.argsort(-wanted, kind="stable")
         best = best_chain(
-            order[missing[order]].tolist(),
+            order[asked[order]].tolist(),
             wanted,
             units.size_bytes,
             units.after,

@@ -23,6 +23,7 @@ from .client import Arrivals, Link, Priorities, Units, fetch, units_of
 from .policies import by_pose, by_ratios, file_order, nearest_boxes, sgss, table_of
 from .row_clients import RowClient, by_antimatter, by_sgss_cells
 from .shown import ShownScene
+from .streamed_sog import StreamedSogClient
 from .traces import Trace
 from .visits import Browser, visit
 
@@ -49,6 +50,9 @@ and an order of its own. ``frustum``, ``views`` and ``oracle`` put the file's or
 what the nearest views show, and by what the pose itself shows. ``visit`` is `views` as the npm
 package does it: several requests at a time, for a path, stopped and resumed, within a budget."""
 
+PEER: Final = "streamed-sog"
+"""Name of the client of another file: by the rules of PlayCanvas' viewer (`streamed_sog`)."""
+
 SHARES: Final = (0.2, 0.3, 0.5, 0.7)
 """Shares of the bytes after which a view at rest is judged."""
 
@@ -69,7 +73,7 @@ class Moment:
     bytes : int
         Of segments that have arrived.
     psnr_db : float
-        Against the picture of the whole; 100 at most.
+        Against the picture of the whole file, or of the source; 100 at most.
     ssim : float
         Likewise.
     wasted_bytes : int
@@ -103,15 +107,18 @@ class Client:
         What may be fetched.
     wanted : Priorities
     rows : list of slice or (n,) int64
-        Rows of the scene that each unit is about; none for codebooks.
+        Rows of `scene` that each unit is about; none for codebooks.
     drawn : callable
         What is drawn of units that are there, from a pose.
+    scene : Splats
+        All that there is to fetch.
     """
 
     units: Units
     wanted: Priorities
     rows: Sequence[slice | I64]
     drawn: Callable[[Sequence[int], Camera], Splats]
+    scene: Splats
 
 
 class Simulation:
@@ -126,6 +133,10 @@ class Simulation:
     threads : int
     compensate : bool
         Whether clients of the file change what they have to make up for what is missing.
+    source : Splats, optional
+        Whose pictures all others are compared with; by default the whole file's.
+    peer : StreamedSogClient, optional
+        The client of the policy `PEER`, of the same scene in another file.
     progress : Progress
         Called with the stage ``table``, of a file without a view table.
     """
@@ -137,9 +148,12 @@ class Simulation:
         *,
         threads: int = 0,
         compensate: bool = False,
+        source: Splats | None = None,
+        peer: StreamedSogClient | None = None,
         progress: Progress = silent,
     ) -> None:
         self.units: Units = units_of(file)
+        self._source, self._peer = source, peer
         self._shown = ShownScene(file, threads, compensate=compensate)
         self._known = evenly(known, TABLE_VIEWS)
         chunks = slice(0, self._shown.chunks)
@@ -194,6 +208,11 @@ class Simulation:
 
     def client(self, name: str) -> Client:
         """Return the client of a policy."""
+        if name == PEER:
+            peer = self._peer
+            if peer is None:
+                raise ValueError(f"{name}: no other file was given")
+            return Client(peer.units, peer.wanted, peer.rows, peer.drawn, peer.scene)
         splats, units = self._shown.splats, self.units
         size = int(units.size_bytes.sum())
         if name in ("antimatter", "sgss-cells"):
@@ -209,7 +228,7 @@ class Simulation:
                     np.concatenate([np.zeros(0, np.int64), *(rows[u] for u in there)])
                 )
 
-            return Client(made.units, made.wanted, rows, of_rows)
+            return Client(made.units, made.wanted, rows, of_rows, splats)
         of_units = [
             self._shown.rows(chunk) if chunk >= 0 else slice(0, 0) for chunk in units.chunk.tolist()
         ]
@@ -221,10 +240,10 @@ class Simulation:
             return self._shown.drawn(units, there, ratios(Pose.of_camera(camera)))
 
         wanted = self.policy("file" if name == "whole" else name)
-        return Client(units, wanted, of_units, of_segments)
+        return Client(units, wanted, of_units, of_segments, splats)
 
     def picture(self, camera: Camera, splats: Splats | None = None) -> F32:
-        """Return the picture of the whole, or of other splats: (H, W, 3), 0 to 1."""
+        """Return the picture of the whole file, or of other splats: (H, W, 3), 0 to 1."""
         return self._shown.picture(camera, splats)
 
     def arrivals(
@@ -302,20 +321,23 @@ class Simulation:
         end = min(trace.seconds, download) if trace.seconds > 0.0 else download
         times = end * np.arange(1, moments + 1) / moments
         seen: dict[str, list[Moment]] = {name: [] for name in policies}
-        is_seen = np.zeros(len(self._shown.splats), np.bool_)
+        scenes = {id(client.scene): client.scene for client in clients.values()}
+        is_seen = {key: np.zeros(len(scene), np.bool_) for key, scene in scenes.items()}
         for number, seconds in enumerate(times.tolist()):
             progress("trace", number, moments)
             pose = trace.at(seconds)
-            whole = self._shown.picture(pose)
-            is_seen |= self._shown.contributions_of_splats(pose) > 0.0
+            whole = self.picture(pose, self._source)
+            for key, scene in scenes.items():
+                is_seen[key] |= self._shown.contributions_of_splats(pose, scene) > 0.0
             if shown is not None:
                 shown("", seconds, whole)
             for name, arrived in arrivals.items():
                 client = clients[name]
                 came = arrived.came(seconds)
                 sizes = client.units.size_bytes[came]
+                rows_seen = is_seen[id(client.scene)]
                 unseen = [
-                    client.units.chunk[unit] >= 0 and not is_seen[client.rows[unit]].any()
+                    client.units.chunk[unit] >= 0 and not rows_seen[client.rows[unit]].any()
                     for unit in came
                 ]
                 picture = self._shown.picture(pose, client.drawn(arrived.there(seconds), pose))
@@ -337,15 +359,15 @@ class Simulation:
     ) -> dict[str, list[float]]:
         """Return the mean PSNR of views after `SHARES` of the bytes, by policy.
 
-        Each view is looked from alone, by somebody who waits. Progress is called with the stage
-        ``views``.
+        The bytes are shares of the file's, also for a client of another. Each view is looked from
+        alone, by somebody who waits. Progress is called with the stage ``views``.
         """
         total = int(self.units.size_bytes.sum())
         clients = {name: self.client(name) for name in policies}
         found: dict[str, list[list[float]]] = {name: [] for name in policies}
         for number, camera in enumerate(views):
             progress("views", number, len(views))
-            whole = self._shown.picture(camera)
+            whole = self.picture(camera, self._source)
             trace = Trace([camera], np.zeros(1))
             for name, client in clients.items():
                 # The pose stays: what it wants is worked out once.

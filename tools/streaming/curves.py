@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cogsplat.tools.pictures.filmstrip import BACKGROUND, filmstrip
 from cogsplat.tools.pictures.svg_charts import Series, line_chart
 
-from .comparison import POLICIES, Moment
+from .comparison import PEER, POLICIES, Moment
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -34,7 +34,7 @@ def chart(along: Mapping[str, Sequence[Moment]], title: str) -> str:
         Series(
             name,
             tuple((moment.seconds, min(moment.psnr_db, _TOP_DB)) for moment in moments),
-            POLICIES.index(name),
+            (*POLICIES, PEER).index(name),
         )
         for name, moments in along.items()
     ]

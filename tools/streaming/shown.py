@@ -65,13 +65,13 @@ class ShownScene:
         """Return the rows of `splats` that a chunk holds."""
         return self._runs[chunk]
 
-    def contributions_of_splats(self, camera: Camera) -> F64:
-        """Return what each splat contributes to a picture, (N,) float64."""
+    def contributions_of_splats(self, camera: Camera, splats: Splats | None = None) -> F64:
+        """Return what each splat of the whole, or of others, contributes to a picture, (N,)."""
         # Imported late: commands that only decode need no compiler.
         from cogsplat.codec.scoring.contribution import ScoreConfig, score
 
         config = ScoreConfig(jitter=False, threads=self._threads)
-        return score(self._fine, [camera], config).contribution
+        return score(self._fine if splats is None else splats, [camera], config).contribution
 
     def contributions(self, camera: Camera) -> F64:
         """Return what each chunk contributes to a picture, (c,) float64."""

@@ -100,6 +100,16 @@ def test_the_whole_is_measured_in_more_views_than_prefixes():
     assert [found.chunks[-1].quality_db - c.quality_db for c in found.chunks] == pytest.approx(lost)
 
 
+def test_a_prefix_of_less_than_is_taken_away_predicts_nothing():
+    encoded = encoded_in(5)
+    # Prefixes are measured in the first and the last view, where the whole is far better.
+    whole = (100.0, 1.0, 1.0, 100.0)
+    encoded = replace(encoded, report=replace(encoded.report, test_psnr_db=whole))
+    found = predicted(encoded, PrefixEvaluator(scene(), views(4)), most_views=2)
+    assert found.chunks[0].quality_db == 0.0
+    assert found.chunks[-1].quality_db == pytest.approx(50.5)
+
+
 def test_of_many_chunks_some_are_measured():
     encoded = encoded_in(40, n=400)
     calls = []

@@ -1,10 +1,14 @@
 """simulate: a table of policies, moments as CSV, and its refusals."""
 
 import csv
+import json
 from pathlib import Path
 
 import pytest
 from running import Run, SmallScene
+
+import cogsplat
+from cogsplat.formats.scenes.sog.scene import write_sog
 
 
 def test_policies_are_compared_and_moments_written(
@@ -64,3 +68,46 @@ def test_a_size_without_a_bandwidth_is_misuse(run: Run, small: SmallScene) -> No
 def test_other_scenes_and_single_cameras_are_misuse(run: Run, small: SmallScene) -> None:
     told = run("simulate", small.ply, "--cameras", small.cameras)
     assert (told.code, "no COGS file" in told.err) == (2, True)
+
+
+def streamed_sog(folder: Path, scene: Path) -> Path:
+    """Write a scene as Streamed SOG of one leaf and two levels, of which one is a half."""
+    splats = cogsplat.read(scene)
+    for name, rows in (("0_0", slice(None)), ("1_0", slice(0, None, 2))):
+        (folder / name).mkdir()
+        write_sog(splats.take(rows), folder / name / "meta.json")
+    lods = {str(k): {"file": k, "offset": 0, "count": len(splats) // (k + 1)} for k in (0, 1)}
+    bound = {"min": splats.means.min(axis=0).tolist(), "max": splats.means.max(axis=0).tolist()}
+    index = {"version": 1, "lodLevels": 2, "filenames": ["0_0/meta.json", "1_0/meta.json"]}
+    path = folder / "lod-meta.json"
+    path.write_text(json.dumps({**index, "tree": {"bound": bound, "lods": lods}}))
+    return path
+
+
+def test_a_client_of_streamed_sog_is_compared_over_the_same_link(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    peer = streamed_sog(tmp_path, small.ply)
+    told = run(
+        "simulate", small.cogs, "--cameras", small.cameras, "--policy", "file", "--moments", 2,
+        "--source", small.ply, "--peer", peer, "--bandwidth", "1G", "--plot", tmp_path / "p.svg",
+        "--json",
+    )  # fmt: skip
+    assert told.code == 0, told.err
+    assert told.json["compared_with"] == str(small.ply)
+    ours, other = told.json["policies"]
+    assert (ours["policy"], other["policy"]) == ("file", "streamed-sog")
+    # All of both is there: what is missing was lost by the two formats.
+    images = sum(path.stat().st_size for path in tmp_path.glob("?_0/*"))
+    assert other["moments"][-1]["bytes"] == images
+    assert 30.0 < other["moments"][-1]["psnr_db"] < 100.0
+    assert 30.0 < ours["moments"][-1]["psnr_db"] < 100.0
+    assert "streamed-sog" in (tmp_path / "p.svg").read_text()
+
+
+def test_another_file_needs_the_scene_that_both_were_made_of(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    peer = streamed_sog(tmp_path, small.ply)
+    told = run("simulate", small.cogs, "--cameras", small.cameras, "--peer", peer)
+    assert (told.code, "--peer without --source" in told.err) == (2, True)
