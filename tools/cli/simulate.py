@@ -23,10 +23,12 @@ from cogsplat.tools.streaming.comparison import (
     Moment,
     Simulation,
     bytes_until,
+    moments_behind,
 )
 from cogsplat.tools.streaming.curves import chart, strips
 from cogsplat.tools.streaming.streamed_sog import BUDGET_SPLATS, streamed_sog_client
 from cogsplat.tools.streaming.traces import Trace, dolly, orbital, recorded
+from cogsplat.tools.streaming.waiting import fetched_by_waiting
 from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
     force_option,
@@ -150,6 +152,12 @@ _STRIP_PICTURES: Final = 6
     metavar="DB",
     help="PSNR; the bytes are told from which on the trace keeps it.",
 )
+@click.option(
+    "--wait",
+    is_flag=True,
+    help="Tell also what visitors fetch along the trace who wait at each moment until they see "
+    "the PSNR of --goal, whatever the link.",
+)
 @click.option("--csv", "csv_path", type=PATH, metavar="OUT.csv", help="Write every moment.")
 @click.option("--plot", "plot_path", type=PATH, metavar="OUT.svg", help="Draw PSNR over time.")
 @click.option(
@@ -181,6 +189,7 @@ def simulate(
     eval_every: int,
     compensate: bool,
     goal: float,
+    wait: bool,
     csv_path: Path | None,
     plot_path: Path | None,
     strip_path: Path | None,
@@ -244,6 +253,9 @@ def simulate(
         along = simulation.along(
             walked, link, chosen, moments, stages, film.take, budget_splats=budget or 0
         )
+        waited = (
+            fetched_by_waiting(simulation, walked, chosen, moments, goal, stages) if wait else {}
+        )
         at_rest = simulation.at_rest(tests, chosen, stages)
     if csv_path is not None:
         _write_csv(along, csv_path, force=force)
@@ -254,6 +266,11 @@ def simulate(
             opened.write(chart(along, title).encode())
     if strip_path is not None:
         write_png(strips(film.pictures, film.judged(along), title), strip_path, force=force)
+    behind = (
+        {name: moments_behind(along[name], along["file"], goal) for name in chosen}
+        if "file" in chosen
+        else {}
+    )
     means = {name: float(np.mean([m.psnr_db for m in seen])) for name, seen in along.items()}
     if as_json:
         say_json(
@@ -274,6 +291,8 @@ def simulate(
                         "policy": name,
                         "psnr_db": means[name],
                         "goal_bytes": bytes_until(along[name], goal),
+                        "behind_file": behind.get(name),
+                        "waited_bytes": waited.get(name),
                         "moments": [
                             {
                                 "time_s": m.seconds,
@@ -300,8 +319,9 @@ def simulate(
     say(
         f"{walked.seconds:.1f} s of {trace} at {bits / 1e6:.3g} Mbit/s: PSNR against {against}, "
         f"dB, and SSIM, means of the trace; share of the bytes from which on it keeps {goal:g} dB, "
-        "and of those fetched that it showed nothing of; PSNR in test views at rest after shares "
-        "of the bytes"
+        "and of those fetched that it showed nothing of; "
+        + (f"share that was fetched by who waited for {goal:g} dB at each moment; " if wait else "")
+        + "PSNR in test views at rest after shares of the bytes"
     )
     rows = [
         (
@@ -310,12 +330,14 @@ def simulate(
             f"{np.mean([m.ssim for m in along[name]]):.3f}",
             _share(bytes_until(along[name], goal), simulation),
             _share(along[name][-1].wasted_bytes, simulation),
+            *([_share(waited[name][-1], simulation)] if wait else []),
             *(f"{quality:.2f}" for quality in at_rest[name]),
         )
         for name in chosen
     ]
     shares = (f"{share:.0%}" for share in SHARES)
-    table(("policy", "trace", "SSIM", f"{goal:g} dB", "waste", *shares), rows)
+    waiting = ("waited",) if wait else ()
+    table(("policy", "trace", "SSIM", f"{goal:g} dB", "waste", *waiting, *shares), rows)
     facts(
         ("file", f"{simulation.chunks} chunks"),
         ("known", f"what each chunk contributes to {simulation.known_views} views"),

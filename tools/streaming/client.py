@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -164,25 +164,56 @@ def fetch(units: Units, trace: Trace, link: Link, priorities: Priorities) -> Arr
     while missing.any():
         # Without any answer yet, nobody knows what there is to choose from.
         chosen_at = max(now - link.latency, 0.0)
-        wanted = priorities(trace.at(chosen_at))
-        asked = missing & (wanted > 0.0)
-        if not asked.any():
+        unit = _next_unit(units, priorities(trace.at(chosen_at)), missing)
+        if unit is None:
             if chosen_at >= trace.seconds:
                 break
             now += _LOOK_SECONDS
             continue
-        order = np.argsort(-wanted, kind="stable")
-        best = best_chain(
-            order[asked[order]].tolist(),
-            wanted,
-            units.size_bytes,
-            units.after,
-            lambda unit: bool(missing[unit]),
-        )
-        assert best is not None, "there is a missing unit"
-        unit = best[0][0]
         now += 8.0 * float(units.size_bytes[unit]) / link.bits_per_second
         missing[unit] = False
         came.append(unit)
         seconds.append(now)
     return Arrivals(came, np.array(seconds))
+
+
+def waited_for(units: Units, wanted: F64, there: Sequence[int] = ()) -> list[int]:
+    """Return what somebody fetches who stays at a pose, in that order.
+
+    Parameters
+    ----------
+    units : Units
+    wanted : (u,) float64
+        Of the pose, as `Priorities` give it.
+    there : sequence of int
+        Units that were fetched before.
+
+    Returns
+    -------
+    list of int
+        All others that the pose wants.
+    """
+    missing = np.ones(len(units), np.bool_)
+    missing[list(there)] = False
+    found: list[int] = []
+    while (unit := _next_unit(units, wanted, missing)) is not None:
+        missing[unit] = False
+        found.append(unit)
+    return found
+
+
+def _next_unit(units: Units, wanted: F64, missing: NDArray[np.bool_]) -> int | None:
+    """Return the first unit of the missing chain that is worth most (docs/streaming.md, 7).
+
+    None where nothing is wanted.
+    """
+    asked = missing & (wanted > 0.0)
+    order = np.argsort(-wanted, kind="stable")
+    best = best_chain(
+        order[asked[order]].tolist(),
+        wanted,
+        units.size_bytes,
+        units.after,
+        lambda unit: bool(missing[unit]),
+    )
+    return None if best is None else int(best[0][0])

@@ -19,7 +19,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import evenly
 from cogsplat.formats.cogs.reader import CogsFile
 
-from .client import Arrivals, Link, Priorities, Units, fetch, units_of
+from .client import Arrivals, Link, Priorities, Units, fetch, units_of, waited_for
 from .policies import by_pose, by_ratios, file_order, nearest_boxes, sgss, table_of
 from .row_clients import RowClient, by_antimatter, by_sgss_cells
 from .shown import ShownScene
@@ -95,6 +95,21 @@ def bytes_until(moments: Sequence[Moment], goal_db: float) -> int | None:
             break
         found = moment.bytes
     return found
+
+
+def moments_behind(moments: Sequence[Moment], others: Sequence[Moment], goal_db: float) -> int:
+    """Return at how many moments, after the first second, others show a PSNR and these do not.
+
+    Parameters
+    ----------
+    moments, others : sequence of Moment
+        At the same times.
+    goal_db : float
+    """
+    return sum(
+        moment.seconds > 1.0 and moment.psnr_db < goal_db <= other.psnr_db
+        for moment, other in zip(moments, others, strict=True)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,6 +261,10 @@ class Simulation:
         """Return the picture of the whole file, or of other splats: (H, W, 3), 0 to 1."""
         return self._shown.picture(camera, splats)
 
+    def reference(self, camera: Camera) -> F32:
+        """Return the picture that others are compared with: (H, W, 3), 0 to 1."""
+        return self.picture(camera, self._source)
+
     def arrivals(
         self,
         name: str,
@@ -319,14 +338,15 @@ class Simulation:
         ends = [float(arrived.seconds[-1]) for arrived in arrivals.values() if arrived.units]
         download = max(ends, default=link.latency)
         end = min(trace.seconds, download) if trace.seconds > 0.0 else download
-        times = end * np.arange(1, moments + 1) / moments
+        # The last moment is the end to the bit: what comes then is there.
+        times = np.linspace(0.0, end, moments + 1)[1:]
         seen: dict[str, list[Moment]] = {name: [] for name in policies}
         scenes = {id(client.scene): client.scene for client in clients.values()}
         is_seen = {key: np.zeros(len(scene), np.bool_) for key, scene in scenes.items()}
         for number, seconds in enumerate(times.tolist()):
             progress("trace", number, moments)
             pose = trace.at(seconds)
-            whole = self.picture(pose, self._source)
+            whole = self.reference(pose)
             for key, scene in scenes.items():
                 is_seen[key] |= self._shown.contributions_of_splats(pose, scene) > 0.0
             if shown is not None:
@@ -367,22 +387,15 @@ class Simulation:
         found: dict[str, list[list[float]]] = {name: [] for name in policies}
         for number, camera in enumerate(views):
             progress("views", number, len(views))
-            whole = self.picture(camera, self._source)
-            trace = Trace([camera], np.zeros(1))
+            whole = self.reference(camera)
             for name, client in clients.items():
-                # The pose stays: what it wants is worked out once.
-                wanted = client.wanted(camera)
-                arrived = fetch(client.units, trace, Link(1e9, 0.0), _always(wanted))
-                sizes = np.cumsum(client.units.size_bytes[arrived.units])
+                order = waited_for(client.units, client.wanted(camera))
+                sizes = np.cumsum(client.units.size_bytes[order])
                 counts = [int(np.searchsorted(sizes, share * total, "right")) for share in SHARES]
                 pictures = (
-                    self._shown.picture(camera, client.drawn(arrived.units[:count], camera))
+                    self._shown.picture(camera, client.drawn(order[:count], camera))
                     for count in counts
                 )
                 found[name].append([psnr(picture, whole) for picture in pictures])
         progress("views", len(views), len(views))
         return {name: np.mean(rows, axis=0).tolist() for name, rows in found.items()}
-
-
-def _always(priorities: F64) -> Priorities:
-    return lambda _: priorities

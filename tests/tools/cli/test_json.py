@@ -121,7 +121,7 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
             "--sizes", "none", "--codecs", "splat", "--by-object", "all",
         ],
         "bench": [small.ply, *cameras, "--qualities", "35"],
-        "simulate": [small.cogs, *cameras, "--policy", "file", "--moments", 1],
+        "simulate": [small.cogs, *cameras, "--policy", "file", "--moments", 1, "--wait"],
         "synth": [out / "a.ply", "--splats", 1000],
         "demo": ["--out", out / "demo", "--splats", 1000],
         "warm": [],

@@ -60,6 +60,20 @@ def test_charts_and_strips_are_written(run: Run, small: SmallScene, tmp_path: Pa
     assert strip.read_bytes().startswith(b"\x89PNG")
 
 
+def test_what_visitors_fetch_who_wait_is_told(run: Run, small: SmallScene) -> None:
+    options = ["--cameras", small.cameras, "--policy", "file", "--policy", "whole", "--wait"]
+    told = run("simulate", small.cogs, *options, "--moments", 2, "--goal", 20, "--json")
+    assert told.code == 0, told.err
+    file, whole = told.json["policies"]
+    assert whole["waited_bytes"] == [told.json["bytes"]] * 2
+    assert 0 < file["waited_bytes"][0] <= file["waited_bytes"][1] < told.json["bytes"]
+    assert file["behind_file"] == 0
+    # The first answer takes a latency: at the end of the trace a little of the whole is missing.
+    assert whole["behind_file"] == 2
+    told = run("simulate", small.cogs, *options, "--moments", 1)
+    assert "waited" in told.out
+
+
 def test_a_size_without_a_bandwidth_is_misuse(run: Run, small: SmallScene) -> None:
     told = run("simulate", small.cogs, "--cameras", small.cameras, "--as-large-as", "734MB")
     assert (told.code, "expected both" in told.err) == (2, True)

@@ -15,6 +15,7 @@ from cogsplat.tools.streaming.comparison import (
     Moment,
     Simulation,
     bytes_until,
+    moments_behind,
 )
 from cogsplat.tools.streaming.traces import recorded
 from cogsplat.tools.streaming.visits import visit
@@ -89,6 +90,24 @@ def test_a_goal_counts_from_where_it_is_kept() -> None:
     assert bytes_until(seen, 50.0) == 20
     assert bytes_until(seen, 30.0) == 0
     assert bytes_until(seen, 58.0) is None
+
+
+def test_the_first_second_does_not_count_where_others_are_behind() -> None:
+    def seen(*qualities: float) -> list[Moment]:
+        return [Moment(0.8 * n, 0, db, 1.0, 0) for n, db in enumerate(qualities, 1)]
+
+    others = seen(40.0, 40.0, 29.0, 40.0, 30.0)
+    assert moments_behind(seen(20.0, 20.0, 20.0, 31.0, 29.9), others, 30.0) == 2
+    assert moments_behind(others, others, 30.0) == 0
+
+
+def test_the_last_moment_has_all_that_came_until_then(simulation: Simulation) -> None:
+    total = 8.0 * float(simulation.units.end[-1])
+    trace = recorded(small(rooms_walk(4)), 0.5)
+    for seconds in np.linspace(3.0, 7.0, 5):
+        link = Link(total / seconds, 0.02)
+        for count in (1, 6, 7):
+            assert simulation.along(trace, link, ["file"], count)["file"][-1].psnr_db == 100.0
 
 
 def test_a_fast_link_ends_the_comparison_with_the_download(simulation: Simulation) -> None:
