@@ -8,10 +8,9 @@ from __future__ import annotations
 import struct
 import zlib
 from bisect import bisect_right
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import Final, Protocol, runtime_checkable
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,20 +151,6 @@ def file_preamble(manifest_head: bytes, name: str) -> bytes:
     # Checks all that a file's preamble is checked for.
     layout.unpack_preamble(preamble, name)
     return preamble
-
-
-@runtime_checkable
-class ObjectSource(Protocol):
-    """A source that reads a folder: what it has beside the bytes of the file."""
-
-    def tables(self) -> list[tuple[SegmentTable, Places]]:
-        """Return segments and their places, of the root and of each page."""
-
-    def objects(self) -> Mapping[str, int]:
-        """Return the bytes of all objects that the manifest names, by their names."""
-
-    def read_object(self, name: str) -> bytes:
-        """Return the bytes of an object."""
 
 
 class FolderMap:

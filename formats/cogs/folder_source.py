@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import stat
 import threading
-from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -16,8 +15,8 @@ from cogsplat.formats.storage.source import FileSource, require_within
 
 from . import layout
 from .folder_map import MANIFEST_NAME, FolderMap, Piece, is_manifest
-from .folder_places import SEGMENT_FOLDER, Places
-from .root import SegmentTable
+from .folder_places import SEGMENT_FOLDER
+from .object_source import ObjectSource
 
 # Not there on Windows, where links need rights that few have.
 _NO_LINKS: Final = getattr(os, "O_NOFOLLOW", 0)
@@ -47,7 +46,7 @@ def names_folder(path: StrPath) -> bool:
         return is_manifest(file.read(layout.PREAMBLE_BYTES))
 
 
-class FolderSource:
+class FolderSource(ObjectSource):
     """A source whose bytes are those of the file that a folder stands for.
 
     Parameters
@@ -79,22 +78,12 @@ class FolderSource:
         self._manifest = FileSource(manifest)
         try:
             head = self._manifest.read(0, min(layout.FIRST_READ, self._manifest.size))
-            self._map = FolderMap(head, self._manifest.name)
+            super().__init__(FolderMap(head, self._manifest.name))
             self._map.check_manifest_size(self._manifest.size)
         except BaseException:
             self._manifest.close()
             raise
         self._lock = threading.Lock()
-
-    @property
-    def size(self) -> int:
-        """Bytes of the file that the folder stands for."""
-        return self._map.file_length
-
-    @property
-    def opening_bytes(self) -> int:
-        """Bytes of preamble and root, which no segment is needed for."""
-        return self._map.root_end
 
     @property
     def stored_bytes(self) -> int:
@@ -124,28 +113,9 @@ class FolderSource:
             not piece.name or piece.name in self._objects for piece in self._pieces(offset, length)
         )
 
-    def tables(self) -> list[tuple[SegmentTable, Places]]:
-        """Return segments and their places, of the root and of each page; raises as `read`."""
-        self._pieces(0, self.size)
-        return self._map.tables()
-
-    def objects(self) -> Mapping[str, int]:
-        """Return the bytes of all objects that the manifest names; raises as `read`."""
-        return self._named
-
-    def read_object(self, name: str) -> bytes:
-        """Return the bytes of an object, as `objects` names it; raises as `read`."""
-        size = self._named[name]
-        return self._object_bytes(Piece(name, 0, size, size))
-
     def close(self) -> None:
         """Close the manifest."""
         self._manifest.close()
-
-    @cached_property
-    def _named(self) -> dict[str, int]:
-        self._pieces(0, self.size)
-        return self._map.objects()
 
     @cached_property
     def _objects(self) -> dict[str, int]:

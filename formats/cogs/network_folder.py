@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from functools import cached_property
 from typing import Final
 
 from cogsplat.formats.network.opening import transport_of
@@ -18,15 +17,14 @@ from cogsplat.formats.storage.source import Cancel, require_within
 
 from . import layout
 from .folder_map import FolderMap, Piece
-from .folder_places import Places
 from .folder_transport import FolderTransport, address_of
-from .root import SegmentTable
+from .object_source import ObjectSource
 
 # Bytes of so many index pages are kept.
 _PAGES_KEPT: Final = 8
 
 
-class NetworkFolder:
+class NetworkFolder(ObjectSource):
     """A folder on a network as a `Source`, whose bytes are those of the file that it stands for.
 
     Parameters
@@ -76,7 +74,7 @@ class NetworkFolder:
     ) -> None:
         options = options or NetworkOptions()
         self.name = shown(url)
-        self._map = FolderMap(head, self.name)
+        super().__init__(FolderMap(head, self.name))
         if manifest_bytes is not None:
             self._map.check_manifest_size(manifest_bytes)
         self._head = head[: self._map.manifest_bytes]
@@ -93,16 +91,6 @@ class NetworkFolder:
 
     def __exit__(self, *exc_info: object) -> None:
         self.close()
-
-    @property
-    def size(self) -> int:
-        """Bytes of the file that the folder stands for."""
-        return self._map.file_length
-
-    @property
-    def opening_bytes(self) -> int:
-        """Bytes of preamble and root, which no segment is needed for."""
-        return self._map.root_end
 
     @property
     def traffic(self) -> Traffic:
@@ -175,31 +163,11 @@ class NetworkFolder:
             pieces.sort(key=lambda piece: (turn[piece.name], piece.offset))
         return self._ranges.prefetch([self._range_of(piece) for piece in pieces])
 
-    def tables(self) -> list[tuple[SegmentTable, Places]]:
-        """Return segments and their places, of the root and of each page; raises as `read`."""
-        self._pieces(0, self.size)
-        return self._map.tables()
-
-    def objects(self) -> Mapping[str, int]:
-        """Return the bytes of all objects that the manifest names; raises as `read`."""
-        return self._named
-
-    def read_object(self, name: str) -> bytes:
-        """Return the bytes of an object, as `objects` names it; raises as `read`."""
-        size = self._named[name]
-        return self._ranges.read(*self._range_of(Piece(name, 0, size, size)))
-
     def close(self) -> None:
         """End all requests; reading is over."""
         self._ranges.close()
 
-    @cached_property
-    def _named(self) -> dict[str, int]:
-        self._pieces(0, self.size)
-        return self._map.objects()
-
     def _pieces(self, offset: int, length: int) -> list[Piece]:
-        """Return where bytes of the file lie; pages that say so are read."""
         require_within(self, offset, length)
         with self._lock:
             pages = self._map.pages_for(offset, length)
@@ -218,7 +186,7 @@ class NetworkFolder:
 
     def _bytes_of(self, piece: Piece) -> bytes:
         if piece.name:
-            return self._ranges.read(*self._range_of(piece))
+            return self._object_bytes(piece)
         page = self._map.page_at(piece.offset)
         if page is None:
             # The file's own preamble stands in the place of the manifest's.
@@ -227,6 +195,9 @@ class NetworkFolder:
         with self._lock:
             start = piece.offset - self._map.page_range(page).offset
             return self._page(page)[start : start + piece.length]
+
+    def _object_bytes(self, piece: Piece) -> bytes:
+        return self._ranges.read(*self._range_of(piece))
 
     def _page(self, page: int) -> bytes:
         """Return a page and its places; those of the last pages are kept, and all are known."""

@@ -17,11 +17,11 @@ from cogsplat.formats.network.traffic import Traffic
 from cogsplat.formats.storage.source import RemoteSource, Source, is_there
 
 from .fetch_order import needed_codebooks
-from .folder_map import ObjectSource
 from .folder_places import object_name
 from .gaps import gap_bytes
 from .index import I64, AnyIndex, codebook_kinds
 from .layout import SegmentKind
+from .object_source import ObjectSource
 from .root import ChunkTable, SegmentTable
 from .selection import select_chunks
 

@@ -8,12 +8,10 @@ import pytest
 from cogsplat.codec.errors import FormatError
 from cogsplat.formats.cogs.folder_map import (
     FolderMap,
-    ObjectSource,
     Piece,
     file_preamble,
     is_manifest,
 )
-from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.storage.magic import MANIFEST_MAGIC
 from cogsplat.tools.conformance.folders import MANIFEST, unpacked
 
@@ -78,11 +76,6 @@ def test_pieces_name_objects_and_what_lies_in_them() -> None:
     (name,) = (name for name in objects if name != MANIFEST)
     assert folder.pieces(folder.root_end + 3, 5) == [Piece(name, 3, 5, len(objects[name]))]
     assert folder.objects() == {name: len(objects[name])}
-    source = FolderSource(FOLDERS / "one-splat")
-    assert isinstance(source, ObjectSource)
-    assert source.objects() == folder.objects()
-    assert source.read_object(name) == objects[name]
-    source.close()
     assert is_manifest(objects[MANIFEST])
     assert not is_manifest(data)
     assert file_preamble(objects[MANIFEST], "x") == data[:64]

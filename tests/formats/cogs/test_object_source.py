@@ -1,0 +1,50 @@
+"""What sources of folders have in common, on one whose objects are in memory."""
+
+from pathlib import Path
+
+import pytest
+
+from cogsplat.formats.cogs.folder_map import FolderMap, Piece
+from cogsplat.formats.cogs.folder_source import FolderSource
+from cogsplat.formats.cogs.network_folder import NetworkFolder
+from cogsplat.formats.cogs.object_source import ObjectSource
+from cogsplat.tools.conformance.folders import MANIFEST, unpacked
+
+VALID = Path(__file__).resolve().parents[2] / "vectors" / "valid"
+
+
+class Objects(ObjectSource):
+    """Adds pages as a range asks for them."""
+
+    def __init__(self, objects: dict[str, bytes]) -> None:
+        super().__init__(FolderMap(objects[MANIFEST], "objects"))
+        self._content = objects
+
+    def _pieces(self, offset: int, length: int) -> list[Piece]:
+        for page in self._map.pages_for(offset, length):
+            data = self._content[MANIFEST][page.offset : page.offset + page.length]
+            self._map.add_page(page.page, data)
+        return self._map.pieces(offset, length)
+
+    def _object_bytes(self, piece: Piece) -> bytes:
+        return self._content[piece.name][piece.offset : piece.offset + piece.length]
+
+
+@pytest.mark.parametrize("name", ["empty", "one-splat", "pages", "compensation-pages"])
+def test_all_that_lies_beside_a_manifest_is_named_and_read(name: str) -> None:
+    data = (VALID / f"{name}.cogs").read_bytes()
+    objects = unpacked(data)
+    source = Objects(objects)
+    assert source.size == len(data)
+    # Behind the preamble and the root: nothing of that is in an object.
+    assert data[64 : source.opening_bytes] == objects[MANIFEST][64 : source.opening_bytes]
+    # Only the root is known yet: pages are added when all is asked for.
+    sizes = {other: len(content) for other, content in objects.items() if other != MANIFEST}
+    assert source.objects() == sizes
+    assert all(source.read_object(other) == objects[other] for other in sizes)
+    assert sum(len(places) for _, places in source.tables()) >= len(sizes)
+
+
+def test_folders_on_disk_and_on_networks_are_such_sources() -> None:
+    assert issubclass(FolderSource, ObjectSource)
+    assert issubclass(NetworkFolder, ObjectSource)
