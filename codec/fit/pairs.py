@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.geometry import rotations
+from cogsplat.codec.geometry.covariance import principal_axes
 from cogsplat.codec.geometry.sh import C0
 from cogsplat.codec.splats import Splats
 
@@ -153,15 +154,14 @@ def merged(splats: Splats, kept: I64, given_up: I64) -> Splats:
     for share, rows in zip(shares, (kept, given_up), strict=True):
         off = splats.means[rows] - means
         both += share[:, None, None] * (spread[rows] + off[:, :, None] * off[:, None, :])
-    variances, axes = np.linalg.eigh(_regular(both))
-    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    variances, quats = principal_axes(_regular(both))
     scales = 0.5 * np.log(variances)
     alphas = np.clip(total / np.exp(2.0 / 3.0 * scales.sum(axis=1)), *_ALPHAS)
     values = {name: getattr(splats, name).copy() for name in Gradients.names()}
     found = {
         "means": means,
         "scales": scales,
-        "quats": rotations.from_matrices(axes),
+        "quats": quats,
         "opacities": np.log(alphas / (1.0 - alphas)),
         "sh0": mean(splats.sh0),
         "shN": mean(splats.shN),

@@ -45,6 +45,33 @@ def vectors(quats: F32, scales: F32) -> F32:
     return np.stack(columns, axis=1).astype(np.float32)
 
 
+def principal_axes(covariances: F64) -> tuple[F64, F64]:
+    """Return the variances of Gaussians along their axes, and the rotations to these axes.
+
+    Parameters
+    ----------
+    covariances : (n, 3, 3) float64
+
+    Returns
+    -------
+    variances : (n, 3) float64
+        Rising; of a matrix that is singular but for rounding, the least may be below 0.
+    quats : (n, 4) float64
+        Unit, wxyz.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.geometry.covariance import principal_axes
+    >>> variances, quats = principal_axes(np.diag([1.0, 4.0, 9.0])[None])
+    >>> variances.tolist(), quats.tolist()
+    ([[1.0, 4.0, 9.0]], [[1.0, 0.0, 0.0, 0.0]])
+    """
+    variances, axes = np.linalg.eigh(covariances)
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    return variances, rotations.from_matrices(axes)
+
+
 def decompose(rows: F32) -> tuple[F32, F32]:
     """Return the quats and normalised log scales of (C, 6) covariance vectors.
 
@@ -58,9 +85,7 @@ def decompose(rows: F32) -> tuple[F32, F32]:
     covariance = np.empty((len(rows), 3, 3))
     for column, (i, j, weight) in enumerate(_UPPER):
         covariance[:, i, j] = covariance[:, j, i] = rows[:, column] / np.sqrt(weight)
-    values, axes = np.linalg.eigh(covariance)
-    axes[np.linalg.det(axes) < 0, :, 0] *= -1
-    deviations = np.sqrt(np.maximum(values, MIN_RELATIVE_SCALE**2))
+    variances, quats = principal_axes(covariance)
+    deviations = np.sqrt(np.maximum(variances, MIN_RELATIVE_SCALE**2))
     scales = np.log(deviations / np.sqrt(np.square(deviations).sum(axis=1, keepdims=True)))
-    quats = rotations.from_matrices(axes).astype(np.float32)
-    return rotations.largest_w(quats, scales.astype(np.float32))
+    return rotations.largest_w(quats.astype(np.float32), scales.astype(np.float32))

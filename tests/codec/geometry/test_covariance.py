@@ -133,6 +133,17 @@ def test_degenerate_shapes_come_back(scales):
     check_decomposed(covariance.vectors(aligned, np.array([scales], np.float32)), 2e-6)
 
 
+def test_principal_axes_turn_variances_into_the_covariance():
+    quats, scales = random_shapes(11, 200)
+    wide = covariances(quats, scales)
+    variances, found = covariance.principal_axes(wide)
+    assert (np.diff(variances, axis=1) >= 0).all()
+    turned = Rotation.from_quat(found[:, [1, 2, 3, 0]]).as_matrix()
+    back = np.einsum("nij,nj,nkj->nik", turned, variances, turned)
+    largest = np.abs(wide).max(axis=(1, 2))[:, None, None]
+    assert (np.abs(back - wide) <= 1e-12 * largest).all()
+
+
 def test_centres_that_are_no_longer_covariances_still_give_shapes():
     # Means of many, rounded: slightly negative eigenvalues, a trace off one, nothing at all.
     rows = np.array(
