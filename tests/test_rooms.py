@@ -184,7 +184,7 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "codec.geometry": {
         "bounds": "CUT_SIGMA box",
-        "covariance": "MIN_RELATIVE_SCALE decompose scale_factor vectors",
+        "covariance": "MIN_RELATIVE_SCALE decompose principal_axes scale_factor vectors",
         "floaters": "floaters",
         "frustum": "ALPHA_MIN NEAR in_frustum in_picture visible_depth",
         "merging": "merge",
@@ -239,7 +239,7 @@ DOORS: dict[str, dict[str, str]] = {
         "label_votes": "label_votes",
         "marginal_gains": "marginal_gains",
         "peak_weights": "peak_weights",
-        "projection": "FLAT Footprints GUARD NARROW SHEAR project",
+        "projection": "FLAT Footprints GUARD NARROW SHEAR fill_rotation project",
         "rasteriser": "RenderConfig cuda_view render render_tiles render_views",
         "sensitivities": (
             "COLUMNS PAIRS_AT_ONCE Sensitivities add_moments from_columns view_sensitivities"

@@ -73,10 +73,18 @@ class Gradients:
             **{name: np.float32(factor) * getattr(self, name) for name in self.names()}
         )
 
-    def add(self, others: Gradients) -> None:
-        """Add others to them."""
+    def add(self, others: Gradients, rows: NDArray[np.int64] | None = None) -> None:
+        """Add others to them.
+
+        Parameters
+        ----------
+        others : Gradients
+        rows : (n,) int64, optional
+            Splats that the rows of `others` belong to, each at most once; by default all, in order.
+        """
+        at = slice(None) if rows is None else rows
         for name in self.names():
-            getattr(self, name)[...] += getattr(others, name)
+            getattr(self, name)[at] += getattr(others, name)
 
 
 def with_values(splats: Splats, values: Mapping[str, F32]) -> Splats:

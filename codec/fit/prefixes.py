@@ -102,5 +102,4 @@ class Prefixes:
         by_picture *= np.float32(self.weight * error / max(own, _LEAST_ERROR))
         found = Gradients.zeros(prefix)
         drawing.backward(by_picture, found)
-        for name in Gradients.names():
-            getattr(gradients, name)[rows] += getattr(found, name)
+        gradients.add(found, rows)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry import sh
 from cogsplat.codec.render.jit import inner_kernel, kernel
-from cogsplat.codec.render.projection import FLAT, GUARD, NARROW, SHEAR
+from cogsplat.codec.render.projection import FLAT, GUARD, NARROW, SHEAR, fill_rotation
 from cogsplat.codec.render.shading import sh_terms
 
 from .tile_kernels import BY_RED, GU, GUU, GUV, GV, GVV, G
@@ -230,16 +230,7 @@ def add_shape_gradients(
             float(quats[i, 2]),
             float(quats[i, 3]),
         )
-        norm = 2.0 / (qw * qw + qx * qx + qy * qy + qz * qz)
-        splat[0, 0] = 1.0 - norm * (qy * qy + qz * qz)
-        splat[0, 1] = norm * (qx * qy - qw * qz)
-        splat[0, 2] = norm * (qx * qz + qw * qy)
-        splat[1, 0] = norm * (qx * qy + qw * qz)
-        splat[1, 1] = 1.0 - norm * (qx * qx + qz * qz)
-        splat[1, 2] = norm * (qy * qz - qw * qx)
-        splat[2, 0] = norm * (qx * qz - qw * qy)
-        splat[2, 1] = norm * (qy * qz + qw * qx)
-        splat[2, 2] = 1.0 - norm * (qx * qx + qy * qy)
+        norm = fill_rotation(qw, qx, qy, qz, splat)
         for k in range(3):
             linear[k] = math.exp(float(scales[i, k]))
             world[0, k] = fx / z * (rotation[0, k] - slope_x * rotation[2, k])

@@ -68,6 +68,7 @@ class CudaView:
         import torch
 
         self._camera = camera
+        self._drawn: tuple[tuple[float, ...], Tensor] | None = None
         # Nearest first, ties by row.
         nearest = depths.argsort(stable=True)
         self._radii, self._depths = radii[nearest].int(), depths[nearest]
@@ -199,7 +200,12 @@ class CudaView:
             yield drawn_pairs(splat, pixel + top * camera.width, self._ellipse, camera.width)
 
     def _pictures(self, background: Sequence[float]) -> Tensor:
-        """Return the picture by pixel: (H·W, 3) float64."""
+        """Return the picture by pixel, (H·W, 3) float64; the one drawn last is kept."""
+        if self._drawn is None or self._drawn[0] != tuple(background):
+            self._drawn = tuple(background), self._draw(background)
+        return self._drawn[1]
+
+    def _draw(self, background: Sequence[float]) -> Tensor:
         import torch
 
         camera = self._camera

@@ -73,6 +73,32 @@ class Footprints:
 
 
 @inner_kernel
+def fill_rotation(
+    qw: float, qx: float, qy: float, qz: float, rotation: NDArray[np.float64]
+) -> float:
+    """Fill the rotation of a splat; return 2 ÷ the squared length of its quaternion.
+
+    Parameters
+    ----------
+    qw, qx, qy, qz : float
+        A quaternion of any length but 0.
+    rotation : (3, 3) float64
+        Filled: from the splat's axes to the scene's.
+    """
+    norm = 2.0 / (qw * qw + qx * qx + qy * qy + qz * qz)
+    rotation[0, 0] = 1.0 - norm * (qy * qy + qz * qz)
+    rotation[0, 1] = norm * (qx * qy - qw * qz)
+    rotation[0, 2] = norm * (qx * qz + qw * qy)
+    rotation[1, 0] = norm * (qx * qy + qw * qz)
+    rotation[1, 1] = 1.0 - norm * (qx * qx + qz * qz)
+    rotation[1, 2] = norm * (qy * qz - qw * qx)
+    rotation[2, 0] = norm * (qx * qz - qw * qy)
+    rotation[2, 1] = norm * (qy * qz + qw * qx)
+    rotation[2, 2] = 1.0 - norm * (qx * qx + qy * qy)
+    return norm
+
+
+@inner_kernel
 def slack(centre: float, extent: float) -> float:
     """Return by how much the bounds of an ellipse are widened, px."""
     return _SLACK_PX + _SLACK * (abs(centre) + extent)

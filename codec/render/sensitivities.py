@@ -34,7 +34,7 @@ from .blending import (
     tile_area,
 )
 from .jit import inner_kernel, kernel
-from .projection import FLAT, GUARD, NARROW, SHEAR, Footprints
+from .projection import FLAT, GUARD, NARROW, SHEAR, Footprints, fill_rotation
 from .tiles import TILE, TileLists, gather
 
 _ZERO = np.float32(0.0)
@@ -350,22 +350,13 @@ def _map(
             square = du * du * m[M20] + 2.0 * du * dv * m[M11] + dv * dv * m[M02]
             columns[row, _MEANS + axis] = 4.0 / 3.0 * max(square, 0.0)
 
-        qw, qx, qy, qz = (
+        fill_rotation(
             float(quats[i, 0]),
             float(quats[i, 1]),
             float(quats[i, 2]),
             float(quats[i, 3]),
+            splat_rotation,
         )
-        norm = 2.0 / (qw * qw + qx * qx + qy * qy + qz * qz)
-        splat_rotation[0, 0] = 1.0 - norm * (qy * qy + qz * qz)
-        splat_rotation[0, 1] = norm * (qx * qy - qw * qz)
-        splat_rotation[0, 2] = norm * (qx * qz + qw * qy)
-        splat_rotation[1, 0] = norm * (qx * qy + qw * qz)
-        splat_rotation[1, 1] = 1.0 - norm * (qx * qx + qz * qz)
-        splat_rotation[1, 2] = norm * (qy * qz - qw * qx)
-        splat_rotation[2, 0] = norm * (qx * qz - qw * qy)
-        splat_rotation[2, 1] = norm * (qy * qz + qw * qx)
-        splat_rotation[2, 2] = 1.0 - norm * (qx * qx + qy * qy)
         slope_x = min(max(x, low_x), high_x)
         slope_y = min(max(y, low_y), high_y)
         var_x, var_y, cov, det = 0.0, 0.0, 0.0, 0.0

@@ -149,6 +149,24 @@ def test_moments_are_ours(config):
 
 
 @pytest.mark.usefixtures("device")
+def test_the_picture_over_one_background_is_drawn_once(monkeypatch):
+    splats, camera = scene(), oracle.camera()
+    config = CONFIGS["antialiased"]
+    seen = cuda_view(CudaScene(splats), camera, config)
+    expected = seen.moments()
+    listed = []
+    pairs = seen.pairs
+    monkeypatch.setattr(seen, "pairs", lambda: listed.append(None) or pairs())
+    picture = seen.picture(config.background)
+    seen.loss_sums(picture, config.background)
+    assert len(listed) == 2
+    # Moments take a picture without a background.
+    assert_near(seen.moments(), expected, off=1e-9)
+    assert len(listed) == 4
+    np.testing.assert_array_equal(seen.picture(config.background), picture)
+
+
+@pytest.mark.usefixtures("device")
 def test_several_views_and_some_tiles_of_one():
     splats, cameras = scene(), [oracle.camera(), oracle.camera(angle=0.9)]
     config = CONFIGS["plain"]

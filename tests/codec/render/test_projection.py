@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import oracle
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cogsplat.codec.render.projection import (
     FLAT,
@@ -13,6 +14,7 @@ from cogsplat.codec.render.projection import (
     SHEAR,
     X,
     Y,
+    fill_rotation,
     project,
 )
 from cogsplat.codec.splats import empty
@@ -42,6 +44,15 @@ def test_footprints_are_the_projected_gaussians(antialiased, shift):
         assert values[HALF_WIDTH] ** 2 == pytest.approx(
             reach * np.linalg.det(wide) / wide[1, 1], rel=1e-4
         )
+
+
+def test_rotations_of_splats_are_those_of_their_quaternions_of_any_length():
+    quats = np.random.default_rng(3).normal(0.0, 5.0, (100, 4)).astype(np.float32)
+    found = np.empty((3, 3))
+    for quat in quats:
+        assert fill_rotation(*quat.tolist(), found) == pytest.approx(2.0 / np.square(quat).sum())
+        expected = Rotation.from_quat(quat[[1, 2, 3, 0]].astype(np.float64)).as_matrix()
+        np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_nearest_comes_first_and_ties_keep_their_rows():
