@@ -3,7 +3,8 @@
 Run ``python -m cogsplat.tools.benchmark.tuning_ablation SCENE --cameras CAMERAS --size 60KB``, or
 without a scene for a synthetic one. For each variant it prints how many splats and bytes the stored
 scene has, and how its pictures in held-out views, and in copies that step back and turn away,
-compare with those of the source; with ``--images``, with the photos as well.
+compare with those of the source; with ``--images``, with the photos as well. ``--only``, which may
+be given several times, names a variant to run.
 """
 
 from __future__ import annotations
@@ -109,6 +110,8 @@ def measure(
     config: TuneConfig,
     *,
     photos: tuple[Sequence[F32], Sequence[F32]] | None = None,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    only: Sequence[str] = (),
 ) -> list[Row]:
     """Return a row for each variant.
 
@@ -123,9 +126,15 @@ def measure(
         Of tuning as it is.
     photos : tuple of sequences of (H, W, 3) float32, optional
         0 to 1, of the cameras and of the test views.
+    background : tuple of float
+        RGB behind the splats, in training and in what is compared.
+    only : sequence of str
+        Names of variants; all where none are given.
     """
     info = splats.info
-    drawing = RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased)
+    drawing = RenderConfig(
+        kernel_px=info.kernel_px, antialiased=info.antialiased, background=background
+    )
 
     def figures(scene: Splats, views: Sequence[Camera], expected: Sequence[F32]) -> list[float]:
         drawn = (np.clip(render(scene, view, drawing), 0.0, 1.0) for view in views)
@@ -143,13 +152,15 @@ def measure(
     rows: list[Row] = []
     share = count_for_size(size_bytes, splats.sh_degree, len(splats)) / len(splats)
     for variant in variants(config, share, photos=photos is not None):
+        if only and variant.name not in only:
+            continue
         numbers = evenly(range(len(cameras)), max(2, round(variant.views_share * len(cameras))))
         views = [cameras[number] for number in numbers]
         taught = None
         if variant.photos and photos is not None:
             taught = [photos[0][number] for number in numbers]
         threads = variant.config.train.threads
-        lessons = lessons_of(splats, views, photos=taught, threads=threads)
+        lessons = lessons_of(splats, views, photos=taught, background=background, threads=threads)
         made = tune(
             splats, lessons, views, Target(size_bytes=size_bytes), variant.config, size_of=size_of
         ).encoded
@@ -174,6 +185,15 @@ def main() -> None:
     parser.add_argument("scene", type=Path, nargs="?")
     parser.add_argument("--cameras", type=Path)
     parser.add_argument("--images", type=Path)
+    parser.add_argument(
+        "--background",
+        type=float,
+        nargs=3,
+        metavar=("R", "G", "B"),
+        default=[0.0, 0.0, 0.0],
+        help="behind the splats, 0 to 1 each",
+    )
+    parser.add_argument("--only", action="append", default=[], help="name of a variant to run")
     parser.add_argument("--size", default="40KB")
     parser.add_argument("--eval-every", type=int, default=8)
     parser.add_argument("--steps", type=int, default=100, help="of a round; others in proportion")
@@ -181,6 +201,14 @@ def main() -> None:
     given = parser.parse_args()
     if (given.scene is None) != (given.cameras is None):
         parser.error("SCENE and --cameras: expected both or none")
+    config = TuneConfig(
+        round_steps=given.steps, recovery_steps=10 * given.steps, storing_steps=6 * given.steps
+    )
+    config = replace(config, train=replace(config.train, threads=given.threads))
+    names = [variant.name for variant in variants(config, 1.0, photos=given.images is not None)]
+    unknown = sorted(set(given.only) - set(names))
+    if unknown:
+        parser.error(f"--only {unknown}, expected some of {names}")
     if given.scene is None:
         splats, cameras = synth(12_000), synth_cameras(32, 160, 120)
     else:
@@ -188,22 +216,22 @@ def main() -> None:
         splats = splats.take(~splats.invalid_rows())
         cameras = cogsplat.read_cameras(given.cameras)
     train, tests = hold_out(cameras, given.eval_every)
+    red, green, blue = given.background
+    background = red, green, blue
     photos = None
     if given.images is not None:
         of_train, of_tests = (
             [
                 pixels.astype(np.float32) / np.float32(255)
-                for pixels in read_photos(given.images, splats, views, (0.0, 0.0, 0.0)).pictures
+                for pixels in read_photos(given.images, splats, views, background).pictures
             ]
             for views in (train, tests)
         )
         photos = of_train, of_tests
-    config = TuneConfig(
-        round_steps=given.steps, recovery_steps=10 * given.steps, storing_steps=6 * given.steps
-    )
-    config = replace(config, train=replace(config.train, threads=given.threads))
     size = parse_bytes(given.size)
-    rows = measure(splats, train, tests, size, config, photos=photos)
+    rows = measure(
+        splats, train, tests, size, config, photos=photos, background=background, only=given.only
+    )
     of = given.scene or "synthetic scene"
     say(f"{of}: {len(splats):,} splats, {len(tests)} held-out views, {given.steps} steps a round")
     heads = ["tuned", "splats", "bytes", "held-out", "worst", "roam"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.fit.tune_config import TuneConfig
-from cogsplat.codec.render.rasteriser import render
+from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.tools.benchmark import tuning_ablation
 from cogsplat.tools.synthetic.scene import synth, synth_cameras
@@ -49,3 +49,36 @@ def test_the_table_has_a_row_for_each_variant_at_one_size() -> None:
         assert float(row[6]) == pytest.approx(float(row[3]), abs=0.02)
     # In so few and small pictures a scene is learnt by heart, in fewer of them even more.
     assert float(by_name["half of the views"][3]) < float(by_name["as it is"][3]) - 1.0
+
+
+@pytest.mark.slow
+def test_some_variants_are_run_over_the_background_that_photos_have() -> None:
+    splats = synth(600, seed=1)
+    train, tests = hold_out(synth_cameras(6, 48, 36), 8)
+    pink = (0.6, 0.0, 0.4)
+    photos = [
+        [np.clip(render(splats, view, RenderConfig(background=pink)), 0, 1) for view in views]
+        for views in (train, tests)
+    ]
+    rows = tuning_ablation.measure(
+        splats,
+        train,
+        tests,
+        6_000,
+        SHORT,
+        photos=(photos[0], photos[1]),
+        background=pink,
+        only=["photos teach"],
+    )
+    assert [row[0] for row in rows] == ["photos teach"]
+    # The photos are the source's pictures over this background.
+    assert float(rows[0][6]) == pytest.approx(float(rows[0][3]), abs=0.02)
+
+
+def test_a_variant_that_does_not_exist_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["tuning_ablation", "--only", "magic"])
+    with pytest.raises(SystemExit):
+        tuning_ablation.main()
+    assert "expected some of ['as it is'" in capsys.readouterr().err
