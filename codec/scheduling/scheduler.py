@@ -245,6 +245,20 @@ class Scheduler:
         return Decision(round_.stopped, round_.evicted, round_.chosen)
 
 
+@dataclass
+class _Held:
+    """Chunks whose heads are there or coming, their splats, and what the least of them is worth."""
+
+    chunks: set[int]
+    splats: int
+    least_worth: float
+
+    def add(self, chunk: int, splats: int, worth: float) -> None:
+        self.chunks.add(chunk)
+        self.splats += splats
+        self.least_worth = min(self.least_worth, worth)
+
+
 class _Round:
     """One decision while it is made."""
 
@@ -266,6 +280,7 @@ class _Round:
         self._sizes = [unit.size_bytes for unit in units]
         self._after = [unit.after for unit in units]
         self._aside: set[int] = set()
+        self._held: _Held | None = None
         self.stopped: list[int] = []
         self.evicted: list[int] = []
         self.chosen: list[int] = []
@@ -317,6 +332,8 @@ class _Round:
         if is_gone or (first.is_head and not self.make_room(self._keep(last), chain)):
             self._aside.add(last)
             return
+        if first.is_head and self._held is not None:
+            self._held.add(first.chunk, self._splats[first.chunk], self._keep(chain[0]))
         self._coming.add(chain[0])
         self.chosen.append(chain[0])
 
@@ -336,9 +353,13 @@ class _Round:
             unit in after and not self._is_missing(other) for other, after in enumerate(self._after)
         )
 
-    def _held(self) -> set[int]:
-        """Return the chunks whose heads are there or coming."""
-        return {chunk for chunk, head in self._heads.items() if not self._is_missing(head)}
+    def _held_chunks(self) -> _Held:
+        """Return the chunks whose heads are there or coming, found anew where some were evicted."""
+        if self._held is None:
+            chunks = {chunk for chunk, head in self._heads.items() if not self._is_missing(head)}
+            least = min((self._keep(self._heads[chunk]) for chunk in chunks), default=math.inf)
+            self._held = _Held(chunks, sum(self._splats[chunk] for chunk in chunks), least)
+        return self._held
 
     def make_room(self, keep: float, chain: Sequence[int]) -> bool:
         """Evict chunks that are worth less until the first head of a chain fits.
@@ -362,9 +383,14 @@ class _Round:
         rows = [
             self._splats[unit.chunk] for unit in (self._units[u] for u in chain) if unit.is_head
         ]
-        held = self._held()
-        room = budget - sum(self._splats[chunk] for chunk in held)
-        kept = self._ancestors(chain)
+        now = self._held_chunks()
+        room = budget - now.splats
+        if room >= sum(rows):
+            return True
+        # Most often there is nothing that is worth little enough, wherever it stands.
+        if not now.least_worth * _EVICT_FACTOR < keep:
+            return False
+        held, kept = set(now.chunks), self._ancestors(chain)
         going: list[int] = []
         while room < sum(rows):
             chunk = self._least(held, kept, keep)
@@ -376,6 +402,7 @@ class _Round:
         # The other heads take their room when they are asked for.
         while going and room - self._splats[going[-1]] >= sum(rows[:1]):
             room -= self._splats[going.pop()]
+        self._held = None
         for chunk in going:
             self.evicted.append(chunk)
             for unit in self._of_chunk[chunk]:

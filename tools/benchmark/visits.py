@@ -4,7 +4,7 @@ Run ``python -m cogsplat.tools.benchmark.visits SCENE.cogs --cameras PATH --trac
 checkout. Headless Chromium visits the scene with the npm package over a slow link; which chunks it
 has decoded at each moment is noted, and drawn afterwards by our renderer, as is what
 ``cogsplat simulate --policy visit`` predicts: the speed of this machine's software WebGL does not
-count. The simulation begins with its first request when the browser made its own.
+count. The simulation makes its first request and starts to decode when the browser did.
 """
 
 from __future__ import annotations
@@ -76,9 +76,14 @@ class Comparison:
 
 
 def in_browser(
-    scene: Path, trace: Trace, link: Link, moments: list[float], budget_splats: int
-) -> tuple[float, list[Noted]]:
-    """Visit a scene in Chromium: when its first request was made, and what it had at moments.
+    scene: Path,
+    trace: Trace,
+    link: Link,
+    moments: list[float],
+    budget_splats: int,
+    splats_per_second: float,
+) -> tuple[Browser, list[Noted]]:
+    """Visit a scene in Chromium: what that adds to the link's times, and what it had at moments.
 
     Parameters
     ----------
@@ -89,10 +94,12 @@ def in_browser(
         Seconds from the opening of the scene on.
     budget_splats : int
         Most splats in memory; 0 for any number.
+    splats_per_second : float
+        That this machine's workers decode.
 
     Returns
     -------
-    tuple of float and list of Noted
+    tuple of Browser and list of Noted
     """
     files = {"index.html": _PAGE, "visits.js": (_WEB / "scripts" / "visits.js").read_bytes()}
     for name in ("cogsplat.js", "worker.js", "visit.js"):
@@ -115,7 +122,8 @@ def in_browser(
         page.evaluate("(visit) => window.visit(visit)", {**visit, "moments": [0.5]})
         server.link = slow_server.Link(link.bits_per_second, link.latency)
         result = page.evaluate("(visit) => window.visit(visit)", visit)
-    return result["started"], result["noted"]
+    browser = Browser(result["started"], splats_per_second, result["decoding"])
+    return browser, result["noted"]
 
 
 def _pose(pose: Pose) -> dict[str, object]:
@@ -215,10 +223,9 @@ def main(
     end = min(seconds or walked.seconds, walked.seconds)
     times = [end * (k + 1) / moments for k in range(moments)]
     link = Link(1e6 * mbit, latency / 1000.0)
-    started, noted = in_browser(scene, walked, link, times, budget)
+    browser, noted = in_browser(scene, walked, link, times, budget, splats_per_second)
     with cogsplat.open(scene) as file:
         simulation = Simulation(file, known, compensate=True)
-    browser = Browser(started, splats_per_second)
     rows, shown = compare(simulation, walked, link, noted, budget, browser)
     if pictures is not None:
         kept = np.unique(np.linspace(0, moments - 1, min(moments, 6)).round().astype(int)).tolist()
@@ -241,7 +248,8 @@ def main(
             f"{row.seconds:6.2f} s  {row.splats:8,} splats {row.psnr_db:6.2f} dB  simulated "
             f"{row.simulated_splats:8,} {row.simulated_db:6.2f} dB"
         )
-    click.echo(f"first request after {1000.0 * started:.0f} ms")
+    starts = [round(1000.0 * s) for s in (browser.start_seconds, browser.decoder_seconds)]
+    click.echo(f"first request after {starts[0]} ms, first worker after {starts[1]} ms")
     away = np.array([abs(row.psnr_db - row.simulated_db) for row in rows])
     click.echo(f"apart by {away.mean():.2f} dB on average, {away.max():.2f} at most")
 

@@ -46,10 +46,13 @@ class Browser:
         From the first moment of a trace to the first request.
     splats_per_second : float
         That are decoded, one chunk after the other.
+    decoder_seconds : float
+        From the first moment of a trace to the start of the worker that decodes.
     """
 
     start_seconds: float = 0.0
     splats_per_second: float = np.inf
+    decoder_seconds: float = 0.0
 
 
 @dataclass
@@ -151,7 +154,7 @@ class _Run:
         self._rate = link.bits_per_second / 8.0
         self._ratios: F64 | None = None
         self._looked = -np.inf
-        self._decoded = 0.0
+        self._decoded = browser.decoder_seconds
         self._came: list[int] = []
         self._seconds: list[float] = []
         self._leaves: list[float] = []

@@ -8,13 +8,19 @@ import { Visit } from "./visit.js";
  * @param poses - Where the visitor is, one pose every `interval` seconds from the first request on.
  * @param budget - Most splats in memory; 0 for any number.
  * @param moments - Seconds, ascending.
- * @returns When the first request was made, and for each moment when it was noted, and the chunks, each with whether it is refined and whether it has its coefficients above DC.
+ * @returns When the first request was made and the first worker had started, and for each moment when it was noted, and the chunks, each with whether it is refined and whether it has its coefficients above DC.
  */
 window.visit = async ({ url, poses, interval, budget, moments }) => {
   performance.clearResourceTimings();
   const begin = performance.now();
   const seconds = () => (performance.now() - begin) / 1000;
-  const scene = await StreamedScene.open(url, { service: (index) => new DecoderPool(index) });
+  let decoding;
+  const makeWorker = () => {
+    const worker = new Worker("worker.js", { type: "module" });
+    worker.addEventListener("message", () => (decoding ??= seconds()), { once: true });
+    return worker;
+  };
+  const scene = await StreamedScene.open(url, { service: (index) => new DecoderPool(index, { makeWorker }) });
   const abort = new AbortController();
   const options = { format: "packed", compensate: true, signal: abort.signal };
   const visit = await Visit.begin(scene, budget > 0 ? { ...options, splatBudget: budget } : options);
@@ -39,5 +45,5 @@ window.visit = async ({ url, poses, interval, budget, moments }) => {
   abort.abort();
   await gone;
   const [first] = performance.getEntriesByName(new URL(url, location.href).href);
-  return { started: (first.startTime - begin) / 1000, noted };
+  return { started: (first.startTime - begin) / 1000, decoding, noted };
 };

@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { CogsplatError, SourceError } from "../src/errors.js";
 import { loadKernels } from "../src/kernels/load.js";
-import { retryAfter } from "../src/loader/http_source.js";
+import { HttpSource, retryAfter } from "../src/loader/http_source.js";
 import { nextRequest, RangeAssembler } from "../src/loader/range_plan.js";
 import { StreamedScene, type OpenOptions } from "../src/loader/streamed_scene.js";
 import type { ChunkUpdate, StreamOptions } from "../src/loader/stream_options.js";
@@ -405,4 +405,19 @@ test("a level comes with what it draws and nothing else", async () => {
     assert.ok(fetched <= needed, `level ${level}: ${fetched} bytes for ${needed}`);
   }
   await assert.rejects(streamFrom(bytes, undefined, { level: 3 }), RangeError);
+});
+
+test("requests beside each other go around the browser's cache, which lets one of an address begin at a time", async () => {
+  const asked: (RequestCache | undefined)[] = [];
+  const source = new HttpSource(new URL("http://localhost/scene.cogs"), {
+    fetch: (_, init) => {
+      asked.push(init?.cache);
+      const headers = { "Content-Range": "bytes 0-3/100", "Content-Length": "4" };
+      return Promise.resolve(new Response(new Uint8Array(4), { status: 206, headers }));
+    },
+  });
+  for (const options of [{}, { priority: "low" }, { fresh: true }] as const) await source.read({ offset: 0, length: 4 }, options);
+  // An object of a folder has an address of its own.
+  await source.beside("segments/a").read({ offset: 0, length: 4 }, { priority: "low" });
+  assert.deepEqual(asked, ["default", "no-store", "reload", "default"]);
 });

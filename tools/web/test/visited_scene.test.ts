@@ -66,6 +66,20 @@ test("what the pose shows little of is not made up for", () => {
   }
 });
 
+test("where a visitor stands still, chunks are changed for what is seen from there", async () => {
+  let ratios = new Float64Array(6).fill(3);
+  const { visited, prefixes, take } = watched(80, () => ratios);
+  take(0, 1, 3, 4);
+  visited.work(Infinity);
+  assert.equal(prefixes.get(0), 2);
+  ratios = Float64Array.from([1, 1, 1 / 512, 1, 1, 1]);
+  assert.ok(!visited.work(Infinity));
+  assert.equal(prefixes.get(0), 2);
+  visited.look();
+  while (visited.work(Infinity)) await new Promise((resolve) => setTimeout(resolve, 10));
+  assert.equal(prefixes.get(0), 4);
+});
+
 test("chunks take the rows of those that went, and bring what they add with them", () => {
   const { visited, rows, shifts, layer, take } = watched(50, () => undefined);
   const drawn = (): number[] => rows.filter((word) => word > 0).sort((a, b) => a - b);

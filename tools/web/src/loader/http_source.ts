@@ -28,6 +28,8 @@ export class HttpSource implements ByteSource {
   constructor(
     private readonly url: string | URL,
     private readonly options: HttpOptions = {},
+    /** Whether all of a scene has this address. */
+    private readonly isWhole = true,
   ) {}
 
   async read(range: ByteRange, options: ReadOptions = {}): Promise<Answer> {
@@ -46,7 +48,7 @@ export class HttpSource implements ByteSource {
     const own = new URL(this.url, globalThis.document?.baseURI ?? globalThis.location?.href);
     const url = new URL(name, own);
     url.search = own.search;
-    return new HttpSource(url, this.options);
+    return new HttpSource(url, this.options, false);
   }
 
   private async request(range: string, { signal, fresh, priority }: ReadOptions): Promise<Response> {
@@ -61,7 +63,8 @@ export class HttpSource implements ByteSource {
         headers: { ...headers, Range: range },
         cache: fresh || this.options.fresh ? "reload" : "default",
         ...(credentials && { credentials }),
-        ...(priority && { priority }),
+        // Chromium's cache lets one request of an address begin at a time: those beside each other go around it.
+        ...(priority && { priority, ...(this.isWhole && { cache: "no-store" }) }),
         signal: stop.signal,
       });
       return await withinPause(answer, this.longestPause);

@@ -183,6 +183,7 @@ export class CogsFeed implements SceneFeed {
   look(pose: Pose): void {
     this.pose = pose;
     this.visit?.look(pose);
+    this.visited?.look();
   }
 
   limit(splats: number): boolean {

@@ -6,6 +6,8 @@ import { SH_WORDS, type PackedSplats } from "../scene/packed_splats.js";
 import { RowSlots, type RowRun } from "./row_slots.js";
 import type { SplatLayer } from "./splat_layer.js";
 
+/** How long a visitor stands still before chunks are changed for what is seen from there, ms (docs/streaming.md, 10). */
+const STILL_MILLISECONDS = 250;
 /** Most layers of compensation of a scene, or more. */
 const LAYERS = 1 << 16;
 
@@ -21,6 +23,8 @@ export class VisitedScene {
   private readonly compensatedFor = new Map<number, number>();
   private waiting: { readonly chunk: number; readonly prefix: number }[] = [];
   private isStale = false;
+  /** When the pose changed last, by `performance.now`, where chunks were not changed for it yet. */
+  private movedAt: number | undefined;
 
   /**
    * @param layer - May hold fewer rows than the scene has.
@@ -69,6 +73,11 @@ export class VisitedScene {
     }
   }
 
+  /** Look from somewhere else. */
+  look(): void {
+    this.movedAt = performance.now();
+  }
+
   /**
    * Change chunks to make up for what is missing, each by what is there of its cell (SPEC 8.5) and what the pose shows
    * of that (docs/streaming.md, 10).
@@ -77,17 +86,19 @@ export class VisitedScene {
    * @returns Whether there is more to do.
    */
   work(end: number): boolean {
+    if (this.movedAt !== undefined && performance.now() - this.movedAt >= STILL_MILLISECONDS) this.isStale = true;
     if (this.isStale) this.plan();
     while (this.waiting.length > 0) {
       if (performance.now() > end) return true;
       const { chunk, prefix } = this.waiting.pop()!;
       this.compensate(chunk, prefix);
     }
-    return false;
+    return this.movedAt !== undefined;
   }
 
   private plan(): void {
     this.isStale = false;
+    this.movedAt = undefined;
     const { index, compensation } = this.scene;
     const { cell, splats } = index.chunks;
     const held = [...this.rows.keys()].sort((a, b) => a - b);

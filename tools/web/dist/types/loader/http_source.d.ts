@@ -16,9 +16,13 @@ export interface HttpOptions {
 export declare class HttpSource implements ByteSource {
     private readonly url;
     private readonly options;
+    /** Whether all of a scene has this address. */
+    private readonly isWhole;
     private etag;
     private total;
-    constructor(url: string | URL, options?: HttpOptions);
+    constructor(url: string | URL, options?: HttpOptions, 
+    /** Whether all of a scene has this address. */
+    isWhole?: boolean);
     read(range: ByteRange, options?: ReadOptions): Promise<Answer>;
     /** A file that is named relative to this one; the query of the address is kept, which may hold a signature for all. */
     beside(name: string): HttpSource;

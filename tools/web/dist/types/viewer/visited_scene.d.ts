@@ -17,6 +17,8 @@ export declare class VisitedScene {
     private readonly compensatedFor;
     private waiting;
     private isStale;
+    /** When the pose changed last, by `performance.now`, where chunks were not changed for it yet. */
+    private movedAt;
     /**
      * @param layer - May hold fewer rows than the scene has.
      * @param shifted - Chunks that are shown with what they add for missing ones.
@@ -25,6 +27,8 @@ export declare class VisitedScene {
     constructor(scene: StreamedScene, layer: SplatLayer, shifted: Set<number>, shown: () => Float64Array | undefined);
     /** Draw what has come, or draw no longer what is gone. */
     take(change: VisitChange): void;
+    /** Look from somewhere else. */
+    look(): void;
     /**
      * Change chunks to make up for what is missing, each by what is there of its cell (SPEC 8.5) and what the pose shows
      * of that (docs/streaming.md, 10).
