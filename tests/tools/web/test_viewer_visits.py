@@ -157,6 +157,14 @@ class CappedServer(FaultyServer):
                 yield piece
 
 
+def wait_for_no_more(page: Page) -> None:
+    """Wait until what the viewer draws has stayed the same for a while."""
+    before = -1
+    while before != (splats := int(str(wait_until(page, "s.upToDate")["splats"]))):
+        before = splats
+        page.wait_for_timeout(1500)
+
+
 def test_what_is_looked_at_comes_first(
     page: Page, house: Path, whole: Splats, walk: list[Camera]
 ) -> None:
@@ -168,14 +176,13 @@ def test_what_is_looked_at_comes_first(
             page.goto(server.url)
             # What the first request brings is the same, whoever looks from where.
             server.allow(16_384)
-            wait_until(page, "s.splats > 0")
+            first = wait_until(page, "s.splats > 0")["splats"]
             look_from(page, walk[1])
             page.wait_for_timeout(300)
             server.allow(0.7 * size)
             # All but what is still on its way in one of the connections.
-            wait_until(page, f"s.bytes > {0.7 * size - 4096}")
-            page.wait_for_timeout(500)
-            wait_until(page, "s.upToDate")
+            wait_until(page, f"s.bytes > {0.7 * size - 4096} && s.splats > {first}")
+            wait_for_no_more(page)
             quality[order] = psnr(picture(page), np.clip(render(whole, walk[1]), 0, 1))
             page.goto("about:blank")
             server.allow(float("inf"))

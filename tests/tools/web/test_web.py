@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 import shutil
 import subprocess
 import sys
@@ -21,8 +22,10 @@ def run(command: list[str], folder: Path) -> str:
     done = subprocess.run(
         command, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, (
-        f"{' '.join(command)}\n{done.stdout[-8000:]}\n{done.stderr[-4000:]}"
+    # Tests that failed first: the end of a long output is all that is shown of it.
+    failed = re.findall(r"^ *not ok .*(?:\n(?! *(?:not )?ok ).*){0,40}", done.stdout, re.MULTILINE)
+    assert done.returncode == 0, "\n".join(
+        [" ".join(command), *failed[:10], done.stdout[-4000:], done.stderr[-4000:]]
     )
     return done.stdout
 
