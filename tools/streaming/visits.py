@@ -116,8 +116,8 @@ def visit(
     Returns
     -------
     Arrivals
-        When each unit had been decoded, and when it was thrown away; one that was fetched again is
-        there several times.
+        When each unit had been decoded and all that it needs, and when it was thrown away; one that
+        was fetched again is there several times.
     """
     run = _Run(units, splats, ratios, trace, link, budget_splats, browser or Browser())
     return run.arrivals()
@@ -171,12 +171,35 @@ class _Run:
             self._advance(now, later)
             now = later
             self._decide(now)
-        order = np.argsort(self._seconds, kind="stable")
+        shown = self._drawn_at()
+        order = np.argsort(shown, kind="stable")
+        order = order[np.isfinite(shown[order])]
         return Arrivals(
-            [self._came[k] for k in order.tolist()],
-            np.array(self._seconds)[order],
-            np.array(self._leaves)[order],
+            [self._came[k] for k in order.tolist()], shown[order], np.array(self._leaves)[order]
         )
+
+    def _drawn_at(self) -> F64:
+        """Return when each arrival is of use: not before what it needs (docs/streaming.md, 11).
+
+        Infinite where that did not come before the end. What something needs is not thrown away
+        before it.
+        """
+        arrivals: dict[int, list[int]] = {}
+        for k, unit in enumerate(self._came):
+            arrivals.setdefault(unit, []).append(k)
+        shown: dict[int, float] = {}
+
+        def drawn_at(k: int) -> float:
+            if k not in shown:
+                seconds = self._seconds[k]
+                waits = []
+                for before in self._units.after[self._came[k]]:
+                    stay = [j for j in arrivals.get(before, ()) if self._leaves[j] > seconds]
+                    waits.append(drawn_at(stay[0]) if stay else np.inf)
+                shown[k] = max([seconds, *waits])
+            return shown[k]
+
+        return np.array([drawn_at(k) for k in range(len(self._came))], np.float64)
 
     def _open(self) -> float:
         """Ask for the first bytes; return when the index has come with them."""

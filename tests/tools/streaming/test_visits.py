@@ -81,6 +81,21 @@ def test_a_browser_shows_what_has_come_later(house_file: CogsFile) -> None:
     assert later.seconds[-1] >= 0.5 + rows / 2000.0
 
 
+@pytest.mark.parametrize("share", [0.0, 0.4])
+def test_nothing_is_drawn_before_what_it_needs(house_file: CogsFile, share: float) -> None:
+    budget = int(share * float(house_file.chunks.splats.sum()))
+    units, arrivals = visited(house_file, WALK, budget=budget)
+    assert arrivals.units
+    for seconds in arrivals.seconds.tolist():
+        there = set(arrivals.there(seconds))
+        assert all(before in there for unit in there for before in units.after[unit])
+
+
+def test_nothing_is_decoded_before_the_worker_has_started(house_file: CogsFile) -> None:
+    _, arrivals = visited(house_file, WALK, browser=Browser(decoder_seconds=2.0))
+    assert arrivals.seconds[0] == 2.0
+
+
 def test_what_was_thrown_away_is_not_there() -> None:
     arrivals = Arrivals([3, 4, 3], np.array([1.0, 2.0, 5.0]), np.array([4.0, np.inf, np.inf]))
     assert [arrivals.there(seconds) for seconds in (0.5, 1.0, 3.0, 4.5, 6.0)] == [
