@@ -19,8 +19,9 @@ other without a pause, and an image takes no time to decode.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -28,7 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.splats import Splats, concatenate
+from cogsplat.codec.errors import FormatError
+from cogsplat.codec.splats import Splats, concatenate, sh_coefficients
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.scenes.sog.levels import StreamedSog, read_levels
 from cogsplat.formats.scenes.sog.scene import read_sog, sog_files
@@ -149,12 +151,26 @@ def streamed_sog_client(
 
     Raises
     ------
+    FormatError
+        ``sog-bad-levels``: a leaf names more splats than a file has.
     CogsplatError
         As `read_levels` and `read_sog`.
     """
     tree = read_levels(path, limits=limits)
     paths = [*tree.files, *([] if tree.environment is None else [tree.environment])]
     parts = [read_sog(part, limits=limits) for part in paths]
+    has = np.array([*map(len, parts)])
+    beyond = np.argwhere((tree.file >= 0) & (tree.start + tree.count > has[tree.file]))
+    for leaf, level in beyond.tolist():
+        end = int(tree.start[leaf, level] + tree.count[leaf, level])
+        part = paths[int(tree.file[leaf, level])]
+        raise FormatError(
+            "sog-bad-levels",
+            f"{os.fspath(path)}: leaf {leaf} ends at splat {end} of {part.parent.name}, expected "
+            f"at most its {has[tree.file[leaf, level]]}",
+        )
+    degree = max(part.sh_degree for part in parts)
+    parts = [_of_degree(part, degree) for part in parts]
     sizes = np.array(
         [sum(file.stat().st_size for file in sog_files(part)) for part in paths], np.int64
     )
@@ -169,6 +185,12 @@ def streamed_sog_client(
     )
     rows = [slice(a, b) for a, b in pairwise(ends)]
     return StreamedSogClient(tree, concatenate(parts), rows, units, budget_splats)
+
+
+def _of_degree(splats: Splats, degree: int) -> Splats:
+    """Return a scene with SH of a degree no lower than its own, of which what it lacks is zero."""
+    missing = sh_coefficients(degree) - sh_coefficients(splats.sh_degree)
+    return replace(splats, shN=np.pad(splats.shN, ((0, 0), (0, missing), (0, 0))))
 
 
 def _chosen(file: I64, levels: I64) -> I64:

@@ -103,16 +103,20 @@ def read_levels(path: StrPath, *, limits: Limits | None = None) -> StreamedSog:
         return sibling(folder, name, where, "sog-file-name")
 
     files = [beside(name) for name in root.texts("filenames")]
+    if not files:
+        raise root.wrong("filenames", "one file at least")
     boxes, runs = [], []
     for leaf in _leaves(root.child("tree")):
         bound = leaf.child("bound")
         boxes.append([*bound.numbers("min", 3), *bound.numbers("max", 3)])
         runs.append(_runs(leaf.child("lods"), levels, len(files)))
-    of_leaves = np.array(runs, np.int64).reshape(-1, levels, 3)
+    if not runs:
+        raise FormatError(_CODE, f"{where}: a tree without leaves, expected one at least")
+    of_leaves = np.array(runs, np.int64)
     return StreamedSog(
         files,
         beside(root.text("environment")) if "environment" in root else None,
-        np.array(boxes, np.float64).reshape(-1, 6),
+        np.array(boxes, np.float64),
         of_leaves[:, :, 0],
         of_leaves[:, :, 1],
         of_leaves[:, :, 2],

@@ -1,6 +1,7 @@
 """Streamed SOG's client: which files it asks for, in which order, and what it draws of them."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import FormatError
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.sog.scene import write_sog
@@ -152,9 +154,32 @@ def test_an_environment_comes_first_and_is_always_drawn(folder: Path) -> None:
     assert len(client.drawn([9, 6], moved(0.0))) == 15
 
 
-def test_leaves_without_a_level_take_the_next_finer_or_are_left_out(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_files_may_have_sh_of_other_degrees(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "env").mkdir()
+    for name in ("0_0", "1_0"):
+        shutil.copytree(folder / name, tmp_path / name)
+    write_sog(synth_rooms(1, 20_000, sh_degree=1).take(slice(0, 5)), tmp_path / "env/meta.json")
+    runs = {str(k): {"file": k, "offset": 0, "count": COUNTS[k]} for k in range(2)}
+    content = {"version": 1, "lodLevels": 2, "filenames": ["0_0/meta.json", "1_0/meta.json"]}
+    content |= {"environment": "env/meta.json"}
+    content |= {"tree": {"bound": {"min": [0, 0, 0], "max": [1, 1, 1]}, "lods": runs}}
+    path = tmp_path / "lod-meta.json"
+    path.write_text(json.dumps(content))
+    scene = streamed_sog_client(path).scene
+    assert scene.sh_degree == 1
+    assert not scene.shN[:60].any()
+    assert scene.shN[60:].any()
+
+
+def test_leaves_that_name_more_than_a_file_has_are_refused(folder: Path) -> None:
+    content = json.loads((folder / "lod-meta.json").read_text())
+    content["tree"]["children"][1]["lods"]["2"]["offset"] = 1
+    (folder / "beyond.json").write_text(json.dumps(content))
+    with pytest.raises(FormatError, match="leaf 1 ends at splat 11 of 2_1, expected"):
+        streamed_sog_client(folder / "beyond.json")
+
+
+def test_leaves_without_a_level_take_the_next_finer_or_are_left_out(folder: Path) -> None:
     content = json.loads((folder / "lod-meta.json").read_text())
     first, second, third = content["tree"]["children"]
     del first["lods"]["1"], second["lods"]["2"], third["lods"]["0"]

@@ -73,6 +73,8 @@ def test_an_environment_is_a_file_of_its_own(tmp_path: Path) -> None:
         ({"tree": {"bound": {"min": [0, 0, 0], "max": [1, 1, 1]}}}, "sog-bad-levels"),
         ({"tree": leaf(0, 1, level0=[0, -1, 5])}, "sog-bad-levels"),
         ({"tree": {"lods": {}}}, "sog-bad-levels"),
+        ({"tree": {"children": []}}, "sog-bad-levels"),
+        ({"filenames": []}, "sog-bad-levels"),
     ],
 )
 def test_what_no_index_says_is_refused(tmp_path: Path, changes: Json, code: str) -> None:
