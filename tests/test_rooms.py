@@ -167,7 +167,7 @@ DOORS: dict[str, dict[str, str]] = {
         "presets": "DEFAULT_PRESET PRESETS",
         "memory": "memory_need",
         "profiles.vq": "clip_strays",
-        "rate_control": "Target",
+        "rate_control": "Target to_psnr",
         "stage_costs": "order_costs render_cost score_cost stage_costs",
     },
     "codec.fit": {

@@ -18,7 +18,7 @@ from cogsplat.codec.encode.pipeline import SizeOf
 from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, predicted
 from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.presets import PRESETS
-from cogsplat.codec.encode.rate_control import Target
+from cogsplat.codec.encode.rate_control import Target, to_psnr
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.order.prefix_inflation import effective_splats
 from cogsplat.codec.progress import Progress
@@ -173,6 +173,28 @@ class Storing:
                 break
             quality = moved
         return quality
+
+    def untrained(self, splats: Splats) -> EncodedScene | None:
+        """Return the scene at the PSNR aimed at, not trained; None where it cannot have that.
+
+        Parameters
+        ----------
+        splats : Splats
+            Those that this was made of.
+        """
+        try:
+            hit = to_psnr(
+                lambda quality_db: stored(self._prepared, splats, quality_db).encoded,
+                self._target.psnr_db or 0.0,
+                lambda encoded: self._evaluator.psnr_db(encoded.decoded),
+                progress=self._progress,
+            )
+        except DataError as error:
+            # Training may bring a PSNR into reach that the quantisers alone do not give.
+            if error.code != "target-out-of-reach":
+                raise
+            return None
+        return hit.encoded
 
     def aimed(
         self, splats: Splats, quality_db: float, done: float, measure: bool

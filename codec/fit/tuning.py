@@ -66,7 +66,7 @@ class Milestone:
     Parameters
     ----------
     stage : str
-        ``trained`` or ``stored``.
+        ``trained``, ``stored``, or ``untuned`` where the source as it is takes fewer bytes.
     splats : int
         That are left.
     psnr_db, worst_db : float
@@ -91,7 +91,8 @@ class Tuned:
     encoded : EncodedScene
         Its report says what was measured against the source.
     splats : Splats
-        As they were trained before they were stored.
+        As they were trained before they were stored; those of the source where it is stored as it
+        is.
     """
 
     encoded: EncodedScene
@@ -119,6 +120,10 @@ def tune(
     In rounds, the splats whose deletion changes the pictures least are left out and the others
     trained to make up for them. What is left trains on through the encoder's own quantisers: it is
     drawn as it will be decoded, and its values move by what the pictures then ask for.
+
+    Where the target is a PSNR, the source is also encoded as it is, without training, and this is
+    the result where it has the PSNR in fewer bytes: small scenes, and targets that need nearly all
+    splats, leave training nothing to save.
 
     Parameters
     ----------
@@ -148,8 +153,8 @@ def tune(
     notify : callable, optional
         Called with what was reached, at the same times.
     progress : Progress
-        Called with ``deletions``, ``train``, ``score``, ``train stored``, ``opening`` and the
-        stages of the encoder.
+        Called with ``search``, ``deletions``, ``train``, ``score``, ``train stored``, ``opening``
+        and the stages of the encoder.
 
     Returns
     -------
@@ -174,18 +179,38 @@ def tune(
             progress=progress,
         )
     run = _Run(source, lessons, measured, target, config, checkpoint, notify, progress)
+    storing_of = partial(
+        Storing,
+        source,
+        cameras=cameras,
+        covering=covering,
+        target=target,
+        config=config,
+        test_views=test_views,
+        size_of=size_of,
+        opening=opening,
+        progress=progress,
+    )
+    # A share that is given is kept, whatever the file takes.
+    compared = target.psnr_db is not None and config.keep is None
+    as_it_is = storing_of(source) if compared else None
+    untuned = None if as_it_is is None else as_it_is.untrained(source)
     if resume is not None:
         run.restore(resume)
     if run.base is None:
         run.leave_out()
         run.base = run.trainer.copy()
     begin = run.pace.now()
-    storing = Storing(
-        source, run.base, cameras, covering, target, config, test_views, size_of, opening, progress
-    )
+    storing = storing_of(run.base)
     if resume is not None:
         storing.restore(resume)
     encoded = run.through_quantisers(storing, run.pace.now() - begin)
+    if as_it_is is not None and untuned is not None:
+        figures = as_it_is.figures(untuned)
+        if figures[-1] < storing.figures(encoded)[-1]:
+            if notify is not None:
+                notify(Milestone("untuned", *figures))
+            return Tuned(as_it_is.finished(untuned), source)
     return Tuned(storing.finished(encoded), run.base)
 
 

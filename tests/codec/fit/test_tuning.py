@@ -12,10 +12,12 @@ from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.fit.drawing import Gradients
 from cogsplat.codec.fit.lessons import lessons_of
+from cogsplat.codec.fit.storing import Storing
 from cogsplat.codec.fit.trainer import TrainConfig
 from cogsplat.codec.fit.tune_config import TuneConfig
 from cogsplat.codec.fit.tuning import tune
 from cogsplat.codec.metrics import psnr
+from cogsplat.codec.progress import silent
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.synthetic.scene import synth, synth_cameras
 
@@ -70,6 +72,38 @@ def test_a_psnr_is_met_with_fewer_splats_in_fewer_bytes(scene):
     assert {milestone.stage for milestone in told} == {"trained", "stored"}
     assert all(milestone.worst_db <= milestone.psnr_db for milestone in told)
     assert made.encoded.chunks[-1].quality_db > 28.0
+
+
+@pytest.mark.parametrize("profile", ["transform", "vq"])
+def test_a_psnr_never_takes_more_bytes_than_the_scene_untuned(scene, profile):
+    splats, cameras, _ = scene
+    # Such steps tear the scene apart, so that no quantiser is fine enough.
+    train = TrainConfig(rates={"means": 20.0})
+    config = TuneConfig(
+        round_steps=1, recovery_steps=1, storing_steps=10, profile=profile, train=train
+    )
+    told = []
+    made = tuned(scene, Target(psnr_db=33.0), config, size_of_all, notify=told.append)
+    plain = encode(
+        splats,
+        EncodeConfig(profile=profile),
+        cameras=cameras,
+        preset=PRESETS["fast"],
+        target=Target(psnr_db=33.0),
+    )
+    assert size_of_all(made.encoded) == size_of_all(plain)
+    assert made.splats is splats
+    stored, last = told[-2:]
+    assert (stored.stage, last.stage) == ("stored", "untuned")
+    assert last.size_bytes < stored.size_bytes
+    assert last.psnr_db == pytest.approx(np.mean(plain.report.test_psnr_db))
+
+
+def test_a_psnr_that_only_training_reaches_has_no_untuned_scene(scene):
+    splats, cameras, _ = scene
+    target, config = Target(psnr_db=90.0), replace(SHORT, profile="vq")
+    storing = Storing(splats, splats, cameras, (), target, config, (), size_of, None, silent)
+    assert storing.untrained(splats) is None
 
 
 @pytest.mark.slow
