@@ -49,15 +49,29 @@ class Link:
     _free_at: float = field(default=0.0, init=False, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False, repr=False)
 
-    def wait(self, size_bytes: int) -> None:
-        """Wait until bytes have passed; those that came before, of any connection, go first."""
+    def wait(self, size_bytes: int, ready: float | None = None) -> float:
+        """Wait until bytes have passed; those that came before, of any connection, go first.
+
+        Parameters
+        ----------
+        size_bytes : int
+        ready : float, optional
+            When they could be sent, by `time.monotonic`; now by default. Behind other bytes of one
+            answer, when those had passed: a thread that woke late does not slow the link down.
+
+        Returns
+        -------
+        float
+            When they had passed.
+        """
+        now = time.monotonic()
         if self.bits_per_second is None:
-            return
+            return now
         with self._lock:
-            now = time.monotonic()
-            self._free_at = max(self._free_at, now) + 8 * size_bytes / self.bits_per_second
-            wait = self._free_at - now
-        time.sleep(wait)
+            start = max(self._free_at, now if ready is None else ready)
+            passed = self._free_at = start + 8 * size_bytes / self.bits_per_second
+        time.sleep(max(passed - now, 0.0))
+        return passed
 
     @property
     def block_bytes(self) -> int:
@@ -232,9 +246,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send(self, name: str, part: bytes) -> None:
         server, size = self.server, self.server.link.block_bytes
+        passed: float | None = None
         for first in range(0, len(part), size):
             block = part[first : first + size]
-            server.link.wait(len(block))
+            passed = server.link.wait(len(block), passed)
             self.wfile.write(block)
             server.traffic.rows.append((time.monotonic(), name, len(block)))
 

@@ -71,6 +71,27 @@ def test_blocks_wait_for_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(slept) == 3
 
 
+def test_a_thread_that_wakes_late_does_not_slow_the_link_down(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 100.0
+
+    def sleep(seconds: float) -> None:
+        nonlocal now
+        now += seconds + 0.05
+
+    monkeypatch.setattr(slow_server.time, "sleep", sleep)
+    monkeypatch.setattr(slow_server.time, "monotonic", lambda: now)
+    link = Link(5e6)
+    passed = None
+    for _ in range(20):
+        passed = link.wait(62_500, passed)
+    assert passed == pytest.approx(102.0)
+    # The next answer begins when it is asked for.
+    now = 110.0
+    assert link.wait(62_500) == pytest.approx(110.1)
+
+
 def test_traffic_is_counted_by_file_and_time() -> None:
     with running(SlowServer(FILES, Link(20e6, latency_seconds=0.001))) as server:
         assert ask(server, "/parts/scene.spz")[2] == CONTENT
