@@ -168,6 +168,7 @@ DOORS: dict[str, dict[str, str]] = {
         "memory": "memory_need",
         "profiles.vq": "clip_strays",
         "rate_control": "Target to_psnr",
+        "scored_views": "score_given",
         "stage_costs": "order_costs render_cost score_cost stage_costs",
     },
     "codec.fit": {

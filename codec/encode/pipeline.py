@@ -41,6 +41,7 @@ from .prefix_quality import PrefixEvaluator, predicted, whole_measured
 from .prepared import PreparedScene, prepare
 from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .rate_control import Hit, Target, to_finished_size, to_nominal, to_psnr
+from .scored_views import may_drop_hidden, score_given
 from .shift_optimiser import FitConfig
 from .view_tables import foreseen, with_view_table
 
@@ -158,19 +159,30 @@ def encode(
             if planned.test_views and not tests:
                 tests = planned.test_views
                 report = replace(report, test_views="planned")
+            if views:
+                scores = score(
+                    splats,
+                    views,
+                    settings,
+                    covering=covering,
+                    workspace=workspace,
+                    executor=executor,
+                    progress=timed,
+                )
         else:
-            views = preset.views(views)
-        # An empty list of cameras is refused by `score`, not taken for none given.
-        if cameras is not None or views:
-            scores = score(
+            # An empty list of cameras is refused, not taken for none given.
+            given = views
+            views, scores = score_given(
                 splats,
-                views,
+                given,
+                preset,
                 settings,
-                covering=covering,
                 workspace=workspace,
                 executor=executor,
                 progress=timed,
             )
+            if config.prune and not may_drop_hidden(views, given, scores, settings):
+                config = replace(config, prune=replace(config.prune, hidden=False))
     if report.views == "given" and scores is not None and len(splats):
         report = replace(report, coverage=float((scores.covered > 0).mean()))
     if report.views != "none" and len(splats):

@@ -285,8 +285,8 @@ def _gather(
 ) -> tuple[BenchInput, str]:
     """Read and score a scene; `work` says what comes then, for splats, scored and test views."""
     from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+    from cogsplat.codec.encode.scored_views import score_given
     from cogsplat.codec.encode.stage_costs import score_cost
-    from cogsplat.codec.scoring.contribution import score
 
     with stages.stage("read"):
         views = scoring_cameras(cameras, eval_every)
@@ -305,10 +305,10 @@ def _gather(
         photos = read_photos(images, splats, test_views, background, threads=threads)
     preset = PRESETS[DEFAULT_PRESET]
     config = preset.score_config("transform", threads=threads, colour_sensitivity=True)
-    scored_on = preset.views(views)
-    stages.plan([score_cost(len(splats), preset, views), work(splats, scored_on, test_views)])
+    work_after = work(splats, preset.views(views), test_views)
+    stages.plan([score_cost(len(splats), preset, views), work_after])
     start = time.perf_counter()
-    scores = score(splats, scored_on, config, progress=stages)
+    scored_on, scores = score_given(splats, views, preset, config, progress=stages)
     score_s = time.perf_counter() - start
     given = BenchInput(splats, scores, score_s, test_views, scored_on, photos, background, threads)
     return given, what

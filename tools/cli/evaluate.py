@@ -371,8 +371,8 @@ def _gather(
 ) -> EvaluationInput:
     """Read and score a scene; `work` says what that and all that comes then will cost."""
     from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+    from cogsplat.codec.encode.scored_views import score_given
     from cogsplat.codec.encode.stage_costs import score_cost
-    from cogsplat.codec.scoring.contribution import score
 
     with stages.stage("read"):
         views = scoring_cameras(cameras, eval_every)
@@ -389,11 +389,14 @@ def _gather(
     config = choice.config(numbered)
     test_views, what = evaluation_cameras(path, splats, cameras, eval_every, planned=planned)
     preset = PRESETS[DEFAULT_PRESET]
-    scored_on = preset.views(views)
     scoring = score_cost(len(splats), preset, views, jitter=not no_jitter)
     references = references_cost(len(splats), test_views)
     stages.plan(
-        [StageCost("references", references), scoring, *work(splats, scored_on, test_views)]
+        [
+            StageCost("references", references),
+            scoring,
+            *work(splats, preset.views(views), test_views),
+        ]
     )
     photos = None
     if images is not None:
@@ -410,7 +413,7 @@ def _gather(
             threads=threads,
         )
     settings = preset.score_config("transform", top_k=top_k, jitter=not no_jitter, threads=threads)
-    scores = score(splats, scored_on, settings, progress=stages)
+    scored_on, scores = score_given(splats, views, preset, settings, progress=stages)
     return EvaluationInput(path, splats, scores, scored_on, what, config, evaluator, photos)
 
 

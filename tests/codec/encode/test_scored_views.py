@@ -1,0 +1,113 @@
+"""Given views are scored until little is shown by one camera alone."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.pipeline import encode
+from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.scored_views import may_drop_hidden, score_given, seen_once
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.splats import Splats
+from cogsplat.tools.synthetic.scene import synth, synth_cameras
+
+PLAIN = ScoreConfig(jitter=False)
+FAST = PRESETS["fast"]
+
+
+@pytest.fixture(scope="module")
+def rooms() -> tuple[Splats, list[Camera]]:
+    """36 scenes so far from each other that a camera shows one of them, each with one camera."""
+    splats, cameras = synth(150, sh_degree=0), synth_cameras(36, 40, 30)
+    shifts = [np.array([10_000.0 * place, 0.0, 0.0]) for place in range(36)]
+    means = np.concatenate([splats.means + shift.astype(np.float32) for shift in shifts])
+    many = splats.take(np.tile(np.arange(len(splats)), 36))
+    moved = [
+        Camera(
+            width=camera.width,
+            height=camera.height,
+            fx=camera.fx,
+            fy=camera.fy,
+            cx=camera.cx,
+            cy=camera.cy,
+            rotation=camera.rotation,
+            translation=camera.translation - camera.rotation @ shift,
+        )
+        for camera, shift in zip(cameras, shifts, strict=True)
+    ]
+    return replace(many, means=means), moved
+
+
+def by_leaving_out(splats: Splats, cameras: Sequence[Camera]) -> float:
+    """Return what each camera alone shows, by scoring without it, as a share of all."""
+    of_each = [score(splats, [camera], PLAIN) for camera in cameras]
+    alone = 0.0
+    for k, own in enumerate(of_each):
+        others = sum(other.seen for other in of_each[:k] + of_each[k + 1 :])
+        alone += float(np.sum(own.contribution, where=others == 0))
+    return alone / sum(float(own.contribution.sum()) for own in of_each)
+
+
+def test_what_one_camera_alone_shows_is_what_is_missing_without_it() -> None:
+    splats, cameras = synth(400, sh_degree=0), synth_cameras(3, 40, 30)
+    found = seen_once(score(splats, cameras, PLAIN), PLAIN)
+    assert 0.0 < found < 1.0
+    assert found == pytest.approx(by_leaving_out(splats, cameras), rel=1e-6)
+
+
+def test_jittered_copies_count_as_their_camera() -> None:
+    splats, cameras = synth(400, sh_degree=0), synth_cameras(1, 40, 30)
+    config = ScoreConfig(jitter_copies=1)
+    scores = score(splats, cameras, config)
+    assert scores.seen.max() == 2
+    assert seen_once(scores, config) == 1.0
+    assert seen_once(scores, PLAIN) < 1.0
+
+
+def test_views_of_one_place_are_thinned_out() -> None:
+    cameras = synth_cameras(48, 40, 30)
+    views, scores = score_given(synth(400, sh_degree=0), cameras, FAST, PLAIN)
+    assert views == FAST.views(cameras)
+    assert len(views) < len(cameras)
+    assert scores.num_pixels == sum(view.width * view.height for view in views)
+
+
+def test_all_views_are_scored_where_each_shows_a_place_of_its_own(
+    rooms: tuple[Splats, list[Camera]],
+) -> None:
+    splats, cameras = rooms
+    assert len(FAST.views(cameras)) < len(cameras)
+    views, scores = score_given(splats, cameras, FAST, PLAIN)
+    assert views == cameras
+    assert scores.contribution.tobytes() == score(splats, cameras, PLAIN).contribution.tobytes()
+
+
+def test_what_is_hidden_may_be_shown_by_views_that_are_left_out(
+    rooms: tuple[Splats, list[Camera]],
+) -> None:
+    splats, cameras = rooms
+    some = cameras[:20]
+    scores = score(splats, some, PLAIN)
+    assert not may_drop_hidden(some, cameras, scores, PLAIN)
+    assert may_drop_hidden(some, some, scores, PLAIN)
+    cameras = synth_cameras(48, 40, 30)
+    views, scores = score_given(synth(400, sh_degree=0), cameras, FAST, PLAIN)
+    assert may_drop_hidden(views, cameras, scores, PLAIN)
+
+
+def test_an_encode_scores_all_rooms(rooms: tuple[Splats, list[Camera]]) -> None:
+    splats, cameras = rooms
+    config = EncodeConfig(order="contribution", compensate=False, threads=1)
+    scene = encode(splats, config, cameras=cameras, preset=FAST, score_config=PLAIN)
+    assert scene.report.scored_views == len(cameras)
+
+
+def test_no_views_are_refused() -> None:
+    with pytest.raises(DataError) as error:
+        score_given(synth(100), [], FAST, PLAIN)
+    assert error.value.code == "no-cameras"
