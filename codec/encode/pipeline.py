@@ -41,7 +41,7 @@ from .prefix_quality import PrefixEvaluator, predicted, whole_measured
 from .prepared import PreparedScene, prepare
 from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .rate_control import Hit, Target, to_finished_size, to_nominal, to_psnr
-from .scored_views import may_drop_hidden, score_given
+from .scored_views import score_given
 from .shift_optimiser import FitConfig
 from .view_tables import foreseen, with_view_table
 
@@ -171,18 +171,15 @@ def encode(
                 )
         else:
             # An empty list of cameras is refused, not taken for none given.
-            given = views
             views, scores = score_given(
                 splats,
-                given,
+                views,
                 preset,
                 settings,
                 workspace=workspace,
                 executor=executor,
                 progress=timed,
             )
-            if config.prune and not may_drop_hidden(views, given, scores, settings):
-                config = replace(config, prune=replace(config.prune, hidden=False))
     if report.views == "given" and scores is not None and len(splats):
         report = replace(report, coverage=float((scores.covered > 0).mean()))
     if report.views != "none" and len(splats):

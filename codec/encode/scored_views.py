@@ -22,18 +22,11 @@ _MOST_SEEN_ONCE: Final = 0.02
 
 A house of six rooms has 0.17 of it in 14 of 42 views: splats in rooms of the others were taken for
 worthless, and pictures from there came to 13 dB. A million splats on a terrace have 0.012 in 20 of
-100 views, and lose nothing that is seen.
+100 views, and a captured room less than 0.00005 in 15 of 43.
 """
 
 _MORE: Final = 4
 """How many times as many are scored then. What was scored before is a quarter of it at most."""
-
-_MOST_UNKNOWN: Final = 0.001
-"""Such a share beyond which views that were left out may show what is hidden in all others.
-
-The house has 0.014 in 28 of 42 views, but all of it in a few pictures, that came to 15 dB. A
-captured room has less than 0.00005 in 15 of 43.
-"""
 
 
 def seen_once(scores: Scores, config: ScoreConfig) -> float:
@@ -47,7 +40,8 @@ def seen_once(scores: Scores, config: ScoreConfig) -> float:
     ----------
     scores : Scores
     config : ScoreConfig
-        What they were scored with. A camera and its jittered copies count as one.
+        What they were scored with. A splat that is seen as often as one camera and its jittered
+        copies can show it counts as shown by one, though two may have shown it.
 
     Returns
     -------
@@ -111,21 +105,3 @@ def score_given(
         if len(views) == len(cameras) or seen_once(scores, config) <= _MOST_SEEN_ONCE:
             return views, scores
         views = evenly(cameras, min(_MORE * len(views), len(cameras)))
-
-
-def may_drop_hidden(
-    scored: Sequence[Camera], cameras: Sequence[Camera], scores: Scores, config: ScoreConfig
-) -> bool:
-    """Return whether a splat that something hides in the scored views is hidden in all given ones.
-
-    Parameters
-    ----------
-    scored : sequence of Camera
-    cameras : sequence of Camera
-        All that were given.
-    scores : Scores
-        In the scored views.
-    config : ScoreConfig
-        What they were scored with.
-    """
-    return len(scored) == len(cameras) or seen_once(scores, config) <= _MOST_UNKNOWN

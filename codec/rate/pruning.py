@@ -38,9 +38,6 @@ class PruneConfig:
     views : int
         And only when its footprint lay in at least so many of those views. What no view covers is
         unknown, not worthless: it stays.
-    hidden : bool
-        Whether views count in which something hides it. They do not where other views may show what
-        is behind that, as those from another room.
     worth : float
         And only when its energy (`costs.shown_energy`) is below so many times λ: then the picture
         loses less than the same bytes spent on finer steps elsewhere would gain.
@@ -49,7 +46,6 @@ class PruneConfig:
     peak: float = 0.06
     views: int = 4
     worth: float = WORTH
-    hidden: bool = True
 
     def __post_init__(self) -> None:
         if not 0 <= self.peak < 1:
@@ -81,8 +77,7 @@ def kept_rows(
     """
     if config is None:
         return np.ones(len(splats), np.bool_)
-    known = scores.covered if config.hidden else scores.seen
-    idle = (scores.peak < config.peak) & (known >= config.views)
+    idle = (scores.peak < config.peak) & (scores.covered >= config.views)
     idle &= shown_energy(scores) < config.worth * lagrangian
     invisible = splats.opacities < _INVISIBLE_LOGIT
     kept: NDArray[np.bool_] = ~(idle | invisible)

@@ -10,7 +10,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.pipeline import encode
 from cogsplat.codec.encode.presets import PRESETS
-from cogsplat.codec.encode.scored_views import may_drop_hidden, score_given, seen_once
+from cogsplat.codec.encode.scored_views import score_given, seen_once
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import Splats
@@ -85,19 +85,6 @@ def test_all_views_are_scored_where_each_shows_a_place_of_its_own(
     views, scores = score_given(splats, cameras, FAST, PLAIN)
     assert views == cameras
     assert scores.contribution.tobytes() == score(splats, cameras, PLAIN).contribution.tobytes()
-
-
-def test_what_is_hidden_may_be_shown_by_views_that_are_left_out(
-    rooms: tuple[Splats, list[Camera]],
-) -> None:
-    splats, cameras = rooms
-    some = cameras[:20]
-    scores = score(splats, some, PLAIN)
-    assert not may_drop_hidden(some, cameras, scores, PLAIN)
-    assert may_drop_hidden(some, some, scores, PLAIN)
-    cameras = synth_cameras(48, 40, 30)
-    views, scores = score_given(synth(400, sh_degree=0), cameras, FAST, PLAIN)
-    assert may_drop_hidden(views, cameras, scores, PLAIN)
 
 
 def test_an_encode_scores_all_rooms(rooms: tuple[Splats, list[Camera]]) -> None:

@@ -99,10 +99,3 @@ def test_an_empty_scene_keeps_nothing():
 def test_bounds_out_of_range_are_refused(settings_):
     with pytest.raises(ValueError, match="expected"):
         PruneConfig(**settings_)
-
-
-def test_what_is_hidden_in_the_views_may_stay():
-    splats, scores = seen([0.0] * 2, [9, 9])
-    scores = replace(scores, seen=np.array([3, 4], np.int32))
-    assert kept_rows(splats, scores, PruneConfig()).tolist() == [False, False]
-    assert kept_rows(splats, scores, PruneConfig(hidden=False)).tolist() == [True, False]
