@@ -20,8 +20,8 @@ from .traces import Trace
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-# As docs/streaming.md, 11: who wants nothing looks again after so long.
-_LOOK_SECONDS: Final = 0.1
+LOOK_SECONDS: Final = 0.1
+"""How long until a client looks again from where the visitor is then (docs/streaming.md, 11)."""
 
 Priorities = Callable[[Camera], F64]
 """How much a byte of each unit of a file is wanted from a pose; 0 where it is not asked for."""
@@ -164,11 +164,12 @@ def fetch(units: Units, trace: Trace, link: Link, priorities: Priorities) -> Arr
     while missing.any():
         # Without any answer yet, nobody knows what there is to choose from.
         chosen_at = max(now - link.latency, 0.0)
-        unit = _next_unit(units, priorities(trace.at(chosen_at)), missing)
+        wanted = priorities(trace.at(chosen_at))
+        unit = _next_unit(units, wanted, _by_want(wanted), missing)
         if unit is None:
             if chosen_at >= trace.seconds:
                 break
-            now += _LOOK_SECONDS
+            now += LOOK_SECONDS
             continue
         now += 8.0 * float(units.size_bytes[unit]) / link.bits_per_second
         missing[unit] = False
@@ -195,22 +196,27 @@ def waited_for(units: Units, wanted: F64, there: Sequence[int] = ()) -> list[int
     """
     missing = np.ones(len(units), np.bool_)
     missing[list(there)] = False
+    order = _by_want(wanted)
     found: list[int] = []
-    while (unit := _next_unit(units, wanted, missing)) is not None:
+    while (unit := _next_unit(units, wanted, order, missing)) is not None:
         missing[unit] = False
         found.append(unit)
     return found
 
 
-def _next_unit(units: Units, wanted: F64, missing: NDArray[np.bool_]) -> int | None:
+def _by_want(wanted: F64) -> I64:
+    """Return the units that are asked for, those that are wanted most first."""
+    order = np.argsort(-wanted, kind="stable")
+    return order[wanted[order] > 0.0]
+
+
+def _next_unit(units: Units, wanted: F64, order: I64, missing: NDArray[np.bool_]) -> int | None:
     """Return the first unit of the missing chain that is worth most (docs/streaming.md, 7).
 
-    None where nothing is wanted.
+    None where nothing is wanted. The order is that of `_by_want`.
     """
-    asked = missing & (wanted > 0.0)
-    order = np.argsort(-wanted, kind="stable")
     best = best_chain(
-        order[asked[order]].tolist(),
+        order[missing[order]].tolist(),
         wanted,
         units.size_bytes,
         units.after,

@@ -18,7 +18,7 @@ from cogsplat.codec.scheduling.poses import Pose, path
 from cogsplat.codec.scheduling.scheduler import Holdings, Scheduler, Unit, window_bytes
 from cogsplat.formats.cogs.layout import SegmentKind
 
-from .client import Arrivals, Link, Units
+from .client import LOOK_SECONDS, Arrivals, Link, Units
 from .traces import Trace
 
 F64 = NDArray[np.float64]
@@ -27,7 +27,6 @@ I64 = NDArray[np.int64]
 # docs/streaming.md, 11.
 _MOST_REQUESTS: Final = 6
 _REQUEST_BYTES: Final = 65_536
-_LOOK_SECONDS: Final = 0.1
 _OBSERVED_SECONDS: Final = 0.25
 # SPEC 8.8: the first request.
 _FIRST_BYTES: Final = 65_536
@@ -216,11 +215,11 @@ class _Run:
         return Pose.of_camera(self._trace.at(max(seconds, 0.0)))
 
     def _is_moving(self, now: float) -> bool:
-        return now < self._trace.seconds + _OBSERVED_SECONDS + _LOOK_SECONDS
+        return now < self._trace.seconds + _OBSERVED_SECONDS + LOOK_SECONDS
 
     def _decide(self, now: float) -> None:
         """Do what the scheduler says."""
-        if self._ratios is None or (now - self._looked >= _LOOK_SECONDS and self._is_moving(now)):
+        if self._ratios is None or (now - self._looked >= LOOK_SECONDS and self._is_moving(now)):
             poses = path(self._pose(now), self._pose(now - _OBSERVED_SECONDS), _OBSERVED_SECONDS)
             self._ratios, self._looked = along(self._rule, poses), now
         decision = self._scheduler.decide(self._ratios, self._holdings())
@@ -304,7 +303,7 @@ class _Run:
         ends = [
             now + (self._sizes[request.units[0]] - request.received) / share for request in active
         ]
-        looks = [max(self._looked + _LOOK_SECONDS, now + 1e-6)] if self._is_moving(now) else []
+        looks = [max(self._looked + LOOK_SECONDS, now + 1e-6)] if self._is_moving(now) else []
         return min([*waits, *ends, *looks], default=None)
 
     def _advance(self, now: float, later: float) -> None:

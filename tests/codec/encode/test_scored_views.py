@@ -28,16 +28,7 @@ def rooms() -> tuple[Splats, list[Camera]]:
     means = np.concatenate([splats.means + shift.astype(np.float32) for shift in shifts])
     many = splats.take(np.tile(np.arange(len(splats)), 36))
     moved = [
-        Camera(
-            width=camera.width,
-            height=camera.height,
-            fx=camera.fx,
-            fy=camera.fy,
-            cx=camera.cx,
-            cy=camera.cy,
-            rotation=camera.rotation,
-            translation=camera.translation - camera.rotation @ shift,
-        )
+        replace(camera, translation=camera.translation - camera.rotation @ shift)
         for camera, shift in zip(cameras, shifts, strict=True)
     ]
     return replace(many, means=means), moved
