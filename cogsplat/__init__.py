@@ -34,7 +34,7 @@ from .codec.progress import Progress, TimedProgress, WholeProgress, silent
 from .codec.splats import SceneInfo, Splats
 from .formats.cogs.between_levels import decode_between
 from .formats.cogs.folder_writer import Unpacked
-from .formats.cogs.opening import open_place, with_place
+from .formats.cogs.open_file import open_place, with_place
 from .formats.cogs.packing import pack, unpack
 from .formats.cogs.reader import CogsFile
 from .formats.network.options import NetworkOptions
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from .codec.encode.config import EncodeConfig as EncodeConfig
     from .codec.encode.encoded import EncodedScene
     from .codec.encode.encoded import EncodeReport as EncodeReport
-    from .codec.encode.opening import Opening
+    from .codec.encode.preview_chunks import PreviewMaker
     from .codec.encode.rate_control import Target as Target
     from .codec.scoring.contribution import ScoreConfig, Scores
     from .codec.workspace import Workspace
@@ -295,7 +295,7 @@ def encode(
     target_size: int | str | None = None,
     target: Target | None = None,
     preset: str = "balanced",
-    opening: float | None = None,
+    preview: float | None = None,
     stored_cameras: Sequence[Camera] = (),
     test_views: Sequence[Camera] | None = None,
     memory: int | str | None = None,
@@ -333,10 +333,9 @@ def encode(
     preset : str
         One of `codec.encode.presets.PRESETS`: how many views are looked at, and how much work goes
         into the order by marginal gain and into compensation.
-    opening : float, optional
-        Share of the file's bytes, such as 0.02, that goes into splats which stand for the whole
-        scene until more of it has come: the first bytes show far more, and the whole file grows by
-        this share (`codec.fit.opening`).
+    preview : float, optional
+        Share of the file, such as 0.02, spent on preview splats: few trained splats at the front
+        that show the whole scene until more of it has loaded (`codec.fit.preview_training`).
     stored_cameras : sequence of Camera
         Stored in the file for its readers; nothing else depends on them.
     test_views : sequence of Camera, optional
@@ -375,7 +374,7 @@ def encode(
     ValueError
         An unknown preset; more than one of quality, PSNR and size; a target for the profile
         `near-lossless`; a PSNR as target with no views
-        to measure it in; `scores` without cameras for an order that renders; an opening that
+        to measure it in; `scores` without cameras for an order that renders; a preview that
         nothing is compensated with, or with cells, objects or `memory`.
 
     Examples
@@ -440,7 +439,7 @@ def encode(
                 jitter=score_config is None or score_config.jitter,
                 scored=scores is not None,
                 target=aim,
-                opening=opening is not None,
+                preview=preview is not None,
             )
             progress = WholeProgress(costs, progress, whole)
         encoded = pipeline.encode(
@@ -453,7 +452,7 @@ def encode(
             target=aim,
             test_views=test_views or (),
             size_of=size_of,
-            opening=_opening(opening, config.threads),
+            preview=_preview(preview, config.threads),
             workspace=workspace,
             executor=executor,
             progress=progress,
@@ -479,13 +478,13 @@ def encode(
     )
 
 
-def _opening(share: float | None, threads: int) -> Opening | None:
-    """Return what makes an opening of a share of the file; None where none is asked for."""
+def _preview(share: float | None, threads: int) -> PreviewMaker | None:
+    """Return what makes a preview of a share of the file; None where none is asked for."""
     if share is None:
         return None
-    from .codec.fit.opening import OpeningConfig, TrainedOpening
+    from .codec.fit.preview_training import PreviewConfig, TrainedPreview
 
-    return TrainedOpening(OpeningConfig(share=share, threads=threads))
+    return TrainedPreview(PreviewConfig(share=share, threads=threads))
 
 
 def _byte_count(memory: int | str | None) -> int | None:

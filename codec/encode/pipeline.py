@@ -36,10 +36,10 @@ from .compensation_fit import blank, compensated
 from .config import EncodeConfig
 from .encoded import EncodedScene, EncodeReport
 from .encoder import compress_chunks, encode_chunks
-from .opening import Opening
 from .prefix_quality import PrefixEvaluator, predicted, whole_measured
 from .prepared import PreparedScene, prepare
 from .presets import DEFAULT_PRESET, PRESETS, Preset
+from .preview_chunks import PreviewMaker
 from .rate_control import Hit, Target, to_finished_size, to_nominal, to_psnr
 from .scored_views import score_given
 from .shift_optimiser import FitConfig
@@ -65,7 +65,7 @@ def encode(
     target: Target | None = None,
     test_views: Sequence[Camera] = (),
     size_of: SizeOf | None = None,
-    opening: Opening | None = None,
+    preview: PreviewMaker | None = None,
     workspace: Workspace = IN_MEMORY,
     executor: Executor | None = None,
     progress: Progress = silent,
@@ -95,7 +95,7 @@ def encode(
         or some of `cameras`.
     size_of : callable, optional
         Needed for a size as target.
-    opening : Opening, optional
+    preview : PreviewMaker, optional
         Makes first chunks that stand for the whole scene until more of it has come.
     workspace : Workspace
         Where arrays as long as the scene are kept, and whether several views are drawn at once.
@@ -105,7 +105,7 @@ def encode(
     progress : Progress
         Called with the stages ``plan views``, ``score``, ``reference views``, those of the order,
         ``order``, ``codebooks``, ``quantisers``, ``chunks``, ``search`` around these where there
-        may be several encodes, ``view table``, ``opening``, ``compensate`` and ``predict``. Those
+        may be several encodes, ``view table``, ``preview``, ``compensate`` and ``predict``. Those
         of a single step report it when it is done.
 
     Returns
@@ -122,7 +122,7 @@ def encode(
         ``target-out-of-reach``.
     ValueError
         The order ``gain`` with scores and no cameras; a target for the profile ``near-lossless``;
-        a PSNR as target and no views to measure it in; a size without `size_of`; an opening where
+        a PSNR as target and no views to measure it in; a size without `size_of`; a preview where
         no compensation is fitted, with cells, chunks by object or a workspace in files.
 
     Examples
@@ -136,8 +136,8 @@ def encode(
     (1, 100)
     """
     _require_consistent(config, cameras, scores, target, size_of)
-    if opening is not None:
-        _require_room_for_opening(config, workspace)
+    if preview is not None:
+        _require_preview_possible(config, workspace)
     if executor is not None and not workspace.views_at_once:
         raise ValueError("an executor and a workspace in files, expected one of them")
     timed = TimedProgress(progress)
@@ -188,8 +188,8 @@ def encode(
         # There are no pictures to fit it to, so nothing may count on it.
         config = replace(config, compensate=False)
     fits = config.compensate and config.profile != "near-lossless"
-    if opening is not None and not fits and len(splats):
-        raise ValueError("an opening and no views to compensate in, expected cameras")
+    if preview is not None and not fits and len(splats):
+        raise ValueError("a preview and no views to compensate in, expected cameras")
     # With arrays in files, one view is worked on after the other, as in scoring.
     by_view = executor if workspace.views_at_once else LocalThreads(1)
     references = None
@@ -221,7 +221,7 @@ def encode(
     told = list(cameras or views)
     table_views = told if config.cells and config.view_table else []
     finishing = _Finishing(
-        prepared, references if fits else None, tests or views, table_views, preset, opening,
+        prepared, references if fits else None, tests or views, table_views, preset, preview,
         executor, timed,
     )  # fmt: skip
     if target is None and report.views == "planned" and config.profile != "near-lossless":
@@ -287,14 +287,14 @@ def _require_consistent(
         raise ValueError("a size as target without size_of, expected what measures a file")
 
 
-def _require_room_for_opening(config: EncodeConfig, workspace: Workspace) -> None:
-    """Refuse what an opening cannot stand in: it is of all cells and objects, and in memory."""
+def _require_preview_possible(config: EncodeConfig, workspace: Workspace) -> None:
+    """Refuse what a preview cannot stand in: it is of all cells and objects, and in memory."""
     if not config.compensate or config.profile == "near-lossless":
-        raise ValueError("an opening without compensation, expected a profile that compensates")
+        raise ValueError("a preview without compensation, expected a profile that compensates")
     if config.cells or config.ordering.by_object:
-        raise ValueError("an opening with cells or objects, expected one of them")
+        raise ValueError("a preview with cells or objects, expected one of them")
     if not workspace.views_at_once:
-        raise ValueError("an opening and a workspace in files, expected one of them")
+        raise ValueError("a preview and a workspace in files, expected one of them")
 
 
 def _planned(
@@ -332,7 +332,7 @@ class _Finishing:
         Views that a view table is made of; empty where there is none.
     preset : Preset
         How many of these are rendered, and how long compensation is fitted.
-    opening : Opening or None
+    preview : PreviewMaker or None
     executor : Executor or None
     progress : Progress
     """
@@ -342,7 +342,7 @@ class _Finishing:
     test_views: Sequence[Camera]
     table_views: Sequence[Camera]
     preset: Preset
-    opening: Opening | None
+    preview: PreviewMaker | None
     executor: Executor | None
     progress: Progress
 
@@ -381,7 +381,7 @@ class _Finishing:
     def finish(self, encoded: EncodedScene) -> EncodedScene:
         """Return a scene with all that is added to its chunks, all compressed.
 
-        That is a view table, an opening, compensation and predicted quality.
+        That is a view table, a preview, compensation and predicted quality.
         """
         at_once = self.prepared.workspace.views_at_once
         encoded = compress_chunks(
@@ -395,9 +395,9 @@ class _Finishing:
                 progress=self.progress,
             )
         if self.references is not None:
-            if self.opening is not None:
+            if self.preview is not None:
                 contribution = self.prepared.scores.contribution
-                encoded = self.opening.added(
+                encoded = self.preview.add(
                     encoded,
                     self.references,
                     effective_splats(contribution),
@@ -423,8 +423,8 @@ class _Finishing:
     def foresee(self, encoded: EncodedScene) -> EncodedScene:
         """Return a scene that takes the bytes of the finished one, without fitting anything."""
         if self.references is not None:
-            if self.opening is not None:
-                encoded = self.opening.foreseen(encoded)
+            if self.preview is not None:
+                encoded = self.preview.reserve(encoded)
             counts = [chunk.splats for chunk in encoded.chunks]
             carriers = effective_splats(self.prepared.scores.contribution)
             encoded = replace(encoded, compensation=blank(counts, carriers, self.fit))

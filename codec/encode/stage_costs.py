@@ -44,7 +44,7 @@ _COMPENSATE: Final = (1.35, 3.7e-5)
 _VIEW_TABLE: Final = (1.4e-7, 4e-7)
 # The first prefix of the order by gain, as a share of the scene.
 _FIRST_PREFIX: Final = 1 / 8000
-_OPENING: Final = 16.0
+_PREVIEW: Final = 16.0
 _ORDER: Final = (1e-3, 7e-8)
 _QUANTISERS: Final = (0.2, 2e-6)
 _CHUNKS: Final = (0.05, 2e-5)
@@ -68,7 +68,7 @@ def stage_costs(
     jitter: bool = True,
     scored: bool = False,
     target: Target | None = None,
-    opening: bool = False,
+    preview: bool = False,
 ) -> list[StageCost]:
     """Return what the stages of an encode will cost, in their order.
 
@@ -86,8 +86,8 @@ def stage_costs(
         Whether scores are there already.
     target : Target, optional
         What is searched for.
-    opening : bool
-        Whether an opening is trained.
+    preview : bool
+        Whether a preview is trained.
 
     Returns
     -------
@@ -132,8 +132,8 @@ def stage_costs(
     if seen and config.cells and config.view_table:
         drawn = min(views, MOST_CAMERAS)
         costs.append(StageCost("view table", _of_view(_VIEW_TABLE, PIXELS, splats), drawn))
-    if seen and fits and opening:
-        costs.append(StageCost("opening", _OPENING * preset.reference_pixels / PICTURE_PIXELS))
+    if seen and fits and preview:
+        costs.append(StageCost("preview", _PREVIEW * preset.reference_pixels / PICTURE_PIXELS))
     if seen and fits:
         costs.append(_fitted(splats, preset))
     if seen:

@@ -13,11 +13,11 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.compensation_fit import blank, compensated
 from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedCodebook, EncodedScene
-from cogsplat.codec.encode.opening import Opening
 from cogsplat.codec.encode.pipeline import SizeOf
 from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, predicted
 from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.preview_chunks import PreviewMaker
 from cogsplat.codec.encode.rate_control import Target, to_psnr
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.order.prefix_inflation import effective_splats
@@ -81,7 +81,7 @@ class Storing:
         To measure in; some of `cameras` where there are none.
     size_of : callable
         Bytes of the whole file that an encoded scene makes.
-    opening : Opening or None
+    preview : PreviewMaker or None
     progress : Progress
     """
 
@@ -95,7 +95,7 @@ class Storing:
         config: TuneConfig,
         test_views: Sequence[Camera],
         size_of: SizeOf,
-        opening: Opening | None,
+        preview: PreviewMaker | None,
         progress: Progress,
     ) -> None:
         self.last_figures = (len(base), 0.0, 0.0, 0)
@@ -103,7 +103,7 @@ class Storing:
         self._rate_weight = config.rate_weight
         self._prefix_weight = config.prefix_weight
         self._size_of = size_of
-        self._opening = opening
+        self._preview = preview
         self._preset = PRESETS[config.preset]
         self._progress = progress
         threads, profile = config.train.threads, config.profile
@@ -289,10 +289,10 @@ class Storing:
         return best
 
     def finished(self, encoded: EncodedScene) -> EncodedScene:
-        """Return the scene with its opening, compensation and predicted quality."""
+        """Return the scene with its preview, compensation and predicted quality."""
         contribution = self._prepared.scores.contribution
-        if self._opening is not None:
-            encoded = self._opening.added(
+        if self._preview is not None:
+            encoded = self._preview.add(
                 encoded, self._references, effective_splats(contribution), progress=self._progress
             )
         encoded = compensated(
@@ -330,8 +330,8 @@ class Storing:
 
     def _bytes(self, encoded: EncodedScene) -> int:
         """Return the bytes of the file that the finished scene will make."""
-        if self._opening is not None:
-            encoded = self._opening.foreseen(encoded)
+        if self._preview is not None:
+            encoded = self._preview.reserve(encoded)
         counts = [chunk.splats for chunk in encoded.chunks]
         carriers = effective_splats(self._prepared.scores.contribution)
         encoded = replace(encoded, compensation=blank(counts, carriers, self._fit))

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.encoded import EncodedScene
-from cogsplat.codec.encode.opening import Opening
 from cogsplat.codec.encode.pipeline import SizeOf
+from cogsplat.codec.encode.preview_chunks import PreviewMaker
 from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.progress import Progress, silent
@@ -109,7 +109,7 @@ def tune(
     test_views: Sequence[Camera] = (),
     covering: Sequence[Camera] = (),
     size_of: SizeOf,
-    opening: Opening | None = None,
+    preview: PreviewMaker | None = None,
     resume: State | None = None,
     checkpoint: Callable[[State], None] | None = None,
     notify: Callable[[Milestone], None] | None = None,
@@ -142,7 +142,7 @@ def tune(
         Views of what `cameras` leave out (`contribution.score`).
     size_of : callable
         Bytes of the whole file that an encoded scene makes.
-    opening : Opening, optional
+    preview : PreviewMaker, optional
         Makes first chunks that stand for the source until more of the tuned scene has come.
     resume : mapping of str to array, optional
         What `checkpoint` was given last in a run with the same arguments. With
@@ -153,7 +153,7 @@ def tune(
     notify : callable, optional
         Called with what was reached, at the same times.
     progress : Progress
-        Called with ``search``, ``deletions``, ``train``, ``score``, ``train stored``, ``opening``
+        Called with ``search``, ``deletions``, ``train``, ``score``, ``train stored``, ``preview``
         and the stages of the encoder.
 
     Returns
@@ -188,7 +188,7 @@ def tune(
         config=config,
         test_views=test_views,
         size_of=size_of,
-        opening=opening,
+        preview=preview,
         progress=progress,
     )
     # A share that is given is kept, whatever the file takes.

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Final
 
-from cogsplat.formats.network.opening import transport_of
+from cogsplat.formats.network.open_url import transport_of
 from cogsplat.formats.network.options import NetworkOptions
 from cogsplat.formats.network.range_source import RangeSource
 from cogsplat.formats.network.traffic import Traffic

@@ -15,7 +15,7 @@ from cogsplat.formats.storage.source import Readable
 from .folder_map import MANIFEST_NAME
 from .folder_places import SEGMENT_FOLDER
 from .folder_writer import Unpacked, pack_cogs, unpack_cogs
-from .opening import with_place
+from .open_file import with_place
 
 
 def unpack(

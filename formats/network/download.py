@@ -8,7 +8,7 @@ from typing import Final
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.formats.storage.atomic import atomic_write
 
-from .opening import open_url
+from .open_url import open_url
 from .options import MIB, NetworkOptions
 from .range_reader import BEGINNING_BYTES
 

@@ -51,7 +51,7 @@ class RangeSource:
 
     Examples
     --------
-    >>> from cogsplat.formats.network.opening import open_url
+    >>> from cogsplat.formats.network.open_url import open_url
     >>> with open_url("https://example.org/scene.cogs") as source:
     ...     data = source.read(0, 8)
     >>> data[1:5]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from cogsplat.codec.errors import DataError, FormatError
-from cogsplat.formats.network.opening import open_url
+from cogsplat.formats.network.open_url import open_url
 from cogsplat.formats.network.options import MIB
 from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.scenes.registry import is_cogs, scene_files

@@ -30,7 +30,7 @@ from cogsplat.tools.terminal.options import (
     force_option,
     jitter_option,
     json_option,
-    opening_option,
+    preview_option,
     quality_option,
     quiet_option,
     scheduler_option,
@@ -105,7 +105,7 @@ _GROUPS: Final = {
         "--no-prune",
         "--no-refine",
         "--no-compensation",
-        "--opening",
+        "--preview",
         "--no-extras",
         "--store-cameras",
         "--chunk-splats",
@@ -192,7 +192,7 @@ _GROUPS: Final = {
     is_flag=True,
     help="Store no prefix compensation; order for prefixes that are drawn without it.",
 )
-@opening_option
+@preview_option
 @click.option(
     "--prune",
     type=click.FloatRange(0, 1, max_open=True),
@@ -260,7 +260,7 @@ def encode(
     no_morton: bool,
     no_refine: bool,
     no_compensation: bool,
-    opening: float | None,
+    preview: float | None,
     prune: float | None,
     no_prune: bool,
     no_extras: bool,
@@ -303,8 +303,8 @@ def encode(
         raise click.UsageError("--cells with chunks of 1 splat, expected at least 2")
     if cells and choice.by_object:
         raise click.UsageError("--cells and --objects: expected one of them")
-    if opening is not None:
-        _require_room_for_opening(
+    if preview is not None:
+        _require_preview_possible(
             {
                 "--no-compensation": no_compensation,
                 "--profile near-lossless": profile == "near-lossless",
@@ -386,7 +386,7 @@ def encode(
         target = None if target_psnr is None and aimed is None else Target(target_psnr, aimed)
         costs = stage_costs(
             len(splats), config, chosen, cameras=views, jitter=not no_jitter, target=target,
-            opening=opening is not None,
+            preview=preview is not None,
         )  # fmt: skip
         if evaluation is not None:
             costs += evaluation.stage_costs()
@@ -403,7 +403,7 @@ def encode(
             score_config=score_config,
             target=target,
             preset=preset,
-            opening=opening,
+            preview=preview,
             stored_cameras=list(numbered or []) if store_cameras else [],
             test_views=measured_in(numbered, eval_every) if cameras and numbered else None,
             workspace=workspace,
@@ -462,11 +462,11 @@ def encode(
         evaluation.tell(qualities)
 
 
-def _require_room_for_opening(others: dict[str, bool]) -> None:
-    """Refuse options that an opening cannot be made with."""
+def _require_preview_possible(others: dict[str, bool]) -> None:
+    """Refuse options that a preview cannot be made with."""
     for option, given in others.items():
         if given:
-            raise click.UsageError(f"--opening and {option}: expected one of them")
+            raise click.UsageError(f"--preview and {option}: expected one of them")
 
 
 def _require_one_aim(

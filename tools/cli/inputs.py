@@ -18,7 +18,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
 from cogsplat.formats.cogs.between_levels import decode_between
-from cogsplat.formats.cogs.opening import source_of_place
+from cogsplat.formats.cogs.open_file import source_of_place
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.cogs.sources import cogs_source
 from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes, scene_files

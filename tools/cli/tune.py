@@ -25,7 +25,7 @@ from cogsplat.tools.terminal.options import (
     eval_every_option,
     force_option,
     json_option,
-    opening_option,
+    preview_option,
     quiet_option,
     target_psnr_option,
     taught_by_option,
@@ -56,12 +56,12 @@ if TYPE_CHECKING:
     from cogsplat.codec.fit.tuning import Milestone, State
 
 _DEFAULT_DB: Final = 40.0
-# `TuneConfig.prefix_weight` where the first bytes are to be made for with an opening.
+# `TuneConfig.prefix_weight` where the first bytes are to be made for with a preview.
 _PREFIX_WEIGHT: Final = 0.5
 
 _GROUPS: Final = {
     "Most used": ("--cameras", "--target-psnr", "--target-size", "--minutes", "--images"),
-    "Training": ("--keep", "--profile", "--preset", "--opening", "--seed", "--eval-every"),
+    "Training": ("--keep", "--profile", "--preset", "--preview", "--seed", "--eval-every"),
     "More files": ("--ply", "--checkpoint", "--resume"),
 }
 
@@ -115,7 +115,7 @@ _GROUPS: Final = {
     help="How the tuned scene is scored and ordered, as in encode; balanced and best show more of "
     "it in the first bytes.",
 )
-@opening_option
+@preview_option
 @training_seed_option
 @eval_every_option(0, "Keep from training the")
 @click.option(
@@ -156,7 +156,7 @@ def tune(
     keep: float | None,
     profile: str,
     preset: str,
-    opening: float | None,
+    preview: float | None,
     seed: int,
     eval_every: int,
     ply: Path | None,
@@ -177,7 +177,7 @@ def tune(
     smaller the file becomes depends on the scene and on its cameras.
     """
     from cogsplat.codec.fit.lessons import lessons_of, views_apart
-    from cogsplat.codec.fit.opening import OpeningConfig, TrainedOpening
+    from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
     from cogsplat.codec.fit.trainer import TrainConfig
     from cogsplat.codec.fit.tune_config import TuneConfig
     from cogsplat.codec.fit.tuning import tune as tuned_scene
@@ -235,7 +235,7 @@ def tune(
             seconds=None if minutes is None else 60 * minutes,
             preset=preset,
             profile=profile,
-            prefix_weight=0.0 if opening is None else _PREFIX_WEIGHT,
+            prefix_weight=0.0 if preview is None else _PREFIX_WEIGHT,
             # Photos have errors of their own, and those of the worst are no fault of the scene.
             train=TrainConfig(worst_views=0.0 if photos else 1.0, seed=seed, threads=threads),
         )
@@ -246,9 +246,9 @@ def tune(
             return cogs.size_bytes(encoded, writer=writer, first_view=first_view)
 
         first = None
-        if opening is not None:
-            first = TrainedOpening(OpeningConfig(share=opening, seed=seed, threads=threads))
-        of = fingerprint(splats, f"{target} {config} {opening} {[view.name for view in views]}")
+        if preview is not None:
+            first = TrainedPreview(PreviewConfig(share=preview, seed=seed, threads=threads))
+        of = fingerprint(splats, f"{target} {config} {preview} {[view.name for view in views]}")
         if minutes is not None:
             # What was done until now is of these minutes as well.
             left = 60 * minutes - (time.monotonic() - begin)
@@ -270,7 +270,7 @@ def tune(
             test_views=tests,
             covering=covering,
             size_of=size_of,
-            opening=first,
+            preview=first,
             resume=state,
             checkpoint=None if checkpoint is None else keep_state,
             notify=_tell if shown else None,

@@ -176,14 +176,14 @@ def training_seed_option(command: Command) -> Command:
     )(command)
 
 
-def opening_option(command: Command) -> Command:
-    """Add ``--opening``."""
+def preview_option(command: Command) -> Command:
+    """Add ``--preview``."""
     return click.option(
-        "--opening",
+        "--preview",
         type=click.FloatRange(0, 0.5, min_open=True),
         metavar="SHARE",
-        help="Spend so much more, 0.02 of the file, on splats that are trained to stand for the "
-        "whole scene until more of it has come. The first bytes show far more.",
+        help="Share of the file, such as 0.02, spent on preview splats: few trained splats at the "
+        "front that show the whole scene until more of it has loaded.",
     )(command)
 
 

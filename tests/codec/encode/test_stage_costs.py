@@ -8,10 +8,10 @@ from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.encode.stage_costs import order_costs, render_cost, score_cost, stage_costs
-from cogsplat.codec.fit.opening import OpeningConfig, TrainedOpening
+from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
 from cogsplat.codec.progress import WholeProgress
 
-SHORT = OpeningConfig(share=0.1, round_steps=2, storing_steps=2, threads=1)
+SHORT = PreviewConfig(share=0.1, round_steps=2, storing_steps=2, threads=1)
 
 
 def views(count):
@@ -19,17 +19,17 @@ def views(count):
 
 
 @pytest.mark.parametrize(
-    ("preset", "given", "target", "profile", "opening"),
+    ("preset", "given", "target", "profile", "preview"),
     [
         ("balanced", True, None, "transform", None),
-        ("balanced", True, None, "transform", TrainedOpening(SHORT)),
+        ("balanced", True, None, "transform", TrainedPreview(SHORT)),
         ("fast", True, Target(psnr_db=35.0), "vq", None),
-        ("fast", True, Target(psnr_db=35.0), "vq", TrainedOpening(SHORT)),
+        ("fast", True, Target(psnr_db=35.0), "vq", TrainedPreview(SHORT)),
         ("fast", True, Target(size_bytes=6000), "transform", None),
         ("fast", False, None, "vq", None),
     ],
 )
-def test_the_stages_are_those_that_an_encode_reports(preset, given, target, profile, opening):
+def test_the_stages_are_those_that_an_encode_reports(preset, given, target, profile, preview):
     splats = oracle.scene(5, n=300)
     chosen = PRESETS[preset]
     config = EncodeConfig(
@@ -39,7 +39,7 @@ def test_the_stages_are_those_that_an_encode_reports(preset, given, target, prof
     )
     cameras = views(4) if given else None
     costs = stage_costs(
-        len(splats), config, chosen, cameras=cameras, target=target, opening=opening is not None
+        len(splats), config, chosen, cameras=cameras, target=target, preview=preview is not None
     )
     shares, stages = [], []
     whole = WholeProgress(costs, lambda stage, *_: stages.append(stage), shares.append)
@@ -50,7 +50,7 @@ def test_the_stages_are_those_that_an_encode_reports(preset, given, target, prof
         preset=chosen,
         target=target,
         size_of=lambda encoded: 20 * encoded.splats,
-        opening=opening,
+        preview=preview,
         progress=whole,
     )
     whole("write", 1, 1)

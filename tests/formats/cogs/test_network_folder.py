@@ -20,7 +20,7 @@ from cogsplat.codec.errors import CogsplatError, FormatError, TruncatedError
 from cogsplat.formats.cogs.folder_map import FolderMap
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.network_folder import NetworkFolder
-from cogsplat.formats.cogs.opening import source_of_place
+from cogsplat.formats.cogs.open_file import source_of_place
 from cogsplat.formats.network.options import NetworkOptions
 from cogsplat.tools.conformance.folders import MANIFEST, unpacked
 

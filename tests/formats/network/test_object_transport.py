@@ -9,7 +9,7 @@ from fault_server import FaultServer, broken_after, right, serving, status
 import cogsplat
 from cogsplat.codec.errors import MissingExtraError, StorageError
 from cogsplat.formats.network.object_transport import ObjectTransport
-from cogsplat.formats.network.opening import open_url
+from cogsplat.formats.network.open_url import open_url
 from cogsplat.formats.network.options import NetworkOptions
 from cogsplat.tools.conformance.folders import unpacked
 

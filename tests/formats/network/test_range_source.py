@@ -6,7 +6,7 @@ import pytest
 from fault_server import FaultServer, no_ranges, reset, right, serving, slow, stating, status
 
 from cogsplat.codec.errors import Cancelled, CogsplatWarning, StorageError, TruncatedError
-from cogsplat.formats.network.opening import open_url
+from cogsplat.formats.network.open_url import open_url
 from cogsplat.formats.network.options import NetworkOptions
 from cogsplat.formats.storage.source import PrefixSource, RemoteSource
 

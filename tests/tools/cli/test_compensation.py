@@ -113,12 +113,12 @@ def test_a_size_as_target_holds_with_compensation(
 
 
 @pytest.mark.slow
-def test_an_opening_stands_in_the_first_chunks_alone(
+def test_a_preview_stands_in_the_first_chunks_alone(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     plain, opened = tmp_path / "plain.cogs", tmp_path / "opened.cogs"
     words = ["--cameras", small.cameras, "--preset", "fast", "-q"]
-    for path, more in ((plain, []), (opened, ["--opening", 0.05])):
+    for path, more in ((plain, []), (opened, ["--preview", 0.05])):
         told = run("encode", small.ply, path, *words, *more)
         assert told.code == 0, told.err
     assert 1.0 < opened.stat().st_size / plain.stat().st_size < 1.08
@@ -134,7 +134,7 @@ def test_an_opening_stands_in_the_first_chunks_alone(
     np.testing.assert_array_equal(cogsplat.decode(opened).means, whole.means)
 
 
-def test_a_part_is_compensated_where_its_opening_has_ended(
+def test_a_part_is_compensated_where_its_preview_has_ended(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     out, part = tmp_path / "ending.cogs", tmp_path / "part.ply"
@@ -165,8 +165,8 @@ def test_a_part_is_compensated_where_its_opening_has_ended(
         ["--memory", "4GiB"],
     ],
 )
-def test_what_an_opening_cannot_stand_in_is_misuse(
+def test_what_a_preview_cannot_stand_in_is_misuse(
     run: Run, small: SmallScene, tmp_path: Path, words: list[str]
 ) -> None:
-    told = run("encode", small.ply, tmp_path / "a.cogs", "--opening", 0.02, *words)
-    assert (told.code, "--opening and" in told.err) == (2, True)
+    told = run("encode", small.ply, tmp_path / "a.cogs", "--preview", 0.02, *words)
+    assert (told.code, "--preview and" in told.err) == (2, True)

@@ -42,12 +42,12 @@ def test_a_scene_becomes_smaller_and_is_told(run: Run, small: SmallScene, tmp_pa
 
 
 @pytest.mark.slow
-def test_an_opening_stands_in_the_first_chunks_and_counts_in_the_size(
+def test_a_preview_stands_in_the_first_chunks_and_counts_in_the_size(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     out = tmp_path / "a.cogs"
     words = ["tune", small.ply, out, "--cameras", small.cameras, *SHORT, "--keep", 0.9, "-q"]
-    told = run(*words, "--opening", 0.1)
+    told = run(*words, "--preview", 0.1)
     assert told.code == 0, told.err
     assert 0.9 * 20_000 < out.stat().st_size <= 20_000
     with cogsplat.open(out) as file:

@@ -1,4 +1,4 @@
-"""Trained openings: few splats that show the whole scene in the first bytes of its file."""
+"""Trained previews: few splats that show the whole scene in the first bytes of its file."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from cogsplat.codec.encode.compensation_fit import plan_layers, usual_errors
 from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedChunk, EncodedScene
 from cogsplat.codec.encode.encoder import encode_chunks
-from cogsplat.codec.encode.opening import with_first_chunks
 from cogsplat.codec.encode.prepared import PreparedScene, prepare
 from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.preview_chunks import prepend_preview
 from cogsplat.codec.order import prefix_inflation
 from cogsplat.codec.order.chunks import plan_chunks
 from cogsplat.codec.progress import Progress, silent
@@ -30,10 +30,10 @@ from .lessons import Lessons
 from .stored import stored
 from .trainer import TrainConfig, Trainer
 
-# What a splat of an opening takes. On a captured room 1,800 splats of 7.4 B showed 26.1 dB and the
+# What a splat of a preview takes. On a captured room 1,800 splats of 7.4 B showed 26.1 dB and the
 # same in 5.6 B each 23.9.
 _BYTES_PER_SPLAT: Final = 7.2
-# What the heads of an opening are of the bytes that it makes a file longer by; the others are codes
+# What the heads of a preview are of the bytes that it makes a file longer by; the others are codes
 # of its compensation and rows of tables. Of a captured room 91 to 95 %, the less the smaller.
 _OF_HEADS: Final = 0.9
 # Below this nominal quality, dB, fewer splats that are stored finer show more.
@@ -45,21 +45,21 @@ _ROUNDS: Final = (4.0, 2.4, 1.5, 1.0)
 _RATE: Final = 0.8
 _ROUND_FALL: Final = 0.7
 _LAST_FALL: Final = 0.3
-# The same while the opening trains through its quantisers.
+# The same while the preview trains through its quantisers.
 _STORED_RATES: Final = (0.5, 0.1)
 # What the first splats of a scene are inflated by before they are trained: the typical inflation of
 # a twentieth of a scene, less what training does on its own.
 _INFLATION: Final = prefix_inflation.Inflation(0.35, 1.5)
 _LARGEST_LOGIT: Final = 8.0
-# Views that deletion errors are measured in, that the opening is scored in, and that its error is
+# Views that deletion errors are measured in, that the preview is scored in, and that its error is
 # measured in.
 _DELETION_VIEWS: Final = 40
 _SCORED_VIEWS: Final = 24
 _MEASURED_VIEWS: Final = 8
-# The opening ends where the others alone, with the usual inflation, have so much of its error. With
+# The preview ends where the others alone, with the usual inflation, have so much of its error. With
 # 0.5, 256 KiB of a captured room show 29.9 dB in place of 30.5, and shorter prefixes the same.
 _END_SHARE: Final = 0.7
-# An opening is for the first seconds: of a large scene it takes no more than this, bytes.
+# A preview is for the first seconds: of a large scene it takes no more than this, bytes.
 _MOST_BYTES: Final = 1 << 16
 # Nor more splats than this, times `prefix_inflation.effective_splats`: so many of the scene's own
 # show it as well.
@@ -69,8 +69,8 @@ _NEAR_DB: Final = 0.15
 
 
 @dataclass(frozen=True)
-class OpeningConfig:
-    """How an opening is made.
+class PreviewConfig:
+    """How a preview is made.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class OpeningConfig:
     storing_steps : int
         Steps of training through the quantisers.
     refresh : int
-        Steps between two encodes of the opening.
+        Steps between two encodes of the preview.
     seed : int
         Decides in which order views come.
     threads : int
@@ -106,8 +106,8 @@ class OpeningConfig:
         thread_count(self.threads)
 
 
-class TrainedOpening:
-    """Adds an opening to encoded scenes (`encode.opening.Opening`).
+class TrainedPreview:
+    """Adds a preview to encoded scenes (`encode.preview_chunks.PreviewMaker`).
 
     It begins as the first splats of the scene, without higher SH coefficients. In rounds, those
     whose absence changes the pictures least are left out and the others trained, in all their
@@ -115,13 +115,13 @@ class TrainedOpening:
 
     Parameters
     ----------
-    config : OpeningConfig, optional
+    config : PreviewConfig, optional
     """
 
-    def __init__(self, config: OpeningConfig | None = None) -> None:
-        self._config = config or OpeningConfig()
+    def __init__(self, config: PreviewConfig | None = None) -> None:
+        self._config = config or PreviewConfig()
 
-    def added(
+    def add(
         self,
         encoded: EncodedScene,
         references: ReferenceViews,
@@ -129,23 +129,23 @@ class TrainedOpening:
         *,
         progress: Progress = silent,
     ) -> EncodedScene:
-        """Return a scene with its opening as the first chunks.
+        """Return a scene with its preview as the first chunks.
 
         Parameters
         ----------
         encoded : EncodedScene
             Without compensation.
         references : ReferenceViews
-            Pictures of what was encoded: the opening is trained in these.
+            Pictures of what was encoded: the preview is trained in these.
         effective_splats : int
             Of the source (`prefix_inflation.effective_splats`).
         progress : Progress
-            Called with ``opening``, steps done and steps.
+            Called with ``preview``, steps done and steps.
 
         Returns
         -------
         EncodedScene
-            The same for any number of threads. Without an opening where its bytes are too few for
+            The same for any number of threads. Without a preview where its bytes are too few for
             a splat, or where the scene has none.
         """
         size = self._bytes(encoded)
@@ -167,10 +167,10 @@ class TrainedOpening:
         ends = [*(end for end in plan_layers(counts, effective_splats) if end > own), len(counts)]
         enough = _END_SHARE * _error(made.decoded, references)
         until = next((end for end in ends if prefix_mse[end - own] <= enough), ends[-1])
-        return with_first_chunks(encoded, made, until)
+        return prepend_preview(encoded, made, until)
 
-    def foreseen(self, encoded: EncodedScene) -> EncodedScene:
-        """Return a scene with first chunks of so many bytes as its opening may take."""
+    def reserve(self, encoded: EncodedScene) -> EncodedScene:
+        """Return a scene with first chunks of so many bytes as its preview may take."""
         size = self._bytes(encoded)
         count = min(int(size / _BYTES_PER_SPLAT), encoded.splats)
         if count < 1:
@@ -187,10 +187,10 @@ class TrainedOpening:
         ]
         rows = encoded.decoded.with_sh_degree(0).take(np.arange(count))
         blank = replace(encoded, splats=count, chunks=chunks, decoded=rows)
-        return with_first_chunks(encoded, blank, len(runs) + 1)
+        return prepend_preview(encoded, blank, len(runs) + 1)
 
     def _bytes(self, encoded: EncodedScene) -> int:
-        """Return how many bytes the head of the opening may take."""
+        """Return how many bytes the head of the preview may take."""
         total = sum(len(payload) for book in encoded.codebooks for payload in book.payloads)
         for chunk in encoded.chunks:
             parts = chunk.payloads
@@ -211,7 +211,7 @@ class TrainedOpening:
         clipped = np.minimum(begin.opacities, np.float32(_LARGEST_LOGIT))
         settings = TrainConfig(seed=config.seed, threads=config.threads)
         trainer = Trainer(replace(begin, opacities=clipped), lessons, settings)
-        progress("opening", 0, self._steps())
+        progress("preview", 0, self._steps())
         for number, times in enumerate(_ROUNDS):
             left = round(times * count)
             if left < len(trainer.splats):
@@ -219,7 +219,7 @@ class TrainedOpening:
             last = number + 1 == len(_ROUNDS)
             fall = _LAST_FALL if last else _ROUND_FALL
             trainer.run(config.round_steps, _RATE, _RATE * fall)
-            progress("opening", (number + 1) * config.round_steps, self._steps())
+            progress("preview", (number + 1) * config.round_steps, self._steps())
         return trainer
 
     def _leave_out(self, trainer: Trainer, lessons: Lessons, left: int) -> None:
@@ -231,7 +231,7 @@ class TrainedOpening:
     def _stored(
         self, trainer: Trainer, lessons: Lessons, size: int, progress: Progress
     ) -> EncodedScene | None:
-        """Train the opening through its quantisers; return it in `size` bytes, if it can be."""
+        """Train the preview through its quantisers; return it in `size` bytes, if it can be."""
         config = self._config
         prepared = self._prepared(trainer.splats, lessons)
         while (taken := _head_bytes(prepared, _LEAST_DB)) > size:
@@ -249,12 +249,12 @@ class TrainedOpening:
             first, last = (_stored_rate(at / config.storing_steps) for at in (done, done + steps))
             trainer.run(steps, first, last, drawn_as=decoded)
             done += steps
-            progress("opening", self._steps() - config.storing_steps + done, self._steps())
+            progress("preview", self._steps() - config.storing_steps + done, self._steps())
         prepared = replace(prepared, source=trainer.splats)
         return encode_chunks(prepared, _quality(prepared, size))
 
     def _prepared(self, splats: Splats, lessons: Lessons) -> PreparedScene:
-        """Return the opening scored in the views that it is trained in."""
+        """Return the preview scored in the views that it is trained in."""
         threads = self._config.threads
         views = evenly(lessons.cameras[: lessons.given], _SCORED_VIEWS)
         settings = PRESETS["fast"].score_config("transform", threads=threads)

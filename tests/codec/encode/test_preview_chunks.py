@@ -11,8 +11,8 @@ from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.arriving_prefixes import arriving
 from cogsplat.codec.encode.compensation_fit import usual_errors
 from cogsplat.codec.encode.config import EncodeConfig
-from cogsplat.codec.encode.opening import with_first_chunks
 from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.preview_chunks import prepend_preview
 from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.rate.segment_order import Placed
@@ -35,22 +35,22 @@ def parts(cameras):
     made = encode(splats, score(splats, cameras), unseen(chunk_splats=50, quality_db=45.0))
     first = oracle.scene(7, n=60).with_sh_degree(0)
     plain = unseen(chunk_splats=40, quality_db=40.0, refine=False, order="contribution")
-    opening = encode(first, unscored(60), plain)
-    return made, opening, with_first_chunks(made, opening, UNTIL)
+    preview = encode(first, unscored(60), plain)
+    return made, preview, prepend_preview(made, preview, UNTIL)
 
 
 def test_the_first_chunks_are_drawn_until_they_end(parts):
-    made, opening, joined = parts
-    own = len(opening.chunks)
+    made, preview, joined = parts
+    own = len(preview.chunks)
     assert own == 2
     assert [chunk.until for chunk in joined.chunks] == [UNTIL] * own + [0] * len(made.chunks)
-    assert joined.splats == made.splats + opening.splats == len(joined.decoded)
+    assert joined.splats == made.splats + preview.splats == len(joined.decoded)
     for chunks in range(1, len(joined.chunks) + 1):
         drawn = joined.drawn(chunks)
         before = made.drawn(max(chunks - own, 0))
         rest = drawn
         if chunks < UNTIL:
-            shown = opening.drawn(min(chunks, own))
+            shown = preview.drawn(min(chunks, own))
             np.testing.assert_array_equal(drawn.means[: len(shown)], shown.means)
             assert not drawn.shN[: len(shown)].any()
             rest = drawn.take(slice(len(shown), None))
@@ -76,8 +76,8 @@ def test_boxes_and_attributes_are_of_all_chunks(parts):
 
 
 def test_prefixes_show_nothing_of_chunks_that_have_ended(parts):
-    _, opening, joined = parts
-    size = opening.splats
+    _, preview, joined = parts
+    size = preview.splats
     short, long = arriving(joined, [UNTIL - 1, UNTIL], 10_000)
     assert np.isfinite(short.opacities[:size]).all()
     assert np.isneginf(long.opacities[:size]).all()
@@ -87,12 +87,12 @@ def test_prefixes_show_nothing_of_chunks_that_have_ended(parts):
 
 
 def test_the_other_segments_keep_their_order(parts, cameras):
-    made, opening, _ = parts
+    made, preview, _ = parts
     references = render_references(made.decoded, cameras, jittered=False)
     measured = replace(made, prefix_mse=usual_errors(made, references, 300))
-    joined = with_first_chunks(measured, opening, UNTIL)
+    joined = prepend_preview(measured, preview, UNTIL)
     np.testing.assert_allclose(usual_errors(joined, references, 300), joined.prefix_mse, rtol=1e-6)
-    own = len(opening.chunks)
+    own = len(preview.chunks)
     places = joined.placed()
     assert [(place.what, place.chunk) for place in places[:own]] == [
         (Placed.HEAD, number) for number in range(own)
@@ -114,15 +114,15 @@ def test_the_other_segments_keep_their_order(parts, cameras):
 def test_what_it_cannot_stand_in_is_refused(cameras, settings, said):
     config = EncodeConfig(**settings)
     with pytest.raises(ValueError, match=said):
-        pipeline.encode(oracle.scene(4, n=50), config, cameras=cameras, opening=Doubled())
+        pipeline.encode(oracle.scene(4, n=50), config, cameras=cameras, preview=Doubled())
 
 
 class Doubled:
-    """An opening that is the first chunk once more."""
+    """A preview that is the first chunk once more."""
 
-    def added(self, encoded, references, effective_splats, *, progress):
+    def add(self, encoded, references, effective_splats, *, progress):
         assert effective_splats > 0
-        progress("opening", 1, 1)
+        progress("preview", 1, 1)
         first = encoded.chunks[0]
         again = replace(
             encoded,
@@ -130,10 +130,10 @@ class Doubled:
             chunks=[replace(first, payloads=replace(first.payloads, refinement=None, tail=None))],
             decoded=encoded.decoded.take(slice(0, first.splats)).with_sh_degree(0),
         )
-        return with_first_chunks(encoded, again, 3)
+        return prepend_preview(encoded, again, 3)
 
-    def foreseen(self, encoded):
-        return self.added(encoded, None, 1, progress=lambda *_: None)
+    def reserve(self, encoded):
+        return self.add(encoded, None, 1, progress=lambda *_: None)
 
 
 def test_the_encoder_compensates_and_predicts_with_it(cameras):
@@ -141,10 +141,10 @@ def test_the_encoder_compensates_and_predicts_with_it(cameras):
     config = EncodeConfig(chunk_splats=40, threads=1)
     preset = PRESETS["fast"]
     plain = pipeline.encode(splats, config, cameras=cameras, preset=preset)
-    made = pipeline.encode(splats, config, cameras=cameras, preset=preset, opening=Doubled())
+    made = pipeline.encode(splats, config, cameras=cameras, preset=preset, preview=Doubled())
     assert [chunk.until for chunk in made.chunks[:2]] == [3, 0]
     assert len(made.compensation.chunk_splats) == len(plain.chunks) + 1
-    # The whole file shows what it shows without an opening.
+    # The whole file shows what it shows without a preview.
     assert made.report.test_psnr_db == plain.report.test_psnr_db
     assert made.chunks[-1].quality_db == pytest.approx(plain.chunks[-1].quality_db)
 
@@ -159,6 +159,6 @@ def test_the_encoder_compensates_and_predicts_with_it(cameras):
     target = Target(size_bytes=9000)
     sized = pipeline.encode(
         splats, config, cameras=cameras, preset=preset, target=target, size_of=size_of,
-        opening=Doubled(),
+        preview=Doubled(),
     )  # fmt: skip
     assert 0.9 * 9000 < size_of(sized) <= 9000

@@ -39,7 +39,7 @@ def open_url(
 
     Examples
     --------
-    >>> from cogsplat.formats.network.opening import open_url
+    >>> from cogsplat.formats.network.open_url import open_url
     >>> with open_url("https://example.org/scene.cogs") as source:
     ...     source.size > 64
     True

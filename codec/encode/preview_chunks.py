@@ -1,4 +1,4 @@
-"""Openings: first chunks that stand for the whole scene until more of it has come (SPEC 5.10)."""
+"""Preview chunks: few splats at the front of a file that show the whole scene (SPEC 5.10)."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from cogsplat.codec.segments.attributes import pack_attributes
 from .encoded import EncodedScene
 
 
-class Opening(Protocol):
-    """Makes the first chunks of a scene whose other chunks are encoded."""
+class PreviewMaker(Protocol):
+    """Interface of what makes the preview chunks of an encoded scene."""
 
-    def added(
+    def add(
         self,
         encoded: EncodedScene,
         references: ReferenceViews,
@@ -25,46 +25,48 @@ class Opening(Protocol):
         *,
         progress: Progress,
     ) -> EncodedScene:
-        """Return the scene with them, before its compensation is fitted.
+        """Return the scene with preview chunks prepended; its compensation is fitted later.
 
         Parameters
         ----------
         encoded : EncodedScene
+            Scene without compensation.
         references : ReferenceViews
-            Pictures of what was encoded.
+            Ground truth: renders of the source.
         effective_splats : int
-            Of the source (`prefix_inflation.effective_splats`).
+            Effective number of splats of the source (`prefix_inflation.effective_splats`).
         progress : Progress
+            Receives the stage ``preview``.
         """
         ...
 
-    def foreseen(self, encoded: EncodedScene) -> EncodedScene:
-        """Return a scene with chunks that take the room of those that `added` will make."""
+    def reserve(self, encoded: EncodedScene) -> EncodedScene:
+        """Return the scene with dummy preview chunks of the size that `add` will give them."""
         ...
 
 
-def with_first_chunks(encoded: EncodedScene, opening: EncodedScene, until: int) -> EncodedScene:
-    """Return an encoded scene with the chunks of another before its own, which end.
+def prepend_preview(encoded: EncodedScene, preview: EncodedScene, until: int) -> EncodedScene:
+    """Return an encoded scene with preview chunks before its own chunks.
 
     Parameters
     ----------
     encoded : EncodedScene
-        Without compensation.
-    opening : EncodedScene
-        Of SH degree 0; its chunks are heads that need no codebook.
+        Scene without compensation.
+    preview : EncodedScene
+        Preview splats of SH degree 0, in chunks that have heads only and use no codebook.
     until : int
-        Prefixes of so many of the new scene's chunks, and of more, do not draw it.
+        Chunk count, preview included, from which on a prefix no longer draws the preview.
     """
-    own = len(opening.chunks)
+    own = len(preview.chunks)
     chunks = [
         replace(chunk, until=until, contribution=0.0, attributes=_attributes(encoded, chunk.splats))
-        for chunk in opening.chunks
+        for chunk in preview.chunks
     ]
     prefix_mse = encoded.prefix_mse
     if prefix_mse is not None:
-        # The other segments keep the order that they have without an opening.
+        # The other segments keep the order that they have without a preview.
         prefix_mse = np.concatenate([np.full(own, prefix_mse[0]), prefix_mse])
-    first, later = opening.decoded, encoded.decoded
+    first, later = preview.decoded, encoded.decoded
     without = np.zeros((len(first), *later.shN.shape[1:]), np.float32)
     decoded = replace(
         later,
@@ -78,7 +80,7 @@ def with_first_chunks(encoded: EncodedScene, opening: EncodedScene, until: int) 
     boxes = np.array([encoded.box, *(chunk.box for chunk in chunks)])
     return replace(
         encoded,
-        splats=encoded.splats + opening.splats,
+        splats=encoded.splats + preview.splats,
         box=np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)]),
         chunks=[*chunks, *encoded.chunks],
         decoded=decoded,
@@ -87,7 +89,7 @@ def with_first_chunks(encoded: EncodedScene, opening: EncodedScene, until: int) 
 
 
 def _attributes(encoded: EncodedScene, splats: int) -> bytes | None:
-    """Return extra attributes of splats that the scene itself does not have: zeros."""
+    """Return the attribute payload of preview splats: zeros; None without extra attributes."""
     extras = encoded.scene.extras
     if not extras:
         return None

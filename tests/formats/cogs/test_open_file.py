@@ -4,7 +4,7 @@ from fault_server import FaultServer, right, serving
 
 import cogsplat
 from cogsplat.codec.errors import FormatError, StorageError
-from cogsplat.formats.cogs.opening import open_place, source_of_place, with_place
+from cogsplat.formats.cogs.open_file import open_place, source_of_place, with_place
 from cogsplat.formats.network.range_source import RangeSource
 from cogsplat.formats.storage.source import FileSource
 

@@ -1,4 +1,4 @@
-"""Trained openings: the first bytes show the whole scene, and the whole stays as it is."""
+"""Trained previews: the first bytes show the whole scene, and the whole stays as it is."""
 
 from dataclasses import replace
 
@@ -8,14 +8,14 @@ import pytest
 from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.presets import PRESETS
-from cogsplat.codec.fit.opening import OpeningConfig, TrainedOpening
+from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring.contribution import unscored
 from cogsplat.codec.splats import empty
 from cogsplat.tools.synthetic.scene import synth, synth_cameras
 
-CONFIG = OpeningConfig(share=0.05, round_steps=25, storing_steps=10, threads=1)
+CONFIG = PreviewConfig(share=0.05, round_steps=25, storing_steps=10, threads=1)
 
 
 @pytest.fixture(scope="module")
@@ -23,10 +23,10 @@ def scene():
     return synth(4000, seed=5), synth_cameras(8, 96, 72)
 
 
-def encoded(scene, opening=None, threads=1):
+def encoded(scene, preview=None, threads=1):
     splats, cameras = scene
     config = EncodeConfig(chunk_splats=512, threads=threads)
-    return pipeline.encode(splats, config, cameras=cameras, preset=PRESETS["fast"], opening=opening)
+    return pipeline.encode(splats, config, cameras=cameras, preset=PRESETS["fast"], preview=preview)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def plain(scene):
 
 @pytest.fixture(scope="module")
 def opened(scene):
-    return encoded(scene, TrainedOpening(CONFIG))
+    return encoded(scene, TrainedPreview(CONFIG))
 
 
 def heads(chunks):
@@ -60,7 +60,7 @@ def test_the_first_bytes_show_more_and_the_whole_is_as_before(scene, plain, open
     assert 0 < heads(own) <= 0.05 * (payloads(plain.chunks) + books)
     assert opened.chunks[len(own) :][0].payloads.head == plain.chunks[0].payloads.head
     first = opened.compensation.apply(opened.drawn(len(own)), len(own))
-    # As many bytes of the file without an opening, and more.
+    # As many bytes of the file without a preview, and more.
     chunks = 1
     while heads(plain.chunks[:chunks]) < heads(own):
         chunks += 1
@@ -80,7 +80,7 @@ def test_it_ends_where_a_layer_of_the_compensation_does(opened):
 
 @pytest.mark.slow
 def test_it_is_the_same_for_any_number_of_threads(scene, opened):
-    again = encoded(scene, TrainedOpening(replace(CONFIG, threads=3)), threads=2)
+    again = encoded(scene, TrainedPreview(replace(CONFIG, threads=3)), threads=2)
     assert [chunk.payloads.head for chunk in again.chunks] == [
         chunk.payloads.head for chunk in opened.chunks
     ]
@@ -89,9 +89,9 @@ def test_it_is_the_same_for_any_number_of_threads(scene, opened):
 def test_a_scene_that_is_too_small_has_none(scene):
     splats, cameras = scene
     tiny = splats.take(slice(0, 20)), cameras
-    assert not any(chunk.until for chunk in encoded(tiny, TrainedOpening(CONFIG)).chunks)
+    assert not any(chunk.until for chunk in encoded(tiny, TrainedPreview(CONFIG)).chunks)
     nothing = pipeline.encode(
-        empty(0, 0), EncodeConfig(order="source"), scores=unscored(0), opening=TrainedOpening()
+        empty(0, 0), EncodeConfig(order="source"), scores=unscored(0), preview=TrainedPreview()
     )
     assert nothing.chunks == []
 
@@ -108,4 +108,4 @@ def test_a_scene_that_is_too_small_has_none(scene):
 )
 def test_settings_that_mean_nothing_are_refused(settings, said):
     with pytest.raises(ValueError, match=said):
-        OpeningConfig(**settings)
+        PreviewConfig(**settings)

@@ -1,6 +1,6 @@
 import pytest
 
-from cogsplat.formats.network.opening import open_url
+from cogsplat.formats.network.open_url import open_url
 
 
 @pytest.mark.parametrize("wrong", ["scene.cogs", "ftp://a.b/c", "https://"])
