@@ -619,6 +619,6 @@ def read_cameras(path: _Path, *, limits: Limits | None = None) -> list[Camera]:
     >>> cameras[0].width, cameras[0].height
     (64, 48)
     """
-    from .formats.cameras.files import read_cameras as read_camera_files
+    from .formats.cameras.camera_files import read_cameras as read_camera_files
 
     return read_camera_files(path, limits=limits)

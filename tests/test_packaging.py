@@ -20,7 +20,7 @@ CORE = (
     "cogsplat",
     "cogsplat.codec.segments.heads",
     "cogsplat.formats.cogs.reader",
-    "cogsplat.formats.scenes.ply.scene",
+    "cogsplat.formats.scenes.ply.ply_scene",
     "cogsplat.tools.delivery.local_server",
     "cogsplat.tools.synthetic.scene",
 )

@@ -315,7 +315,7 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "formats.cameras": {
         "colmap_points": "find_points read_points",
-        "files": "read_cameras",
+        "camera_files": "read_cameras",
         "inria": "write_cameras_json",
     },
     "formats.cogs": {
@@ -353,20 +353,20 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "formats.scenes": {
         "compressed_ply": "CHUNK_SPLATS read_compressed_ply write_compressed_ply",
-        "gltf.scene": "read_gltf write_gltf",
+        "gltf.gltf_scene": "read_gltf write_gltf",
         "ksplat": "read_ksplat",
         "memory_cap": "working_memory",
-        "ply.scene": "read_ply write_ply write_ply_parts",
+        "ply.ply_scene": "read_ply write_ply write_ply_parts",
         "quantised_values": "morton_order unit_opacities",
         "registry": (
             "FORMATS Format WRITABLE format_of format_to_write is_cogs read_scene scene_bytes "
             "scene_files write_scene"
         ),
-        "sog.levels": "StreamedSog read_levels",
-        "sog.scene": "read_sog sog_files write_sog",
+        "sog.lod_meta": "StreamedSog read_lod_meta",
+        "sog.sog_scene": "read_sog sog_files write_sog",
         "splat": "read_splat write_splat",
-        "spz.scene": "SPZ_AXES VERSIONS read_spz write_spz",
-        "spz.values": "PRECISIONS",
+        "spz.spz_scene": "SPZ_AXES VERSIONS read_spz write_spz",
+        "spz.spz_values": "PRECISIONS",
     },
     "formats.storage": {
         "atomic": (
@@ -499,19 +499,19 @@ TESTED_IN = {
     "codec/streams/limits.py": "streams/test_byte_planes.py",
     "codec/streams/stored_planes.py": "streams/test_records.py",
     "codec/streams/zstd_frames.py": "streams/test_byte_planes.py",
-    "formats/cameras/files.py": "cameras/test_nerfstudio.py",
+    "formats/cameras/camera_files.py": "cameras/test_nerfstudio.py",
     "formats/cogs/cameras.py": "cogs/test_extras.py",
     "formats/cogs/index.py": "cogs/test_reader.py",
     "formats/cogs/msgpack_map.py": "cogs/test_root.py",
     "formats/cogs/stored_file.py": "cogs/test_reader.py",
     "formats/network/range_reader.py": "network/test_range_source.py",
-    "formats/scenes/gltf/file.py": "scenes/gltf/test_scene.py",
-    "formats/scenes/ply/foreign_layouts.py": "scenes/ply/test_scene.py",
-    "formats/scenes/ply/header.py": "scenes/ply/test_scene.py",
-    "formats/scenes/sog/files.py": "scenes/sog/test_scene.py",
-    "formats/scenes/spz/container.py": "scenes/spz/test_scene.py",
-    "formats/scenes/spz/values.py": "scenes/spz/test_scene.py",
-    "formats/storage/images.py": "scenes/sog/test_scene.py",
+    "formats/scenes/gltf/file.py": "scenes/gltf/test_gltf_scene.py",
+    "formats/scenes/ply/foreign_layouts.py": "scenes/ply/test_ply_scene.py",
+    "formats/scenes/ply/header.py": "scenes/ply/test_ply_scene.py",
+    "formats/scenes/sog/bundle.py": "scenes/sog/test_sog_scene.py",
+    "formats/scenes/spz/container.py": "scenes/spz/test_spz_scene.py",
+    "formats/scenes/spz/spz_values.py": "scenes/spz/test_spz_scene.py",
+    "formats/storage/images.py": "scenes/sog/test_sog_scene.py",
 }
 
 

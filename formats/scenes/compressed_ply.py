@@ -24,7 +24,7 @@ from cogsplat.formats.scenes.ply.header import Element, PlyHeader, check_size, i
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 
-from .losses import extra_losses, warn_of_losses
+from .dropped_values import extra_losses, warn_of_losses
 from .quantised_values import (
     BYTE_LOGITS,
     from_smallest_three,

@@ -15,7 +15,7 @@ from cogsplat.codec.workspace import IN_MEMORY, Workspace
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.sources import cogs_source
 from cogsplat.formats.scenes.ply.header import is_ply
-from cogsplat.formats.scenes.ply.scene import ply_rows
+from cogsplat.formats.scenes.ply.ply_scene import ply_rows
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
 from cogsplat.formats.storage.scratch_files import ScratchFiles
 

@@ -1,7 +1,7 @@
-"""The table of foreign scene formats, found by their first bytes, then by their extension.
+"""Foreign scene formats: one table, searched by a file's first bytes, then by its extension.
 
-To add a format, write one file ``formats/scenes/<name>.py`` with a sniffer, a reader and, where
-it can be written, a writer, and add one row to `FORMATS`.
+To add a format, write one file ``formats/scenes/<name>.py`` with a sniffer, a reader and, if
+needed, a writer; then add one row to `FORMATS`.
 """
 
 from __future__ import annotations
@@ -10,20 +10,19 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Final
 
 from cogsplat.codec.errors import FormatError, UnsupportedError
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
 from cogsplat.formats.cogs.folder_map import MANIFEST_NAME, MANIFEST_SUFFIX
 from cogsplat.formats.scenes.gltf.file import gltf_files
-from cogsplat.formats.scenes.gltf.scene import is_gltf, read_gltf, write_gltf
+from cogsplat.formats.scenes.gltf.gltf_scene import is_gltf, read_gltf, write_gltf
 from cogsplat.formats.scenes.ply.header import is_ply
-from cogsplat.formats.scenes.ply.scene import read_ply, write_ply
-from cogsplat.formats.scenes.sog.scene import is_sog, read_sog, sog_files, write_sog
+from cogsplat.formats.scenes.ply.ply_scene import read_ply, write_ply
+from cogsplat.formats.scenes.sog.sog_scene import is_sog, read_sog, sog_files, write_sog
 from cogsplat.formats.scenes.spz.container import is_spz
-from cogsplat.formats.scenes.spz.scene import DEFAULT_VERSION, read_spz, write_spz
-from cogsplat.formats.scenes.spz.values import PRECISIONS
+from cogsplat.formats.scenes.spz.spz_scene import read_spz, write_spz
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.magic import COGS_MAGIC, MANIFEST_MAGIC, describe
@@ -33,58 +32,51 @@ from .ksplat import read_ksplat
 from .splat import no_magic, read_splat, write_splat
 from .torch_checkpoint import is_torch_checkpoint, read_torch_checkpoint
 
-HEAD_BYTES = 65536
-"""Bytes that a sniffer is given, fewer where the file is shorter."""
-
-
-class Reader(Protocol):
-    """What reads a scene of unknown origin."""
-
-    def __call__(self, path: StrPath, *, limits: Limits | None = None) -> Splats:
-        """Return the scene in `path`, or raise where it costs more than `limits` allow."""
-
-
-class Writer(Protocol):
-    """A function that writes a scene, whole or not at all."""
-
-    def __call__(self, splats: Splats, path: StrPath, *, force: bool = False) -> None:
-        """Write `splats` to `path`, replacing an existing file only with `force`."""
+HEAD_BYTES: Final = 65536
+"""First bytes of a file that a sniffer receives; fewer if the file is shorter."""
 
 
 @dataclass(frozen=True)
 class Format:
-    """A foreign format.
+    """A foreign scene format: its names, and the functions that read and write it.
 
     Parameters
     ----------
     name : str
-        As messages and the command line call it.
+        Name in messages and on the command line.
     extensions : tuple of str
-        In lower case with their dots, ``".compressed.ply"`` among them; where several fit a path,
-        the longest wins.
+        Lower-case extensions with their dots, e.g. ``".compressed.ply"``. If several match a path,
+        the longest decides.
     sniff : callable
-        Tells from the first `HEAD_BYTES` whether a file is of this format. A format without a
-        magic always says no and is found by its extension.
+        Test whether the first `HEAD_BYTES` of a file are of this format. A format without magic
+        bytes always answers no, so its extension decides.
     read : callable
-        Gives the scene in a file.
+        Reader: ``read(path, *, limits=None)`` returns `Splats`.
     write : callable or None
-        Writes one, where this format can be written.
+        Writer: ``write(splats, path, *, force=False)`` writes the whole file or none. None if the
+        format is read-only.
     files : callable or None
-        Gives the files that a scene lies in, where they may be several.
+        List the files of a scene, for a format that may use several.
     names : tuple of str
-        Whole names of files, in lower case, that say this format as an extension does.
+        Lower-case file names that identify the format, like an extension.
+    reads_into_arrays : bool
+        Whether `read` also has the keyword ``zeros``: a function that allocates the arrays.
+    write_options : frozenset of str
+        Further keywords of `write`.
     """
 
     name: str
     extensions: tuple[str, ...]
     sniff: Callable[[bytes], bool]
-    read: Reader
-    write: Writer | None
+    read: Callable[..., Splats]
+    write: Callable[..., None] | None
     files: Callable[[StrPath], list[Path]] | None = None
     names: tuple[str, ...] = ()
+    reads_into_arrays: bool = False
+    write_options: frozenset[str] = frozenset()
 
 
-# The first one whose sniffer says yes reads the file: the narrower of two goes first.
+# The first format whose sniffer answers yes reads the file, so special cases precede general ones.
 FORMATS: tuple[Format, ...] = (
     Format(
         "compressed ply",
@@ -93,7 +85,15 @@ FORMATS: tuple[Format, ...] = (
         read_compressed_ply,
         write_compressed_ply,
     ),
-    Format("ply", (".ply",), is_ply, read_ply, write_ply),
+    Format(
+        "ply",
+        (".ply",),
+        is_ply,
+        read_ply,
+        write_ply,
+        reads_into_arrays=True,
+        write_options=frozenset({"absolute"}),
+    ),
     Format("gltf", (".glb", ".gltf"), is_gltf, read_gltf, write_gltf, gltf_files),
     Format(
         "torch checkpoint",
@@ -103,7 +103,14 @@ FORMATS: tuple[Format, ...] = (
         None,
     ),
     Format("sog", (".sog",), is_sog, read_sog, write_sog, sog_files, ("meta.json",)),
-    Format("spz", (".spz",), is_spz, read_spz, write_spz),
+    Format(
+        "spz",
+        (".spz",),
+        is_spz,
+        read_spz,
+        write_spz,
+        write_options=frozenset({"precision", "version"}),
+    ),
     Format("splat", (".splat",), no_magic, read_splat, write_splat),
     Format("ksplat", (".ksplat",), no_magic, read_ksplat, None),
 )
@@ -113,9 +120,9 @@ WRITABLE: tuple[str, ...] = tuple(format_.name for format_ in FORMATS if format_
 
 
 def is_cogs(path: StrPath) -> bool:
-    """Tell whether a path is a COGS file, a COGS folder or its manifest, which are not read here.
+    """Tell whether a path is a COGS file, a COGS folder or the folder's manifest.
 
-    A damaged one counts by its extension, so that the container's reader can say what is wrong.
+    A damaged COGS file is recognised by its extension; its own reader reports the damage.
 
     Raises
     ------
@@ -139,31 +146,33 @@ def read_scene(
     Parameters
     ----------
     path : path
+        The scene's file.
     limits : Limits, optional
-        What the file may cost.
+        Limits on splats and decoded bytes.
     zeros : callable
-        Makes the arrays of a PLY, as `Workspace.zeros` does; those of other formats are in memory.
+        Allocator of the arrays, e.g. `Workspace.zeros`. Formats without `Format.reads_into_arrays`
+        allocate in memory instead.
 
     Raises
     ------
     LimitError
-        It costs more.
+        The scene exceeds `limits`.
     FormatError
-        ``unknown-format``: neither first bytes nor extension are known; ``cogs-file``: it is a
-        COGS container. Otherwise as the format's reader.
+        ``unknown-format``: neither the first bytes nor the extension are known; ``cogs-file``: the
+        file is a COGS container. Otherwise as the format's reader.
     StorageError
         As `open_for_read`.
     """
     format_ = format_of(path)
-    if format_.read is read_ply:
-        return read_ply(path, limits=limits, zeros=zeros)
+    if format_.reads_into_arrays:
+        return format_.read(path, limits=limits, zeros=zeros)
     return format_.read(path, limits=limits)
 
 
 def scene_bytes(path: StrPath) -> int:
-    """Return the bytes of a foreign scene, those of files that it names beside it included.
+    """Return the size of a foreign scene in bytes: all its files together.
 
-    A file that is named and not there counts nothing: the reader says whether it is needed.
+    A missing file counts as zero bytes; the reader reports it if it is needed.
 
     Raises
     ------
@@ -178,7 +187,7 @@ def scene_bytes(path: StrPath) -> int:
 
 
 def scene_files(path: StrPath) -> list[Path]:
-    """Return the file of a foreign scene and those that it names beside it, there or not.
+    """Return the paths of all files of a foreign scene, including missing ones.
 
     Raises
     ------
@@ -190,7 +199,7 @@ def scene_files(path: StrPath) -> list[Path]:
 
 
 def format_of(path: StrPath) -> Format:
-    """Return the foreign format of a file, by its first bytes, then by its extension.
+    """Return the foreign format of a file, from its first bytes, or else from its extension.
 
     Raises
     ------
@@ -228,49 +237,50 @@ def write_scene(
 
     Parameters
     ----------
-    path : path
     splats : Splats
+        The scene.
+    path : path
+        The output.
     force : bool
         Whether an existing file may be replaced.
     format_name : str, optional
-        One of `WRITABLE`; by default the format that the extension names.
+        One of `WRITABLE`; by default the path's extension decides.
     absolute : bool
-        As `write_ply`, which alone knows it.
+        Whether centres are written in world coordinates (PLY only; see `write_ply`).
     spz_precision : str, optional
-        As the precision of `write_spz`, which alone knows it.
+        Step size of centres (SPZ only; see `write_spz`).
     spz_version : int, optional
-        As the version of `write_spz`.
+        Version of the file (SPZ only; see `write_spz`).
 
     Raises
     ------
     ValueError
-        `absolute` and another format than PLY, `spz_precision` or `spz_version` and another than
-        SPZ.
+        The format has no such option, e.g. `absolute` with SPZ.
     FormatError, UnsupportedError
         As `format_to_write`.
     StorageError
-        As `atomic_write`, ``exists`` among them.
+        As `atomic_write`, e.g. ``exists``.
     """
     format_ = format_to_write(path, format_name)
-    if absolute:
-        if format_.write is not write_ply:
-            raise ValueError(f"absolute centres in {format_.name}, expected ply")
-        write_ply(splats, path, force=force, absolute=True)
-        return
-    if spz_precision is not None or spz_version is not None:
-        if format_.write is not write_spz:
-            raise ValueError(f"a precision or version of SPZ in {format_.name}, expected spz")
-        precision = PRECISIONS[0] if spz_precision is None else spz_precision
-        version = DEFAULT_VERSION if spz_version is None else spz_version
-        write_spz(splats, path, force=force, precision=precision, version=version)
-        return
     write = format_.write
     assert write is not None
-    write(splats, path, force=force)
+    options = {
+        "absolute": absolute or None,
+        "precision": spz_precision,
+        "version": spz_version,
+    }
+    chosen = {name: value for name, value in options.items() if value is not None}
+    unknown = chosen.keys() - format_.write_options
+    if unknown:
+        known = ", ".join(sorted(format_.write_options)) or "none"
+        raise ValueError(
+            f"{format_.name} with the option {', '.join(sorted(unknown))}, expected {known}"
+        )
+    write(splats, path, force=force, **chosen)
 
 
 def format_to_write(path: StrPath, format_name: str | None = None) -> Format:
-    """Return the foreign format of this name or else extension, one that can be written.
+    """Return the writable format called `format_name`, or else the one of the path's extension.
 
     Raises
     ------
@@ -292,17 +302,19 @@ def format_to_write(path: StrPath, format_name: str | None = None) -> Format:
     if format_.write is None:
         raise UnsupportedError(
             "read-only-format",
-            f"{os.fspath(path)}: {format_.name} is not written, expected {_known(writable)}",
+            f"{os.fspath(path)}: {format_.name} cannot be written, expected {_known(writable)}",
         )
     return format_
 
 
 def _head(path: StrPath) -> bytes:
+    """Return the first `HEAD_BYTES` of a file."""
     with storage_errors(path), open_for_read(path) as file:
         return file.read(HEAD_BYTES)
 
 
 def _by_extension(path: StrPath) -> Format | None:
+    """Return the format with the longest extension or file name that matches a path."""
     name = Path(path).name.lower()
     matches = [(len(e), f) for f in FORMATS for e in f.extensions if name.endswith(e)]
     matches += [(len(name), f) for f in FORMATS if name in f.names]
@@ -310,4 +322,5 @@ def _by_extension(path: StrPath) -> Format | None:
 
 
 def _known(formats: tuple[Format, ...]) -> str:
+    """Return the names and extensions of formats, for a message."""
     return " or ".join(f"{f.name} ({', '.join(f.extensions + f.names)})" for f in formats)

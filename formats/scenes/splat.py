@@ -21,7 +21,7 @@ from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.magic import describe
 
-from .losses import extra_losses, info_losses, warn_of_losses
+from .dropped_values import extra_losses, info_losses, warn_of_losses
 from .quantised_values import BYTE_LOGITS, opacity_bytes, unit_opacities
 
 F32 = NDArray[np.float32]

@@ -11,7 +11,7 @@ import pytest
 from tracing import start_tracing
 
 from cogsplat.codec.errors import CogsplatError, LimitError
-from cogsplat.formats.cameras.files import read_cameras
+from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.cameras.nerfstudio import read_transforms
 from cogsplat.formats.scenes.registry import read_scene
 from cogsplat.formats.storage.limits import Limits

@@ -18,14 +18,14 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatError, CogsplatWarning
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams import compiled
+from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.cameras.colmap_points import read_points
-from cogsplat.formats.cameras.files import read_cameras
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.scenes.registry import FORMATS, read_scene, scene_bytes
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools.conformance import reference_decoder
-from cogsplat.tools.pictures.masks import read_masks
+from cogsplat.tools.pictures.mask_images import read_masks
 
 LIMITS = Limits(decoded_bytes=32 << 20, small_bytes=16 << 20, splats=200_000, cameras=5000)
 

@@ -20,7 +20,7 @@ import numpy as np
 
 import cogsplat
 from cogsplat.formats.cogs.reader import open_cogs
-from cogsplat.formats.scenes.ply.scene import write_ply_parts
+from cogsplat.formats.scenes.ply.ply_scene import write_ply_parts
 from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
 from cogsplat.formats.storage.source import FileSource
 from cogsplat.tools.pictures.svg_charts import Series, line_chart

@@ -30,9 +30,9 @@ from cogsplat.codec.geometry.transforms import convert_axes
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.splats import SceneInfo, Splats
 from cogsplat.codec.views.view_sets import hold_out
-from cogsplat.formats.cameras.files import read_cameras
+from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.scenes.registry import FORMATS
-from cogsplat.formats.scenes.spz.scene import SPZ_AXES, write_spz
+from cogsplat.formats.scenes.spz.spz_scene import SPZ_AXES, write_spz
 from cogsplat.formats.storage.atomic import atomic_write
 from cogsplat.tools.delivery.slow_server import SlowServer, running
 from cogsplat.tools.pictures.svg_charts import Series, line_chart

@@ -21,7 +21,7 @@ import cogsplat
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.scheduling.poses import Pose
 from cogsplat.codec.views.view_sets import hold_out
-from cogsplat.formats.cameras.files import read_cameras
+from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.tools.delivery import slow_server
 from cogsplat.tools.delivery.slow_server import SlowServer, running

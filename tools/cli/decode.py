@@ -12,7 +12,7 @@ from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.formats.scenes.ply.scene import write_ply, write_ply_parts
+from cogsplat.formats.scenes.ply.ply_scene import write_ply, write_ply_parts
 from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount

@@ -135,7 +135,7 @@ class OrderChoice:
         if cameras is None:
             raise click.UsageError("--masks without --cameras, expected those the masks belong to")
         from cogsplat.codec.order.objects_from_masks import assign
-        from cogsplat.tools.pictures.masks import read_masks
+        from cogsplat.tools.pictures.mask_images import read_masks
 
         views, pictures = read_masks(self.masks, given_cameras(cameras))
         labels = assign(splats, views, pictures, threads=threads, progress=progress)

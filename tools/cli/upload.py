@@ -10,14 +10,14 @@ import click
 
 import cogsplat
 from cogsplat.formats.cogs.folder_source import FolderSource, names_folder
-from cogsplat.tools.hosting.object_store import Bucket
-from cogsplat.tools.hosting.upload import (
+from cogsplat.tools.hosting.folder_upload import (
     Unused,
     delete_unused,
     find_unused,
     plan_upload,
 )
-from cogsplat.tools.hosting.upload import upload as send
+from cogsplat.tools.hosting.folder_upload import upload as send
+from cogsplat.tools.hosting.object_store import Bucket
 from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import counted, say, say_json, size_text

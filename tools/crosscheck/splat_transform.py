@@ -25,10 +25,10 @@ from cogsplat.formats.scenes.compressed_ply import (
     read_compressed_ply,
     write_compressed_ply,
 )
-from cogsplat.formats.scenes.gltf.scene import read_gltf, write_gltf
-from cogsplat.formats.scenes.ply.scene import read_ply, write_ply
+from cogsplat.formats.scenes.gltf.gltf_scene import read_gltf, write_gltf
+from cogsplat.formats.scenes.ply.ply_scene import read_ply, write_ply
 from cogsplat.formats.scenes.quantised_values import morton_order
-from cogsplat.formats.scenes.sog.scene import read_sog, write_sog
+from cogsplat.formats.scenes.sog.sog_scene import read_sog, write_sog
 from cogsplat.formats.storage.atomic import StrPath
 from cogsplat.tools.synthetic.scene import synth
 from cogsplat.tools.terminal.options import json_option

@@ -24,10 +24,10 @@ from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.geometry.rotations import matrices, unit
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.scenes.ksplat import read_ksplat
-from cogsplat.formats.scenes.ply.scene import read_ply, write_ply
+from cogsplat.formats.scenes.ply.ply_scene import read_ply, write_ply
 from cogsplat.formats.scenes.quantised_values import unit_opacities
 from cogsplat.formats.scenes.splat import read_splat, write_splat
-from cogsplat.formats.scenes.spz.scene import read_spz, write_spz
+from cogsplat.formats.scenes.spz.spz_scene import read_spz, write_spz
 from cogsplat.tools.synthetic.scene import synth
 from cogsplat.tools.terminal.options import json_option
 from cogsplat.tools.terminal.output import say, say_json, table

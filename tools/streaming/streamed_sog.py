@@ -32,8 +32,8 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.splats import Splats, concatenate, sh_coefficients
 from cogsplat.formats.cogs.layout import SegmentKind
-from cogsplat.formats.scenes.sog.levels import StreamedSog, read_levels
-from cogsplat.formats.scenes.sog.scene import read_sog, sog_files
+from cogsplat.formats.scenes.sog.lod_meta import StreamedSog, read_lod_meta
+from cogsplat.formats.scenes.sog.sog_scene import read_sog, sog_files
 from cogsplat.formats.storage.atomic import StrPath
 from cogsplat.formats.storage.limits import Limits
 
@@ -154,9 +154,9 @@ def streamed_sog_client(
     FormatError
         ``sog-bad-levels``: a leaf names more splats than a file has.
     CogsplatError
-        As `read_levels` and `read_sog`.
+        As `read_lod_meta` and `read_sog`.
     """
-    tree = read_levels(path, limits=limits)
+    tree = read_lod_meta(path, limits=limits)
     paths = [*tree.files, *([] if tree.environment is None else [tree.environment])]
     parts = [read_sog(part, limits=limits) for part in paths]
     has = np.array([*map(len, parts)])

@@ -10,8 +10,8 @@ from typing import TypeVar
 
 import click
 
-from cogsplat.formats.scenes.spz.scene import VERSIONS
-from cogsplat.formats.scenes.spz.values import PRECISIONS
+from cogsplat.formats.scenes.spz.spz_scene import VERSIONS
+from cogsplat.formats.scenes.spz.spz_values import PRECISIONS
 
 from .output_names import format_option
 

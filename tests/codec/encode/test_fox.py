@@ -11,7 +11,7 @@ from cogsplat.codec.order.orders import OrderConfig, Unordered, order_rows
 from cogsplat.codec.render.rasteriser import RenderConfig, render_views
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.views.view_sets import hold_out
-from cogsplat.formats.cameras.files import read_cameras
+from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.scenes.registry import read_scene
 
 FOX = Path(__file__).parents[4] / "shared" / "data" / "fox"

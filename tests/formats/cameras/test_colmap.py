@@ -13,7 +13,7 @@ from tracing import start_tracing
 
 from cogsplat.codec.errors import CogsplatError, LimitError, StorageError, TruncatedError
 from cogsplat.formats.cameras import colmap, colmap_records
-from cogsplat.formats.cameras.files import read_cameras
+from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.storage.limits import Limits
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatError, FormatError, LimitError, StorageError
-from cogsplat.formats.cameras.files import read_cameras
+from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.cameras.inria import read_cameras_json, write_cameras_json
 from cogsplat.formats.storage.limits import Limits
 

@@ -23,8 +23,8 @@ from cogsplat.codec.errors import (
     LimitError,
     UnsupportedError,
 )
+from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.cameras.colmap import find_model, read_colmap
-from cogsplat.formats.cameras.files import read_cameras
 from cogsplat.formats.cameras.nerfstudio import read_transforms
 from cogsplat.formats.storage.images import picture_size
 from cogsplat.formats.storage.limits import Limits

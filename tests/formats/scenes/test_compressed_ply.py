@@ -26,7 +26,7 @@ from cogsplat.formats.scenes.compressed_ply import (
     read_compressed_ply,
     write_compressed_ply,
 )
-from cogsplat.formats.scenes.ply.scene import read_ply
+from cogsplat.formats.scenes.ply.ply_scene import read_ply
 from cogsplat.formats.scenes.quantised_values import unit_opacities
 from cogsplat.formats.scenes.registry import read_scene, write_scene
 

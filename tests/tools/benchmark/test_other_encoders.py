@@ -13,7 +13,7 @@ import cogsplat
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render_views
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.cameras.files import read_cameras
+from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.tools.benchmark.other_encoders import (
     Encoder,
     compare,

@@ -8,7 +8,7 @@ from chromium import executable
 from running import SmallScene
 
 import cogsplat
-from cogsplat.formats.cameras.files import read_cameras
+from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.tools.benchmark.time_to_picture import Arrival, Contender, chart, contenders, run
 
 ARRIVAL = Arrival("COGS", 5.0, 1000, (0.1, 0.5, 0.9), (20.0, 30.0, 41.0))

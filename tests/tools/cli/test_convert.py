@@ -280,7 +280,7 @@ def test_spz_in_the_precision_of_other_programs_is_smaller(run: Run, tmp_path: P
     told = run("convert", source, tmp_path / "out.ply", "--spz-precision", "usual")
     assert told.code == 2
     assert "--spz-precision" in told.err
-    with pytest.raises(ValueError, match="a precision or version of SPZ in ply, expected spz"):
+    with pytest.raises(ValueError, match="ply with the option precision, expected absolute"):
         cogsplat.write(scene, tmp_path / "out.ply", spz_precision="usual")
 
 

@@ -8,7 +8,7 @@ import pytest
 from running import Run, SmallScene
 
 import cogsplat
-from cogsplat.formats.scenes.sog.scene import write_sog
+from cogsplat.formats.scenes.sog.sog_scene import write_sog
 
 
 def test_policies_are_compared_and_moments_written(

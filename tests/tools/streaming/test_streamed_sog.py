@@ -12,7 +12,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.formats.scenes.sog.scene import write_sog
+from cogsplat.formats.scenes.sog.sog_scene import write_sog
 from cogsplat.tools.streaming.client import Link, fetch
 from cogsplat.tools.streaming.comparison import PEER, Simulation
 from cogsplat.tools.streaming.streamed_sog import StreamedSogClient, streamed_sog_client

@@ -15,7 +15,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.formats.cameras.files import read_cameras
+from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.tools.delivery.slow_server import running
 from cogsplat.tools.delivery.viewer_pages import linked_page
 from cogsplat.tools.synthetic.scene import synth, synth_cameras

@@ -51,6 +51,6 @@ def test_what_is_read_again_lies_where_it_was(tmp_path: Path) -> None:
 
 
 def test_other_formats_refuse(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="absolute centres in spz, expected ply"):
+    with pytest.raises(ValueError, match="spz with the option absolute, expected prec"):
         cogsplat.write(synth(5), tmp_path / "out.spz", absolute=True)
     assert list(tmp_path.iterdir()) == []

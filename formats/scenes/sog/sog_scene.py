@@ -22,7 +22,7 @@ from cogsplat.codec.errors import FormatError, LimitError, UnsupportedError
 from cogsplat.codec.geometry.transforms import convert_axes
 from cogsplat.codec.splats import SceneInfo, Splats, sh_coefficients
 from cogsplat.codec.threads import ordered_map, thread_count
-from cogsplat.formats.scenes.losses import extra_losses, info_losses, warn_of_losses
+from cogsplat.formats.scenes.dropped_values import extra_losses, info_losses, warn_of_losses
 from cogsplat.formats.scenes.quantised_values import (
     BYTE_LOGITS,
     from_smallest_three,
@@ -35,7 +35,7 @@ from cogsplat.formats.storage.images import MAX_SIDE, decode_image, encode_image
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.strict_json import JsonObject, parse_object
 
-from .files import META_NAME, ZIP_MAGIC, Folder, open_files, write_bundle, write_folder
+from .bundle import META_NAME, ZIP_MAGIC, Folder, open_files, write_bundle, write_folder
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

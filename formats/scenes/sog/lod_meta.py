@@ -61,7 +61,7 @@ class StreamedSog:
     size_bytes: int
 
 
-def read_levels(path: StrPath, *, limits: Limits | None = None) -> StreamedSog:
+def read_lod_meta(path: StrPath, *, limits: Limits | None = None) -> StreamedSog:
     """Read the index of a Streamed SOG scene, without its splats.
 
     Parameters

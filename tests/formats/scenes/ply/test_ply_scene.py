@@ -24,9 +24,9 @@ from cogsplat.codec.errors import (
 from cogsplat.codec.splats import SceneInfo, Splats
 from cogsplat.formats.scenes.ply import foreign_layouts
 from cogsplat.formats.scenes.ply import header as ply_header
-from cogsplat.formats.scenes.ply import scene as ply
+from cogsplat.formats.scenes.ply import ply_scene as ply
 from cogsplat.formats.scenes.ply.header import MAX_COUNT, MAX_HEADER_BYTES, parse_header
-from cogsplat.formats.scenes.ply.scene import read_ply, write_ply
+from cogsplat.formats.scenes.ply.ply_scene import read_ply, write_ply
 
 ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 RESTS = (0, 3, 8, 15)

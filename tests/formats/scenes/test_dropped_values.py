@@ -8,7 +8,7 @@ import pytest
 
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.splats import SceneInfo, empty
-from cogsplat.formats.scenes.losses import extra_losses, info_losses, warn_of_losses
+from cogsplat.formats.scenes.dropped_values import extra_losses, info_losses, warn_of_losses
 
 
 def test_a_default_scene_loses_nothing() -> None:

@@ -14,8 +14,8 @@ from hypothesis.extra import numpy as hnp
 
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.splats import EXTRA_DTYPES
-from cogsplat.formats.scenes.ply.extras import as_origin
-from cogsplat.formats.scenes.ply.scene import read_ply, write_ply, write_ply_parts
+from cogsplat.formats.scenes.ply.extra_properties import as_origin
+from cogsplat.formats.scenes.ply.ply_scene import read_ply, write_ply, write_ply_parts
 
 N = 700
 

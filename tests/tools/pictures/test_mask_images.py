@@ -7,7 +7,7 @@ from PIL import Image
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
-from cogsplat.tools.pictures.masks import read_masks
+from cogsplat.tools.pictures.mask_images import read_masks
 
 
 def camera(name: str, width: int = 4, height: int = 3) -> Camera:

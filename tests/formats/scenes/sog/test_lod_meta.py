@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from cogsplat.codec.errors import FormatError, LimitError, UnsupportedError
-from cogsplat.formats.scenes.sog.levels import read_levels
+from cogsplat.formats.scenes.sog.lod_meta import read_lod_meta
 from cogsplat.formats.storage.limits import Limits
 
 Json = dict[str, Any]
@@ -45,7 +45,7 @@ def written(folder: Path, content: object) -> Path:
 
 def test_leaves_name_runs_of_each_level(tmp_path: Path) -> None:
     path = written(tmp_path, index())
-    found = read_levels(path)
+    found = read_lod_meta(path)
     assert found.files == [tmp_path / "0_0/meta.json", tmp_path / "1_0/meta.json"]
     assert found.environment is None
     assert found.boxes.tolist() == [[0, 0, 0, 1, 1, 2], [1, 0, 0, 2, 1, 2], [8, 0, 0, 9, 1, 2]]
@@ -57,7 +57,7 @@ def test_leaves_name_runs_of_each_level(tmp_path: Path) -> None:
 
 
 def test_an_environment_is_a_file_of_its_own(tmp_path: Path) -> None:
-    found = read_levels(written(tmp_path, index(environment="env/meta.json")))
+    found = read_lod_meta(written(tmp_path, index(environment="env/meta.json")))
     assert found.environment == tmp_path / "env/meta.json"
 
 
@@ -80,7 +80,7 @@ def test_an_environment_is_a_file_of_its_own(tmp_path: Path) -> None:
 def test_what_no_index_says_is_refused(tmp_path: Path, changes: Json, code: str) -> None:
     path = written(tmp_path, index(**changes))
     with pytest.raises((FormatError, UnsupportedError)) as caught:
-        read_levels(path)
+        read_lod_meta(path)
     assert caught.value.code == code
     assert "lod-meta.json" in str(caught.value)
 
@@ -89,10 +89,10 @@ def test_what_is_no_json_or_too_long_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "lod-meta.json"
     path.write_bytes(b"{")
     with pytest.raises(FormatError) as broken:
-        read_levels(path)
+        read_lod_meta(path)
     assert broken.value.code == "sog-bad-levels"
     written(tmp_path, index())
     for size, code in ((100, "sog-file-too-large"), (path.stat().st_size, "json-too-long")):
         with pytest.raises(LimitError) as caught:
-            read_levels(path, limits=Limits(small_bytes=size))
+            read_lod_meta(path, limits=Limits(small_bytes=size))
         assert caught.value.code == code

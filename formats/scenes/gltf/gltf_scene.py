@@ -30,7 +30,7 @@ from cogsplat.codec.geometry.rotations import unit
 from cogsplat.codec.geometry.sh import C0, COLOUR_OFFSET
 from cogsplat.codec.geometry.transforms import convert_axes, transform
 from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo, Splats, concatenate, sh_coefficients
-from cogsplat.formats.scenes.losses import extra_losses, info_losses, warn_of_losses
+from cogsplat.formats.scenes.dropped_values import extra_losses, info_losses, warn_of_losses
 from cogsplat.formats.scenes.quantised_values import opacity_bytes, opacity_logits, unit_opacities
 from cogsplat.formats.storage.atomic import StrPath, atomic_write
 from cogsplat.formats.storage.limits import Limits

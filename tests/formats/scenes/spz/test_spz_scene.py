@@ -29,10 +29,10 @@ from cogsplat.codec.errors import (
 from cogsplat.codec.geometry.rotations import unit
 from cogsplat.codec.geometry.transforms import convert_axes
 from cogsplat.codec.splats import SceneInfo, Splats
-from cogsplat.formats.scenes.ply.scene import read_ply
+from cogsplat.formats.scenes.ply.ply_scene import read_ply
 from cogsplat.formats.scenes.registry import read_scene, write_scene
 from cogsplat.formats.scenes.spz.container import is_spz
-from cogsplat.formats.scenes.spz.scene import read_spz, write_spz
+from cogsplat.formats.scenes.spz.spz_scene import read_spz, write_spz
 
 ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 SHARED = Path(__file__).parents[5] / "shared" / "data"
@@ -676,7 +676,7 @@ def test_threads_change_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: str
 ) -> None:
     module = "cogsplat.formats.scenes.spz."
-    for name in ("container", "values"):
+    for name in ("container", "spz_values"):
         monkeypatch.setattr(f"{module}{name}.thread_count", lambda _: int(threads))
     splats = scene(40_000, 1)
     write_spz(splats, tmp_path / "a.spz")

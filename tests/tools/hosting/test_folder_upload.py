@@ -13,8 +13,7 @@ import cogsplat
 from cogsplat.codec.errors import CogsplatError, DataError, FormatError, StorageError
 from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.cogs.folder_writer import unpack_cogs
-from cogsplat.tools.hosting.object_store import Bucket
-from cogsplat.tools.hosting.upload import (
+from cogsplat.tools.hosting.folder_upload import (
     MANIFEST_HEADERS,
     OBJECT_HEADERS,
     delete_unused,
@@ -22,6 +21,7 @@ from cogsplat.tools.hosting.upload import (
     plan_upload,
     upload,
 )
+from cogsplat.tools.hosting.object_store import Bucket
 
 NOW = timedelta(0)
 

@@ -31,7 +31,7 @@ from cogsplat.codec.geometry.transforms import convert_axes
 from cogsplat.codec.splats import SceneInfo, Splats, empty
 from cogsplat.formats.scenes.quantised_values import morton_order, unit_opacities
 from cogsplat.formats.scenes.registry import read_scene, write_scene
-from cogsplat.formats.scenes.sog.scene import read_sog, write_sog
+from cogsplat.formats.scenes.sog.sog_scene import read_sog, write_sog
 from cogsplat.formats.storage.images import decode_image, encode_image, image_size
 
 Meta = dict[str, Any]

@@ -27,8 +27,8 @@ from cogsplat.codec.errors import (
 from cogsplat.codec.geometry.rotations import matrices, unit
 from cogsplat.codec.geometry.sh import colours
 from cogsplat.codec.splats import SceneInfo, Splats, empty
-from cogsplat.formats.scenes.gltf import scene as gltf
-from cogsplat.formats.scenes.gltf.scene import read_gltf, write_gltf
+from cogsplat.formats.scenes.gltf import gltf_scene as gltf
+from cogsplat.formats.scenes.gltf.gltf_scene import read_gltf, write_gltf
 from cogsplat.formats.scenes.quantised_values import unit_opacities
 from cogsplat.formats.scenes.registry import read_scene, write_scene
 

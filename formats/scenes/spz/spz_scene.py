@@ -10,12 +10,12 @@ from typing import Final
 from cogsplat.codec.errors import CogsplatWarning, FormatError
 from cogsplat.codec.geometry.transforms import axes_change, convert_axes
 from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo, Splats
-from cogsplat.formats.scenes.losses import extra_losses, info_losses, warn_of_losses
+from cogsplat.formats.scenes.dropped_values import extra_losses, info_losses, warn_of_losses
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 
 from .container import FLAG_ANTIALIASED, FLAG_EXTENSIONS, SpzFile, is_spz, pack, unpack
-from .values import PRECISIONS, decode, encode
+from .spz_values import PRECISIONS, decode, encode
 
 __all__ = ["is_spz", "read_spz", "write_spz"]
 

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import StorageError, TruncatedError
 from cogsplat.codec.splats import Extra, SceneInfo, Splats
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
-from cogsplat.formats.scenes.losses import warn_of_losses
+from cogsplat.formats.scenes.dropped_values import warn_of_losses
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 
 from .comments import parse_scene_info, scene_comments
-from .extras import NORMALS, as_origin, extra_columns, extra_properties, without_padding
+from .extra_properties import NORMALS, as_origin, extra_columns, extra_properties, without_padding
 from .foreign_layouts import read_columns
 from .header import PlyHeader, check_size, match_fields, read_header, splat_fields
 
