@@ -216,15 +216,15 @@ DOORS: dict[str, dict[str, str]] = {
         "nested_cells": "DEFAULT_LARGEST NestedCells WHOLE nested_cells parents",
     },
     "codec.rate": {
-        "allocation": "equal_step lagrangian own_steps shn_step",
-        "costs": "Costs SH0_BASIS SH0_COST SH0_WEIGHT costs floor_energy limited limited_energy",
+        "allocation": "equal_step lagrangian shn_step step_per_value",
+        "costs": "Costs SH0_COST SH0_WEIGHT costs limit_colour_steps limit_steps positive_energy",
         "energy_costs": "EnergyCosts SHN_COST",
         "head_coarseness": "FINE HeadCoarseness head_coarseness",
-        "pruning": "PruneConfig kept_rows",
-        "refinement_split": "Split WAITING_BIT_VALUE bits split",
+        "pruning": "PruneConfig keep_mask",
+        "refinement_split": "DEFERRED_BIT_PRICE Split entropy_bits split",
         "segment_order": (
-            "ChunkParts MISSING_ALL MISSING_COMPENSATED Part Place Placed measured_shares order "
-            "tail_drop unsent_shares"
+            "ChunkSegments MISSING_ALL MISSING_COMPENSATED OrderedKind OrderedSegment SegmentGain "
+            "missing_shares missing_shares_from_mse order_segments tail_distortion_drop"
         ),
     },
     "codec.render": {

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from cogsplat.codec.rate.segment_order import Place, Placed
+from cogsplat.codec.rate.segment_order import OrderedKind, OrderedSegment
 from cogsplat.codec.segments.heads import decode_head
 from cogsplat.codec.splats import Splats
 
@@ -45,25 +45,27 @@ def arrived(encoded: EncodedScene) -> list[Arrived]:
     list of Arrived
         Of the first chunk, of the first two, and so on, without that of all chunks.
     """
-    behind: list[list[Place]] = []
+    behind: list[list[OrderedSegment]] = []
     for place in encoded.placed():
-        if place.what is Placed.HEAD:
+        if place.kind is OrderedKind.HEAD:
             behind.append([])
         else:
             behind[-1].append(place)
     found: list[Arrived] = []
-    before: list[Place] = []
+    before: list[OrderedSegment] = []
     for places in behind[:-1]:
         ends = np.cumsum([encoded.placed_bytes(place) for place in places])
         half = int((2 * ends <= ends[-1:]).sum())
         there = [*before, *places[:half]]
-        found.append(Arrived(_owners(there, Placed.REFINEMENT), _owners(there, Placed.TAIL)))
+        found.append(
+            Arrived(_owners(there, OrderedKind.REFINEMENT), _owners(there, OrderedKind.TAIL))
+        )
         before += places
     return found
 
 
-def _owners(places: Sequence[Place], what: Placed) -> frozenset[int]:
-    return frozenset(place.chunk for place in places if place.what is what)
+def _owners(places: Sequence[OrderedSegment], kind: OrderedKind) -> frozenset[int]:
+    return frozenset(place.chunk for place in places if place.kind is kind)
 
 
 def arriving(encoded: EncodedScene, prefixes: Sequence[int], most_splats: int) -> list[Splats]:

@@ -9,7 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.rate import segment_order
-from cogsplat.codec.rate.segment_order import ChunkParts, Part, Place, Placed
+from cogsplat.codec.rate.segment_order import (
+    ChunkSegments,
+    OrderedKind,
+    OrderedSegment,
+    SegmentGain,
+)
 from cogsplat.codec.segments.codebooks import (
     Codebook,
     decode_colour_codebook,
@@ -94,13 +99,15 @@ class EncodedChunk:
     cell: int = 0
 
     @property
-    def parts(self) -> ChunkParts:
+    def parts(self) -> ChunkSegments:
         """Sizes of its segments and the squared error that they remove."""
         head, refinement, tail = self.payloads.head, self.payloads.refinement, self.payloads.tail
-        return ChunkParts(
+        return ChunkSegments(
             len(head),
-            None if refinement is None else Part(len(refinement), self.payloads.refinement_drop),
-            None if tail is None else Part(len(tail), self.tail_drop),
+            None
+            if refinement is None
+            else SegmentGain(len(refinement), self.payloads.refinement_drop),
+            None if tail is None else SegmentGain(len(tail), self.tail_drop),
         )
 
 
@@ -229,26 +236,26 @@ class EncodedScene:
             return rows
         return rows.take(~np.repeat(ended, [chunk.splats for chunk in own]))
 
-    def placed(self) -> list[Place]:
+    def placed(self) -> list[OrderedSegment]:
         """Return the segments that splats need in the order of the file, shape codebooks aside."""
         if self.prefix_mse is None:
             contribution = np.array([chunk.contribution for chunk in self.chunks])
-            missing = segment_order.unsent_shares(contribution)
+            missing = segment_order.missing_shares(contribution)
         else:
-            missing = segment_order.measured_shares(self.prefix_mse)
+            missing = segment_order.missing_shares_from_mse(self.prefix_mse)
         parts = [chunk.parts for chunk in self.chunks]
-        return segment_order.order(parts, missing, self._colour_bytes)
+        return segment_order.order_segments(parts, missing, self._colour_bytes)
 
-    def placed_bytes(self, place: Place) -> int:
+    def placed_bytes(self, place: OrderedSegment) -> int:
         """Return the bytes of one of the segments of `placed`, or of all colour codebooks."""
-        if place.what is Placed.CODEBOOKS:
+        if place.kind is OrderedKind.CODEBOOKS:
             return self._colour_bytes
         payloads = self.chunks[place.chunk].payloads
         payload = {
-            Placed.HEAD: payloads.head,
-            Placed.REFINEMENT: payloads.refinement,
-            Placed.TAIL: payloads.tail,
-        }[place.what]
+            OrderedKind.HEAD: payloads.head,
+            OrderedKind.REFINEMENT: payloads.refinement,
+            OrderedKind.TAIL: payloads.tail,
+        }[place.kind]
         return len(payload or b"")
 
     @property

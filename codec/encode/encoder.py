@@ -199,7 +199,7 @@ def _chunk(
         attributes=attributes,
         object=int(scene.objects[number]),
         cell=int(scene.cells[number]),
-        tail_drop=segment_order.tail_drop(
+        tail_drop=segment_order.tail_distortion_drop(
             scene.workspace.gather(scene.source.shN, rows),
             scene.scores.energy[rows],
             scene.scores.basis_spread,

@@ -19,7 +19,7 @@ from cogsplat.codec.order.orders import Unordered, order_rows
 from cogsplat.codec.partition.nested_cells import NestedCells, nested_cells
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.rate import allocation
-from cogsplat.codec.rate.pruning import kept_rows
+from cogsplat.codec.rate.pruning import keep_mask
 from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.scoring.reference_views import ReferenceViews
 from cogsplat.codec.splats import Splats
@@ -115,7 +115,7 @@ class PreparedScene:
     def laid_out(self, quality_db: float) -> LaidOutScene:
         """Return the chunks of the splats that are worth their bytes at a nominal quality."""
         lagrangian = allocation.lagrangian(self.scores, quality_db)
-        kept = kept_rows(self.source, self.scores, self.config.dropping(), lagrangian)
+        kept = keep_mask(self.source, self.scores, self.config.dropping(), lagrangian)
         rows = self.rows[kept[self.rows]]
         made = self._made.get("last")
         if made is None or not np.array_equal(made[0], rows):
@@ -170,7 +170,7 @@ def prepare(
     splats.require_valid()
     _require_storable(splats)
     _require_scores(scores, len(splats))
-    kept = kept_rows(splats, scores, config.dropping(), 0.0)
+    kept = keep_mask(splats, scores, config.dropping(), 0.0)
     scene = Unordered(
         splats,
         scores,

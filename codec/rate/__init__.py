@@ -1,1 +1,1 @@
-"""How many bytes each value is worth: costs, steps, pruning, refinement, segment order."""
+"""Rate allocation: error costs, quantisation steps, pruning, refinement split, segment order."""

@@ -1,4 +1,4 @@
-"""λ from the nominal quality, and the quantisation steps of equal λ that follow from costs."""
+"""Rate allocation: λ from the nominal quality, and quantisation steps of equal λ."""
 
 from __future__ import annotations
 
@@ -9,43 +9,46 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.scoring.contribution import Scores
 
-from .costs import COARSEST_COLOUR, shown_energy
+from .costs import COARSEST_COLOUR, robust_energy
 
 F64 = NDArray[np.float64]
 
-# What shares the error of a nominal quality: the attributes of a splat, and more than one splat in
-# every pixel. So that nominal and measured PSNR agree for a trained room at 40 dB.
-_SHARES: Final = 24.5
+# Independent errors that add up in one pixel: several attributes of several splats. Set so that
+# nominal and measured PSNR agree for a trained room at 40 dB.
+_ERRORS_PER_PIXEL: Final = 24.5
 
 
 def lagrangian(scores: Scores, quality_db: float) -> float:
-    """Return λ, the cost times squared step of every stored value, of a nominal quality.
+    """Return the Lagrangian λ for a nominal quality.
 
     Parameters
     ----------
     scores : Scores
+        Energies of all splats of the scene.
     quality_db : float
-        PSNR aimed at, dB. Nominal: what comes out depends on the scene.
+        Nominal PSNR, dB. The measured PSNR differs from it by scene.
 
     Returns
     -------
     float
-        With steps Δ of ``cost · Δ² = λ`` one more bit of any value removes the same error.
+        λ. With steps Δ that satisfy ``cost · Δ² = λ``, one more bit of any value removes the same
+        error.
 
     Notes
     -----
     Reverse water-filling (Cover and Thomas, Elements of Information Theory, section 10.3.3): a
-    splat's error grows with λ until its steps are the coarsest, and no further. What its steps are
-    finer for than its mean energy asks (`costs.shown_energy`) lowers its error in the mean.
+    splat's error grows with λ until its steps reach the coarsest step, then stays constant. A
+    splat whose `costs.robust_energy` exceeds its mean energy gets finer steps, so its mean error
+    is smaller.
     """
-    aim = 12 * 10 ** (-quality_db / 10) / _SHARES
+    aim = 12 * 10 ** (-quality_db / 10) / _ERRORS_PER_PIXEL
     seen = scores.energy > 0
     if not seen.any():
         return float(aim)
-    shown = shown_energy(scores)[seen]
+    shown = robust_energy(scores)[seen]
     order = np.argsort(shown, kind="stable")
     shown, energy = shown[order], scores.energy[seen][order]
-    # From this λ on the steps of a splat are the coarsest; up to it its error is `share` times λ.
+    # Up to λ = `ends` a splat's error is `share` times λ; beyond, its steps are the coarsest.
     ends = COARSEST_COLOUR**2 * shown
     share = energy / shown
     coarsest = np.cumsum(share * ends)
@@ -53,33 +56,33 @@ def lagrangian(scores: Scores, quality_db: float) -> float:
     errors = coarsest + growing * ends
     row = int(np.searchsorted(errors, aim))
     if row == len(errors):
-        # Not even the coarsest steps lose so much. λ grows on, for the values that have no limit.
+        # Even the coarsest steps lose less than `aim`. λ still grows: some values have no limit.
         return float(ends[-1] + (aim - errors[-1]) / len(errors))
     before = coarsest[row - 1] if row else 0.0
-    # Rounding must not carry it past the end of the row.
+    # Rounding must not carry λ past the end of the row.
     return float(min((aim - before) / (growing[row] + share[row]), ends[row]))
 
 
-# What renders of trained scenes found the cost of shN to be, relative to its energy.
+# Cost of shN relative to its energy, measured in renders of trained scenes.
 _SHN_WEIGHT: Final = 0.7
 
 
-# The cost of what no view shows may be 0, which allows any step; the format ends at 2^32
+# Splats that no view shows may cost 0, which allows any step; the format's limit is 2^32
 # (SPEC 6.14).
 _COARSEST_STEP: Final = 2.0**30
 
 
 def equal_step(lagrangian: float, cost: F64) -> float:
-    """Return one step for values of these costs, (n,) float64: λ over their mean."""
+    """Return the common step of values with (n,) float64 costs: √(λ / mean cost)."""
     return min(float(np.sqrt(lagrangian / cost.mean())), _COARSEST_STEP)
 
 
-def own_steps(lagrangian: float, cost: F64) -> F64:
-    """Return a step for each value of these costs, (n,) float64."""
+def step_per_value(lagrangian: float, cost: F64) -> F64:
+    """Return the step of each value, (n,) float64, from the value's cost: √(λ / cost)."""
     steps: F64 = np.sqrt(lagrangian / cost)
     return steps
 
 
 def shn_step(lagrangian: float, energy: F64) -> float:
-    """Return the step of a chunk's coordinates on the basis of shN, from (n,) energies."""
+    """Return the step of a chunk's shN coordinates from its splats' energies, (n,) float64."""
     return equal_step(lagrangian, _SHN_WEIGHT * energy)

@@ -1,4 +1,4 @@
-"""Steps of equal λ where only the energies of splats are known: one constant cost per attribute."""
+"""Quantisation steps of equal λ from splat energies alone: one constant cost per attribute."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ _COSTS: Final[Mapping[Attribute, float]] = MappingProxyType(
 
 @dataclass(frozen=True, eq=False)
 class EnergyCosts:
-    """Squared error of the pictures per squared error of a value: a constant times the energy.
+    """Error costs proportional to energy, by splat or codebook row.
 
     Parameters
     ----------
     lagrangian : float
         λ of `allocation.lagrangian`.
     energy : (n,) float64
-        Positive; of every splat or of every row of a codebook.
+        Energy of each splat or codebook row, positive.
     """
 
     lagrangian: float
@@ -58,23 +58,23 @@ class EnergyCosts:
         return EnergyCosts(self.lagrangian, self.energy[rows])
 
     def step(self, attribute: Attribute) -> float:
-        """Return the step of an attribute for all rows: λ over the mean of their costs.
+        """Return the common step of an attribute for all rows: √(λ / mean cost).
 
         Parameters
         ----------
         attribute : Attribute
-            Any but means, whose cost depends on sizes too (`mean_step`).
+            Attribute other than the means, whose cost also depends on sizes (`mean_step`).
         """
         return float(np.sqrt(self.lagrangian / (_COSTS[attribute] * self.energy.mean())))
 
     def mean_step(self, scales: NDArray[np.float32]) -> float:
-        """Return the step of means for all rows, scene units, by the sizes of the splats.
+        """Return the common step of the means for all rows, scene units.
 
         Parameters
         ----------
         scales : (n, 3) float32
-            Log.
+            Log scales; the means of smaller splats cost more.
         """
-        # exp(-2·mean log): a small splat moved by the same step changes more of its pixels.
+        # exp(-2·mean log): the same shift changes more of a small splat's pixels.
         inverse_size = np.exp(-2 * np.clip(scales.astype(np.float64).mean(axis=1), -40, 40))
         return float(np.sqrt(self.lagrangian / (MEAN_COST * (self.energy * inverse_size).mean())))

@@ -1,4 +1,4 @@
-"""How much coarser the head of each chunk is quantised than what its refinement makes of it."""
+"""Coarseness of each chunk's head: the bits of its values that the refinement holds."""
 
 from __future__ import annotations
 
@@ -15,31 +15,37 @@ from . import segment_order
 
 F64 = NDArray[np.float64]
 
-# Bits that a splat takes in a coarse head, about.
+# Approximate size of a splat in a coarse head, bits.
 _HEAD_BITS: Final = 24.0
 
-# Bits of each value that the refinement holds, less than what equal λ asks for: sensitivities hold
-# for small errors, and a prefix gains less from coarse splats than their costs say (measured on two
-# trained scenes).
-_LATER: Final = {"scales": 0.25, "opacities": -0.25, "means": -0.75, "sh0": -0.75}
-_MOST_LATER: Final = 5.0
+# Offset to the bits of each value that equal λ moves to the refinement. Sensitivities hold for
+# small errors, and a prefix gains less from coarse splats than their costs predict (measured on
+# two trained scenes).
+_REFINEMENT_BITS_OFFSET: Final = {
+    "scales": 0.25,
+    "opacities": -0.25,
+    "means": -0.75,
+    "sh0": -0.75,
+}
+_MAX_REFINEMENT_BITS: Final = 5.0
 
-# Keeps the logarithm finite where a head gains nothing: far below a ratio that asks for one bit.
-_LEAST_RATIO: Final = 2.0**-20
+# Keeps the logarithm finite for a head that removes no error: far below a ratio worth one bit.
+_MIN_RATIO: Final = 2.0**-20
 
 
 @dataclass(frozen=True)
 class HeadCoarseness:
-    """How much coarser the values of a head are than the refined ones.
+    """Coarseness of a chunk's head relative to the refined values, by attribute.
 
     Parameters
     ----------
     scales : tuple of int
-        Largest radix of the refinement digits of each scale difference; 1 keeps the head fine.
+        Largest radix of the refinement digits, one per scale difference. Radix 1 stores the values
+        in full in the head.
     means : int
-        Bits of each value that the refinement holds.
+        Bits of each coordinate that the refinement holds.
     opacities, sh0 : tuple of int
-        Largest radices, as of `scales`.
+        Largest radix of the refinement digits, one per component.
     """
 
     scales: tuple[int, ...]
@@ -49,49 +55,54 @@ class HeadCoarseness:
 
 
 FINE: Final = HeadCoarseness((1, 1, 1), 0, (1,), (1, 1, 1))
-"""Of a head that holds all values in full."""
+"""Coarseness of a head that holds all values in full."""
 
 
 def head_coarseness(
     contribution: F64, lagrangian: float, chunks: Sequence[slice], missing_all: float
 ) -> dict[int, HeadCoarseness]:
-    """Return how coarse each head is: one more bit of it gains as much as one of the next head.
+    """Return each head's coarseness: a bit more of it removes the same error as a bit of the next.
 
     Parameters
     ----------
     contribution : (N,) float64
-        In the order of the chunks.
+        Contribution of each splat, in file order.
     lagrangian : float
         λ of the refined values.
     chunks : sequence of slice
+        Rows of each chunk.
     missing_all : float
-        Squared error of pictures of nothing, as `segment_order.head_drops` takes it.
+        Squared error of an empty picture: `segment_order.MISSING_ALL` or `MISSING_COMPENSATED`.
 
     Returns
     -------
     dict of int to HeadCoarseness
-        By the first row of each chunk.
+        Coarseness by the first row of each chunk.
     """
     sums = np.array([contribution[run].sum() for run in chunks])
     counts = np.array([run.stop - run.start for run in chunks])
-    missing = segment_order.unsent_shares(sums)
-    per_bit = segment_order.head_drops(missing, missing_all) / (_HEAD_BITS * counts)
+    missing = segment_order.missing_shares(sums)
+    per_bit = segment_order.head_distortion_drops(missing, missing_all) / (_HEAD_BITS * counts)
     per_bit /= segment_order.refinement_weight(missing[1:])
-    # A bit more of a value whose error costs λ/12 gains 2·ln 2 times that.
+    # One more bit of a value whose error costs λ/12 removes 2·ln 2 times that error.
     ratio = 12 / (2 * np.log(2)) * per_bit / lagrangian
-    bits = 0.5 * np.log2(np.maximum(ratio, _LEAST_RATIO))
+    bits = 0.5 * np.log2(np.maximum(ratio, _MIN_RATIO))
     return {run.start: _with_bits(float(b)) for run, b in zip(chunks, bits, strict=True)}
 
 
 def _with_bits(bits: float) -> HeadCoarseness:
-    """Return the coarseness of a head of which so many bits of every value may wait."""
-    later = {name: min(max(bits + own, 0.0), _MOST_LATER) for name, own in _LATER.items()}
+    """Return the coarseness of a head that leaves `bits` of each value to the refinement."""
+    refined_bits = {
+        name: min(max(bits + offset, 0.0), _MAX_REFINEMENT_BITS)
+        for name, offset in _REFINEMENT_BITS_OFFSET.items()
+    }
     radices = {
-        name: min(round(2**wait), refinement_digits.MAX_RADIX) for name, wait in later.items()
+        name: min(round(2**held), refinement_digits.MAX_RADIX)
+        for name, held in refined_bits.items()
     }
     return HeadCoarseness(
         scales=(radices["scales"],) * 3,
-        means=round(later["means"]),
+        means=round(refined_bits["means"]),
         opacities=(radices["opacities"],),
         sh0=(radices["sh0"],) * 3,
     )

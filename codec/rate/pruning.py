@@ -1,4 +1,4 @@
-"""Which splats may be dropped: those seen often enough whose bytes buy less than others' do."""
+"""Pruning: drop splats that many views cover and that add less to the picture than they cost."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.splats import Splats
 
-from .costs import shown_energy
+from .costs import robust_energy
 
 WORTH: Final = 6.0
 """Energy over λ below which a splat is not worth its bytes.
 
-The loss is about the energy times the squared difference to what is behind it, 0.1 to 0.2; a bit
-elsewhere gains 2·ln 2·λ/12 (uniform quantisation), and a faint splat takes 30 to 50. Of 2, 5, 10,
-15 and 30, 5 was best for two trained objects and 15 for a room; at 5 it is 0.4, 13 and 2.5 % fewer
-bytes at equal PSNR.
+Dropping a splat costs about its energy times the squared difference to the background, 0.1 to 0.2.
+Spent elsewhere, a bit removes an error of 2·ln 2·λ/12 (uniform quantisation); a faint splat takes
+30 to 50 bits. Of 2, 5, 10, 15 and 30, 5 was best for two trained objects and 15 for a room. At 5
+the three scenes take 0.4, 13 and 2.5 % fewer bytes at equal PSNR.
 """
 
 # σ(o) = 1/255 at this logit: below it no pixel is ever touched (3DGS, forward pass).
@@ -28,19 +28,19 @@ _INVISIBLE_LOGIT = -np.log(254.0)
 
 @dataclass(frozen=True)
 class PruneConfig:
-    """The bound under which splats are dropped.
+    """Conditions for dropping a splat, which must all hold.
 
     Parameters
     ----------
     peak : float
-        A splat goes when its weight T·α stays below this in every pixel of every scoring view,
-        jittered views included; 0.06 means never more than 6 % of any pixel.
+        Limit of the splat's largest weight T·α over all pixels of all scoring views, jittered
+        views included. At 0.06 a dropped splat makes up less than 6 % of any pixel.
     views : int
-        And only when its footprint lay in at least so many of those views. What no view covers is
-        unknown, not worthless: it stays.
+        Minimum number of scoring views in which the footprint lies. A splat that fewer views cover
+        is kept, because its contribution is unknown.
     worth : float
-        And only when its energy (`costs.shown_energy`) is below so many times λ: then the picture
-        loses less than the same bytes spent on finer steps elsewhere would gain.
+        Limit of the splat's energy (`costs.robust_energy`) over λ. Below it the picture loses less
+        than the same bytes would gain as finer steps elsewhere.
     """
 
     peak: float = 0.06
@@ -56,20 +56,20 @@ class PruneConfig:
             raise ValueError(f"worth {self.worth}, expected above 0")
 
 
-def kept_rows(
+def keep_mask(
     splats: Splats, scores: Scores, config: PruneConfig | None, lagrangian: float = np.inf
 ) -> NDArray[np.bool_]:
-    """Mark the splats that stay.
+    """Return a mask of the splats that pruning keeps.
 
     Parameters
     ----------
     splats : Splats
     scores : Scores
     config : PruneConfig or None
-        None keeps all.
+        Conditions for dropping; None keeps all splats.
     lagrangian : float
-        λ that the rest is stored with (`allocation.lagrangian`). Infinite drops whatever peak and
-        views allow, 0 nothing but what can never be seen.
+        λ at which the kept splats are stored (`allocation.lagrangian`). Infinity ignores `worth`;
+        0 drops only splats that are too transparent to be drawn.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def kept_rows(
     if config is None:
         return np.ones(len(splats), np.bool_)
     idle = (scores.peak < config.peak) & (scores.covered >= config.views)
-    idle &= shown_energy(scores) < config.worth * lagrangian
+    idle &= robust_energy(scores) < config.worth * lagrangian
     invisible = splats.opacities < _INVISIBLE_LOGIT
     kept: NDArray[np.bool_] = ~(idle | invisible)
     return kept

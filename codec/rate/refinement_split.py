@@ -17,39 +17,39 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 U32 = NDArray[np.uint32]
 
-WAITING_BIT_VALUE: Final = 0.06
-"""Bits of the file that one more bit in the refinement, and out of the head, may cost."""
+DEFERRED_BIT_PRICE: Final = 0.06
+"""Growth of the file, in bits, accepted for moving one bit from a head to its refinement."""
 
-# Bits that a plane of digits takes beside its content: its word and the header of a zstd frame.
+# Overhead of a plane of digits: its word in the record and the header of a zstd frame, bits.
 _PLANE_BITS: Final = 8 * 8
 
-# Bits that describe one symbol in the table of an entropy coder, about.
+# Approximate size of one symbol's entry in the table of an entropy coder, bits.
 _SYMBOL_BITS: Final = 4
 
-# Radices that are tried; between them little changes.
+# Radices tried; the sizes change little between them.
 _RADICES: Final = (2, 3, 4, 5, 6, 8, 10, 12, 16)
 
-# Grids of more levels than this are split without a search for the best alignment: none gains.
+# Number of levels above which a grid is split without searching the best shift: no shift gains.
 _ALIGNED_LEVELS: Final = 1 << 14
 
-# Bounds of the fitted step of a coarse grid, relative to the even one.
+# Bounds of the fitted step of a coarse grid, relative to radix times the fine step.
 _STRETCH: Final = (0.6, 1.4)
 
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Values of a grid in two parts: coarse codes of the head, digits of the refinement.
+    """Quantised values in two parts: coarse codes of the head, digits of the refinement.
 
     Parameters
     ----------
     coarse : (n, c) float32
-        As decoded from the head alone.
+        Values decoded from the head alone.
     grid : Grid
-        The head's; `coarse` lies on it.
+        Grid of the head, on which `coarse` lies.
     fine : (n, c) float32
-        As decoded from both.
+        Values decoded from head and refinement.
     digits : Stream or None
-        None where the head holds the values in full.
+        Stream of the refinement; None if the head holds the values in full.
     """
 
     coarse: F32
@@ -58,7 +58,7 @@ class Split:
     digits: Stream | None
 
     def take(self, rows: I64) -> Split:
-        """Return the same with its rows in another order."""
+        """Return the split values of the rows `rows`, in that order."""
         digits = self.digits
         if digits is not None:
             digits = replace(digits, planes=[plane[rows] for plane in digits.planes])
@@ -66,31 +66,35 @@ class Split:
 
 
 def split(
-    attribute: Attribute, values: F32, grid: Grid, weights: F64, most: tuple[int, ...]
+    attribute: Attribute, values: F32, grid: Grid, weights: F64, max_radices: tuple[int, ...]
 ) -> Split:
-    """Split values where the bits that move to the refinement outweigh those that splitting costs.
+    """Quantise values and split their codes into coarse codes and refinement digits.
+
+    A component is split only if the bits that leave the head are worth the bits that the file
+    grows by (`DEFERRED_BIT_PRICE`).
 
     Parameters
     ----------
     attribute : Attribute
+        Attribute of the values.
     values : (n, c) float32
     grid : Grid
-        Of the refined values.
+        Grid of the refined values.
     weights : (n,) float64
-        Weight of the error of each coarse value.
-    most : tuple of int
+        Weight of each row's squared error in the fit of the coarse grid.
+    max_radices : tuple of int
         Largest radix of each component, at most `refinement_digits.MAX_RADIX`.
     """
     codes = grid.quantise(values)
     radices, shifts = [], []
-    for component, limit in enumerate(most):
-        radix, shift = _radix(codes[:, component], int(grid.levels[component]), limit)
+    for component, limit in enumerate(max_radices):
+        radix, shift = _best_radix(codes[:, component], int(grid.levels[component]), limit)
         radices.append(radix)
         shifts.append(shift)
     if max(radices) == 1:
         stored = grid.dequantise(codes)
         return Split(stored, grid, stored, None)
-    grid = _shifted(grid, shifts)
+    grid = _extend_below(grid, shifts)
     codes = grid.quantise(values)
     fine = grid.dequantise(codes)
     digits = refinement_digits.write(attribute, codes, grid, radices)
@@ -99,12 +103,12 @@ def split(
     return Split(coarse_grid.dequantise(coarse_codes), coarse_grid, fine, digits)
 
 
-def _radix(codes: U32, levels: int, limit: int) -> tuple[int, int]:
-    """Return the radix of the digits, and by how many levels to shift the codes before."""
+def _best_radix(codes: U32, levels: int, limit: int) -> tuple[int, int]:
+    """Return the radix of the digits, and the shift in levels to add to the codes first."""
     if levels > _ALIGNED_LEVELS:
         return limit, 0
     counts = np.bincount(codes, minlength=levels)
-    whole = bits(counts)
+    whole = entropy_bits(counts)
     best, gain = (1, 0), 0.0
     for radix in (r for r in _RADICES if r <= limit):
         cells = -(-(levels + radix - 1) // radix)
@@ -113,26 +117,26 @@ def _radix(codes: U32, levels: int, limit: int) -> tuple[int, int]:
             padded[:] = 0
             padded[shift : shift + levels] = counts
             grouped = padded.reshape(cells, radix)
-            below = bits(grouped.sum(axis=0))
-            loss = bits(grouped.sum(axis=1)) + below - whole + _PLANE_BITS
-            if WAITING_BIT_VALUE * below - loss > gain:
-                best, gain = (radix, shift), WAITING_BIT_VALUE * below - loss
+            below = entropy_bits(grouped.sum(axis=0))
+            loss = entropy_bits(grouped.sum(axis=1)) + below - whole + _PLANE_BITS
+            if DEFERRED_BIT_PRICE * below - loss > gain:
+                best, gain = (radix, shift), DEFERRED_BIT_PRICE * below - loss
     return best
 
 
-def bits(counts: I64) -> float:
-    """Return about how many bits symbols of these counts take, all of them."""
+def entropy_bits(counts: I64) -> float:
+    """Return the approximate entropy-coded size of a symbol histogram, with code table, bits."""
     used = counts[counts > 0].astype(np.float64)
     if len(used) < 2:
         return 0.0
     total = used.sum()
     ideal = total * np.log2(total) - (used * np.log2(used)).sum()
-    # The code of the symbols has to be described; where that is too long, all take the same bits.
+    # The code table is stored too; if it is too large, symbols have a fixed length instead.
     return float(min(ideal + _SYMBOL_BITS * len(used), total * np.log2(len(counts))))
 
 
-def _shifted(grid: Grid, shifts: list[int]) -> Grid:
-    """Return a grid with so many levels more below its minimum."""
+def _extend_below(grid: Grid, shifts: list[int]) -> Grid:
+    """Return a grid with `shifts` more levels below the minimum of each component."""
     step = grid.step.astype(np.float64)
     count = np.array(shifts, np.uint32)
     minimum = (grid.minimum.astype(np.float64) - step * count).astype(np.float32)
@@ -140,7 +144,7 @@ def _shifted(grid: Grid, shifts: list[int]) -> Grid:
 
 
 def _coarse_grid(grid: Grid, radices: list[int], codes: U32, fine: F32, weights: F64) -> Grid:
-    """Return the grid of the head, its ends fitted to the values by weighted least squares."""
+    """Return the head's grid: minimum and maximum fitted to `fine` by weighted least squares."""
     size = np.array(radices, np.float64)
     step = grid.step.astype(np.float64)
     levels = (grid.levels + np.array(radices, np.uint32) - 1) // np.array(radices, np.uint32)

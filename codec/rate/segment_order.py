@@ -1,4 +1,4 @@
-"""The order of a file's segments: those that remove most error per byte first (SPEC 5.1, 10)."""
+"""Order of a file's segments by the error that they remove per byte (SPEC 5.1, 10)."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ F64 = NDArray[np.float64]
 # While a share R of the contribution is missing, the squared error of the pictures is about this
 # times R². Three trained scenes lie between 0.02 and 0.2.
 MISSING_ALL: Final = 0.15
-"""Squared error of pictures of nothing."""
+"""Squared error of an empty picture."""
 
-# Compensated pictures are measured to have a tenth of that error; a third of a tenth served them
-# best, for what is fitted to refined splats does not fit coarse ones as well.
+# Compensated pictures were measured to have a tenth of that error. A third of a tenth gave the best
+# orders: compensation is fitted to refined splats and suits coarse splats less.
 MISSING_COMPENSATED: Final = 0.005
-"""The same of pictures that are compensated for what is missing."""
+"""Squared error of an empty picture in the model of compensated prefixes."""
 
-# How much more an error counts while splats are missing than in the whole scene, for fewer splats
-# stand in front of those that are there. Of refinements, the first plus the second times the share
-# that is missing; of tails, one factor. Measured on a trained scene.
+# Weight of an error in a prefix relative to the whole scene: in a prefix fewer splats lie in front.
+# For refinements the first number plus the second times the missing share; for tails one factor.
+# Measured on a trained scene.
 _REFINEMENT_WEIGHT: Final = (2.0, 8.0)
 _TAIL_WEIGHT: Final = 5.0
 
-# Heads must keep their order, so one that removes little error is taken with up to so many behind.
+# Heads keep the order of the chunks. A head that removes little error is rated together with up to
+# this many heads after it.
 _LOOK_AHEAD: Final = 16
 
 
-class Placed(Enum):
-    """The kinds of segments that `order` places."""
+class OrderedKind(Enum):
+    """Kinds of segments in the segment order."""
 
     HEAD = auto()
     REFINEMENT = auto()
@@ -45,14 +46,15 @@ class Placed(Enum):
 
 
 @dataclass(frozen=True)
-class Part:
-    """A segment that may be placed.
+class SegmentGain:
+    """Size of a segment and the error that it removes.
 
     Parameters
     ----------
     size_bytes : int
+        Size of the segment, bytes.
     distortion_drop : float
-        Squared error of the pictures that it removes.
+        Squared error of the pictures that the segment removes.
     """
 
     size_bytes: int
@@ -60,51 +62,55 @@ class Part:
 
     @property
     def drop_per_byte(self) -> float:
-        """Squared error that a byte of it removes; 0 where it removes none."""
+        """Squared error removed per byte; 0 if the segment removes none."""
         return max(self.distortion_drop, 0.0) / max(self.size_bytes, 1)
 
 
 @dataclass(frozen=True)
-class ChunkParts:
-    """The segments of a chunk.
+class ChunkSegments:
+    """Segments of a chunk with their sizes and gains.
 
     Parameters
     ----------
     head_bytes : int
-        Bytes of the head; the squared error that it removes follows from the contribution.
-    refinement, tail : Part or None
+        Size of the head, bytes. The squared error that a head removes follows from the missing
+        shares of the contribution.
+    refinement, tail : SegmentGain or None
+        None if the chunk has no such segment.
     """
 
     head_bytes: int
-    refinement: Part | None
-    tail: Part | None
+    refinement: SegmentGain | None
+    tail: SegmentGain | None
 
 
 @dataclass(frozen=True)
-class Place:
-    """A segment in its place.
+class OrderedSegment:
+    """One entry of the segment order.
 
     Parameters
     ----------
-    what : Placed
+    kind : OrderedKind
+        Kind of the segment.
     chunk : int
-        -1 for the codebooks.
+        Number of the chunk; -1 for the codebooks.
     """
 
-    what: Placed
+    kind: OrderedKind
     chunk: int
 
 
-def tail_drop(coefficients: F32, energy: F64, basis_spread: F64) -> float:
-    """Return the squared error of pictures without the SH coefficients above DC.
+def tail_distortion_drop(coefficients: F32, energy: F64, basis_spread: F64) -> float:
+    """Return the squared error that a tail removes: that of pictures without bands above DC.
 
     Parameters
     ----------
     coefficients : (n, K-1, 3) float32
+        shN of the chunk.
     energy : (n,) float64
         Squared error of the pictures per squared error of each splat's colour.
     basis_spread : (15, 15) float64
-        `Scores.basis_spread`; zeros where nothing was scored.
+        `Scores.basis_spread`; zeros if no view was scored.
     """
     count = coefficients.shape[1]
     spread = basis_spread[:count, :count]
@@ -118,13 +124,18 @@ def tail_drop(coefficients: F32, energy: F64, basis_spread: F64) -> float:
     return total
 
 
-def unsent_shares(contribution: F64) -> F64:
+def missing_shares(contribution: F64) -> F64:
     """Return the share of the contribution that is missing before each chunk and after the last.
 
     Parameters
     ----------
     contribution : (c,) float64
-        Of each chunk; where nothing was scored, all count the same.
+        Contribution of each chunk; if all are zero, all chunks count equally.
+
+    Returns
+    -------
+    (c + 1,) float64
+        Shares from 1 to 0, never rising.
     """
     if not contribution.sum() > 0:
         contribution = np.ones(len(contribution))
@@ -133,8 +144,8 @@ def unsent_shares(contribution: F64) -> F64:
     return shares
 
 
-def measured_shares(prefix_mse: F64) -> F64:
-    """Return the shares that would be missing, had pictures the errors that were measured.
+def missing_shares_from_mse(prefix_mse: F64) -> F64:
+    """Return the missing shares at which the model of `MISSING_ALL` predicts the measured errors.
 
     Parameters
     ----------
@@ -144,22 +155,22 @@ def measured_shares(prefix_mse: F64) -> F64:
     Returns
     -------
     (c + 1,) float64
-        From 1 at most, never rising.
+        Shares of at most 1, never rising.
     """
     excess = np.maximum(prefix_mse - prefix_mse[-1], 0.0)
     shares: F64 = np.sqrt(np.minimum.accumulate(excess) / MISSING_ALL)
     return np.minimum(shares, 1.0)
 
 
-def head_drops(missing: F64, missing_all: float = MISSING_ALL) -> F64:
+def head_distortion_drops(missing: F64, missing_all: float = MISSING_ALL) -> F64:
     """Return the squared error of the pictures that each chunk's head removes.
 
     Parameters
     ----------
     missing : (c + 1,) float64
-        `unsent_shares`.
+        `missing_shares`.
     missing_all : float
-        Squared error of pictures of nothing.
+        Squared error of an empty picture.
 
     Returns
     -------
@@ -170,27 +181,29 @@ def head_drops(missing: F64, missing_all: float = MISSING_ALL) -> F64:
 
 
 def refinement_weight(missing: F64) -> F64:
-    """Return how much more a refinement's error counts while shares of contribution are missing."""
-    first, more = _REFINEMENT_WEIGHT
-    return first + more * missing
+    """Return the weight of a refinement's error in a prefix, by its missing shares (any shape)."""
+    base, slope = _REFINEMENT_WEIGHT
+    return base + slope * missing
 
 
-def order(chunks: Sequence[ChunkParts], missing: F64, codebook_bytes: int) -> list[Place]:
-    """Return all segments, at each place the one that removes most error per byte.
+def order_segments(
+    chunks: Sequence[ChunkSegments], missing: F64, codebook_bytes: int
+) -> list[OrderedSegment]:
+    """Order all segments greedily by the error that they remove per byte.
 
-    Heads stay in the order of their chunks, refinements and tails stand behind their heads, and the
+    Heads keep the order of their chunks. Refinements and tails come after their heads, the
     codebooks before the first tail.
 
     Parameters
     ----------
-    chunks : sequence of ChunkParts
+    chunks : sequence of ChunkSegments
     missing : (c + 1,) float64
-        `unsent_shares`.
+        `missing_shares`.
     codebook_bytes : int
-        Bytes of the codebooks that tails need; 0 where there are none.
+        Size of the codebooks that tails need, bytes; 0 if there are none.
     """
-    out: list[Place] = []
-    heads = _head_drops_per_byte([c.head_bytes for c in chunks], head_drops(missing))
+    out: list[OrderedSegment] = []
+    heads = _head_drops_per_byte([c.head_bytes for c in chunks], head_distortion_drops(missing))
     # Heaps of (minus the drop per byte, chunk): the largest first, then the earliest chunk.
     refinements: list[tuple[float, int]] = []
     tails: list[tuple[float, int]] = []
@@ -200,34 +213,34 @@ def order(chunks: Sequence[ChunkParts], missing: F64, codebook_bytes: int) -> li
     while head < len(chunks) or refinements or tails or not has_codebooks:
         weight = float(refinement_weight(missing[head]))
         drops_per_byte = {
-            Placed.HEAD: heads[head] if head < len(chunks) else -1.0,
-            Placed.REFINEMENT: -refinements[0][0] * weight if refinements else -1.0,
-            Placed.CODEBOOKS: codebooks if not has_codebooks else -1.0,
-            Placed.TAIL: -tails[0][0] * _TAIL_WEIGHT if tails and has_codebooks else -1.0,
+            OrderedKind.HEAD: heads[head] if head < len(chunks) else -1.0,
+            OrderedKind.REFINEMENT: -refinements[0][0] * weight if refinements else -1.0,
+            OrderedKind.CODEBOOKS: codebooks if not has_codebooks else -1.0,
+            OrderedKind.TAIL: -tails[0][0] * _TAIL_WEIGHT if tails and has_codebooks else -1.0,
         }
-        what = max(drops_per_byte, key=lambda name: drops_per_byte[name])
-        if what is Placed.HEAD and head < len(chunks):
-            out.append(Place(Placed.HEAD, head))
+        kind = max(drops_per_byte, key=lambda candidate: drops_per_byte[candidate])
+        if kind is OrderedKind.HEAD and head < len(chunks):
+            out.append(OrderedSegment(OrderedKind.HEAD, head))
             chunk = chunks[head]
             if chunk.refinement is not None:
                 heappush(refinements, (-chunk.refinement.drop_per_byte, head))
             if chunk.tail is not None:
                 heappush(tails, (-chunk.tail.drop_per_byte, head))
             if not has_codebooks:
-                waiting = [chunks[n].tail for _, n in tails]
-                codebooks = _codebooks_drop_per_byte(codebook_bytes, waiting)
+                available = [chunks[n].tail for _, n in tails]
+                codebooks = _codebooks_drop_per_byte(codebook_bytes, available)
             head += 1
-        elif not has_codebooks and (what is Placed.CODEBOOKS or drops_per_byte[what] < 0):
-            out.append(Place(Placed.CODEBOOKS, -1))
+        elif not has_codebooks and (kind is OrderedKind.CODEBOOKS or drops_per_byte[kind] < 0):
+            out.append(OrderedSegment(OrderedKind.CODEBOOKS, -1))
             has_codebooks = True
         else:
-            heap = refinements if what is Placed.REFINEMENT else tails
-            out.append(Place(what, heappop(heap)[1]))
+            heap = refinements if kind is OrderedKind.REFINEMENT else tails
+            out.append(OrderedSegment(kind, heappop(heap)[1]))
     return out
 
 
 def _head_drops_per_byte(sizes: Sequence[int], drops: F64) -> list[float]:
-    """Return for each head the most that a byte removes of any run of heads that begins with it."""
+    """Return each head's largest error drop per byte over the runs of heads that start with it."""
     out = []
     for first in range(len(sizes)):
         run = slice(first, first + _LOOK_AHEAD)
@@ -236,10 +249,10 @@ def _head_drops_per_byte(sizes: Sequence[int], drops: F64) -> list[float]:
     return out
 
 
-def _codebooks_drop_per_byte(codebook_bytes: int, tails: Sequence[Part | None]) -> float:
-    """Return the most that a byte of the codebooks removes, together with tails behind them."""
+def _codebooks_drop_per_byte(codebook_bytes: int, tails: Sequence[SegmentGain | None]) -> float:
+    """Return the largest error drop per byte of the codebooks together with their best tails."""
     size, drop, best = codebook_bytes, 0.0, -1.0
-    for part in sorted((t for t in tails if t is not None), key=lambda t: -t.drop_per_byte):
-        size, drop = size + part.size_bytes, drop + part.distortion_drop * _TAIL_WEIGHT
+    for tail in sorted((t for t in tails if t is not None), key=lambda t: -t.drop_per_byte):
+        size, drop = size + tail.size_bytes, drop + tail.distortion_drop * _TAIL_WEIGHT
         best = max(best, drop / max(size, 1))
     return best

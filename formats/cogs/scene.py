@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.encoded import EncodedChunk, EncodedScene
 from cogsplat.codec.partition.nested_cells import WHOLE
-from cogsplat.codec.rate.segment_order import Place, Placed
+from cogsplat.codec.rate.segment_order import OrderedKind, OrderedSegment
 from cogsplat.codec.segments.attributes import types_of
 from cogsplat.codec.segments.payloads import Payloads
 
@@ -133,10 +133,10 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
             for kind, payload in zip(layout.COLOUR_BANDS, book.payloads, strict=False):
                 codebooks.append(Segment(kind, number, payload))
     for place in scene.placed():
-        if place.what is Placed.CODEBOOKS:
+        if place.kind is OrderedKind.CODEBOOKS:
             out += codebooks
         else:
-            if place.what is Placed.HEAD:
+            if place.kind is OrderedKind.HEAD:
                 out += layers.get(place.chunk, [])
                 out += opacities.get(place.chunk, [])
                 out += view_table.get(place.chunk, [])
@@ -185,9 +185,9 @@ def _view_table(scene: EncodedScene) -> dict[int, list[Segment]]:
     return {before: [Segment(SegmentKind.VIEW_TABLE, 0, payload)]}
 
 
-def _segment(place: Place, parts: Payloads) -> Segment:
-    if place.what is Placed.REFINEMENT and parts.refinement is not None:
+def _segment(place: OrderedSegment, parts: Payloads) -> Segment:
+    if place.kind is OrderedKind.REFINEMENT and parts.refinement is not None:
         return Segment(SegmentKind.REFINEMENT, place.chunk, parts.refinement)
-    if place.what is Placed.TAIL and parts.tail is not None:
+    if place.kind is OrderedKind.TAIL and parts.tail is not None:
         return Segment(SegmentKind.TAIL, place.chunk, parts.tail, parts.tail_needs)
     return Segment(SegmentKind.HEAD, place.chunk, parts.head, parts.head_needs)

@@ -67,7 +67,7 @@ def _transform(scene: LaidOutScene, quality_db: float, progress: Progress) -> Pl
     scores = (
         scene.scores if config.ablation.sensitivities else replace(scene.scores, sensitivities=None)
     )
-    energy = rate_costs.floor_energy(scores, scene.rows)
+    energy = rate_costs.positive_energy(scores, scene.rows)
 
     def part(run: slice) -> Splats:
         return vq.clip_strays(workspace.take(source, scene.rows[run]))
@@ -81,7 +81,7 @@ def _transform(scene: LaidOutScene, quality_db: float, progress: Progress) -> Pl
 
     costs_of: Callable[[slice], Costs] = own_costs
     if not config.ablation.chunk_steps:
-        level = own_costs(slice(0, len(scene.rows))).levelled()
+        level = own_costs(slice(0, len(scene.rows))).equalise()
         energy, costs_of = level.energy, level.take
     plan = transform.plan(
         source.sh_degree,
@@ -109,7 +109,7 @@ def _vq(scene: LaidOutScene, quality_db: float, progress: Progress) -> PlannedSc
     config = scene.config
     plan = vq.plan(
         ordered,
-        rate_costs.floor_energy(scene.scores)[scene.rows],
+        rate_costs.positive_energy(scene.scores)[scene.rows],
         allocation.lagrangian(scene.scores, quality_db),
         training=config.training,
         threads=config.threads,

@@ -48,7 +48,7 @@ def quantise_means(
         rows, stream, _ = chunk_means(means, allocation.equal_step(lagrangian, costs), sort)
         return rows, stream, NOTHING
     head_lagrangian = lagrangian * 4.0**later_bits
-    log_steps = np.log2(allocation.own_steps(head_lagrangian, costs))
+    log_steps = np.log2(allocation.step_per_value(head_lagrangian, costs))
     # A power of two below which only the coarsest splats' steps lie: they have no extra bits.
     base = float(2.0 ** np.floor(np.quantile(log_steps, 1 - _COARSEST)))
     widest = _widest(means)

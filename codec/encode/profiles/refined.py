@@ -80,7 +80,7 @@ def affordable(quantise: Callable[[int], Quantised], most_bits: int) -> Quantise
         tried = quantise(bits)
         waiting = _entropy_bits(tried[2].stream)
         extra = _entropy_bits(tried[1]) + waiting - whole_bits
-        if extra <= refinement_split.WAITING_BIT_VALUE * waiting:
+        if extra <= refinement_split.DEFERRED_BIT_PRICE * waiting:
             return tried
     return whole
 
@@ -89,4 +89,6 @@ def _entropy_bits(stream: Stream | None) -> float:
     """Return about how many bits the planes of a stream take, each coded on its own."""
     if stream is None:
         return 0.0
-    return sum(refinement_split.bits(np.bincount(np.ravel(plane))) for plane in stream.planes)
+    return sum(
+        refinement_split.entropy_bits(np.bincount(np.ravel(plane))) for plane in stream.planes
+    )

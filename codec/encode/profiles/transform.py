@@ -13,6 +13,7 @@ from cogsplat.codec.encode import colour_transform
 from cogsplat.codec.encode.colour_transform import ColourBasis
 from cogsplat.codec.encode.config import Ablation
 from cogsplat.codec.geometry import rotations
+from cogsplat.codec.geometry.sh import C0
 from cogsplat.codec.rate import allocation, refinement_split, segment_order
 from cogsplat.codec.rate import costs as rate_costs
 from cogsplat.codec.rate.costs import Costs
@@ -105,7 +106,7 @@ def plan(
     payloads: tuple[bytes, ...] = ()
     if sh_degree:
         spread = basis_spread if ablation.view_metric else np.zeros_like(basis_spread)
-        limited = rate_costs.limited_energy(energy, lagrangian)
+        limited = rate_costs.limit_colour_steps(energy, lagrangian)
         basis = colour_transform.fit(
             coefficients_of, limited, spread, lagrangian, chunks, principal=ablation.colour_basis
         )
@@ -131,7 +132,7 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
     """
     lagrangian, used = plan_.lagrangian, plan_.ablation
     coarseness = plan_.coarseness.get(run.start, FINE)
-    costs = rate_costs.limited(plan_.costs_of(run), part.scales, lagrangian)
+    costs = rate_costs.limit_steps(plan_.costs_of(run), part.scales, lagrangian)
     angles, source_scales = swing_twist.decompose(rotations.unit(part.quats), part.scales)
     # Scales come first: how many bits means and rotations have follows from the decoded ones.
     differences, grid = shapes.differences_to_store(source_scales, costs, lagrangian, used.areas)
@@ -163,7 +164,7 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
         stream, missed = plan_.basis.encode(part.shN, costs.energy, lagrangian, BASIS)
         if used.sh0_makes_up:
             # What shN lost, as its views see it on average.
-            sh0 += np.einsum("nk,nkc->nc", costs.basis_mean, missed) / rate_costs.SH0_BASIS
+            sh0 += np.einsum("nk,nkc->nc", costs.basis_mean, missed) / C0
         tail = records.pack_plain([stream])
     before = source_scales[inside] if used.areas else scales
     logits = shapes.opacities_to_store(part.opacities, before, scales)

@@ -12,7 +12,7 @@ from cogsplat.codec.clustering import kmeans
 from cogsplat.codec.clustering.kmeans import TrainingConfig
 from cogsplat.codec.geometry import covariance, rotations
 from cogsplat.codec.progress import Progress
-from cogsplat.codec.rate.costs import limited_energy
+from cogsplat.codec.rate.costs import limit_colour_steps
 from cogsplat.codec.rate.energy_costs import SHN_COST, EnergyCosts
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
@@ -202,7 +202,7 @@ def plan(
         colour_escape = energy * colour_errors * SHN_COST > bits * per_bit
     progress("codebooks", 2, 2)
     return VqPlan(
-        costs=EnergyCosts(lagrangian, limited_energy(energy, lagrangian)),
+        costs=EnergyCosts(lagrangian, limit_colour_steps(energy, lagrangian)),
         quats=quats,
         scales=scales,
         factors=factors,

@@ -69,7 +69,7 @@ def test_without_any_it_still_decodes():
 
 def test_levelled_costs_ask_for_one_step():
     costs = rate_costs.costs(oracle.scene(3, n=N, degree=3), scored())
-    level = costs.levelled()
+    level = costs.equalise()
     rng = np.random.default_rng(1)
     for name in ("energy", "mean", "opacity", "scale_long", "swing", "twist"):
         own = getattr(level, name)

@@ -6,7 +6,7 @@ import pytest
 from encoding import encode, unseen
 
 from cogsplat.codec.encode.arriving_prefixes import arrived, arriving
-from cogsplat.codec.rate.segment_order import Placed
+from cogsplat.codec.rate.segment_order import OrderedKind
 from cogsplat.codec.scoring.contribution import score
 
 _PREFIXES = (1, 2, 4, 6)
@@ -34,16 +34,16 @@ def test_what_has_arrived_stays(encoded):
 
 def test_half_the_bytes_between_two_heads_have_arrived(encoded):
     places = encoded.placed()
-    heads = [number for number, place in enumerate(places) if place.what is Placed.HEAD]
+    heads = [number for number, place in enumerate(places) if place.kind is OrderedKind.HEAD]
     for state, (first, last) in zip(arrived(encoded), pairwise(heads), strict=True):
         between = places[first + 1 : last]
         half = sum(encoded.placed_bytes(place) for place in between) / 2
         size = 0
         for place in between:
             size += encoded.placed_bytes(place)
-            if place.what is Placed.REFINEMENT:
+            if place.kind is OrderedKind.REFINEMENT:
                 assert (place.chunk in state.refined) == (size <= half)
-            if place.what is Placed.TAIL:
+            if place.kind is OrderedKind.TAIL:
                 assert (place.chunk in state.tailed) == (size <= half)
 
 

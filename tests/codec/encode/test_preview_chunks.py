@@ -15,7 +15,7 @@ from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.preview_chunks import prepend_preview
 from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.order.orders import OrderConfig
-from cogsplat.codec.rate.segment_order import Placed
+from cogsplat.codec.rate.segment_order import OrderedKind
 from cogsplat.codec.scoring.contribution import score, unscored
 from cogsplat.codec.scoring.reference_views import render_references
 from cogsplat.codec.segments.attributes import types_of, unpack_attributes
@@ -94,11 +94,11 @@ def test_the_other_segments_keep_their_order(parts, cameras):
     np.testing.assert_allclose(usual_errors(joined, references, 300), joined.prefix_mse, rtol=1e-6)
     own = len(preview.chunks)
     places = joined.placed()
-    assert [(place.what, place.chunk) for place in places[:own]] == [
-        (Placed.HEAD, number) for number in range(own)
+    assert [(place.kind, place.chunk) for place in places[:own]] == [
+        (OrderedKind.HEAD, number) for number in range(own)
     ]
-    assert [(place.what, max(place.chunk - own, -1)) for place in places[own:]] == [
-        (place.what, place.chunk) for place in measured.placed()
+    assert [(place.kind, max(place.chunk - own, -1)) for place in places[own:]] == [
+        (place.kind, place.chunk) for place in measured.placed()
     ]
 
 

@@ -33,9 +33,9 @@ def test_a_scene_quantised_at_the_slope_has_the_nominal_error(quality_db):
     largest = energy * rng.lognormal(3, 1, 5000)
     scores = replace(with_energy(energy), largest_energy=largest)
     lagrangian = allocation.lagrangian(scores, quality_db)
-    shown = rate_costs.shown_energy(scores)
+    shown = rate_costs.robust_energy(scores)
     assert (shown > energy).any()
-    steps = np.sqrt(lagrangian / rate_costs.limited_energy(shown, lagrangian))
+    steps = np.sqrt(lagrangian / rate_costs.limit_colour_steps(shown, lagrangian))
     assert (steps > 0.999 * rate_costs.COARSEST_COLOUR).any()
     shares = 24.5
     error = shares * (energy * steps**2 / 12).sum()
@@ -60,19 +60,19 @@ def test_unseen_splats_do_not_count():
 
 def test_no_energy_is_zero():
     energy = np.append(np.zeros(10), np.linspace(1, 2, 101))
-    out = rate_costs.floor_energy(with_energy(energy))
+    out = rate_costs.positive_energy(with_energy(energy))
     assert out.min() == pytest.approx(1.01)
     np.testing.assert_array_equal(out[energy > 1.01], energy[energy > 1.01])
     np.testing.assert_array_equal(out[:10], out.min())
-    assert (rate_costs.floor_energy(unscored(5)) == 1).all()
-    assert rate_costs.floor_energy(unscored(0)).shape == (0,)
-    assert (rate_costs.floor_energy(with_energy([0.0, 5e-324])) > 0).all()
+    assert (rate_costs.positive_energy(unscored(5)) == 1).all()
+    assert rate_costs.positive_energy(unscored(0)).shape == (0,)
+    assert (rate_costs.positive_energy(with_energy([0.0, 5e-324])) > 0).all()
 
 
 def test_a_splat_counts_at_least_a_share_of_its_best_view():
     scores = replace(with_energy([1.0, 1.0, 0.0]), largest_energy=np.array([1.0, 64.0, 0.0]))
-    np.testing.assert_array_equal(rate_costs.shown_energy(scores), [1.0, 2.0, 0.0])
-    np.testing.assert_array_equal(rate_costs.floor_energy(scores), [1.0, 2.0, 1.0])
+    np.testing.assert_array_equal(rate_costs.robust_energy(scores), [1.0, 2.0, 0.0])
+    np.testing.assert_array_equal(rate_costs.positive_energy(scores), [1.0, 2.0, 1.0])
 
 
 def test_sensitivities_rise_with_the_energy_of_the_best_view():
@@ -103,7 +103,7 @@ def test_costs_chunk_by_chunk_are_those_of_the_whole():
     splats, scores = a_scene()
     scores = replace(scores, sensitivities=sensitive(80, scale=1e3))
     whole = rate_costs.costs(splats, scores)
-    energy = rate_costs.floor_energy(scores)
+    energy = rate_costs.positive_energy(scores)
     for run in (slice(0, 30), slice(30, 31), slice(31, 80)):
         rows = np.arange(80)[run]
         part = rate_costs.costs(splats.take(run), scores.take(rows), energy[run])
@@ -201,7 +201,7 @@ def test_rows_and_levels_of_costs():
     splats, scores = a_scene()
     costs = rate_costs.costs(splats, replace(scores, sensitivities=sensitive(80)))
     rows = np.array([5, 2, 2, 79])
-    part, level = costs.take(rows), costs.levelled()
+    part, level = costs.take(rows), costs.equalise()
     for name in VALUES:
         values = getattr(costs, name)
         np.testing.assert_array_equal(getattr(part, name), values[rows])
@@ -213,7 +213,7 @@ def test_rows_and_levels_of_costs():
 def test_steps_follow_the_mean_cost_or_each_ones():
     cost = np.random.default_rng(6).lognormal(-5, 2, 300)
     assert cost.mean() * allocation.equal_step(1e-7, cost) ** 2 == pytest.approx(1e-7)
-    np.testing.assert_allclose(cost * allocation.own_steps(1e-7, cost) ** 2, 1e-7)
+    np.testing.assert_allclose(cost * allocation.step_per_value(1e-7, cost) ** 2, 1e-7)
     assert allocation.shn_step(1e-7, 4 * cost) == pytest.approx(allocation.shn_step(1e-7, cost) / 2)
 
 
@@ -229,18 +229,18 @@ def test_limits_leave_no_step_that_loses_a_splat():
     splats, scores = a_scene()
     for lagrangian in (1e-9, 1.0):
         costs = rate_costs.costs(splats, replace(scores, energy=np.full(80, 1e-12)))
-        limited = rate_costs.limited(costs, splats.scales, lagrangian)
+        limited = rate_costs.limit_steps(costs, splats.scales, lagrangian)
         for name in VALUES:
             assert (getattr(limited, name) >= getattr(costs, name)).all()
-        assert allocation.own_steps(lagrangian, limited.opacity).max() <= 2
-        assert allocation.own_steps(lagrangian, limited.scale_long).max() <= 1
+        assert allocation.step_per_value(lagrangian, limited.opacity).max() <= 2
+        assert allocation.step_per_value(lagrangian, limited.scale_long).max() <= 1
         size = np.exp(splats.scales.astype(float).mean(axis=1))
-        assert (allocation.own_steps(lagrangian, limited.mean) <= 2 * size).all()
+        assert (allocation.step_per_value(lagrangian, limited.mean) <= 2 * size).all()
         thin, middle, long = np.exp(np.sort(splats.scales.astype(float), axis=1)).T
         for length, cost in ((long, limited.swing), (middle, limited.twist)):
             thicker = (length**2 - thin**2) * lagrangian / cost
             assert (thicker <= np.maximum(thin, 0.3 * length) ** 2 * (1 + 1e-6)).all()
     strong = rate_costs.costs(splats, replace(scores, energy=np.full(80, 1e3)))
-    same = rate_costs.limited(strong, splats.scales, 1e-9)
+    same = rate_costs.limit_steps(strong, splats.scales, 1e-9)
     for name in VALUES:
         np.testing.assert_array_equal(getattr(same, name), getattr(strong, name))

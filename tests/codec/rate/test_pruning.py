@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cogsplat.codec.rate.pruning import PruneConfig, kept_rows
+from cogsplat.codec.rate.pruning import PruneConfig, keep_mask
 from cogsplat.codec.scoring.contribution import score, unscored
 
 
@@ -29,7 +29,7 @@ def seen(peak, covered, opacities=None):
 )
 def test_a_visible_splat_goes_only_below_the_peak_and_where_views_cover_it(rows, peak, views):
     splats, scores = seen([row[0] for row in rows], [row[1] for row in rows])
-    kept = kept_rows(splats, scores, PruneConfig(peak=peak, views=views))
+    kept = keep_mask(splats, scores, PruneConfig(peak=peak, views=views))
     assert kept.dtype == np.bool_
     assert kept.tolist() == [p >= np.float32(peak) or c < views for p, c in rows]
 
@@ -37,10 +37,10 @@ def test_a_visible_splat_goes_only_below_the_peak_and_where_views_cover_it(rows,
 def test_only_what_is_not_worth_its_bytes_goes():
     splats, scores = seen([0.01] * 4, [9, 9, 9, 3])
     scores = replace(scores, energy=np.array([1.0, 5.9, 6.0, 1.0]))
-    kept = kept_rows(splats, scores, PruneConfig(worth=6.0), lagrangian=1.0)
+    kept = keep_mask(splats, scores, PruneConfig(worth=6.0), lagrangian=1.0)
     assert kept.tolist() == [False, False, True, True]
-    assert kept_rows(splats, scores, PruneConfig(worth=6.0), lagrangian=0.1).tolist() == [True] * 4
-    assert kept_rows(splats, scores, PruneConfig(), lagrangian=0.0).all()
+    assert keep_mask(splats, scores, PruneConfig(worth=6.0), lagrangian=0.1).tolist() == [True] * 4
+    assert keep_mask(splats, scores, PruneConfig(), lagrangian=0.0).all()
 
 
 def test_what_one_view_shows_well_stays():
@@ -48,36 +48,36 @@ def test_what_one_view_shows_well_stays():
     scores = replace(
         scores, energy=np.array([1.0, 1.0]), largest_energy=np.array([1.0, 6.0 * 32.0])
     )
-    kept = kept_rows(splats, scores, PruneConfig(worth=6.0), lagrangian=1.0)
+    kept = keep_mask(splats, scores, PruneConfig(worth=6.0), lagrangian=1.0)
     assert kept.tolist() == [False, True]
 
 
 def test_what_no_view_covers_stays():
     splats, scores = seen([0.0] * 5, [0, 1, 2, 3, 4])
-    assert kept_rows(splats, scores, PruneConfig()).tolist() == [True] * 4 + [False]
-    assert kept_rows(splats, scores, PruneConfig(views=1)).tolist() == [True] + [False] * 4
-    assert kept_rows(splats, unscored(5), PruneConfig(peak=0.999, views=1)).all()
+    assert keep_mask(splats, scores, PruneConfig()).tolist() == [True] * 4 + [False]
+    assert keep_mask(splats, scores, PruneConfig(views=1)).tolist() == [True] + [False] * 4
+    assert keep_mask(splats, unscored(5), PruneConfig(peak=0.999, views=1)).all()
 
 
 def test_a_peak_at_the_bound_stays():
     splats, scores = seen([0.25, np.nextafter(np.float32(0.25), np.float32(0))], [9, 9])
-    assert kept_rows(splats, scores, PruneConfig(peak=0.25)).tolist() == [True, False]
-    assert kept_rows(splats, scores, PruneConfig(peak=0)).tolist() == [True, True]
+    assert keep_mask(splats, scores, PruneConfig(peak=0.25)).tolist() == [True, False]
+    assert keep_mask(splats, scores, PruneConfig(peak=0)).tolist() == [True, True]
 
 
 def test_what_can_never_touch_a_pixel_goes_even_unseen():
     edge = -math.log(254)
     logits = [-np.inf, edge - 1e-4, edge + 1e-4, 0.0, np.inf]
     splats, scores = seen([0.0] * 5, [0] * 5, logits)
-    assert kept_rows(splats, scores, PruneConfig()).tolist() == [False, False, True, True, True]
-    assert kept_rows(splats, scores, None).all()
+    assert keep_mask(splats, scores, PruneConfig()).tolist() == [False, False, True, True, True]
+    assert keep_mask(splats, scores, None).all()
 
 
 def test_dropping_keeps_every_pixel_within_the_bound_of_each():
     splats = oracle.scene(5, n=150, opacity=3.0)
     cameras = [oracle.camera(angle) for angle in (0.0, 0.6, 1.2, 1.8)]
     config = PruneConfig(peak=0.05, views=4)
-    kept = kept_rows(splats, score(splats, cameras), config)
+    kept = keep_mask(splats, score(splats, cameras), config)
     assert 0 < kept.sum() < len(kept)
     for camera in cameras:
         weights = oracle.view(splats, camera).weights
@@ -88,8 +88,8 @@ def test_dropping_keeps_every_pixel_within_the_bound_of_each():
 
 def test_an_empty_scene_keeps_nothing():
     splats, scores = seen([], [])
-    assert kept_rows(splats, scores, PruneConfig()).shape == (0,)
-    assert kept_rows(splats, scores, None).shape == (0,)
+    assert keep_mask(splats, scores, PruneConfig()).shape == (0,)
+    assert keep_mask(splats, scores, None).shape == (0,)
 
 
 @pytest.mark.parametrize(

@@ -4,15 +4,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cogsplat.codec.rate import segment_order
-from cogsplat.codec.rate.segment_order import ChunkParts, Part
+from cogsplat.codec.rate.segment_order import ChunkSegments, SegmentGain
 
 
 def shares(*contribution):
-    return segment_order.unsent_shares(np.array(contribution, float))
+    return segment_order.missing_shares(np.array(contribution, float))
 
 
 def names(places):
-    return [f"{p.what.name.lower()}{'' if p.chunk < 0 else p.chunk}" for p in places]
+    return [f"{p.kind.name.lower()}{'' if p.chunk < 0 else p.chunk}" for p in places]
 
 
 def test_missing_shares_fall_to_nothing():
@@ -21,45 +21,47 @@ def test_missing_shares_fall_to_nothing():
     assert shares().tolist() == [1]
 
 
-def test_gains_of_heads_are_all_there_is_to_gain():
-    gains = segment_order.head_drops(shares(6, 3, 1))
+def test_drops_of_heads_add_up_to_the_error_of_an_empty_picture():
+    gains = segment_order.head_distortion_drops(shares(6, 3, 1))
     assert (np.diff(gains) < 0).all()
-    assert gains.sum() == pytest.approx(segment_order.head_drops(shares(1)).sum())
+    assert gains.sum() == pytest.approx(segment_order.head_distortion_drops(shares(1)).sum())
 
 
-def test_what_gains_more_for_its_bytes_comes_first():
+def test_segments_are_ordered_by_error_drop_per_byte():
     chunks = [
-        ChunkParts(100, Part(1000, 1e-9), Part(100, 1.0)),
-        ChunkParts(100, Part(1000, 1e-8), Part(100, 1e-12)),
+        ChunkSegments(100, SegmentGain(1000, 1e-9), SegmentGain(100, 1.0)),
+        ChunkSegments(100, SegmentGain(1000, 1e-8), SegmentGain(100, 1e-12)),
     ]
-    found = names(segment_order.order(chunks, shares(1, 1), 50))
+    found = names(segment_order.order_segments(chunks, shares(1, 1), 50))
     assert found == ["head0", "codebooks", "tail0", "head1", "refinement1", "refinement0", "tail1"]
 
 
-def test_codebooks_wait_until_tails_pay_for_them():
-    chunks = [ChunkParts(10, None, Part(10, 1e-4)) for _ in range(5)]
-    assert names(segment_order.order(chunks, shares(*[1] * 5), 10**9))[:6] == [
+def test_codebooks_come_when_their_tails_are_worth_it():
+    chunks = [ChunkSegments(10, None, SegmentGain(10, 1e-4)) for _ in range(5)]
+    assert names(segment_order.order_segments(chunks, shares(*[1] * 5), 10**9))[:6] == [
         "head0", "head1", "head2", "head3", "head4", "codebooks",
     ]  # fmt: skip
-    assert names(segment_order.order(chunks, shares(*[1] * 5), 0))[-1].startswith("tail")
+    assert names(segment_order.order_segments(chunks, shares(*[1] * 5), 0))[-1].startswith("tail")
 
 
-def test_codebooks_of_no_tails_are_not_forgotten():
-    found = names(segment_order.order([ChunkParts(10, None, None)], shares(1), 7))
+def test_codebooks_without_tails_are_in_the_order():
+    found = names(segment_order.order_segments([ChunkSegments(10, None, None)], shares(1), 7))
     assert found == ["head0", "codebooks"]
-    assert names(segment_order.order([], shares(), 7)) == ["codebooks"]
-    assert segment_order.order([], shares(), 0) == []
+    assert names(segment_order.order_segments([], shares(), 7)) == ["codebooks"]
+    assert segment_order.order_segments([], shares(), 0) == []
 
 
-def test_a_head_that_gains_nothing_itself_opens_one_that_does():
-    chunks = [ChunkParts(100, Part(100, 1e-6), None)] + [ChunkParts(100, None, None)] * 2
+def test_a_head_without_gain_is_rated_with_the_heads_after_it():
+    chunks = [ChunkSegments(100, SegmentGain(100, 1e-6), None)] + [
+        ChunkSegments(100, None, None)
+    ] * 2
     # The second chunk shows nothing, the third as much as the first.
-    found = names(segment_order.order(chunks, shares(1, 0, 1), 0))
+    found = names(segment_order.order_segments(chunks, shares(1, 0, 1), 0))
     assert found == ["head0", "head1", "head2", "refinement0"]
 
 
 PARTS = st.builds(
-    Part, st.integers(1, 10**6), st.floats(0, 1, allow_subnormal=False)
+    SegmentGain, st.integers(1, 10**6), st.floats(0, 1, allow_subnormal=False)
 ) | st.none()  # fmt: skip
 
 
@@ -68,10 +70,10 @@ PARTS = st.builds(
     st.lists(st.tuples(st.integers(1, 10**6), PARTS, PARTS, st.floats(0, 1e6)), max_size=12),
     st.integers(0, 10**5),
 )
-def test_every_segment_has_one_place_behind_what_it_needs(rows, codebooks):
-    chunks = [ChunkParts(head, refinement, tail) for head, refinement, tail, _ in rows]
+def test_each_segment_occurs_once_after_those_it_needs(rows, codebooks):
+    chunks = [ChunkSegments(head, refinement, tail) for head, refinement, tail, _ in rows]
     missing = shares(*(contribution for *_, contribution in rows))
-    found = names(segment_order.order(chunks, missing, codebooks))
+    found = names(segment_order.order_segments(chunks, missing, codebooks))
     expected = [f"head{n}" for n in range(len(chunks))] + ["codebooks"] * bool(codebooks)
     expected += [f"refinement{n}" for n, c in enumerate(chunks) if c.refinement]
     expected += [f"tail{n}" for n, c in enumerate(chunks) if c.tail]
@@ -85,25 +87,29 @@ def test_every_segment_has_one_place_behind_what_it_needs(rows, codebooks):
             assert found.index("codebooks") < place
 
 
-def test_what_tails_gain_is_their_energy():
+def test_the_error_drop_of_a_tail_is_its_energy():
     rng = np.random.default_rng(1)
     coefficients = rng.normal(size=(20, 8, 3)).astype(np.float32)
     energy = rng.random(20)
     spread = np.zeros((15, 15))
     root = rng.normal(size=(15, 15))
     expected = energy @ np.square(coefficients.astype(float)).sum(axis=(1, 2)) / (4 * np.pi)
-    assert segment_order.tail_drop(coefficients, energy, spread) == pytest.approx(expected)
+    assert segment_order.tail_distortion_drop(coefficients, energy, spread) == pytest.approx(
+        expected
+    )
     spread = root @ root.T
     expected = np.einsum(
         "n,nkc,kl,nlc->", energy, coefficients.astype(float), spread[:8, :8], coefficients
     )
-    assert segment_order.tail_drop(coefficients, energy, spread) == pytest.approx(expected)
-    assert segment_order.tail_drop(coefficients[:, :0], energy, spread) == 0
+    assert segment_order.tail_distortion_drop(coefficients, energy, spread) == pytest.approx(
+        expected
+    )
+    assert segment_order.tail_distortion_drop(coefficients[:, :0], energy, spread) == 0
 
 
 def test_measured_errors_stand_for_missing_shares():
     # Nothing, one chunk, two that make it worse, and the whole, which is off by its coding alone.
-    shares = segment_order.measured_shares(np.array([0.16, 0.06, 0.065, 0.01]))
+    shares = segment_order.missing_shares_from_mse(np.array([0.16, 0.06, 0.065, 0.01]))
     np.testing.assert_allclose(np.diff(shares) <= 0, True)
-    np.testing.assert_allclose(segment_order.head_drops(shares), [0.1, 0.0, 0.05])
-    assert segment_order.measured_shares(np.array([3.0, 0.0])).tolist() == [1.0, 0.0]
+    np.testing.assert_allclose(segment_order.head_distortion_drops(shares), [0.1, 0.0, 0.05])
+    assert segment_order.missing_shares_from_mse(np.array([3.0, 0.0])).tolist() == [1.0, 0.0]
