@@ -23,10 +23,10 @@ import cogsplat
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.network.http_transport import HttpTransport
-from cogsplat.tools import check, make_vectors
-from cogsplat.tools.cli import demonstration
-from cogsplat.tools.cli.main import cli
-from cogsplat.tools.synthetic import scene as synthetic
+from cogsplat.tools.lab import check, make_vectors
+from cogsplat.tools.lab.cli import demonstration
+from cogsplat.tools.lab.synthetic import terrace as synthetic
+from cogsplat.tools.main import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("tests/**/*.md")])

@@ -22,7 +22,7 @@ CORE = (
     "cogsplat.formats.cogs.reader",
     "cogsplat.formats.scenes.ply.ply_scene",
     "cogsplat.tools.delivery.local_server",
-    "cogsplat.tools.synthetic.scene",
+    "cogsplat.tools.lab.synthetic.terrace",
 )
 
 # `setuptools` of pyproject.toml; older ones do not know its licence field.

@@ -25,8 +25,8 @@ from cogsplat.codec.streams import (
 from cogsplat.codec.streams.kinds import KINDS
 from cogsplat.formats.cogs import cameras, canonical_msgpack, decoded_rows, layout, reader, root
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.tools import make_vectors
-from cogsplat.tools.conformance import tolerance, valid
+from cogsplat.tools.lab import make_vectors
+from cogsplat.tools.lab.conformance import tolerance, valid
 
 ROOT = Path(__file__).resolve().parents[1]
 SPEC = (ROOT / "SPEC.md").read_text(encoding="utf-8")

@@ -15,7 +15,7 @@ from cogsplat.codec.errors import CogsplatError, TruncatedError
 from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
-from cogsplat.tools import make_vectors
+from cogsplat.tools.lab import make_vectors
 
 VECTORS = Path(__file__).resolve().parent / "vectors"
 MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))

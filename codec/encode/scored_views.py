@@ -50,9 +50,11 @@ def seen_once(scores: Scores, config: ScoreConfig) -> float:
 
     Examples
     --------
-    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
+    >>> import cogsplat
+    >>> splats = cogsplat.read("scene.ply")
+    >>> cameras = cogsplat.read_cameras("cameras.json")[:8]
     >>> config = ScoreConfig()
-    >>> seen_once(score(synth(300), synth_cameras(8), config), config) < 0.05
+    >>> seen_once(score(splats, cameras, config), config) < 0.05
     True
     """
     total = float(scores.contribution.sum())

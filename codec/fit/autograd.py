@@ -87,8 +87,9 @@ def rendered(
     --------
     >>> import torch
     >>> from cogsplat.codec.fit.autograd import rendered
-    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
-    >>> splats, camera = synth(500), synth_cameras(1, 64, 48)[0]
+    >>> import cogsplat
+    >>> splats = cogsplat.read("scene.ply")
+    >>> camera = cogsplat.read_cameras("cameras.json")[0]
     >>> names = ("means", "scales", "quats", "opacities", "sh0", "shN")
     >>> tensors = [torch.from_numpy(getattr(splats, name)).requires_grad_() for name in names]
     >>> rendered(*tensors, camera).square().mean().backward()

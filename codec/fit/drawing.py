@@ -248,8 +248,9 @@ def draw(splats: Splats, camera: Camera, config: RenderConfig | None = None) -> 
     --------
     >>> import numpy as np
     >>> from cogsplat.codec.fit.drawing import Gradients, draw
-    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
-    >>> splats, camera = synth(500), synth_cameras(1, 64, 48)[0]
+    >>> import cogsplat
+    >>> splats = cogsplat.read("scene.ply")
+    >>> camera = cogsplat.read_cameras("cameras.json")[0]
     >>> drawing = draw(splats, camera)
     >>> gradients = Gradients.zeros(splats)
     >>> grey = np.full_like(drawing.picture, 0.5)

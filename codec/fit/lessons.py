@@ -221,8 +221,10 @@ def lessons_of(
     Examples
     --------
     >>> from cogsplat.codec.fit.lessons import lessons_of
-    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
-    >>> lessons = lessons_of(synth(500), synth_cameras(2, 64, 48))
+    >>> import cogsplat
+    >>> splats = cogsplat.read("scene.ply")
+    >>> cameras = cogsplat.read_cameras("cameras.json")[:2]
+    >>> lessons = lessons_of(splats, cameras)
     >>> len(lessons), lessons.given, lessons.along, lessons.pictures[0].shape
     (8, 2, 3, (48, 64, 3))
     """

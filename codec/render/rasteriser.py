@@ -202,8 +202,9 @@ def render(
     Examples
     --------
     >>> from cogsplat.codec.render.rasteriser import RenderConfig, render
-    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
-    >>> splats, camera = synth(500), synth_cameras(1, 64, 48)[0]
+    >>> import cogsplat
+    >>> splats = cogsplat.read("scene.ply")
+    >>> camera = cogsplat.read_cameras("cameras.json")[0]
     >>> image = render(splats, camera, RenderConfig(background=(1.0, 1.0, 1.0)))
     >>> image.shape, image.dtype.name
     ((48, 64, 3), 'float32')
@@ -283,8 +284,10 @@ def render_views(
     Examples
     --------
     >>> from cogsplat.codec.render.rasteriser import render_views
-    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
-    >>> [image.shape for image in render_views(synth(500), synth_cameras(2, 64, 48))]
+    >>> import cogsplat
+    >>> splats = cogsplat.read("scene.ply")
+    >>> cameras = cogsplat.read_cameras("cameras.json")[:2]
+    >>> [image.shape for image in render_views(splats, cameras)]
     [(48, 64, 3), (48, 64, 3)]
     """
     config = config or _config_of(splats)

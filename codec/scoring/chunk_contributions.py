@@ -60,9 +60,11 @@ def chunk_contributions(
     --------
     >>> import numpy as np
     >>> from cogsplat.codec.scoring.chunk_contributions import chunk_contributions
-    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
-    >>> halves = np.arange(500) // 250
-    >>> chunk_contributions(synth(500), halves, 2, synth_cameras(3)).shape
+    >>> import cogsplat
+    >>> splats = cogsplat.read("scene.ply")
+    >>> cameras = cogsplat.read_cameras("cameras.json")[:3]
+    >>> halves = np.arange(1000) // 500
+    >>> chunk_contributions(splats, halves, 2, cameras).shape
     (3, 2)
     """
     shares = np.zeros((len(cameras), count))

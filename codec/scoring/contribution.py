@@ -360,10 +360,12 @@ def score(
     Examples
     --------
     >>> from cogsplat.codec.scoring.contribution import ScoreConfig, score
-    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
-    >>> scores = score(synth(500), synth_cameras(2), ScoreConfig(jitter=False))
+    >>> import cogsplat
+    >>> splats = cogsplat.read("scene.ply")
+    >>> cameras = cogsplat.read_cameras("cameras.json")[:2]
+    >>> scores = score(splats, cameras, ScoreConfig(jitter=False))
     >>> scores.contribution.shape, int(scores.seen.max())
-    ((500,), 2)
+    ((1000,), 2)
     """
     config = config or ScoreConfig()
     if not cameras:

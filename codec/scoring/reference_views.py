@@ -161,8 +161,10 @@ def render_references(
     Examples
     --------
     >>> from cogsplat.codec.scoring.reference_views import render_references
-    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
-    >>> references = render_references(synth(500), synth_cameras(2))
+    >>> import cogsplat
+    >>> splats = cogsplat.read("scene.ply")
+    >>> cameras = cogsplat.read_cameras("cameras.json")[:2]
+    >>> references = render_references(splats, cameras)
     >>> len(references.pictures), references.given
     (6, 2)
     """

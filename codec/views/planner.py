@@ -226,8 +226,9 @@ def plan_views(
     Examples
     --------
     >>> from cogsplat.codec.views.planner import ViewPlanConfig, plan_views
-    >>> from cogsplat.tools.synthetic.scene import synth
-    >>> cameras = plan_views(synth(500), ViewPlanConfig(views=4, width=64, height=48))
+    >>> import cogsplat
+    >>> splats = cogsplat.read("scene.ply")
+    >>> cameras = plan_views(splats, ViewPlanConfig(views=4, width=64, height=48))
     >>> cameras[0].name, cameras[0].width, cameras[0].height
     ('virtual-000', 64, 48)
     """

@@ -42,8 +42,9 @@ def view_clusters(cameras: Sequence[Camera], count: int) -> list[I64]:
     Examples
     --------
     >>> from cogsplat.codec.views.view_clusters import view_clusters
-    >>> from cogsplat.tools.synthetic.scene import synth_cameras
-    >>> clusters = view_clusters(synth_cameras(8), 2)
+    >>> import cogsplat
+    >>> cameras = cogsplat.read_cameras("cameras.json")[:8]
+    >>> clusters = view_clusters(cameras, 2)
     >>> len(clusters), sum(len(cluster) for cluster in clusters)
     (2, 8)
     """

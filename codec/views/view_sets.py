@@ -99,8 +99,10 @@ def roam(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
     Examples
     --------
     >>> from cogsplat.codec.views.view_sets import roam
-    >>> from cogsplat.tools.synthetic.scene import synth, synth_cameras
-    >>> [camera.name for camera in roam(synth(500), synth_cameras(2))][:2]
+    >>> import cogsplat
+    >>> splats = cogsplat.read("scene.ply")
+    >>> cameras = cogsplat.read_cameras("cameras.json")[:2]
+    >>> [camera.name for camera in roam(splats, cameras)][:2]
     ['view_00-back', 'view_00-turned']
     """
     views: list[Camera] = []

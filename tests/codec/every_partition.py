@@ -5,8 +5,8 @@ from itertools import product
 
 import numpy as np
 
-from cogsplat.codec.partition.basic_cuboids import BasicCuboids
-from cogsplat.codec.partition.box_costs import Box
+from cogsplat.tools.lab.partitions.basic_cuboids import BasicCuboids
+from cogsplat.tools.lab.partitions.box_costs import Box
 
 
 def random_grid(shape: tuple[int, int, int], seed: int, views: int = 4) -> BasicCuboids:

@@ -20,8 +20,8 @@ from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource
-from cogsplat.tools.conformance import handmade_streams, reference_decoder
-from cogsplat.tools.conformance.file_builder import (
+from cogsplat.tools.lab.conformance import handmade_streams, reference_decoder
+from cogsplat.tools.lab.conformance.file_builder import (
     build,
     one_chunk,
     payload,

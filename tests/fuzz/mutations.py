@@ -19,7 +19,7 @@ from cogsplat.codec.errors import CogsplatError
 from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.layout import MAGIC
 from cogsplat.formats.storage.source import BytesSource
-from cogsplat.tools.conformance.file_builder import refitted, root_bytes, with_root
+from cogsplat.tools.lab.conformance.file_builder import refitted, root_bytes, with_root
 
 NUMBERS = (0, 1, 2, 3, 127, 128, 255, 256, 65535, 65536, 1 << 18, 1 << 24, (1 << 24) + 1,
            (1 << 31) - 1, 1 << 31, (1 << 32) - 1)  # fmt: skip

@@ -24,7 +24,7 @@ from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.scenes.registry import FORMATS, read_scene, scene_bytes
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource
-from cogsplat.tools.conformance import reference_decoder
+from cogsplat.tools.lab.conformance import reference_decoder
 from cogsplat.tools.pictures.mask_images import read_masks
 
 LIMITS = Limits(decoded_bytes=32 << 20, small_bytes=16 << 20, splats=200_000, cameras=5000)

@@ -13,7 +13,7 @@ from playwright.sync_api import Browser, Page
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr
 from cogsplat.formats.storage.images import decode_image
-from cogsplat.tools.benchmark import chromium as benchmark
+from cogsplat.tools.lab.benchmark import chromium as benchmark
 
 # Rendered in software, whatever the machine: WebGL 2 by SwiftShader.
 _ARGUMENTS: Final = (

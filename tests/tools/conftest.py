@@ -15,8 +15,8 @@ from running import ROOT, SPLATS, VIEWS, Ran, Run, SmallScene, program
 import cogsplat
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.formats.cameras.inria import write_cameras_json
-from cogsplat.tools.cli.main import cli
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
+from cogsplat.tools.main import cli
 
 
 @pytest.fixture(scope="session")

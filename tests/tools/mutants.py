@@ -13,7 +13,7 @@ from types import FunctionType
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
-from cogsplat.tools.conformance import reference_decoder
+from cogsplat.tools.lab.conformance import reference_decoder
 
 VECTORS = Path(__file__).resolve().parents[1] / "vectors"
 MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from cogsplat.tools.cli.main import cli
+from cogsplat.tools.main import cli
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -54,7 +54,7 @@ def program(arguments: Sequence[object], before: str = "") -> list[str]:
         "signal.signal(signal.SIGINT, signal.default_int_handler)",
         before,
         f"sys.argv = ['cogsplat', *{[str(a) for a in arguments]!r}]",
-        "from cogsplat.tools.cli.main import main",
+        "from cogsplat.tools.main import main",
         "main()",
     ]
     return [sys.executable, "-c", "\n".join(lines)]
@@ -72,7 +72,7 @@ def installed(name: str) -> str:
 _BROKEN = """
 import json, sys, time
 sys.path.insert(0, {root!r})
-from cogsplat.tools.conformance import decoder
+from cogsplat.tools.lab.conformance import decoder
 for line in sys.stdin:
     request = json.loads(line)
     answer = decoder.answer("numpy", request)

@@ -90,7 +90,7 @@ class _Batch:
     def _run(self, words: list[str]) -> tuple[int, str, str]:
         root = Path(cogsplat.__file__).parents[1]
         paths = [str(root), *filter(None, [os.environ.get("PYTHONPATH")])]
-        command = [sys.executable, "-P", "-m", "cogsplat.tools.cli.main", *words]
+        command = [sys.executable, "-P", "-m", "cogsplat.tools.main", *words]
         with self.lock:
             if self.stopped:
                 return 130, "", "interrupted"

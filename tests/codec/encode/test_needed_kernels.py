@@ -21,7 +21,7 @@ from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.needed_kernels import needed_kernels
 from cogsplat.codec.streams import compiled
 from cogsplat.codec.streams.compiled import KERNEL_MODULES
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 # Otherwise numpy decodes until the kernels are loaded behind its work.
 compiled.use(True)

@@ -14,7 +14,7 @@ from cogsplat.codec.encode.scored_views import score_given, seen_once
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import Splats
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 PLAIN = ScoreConfig(jitter=False)
 FAST = PRESETS["fast"]

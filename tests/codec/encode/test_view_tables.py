@@ -5,7 +5,7 @@ from cogsplat.codec.encode import pipeline, view_tables
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.rate_control import Target
 from cogsplat.formats.cogs.scene import size_bytes
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 CONFIG = EncodeConfig(order="contribution", cells=True, chunk_splats=256, compensate=False)
 

@@ -9,7 +9,7 @@ from cogsplat.codec.fit.bit_slopes import bit_slopes, slopes_of_codes
 from cogsplat.codec.fit.drawing import Gradients
 from cogsplat.codec.fit.stored import stored
 from cogsplat.codec.scoring.contribution import score
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 QUALITY = 36.0
 

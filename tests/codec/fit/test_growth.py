@@ -8,7 +8,7 @@ from cogsplat.codec.fit.growth import Growth, halves
 from cogsplat.codec.geometry import rotations
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 LEAST = 0.005
 

@@ -8,7 +8,7 @@ from cogsplat.codec.fit.levels import LevelledSplats
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.segments.opacities import decode_opacities
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 COUNT = 900
 CAMERAS = synth_cameras(3, 96, 72)

@@ -14,7 +14,7 @@ from cogsplat.codec.fit.points_start import splats_from_points
 from cogsplat.codec.fit.smaller_pictures import averaged, scaled_camera
 from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 CONFIG = LevelsConfig(scales=(4, 2, 1), shares=(0.2, 0.5, 1.0), steps=30, threads=1)
 

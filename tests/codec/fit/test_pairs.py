@@ -8,7 +8,7 @@ from cogsplat.codec.fit.pairs import covariances, merged, pairs
 from cogsplat.codec.geometry import rotations
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 ROWS = np.array([0]), np.array([1])
 

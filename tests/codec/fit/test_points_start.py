@@ -5,7 +5,7 @@ import pytest
 
 from cogsplat.codec.fit.points_start import splats_from_points
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.tools.synthetic.scene import synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 
 def test_sizes_are_mean_distances_to_three_neighbours():

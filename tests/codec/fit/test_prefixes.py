@@ -12,7 +12,7 @@ from cogsplat.codec.fit.prefixes import Prefixes
 from cogsplat.codec.fit.trainer import TrainConfig, Trainer
 from cogsplat.codec.order import prefix_inflation
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring.contribution import unscored
 from cogsplat.codec.splats import empty
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 CONFIG = PreviewConfig(share=0.05, round_steps=25, storing_steps=10, threads=1)
 

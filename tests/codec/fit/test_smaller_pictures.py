@@ -3,7 +3,7 @@
 import numpy as np
 
 from cogsplat.codec.fit.smaller_pictures import averaged, scaled_camera
-from cogsplat.tools.synthetic.scene import synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 
 def test_averaged_pictures_are_what_scaled_cameras_see():

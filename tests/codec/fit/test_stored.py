@@ -12,7 +12,7 @@ from cogsplat.codec.geometry import rotations
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring.contribution import score
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 QUALITY = 36.0
 

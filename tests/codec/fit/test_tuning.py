@@ -19,7 +19,7 @@ from cogsplat.codec.fit.tuning import tune
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.progress import silent
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 SHORT = TuneConfig(round_steps=20, recovery_steps=80, storing_steps=60)
 

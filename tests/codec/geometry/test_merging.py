@@ -8,7 +8,7 @@ import pytest
 from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.geometry.merging import merge
 from cogsplat.codec.splats import SceneInfo
-from cogsplat.tools.synthetic.scene import synth
+from cogsplat.tools.lab.synthetic.terrace import synth
 
 
 def test_rows_keep_their_values_and_their_order() -> None:

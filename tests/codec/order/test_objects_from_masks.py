@@ -4,8 +4,8 @@ import pytest
 
 from cogsplat.codec.errors import DataError, LimitError
 from cogsplat.codec.order.objects_from_masks import assign
-from cogsplat.tools.synthetic.masks import synth_masks
-from cogsplat.tools.synthetic.scene import synth, synth_cameras, synth_objects
+from cogsplat.tools.lab.synthetic.object_masks import synth_masks
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras, synth_objects
 
 
 def test_votes_are_the_weights_of_a_direct_render():

@@ -9,7 +9,7 @@ from cogsplat.codec.encode.profiles.chunk_streams import chunk_means
 from cogsplat.codec.geometry import morton
 from cogsplat.codec.streams import records
 from cogsplat.codec.streams.grid import fit
-from cogsplat.tools.synthetic.scene import synth
+from cogsplat.tools.lab.synthetic.terrace import synth
 
 # Adaptive counts start at this: small alphabets in use are learnt fast.
 START = 0.05

@@ -10,7 +10,7 @@ from cogsplat.codec.segments.chunks import decode_chunk
 from cogsplat.codec.segments.codebooks import decode_colour_codebook
 from cogsplat.codec.splats import empty
 from cogsplat.codec.streams import compiled, whole_chunk
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 MUTANTS = 700

@@ -31,7 +31,7 @@ from cogsplat.codec.streams.inputs import Inputs
 from cogsplat.codec.streams.records import StoredStream
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
-from cogsplat.tools.synthetic.scene import synth
+from cogsplat.tools.lab.synthetic.terrace import synth
 
 VECTORS = Path(__file__).resolve().parents[2] / "vectors"
 MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))

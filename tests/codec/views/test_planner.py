@@ -15,7 +15,7 @@ from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import SceneInfo, Splats, concatenate, empty
 from cogsplat.codec.views.planner import ViewPlanConfig, plan, plan_views
 from cogsplat.codec.views.pose import Pose
-from cogsplat.tools.synthetic.scene import synth
+from cogsplat.tools.lab.synthetic.terrace import synth
 
 SMALL = ViewPlanConfig(views=24, width=64, height=48)
 FLOOR = np.array([0.0, 0.85, 0.0])

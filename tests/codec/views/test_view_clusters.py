@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.views.view_clusters import view_clusters
-from cogsplat.tools.synthetic.scene import synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 
 def moved(camera, by):

@@ -13,7 +13,7 @@ from cogsplat.formats.cogs.folder_map import (
     is_manifest,
 )
 from cogsplat.formats.storage.magic import MANIFEST_MAGIC
-from cogsplat.tools.conformance.folders import MANIFEST, unpacked
+from cogsplat.tools.lab.conformance.folders import MANIFEST, unpacked
 
 VALID = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 FOLDERS = VALID.parent / "folders"

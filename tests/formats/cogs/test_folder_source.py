@@ -16,7 +16,7 @@ from cogsplat.formats.cogs.folder_source import FolderSource, manifest_path, nam
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.verification import findings
 from cogsplat.formats.storage.source import BytesSource, PrefixSource, is_there
-from cogsplat.tools.conformance.folders import unpacked
+from cogsplat.tools.lab.conformance.folders import unpacked
 
 links = pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
 

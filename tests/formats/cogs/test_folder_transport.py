@@ -12,7 +12,7 @@ from cogsplat.formats.cogs.folder_map import FolderMap, Piece
 from cogsplat.formats.cogs.folder_transport import FolderTransport, address_of
 from cogsplat.formats.network.answers import Answer, Stated
 from cogsplat.formats.network.faults import PassingFault
-from cogsplat.tools.conformance.folders import MANIFEST, unpacked
+from cogsplat.tools.lab.conformance.folders import MANIFEST, unpacked
 
 PAGED = Path(__file__).resolve().parents[2] / "vectors" / "valid" / "pages.cogs"
 OBJECT = Piece("segments/a.bin", 100, 200, 1000)

@@ -18,7 +18,7 @@ from cogsplat.formats.cogs import layout
 from cogsplat.formats.cogs.folder_writer import check_manifest_name, pack_cogs, unpack_cogs
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment, write_cogs
-from cogsplat.tools.conformance.folders import MANIFEST, packed, unpacked
+from cogsplat.tools.lab.conformance.folders import MANIFEST, packed, unpacked
 
 VALID = sorted((Path(__file__).resolve().parents[2] / "vectors" / "valid").glob("*.cogs"))
 

@@ -22,7 +22,7 @@ from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.network_folder import NetworkFolder
 from cogsplat.formats.cogs.open_file import source_of_place
 from cogsplat.formats.network.options import NetworkOptions
-from cogsplat.tools.conformance.folders import MANIFEST, unpacked
+from cogsplat.tools.lab.conformance.folders import MANIFEST, unpacked
 
 PAGED = Path(__file__).resolve().parents[2] / "vectors" / "valid" / "pages.cogs"
 QUICK = NetworkOptions(pause_seconds=0.001, retries=2)

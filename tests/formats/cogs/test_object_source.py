@@ -8,7 +8,7 @@ from cogsplat.formats.cogs.folder_map import FolderMap, Piece
 from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.cogs.network_folder import NetworkFolder
 from cogsplat.formats.cogs.object_source import ObjectSource
-from cogsplat.tools.conformance.folders import MANIFEST, unpacked
+from cogsplat.tools.lab.conformance.folders import MANIFEST, unpacked
 
 VALID = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 

@@ -371,8 +371,8 @@ def test_progress_counts_and_cancels(data, threads):
 def test_verify_looks_at_codebooks_that_nobody_needs():
     from cogsplat.formats.cogs.layout import SegmentKind
     from cogsplat.formats.cogs.writer import Segment
-    from cogsplat.tools.conformance import handmade_streams as scenes
-    from cogsplat.tools.conformance.file_builder import (
+    from cogsplat.tools.lab.conformance import handmade_streams as scenes
+    from cogsplat.tools.lab.conformance.file_builder import (
         ChunkRow,
         Draft,
         Group,
@@ -394,7 +394,7 @@ def test_verify_looks_at_codebooks_that_nobody_needs():
 
 
 def test_a_page_that_is_not_there_hides_its_chunks():
-    from cogsplat.tools.conformance import valid
+    from cogsplat.tools.lab.conformance import valid
 
     data = next(v.data for v in valid.valid() if v.name == "pages")
     with open_cogs(BytesSource(data)) as file:

@@ -9,7 +9,7 @@ from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.verification import checks
 from cogsplat.formats.cogs.view_table import pack_view_table, unpack_view_table
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 
 def made(views=5, chunks=9):

@@ -11,7 +11,7 @@ from cogsplat.codec.errors import MissingExtraError, StorageError
 from cogsplat.formats.network.object_transport import ObjectTransport
 from cogsplat.formats.network.open_url import open_url
 from cogsplat.formats.network.options import NetworkOptions
-from cogsplat.tools.conformance.folders import unpacked
+from cogsplat.tools.lab.conformance.folders import unpacked
 
 URL = "s3://bucket/scenes/a.cogs"
 

@@ -12,7 +12,7 @@ from cogsplat.codec.errors import LimitError, UnsupportedError
 from cogsplat.codec.workspace import IN_MEMORY
 from cogsplat.formats.scenes.memory_cap import working_memory
 from cogsplat.formats.storage.scratch_files import ScratchFiles
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 CONFIG = EncodeConfig(threads=2)
 SPLATS = 70_000

@@ -23,7 +23,7 @@ from cogsplat.formats.scenes.registry import (
 )
 from cogsplat.formats.storage.atomic import StrPath
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.tools.synthetic.scene import synth
+from cogsplat.tools.lab.synthetic.terrace import synth
 
 
 def read_three(path: StrPath, *, limits: Limits | None = None) -> Splats:

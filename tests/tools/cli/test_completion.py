@@ -4,7 +4,7 @@ import pytest
 from click.shell_completion import BashComplete
 
 from cogsplat.codec.order.orders import ORDERS
-from cogsplat.tools.cli.main import cli
+from cogsplat.tools.main import cli
 
 
 @pytest.mark.parametrize(

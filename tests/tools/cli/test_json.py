@@ -16,8 +16,8 @@ from running import ROOT, Run, SmallScene, all_commands, broken_decoder, program
 import cogsplat
 from cogsplat.codec.order.objects import with_labels
 from cogsplat.formats.cogs.folder_writer import unpack_cogs
-from cogsplat.tools.cli import demonstration
-from cogsplat.tools.synthetic import scene as synthetic
+from cogsplat.tools.lab.cli import demonstration
+from cogsplat.tools.lab.synthetic import terrace as synthetic
 
 PAGE = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
 
@@ -183,7 +183,7 @@ def test_a_host_and_a_file_have_the_keys_of_the_page(run: Run, small: SmallScene
 def test_a_decoder_with_a_fault_shows_all_keys_of_conformance(
     run: Run, few_vectors: Path, tmp_path: Path, command: str
 ) -> None:
-    ours = shlex.join([sys.executable, "-m", "cogsplat.tools.conformance.decoder", "numpy"])
+    ours = shlex.join([sys.executable, "-m", "cogsplat.tools.lab.conformance.decoder", "numpy"])
     worse = broken_decoder(tmp_path, "answer.update(code='not-cogs') if 'code' in answer else None")
     words: list[object] = ["conformance", command, "--vectors", few_vectors, "--decoder", worse]
     if command == "fuzz":

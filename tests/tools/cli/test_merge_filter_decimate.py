@@ -11,7 +11,7 @@ import cogsplat
 from cogsplat.codec.order.objects import labels_of
 from cogsplat.codec.splats import Splats
 from cogsplat.tools.cli.decimate import splat_count
-from cogsplat.tools.synthetic.scene import synth
+from cogsplat.tools.lab.synthetic.terrace import synth
 
 
 def same_rows(found: Splats, expected: Splats) -> None:

@@ -13,10 +13,10 @@ import cogsplat
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.tools.cli.encode import encode
-from cogsplat.tools.cli.evaluate import evaluate
-from cogsplat.tools.cli.score import score
-from cogsplat.tools.synthetic.rooms import synth_rooms
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.cli.evaluate import evaluate
+from cogsplat.tools.lab.cli.score import score
+from cogsplat.tools.lab.synthetic.rooms import synth_rooms
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 

@@ -10,7 +10,7 @@ from running import SPLATS, Run, SmallScene
 import cogsplat
 from cogsplat.codec.splats import empty
 from cogsplat.tools.cli.stats import bars
-from cogsplat.tools.synthetic.scene import synth
+from cogsplat.tools.lab.synthetic.terrace import synth
 
 
 @pytest.mark.parametrize("extension", [".ply", ".compressed.ply", ".spz", ".splat", ".sog", ".glb"])

@@ -21,7 +21,7 @@ from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.errors import Cancelled, DataError, MissingExtraError, StorageError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 pytest.importorskip("distributed")
 

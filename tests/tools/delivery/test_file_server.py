@@ -127,7 +127,7 @@ def test_without_the_extra_its_name_is_told(scene, monkeypatch):
 
 
 def test_many_readers_at_once(scene):
-    """A short form of `tools.benchmark.many_readers`."""
+    """A short form of `tools.lab.benchmark.many_readers`."""
     data = scene.read_bytes()
     rng = np.random.default_rng(1)
 

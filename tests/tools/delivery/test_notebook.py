@@ -18,7 +18,7 @@ from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.formats.storage.images import decode_image
 from cogsplat.tools.delivery.notebook import answer, bundle
-from cogsplat.tools.synthetic.scene import synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 CELL = """
 import cogsplat

@@ -8,7 +8,7 @@ from cogsplat.tools.evaluation.measuring_costs import (
     references_cost,
     versions_cost,
 )
-from cogsplat.tools.synthetic.scene import synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 
 def test_costs_add_up_by_views_and_versions() -> None:

@@ -11,7 +11,7 @@ from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import roam
 from cogsplat.tools.evaluation import view_quality
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 CAMERAS = synth_cameras(4, 48, 36)
 

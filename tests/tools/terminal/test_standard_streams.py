@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from running import SmallScene, program
 
 import cogsplat
-from cogsplat.tools.cli.main import cli
+from cogsplat.tools.main import cli
 from cogsplat.tools.terminal.standard_streams import (
     InputPath,
     NamedPath,

@@ -17,7 +17,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.delivery.slow_server import running
-from cogsplat.tools.synthetic.scene import synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 pytestmark = pytest.mark.slow
 

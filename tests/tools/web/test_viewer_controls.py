@@ -18,7 +18,7 @@ from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
 from cogsplat.tools.delivery.slow_server import Reply, running
 from cogsplat.tools.delivery.viewer_pages import linked_page
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 pytestmark = pytest.mark.slow
 

@@ -21,10 +21,10 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.tools.conformance.folders import unpacked
 from cogsplat.tools.delivery.slow_server import Link, running
 from cogsplat.tools.delivery.viewer_pages import linked_page, write_lone_page
-from cogsplat.tools.synthetic.scene import synth_cameras
+from cogsplat.tools.lab.conformance.folders import unpacked
+from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 pytestmark = pytest.mark.slow
 

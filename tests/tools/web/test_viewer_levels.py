@@ -21,7 +21,7 @@ from cogsplat.codec.render.rasteriser import render
 from cogsplat.formats.cogs import scene as cogs
 from cogsplat.tools.delivery.slow_server import running
 from cogsplat.tools.delivery.viewer_pages import linked_page
-from cogsplat.tools.synthetic.scene import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 pytestmark = pytest.mark.slow
 

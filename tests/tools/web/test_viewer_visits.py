@@ -17,10 +17,10 @@ from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.splats import Splats
-from cogsplat.tools.conformance.folders import unpacked
 from cogsplat.tools.delivery.slow_server import Link, Reply, running
 from cogsplat.tools.delivery.viewer_pages import linked_page
-from cogsplat.tools.synthetic.rooms import rooms_cameras, rooms_walk, synth_rooms
+from cogsplat.tools.lab.conformance.folders import unpacked
+from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, rooms_walk, synth_rooms
 
 pytestmark = pytest.mark.slow
 

@@ -39,7 +39,7 @@ def package(tmp_path: Path) -> Path:
     shutil.copytree(WEB, folder, ignore=shutil.ignore_patterns("node_modules", "build"))
     vectors = tmp_path / "tests" / "vectors"
     shutil.copytree(REPOSITORY / "tests" / "vectors", vectors)
-    decisions = "tests/codec/scheduling/decisions.json"
+    decisions = "tests/tools/lab/scheduling/decisions.json"
     (tmp_path / decisions).parent.mkdir(parents=True)
     shutil.copy(REPOSITORY / decisions, tmp_path / decisions)
     shutil.copy(REPOSITORY / "SPEC.md", tmp_path)
@@ -63,7 +63,7 @@ def test_package_builds_passes_its_tests_and_is_the_committed_bundle(package: Pa
     for backend in ("wasm", "javascript"):
         script = package / "scripts" / "conformance_decoder.mjs"
         decoder = f"{installed('node')} {script} {backend}"
-        cli = [sys.executable, "-m", "cogsplat.tools.cli.main"]
+        cli = [sys.executable, "-m", "cogsplat.tools.main"]
         run([*cli, "conformance", "run", "--decoder", decoder], REPOSITORY)
 
 

@@ -1,5 +1,5 @@
 // What a browser has decoded of a scene at each moment while its file comes: COGS by this package, other formats by
-// Spark's decoders. The page of tools/benchmark/time_to_picture.py; everything is kept as packed splats.
+// Spark's decoders. The page of tools/lab/benchmark/time_to_picture.py; everything is kept as packed splats.
 import { DecoderPool, SH_WORDS, shiftPacked, StreamedScene } from "./cogsplat.js";
 
 /** Shortest time between two copies of what is there, ms. */

@@ -1,4 +1,4 @@
-// What a browser has of a scene at given moments while a visitor goes along a path: the page of tools/benchmark/visits.py.
+// What a browser has of a scene at given moments while a visitor goes along a path: the page of tools/lab/benchmark/visits.py.
 import { DecoderPool, StreamedScene } from "./cogsplat.js";
 import { Visit } from "./visit.js";
 

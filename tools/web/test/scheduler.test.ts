@@ -7,7 +7,7 @@ import { along, byBoxes, bySgss, byViewTable, countedSplats, type PoseRatios } f
 import { path, type Pose } from "../src/schedule/poses.js";
 import { Scheduler, type Unit } from "../src/schedule/scheduler.js";
 
-/** What `tools/make_decisions.py` writes. */
+/** What `tools/lab/make_decisions.py` writes. */
 interface Scene {
   readonly boxes: readonly (readonly number[])[];
   readonly contribution: readonly number[];

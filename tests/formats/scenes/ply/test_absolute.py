@@ -10,7 +10,7 @@ import pytest
 import cogsplat
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.splats import SceneInfo
-from cogsplat.tools.synthetic.scene import synth
+from cogsplat.tools.lab.synthetic.terrace import synth
 
 ORIGIN = (691234.0, 5334567.5, 512.25)
 

@@ -1,0 +1,62 @@
+"""A visit in a browser beside its simulation."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chromium import executable
+
+import cogsplat
+from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.formats.cogs.layout import SegmentKind
+from cogsplat.tools.lab.benchmark.visits import compare, in_browser, units_there
+from cogsplat.tools.lab.streaming.client import Link, units_of
+from cogsplat.tools.lab.streaming.comparison import Simulation
+from cogsplat.tools.lab.streaming.traces import recorded
+from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, rooms_walk, synth_rooms
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("house") / "scene.cogs"
+    config = EncodeConfig(cells=True, chunk_splats=128, order="contribution")
+    scene = synth_rooms(4, 5000, sh_degree=1)
+    cogsplat.encode(scene, path, cameras=rooms_cameras(4, views=2), config=config)
+    return path
+
+
+def test_units_are_those_that_the_page_noted(house: Path) -> None:
+    with cogsplat.open(house) as file:
+        units = units_of(file)
+    found = units_there(units, [(0, False, False), (2, True, True)])
+    kinds = [(int(units.chunk[unit]), int(units.kind[unit])) for unit in found]
+    assert (0, SegmentKind.HEAD) in kinds
+    assert (0, SegmentKind.REFINEMENT) not in kinds
+    assert {kind for chunk, kind in kinds if chunk == 2} >= {SegmentKind.HEAD, SegmentKind.TAIL}
+
+
+@pytest.mark.slow
+def test_a_browser_comes_to_what_is_simulated(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COGSPLAT_CHROMIUM", executable())
+    with cogsplat.open(house) as file:
+        simulation = Simulation(file, rooms_cameras(4, views=2), threads=1)
+        total = int(file.chunks.splats.sum())
+    walked = recorded(rooms_walk(4)[:4], 0.5)
+    link = Link(4e6, 0.02)
+    # Much later than all can have come, however busy the machine is. What a budget holds depends on
+    # the order in which things came.
+    for budget in (0, total // 2):
+        browser, noted = in_browser(house, walked, link, [8.0], budget, 2e6)
+        rows, pictures = compare(simulation, walked, link, noted, budget, browser)
+        assert 0.0 <= browser.start_seconds < browser.decoder_seconds < 8.0
+        (row,) = rows
+        # Timers of browsers may be a millisecond early.
+        assert row.seconds > 7.9
+        assert set(pictures) == {"", "browser", "simulated"}
+        if budget:
+            assert 0 < row.splats <= budget
+            assert 0 < row.simulated_splats <= budget
+        else:
+            assert row.splats == row.simulated_splats == total
+            assert row.psnr_db == row.simulated_db == 100.0
+            np.testing.assert_array_equal(pictures["browser"][0], pictures[""][0])

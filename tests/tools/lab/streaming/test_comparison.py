@@ -1,0 +1,131 @@
+"""Policies beside each other on a house: who chooses by view sees more of it for the same bytes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.formats.cogs.reader import CogsFile
+from cogsplat.tools.lab.scheduling.chunk_ratios import by_boxes
+from cogsplat.tools.lab.streaming.client import Link, units_of
+from cogsplat.tools.lab.streaming.comparison import (
+    POLICIES,
+    SHARES,
+    Moment,
+    Simulation,
+    bytes_until,
+    moments_behind,
+)
+from cogsplat.tools.lab.streaming.traces import recorded
+from cogsplat.tools.lab.streaming.visits import visit
+from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, rooms_walk
+
+
+def small(cameras: list[Camera]) -> list[Camera]:
+    """Return the cameras with pictures of an eighth of the size."""
+    return [
+        replace(c, width=60, height=45, fx=c.fx / 8, fy=c.fy / 8, cx=c.cx / 8, cy=c.cy / 8)
+        for c in cameras
+    ]
+
+
+@pytest.fixture
+def simulation(house_file: CogsFile) -> Simulation:
+    return Simulation(house_file, small(rooms_cameras(4, views=4)), threads=1)
+
+
+def test_choosing_by_view_shows_more_than_the_order_of_the_file(simulation: Simulation) -> None:
+    found = simulation.at_rest(small(rooms_walk(4)[::15]), POLICIES)
+    assert set(found) == set(POLICIES)
+    file, views, oracle = (np.array(found[name]) for name in ("file", "views", "oracle"))
+    half = SHARES.index(0.5)
+    assert views[half] > file[half] + 3.0
+    assert oracle[half] > file[half] + 3.0
+    assert (np.diff(file) > 0.0).all()
+
+
+def test_along_a_trace_more_bytes_come_with_time(simulation: Simulation) -> None:
+    trace = recorded(small(rooms_walk(4)), 0.5)
+    total = 8.0 * float(simulation.units.end[-1])
+    seen = simulation.along(trace, Link(total / trace.seconds, 0.02), ["file", "views"], 4)
+    for moments in seen.values():
+        assert [moment.seconds for moment in moments] == pytest.approx(
+            [trace.seconds * part / 4 for part in (1, 2, 3, 4)], rel=0.01
+        )
+        sizes = [moment.bytes for moment in moments]
+        assert sizes == sorted(sizes)
+        assert sizes[0] < sizes[-1]
+
+
+def test_bytes_that_no_moment_has_shown_are_wasted(simulation: Simulation) -> None:
+    trace = recorded(small(rooms_walk(4))[:2], 1.0)
+    total = 8.0 * float(simulation.units.end[-1])
+    pictures: dict[str, int] = {}
+
+    def shown(name: str, seconds: float, picture: np.ndarray) -> None:
+        pictures[name] = pictures.get(name, 0) + 1
+        assert picture.shape == (45, 60, 3)
+
+    # Everything is there shortly before the end of the trace.
+    link = Link(1.01 * total / trace.seconds, 0.0)
+    seen = simulation.along(trace, link, ["whole", "antimatter", "views"], 3, shown=shown)
+    assert pictures == {"": 3, "whole": 3, "antimatter": 3, "views": 3}
+    last = {name: moments[-1] for name, moments in seen.items()}
+    # From one room nothing of the others is seen; at the last moment all of the file is there.
+    assert last["whole"].psnr_db == 100.0
+    assert last["whole"].ssim == pytest.approx(1.0)
+    assert 0.2 < last["whole"].wasted_bytes / last["whole"].bytes < 1.0
+    assert seen["whole"][0].psnr_db < 20.0
+    for moments in seen.values():
+        assert all(0 <= moment.wasted_bytes <= moment.bytes for moment in moments)
+    assert seen["views"][0].wasted_bytes < seen["antimatter"][0].bytes
+
+
+def test_a_goal_counts_from_where_it_is_kept() -> None:
+    seen = [
+        Moment(seconds=float(n), bytes=10 * n, psnr_db=db, ssim=1.0, wasted_bytes=0)
+        for n, db in enumerate([60.0, 40.0, 55.0, 50.0])
+    ]
+    assert bytes_until(seen, 50.0) == 20
+    assert bytes_until(seen, 30.0) == 0
+    assert bytes_until(seen, 58.0) is None
+
+
+def test_the_first_second_does_not_count_where_others_are_behind() -> None:
+    def seen(*qualities: float) -> list[Moment]:
+        return [Moment(0.8 * n, 0, db, 1.0, 0) for n, db in enumerate(qualities, 1)]
+
+    others = seen(40.0, 40.0, 29.0, 40.0, 30.0)
+    assert moments_behind(seen(20.0, 20.0, 20.0, 31.0, 29.9), others, 30.0) == 2
+    assert moments_behind(others, others, 30.0) == 0
+
+
+def test_the_last_moment_has_all_that_came_until_then(simulation: Simulation) -> None:
+    total = 8.0 * float(simulation.units.end[-1])
+    trace = recorded(small(rooms_walk(4)), 0.5)
+    for seconds in np.linspace(3.0, 7.0, 5):
+        link = Link(total / seconds, 0.02)
+        for count in (1, 6, 7):
+            assert simulation.along(trace, link, ["file"], count)["file"][-1].psnr_db == 100.0
+
+
+def test_a_fast_link_ends_the_comparison_with_the_download(simulation: Simulation) -> None:
+    trace = recorded(small(rooms_walk(4)), 0.5)
+    (last,) = simulation.along(trace, Link(1e9, 0.0), ["file"], 1)["file"]
+    assert last.seconds < 0.01
+    assert last.psnr_db == 100.0
+
+
+def test_a_visitor_knows_no_more_than_the_file_says(
+    simulation: Simulation, house_file: CogsFile
+) -> None:
+    assert house_file.view_table_row is None
+    trace, link = recorded(rooms_walk(4)[::20], 1.0), Link(80_000.0, 0.05)
+    boxes = house_file.chunks.box.astype(np.float64)
+    ratios = by_boxes(boxes, house_file.chunks.contribution.astype(np.float64))
+    splats = house_file.chunks.splats.astype(np.int64).tolist()
+    expected = visit(units_of(house_file), splats, ratios, trace, link)
+    assert simulation.arrivals("visit", simulation.client("visit"), trace, link).units == (
+        expected.units
+    )

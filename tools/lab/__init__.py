@@ -1,0 +1,1 @@
+"""For people who measure and implement: benchmarks, conformance, simulation, test scenes."""

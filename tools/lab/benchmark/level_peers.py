@@ -1,0 +1,242 @@
+"""Levels of one file against models of one size, of all sizes, cuts, and the scene drawn small.
+
+Run ``python -m cogsplat.tools.lab.benchmark.level_peers SCENE --cameras CAMERAS --eval-every
+8``. Of every model it prints what is fetched and how its pictures of the held-out views compare
+with the scene's full pictures averaged to the size that it is made for, then the PSNR at all
+sizes. Models are the levels of one file; a file for each size that was trained for pictures of
+this size alone, from as many splats; as many splats that contribute most, stored without
+training; one file that was trained on pictures of all sizes; and the scene itself, which no
+file holds.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.fit.level_encoding import encode_levels
+from cogsplat.codec.fit.levels import (
+    LevelledSplats,
+    LevelsConfig,
+    train_for_all_scales,
+    train_levels,
+)
+from cogsplat.codec.fit.smaller_pictures import averaged, scaled_camera
+from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.view_sets import hold_out
+from cogsplat.formats.cogs import scene as cogs
+from cogsplat.tools.evaluation.level_figures import PictureFigures, compared, level_sizes
+from cogsplat.tools.evaluation.lpips import Lpips, read_lpips
+from cogsplat.tools.pictures.svg_charts import Series, line_chart
+from cogsplat.tools.terminal.output import say, table
+
+Row = tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """What pictures are drawn from.
+
+    Parameters
+    ----------
+    way : str
+        How it was made.
+    scale : int
+        By what the pictures that it is made for are divided in width and height.
+    splats : Splats
+        As they are decoded.
+    bytes_fetched, opacity_bytes : int
+        What is fetched, and how much of this are opacities of the level; 0 of the scene itself.
+    """
+
+    way: str
+    scale: int
+    splats: Splats
+    bytes_fetched: int = 0
+    opacity_bytes: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A model, and how its pictures compare at each scale of the configuration."""
+
+    model: Model
+    figures: dict[int, PictureFigures]
+
+
+def _stored(levels: LevelledSplats, cameras: Sequence[Camera], way: str) -> list[Model]:
+    """Return each level as a reader of its file decodes it."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "levels.cogs"
+        cogs.save(encode_levels(levels, cameras), path, writer="benchmark")
+        with cogsplat.open(path) as file:
+            return [
+                Model(
+                    way,
+                    int(sizes.scale),
+                    file.decode(level=sizes.level),
+                    sizes.bytes_fetched,
+                    sizes.opacity_bytes,
+                )
+                for sizes in level_sizes(file)
+            ]
+
+
+def models(splats: Splats, cameras: Sequence[Camera], config: LevelsConfig) -> list[Model]:
+    """Return all models of a scene, the levels first.
+
+    Parameters
+    ----------
+    splats : Splats
+    cameras : sequence of Camera
+        To train in.
+    config : LevelsConfig
+    """
+    found = _stored(train_levels(splats, cameras, config), cameras, "level")
+    for scale, share in zip(config.scales, config.shares, strict=True):
+        alone = replace(config, scales=(scale,), shares=(share,))
+        found += _stored(train_levels(splats, cameras, alone), cameras, "single-scale")
+        cut = train_levels(splats, cameras, replace(alone, steps=0))
+        found += _stored(cut, cameras, "cut, not trained")
+    found += _stored(train_for_all_scales(splats, cameras, config), cameras, "multi-scale")
+    return [*found, Model("the scene", config.scales[-1], splats)]
+
+
+def judged(
+    splats: Splats,
+    of: Sequence[Model],
+    tests: Sequence[Camera],
+    config: LevelsConfig,
+    *,
+    lpips: Lpips | None = None,
+) -> list[Judged]:
+    """Return how the pictures of models compare with the scene's full pictures, averaged.
+
+    Parameters
+    ----------
+    splats : Splats
+        The scene.
+    of : sequence of Model
+    tests : sequence of Camera
+        To judge in, of the full pictures.
+    config : LevelsConfig
+    lpips : Lpips, optional
+    """
+    info = splats.info
+    drawing = RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased)
+    full = [render(splats, camera, drawing) for camera in tests]
+    small = {scale: [scaled_camera(camera, scale) for camera in tests] for scale in config.scales}
+    targets = {scale: [averaged(picture, scale) for picture in full] for scale in config.scales}
+    return [
+        Judged(
+            model,
+            {
+                scale: compared(model.splats, small[scale], targets[scale], lpips=lpips)
+                for scale in config.scales
+            },
+        )
+        for model in of
+    ]
+
+
+def own_rows(found: Sequence[Judged]) -> list[Row]:
+    """Return a row for each model, at the size that it is made for."""
+    rows: list[Row] = []
+    for one in found:
+        model, figures = one.model, one.figures[one.model.scale]
+        rows.append(
+            (
+                f"1/{model.scale}",
+                model.way,
+                f"{len(model.splats):,}",
+                f"{model.bytes_fetched:,}" if model.bytes_fetched else "-",
+                f"{model.opacity_bytes:,}" if model.opacity_bytes else "-",
+                f"{figures.psnr_db:.2f}",
+                f"{figures.worst_psnr_db:.2f}",
+                f"{figures.ssim:.4f}",
+                "-" if figures.lpips is None else f"{figures.lpips:.4f}",
+            )
+        )
+    return rows
+
+
+def size_rows(found: Sequence[Judged]) -> list[Row]:
+    """Return a row for each model with its mean PSNR, dB, at every size."""
+    return [
+        (
+            f"1/{one.model.scale}",
+            one.model.way,
+            *(f"{figures.psnr_db:.2f}" for figures in one.figures.values()),
+        )
+        for one in found
+    ]
+
+
+def chart(found: Sequence[Judged], width: int) -> str:
+    """Return an SVG chart of PSNR by the width of the pictures, a line for each model.
+
+    Parameters
+    ----------
+    found : sequence of Judged
+    width : int
+        Of the full pictures, px.
+    """
+    series = [
+        Series(
+            f"{one.model.way} 1/{one.model.scale}",
+            tuple((width / scale, figures.psnr_db) for scale, figures in one.figures.items()),
+            look=look,
+        )
+        for look, one in enumerate(found)
+    ]
+    return line_chart("Quality at display sizes", "width of the picture, px", "PSNR, dB", series)
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, prog="level_peers")
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--cameras", type=Path, required=True)
+    parser.add_argument("--eval-every", type=int, default=8)
+    parser.add_argument("--scales", default="8,4,2,1", help="what the sizes are divided by")
+    parser.add_argument("--shares", default="8%,25%,60%,100%", help="splats of each level")
+    parser.add_argument("--smaller", type=int, default=1, help="divide all pictures by this first")
+    parser.add_argument("--steps", type=int, default=400)
+    parser.add_argument("--lpips-weights", type=Path, help="also print LPIPS, with these weights")
+    parser.add_argument("--chart", type=Path, help="write PSNR by size as SVG")
+    parser.add_argument("--threads", type=int, default=0)
+    given = parser.parse_args()
+    splats = cogsplat.read(given.scene).without_extras()
+    splats = splats.take(~splats.invalid_rows())
+    cameras = [
+        scaled_camera(camera, given.smaller) for camera in cogsplat.read_cameras(given.cameras)
+    ]
+    train, tests = hold_out(cameras, given.eval_every)
+    config = LevelsConfig(
+        tuple(int(scale) for scale in given.scales.split(",")),
+        tuple(float(share.removesuffix("%")) / 100 for share in given.shares.split(",")),
+        steps=given.steps,
+        threads=given.threads,
+    )
+    lpips = None if given.lpips_weights is None else read_lpips(given.lpips_weights)
+    found = judged(splats, models(splats, train, config), tests or train, config, lpips=lpips)
+    say(f"{given.scene}: {len(tests or train)} views, {given.steps} steps a level")
+    heads = (
+        "pictures", "drawn from", "splats", "fetched B", "opacities B", "PSNR", "worst", "SSIM",
+        "LPIPS",
+    )  # fmt: skip
+    table(heads, own_rows(found), left=2)
+    say("PSNR by the size of the pictures:")
+    table(("made for", "drawn from", *(f"1/{s}" for s in config.scales)), size_rows(found), left=2)
+    if given.chart is not None:
+        given.chart.write_text(chart(found, cameras[0].width), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,163 @@
+"""Partitions of space into cells: what views fetch over what they see, and what finding them takes.
+
+Run ``python -m cogsplat.tools.lab.benchmark.partitions scene.ply --cameras scene.cameras.json``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.splats import Splats
+from cogsplat.tools.lab.partitions.basic_cuboids import BasicCuboids, basic_cuboids
+from cogsplat.tools.lab.partitions.box_costs import Box, BoxCosts, box_costs, waste
+from cogsplat.tools.lab.partitions.cuboid_program import cheapest_partition
+from cogsplat.tools.lab.partitions.grid_trees import kd_partition, octree_partition
+from cogsplat.tools.lab.partitions.guillotine import cut_costs
+from cogsplat.tools.terminal.options import json_option
+from cogsplat.tools.terminal.output import say, say_json, table
+from cogsplat.tools.terminal.standard_streams import PATH
+
+
+@dataclass(frozen=True)
+class Partitioned:
+    """What one way to cut space comes to.
+
+    Parameters
+    ----------
+    way : str
+    cells : int
+        Boxes that hold splats.
+    cost : float
+        By SGSS' measure (`box_costs`).
+    waste : float
+        Splats that a view fetches over those that it sees, mean of the views.
+    cpu_seconds : float
+        Of finding the boxes, once costs are known.
+    """
+
+    way: str
+    cells: int
+    cost: float
+    waste: float
+    cpu_seconds: float
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Partitions of one scene.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Basic cuboids along each axis.
+    filled : int
+        Those of them that hold splats.
+    bound : float
+        No partition of this grid costs less.
+    whole_waste : float
+        Waste of the scene as one cell.
+    ways : list of Partitioned
+        The cheapest partition, the cheapest by straight cuts, and trees of as many cells.
+    """
+
+    shape: tuple[int, int, int]
+    filled: int
+    bound: float
+    whole_waste: float
+    ways: list[Partitioned]
+
+
+def compare(
+    splats: Splats, cameras: Sequence[Camera], cuboids: int, seconds: float = 60.0
+) -> Compared:
+    """Cut a scene's space in four ways.
+
+    Parameters
+    ----------
+    splats : Splats
+    cameras : sequence of Camera
+        Views of the scene, in the frame of the means.
+    cuboids : int
+        Basic cuboids, at most.
+    seconds : float
+        Most time for the integer program.
+    """
+    grid = basic_cuboids(splats.means.astype(np.float64), cameras, cuboids)
+    costs = box_costs(grid)
+    began = time.process_time()
+    solution = cheapest_partition(costs, seconds)
+    ways = [_measured("ILP", grid, costs, solution.boxes, began)]
+    finders: dict[str, Callable[[], list[Box]]] = {
+        "straight cuts": lambda: cut_costs(costs).partition(),
+        "k-d tree": lambda: kd_partition(grid, ways[0].cells),
+        "octree": lambda: octree_partition(grid, ways[0].cells),
+    }
+    for name, find in finders.items():
+        began = time.process_time()
+        ways.append(_measured(name, grid, costs, find(), began))
+    i, j, k = grid.splats.shape
+    whole = waste(grid, [(0, 0, 0, i, j, k)])
+    return Compared((i, j, k), int((grid.splats > 0).sum()), solution.bound, whole, ways)
+
+
+def _measured(
+    way: str, grid: BasicCuboids, costs: BoxCosts, boxes: list[Box], began: float
+) -> Partitioned:
+    taken = time.process_time() - began
+    cells = sum(1 for box in boxes if costs.splats[costs.index(box)])
+    return Partitioned(way, cells, costs.total(boxes), waste(grid, boxes), taken)
+
+
+@click.command()
+@click.argument("scene", type=PATH)
+@click.option("--cameras", type=PATH, required=True, help="Views of the scene.")
+@click.option(
+    "--cuboids",
+    type=click.IntRange(1, 5000),
+    default=300,
+    show_default=True,
+    help="Basic cuboids, at most.",
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0.0, min_open=True),
+    default=60.0,
+    show_default=True,
+    help="Most time for the integer program.",
+)
+@json_option
+def main(scene: Path, cameras: Path, cuboids: int, seconds: float, as_json: bool) -> None:
+    """Compare partitions of a scene's space into cells."""
+    found = compare(cogsplat.read(scene), cogsplat.read_cameras(cameras), cuboids, seconds)
+    if as_json:
+        say_json(asdict(found))
+        return
+    i, j, k = found.shape
+    say(
+        f"{i} x {j} x {k} basic cuboids, {found.filled} of them hold splats; "
+        f"as one cell, views fetch {found.whole_waste:.2f} times what they see"
+    )
+    rows = [
+        (
+            way.way,
+            f"{way.cells}",
+            f"{way.cost:.4f}",
+            f"{way.waste:.3f}",
+            f"{way.cpu_seconds:.3f}",
+        )
+        for way in found.ways
+    ]
+    table(("", "cells", "cost", "fetched / seen", "processor s"), rows)
+    say(f"no partition costs less than {found.bound:.4f}")
+
+
+if __name__ == "__main__":
+    main()

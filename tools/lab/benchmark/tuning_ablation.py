@@ -1,0 +1,242 @@
+"""What each part of tuning brings: scenes tuned to one size without it.
+
+Run ``python -m cogsplat.tools.lab.benchmark.tuning_ablation SCENE --cameras CAMERAS --size
+60KB``, or without a scene for a synthetic one. For each variant it prints how many splats and
+bytes the stored scene has, and how its pictures in held-out views, and in copies that step back
+and turn away, compare with those of the source; with ``--images``, with the photos as well.
+``--only``, which may be given several times, names a variant to run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.encoded import EncodedScene
+from cogsplat.codec.encode.rate_control import Target
+from cogsplat.codec.fit.lessons import lessons_of
+from cogsplat.codec.fit.shares import count_for_size
+from cogsplat.codec.fit.tune_config import TuneConfig
+from cogsplat.codec.fit.tuning import tune
+from cogsplat.codec.metrics import psnr
+from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.view_sets import evenly, hold_out, roam
+from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.storage.byte_counts import parse_bytes
+from cogsplat.tools.evaluation.photos import read_photos
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
+from cogsplat.tools.terminal.output import say, table
+
+F32 = NDArray[np.float32]
+Row = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to tune.
+
+    Parameters
+    ----------
+    name : str
+    config : TuneConfig
+    photos : bool
+        Whether photos teach in the given views, and not the source's renders.
+    views_share : float
+        Share of the cameras that are trained in.
+    """
+
+    name: str
+    config: TuneConfig
+    photos: bool = False
+    views_share: float = 1.0
+
+
+def variants(config: TuneConfig, share: float, *, photos: bool) -> list[Variant]:
+    """Return tuning as it is, and without each of its parts.
+
+    Parameters
+    ----------
+    config : TuneConfig
+        Of tuning as it is; without `TuneConfig.keep` and `TuneConfig.seconds`.
+    share : float
+        Of the splats that it keeps.
+    photos : bool
+        Whether there are photos.
+    """
+    train = config.train
+    rounds = max(1, math.ceil(math.log(share) / math.log(config.round_keep)))
+    untrained = replace(
+        config, round_steps=1, recovery_steps=1, storing_steps=1, refresh=1, round_keep=0.01
+    )
+    found = [
+        Variant("as it is", config),
+        Variant("1.5 times as many splats", replace(config, keep=min(1.0, 1.5 * share))),
+        Variant("0.67 times as many splats", replace(config, keep=share / 1.5)),
+        Variant(
+            "one cut in place of rounds",
+            replace(config, round_keep=0.01, round_steps=rounds * config.round_steps),
+        ),
+        Variant("splats left out, nothing trained", untrained),
+        Variant("not trained through the quantisers", replace(config, storing_steps=1, refresh=1)),
+        Variant(
+            "through noise in place of the quantisers",
+            replace(config, train=replace(train, noise=True)),
+        ),
+        Variant("bits of values do not count", replace(config, rate_weight=0.0)),
+        Variant("all views count alike", replace(config, train=replace(train, worst_views=0.0))),
+        Variant("half of the views", config, views_share=0.5),
+        Variant("a quarter of the views", config, views_share=0.25),
+    ]
+    if photos:
+        taught = replace(config, train=replace(train, worst_views=0.0))
+        found.append(Variant("photos teach", taught, photos=True))
+    return found
+
+
+def measure(
+    splats: Splats,
+    cameras: Sequence[Camera],
+    tests: Sequence[Camera],
+    size_bytes: int,
+    config: TuneConfig,
+    *,
+    photos: tuple[Sequence[F32], Sequence[F32]] | None = None,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    only: Sequence[str] = (),
+) -> list[Row]:
+    """Return a row for each variant.
+
+    Parameters
+    ----------
+    splats : Splats
+    cameras, tests : sequence of Camera
+        To train in, and to judge in.
+    size_bytes : int
+        Of every file.
+    config : TuneConfig
+        Of tuning as it is.
+    photos : tuple of sequences of (H, W, 3) float32, optional
+        0 to 1, of the cameras and of the test views.
+    background : tuple of float
+        RGB behind the splats, in training and in what is compared.
+    only : sequence of str
+        Names of variants; all where none are given.
+    """
+    info = splats.info
+    drawing = RenderConfig(
+        kernel_px=info.kernel_px, antialiased=info.antialiased, background=background
+    )
+
+    def figures(scene: Splats, views: Sequence[Camera], expected: Sequence[F32]) -> list[float]:
+        drawn = (np.clip(render(scene, view, drawing), 0.0, 1.0) for view in views)
+        return [float(psnr(*pair)) for pair in zip(expected, drawn, strict=True)]
+
+    away = roam(splats, tests)
+    shown = {
+        name: [np.clip(render(splats, view, drawing), 0.0, 1.0) for view in views]
+        for name, views in (("tests", tests), ("away", away))
+    }
+
+    def size_of(encoded: EncodedScene) -> int:
+        return cogs.size_bytes(encoded, writer="benchmark")
+
+    rows: list[Row] = []
+    share = count_for_size(size_bytes, splats.sh_degree, len(splats)) / len(splats)
+    for variant in variants(config, share, photos=photos is not None):
+        if only and variant.name not in only:
+            continue
+        numbers = evenly(range(len(cameras)), max(2, round(variant.views_share * len(cameras))))
+        views = [cameras[number] for number in numbers]
+        taught = None
+        if variant.photos and photos is not None:
+            taught = [photos[0][number] for number in numbers]
+        threads = variant.config.train.threads
+        lessons = lessons_of(splats, views, photos=taught, background=background, threads=threads)
+        made = tune(
+            splats, lessons, views, Target(size_bytes=size_bytes), variant.config, size_of=size_of
+        ).encoded
+        held = figures(made.decoded, tests, shown["tests"])
+        row: Row = (
+            variant.name,
+            f"{made.splats:,}",
+            f"{size_of(made):,}",
+            f"{np.mean(held):.2f}",
+            f"{min(held):.2f}",
+            f"{np.mean(figures(made.decoded, away, shown['away'])):.2f}",
+        )
+        if photos is not None:
+            row = (*row, f"{np.mean(figures(made.decoded, tests, photos[1])):.2f}")
+        rows.append(row)
+    return rows
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, prog="tuning_ablation")
+    parser.add_argument("scene", type=Path, nargs="?")
+    parser.add_argument("--cameras", type=Path)
+    parser.add_argument("--images", type=Path)
+    parser.add_argument(
+        "--background",
+        type=float,
+        nargs=3,
+        metavar=("R", "G", "B"),
+        default=[0.0, 0.0, 0.0],
+        help="behind the splats, 0 to 1 each",
+    )
+    parser.add_argument("--only", action="append", default=[], help="name of a variant to run")
+    parser.add_argument("--size", default="40KB")
+    parser.add_argument("--eval-every", type=int, default=8)
+    parser.add_argument("--steps", type=int, default=100, help="of a round; others in proportion")
+    parser.add_argument("--threads", type=int, default=0)
+    given = parser.parse_args()
+    if (given.scene is None) != (given.cameras is None):
+        parser.error("SCENE and --cameras: expected both or none")
+    config = TuneConfig(
+        round_steps=given.steps, recovery_steps=10 * given.steps, storing_steps=6 * given.steps
+    )
+    config = replace(config, train=replace(config.train, threads=given.threads))
+    names = [variant.name for variant in variants(config, 1.0, photos=given.images is not None)]
+    unknown = sorted(set(given.only) - set(names))
+    if unknown:
+        parser.error(f"--only {unknown}, expected some of {names}")
+    if given.scene is None:
+        splats, cameras = synth(12_000), synth_cameras(32, 160, 120)
+    else:
+        splats = cogsplat.read(given.scene).without_extras()
+        splats = splats.take(~splats.invalid_rows())
+        cameras = cogsplat.read_cameras(given.cameras)
+    train, tests = hold_out(cameras, given.eval_every)
+    red, green, blue = given.background
+    background = red, green, blue
+    photos = None
+    if given.images is not None:
+        of_train, of_tests = (
+            [
+                pixels.astype(np.float32) / np.float32(255)
+                for pixels in read_photos(given.images, splats, views, background).pictures
+            ]
+            for views in (train, tests)
+        )
+        photos = of_train, of_tests
+    size = parse_bytes(given.size)
+    rows = measure(
+        splats, train, tests, size, config, photos=photos, background=background, only=given.only
+    )
+    of = given.scene or "synthetic scene"
+    say(f"{of}: {len(splats):,} splats, {len(tests)} held-out views, {given.steps} steps a round")
+    heads = ["tuned", "splats", "bytes", "held-out", "worst", "roam"]
+    table([*heads, "photos"] if photos else heads, rows, left=1)
+
+
+if __name__ == "__main__":
+    main()

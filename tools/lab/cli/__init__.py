@@ -1,0 +1,1 @@
+"""Commands of ``cogsplat lab``, one a file."""

@@ -1,0 +1,261 @@
+"""The demonstration: make a scene, encode it, decode prefixes, compare and draw a film-strip."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.progress import Progress, StageCost, silent
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.view_sets import hold_out, roam
+from cogsplat.formats.cameras.inria import write_cameras_json
+from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
+
+SHARES: Final = (0.03, 0.06, 0.12, 0.25, 1.0)
+"""Shares of the file that the film-strip shows."""
+
+EVERY: Final = 8
+"""Cameras with this index are held out: encoding never sees them."""
+
+# Of the held-out cameras, the one that has all objects in its picture.
+_SHOWN: Final = 3
+
+# As `codec.encode.stage_costs` counts: making and writing, and decoding and writing, a splat; and
+# renders of each view in a comparison, those of the views away from it and the PSNR included.
+_SECONDS_A_SPLAT: Final = (1.5e-5, 5e-6)
+_RENDERS: Final = 4
+
+
+@dataclass(frozen=True)
+class DemoFiles:
+    """Paths of the files that a demonstration writes, all in one folder."""
+
+    folder: Path
+
+    @property
+    def scene(self) -> Path:
+        """The synthetic scene, PLY."""
+        return self.folder / "scene.ply"
+
+    @property
+    def cameras(self) -> Path:
+        """The cameras of the synthetic scene."""
+        return self.folder / "cameras.json"
+
+    @property
+    def cogs(self) -> Path:
+        """The encoded scene."""
+        return self.folder / "scene.cogs"
+
+    @property
+    def decoded(self) -> Path:
+        """The decoded scene, PLY."""
+        return self.folder / "decoded.ply"
+
+    @property
+    def strip(self) -> Path:
+        """The film-strip."""
+        return self.folder / "filmstrip.png"
+
+    def all(self) -> tuple[Path, ...]:
+        """Return every file."""
+        return self.scene, self.cameras, self.cogs, self.decoded, self.strip
+
+
+@dataclass(frozen=True)
+class DemoPrefix:
+    """Splats and PSNR in the first bytes of the file.
+
+    Parameters
+    ----------
+    share : float
+        Of the file.
+    size_bytes, splats : int
+    held_out_db, worst_db, roam_db : float
+        PSNR against the scene as it was made.
+    """
+
+    share: float
+    size_bytes: int
+    splats: int
+    held_out_db: float
+    worst_db: float
+    roam_db: float
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Results of a demonstration.
+
+    Parameters
+    ----------
+    files : DemoFiles
+    splats, scene_bytes, cogs_bytes : int
+    prefixes : tuple of DemoPrefix
+        By `SHARES`.
+    """
+
+    files: DemoFiles
+    splats: int
+    scene_bytes: int
+    cogs_bytes: int
+    prefixes: tuple[DemoPrefix, ...]
+
+
+def stage_costs(splats: int) -> list[StageCost]:
+    """Return what the stages of `run` will cost, in their order."""
+    from cogsplat.codec.encode import stage_costs as encoding
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+
+    train, held = hold_out(synth_cameras(), EVERY)
+    encoded = encoding.stage_costs(splats, EncodeConfig(), PRESETS[DEFAULT_PRESET], cameras=train)
+    compared = len(SHARES) * _RENDERS * encoding.render_cost(splats, held)
+    made, decoded = (seconds * splats for seconds in _SECONDS_A_SPLAT)
+    return [
+        StageCost("synth", made),
+        *encoded,
+        StageCost("decode", decoded),
+        StageCost("compare", compared),
+    ]
+
+
+def run(
+    folder: Path,
+    *,
+    splats: int,
+    threads: int = 0,
+    force: bool = False,
+    before_encoding: Callable[[Progress], None] | None = None,
+    progress: Progress = silent,
+) -> Demo:
+    """Make a scene, encode it, decode it whole and in part, compare, and draw the film-strip.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it is not there.
+    splats : int
+        Size of the scene.
+    threads : int
+        0 for all cores.
+    force : bool
+        Replace files of an earlier run.
+    before_encoding : callable, optional
+        Called with `progress` once the scene is made.
+    progress : Progress
+        Called with the stages of the way.
+
+    Returns
+    -------
+    Demo
+
+    Raises
+    ------
+    CogsplatError
+        A file cannot be written, or is there already and `force` is not set.
+    """
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.prefix_quality import PrefixEvaluator
+    from cogsplat.tools.evaluation.prefix_quality import decode_prefix
+    from cogsplat.tools.pictures.filmstrip import filmstrip
+    from cogsplat.tools.pictures.png import write_png
+
+    files = DemoFiles(folder)
+    with storage_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    for path in files.all():
+        check_output(path, force=force)
+
+    progress("synth", 0, 1)
+    scene, cameras = synth(splats), synth_cameras()
+    cogsplat.write(scene, files.scene, force=force)
+    write_cameras_json(cameras, files.cameras, force=force)
+    progress("synth", 1, 1)
+
+    if before_encoding is not None:
+        before_encoding(progress)
+    train, held = hold_out(cameras, EVERY)
+    config = EncodeConfig(threads=threads)
+    size = cogsplat.encode(
+        scene, files.cogs, cameras=train, config=config, force=force, progress=progress
+    ).size_bytes
+    progress("write", 1, 1)
+
+    decoded = cogsplat.decode(files.cogs, threads=threads, progress=progress)
+    cogsplat.write(decoded, files.decoded, force=force)
+    progress("decode", 1, 1)
+
+    draw = _drawer(held[_SHOWN], threads)
+    evaluator = PrefixEvaluator(scene, [*held, *roam(scene, held)], threads)
+    prefixes, pictures = [], []
+    for step, share in enumerate(SHARES):
+        progress("compare", step, len(SHARES))
+        part = decoded
+        if share < 1.0:
+            part = decode_prefix(files.cogs, int(share * size), compensate=True, threads=threads)
+        prefixes.append(
+            _measured(evaluator.views_db(part), len(held), part, share, int(share * size))
+        )
+        pictures.append(draw(part))
+    progress("compare", len(SHARES), len(SHARES))
+
+    scene_bytes = files.scene.stat().st_size
+    captions = [_caption(prefix) for prefix in prefixes]
+    captions.append([f"original, {_size(scene_bytes)}", f"{splats:,} splats", "PLY"])
+    strip = filmstrip(
+        [*pictures, draw(scene)],
+        captions,
+        title=f"One .cogs file of {_size(size)} as its bytes arrive, compensated; a view never "
+        "given to the encoder",
+    )
+    write_png(strip, files.strip, force=force)
+    progress("film-strip", 1, 1)
+    return Demo(files, splats, scene_bytes, size, tuple(prefixes))
+
+
+def _measured(
+    views_db: list[float], held: int, part: Splats, share: float, size: int
+) -> DemoPrefix:
+    """Return the figures of a prefix from the PSNR of its held-out views and, behind, of others."""
+    return DemoPrefix(
+        share=share,
+        size_bytes=size,
+        splats=len(part),
+        held_out_db=float(np.mean(views_db[:held])),
+        worst_db=min(views_db[:held]),
+        roam_db=float(np.mean(views_db[held:])),
+    )
+
+
+def _drawer(camera: Camera, threads: int) -> Callable[[Splats], NDArray[np.float32]]:
+    from cogsplat.codec.render.rasteriser import RenderConfig, render
+
+    def draw(splats: Splats) -> NDArray[np.float32]:
+        info = splats.info
+        config = RenderConfig(info.kernel_px, info.antialiased, threads=threads)
+        return render(splats, replace(camera, name=""), config)
+
+    return draw
+
+
+def _caption(prefix: DemoPrefix) -> list[str]:
+    return [
+        f"{prefix.share:.0%}, {_size(prefix.size_bytes)}",
+        f"{prefix.splats:,} splats",
+        f"PSNR {prefix.held_out_db:.1f} dB held-out",
+    ]
+
+
+def _size(size_bytes: int) -> str:
+    from cogsplat.tools.terminal.output import size_text
+
+    return size_text(size_bytes)

@@ -1,0 +1,464 @@
+"""``cogsplat eval``: quality of prefixes of a scene, for several orders of its splats."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import DataError, printable
+from cogsplat.codec.order.orders import OrderConfig, Unordered, order_rows
+from cogsplat.codec.progress import StageCost
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.view_sets import hold_out
+from cogsplat.formats.scenes.registry import WRITABLE
+from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
+from cogsplat.formats.storage.byte_counts import ByteCount
+from cogsplat.tools.cli.inputs import (
+    evaluation_cameras,
+    given_cameras,
+    given_files,
+    read_any,
+    scoring_cameras,
+    usable_rows,
+    virtual_views,
+)
+from cogsplat.tools.cli.order_options import OrderChoice, orders_option
+from cogsplat.tools.evaluation.lpips import read_lpips
+from cogsplat.tools.evaluation.measuring_costs import references_cost
+from cogsplat.tools.evaluation.photos import read_photos
+from cogsplat.tools.lab.evaluation.evaluator import Evaluator
+from cogsplat.tools.lab.evaluation.object_curves import ObjectPoint, object_curves
+from cogsplat.tools.lab.evaluation.progs_protocol import (
+    BYTES,
+    SHARES,
+    SPLATS,
+    PrefixPoint,
+    by_bytes,
+    by_codec,
+    by_splats,
+)
+from cogsplat.tools.lab.evaluation.strips import STRIP_SHARES, Strip, draw_strips
+from cogsplat.tools.lab.evaluation.tables import (
+    DIFFERENCES,
+    STRIPS,
+    EvaluationInput,
+    picture_names,
+    report,
+    tell,
+    written_pages,
+)
+from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.options import (
+    background_option,
+    cameras_option,
+    eval_every_option,
+    force_option,
+    jitter_option,
+    json_option,
+    quality_option,
+    quiet_option,
+    ssim_border_option,
+    target_psnr_option,
+    threads_option,
+    top_k_option,
+)
+from cogsplat.tools.terminal.output import facts, name_of, say, say_json
+from cogsplat.tools.terminal.partial import partial_option
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT, PATH
+from cogsplat.tools.terminal.values import Colour
+
+from .evaluation_costs import eval_costs
+from .evaluation_options import codecs, objects, shares, sizes
+from .octree_sweep import Curve, curves, octree_depths_option, require_octree
+
+
+@click.command(
+    name="eval",
+    epilog="\b\nExample:\n"
+    "  cogsplat eval scene.ply --cameras cameras.json --out figures\n"
+    "  cogsplat eval scene.ply --cameras cameras.json --file scene.cogs\n"
+    "  cogsplat eval both.ply --orders antimatter --by-object all --sizes none\n"
+    "  cogsplat eval scene.ply --orders contribution,antimatter --codecs spz,splat",
+)
+@click.argument("scene", type=INPUT)
+@cameras_option(
+    "Without it, views to score in are planned, and test views are eval_cameras.json beside SCENE, "
+    "else some of the planned ones."
+)
+@eval_every_option(8, "Measure in, and keep from scoring, the")
+@orders_option
+@octree_depths_option
+@click.option(
+    "--file",
+    "files",
+    type=INPUT,
+    multiple=True,
+    metavar="PATH",
+    help="A COGS file of SCENE to measure by bytes, in place of encoding every order; may be given "
+    "again.",
+)
+@click.option(
+    "--shares",
+    "wanted",
+    type=shares,
+    default=",".join(f"{100 * share:g}" for share in SHARES),
+    show_default=True,
+    metavar="P,…",
+    help="Percents of the splats to measure orders at; none for none.",
+)
+@click.option(
+    "--sizes",
+    "lengths",
+    type=sizes,
+    metavar="N|P%,…",
+    help="Lengths of files to measure at; none for none.  [default: 32 KiB, doubled to the end]",
+)
+@click.option(
+    "--codecs",
+    type=codecs,
+    default=None,
+    metavar="NAME,…",
+    help="Also write each prefix of every order as these formats and measure it by its bytes: "
+    f"{', '.join(WRITABLE)}.",
+)
+@click.option(
+    "--by-object",
+    "wanted_objects",
+    type=objects,
+    metavar="N,…|all",
+    help="Also measure these objects over their own pixels at --shares, in every order and with "
+    "the object's splats first.",
+)
+@click.option(
+    "--compensate",
+    is_flag=True,
+    help="Measure prefixes of files with prefix compensation.",
+)
+@quality_option("Nominal PSNR of the files that are encoded.")
+@target_psnr_option("Encode every file to this PSNR instead, in other views than the test views.")
+@click.option(
+    "--out",
+    type=PATH,
+    metavar="DIR",
+    help="Also write the figures as CSV, JSON and SVG, and film-strips, into this folder.",
+)
+@click.option(
+    "--images",
+    type=PATH,
+    metavar="DIR",
+    help="Photos named as the cameras: measure against them, too.",
+)
+@click.option(
+    "--lpips-weights",
+    type=PATH,
+    metavar="FILE",
+    help="State dict of LPIPS, AlexNet or VGG-16, as torch.save or .npz: measure it, too.",
+)
+@jitter_option
+@top_k_option(20)
+@background_option
+@ssim_border_option
+@partial_option
+@limits_option
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def evaluate(
+    scene: Path,
+    cameras: Path | None,
+    eval_every: int,
+    choice: OrderChoice,
+    octree_depths: tuple[int, ...] | None,
+    files: tuple[Path, ...],
+    wanted: tuple[float, ...],
+    lengths: tuple[ByteCount, ...] | None,
+    codecs: tuple[str, ...] | None,
+    wanted_objects: tuple[int, ...] | None,
+    compensate: bool,
+    quality: float,
+    target_psnr: float | None,
+    out: Path | None,
+    images: Path | None,
+    lpips_weights: Path | None,
+    no_jitter: bool,
+    top_k: int,
+    background: Colour,
+    ssim_border: str,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Measure prefixes of SCENE under several orders of its splats.
+
+    Each order is cut after shares of its splats, nothing quantised, and a COGS file in that order
+    after some of its bytes; what is left is compared with the full render. Measured are the mean
+    PSNR of held-out views, the worst of them, and the mean of roaming views, which stand back and
+    turn away; each also as one figure, its mean over the logarithm of splats or bytes.
+    """
+    cut = bool(files) or lengths != ()
+    by = ([SPLATS] if wanted else []) + ([BYTES] if cut or codecs else [])
+    if wanted_objects is not None and not wanted:
+        raise click.UsageError("--by-object with --shares none, expected shares to measure at")
+    if not by:
+        raise click.UsageError("--shares none and --sizes none: nothing to measure")
+    require_octree(choice.names, octree_depths)
+    if out is not None:
+        # Before minutes of work, not after.
+        with storage_errors(out):
+            out.mkdir(parents=True, exist_ok=True)
+        for name in ("eval.csv", "eval.json", *picture_names(by)):
+            inputs = given_files(scene, cameras, images, lpips_weights)
+            check_output(out / name, force=force, inputs=inputs)
+    points: list[PrefixPoint] = []
+    of_objects: list[ObjectPoint] = []
+    strips: dict[str, list[Strip]] = {SPLATS: [], BYTES: []}
+    with Stages(shown=not (quiet or as_json)) as stages:
+
+        def work(
+            splats: Splats, scored_on: Sequence[Camera], test_views: Sequence[Camera]
+        ) -> list[StageCost]:
+            return eval_costs(
+                splats,
+                scored_on,
+                test_views,
+                [curve.order for curve in curves(choice.names, OrderConfig(), octree_depths)],
+                sorts=bool(wanted or codecs),
+                shares=len(wanted),
+                objects=wanted_objects,
+                files=len(files),
+                cut=cut,
+                lengths=None if lengths is None else len(lengths),
+                codecs=len(codecs or ()),
+                quality_db=quality,
+                target_psnr=target_psnr,
+            )
+
+        given = _gather(
+            scene,
+            cameras,
+            eval_every,
+            choice,
+            images,
+            lpips_weights,
+            no_jitter,
+            top_k,
+            background,
+            ssim_border,
+            work,
+            threads=threads,
+            stages=stages,
+        )
+        unordered = Unordered(
+            given.splats,
+            given.scores,
+            given.scored_on,
+            threads,
+            stages,
+            jitter=not no_jitter,
+        )
+        measured = curves(choice.names, given.config, octree_depths)
+        ordered: dict[str, NDArray[np.int64]] = {}
+        if wanted or codecs:
+            stages("orders", 0, len(measured))
+            for curve in measured:
+                rows = order_rows(curve.order, unordered, curve.config)
+                if SPLATS in by:
+                    points += by_splats(
+                        given.evaluator, curve.label, given.splats, rows, wanted, progress=stages
+                    )
+                    strip = Strip.of_order(curve.label, given.splats, rows, STRIP_SHARES)
+                    strips[SPLATS].append(strip)
+                ordered[curve.label] = rows
+                stages("orders", len(ordered), len(measured))
+        if wanted_objects is not None:
+            of_objects = object_curves(
+                given.splats,
+                ordered,
+                wanted_objects,
+                wanted,
+                given.evaluator.cameras,
+                background=background,
+                threads=threads,
+                progress=stages,
+            )
+        if cut:
+            with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
+                made: list[tuple[str, Path, Curve | None]]
+                made = [(printable(name_of(path)), path, None) for path in files] or [
+                    (curve.label, Path(folder) / f"{number}.cogs", curve)
+                    for number, curve in enumerate(measured)
+                ]
+                stages("files", 0, len(made))
+                for number, (name, path, encoded) in enumerate(made, start=1):
+                    if encoded is not None:
+                        _encode(given, encoded, path, quality, target_psnr, threads, stages)
+                    size = path.stat().st_size if not files else _size_of(path)
+                    chosen = None if lengths is None else [one.of(size) for one in lengths]
+                    found = by_bytes(
+                        given.evaluator,
+                        name,
+                        path,
+                        chosen,
+                        compensate=compensate,
+                        threads=threads,
+                        progress=stages,
+                    )
+                    points += found
+                    strips[BYTES].append(
+                        Strip.of_file(name, path, found, compensate=compensate, threads=threads)
+                    )
+                    stages("files", number, len(made))
+        with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
+            pairs = [(codec, label) for codec in codecs or () for label in ordered]
+            for number, (codec, label) in enumerate(pairs):
+                stages("codecs", number, len(pairs))
+                points += by_codec(
+                    given.evaluator,
+                    label,
+                    given.splats,
+                    ordered[label],
+                    codec,
+                    wanted or SHARES,
+                    path=Path(folder) / codec,
+                    progress=stages,
+                )
+            if pairs:
+                stages("codecs", len(pairs), len(pairs))
+        pages = written_pages(given, points, by, of_objects)
+        if out is not None:
+            _write(out, pages, given, strips, force=force, stages=stages)
+    if as_json:
+        say_json({**report(given, points, by, of_objects), "seconds": stages.rounded()})
+        return
+    tell(given, points, by, of_objects)
+    if not quiet:
+        say("")
+        drawn = [page for kind in by if strips[kind] for page in (STRIPS[kind], DIFFERENCES[kind])]
+        written = f"{', '.join([*pages, *drawn])} in {out}"
+        facts(("written", written if out is not None else ""), ("time", stages.line()))
+
+
+def _size_of(path: Path) -> int:
+    with storage_errors(path):
+        return path.stat().st_size
+
+
+def _gather(
+    path: Path,
+    cameras: Path | None,
+    eval_every: int,
+    choice: OrderChoice,
+    images: Path | None,
+    lpips_weights: Path | None,
+    no_jitter: bool,
+    top_k: int,
+    background: Colour,
+    ssim_border: str,
+    work: Callable[[Splats, Sequence[Camera], Sequence[Camera]], list[StageCost]],
+    *,
+    threads: int,
+    stages: Stages,
+) -> EvaluationInput:
+    """Read and score a scene; `work` says what that and all that comes then will cost."""
+    from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+    from cogsplat.codec.encode.scored_views import score_given
+    from cogsplat.codec.encode.stage_costs import score_cost
+
+    with stages.stage("read"):
+        views = scoring_cameras(cameras, eval_every)
+        splats = usable_rows(read_any(path, threads=threads).splats, path)
+        if not len(splats):
+            raise DataError("no-splats", f"{path}: 0 splats, expected at least 1")
+        lpips = None if lpips_weights is None else read_lpips(lpips_weights)
+    splats = choice.labelled(splats, cameras, threads=threads, progress=stages)
+    numbered = given_cameras(cameras) if cameras else []
+    planned = None
+    if views is None:
+        numbered = planned = virtual_views(splats, threads=threads, progress=stages)
+        views = hold_out(numbered, eval_every)[0] or numbered
+    config = choice.config(numbered)
+    test_views, what = evaluation_cameras(path, splats, cameras, eval_every, planned=planned)
+    preset = PRESETS[DEFAULT_PRESET]
+    scoring = score_cost(len(splats), preset, views, jitter=not no_jitter)
+    references = references_cost(len(splats), test_views)
+    stages.plan(
+        [
+            StageCost("references", references),
+            scoring,
+            *work(splats, preset.views(views), test_views),
+        ]
+    )
+    photos = None
+    if images is not None:
+        photos = read_photos(images, splats, test_views, background, threads=threads)
+    with stages.stage("references"):
+        evaluator = Evaluator(
+            splats,
+            test_views,
+            first_view=config.first_view,
+            photos=None if photos is None else photos.pictures,
+            lpips=lpips,
+            background=background,
+            ssim_border=ssim_border,
+            threads=threads,
+        )
+    settings = preset.score_config("transform", top_k=top_k, jitter=not no_jitter, threads=threads)
+    scored_on, scores = score_given(splats, views, preset, settings, progress=stages)
+    return EvaluationInput(path, splats, scores, scored_on, what, config, evaluator, photos)
+
+
+def _encode(
+    given: EvaluationInput,
+    curve: Curve,
+    path: Path,
+    quality: float,
+    target_psnr: float | None,
+    threads: int,
+    stages: Stages,
+) -> None:
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.rate_control import Target
+
+    cogsplat.encode(
+        given.splats.without_extras() if not curve.config.by_object else given.splats,
+        path,
+        cameras=given.scored_on,
+        scores=given.scores,
+        config=EncodeConfig(
+            order=curve.order, ordering=curve.config, quality_db=quality, threads=threads
+        ),
+        target=None if target_psnr is None else Target(psnr_db=target_psnr),
+        progress=stages,
+    )
+
+
+def _write(
+    out: Path,
+    pages: Mapping[str, str],
+    given: EvaluationInput,
+    strips: Mapping[str, list[Strip]],
+    *,
+    force: bool,
+    stages: Stages,
+) -> None:
+    from cogsplat.tools.pictures.png import write_png
+
+    for name, text in pages.items():
+        with atomic_write(out / name, force=force) as file:
+            file.write(text.encode())
+    with stages.stage("strips"):
+        for kind, rows in strips.items():
+            if rows:
+                write_png(draw_strips(given.evaluator, rows), out / STRIPS[kind], force=force)
+                apart = draw_strips(given.evaluator, rows, differences=True)
+                write_png(apart, out / DIFFERENCES[kind], force=force)

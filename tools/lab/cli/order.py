@@ -1,0 +1,172 @@
+"""``cogsplat order``: an order of a scene's splats, written as a permutation."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import CogsplatWarning
+from cogsplat.codec.order import objects
+from cogsplat.codec.order.chunks import DEFAULT_LARGEST
+from cogsplat.codec.order.orders import Unordered, needs_scores, order_rows
+from cogsplat.formats.storage.atomic import atomic_write, check_output
+from cogsplat.tools.cli.inputs import (
+    given_cameras,
+    given_files,
+    read_any,
+    scoring_cameras,
+    virtual_views,
+)
+from cogsplat.tools.cli.order_options import OrderChoice, order_options
+from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.options import (
+    cameras_option,
+    eval_every_option,
+    force_option,
+    jitter_option,
+    json_option,
+    quiet_option,
+    threads_option,
+    top_k_option,
+)
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, table
+from cogsplat.tools.terminal.output_names import NPY, check_name
+from cogsplat.tools.terminal.partial import partial_option
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat order scene.ply rows.npy --cameras cameras.json\n"
+    "  cogsplat order scene.ply rows.npy --cameras cameras.json --first-view 3"
+)
+@click.argument("path", type=INPUT, metavar="SCENE")
+@click.argument("out", type=OutputPath(".npy"), metavar="OUT.npy")
+@cameras_option("Without it, views are planned around the scene.")
+@order_options
+@jitter_option
+@top_k_option(20)
+@eval_every_option(0, "Keep from scoring the")
+@partial_option
+@limits_option
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def order(
+    path: Path,
+    out: Path,
+    cameras: Path | None,
+    choice: OrderChoice,
+    no_jitter: bool,
+    top_k: int,
+    eval_every: int,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Write an order of the splats of SCENE as a permutation.
+
+    OUT.npy holds an int64 for each splat: the rows of the file, first to last. Nothing is pruned.
+    """
+    from cogsplat.codec.scoring.contribution import ScoreConfig, score, unscored
+
+    check_name(out, NPY)
+    check_output(out, force=force, inputs=given_files(path, cameras, choice.masks))
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("read"):
+            given = read_any(path, threads=threads).splats
+            views = scoring_cameras(cameras, eval_every)
+            numbered = given_cameras(cameras) if cameras else []
+        splats = choice.labelled(given, cameras, threads=threads, progress=stages)
+        # Objects are ranked by their contribution.
+        scored = needs_scores(choice.name) or choice.by_object
+        if views is None and (scored or choice.first_view is not None):
+            views = numbered = virtual_views(splats, threads=threads, progress=stages)
+        config = choice.config(numbered)
+        scores = unscored(len(splats))
+        if scored:
+            settings = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads)
+            scores = score(splats, views or (), settings, progress=stages)
+        with stages.stage("order"):
+            scene = Unordered(splats, scores, views or (), threads, stages, jitter=not no_jitter)
+            rows = order_rows(choice.name, scene, config)
+            labels: NDArray[np.uint32] | None = None
+            if choice.by_object:
+                labels = objects.labels_of(splats)
+                rows = objects.arrange(
+                    rows, labels, scores.contribution, DEFAULT_LARGEST, config.object_budgets
+                ).rows
+        write_rows(rows, out, force=force)
+        stages("write", 1, 1)
+    invalid = int(splats.invalid_rows().sum())
+    if invalid:
+        warnings.warn(
+            f"{path}: {invalid:,} of {len(splats):,} splats cannot be drawn",
+            CogsplatWarning,
+            stacklevel=1,
+        )
+    held = [] if labels is None else _objects(labels, scores.contribution)
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                "source": name_of(path),
+                "splats": len(splats),
+                "order": choice.name,
+                "scored_views": stages.totals.get("score", 0),
+                "objects": [
+                    {"object": label, "splats": count, "share_of_contribution": round(share, 6)}
+                    for label, count, share in held
+                ],
+                "seconds": stages.rounded(),
+            }
+        )
+    elif not quiet:
+        say(f"{out}: {choice.name} order of {counted(len(splats), 'splat')}, int64")
+        jittered = "" if no_jitter else ", jittered included"
+        seen = (
+            f"{stages.totals['score']}{jittered}" if scored else "none: this order needs no scores"
+        )
+        facts(("views", seen), ("time", stages.line()))
+        if held:
+            say("")
+            cells = [(f"{label}", f"{count:,}", f"{share:.1%}") for label, count, share in held]
+            table(("object", "splats", "of contribution"), cells, left=0)
+
+
+def write_rows(rows: NDArray[np.int64], path: Path, *, force: bool = False) -> None:
+    """Write a permutation as a .npy file.
+
+    Raises
+    ------
+    StorageError
+        As `atomic_write`.
+    """
+    # In memory first: numpy's own writing to files loses the reason of a failure.
+    page = io.BytesIO()
+    np.save(page, rows)
+    with atomic_write(path, force=force) as file:
+        file.write(page.getbuffer())
+
+
+def _objects(
+    labels: NDArray[np.uint32], contribution: NDArray[np.float64]
+) -> list[tuple[int, int, float]]:
+    """Return label, splats and share of all contribution of every object, as they rank."""
+    found, total = objects.ranked(labels, contribution)
+    whole = float(total.sum()) or 1.0
+    counts = dict(
+        zip(*(part.tolist() for part in np.unique(labels, return_counts=True)), strict=True)
+    )
+    return [
+        (label, counts[label], share / whole)
+        for label, share in zip(found.tolist(), total.tolist(), strict=True)
+    ]

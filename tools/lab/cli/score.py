@@ -1,0 +1,127 @@
+"""``cogsplat score``: the contribution of each splat to the pictures of its cameras."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import CogsplatWarning
+from cogsplat.formats.storage.atomic import atomic_write, check_output
+from cogsplat.tools.cli.inputs import given_files, read_any, scoring_cameras, virtual_views
+from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.options import (
+    cameras_option,
+    device_option,
+    eval_every_option,
+    force_option,
+    jitter_option,
+    json_option,
+    quiet_option,
+    threads_option,
+    top_k_option,
+)
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json
+from cogsplat.tools.terminal.output_names import NPY, check_name
+from cogsplat.tools.terminal.partial import partial_option
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
+
+
+@click.command(
+    epilog="\b\nExample:\n  cogsplat score scene.ply contribution.npy --cameras cameras.json"
+)
+@click.argument("path", type=INPUT, metavar="SCENE")
+@click.argument("out", type=OutputPath(".npy"), metavar="OUT.npy")
+@cameras_option("Without it, views are planned around the scene.")
+@jitter_option
+@top_k_option(20)
+@eval_every_option(0, "Keep from scoring the")
+@partial_option
+@limits_option
+@device_option("Where views are drawn.")
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def score(
+    path: Path,
+    out: Path,
+    cameras: Path | None,
+    no_jitter: bool,
+    top_k: int,
+    eval_every: int,
+    device: str,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Measure the contribution of each splat of SCENE.
+
+    OUT.npy holds a float64 for each splat, in the order of the file: the sum of its weights over
+    a view's pixels, averaged over the cameras, plus the same over their jittered copies.
+    """
+    from cogsplat.codec.scoring.contribution import ScoreConfig
+    from cogsplat.codec.scoring.contribution import score as score_splats
+
+    check_name(out, NPY)
+    check_output(out, force=force, inputs=given_files(path, cameras))
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("read"):
+            views = scoring_cameras(cameras, eval_every)
+            splats = read_any(path, threads=threads).splats
+        views = views or virtual_views(splats, threads=threads, progress=stages)
+        config = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads, device=device)
+        scores = score_splats(splats, views, config, progress=stages)
+        _write_npy(scores.contribution, out, force=force)
+        stages("write", 1, 1)
+    invalid = int(splats.invalid_rows().sum())
+    if invalid:
+        warnings.warn(
+            f"{path}: {invalid:,} of {len(splats):,} splats cannot be drawn and score 0",
+            CogsplatWarning,
+            stacklevel=1,
+        )
+    unseen = int((scores.seen == 0).sum())
+    shares = {goal: _share_holding(scores.contribution, goal) for goal in (0.5, 0.9, 0.99)}
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                "source": name_of(path),
+                "splats": len(splats),
+                "unseen": unseen,
+                "scored_views": stages.totals["score"],
+                "contribution": float(scores.contribution.sum()),
+                "share_of_splats_holding": {f"{goal:g}": s for goal, s in shares.items()},
+                "seconds": stages.rounded(),
+            }
+        )
+    elif not quiet:
+        say(f"{out}: contributions of {counted(len(splats), 'splat')}, float64, in file order")
+        held = [f"{goal:.0%} lie in {share:.1%}" for goal, share in shares.items()]
+        facts(
+            ("views", f"{stages.totals['score']}" + ("" if no_jitter else ", jittered included")),
+            ("unseen", counted(unseen, "splat")),
+            ("of all", f"{', '.join(held)} of the splats"),
+            ("time", stages.line()),
+        )
+
+
+def _share_holding(contribution: NDArray[np.float64], goal: float) -> float:
+    """Return the smallest share of the splats that has a given share of the contribution."""
+    so_far = np.cumsum(np.sort(contribution)[::-1])
+    return round((int(np.searchsorted(so_far, goal * so_far[-1])) + 1) / len(so_far), 5)
+
+
+def _write_npy(values: NDArray[np.float64], path: Path, *, force: bool) -> None:
+    # In memory first: numpy's own writing to files loses the reason of a failure.
+    page = io.BytesIO()
+    np.save(page, values)
+    with atomic_write(path, force=force) as file:
+        file.write(page.getbuffer())

@@ -1,0 +1,405 @@
+"""``cogsplat simulate``: what visitors see while a client chooses what to fetch next."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import Final
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+import cogsplat
+from cogsplat.codec.views.view_sets import hold_out
+from cogsplat.formats.storage.atomic import atomic_write, check_output
+from cogsplat.tools.cli.inputs import (
+    given_cameras,
+    given_files,
+    input_source,
+    is_cogs_input,
+    read_any,
+    usable_rows,
+)
+from cogsplat.tools.cli.serve import BitRate
+from cogsplat.tools.lab.streaming.client import Link
+from cogsplat.tools.lab.streaming.comparison import (
+    PEER,
+    POLICIES,
+    SHARES,
+    Moment,
+    Simulation,
+    bytes_until,
+    moments_behind,
+)
+from cogsplat.tools.lab.streaming.curves import chart, strips
+from cogsplat.tools.lab.streaming.streamed_sog import BUDGET_SPLATS, streamed_sog_client
+from cogsplat.tools.lab.streaming.traces import Trace, dolly, orbital, recorded
+from cogsplat.tools.lab.streaming.waiting import fetched_by_waiting
+from cogsplat.tools.pictures.png import write_png
+from cogsplat.tools.terminal.limits import current_limits, limits_option
+from cogsplat.tools.terminal.options import (
+    force_option,
+    json_option,
+    quiet_option,
+    threads_option,
+)
+from cogsplat.tools.terminal.output import facts, name_of, say, say_json, table
+from cogsplat.tools.terminal.partial import partial_accepted, partial_option
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT, PATH
+from cogsplat.tools.terminal.values import number_of_bytes
+
+# Moments that a strip shows: as many as fit beside each other on a page.
+_STRIP_PICTURES: Final = 6
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat simulate scene.cogs --cameras scene.cameras.json\n"
+    "  cogsplat simulate house.cogs --cameras views.json --trace house.walk.json"
+)
+@click.argument("path", type=INPUT, metavar="IN.cogs")
+@click.option("--cameras", type=PATH, required=True, metavar="PATH", help="Views of the scene.")
+@click.option(
+    "--trace",
+    default="orbital",
+    show_default=True,
+    metavar="orbital|dolly|PATH",
+    help="Where a visitor goes: to 40 of the test views, 2 s each; from the first test view to "
+    "the second in 20 s; or through the cameras of a file.",
+)
+@click.option(
+    "--pose-seconds",
+    type=click.FloatRange(0.0, min_open=True),
+    default=0.5,
+    show_default=True,
+    metavar="S",
+    help="From one camera of such a file to the next.",
+)
+@click.option(
+    "--bandwidth",
+    type=BitRate(),
+    metavar="BITS",
+    help="Bits a second, such as 10M; by default so many that the whole takes as long as the "
+    "trace.",
+)
+@click.option(
+    "--as-large-as",
+    type=number_of_bytes,
+    metavar="SIZE",
+    help="Divide the bandwidth by how many times larger a scene of SIZE is, such as 734MB: the "
+    "whole takes as long as that would.",
+)
+@click.option(
+    "--latency",
+    type=click.FloatRange(0.0),
+    default=20.0,
+    show_default=True,
+    metavar="MS",
+    help="Milliseconds from a request to the first byte of its answer.",
+)
+@click.option(
+    "--policy",
+    "policies",
+    type=click.Choice(POLICIES),
+    multiple=True,
+    metavar="NAME",
+    help="How the client chooses; several times for several, by default all: "
+    f"{', '.join(POLICIES)}.",
+)
+@click.option(
+    "--budget",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Most splats in memory of the policy visit, which throws others away, and that --peer "
+    "draws; by default any number, and 4 million.",
+)
+@click.option(
+    "--source",
+    type=INPUT,
+    metavar="SCENE",
+    help="Compare with pictures of this scene, instead of those of the whole file.",
+)
+@click.option(
+    "--peer",
+    type=PATH,
+    metavar="PATH/lod-meta.json",
+    help=f"Streamed SOG of --source: as one policy more, {PEER}, by PlayCanvas' rules.",
+)
+@click.option(
+    "--moments",
+    type=click.IntRange(1, 1000),
+    default=12,
+    show_default=True,
+    metavar="N",
+    help="Pictures along the trace that are judged.",
+)
+@click.option(
+    "--eval-every",
+    type=click.IntRange(2),
+    default=8,
+    show_default=True,
+    metavar="N",
+    help="Every so many cameras are the test views; what chunks contribute is known of others.",
+)
+@click.option(
+    "--compensate/--as-stored",
+    default=True,
+    show_default=True,
+    help="Whether the file's clients make up for what is missing, as the file says.",
+)
+@click.option(
+    "--goal",
+    type=click.FloatRange(0.0, 100.0),
+    default=50.0,
+    show_default=True,
+    metavar="DB",
+    help="PSNR; the bytes are told from which on the trace keeps it.",
+)
+@click.option(
+    "--wait",
+    is_flag=True,
+    help="Tell also what visitors fetch along the trace who wait at each moment until they see "
+    "the PSNR of --goal, whatever the link.",
+)
+@click.option("--csv", "csv_path", type=PATH, metavar="OUT.csv", help="Write every moment.")
+@click.option("--plot", "plot_path", type=PATH, metavar="OUT.svg", help="Draw PSNR over time.")
+@click.option(
+    "--strip",
+    "strip_path",
+    type=PATH,
+    metavar="OUT.png",
+    help="Write pictures of up to six moments, a row for each policy.",
+)
+@partial_option
+@limits_option
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def simulate(
+    path: Path,
+    cameras: Path,
+    trace: str,
+    pose_seconds: float,
+    bandwidth: float | None,
+    as_large_as: int | None,
+    latency: float,
+    policies: tuple[str, ...],
+    budget: int | None,
+    source: Path | None,
+    peer: Path | None,
+    moments: int,
+    eval_every: int,
+    compensate: bool,
+    goal: float,
+    wait: bool,
+    csv_path: Path | None,
+    plot_path: Path | None,
+    strip_path: Path | None,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Simulate clients that fetch by what a visitor looks at.
+
+    Most policies fetch the same segments in another order: the file's, shown as it comes or once
+    the whole is there, whole chunks by distance, by the priority of SGSS, and the file's order put
+    off where a chunk shows little: by boxes, by boxes and what viewpoints near show (the file's
+    view table, or other cameras), or by what the pose itself shows, which no client knows.
+    antimatter and sgss-cells fetch splats one by one,
+    by volume times opacity and in cells of SGSS' own, each for the mean bytes of a splat of the
+    file. visit is what the npm package and its viewer do: by the file's view table, for a path that
+    goes on, by requests that are stopped and resumed, within --budget. Pictures of what has arrived
+    are compared with those of the whole, along the trace and in test views at rest. Files that were
+    encoded with --cells gain most.
+    With --peer, a client of another format takes part, over the same link; it needs --source.
+    """
+    if not is_cogs_input(path):
+        raise click.UsageError(f"{path}: is no COGS file, expected one")
+    if as_large_as is not None and bandwidth is None:
+        raise click.UsageError("--as-large-as without --bandwidth, expected both")
+    if peer is not None and source is None:
+        raise click.UsageError("--peer without --source, expected the scene that both were made of")
+    for out in (csv_path, plot_path, strip_path):
+        if out is not None:
+            check_output(out, force=force, inputs=given_files(path, cameras, source, peer))
+    chosen = (policies or POLICIES) + (() if peer is None else (PEER,))
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("read"):
+            known, tests = hold_out(given_cameras(cameras), eval_every)
+            if not known:
+                raise click.UsageError(f"{cameras}: {len(tests)} cameras, expected two at least")
+            walked = _trace(trace, tests, pose_seconds)
+            file = cogsplat.open(
+                input_source(path), partial=partial_accepted(), limits=current_limits()
+            )
+            drawn = None
+            if source is not None:
+                drawn = usable_rows(read_any(source, threads=threads).splats, source)
+            other = None
+            if peer is not None:
+                other = streamed_sog_client(peer, budget or BUDGET_SPLATS, limits=current_limits())
+        with file:
+            simulation = Simulation(
+                file,
+                known,
+                threads=threads,
+                compensate=compensate,
+                source=drawn,
+                peer=other,
+                progress=stages,
+            )
+        bits = _bits_for(simulation, walked, bandwidth, as_large_as)
+        link = Link(bits, latency / 1000.0)
+        film = _Film(moments if strip_path is not None else 0)
+        along = simulation.along(
+            walked, link, chosen, moments, stages, film.take, budget_splats=budget or 0
+        )
+        waited = (
+            fetched_by_waiting(simulation, walked, chosen, moments, goal, stages) if wait else {}
+        )
+        at_rest = simulation.at_rest(tests, chosen, stages)
+    if csv_path is not None:
+        _write_csv(along, csv_path, force=force)
+    against = "the whole" if source is None else name_of(source)
+    title = f"{name_of(path)}, {trace} at {bits / 1e6:.3g} Mbit/s"
+    if plot_path is not None:
+        with atomic_write(plot_path, force=force) as opened:
+            opened.write(chart(along, title).encode())
+    if strip_path is not None:
+        write_png(strips(film.pictures, film.judged(along), title), strip_path, force=force)
+    behind = (
+        {name: moments_behind(along[name], along["file"], goal) for name in chosen}
+        if "file" in chosen
+        else {}
+    )
+    means = {name: float(np.mean([m.psnr_db for m in seen])) for name, seen in along.items()}
+    if as_json:
+        say_json(
+            {
+                "source": name_of(path),
+                "bytes": int(simulation.units.size_bytes.sum()),
+                "chunks": simulation.chunks,
+                "known_views": simulation.known_views,
+                "views": len(tests),
+                "trace_s": walked.seconds,
+                "bits_per_second": bits,
+                "latency_s": link.latency,
+                "compensated": compensate,
+                "goal_db": goal,
+                "compared_with": name_of(path if source is None else source),
+                "policies": [
+                    {
+                        "policy": name,
+                        "psnr_db": means[name],
+                        "goal_bytes": bytes_until(along[name], goal),
+                        "behind_file": behind.get(name),
+                        "waited_bytes": waited.get(name),
+                        "moments": [
+                            {
+                                "time_s": m.seconds,
+                                "bytes": m.bytes,
+                                "psnr_db": m.psnr_db,
+                                "ssim": m.ssim,
+                                "wasted_bytes": m.wasted_bytes,
+                            }
+                            for m in along[name]
+                        ],
+                        "at_rest": [
+                            {"share": share, "psnr_db": quality}
+                            for share, quality in zip(SHARES, at_rest[name], strict=True)
+                        ],
+                    }
+                    for name in chosen
+                ],
+                "seconds": stages.rounded(),
+            }
+        )
+        return
+    if quiet:
+        return
+    say(
+        f"{walked.seconds:.1f} s of {trace} at {bits / 1e6:.3g} Mbit/s: PSNR against {against}, "
+        f"dB, and SSIM, means of the trace; share of the bytes from which on it keeps {goal:g} dB, "
+        "and of those fetched that it showed nothing of; "
+        + (f"share that was fetched by who waited for {goal:g} dB at each moment; " if wait else "")
+        + "PSNR in test views at rest after shares of the bytes"
+    )
+    rows = [
+        (
+            name,
+            f"{means[name]:.2f}",
+            f"{np.mean([m.ssim for m in along[name]]):.3f}",
+            _share(bytes_until(along[name], goal), simulation),
+            _share(along[name][-1].wasted_bytes, simulation),
+            *([_share(waited[name][-1], simulation)] if wait else []),
+            *(f"{quality:.2f}" for quality in at_rest[name]),
+        )
+        for name in chosen
+    ]
+    shares = (f"{share:.0%}" for share in SHARES)
+    waiting = ("waited",) if wait else ()
+    table(("policy", "trace", "SSIM", f"{goal:g} dB", "waste", *waiting, *shares), rows)
+    facts(
+        ("file", f"{simulation.chunks} chunks"),
+        ("known", f"what each chunk contributes to {simulation.known_views} views"),
+        ("time", stages.line()),
+    )
+
+
+def _trace(name: str, tests: list[cogsplat.Camera], pose_seconds: float) -> Trace:
+    if name == "orbital":
+        return orbital(tests)
+    if name == "dolly":
+        return dolly(tests)
+    return recorded(given_cameras(Path(name)), pose_seconds)
+
+
+def _bits_for(
+    simulation: Simulation, trace: Trace, bandwidth: float | None, as_large_as: int | None
+) -> float:
+    """Return the bandwidth: by default that at which the whole takes as long as the trace."""
+    total = float(simulation.units.size_bytes.sum()) + simulation.units.opening_bytes
+    if bandwidth is None:
+        return 8.0 * total / (trace.seconds or 1.0)
+    return bandwidth if as_large_as is None else bandwidth * total / as_large_as
+
+
+def _share(size: int | None, simulation: Simulation) -> str:
+    return "" if size is None else f"{size / simulation.units.size_bytes.sum():.0%}"
+
+
+class _Film:
+    """Keeps pictures of some moments, evenly spread to the last."""
+
+    def __init__(self, moments: int) -> None:
+        kept = min(moments, _STRIP_PICTURES)
+        self._kept = [round((k + 1) * moments / kept) - 1 for k in range(kept)]
+        self._counts: dict[str, int] = {}
+        self.pictures: dict[str, list[NDArray[np.float32]]] = {}
+
+    def take(self, policy: str, _: float, picture: NDArray[np.float32]) -> None:
+        number = self._counts.get(policy, 0)
+        self._counts[policy] = number + 1
+        if number in self._kept:
+            self.pictures.setdefault(policy, []).append(picture)
+
+    def judged(self, along: dict[str, list[Moment]]) -> dict[str, list[Moment]]:
+        """Return the moments of the pictures."""
+        return {name: [seen[number] for number in self._kept] for name, seen in along.items()}
+
+
+def _write_csv(along: dict[str, list[Moment]], path: Path, *, force: bool) -> None:
+    page = io.StringIO()
+    lines = csv.writer(page, lineterminator="\n")
+    lines.writerow(("policy", "time_s", "bytes", "psnr_db", "ssim", "wasted_bytes"))
+    for name, seen in along.items():
+        for m in seen:
+            figures = f"{m.seconds:.4f}", m.bytes, f"{m.psnr_db:.3f}", f"{m.ssim:.4f}"
+            lines.writerow((name, *figures, m.wasted_bytes))
+    with atomic_write(path, force=force) as file:
+        file.write(page.getvalue().encode())

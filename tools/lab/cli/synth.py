@@ -1,0 +1,308 @@
+"""``cogsplat synth`` and ``demo``: the synthetic test scene, and a demonstration on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.order.objects import with_labels
+from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
+from cogsplat.codec.threads import thread_count
+from cogsplat.formats.cameras.inria import write_cameras_json
+from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.tools.cli.compile_ahead import CompileAhead
+from cogsplat.tools.lab.synthetic.floor_plan import MOST_ROOMS, SPLATS_PER_ROOM
+from cogsplat.tools.terminal.options import (
+    force_option,
+    json_option,
+    quiet_option,
+    threads_option,
+)
+from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.output_names import check_distinct
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import PATH
+
+_SPLATS = 120_000
+# As many as show every object whole, and few enough for half a minute on two cores.
+_DEMO_SPLATS = 60_000
+_MOST_SPLATS = 20_000_000
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat synth scene.ply\n"
+    "  cogsplat encode scene.ply scene.cogs --cameras scene.cameras.json"
+)
+@click.argument("out", type=PATH, metavar="OUT.ply")
+@click.option(
+    "--splats",
+    type=click.IntRange(1, _MOST_SPLATS),
+    metavar="N",
+    help="Size of the scene; with fewer than about 10,000, or 20,000 a room, its surfaces have "
+    f"gaps.  [default: {_SPLATS}, or {SPLATS_PER_ROOM} a room]",
+)
+@click.option(
+    "--rooms",
+    type=click.IntRange(1, MOST_ROOMS),
+    metavar="N",
+    help="Make a house of so many furnished rooms instead, of which each view shows a part.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=7,
+    show_default=True,
+    metavar="N",
+    help="Of what is random about it; the same scene for the same seed.",
+)
+@click.option(
+    "--sh",
+    "sh_degree",
+    type=click.IntRange(0, MAX_SH_DEGREE),
+    default=MAX_SH_DEGREE,
+    show_default=True,
+    metavar="0..3",
+    help="SH degree.",
+)
+@click.option(
+    "--cameras",
+    type=PATH,
+    metavar="PATH",
+    help="Where its cameras go.  [default: OUT.cameras.json]",
+)
+@click.option(
+    "--walk",
+    type=PATH,
+    metavar="PATH",
+    help="With --rooms: where the cameras of a walk through all rooms go.  "
+    "[default: OUT.walk.json]",
+)
+@click.option(
+    "--objects",
+    is_flag=True,
+    help="Label three objects, 1 to 3, in the attribute 'object'; the rest is 0.",
+)
+@click.option(
+    "--masks",
+    type=PATH,
+    metavar="DIR",
+    help="Draw which of the three each pixel of each camera shows, as PNGs into this folder.",
+)
+@force_option
+@quiet_option
+@json_option
+def synth(
+    out: Path,
+    splats: int | None,
+    rooms: int | None,
+    seed: int,
+    sh_degree: int,
+    cameras: Path | None,
+    walk: Path | None,
+    objects: bool,
+    masks: Path | None,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Make a synthetic test scene, and its cameras.
+
+    Objects on a terrace, with gloss and clutter, seen from 48 cameras of its own. With --rooms, a
+    house: eight cameras in each room, and those of a visitor who walks through all of them. The
+    same options give the same bytes.
+    """
+    from cogsplat.tools.lab.synthetic import rooms as houses
+    from cogsplat.tools.lab.synthetic import terrace as scenes
+
+    if rooms is not None and (objects or masks is not None):
+        raise click.UsageError("--objects and --masks are of the scene without --rooms")
+    if rooms is None and walk is not None:
+        raise click.UsageError("--walk is of a scene with --rooms")
+    splats = splats or (_SPLATS if rooms is None else min(rooms * SPLATS_PER_ROOM, _MOST_SPLATS))
+    cameras = cameras or out.with_suffix(".cameras.json")
+    walked: list[Camera] = []
+    if rooms is not None:
+        walk = walk or out.with_suffix(".walk.json")
+        walked = houses.rooms_walk(rooms, seed)
+    check_distinct(out, cameras, walk)
+    for path in (out, cameras, *([] if walk is None else [walk])):
+        check_output(path, force=force)
+    views = scenes.synth_cameras() if rooms is None else houses.rooms_cameras(rooms, seed)
+    if masks is not None:
+        with storage_errors(masks):
+            masks.mkdir(parents=True, exist_ok=True)
+        for camera in views:
+            check_output(_mask_path(masks, camera), force=force)
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("synth"):
+            if rooms is None:
+                scene = scenes.synth(splats, seed=seed, sh_degree=sh_degree)
+                labels = scenes.synth_objects(splats, seed)
+            else:
+                scene = houses.synth_rooms(rooms, splats, seed=seed, sh_degree=sh_degree)
+                labels = np.zeros(0, np.uint8)
+        written = with_labels(scene, labels) if objects else scene
+        with stages.stage("write"):
+            cogsplat.write(written, out, force=force)
+            write_cameras_json(views, cameras, force=force)
+            if walk is not None:
+                write_cameras_json(walked, walk, force=force)
+        if masks is not None:
+            with stages.stage("masks"):
+                _write_masks(masks, scene, labels, views, force=force)
+    with storage_errors(out):
+        size = out.stat().st_size
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                "bytes": size,
+                "splats": len(scene),
+                "sh_degree": scene.sh_degree,
+                "seed": seed,
+                "cameras": name_of(cameras),
+                "views": len(views),
+                "rooms": rooms or 0,
+                "walk": None if walk is None else name_of(walk),
+                "walk_poses": len(walked),
+                "objects": list(scenes.OBJECTS) if objects else [],
+                "masks": None if masks is None else name_of(masks),
+                "seconds": stages.rounded(),
+            }
+        )
+    elif not quiet:
+        say(f"{out}: {len(scene):,} splats at SH degree {scene.sh_degree}, {size_text(size)}")
+        named = [f"{number} {name}" for number, name in enumerate(scenes.OBJECTS, start=1)]
+        facts(
+            ("cameras", f"{cameras}, {len(views)} views"),
+            ("walk", f"{walk}, {len(walked)} poses" if walk else ""),
+            ("objects", ", ".join(named) if objects else ""),
+            ("masks", str(masks) if masks else ""),
+            ("time", stages.line()),
+        )
+
+
+def _write_masks(
+    folder: Path,
+    scene: Splats,
+    labels: NDArray[np.uint8],
+    views: Sequence[Camera],
+    *,
+    force: bool,
+) -> None:
+    from PIL import Image
+
+    from cogsplat.tools.lab.synthetic.object_masks import synth_masks
+    from cogsplat.tools.pictures.png import write_png
+
+    for camera, mask in zip(views, synth_masks(scene, labels, views), strict=True):
+        write_png(Image.fromarray(mask), _mask_path(folder, camera), force=force)
+
+
+def _mask_path(folder: Path, camera: Camera) -> Path:
+    return folder / f"{camera.name}.png"
+
+
+@click.command(epilog="\b\nExample:\n  cogsplat demo --out demo --force")
+@click.option(
+    "--out", type=PATH, default="demo", show_default=True, metavar="DIR", help="Where files go."
+)
+@click.option(
+    "--splats",
+    type=click.IntRange(1000, _MOST_SPLATS),
+    default=_DEMO_SPLATS,
+    show_default=True,
+    metavar="N",
+    help="Size of the scene.",
+)
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json: bool) -> None:
+    """Encode a synthetic scene and decode prefixes of it.
+
+    Make it, encode it, decode 3, 6, 12, 25 and 100 % of the bytes, compare each with the original,
+    and draw a film-strip of them.
+    """
+    from cogsplat.tools.cli.warm import every_kernel
+
+    from . import demonstration
+
+    with (
+        Stages(shown=not (quiet or as_json)) as stages,
+        CompileAhead(every_kernel(planned=False), thread_count(threads)) as ahead,
+    ):
+        stages.plan(demonstration.stage_costs(splats))
+        made = demonstration.run(
+            out,
+            splats=splats,
+            threads=threads,
+            force=force,
+            before_encoding=ahead.finish,
+            progress=stages,
+        )
+    files = made.files
+    if as_json:
+        say_json(
+            {
+                "splats": made.splats,
+                "scene": name_of(files.scene),
+                "scene_bytes": made.scene_bytes,
+                "cameras": name_of(files.cameras),
+                "cogs": name_of(files.cogs),
+                "cogs_bytes": made.cogs_bytes,
+                "decoded": name_of(files.decoded),
+                "filmstrip": name_of(files.strip),
+                "prefixes": [
+                    {
+                        "share": prefix.share,
+                        "bytes": prefix.size_bytes,
+                        "splats": prefix.splats,
+                        "held_out_db": prefix.held_out_db,
+                        "worst_db": prefix.worst_db,
+                        "roam_db": prefix.roam_db,
+                    }
+                    for prefix in made.prefixes
+                ],
+                "seconds": stages.rounded(),
+                "cpu_seconds": stages.cpu_rounded(),
+            }
+        )
+        return
+    if quiet:
+        return
+    smaller = made.scene_bytes / made.cogs_bytes
+    say(
+        f"{made.splats:,} splats, {size_text(made.scene_bytes)} as PLY, "
+        f"{size_text(made.cogs_bytes)} as COGS: {smaller:.1f} times smaller"
+    )
+    say("")
+    rows = [
+        (
+            f"{prefix.share:.0%}",
+            size_text(prefix.size_bytes),
+            f"{prefix.splats:,}",
+            f"{prefix.held_out_db:.1f}",
+            f"{prefix.worst_db:.1f}",
+            f"{prefix.roam_db:.1f}",
+        )
+        for prefix in made.prefixes
+    ]
+    table(("bytes", "", "splats", "held-out dB", "worst dB", "roam dB"), rows, left=0)
+    say("")
+    facts(
+        ("scene", name_of(files.scene)),
+        ("cameras", name_of(files.cameras)),
+        ("encoded", name_of(files.cogs)),
+        ("decoded", name_of(files.decoded)),
+        ("film-strip", name_of(files.strip)),
+        ("time", stages.line()),
+    )

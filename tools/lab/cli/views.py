@@ -1,0 +1,124 @@
+"""``cogsplat views``: cameras planned for a scene that has none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import click
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.progress import Progress
+from cogsplat.codec.splats import Splats
+from cogsplat.formats.cameras.inria import write_cameras_json
+from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.tools.cli.compare import fitted
+from cogsplat.tools.cli.inputs import given_files, read_any
+from cogsplat.tools.pictures.contact_sheet import THUMBNAIL, contact_sheet
+from cogsplat.tools.pictures.png import write_png
+from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.options import (
+    force_option,
+    json_option,
+    quiet_option,
+    threads_option,
+)
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.partial import partial_option
+from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+# More would be scored for hours, and planning holds looks at six places for each.
+_MOST_VIEWS: Final = 1024
+
+
+@click.command(
+    epilog="\b\nExample:\n"
+    "  cogsplat views scene.ply views.png\n"
+    "  cogsplat views scene.ply views.json --count 96\n"
+    "  cogsplat encode scene.ply scene.cogs --cameras views.json"
+)
+@click.argument("path", type=INPUT, metavar="SCENE")
+@click.argument("out", type=OutputPath(".json"), metavar="OUT.json|OUT.png")
+@click.option(
+    "--count",
+    type=click.IntRange(1, _MOST_VIEWS),
+    metavar="N",
+    help="Views; a few more may be added for what they leave out.  [default: 64]",
+)
+@partial_option
+@limits_option
+@threads_option
+@force_option
+@quiet_option
+@json_option
+def views(
+    path: Path,
+    out: Path,
+    count: int | None,
+    threads: int,
+    force: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Plan views to score SCENE from where no cameras are given.
+
+    OUT.json is a cameras.json as INRIA's training writes it: edit it, and give it to other commands
+    with --cameras. OUT.png is a contact sheet, to see whether the views make sense. The same scene
+    gives the same views.
+    """
+    from cogsplat.codec.views.planner import ViewPlanConfig, plan_views
+
+    kind = out.suffix.lower()
+    if kind not in (".json", ".png"):
+        raise click.UsageError(f"{out}, expected an output that ends in .json or .png")
+    check_output(out, force=force, inputs=given_files(path))
+    config = ViewPlanConfig(threads=threads)
+    if count is not None:
+        config = replace(config, views=count)
+    with Stages(shown=not (quiet or as_json)) as stages:
+        with stages.stage("read"):
+            splats = read_any(path, threads=threads).splats
+        cameras = plan_views(splats, config, progress=stages)
+        if kind == ".png":
+            sheet = _sheet(splats, cameras, threads, stages)
+        with stages.stage("write"):
+            if kind == ".png":
+                write_png(sheet, out, force=force)
+            else:
+                write_cameras_json(cameras, out, force=force)
+    with storage_errors(out):
+        written = out.stat().st_size
+    if as_json:
+        say_json(
+            {
+                "output": name_of(out),
+                "source": name_of(path),
+                "bytes": written,
+                "views": len(cameras),
+                "width": config.width,
+                "height": config.height,
+                "splats": len(splats),
+                "seconds": stages.rounded(),
+            }
+        )
+    elif not quiet:
+        what = "a contact sheet of " if kind == ".png" else ""
+        say(f"{out}: {what}{counted(len(cameras), 'view')}, {size_text(written)}")
+        facts(("size", f"{config.width}x{config.height} px"), ("time", stages.line()))
+
+
+def _sheet(splats: Splats, cameras: Sequence[Camera], threads: int, progress: Progress) -> Image:
+    from cogsplat.codec.render.rasteriser import RenderConfig, render_views
+
+    config = RenderConfig(
+        kernel_px=splats.info.kernel_px, antialiased=splats.info.antialiased, threads=threads
+    )
+    small = [fitted(camera, *THUMBNAIL) for camera in cameras]
+    images = render_views(splats, small, config, progress=progress)
+    return contact_sheet(images, [camera.name for camera in cameras])

@@ -1,0 +1,91 @@
+"""Our own decoders behind the conformance protocol: numpy, compiled, and the second decoder.
+
+Run ``python -m cogsplat.tools.lab.conformance.decoder numpy|compiled|reference``.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+import cogsplat
+from cogsplat.codec.errors import CogsplatError
+from cogsplat.codec.streams import compiled
+from cogsplat.formats.cogs.folder_map import MANIFEST_SUFFIX
+from cogsplat.formats.cogs.folder_source import FolderSource
+from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.storage.source import FileSource
+
+from . import reference_decoder
+from .folders import packed
+from .protocol import Answer
+
+ARRAYS: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
+KINDS: Final = ("numpy", "compiled", "reference")
+
+
+def hello(kind: str) -> Answer:
+    """Return what one of our decoders says of itself."""
+    return {
+        "name": f"cogsplat ({kind})",
+        "version": cogsplat.__version__,
+        "level": "reader" if kind == "reference" else "verifier",
+        # The second decoder is for valid and whole files only.
+        "refuses": kind != "reference",
+        "partial": kind != "reference",
+        "folders": True,
+    }
+
+
+def answer(kind: str, request: Answer) -> Answer:
+    """Return the answer to one request of the protocol."""
+    if request.get("op") == "hello":
+        return hello(kind)
+    path, out = Path(str(request["path"])), Path(str(request["out"]))
+    if kind == "reference":
+        return _reference(path, out, request)
+    try:
+        # By the name, as the request means it; commands look at the first bytes.
+        source = FolderSource(path) if path.suffix == MANIFEST_SUFFIX else FileSource(path)
+        with open_cogs(source, partial=bool(request["partial"])) as file:
+            if request["verify"]:
+                file.verify()
+            splats = file.decode(refine=bool(request["refine"]), extras=False)
+    except CogsplatError as error:
+        return {"ok": False, "code": error.code, "message": error.message}
+    rows = [getattr(splats, name).astype("<f4").tobytes() for name in ARRAYS]
+    out.write_bytes(b"".join(rows))
+    return {"ok": True, "splats": len(splats)}
+
+
+def _reference(path: Path, out: Path, request: Answer) -> Answer:
+    data = path.read_bytes()
+    if path.suffix == MANIFEST_SUFFIX:
+        objects = {f"segments/{x.name}": x.read_bytes() for x in path.parent.glob("segments/*")}
+        data = packed({path.name: data, **objects}, path.name)
+    scene = reference_decoder.decode(data, refine=bool(request["refine"]))
+    rows = [np.array(scene.rows[name], np.float32).astype("<f4").tobytes() for name in ARRAYS]
+    out.write_bytes(b"".join(rows))
+    return {"ok": True, "splats": len(scene.rows["means"])}
+
+
+def main(arguments: list[str]) -> int:
+    """Answer requests from standard input until it ends."""
+    if len(arguments) != 1 or arguments[0] not in KINDS:
+        print(f"expected one of {', '.join(KINDS)}", file=sys.stderr)
+        return 2
+    (kind,) = arguments
+    if kind == "compiled" and not compiled.use(True):
+        print("numba is not installed, expected the extra `encode`", file=sys.stderr)
+        return 4
+    for line in sys.stdin:
+        print(json.dumps(answer(kind, json.loads(line))), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,250 @@
+"""Evaluator: PSNR and SSIM of many versions of a scene against renders of the full scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.metrics import psnr, ssim
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.codec.views.view_sets import roam
+from cogsplat.tools.evaluation.lpips import Lpips
+
+# SSIM's window (Wang et al. 2004) must fit.
+_SMALLEST_SIDE: Final = 11
+# Pixels of reference pictures that are kept, 12 bytes each; beyond, they are drawn again.
+_KEPT_PIXELS: Final = 1 << 28
+
+Colour = tuple[float, float, float]
+Picture = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Figures:
+    """PSNR and SSIM of one version against the full scene.
+
+    Parameters
+    ----------
+    held_out_db, worst_db, roam_db : float
+        PSNR: the mean over the test views, the lowest of them, the mean off their path.
+    held_out_ssim, worst_ssim, roam_ssim : float
+        Likewise.
+    worst_view : str
+        The test view of the lowest PSNR.
+    first_view_db, first_view_ssim : float or None
+        At the pose that an order serves first, where there is one.
+    held_out_lpips, worst_lpips, roam_lpips : float or None
+        Likewise, where weights are given; lower is nearer.
+    photos_db : float or None
+        Mean PSNR of the test views against photos, where there are any.
+    """
+
+    held_out_db: float
+    worst_db: float
+    roam_db: float
+    held_out_ssim: float
+    worst_ssim: float
+    roam_ssim: float
+    worst_view: str
+    first_view_db: float | None = None
+    first_view_ssim: float | None = None
+    held_out_lpips: float | None = None
+    worst_lpips: float | None = None
+    roam_lpips: float | None = None
+    photos_db: float | None = None
+
+    def report(self) -> dict[str, object]:
+        """Return the figures that were measured, rounded."""
+        found = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {
+            name: round(value, 5) if isinstance(value, float) else value
+            for name, value in found.items()
+            if value is not None
+        }
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """PSNR and SSIM of one version in one view."""
+
+    psnr_db: float
+    ssim: float
+    lpips: float | None
+    photo_db: float | None
+
+
+class Evaluator:
+    """The test views of a scene: held-out cameras, roaming views, perhaps a first view.
+
+    Parameters
+    ----------
+    reference : Splats
+        The whole scene, extra attributes left out.
+    cameras : sequence of Camera
+        Test views; at least one, 11 px a side or more.
+    first_view : Camera or None
+    photos : sequence of (H, W, 3) uint8 or None
+        Of the cameras.
+    lpips : Lpips or None
+    background : tuple of float
+        RGB behind the splats.
+    ssim_border : str
+        One of `metrics.SSIM_BORDERS`.
+    threads : int
+        0 for all cores; the figures do not depend on it.
+
+    Raises
+    ------
+    DataError
+        ``no-cameras``; ``view-too-small``; ``cameras-see-nothing``: no test view shows
+        anything but background.
+    """
+
+    def __init__(
+        self,
+        reference: Splats,
+        cameras: Sequence[Camera],
+        *,
+        first_view: Camera | None = None,
+        photos: Sequence[NDArray[np.uint8]] | None = None,
+        lpips: Lpips | None = None,
+        background: Colour = (0.0, 0.0, 0.0),
+        ssim_border: str = "valid",
+        threads: int = 0,
+    ) -> None:
+        if not cameras:
+            raise DataError("no-cameras", "0 cameras to measure in, expected at least 1")
+        self.cameras = list(cameras)
+        self._views = [*cameras, *roam(reference, cameras), *([first_view] if first_view else [])]
+        self._roaming = slice(len(cameras), len(cameras) * 3)
+        self._first = first_view is not None
+        self._photos = photos
+        self._lpips = lpips
+        self._background = background
+        self._ssim_border = ssim_border
+        self._threads = thread_count(threads)
+        self.reference = reference.without_extras()
+        for camera in self._views:
+            smallest = max(_SMALLEST_SIDE, 0 if lpips is None else lpips.smallest_side)
+            if min(camera.width, camera.height) < smallest:
+                raise DataError(
+                    "view-too-small",
+                    f"camera {camera.name!r}: {camera.width}x{camera.height} px, expected at "
+                    f"least {smallest} a side to compare by",
+                )
+        pixels = np.cumsum([camera.width * camera.height for camera in self._views])
+        kept = int(np.searchsorted(pixels, _KEPT_PIXELS, side="right"))
+        self._kept: list[Picture] = list(
+            ordered_map(
+                lambda camera: self.draw(reference, camera), self._views[:kept], self._threads
+            )
+        )
+        blank = np.array(background, np.float32)
+        test_views = range(len(cameras))
+        if not any(bool((self._expected(view) != blank).any()) for view in test_views):
+            raise DataError(
+                "cameras-see-nothing",
+                f"{len(cameras)} views of the reference show nothing but background, expected "
+                "some splats in them",
+            )
+
+    def draw(self, splats: Splats, camera: Camera) -> Picture:
+        """Render a version with the kernel that its `SceneInfo` states."""
+        from cogsplat.codec.render.rasteriser import RenderConfig, render
+
+        config = RenderConfig(
+            kernel_px=splats.info.kernel_px,
+            antialiased=splats.info.antialiased,
+            background=self._background,
+            threads=1,
+        )
+        return render(splats, camera, config)
+
+    def measure(
+        self, versions: Sequence[Splats], *, progress: Progress = silent, stage: str = "measure"
+    ) -> list[Figures]:
+        """Measure versions of the scene in all test views.
+
+        Parameters
+        ----------
+        versions : sequence of Splats
+        progress : Progress
+            Called with `stage`, views done and views.
+        stage : str
+
+        Returns
+        -------
+        list of Figures
+            One for each version.
+        """
+        rows: list[list[_Seen]] = []
+        progress(stage, 0, len(self._views))
+        for row in ordered_map(
+            lambda view: self._look(versions, view), range(len(self._views)), self._threads
+        ):
+            rows.append(row)
+            progress(stage, len(rows), len(self._views))
+        return [self._summed([row[number] for row in rows]) for number in range(len(versions))]
+
+    def _expected(self, view: int) -> Picture:
+        if view < len(self._kept):
+            return self._kept[view]
+        return self.draw(self.reference, self._views[view])
+
+    def _look(self, versions: Sequence[Splats], view: int) -> list[_Seen]:
+        camera, expected = self._views[view], self._expected(view)
+        target = None if self._lpips is None else self._lpips.features(expected)
+        photo = None
+        if self._photos is not None and view < len(self.cameras):
+            photo = self._photos[view].astype(np.float32) / 255
+        found: list[_Seen] = []
+        for splats in versions:
+            picture = self.draw(splats, camera)
+            distance = None
+            if self._lpips is not None and target is not None:
+                distance = self._lpips.distance(target, self._lpips.features(picture))
+            found.append(
+                _Seen(
+                    psnr(expected, picture),
+                    ssim(expected, picture, border=self._ssim_border),
+                    distance,
+                    None if photo is None else psnr(photo, picture),
+                )
+            )
+        return found
+
+    def _summed(self, seen: list[_Seen]) -> Figures:
+        held, roaming = seen[: len(self.cameras)], seen[self._roaming]
+        worst = min(range(len(held)), key=lambda view: held[view].psnr_db)
+        distances = [one.lpips for one in held if one.lpips is not None]
+        return Figures(
+            held_out_db=_mean([one.psnr_db for one in held]),
+            worst_db=held[worst].psnr_db,
+            roam_db=_mean([one.psnr_db for one in roaming]),
+            held_out_ssim=_mean([one.ssim for one in held]),
+            worst_ssim=min(one.ssim for one in held),
+            roam_ssim=_mean([one.ssim for one in roaming]),
+            worst_view=self.cameras[worst].name,
+            first_view_db=seen[-1].psnr_db if self._first else None,
+            first_view_ssim=seen[-1].ssim if self._first else None,
+            held_out_lpips=_mean(distances) if distances else None,
+            worst_lpips=max(distances) if distances else None,
+            roam_lpips=_mean([one.lpips for one in roaming if one.lpips is not None])
+            if distances
+            else None,
+            photos_db=None
+            if self._photos is None
+            else _mean([one.photo_db for one in held if one.photo_db is not None]),
+        )
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)

@@ -1,0 +1,227 @@
+"""Make the shared vectors of the scheduler: random states and what is decided in each.
+
+Run ``python -m cogsplat.tools.lab.make_decisions`` after every change of docs/streaming.md, and
+commit what it writes. Both implementations must decide the same (tests/tools/lab/scheduling and
+tools/web).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Final, TypedDict
+
+import numpy as np
+
+from cogsplat.codec.geometry.rotations import matrices
+from cogsplat.codec.partition.nested_cells import parents
+from cogsplat.codec.segments.view_table import ViewTable
+from cogsplat.tools.lab.scheduling import chunk_ratios
+from cogsplat.tools.lab.scheduling.poses import Pose, path
+from cogsplat.tools.lab.scheduling.scheduler import Holdings, Scheduler, Unit
+
+DECISIONS: Final = (
+    Path(__file__).resolve().parents[2]
+    / "tests"
+    / "tools"
+    / "lab"
+    / "scheduling"
+    / "decisions.json"
+)
+RULES: Final = ("views", "boxes", "sgss")
+_SCENES: Final = 30
+_STATES: Final = 40
+
+
+class Scene(TypedDict):
+    """A scene of the vectors.
+
+    A unit is its chunk, whether it is a head, end, size, and the units that it needs.
+    """
+
+    boxes: list[list[float]]
+    contribution: list[float]
+    splats: list[int]
+    units: list[tuple[int, int, int, int, list[int]]]
+    positions: list[list[float]]
+    directions: list[list[int]]
+    codes: list[list[int]]
+
+
+class State(TypedDict):
+    """What a client has, where it looks from, and what is decided.
+
+    A pose is a position, a rotation row by row, and two tangents; a decision is what to stop, to
+    evict and to fetch.
+    """
+
+    scene: int
+    rule: str
+    now: list[float]
+    before: list[float]
+    elapsed: float
+    there: list[int]
+    under_way: list[int]
+    received: list[tuple[int, int]]
+    budget_splats: int
+    bytes_per_second: float
+    latency: float
+    decision: list[list[int]]
+
+
+def ratios_of(scene: Scene, rule: str) -> chunk_ratios.PoseRatios:
+    """Return a rule of `RULES` for a scene."""
+    boxes = np.array(scene["boxes"], np.float64)
+    contribution = np.array(scene["contribution"], np.float64)
+    if rule == "sgss":
+        return chunk_ratios.by_sgss(boxes, np.array(scene["splats"], np.float64))
+    if rule == "boxes":
+        return chunk_ratios.by_boxes(boxes, contribution)
+    table = ViewTable(
+        np.array(scene["positions"], np.float32),
+        np.array(scene["directions"], np.int8),
+        np.array(scene["codes"], np.uint8),
+    )
+    return chunk_ratios.by_view_table(table, boxes, contribution)
+
+
+def decided(scene: Scene, state: State) -> list[list[int]]:
+    """Return what is decided in a state."""
+    units = [Unit(c, bool(head), end, size, tuple(a)) for c, head, end, size, a in scene["units"]]
+    held = Holdings(
+        frozenset(state["there"]),
+        frozenset(state["under_way"]),
+        dict(state["received"]),
+        state["budget_splats"],
+        state["bytes_per_second"],
+        state["latency"],
+    )
+    poses = path(_pose(state["now"]), _pose(state["before"]), state["elapsed"])
+    ratios = chunk_ratios.along(ratios_of(scene, state["rule"]), poses)
+    decision = Scheduler(units, scene["splats"]).decide(ratios, held)
+    return [decision.stop, decision.evict, decision.fetch]
+
+
+def make() -> tuple[list[Scene], list[State]]:
+    """Return scenes and states, the same every time."""
+    rng = np.random.default_rng(16)
+    scenes = [_scene(rng) for _ in range(_SCENES)]
+    states = []
+    for number, scene in enumerate(scenes):
+        for turn in range(_STATES):
+            state = _state(rng, number, scene, RULES[turn % len(RULES)] if turn % 2 else "views")
+            state["decision"] = decided(scene, state)
+            states.append(state)
+    return scenes, states
+
+
+def text() -> str:
+    """Return the vectors as JSON, a scene or state a line."""
+    parts = []
+    scenes, states = make()
+    named: dict[str, list[Scene] | list[State]] = {"scenes": scenes, "states": states}
+    for name, entries in named.items():
+        lines = ",\n".join(json.dumps(entry, separators=(",", ":")) for entry in entries)
+        parts.append(f'"{name}": [\n{lines}\n]')
+    return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
+def _pose(numbers: list[float]) -> Pose:
+    values = np.array(numbers, np.float64)
+    return Pose(values[:3], values[3:12].reshape(3, 3), float(values[12]), float(values[13]))
+
+
+def _rounded(values: object, digits: int) -> list[float]:
+    return [round(float(x), digits) for x in np.asarray(values, np.float64).ravel()]
+
+
+def _scene(rng: np.random.Generator) -> Scene:
+    chunks = int(rng.integers(3, 11))
+    low = rng.uniform(-8.0, 8.0, (chunks, 3))
+    boxes = np.concatenate([low, low + rng.uniform(0.0, 6.0, (chunks, 3))], axis=1)
+    cells = np.concatenate([[1], rng.integers(1, 8, chunks - 1)])
+    above = parents(cells)
+    contribution = rng.uniform(0.0, 9.0, chunks) * (rng.random(chunks) > 0.1)
+    views = int(rng.integers(1, 6))
+    codes = rng.integers(225, 255, (views, chunks)) * (rng.random((views, chunks)) > 0.3)
+    directions = rng.integers(-127, 128, (views, 3))
+    directions[~directions.any(axis=1)] = 1
+    return {
+        "boxes": [_rounded(box, 2) for box in boxes],
+        "contribution": _rounded(contribution, 2),
+        "splats": rng.integers(10, 400, chunks).tolist(),
+        "units": _units(rng, above.tolist()),
+        "positions": [_rounded(position, 2) for position in rng.uniform(-6.0, 6.0, (views, 3))],
+        "directions": directions.tolist(),
+        "codes": codes.tolist(),
+    }
+
+
+def _units(
+    rng: np.random.Generator, above: list[int]
+) -> list[tuple[int, int, int, int, list[int]]]:
+    """Return a codebook, and heads in their order with what refines them behind them."""
+    rows: list[tuple[int, int, list[int]]] = [(-1, 0, [])]
+    heads: dict[int, int] = {}
+    later: list[int] = []
+    for chunk, parent in enumerate(above):
+        heads[chunk] = len(rows)
+        rows.append((chunk, 1, [] if parent < 0 else [heads[parent]]))
+        later += [chunk] * int(rng.integers(0, 3))
+        while later and rng.random() < 0.5:
+            owner = later.pop(int(rng.integers(len(later))))
+            rows.append((owner, 0, [heads[owner], *([0] if rng.random() < 0.4 else [])]))
+    end = int(rng.integers(500, 3000))
+    units = []
+    for chunk, head, after in rows:
+        size = int(rng.integers(100, 5000))
+        end += size
+        units.append((chunk, head, end, size, after))
+    return units
+
+
+def _state(rng: np.random.Generator, number: int, scene: Scene, rule: str) -> State:
+    units = scene["units"]
+    position = rng.uniform(-7.0, 7.0, 3)
+    quats = rng.normal(size=(2, 4))
+    quats[1] = quats[0] + 0.1 * quats[1]
+    quats /= np.sqrt((quats * quats).sum(axis=1, keepdims=True))
+    rotations = matrices(quats)
+    tangents = rng.uniform(0.3, 1.4, 2)
+    moved = position - 0.2 * rng.normal(size=3)
+    # Whatever is there has what it needs.
+    there: set[int] = set()
+    for unit, (_, _, _, _, after) in enumerate(units):
+        if rng.random() < 0.55 and there.issuperset(after):
+            there.add(unit)
+    open_ = [unit for unit in range(len(units)) if unit not in there]
+    under_way = [unit for unit in open_ if rng.random() < 0.3]
+    received = [
+        (unit, int(rng.integers(0, units[unit][3]))) for unit in open_ if rng.random() < 0.4
+    ]
+    heads = {row[0] for unit, row in enumerate(units) if row[1] and unit in {*there, *under_way}}
+    used = sum(scene["splats"][chunk] for chunk in heads)
+    budget = 0 if rng.random() < 0.4 else int(used * rng.uniform(0.9, 1.3)) + 1
+    return {
+        "scene": number,
+        "rule": rule,
+        "now": [*_rounded(position, 3), *_rounded(rotations[0], 4), *_rounded(tangents, 2)],
+        "before": [*_rounded(moved, 3), *_rounded(rotations[1], 4), *_rounded(tangents, 2)],
+        "elapsed": round(float(rng.uniform(0.0, 1.0)) * float(rng.random() > 0.1), 3),
+        "there": sorted(there),
+        "under_way": under_way,
+        "received": received,
+        "budget_splats": budget,
+        "bytes_per_second": float(rng.integers(2000, 40000)),
+        "latency": round(float(rng.uniform(0.0, 0.2)), 3),
+        "decision": [],
+    }
+
+
+def main() -> None:
+    """Write `DECISIONS`."""
+    DECISIONS.write_text(text(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

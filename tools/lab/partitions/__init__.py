@@ -1,0 +1,1 @@
+"""Partitions of space into boxes, compared by benchmarks."""

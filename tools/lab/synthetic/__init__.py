@@ -1,0 +1,1 @@
+"""Synthetic scenes: a terrace with objects, houses, landscapes, scenes that are hard to cover."""

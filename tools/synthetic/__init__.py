@@ -1,1 +1,0 @@
-"""The synthetic test scene: shapes, materials, lighting, cameras, labels, masks."""
