@@ -1,4 +1,4 @@
-"""`rendered`: pictures for PyTorch, which differentiates them through `codec.fit.drawing`."""
+"""Differentiable rendering as a PyTorch autograd function."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.render.rasteriser import RenderConfig
 from cogsplat.codec.splats import SceneInfo, Splats
 
-from .drawing import Gradients, draw
+from .differentiable_rendering import Gradients, render_forward
 
 
 def _array(tensor: torch.Tensor) -> np.ndarray[Any, np.dtype[np.float32]]:
@@ -28,7 +28,7 @@ class _Render(torch.autograd.Function):  # type: ignore[misc]
     ) -> torch.Tensor:
         ctx.save_for_backward(*tensors)
         values: dict[str, Any] = dict(zip(Gradients.names(), map(_array, tensors), strict=True))
-        ctx.drawing = draw(Splats(**values), camera, config)
+        ctx.drawing = render_forward(Splats(**values), camera, config)
         return torch.from_numpy(ctx.drawing.picture).to(tensors[0].device)
 
     @staticmethod
@@ -41,7 +41,7 @@ class _Render(torch.autograd.Function):  # type: ignore[misc]
         return (None, None, *(torch.from_numpy(value).to(means.device) for value in values))
 
 
-def rendered(
+def render(
     means: torch.Tensor,
     scales: torch.Tensor,
     quats: torch.Tensor,
@@ -86,13 +86,13 @@ def rendered(
     Examples
     --------
     >>> import torch
-    >>> from cogsplat.codec.fit.autograd import rendered
+    >>> from cogsplat.codec.fit.autograd import render
     >>> import cogsplat
     >>> splats = cogsplat.read("scene.ply")
     >>> camera = cogsplat.read_cameras("cameras.json")[0]
     >>> names = ("means", "scales", "quats", "opacities", "sh0", "shN")
     >>> tensors = [torch.from_numpy(getattr(splats, name)).requires_grad_() for name in names]
-    >>> rendered(*tensors, camera).square().mean().backward()
+    >>> render(*tensors, camera).square().mean().backward()
     >>> bool(tensors[0].grad.abs().max() > 0)
     True
     """

@@ -16,14 +16,16 @@ from cogsplat.codec.render.shading import footprint_colours
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
-from .lessons import Lessons
+from .training_views import TrainingViews
 
 F64 = NDArray[np.float64]
 
 
-def _view_errors(view: int, splats: Splats, lessons: Lessons) -> tuple[NDArray[np.int32], F64]:
+def _view_errors(
+    view: int, splats: Splats, training_views: TrainingViews
+) -> tuple[NDArray[np.int32], F64]:
     """Return the rows that a view shows, and what its picture changes without each of them."""
-    camera, config = lessons.cameras[view], lessons.configs[view]
+    camera, config = training_views.cameras[view], training_views.configs[view]
     footprints = project(splats, camera, kernel_px=config.kernel_px, antialiased=config.antialiased)
     colours = footprint_colours(splats, camera, footprints)
     picture = render(splats, camera, config)
@@ -35,7 +37,7 @@ def _view_errors(view: int, splats: Splats, lessons: Lessons) -> tuple[NDArray[n
 
 def deletion_errors(
     splats: Splats,
-    lessons: Lessons,
+    training_views: TrainingViews,
     views: Sequence[int] | None = None,
     *,
     threads: int = 0,
@@ -49,7 +51,7 @@ def deletion_errors(
     Parameters
     ----------
     splats : Splats
-    lessons : Lessons
+    training_views : TrainingViews
         Their pictures are not looked at.
     views : sequence of int, optional
         Numbers of the views; all where it is not given.
@@ -63,9 +65,9 @@ def deletion_errors(
     (N,) float64
         Sum over views, pixels and channels of the squared change.
     """
-    numbers = range(len(lessons)) if views is None else views
+    numbers = range(len(training_views)) if views is None else views
     errors = np.zeros(len(splats))
-    measure = partial(_view_errors, splats=splats, lessons=lessons)
+    measure = partial(_view_errors, splats=splats, training_views=training_views)
     progress("deletions", 0, len(numbers))
     found = ordered_map(measure, numbers, thread_count(threads))
     for done, (rows, changes) in enumerate(found, start=1):

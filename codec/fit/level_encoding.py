@@ -21,7 +21,7 @@ from cogsplat.codec.scoring.contribution import Scores, score
 from cogsplat.codec.segments.attributes import types_of, unpack_attributes
 from cogsplat.codec.segments.opacities import pack_opacities
 
-from .levels import LevelledSplats
+from .level_training import LevelledSplats
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]

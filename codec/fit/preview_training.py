@@ -26,9 +26,9 @@ from cogsplat.codec.threads import thread_count
 from cogsplat.codec.views.view_sets import evenly
 
 from .deletion import deletion_errors
-from .lessons import Lessons
-from .stored import stored
+from .round_trip import round_trip
 from .trainer import TrainConfig, Trainer
+from .training_views import TrainingViews
 
 # What a splat of a preview takes. On a captured room 1,800 splats of 7.4 B showed 26.1 dB and the
 # same in 5.6 B each 23.9.
@@ -78,7 +78,7 @@ class PreviewConfig:
         By which it makes the file longer, above 0 and below 1; 64 KiB at most.
     round_steps : int
         Steps of training in each of the four rounds that leave ever fewer splats.
-    storing_steps : int
+    quantised_steps : int
         Steps of training through the quantisers.
     refresh : int
         Steps between two encodes of the preview.
@@ -90,7 +90,7 @@ class PreviewConfig:
 
     share: float = 0.02
     round_steps: int = 160
-    storing_steps: int = 80
+    quantised_steps: int = 80
     refresh: int = 10
     seed: int = 0
     threads: int = 0
@@ -98,7 +98,7 @@ class PreviewConfig:
     def __post_init__(self) -> None:
         if not 0.0 < self.share < 1.0:
             raise ValueError(f"share {self.share}, expected between 0 and 1")
-        steps = (self.round_steps, self.storing_steps, self.refresh)
+        steps = (self.round_steps, self.quantised_steps, self.refresh)
         if min(steps) < 1:
             raise ValueError(f"steps {steps}, expected at least 1 each")
         if self.seed < 0:
@@ -154,9 +154,9 @@ class TrainedPreview:
         if count < 1:
             return encoded
         size = min(size, int((count + 1) * _BYTES_PER_SPLAT))
-        lessons = _lessons(references, encoded.decoded)
-        trainer = self._trained(encoded, lessons, count, progress)
-        made = self._stored(trainer, lessons, size, progress)
+        training_views = _training_views(references, encoded.decoded)
+        trainer = self._trained(encoded, training_views, count, progress)
+        made = self._stored(trainer, training_views, size, progress)
         if made is None:
             return encoded
         prefix_mse = usual_errors(encoded, references, effective_splats)
@@ -198,10 +198,10 @@ class TrainedPreview:
         return min(int(_OF_HEADS * self._config.share * total), _MOST_BYTES)
 
     def _steps(self) -> int:
-        return len(_ROUNDS) * self._config.round_steps + self._config.storing_steps
+        return len(_ROUNDS) * self._config.round_steps + self._config.quantised_steps
 
     def _trained(
-        self, encoded: EncodedScene, lessons: Lessons, count: int, progress: Progress
+        self, encoded: EncodedScene, training_views: TrainingViews, count: int, progress: Progress
     ) -> Trainer:
         """Return what is left of the first splats, trained to look like all."""
         config = self._config
@@ -210,53 +210,53 @@ class TrainedPreview:
         begin = prefix_inflation.inflate(begin, _INFLATION)
         clipped = np.minimum(begin.opacities, np.float32(_LARGEST_LOGIT))
         settings = TrainConfig(seed=config.seed, threads=config.threads)
-        trainer = Trainer(replace(begin, opacities=clipped), lessons, settings)
+        trainer = Trainer(replace(begin, opacities=clipped), training_views, settings)
         progress("preview", 0, self._steps())
         for number, times in enumerate(_ROUNDS):
             left = round(times * count)
             if left < len(trainer.splats):
-                self._leave_out(trainer, lessons, left)
+                self._leave_out(trainer, training_views, left)
             last = number + 1 == len(_ROUNDS)
             fall = _LAST_FALL if last else _ROUND_FALL
             trainer.run(config.round_steps, _RATE, _RATE * fall)
             progress("preview", (number + 1) * config.round_steps, self._steps())
         return trainer
 
-    def _leave_out(self, trainer: Trainer, lessons: Lessons, left: int) -> None:
+    def _leave_out(self, trainer: Trainer, training_views: TrainingViews, left: int) -> None:
         """Keep so many splats, those whose absence would change the pictures most."""
-        some = evenly(range(len(lessons)), _DELETION_VIEWS)
-        errors = deletion_errors(trainer.splats, lessons, some, threads=self._config.threads)
+        some = evenly(range(len(training_views)), _DELETION_VIEWS)
+        errors = deletion_errors(trainer.splats, training_views, some, threads=self._config.threads)
         trainer.keep(np.sort(np.argsort(-errors, kind="stable")[:left]))
 
     def _stored(
-        self, trainer: Trainer, lessons: Lessons, size: int, progress: Progress
+        self, trainer: Trainer, training_views: TrainingViews, size: int, progress: Progress
     ) -> EncodedScene | None:
         """Train the preview through its quantisers; return it in `size` bytes, if it can be."""
         config = self._config
-        prepared = self._prepared(trainer.splats, lessons)
+        prepared = self._prepared(trainer.splats, training_views)
         while (taken := _head_bytes(prepared, _LEAST_DB)) > size:
             left = int(len(trainer.splats) * size / taken)
             if left < 1:
                 return None
-            self._leave_out(trainer, lessons, left)
+            self._leave_out(trainer, training_views, left)
             trainer.run(config.refresh, _RATE, _RATE * _LAST_FALL)
-            prepared = self._prepared(trainer.splats, lessons)
+            prepared = self._prepared(trainer.splats, training_views)
         quality = _quality(prepared, size)
         done = 0
-        while done < config.storing_steps:
-            steps = min(config.refresh, config.storing_steps - done)
-            decoded = stored(prepared, trainer.splats, quality).decoded
-            first, last = (_stored_rate(at / config.storing_steps) for at in (done, done + steps))
-            trainer.run(steps, first, last, drawn_as=decoded)
+        while done < config.quantised_steps:
+            steps = min(config.refresh, config.quantised_steps - done)
+            decoded = round_trip(prepared, trainer.splats, quality).decoded
+            first, last = (_stored_rate(at / config.quantised_steps) for at in (done, done + steps))
+            trainer.run(steps, first, last, decoded=decoded)
             done += steps
-            progress("preview", self._steps() - config.storing_steps + done, self._steps())
+            progress("preview", self._steps() - config.quantised_steps + done, self._steps())
         prepared = replace(prepared, source=trainer.splats)
         return encode_chunks(prepared, _quality(prepared, size))
 
-    def _prepared(self, splats: Splats, lessons: Lessons) -> PreparedScene:
+    def _prepared(self, splats: Splats, training_views: TrainingViews) -> PreparedScene:
         """Return the preview scored in the views that it is trained in."""
         threads = self._config.threads
-        views = evenly(lessons.cameras[: lessons.given], _SCORED_VIEWS)
+        views = evenly(training_views.cameras[: training_views.given], _SCORED_VIEWS)
         settings = PRESETS["fast"].score_config("transform", threads=threads)
         config = EncodeConfig(
             order="contribution",
@@ -292,24 +292,26 @@ def _quality(prepared: PreparedScene, size: int) -> float:
     return low
 
 
-def _lessons(references: ReferenceViews, splats: Splats) -> Lessons:
-    """Return the reference views as lessons."""
+def _training_views(references: ReferenceViews, splats: Splats) -> TrainingViews:
+    """Return the reference views as training_views."""
     configs = [
         RenderConfig(kernel, splats.info.antialiased, near_plane=references.near_plane, threads=1)
         for kernel in references.kernels
     ]
     given = references.given
-    return Lessons(references.cameras, configs, references.pictures, given, given)
+    return TrainingViews(references.cameras, configs, references.pictures, given, given)
 
 
 def _error(splats: Splats, references: ReferenceViews) -> float:
     """Return the mean squared error of a scene in some of the reference views."""
     views = references.sample(_MEASURED_VIEWS, 0)
-    lessons = _lessons(references, splats)
+    training_views = _training_views(references, splats)
     weights = references.weights[views] / references.weights[views].sum()
     errors = []
     for view in views:
-        drawn = np.clip(render(splats, lessons.cameras[view], lessons.configs[view]), 0.0, 1.0)
+        drawn = np.clip(
+            render(splats, training_views.cameras[view], training_views.configs[view]), 0.0, 1.0
+        )
         off = np.square(drawn - references.pictures[view], dtype=np.float64)
         errors.append(float(np.mean(off)))
     return float(weights @ np.array(errors))

@@ -16,12 +16,12 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
-from .adam import Adam
-from .drawing import Drawing, Gradients, draw, with_values
-from .lessons import Lessons
-from .losses import LOSSES
-from .prefixes import Prefixes
+from .differentiable_rendering import ForwardPass, Gradients, render_forward, with_values
+from .image_losses import LOSSES
+from .prefix_loss import PrefixLoss
+from .splat_adam import SplatAdam
 from .tile_kernels import DELETED
+from .training_views import TrainingViews
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -110,25 +110,25 @@ class Trainer:
     ----------
     splats : Splats
         Copied.
-    lessons : Lessons
+    training_views : TrainingViews
     config : TrainConfig
     steps : int
         Steps that were made before, where training goes on: views come as they would have.
     """
 
     def __init__(
-        self, splats: Splats, lessons: Lessons, config: TrainConfig, *, steps: int = 0
+        self, splats: Splats, training_views: TrainingViews, config: TrainConfig, *, steps: int = 0
     ) -> None:
         self.splats = _copy(splats)
         self.steps = steps
-        self._lessons = lessons
+        self._training_views = training_views
         self._config = config
-        self._pixels = [picture.shape[0] * picture.shape[1] for picture in lessons.pictures]
-        self._adam = Adam(splats)
+        self._pixels = [picture.shape[0] * picture.shape[1] for picture in training_views.pictures]
+        self._adam = SplatAdam(splats)
         self._gradients = Gradients.zeros(splats)
         self._forget_deletions()
         # Mean squared error of each view when it was last drawn; NaN before.
-        self._errors = np.full(len(lessons), np.nan)
+        self._errors = np.full(len(training_views), np.nan)
 
     def run(
         self,
@@ -136,9 +136,9 @@ class Trainer:
         first_rate: float,
         last_rate: float,
         *,
-        drawn_as: Splats | None = None,
-        slopes: Gradients | None = None,
-        prefixes: Prefixes | None = None,
+        decoded: Splats | None = None,
+        extra_gradients: Gradients | None = None,
+        prefix_loss: PrefixLoss | None = None,
         progress: Progress = silent,
         stage: str = "train",
     ) -> float:
@@ -150,14 +150,14 @@ class Trainer:
         first_rate, last_rate : float
             Factors on the learning rates of the first and of the last step; between them they fall
             by the same share in every step.
-        drawn_as : Splats, optional
+        decoded : Splats, optional
             What is drawn in place of the values that are trained, as stored values are: what lies
             between the two is added to the trained values in every step (straight-through
             gradients, Bengio et al. 2013).
-        slopes : Gradients, optional
+        extra_gradients : Gradients, optional
             Derivatives of whatever else the values cost, in units of the mean over pixels of the
             squared error of a picture, its channels summed.
-        prefixes : Prefixes, optional
+        prefix_loss : PrefixLoss, optional
             In one view of each step one of them is drawn as well.
         progress : Progress
             Called with `stage`, steps done and steps.
@@ -169,9 +169,9 @@ class Trainer:
             Mean PSNR of the pictures that were drawn, dB.
         """
         offsets = None
-        if drawn_as is not None:
+        if decoded is not None:
             offsets = {
-                name: getattr(drawn_as, name) - getattr(self.splats, name)
+                name: getattr(decoded, name) - getattr(self.splats, name)
                 for name in Gradients.names()
             }
         rates: dict[str, F32] = {}
@@ -181,7 +181,7 @@ class Trainer:
             if step % _STEPS_AT_ONE_RATE == 0:
                 factor = first_rate * (last_rate / first_rate) ** (step / steps)
                 rates = self._rates(factor)
-            errors = self._step(rates, offsets, slopes, prefixes)
+            errors = self._step(rates, offsets, extra_gradients, prefix_loss)
             decibels += sum(-10 * math.log10(max(error, 1e-10)) for error in errors) / len(errors)
             progress(stage, step + 1, steps)
         return decibels / max(steps, 1)
@@ -215,7 +215,7 @@ class Trainer:
             last, each by its weight, while the values moved: these sums cost a step nearly nothing.
             None where too few views have been drawn since.
         """
-        along, total = self._lessons.along, len(self._lessons)
+        along, total = self._training_views.along, len(self._training_views)
         needed = min(max(along, total - along), _STEPS_TO_SCORE)
         return self._deleted if self._deleted_steps >= needed else None
 
@@ -232,7 +232,7 @@ class Trainer:
         """Go on from what `state` returned."""
         arrays = {name: np.array(state[f"splats.{name}"], np.float32) for name in Gradients.names()}
         self.splats = with_values(self.splats, arrays)
-        self._adam = Adam.restored(state)
+        self._adam = SplatAdam.from_state(state)
         self._gradients = Gradients.zeros(self.splats)
         self.steps = int(state["steps"])
         self._errors = np.array(state["errors"], np.float64)
@@ -247,8 +247,8 @@ class Trainer:
         self,
         rates: Mapping[str, F32],
         offsets: Mapping[str, F32] | None,
-        slopes: Gradients | None,
-        prefixes: Prefixes | None,
+        extra_gradients: Gradients | None,
+        prefix_loss: PrefixLoss | None,
     ) -> list[float]:
         """Move the values once; return the mean squared errors of the views that were drawn."""
         shown = self.splats
@@ -271,23 +271,25 @@ class Trainer:
             kept = error if math.isnan(before) else _ERROR_MEMORY * (before - error) + error
             self._errors[view] = kept
             errors.append(error)
-        if prefixes is not None:
+        if prefix_loss is not None:
             number = self.steps % len(views)
             view, weight = weighed[number]
-            prefixes.teach(
+            prefix_loss.add_gradients(
                 shown,
-                self._lessons.cameras[view],
-                self._lessons.configs[view],
-                self._lessons.pictures[view],
+                self._training_views.cameras[view],
+                self._training_views.configs[view],
+                self._training_views.pictures[view],
                 loss=self._config.loss,
                 # One view of a prefix stands for all views of the step.
                 error=len(views) * weight * errors[number],
                 rng=np.random.default_rng((self._config.seed, _PREFIX, self.steps)),
                 gradients=self._gradients,
             )
-        if slopes is not None:
+        if extra_gradients is not None:
             # The loss is half the squared error, summed over the pixels of these views.
-            self._gradients.add(slopes.times(0.5 * sum(self._pixels[view] for view in views)))
+            self._gradients.add(
+                extra_gradients.times(0.5 * sum(self._pixels[view] for view in views))
+            )
         self._adam.step(self.splats, self._gradients, rates, self._config.threads)
         self.steps += 1
         self._deleted_steps += 1
@@ -301,19 +303,23 @@ class Trainer:
             for name, values in offsets.items()
         }
 
-    def _measured(self, weighed: tuple[int, float], *, shown: Splats) -> tuple[Drawing, F64, float]:
+    def _measured(
+        self, weighed: tuple[int, float], *, shown: Splats
+    ) -> tuple[ForwardPass, F64, float]:
         """Draw a view; return the picture, what the loss asks of it, and its squared error."""
         view, weight = weighed
-        lessons = self._lessons
-        drawing = draw(shown, lessons.cameras[view], lessons.configs[view])
-        error, by_picture = LOSSES[self._config.loss](drawing.picture, lessons.pictures[view])
+        training_views = self._training_views
+        drawing = render_forward(shown, training_views.cameras[view], training_views.configs[view])
+        error, by_picture = LOSSES[self._config.loss](
+            drawing.picture, training_views.pictures[view]
+        )
         by_picture *= np.float32(weight)
         return drawing, drawing.sums(by_picture), error
 
     def _weight(self, view: int) -> float:
         """Return how much a view counts, by the error that it had when it was last drawn."""
         error = self._errors[view]
-        photos = self._lessons.photos
+        photos = self._training_views.photos
         weight = _RENDER_WEIGHT if 0 < photos <= view else 1.0
         if not self._config.worst_views or not error > 0.0:
             return weight
@@ -322,7 +328,10 @@ class Trainer:
 
     def _views(self) -> list[int]:
         """Return the views of this step: each comes once in every round through all of its kind."""
-        first_kind, total = self._lessons.photos or self._lessons.along, len(self._lessons)
+        first_kind, total = (
+            self._training_views.photos or self._training_views.along,
+            len(self._training_views),
+        )
         views = []
         kinds = ((0, first_kind), (first_kind, total - first_kind))
         for kind, (first, count) in enumerate(kinds):

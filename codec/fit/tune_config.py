@@ -23,14 +23,14 @@ class TuneConfig:
         Share of the splats that is kept; None for what the target allows.
     round_keep : float
         Share that one round of leaving out and training keeps.
-    round_steps, recovery_steps, storing_steps : int
+    round_steps, recovery_steps, quantised_steps : int
         Steps of training in each round, after the last of them, and through the quantisers.
     refresh : int
         Steps of training through the quantisers between two encodes of the scene.
     rate_weight : float
         How much it counts, while the scene trains through the quantisers, in how many bits its
         values are coded: at 1 a bit is weighed against the error that it would remove elsewhere
-        (`bit_slopes.PRICE_OF_A_BIT`), at 0 it counts nothing. Of a captured room at 1.59 bytes for
+        (`bit_slopes.ERROR_PER_BIT`), at 0 it counts nothing. Of a captured room at 1.59 bytes for
         each splat of the source, 1, 3 and 8 bring 0.06, 0.11 and 0.01 dB in 0.3, 0.4 and 0.7 %
         fewer bytes; at 3.8 bytes 1 and 3 bring nothing in 0.3 and 0.6 % fewer.
     prefix_weight : float
@@ -54,7 +54,7 @@ class TuneConfig:
     round_keep: float = 0.8
     round_steps: int = 100
     recovery_steps: int = 1000
-    storing_steps: int = 600
+    quantised_steps: int = 600
     refresh: int = 10
     rate_weight: float = 3.0
     prefix_weight: float = 0.0
@@ -68,7 +68,7 @@ class TuneConfig:
             raise ValueError(f"keep {self.keep}, expected above 0 and at most 1")
         if not 0.0 < self.round_keep < 1.0:
             raise ValueError(f"round_keep {self.round_keep}, expected between 0 and 1")
-        steps = (self.round_steps, self.recovery_steps, self.storing_steps, self.refresh)
+        steps = (self.round_steps, self.recovery_steps, self.quantised_steps, self.refresh)
         if min(steps) < 1:
             raise ValueError(f"steps {steps}, expected at least 1 each")
         if not self.rate_weight >= 0:

@@ -23,13 +23,18 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
 from .deletion import deletion_errors
-from .drawing import Gradients, with_values
-from .lessons import Lessons, lessons_of
-from .pace import Pace
-from .pairs import merged, pairs
-from .shares import corrected_count, count_for_size, next_count, next_count_for_psnr
-from .storing import Storing
+from .differentiable_rendering import Gradients, with_values
+from .quantised_training import QuantisedTraining
+from .splat_budget import (
+    corrected_count,
+    count_after_round,
+    count_after_round_for_psnr,
+    count_for_size,
+)
+from .splat_merging import merge_candidates, merge_pairs
+from .time_budget import TimeBudget
 from .trainer import Trainer
+from .training_views import TrainingViews, make_training_views
 from .tune_config import TuneConfig
 
 # Learning rates of rounds, of what follows them, and of training through quantisers: first, last.
@@ -83,7 +88,7 @@ class Milestone:
 
 
 @dataclass(frozen=True, eq=False)
-class Tuned:
+class TuneResult:
     """A tuned scene.
 
     Parameters
@@ -101,7 +106,7 @@ class Tuned:
 
 def tune(
     source: Splats,
-    lessons: Lessons,
+    training_views: TrainingViews,
     cameras: Sequence[Camera],
     target: Target,
     config: TuneConfig,
@@ -114,7 +119,7 @@ def tune(
     checkpoint: Callable[[State], None] | None = None,
     notify: Callable[[Milestone], None] | None = None,
     progress: Progress = silent,
-) -> Tuned:
+) -> TuneResult:
     """Train fewer splats to show what a scene shows, and store them.
 
     In rounds, the splats whose deletion changes the pictures least are left out and the others
@@ -129,8 +134,8 @@ def tune(
     ----------
     source : Splats
         Rows must be valid (`Splats.require_valid`).
-    lessons : Lessons
-        Of the source (`lessons.lessons_of`).
+    training_views : TrainingViews
+        Of the source (`training_views.make_training_views`).
     cameras : sequence of Camera
         Views to score in, in the frame of the means.
     target : Target
@@ -158,7 +163,7 @@ def tune(
 
     Returns
     -------
-    Tuned
+    TuneResult
         The same for any number of threads, unless `TuneConfig.seconds` is given.
 
     Raises
@@ -167,20 +172,20 @@ def tune(
         ``invalid-rows``; ``target-out-of-reach``.
     """
     source.require_valid()
-    measured = lessons
+    measured = training_views
     if test_views:
-        measured = lessons_of(
+        measured = make_training_views(
             source,
             test_views,
             copies=False,
-            background=lessons.configs[0].background,
+            background=training_views.configs[0].background,
             threads=config.train.threads,
-            device=lessons.configs[0].device,
+            device=training_views.configs[0].device,
             progress=progress,
         )
-    run = _Run(source, lessons, measured, target, config, checkpoint, notify, progress)
+    run = _Run(source, training_views, measured, target, config, checkpoint, notify, progress)
     storing_of = partial(
-        Storing,
+        QuantisedTraining,
         source,
         cameras=cameras,
         covering=covering,
@@ -194,24 +199,24 @@ def tune(
     # A share that is given is kept, whatever the file takes.
     compared = target.psnr_db is not None and config.keep is None
     as_it_is = storing_of(source) if compared else None
-    untuned = None if as_it_is is None else as_it_is.untrained(source)
+    untuned = None if as_it_is is None else as_it_is.encode_untrained(source)
     if resume is not None:
         run.restore(resume)
     if run.base is None:
         run.leave_out()
         run.base = run.trainer.copy()
-    begin = run.pace.now()
+    begin = run.budget.now()
     storing = storing_of(run.base)
     if resume is not None:
-        storing.restore(resume)
-    encoded = run.through_quantisers(storing, run.pace.now() - begin)
+        storing.restore_codebooks(resume)
+    encoded = run.through_quantisers(storing, run.budget.now() - begin)
     if as_it_is is not None and untuned is not None:
-        figures = as_it_is.figures(untuned)
-        if figures[-1] < storing.figures(encoded)[-1]:
+        figures = as_it_is.measure(untuned)
+        if figures[-1] < storing.measure(encoded)[-1]:
             if notify is not None:
                 notify(Milestone("untuned", *figures))
-            return Tuned(as_it_is.finished(untuned), source)
-    return Tuned(storing.finished(encoded), run.base)
+            return TuneResult(as_it_is.finish(untuned), source)
+    return TuneResult(storing.finish(encoded), run.base)
 
 
 class _Run:
@@ -220,8 +225,8 @@ class _Run:
     def __init__(
         self,
         source: Splats,
-        lessons: Lessons,
-        measured: Lessons,
+        training_views: TrainingViews,
+        measured: TrainingViews,
         target: Target,
         config: TuneConfig,
         checkpoint: Callable[[State], None] | None,
@@ -229,7 +234,7 @@ class _Run:
         progress: Progress,
     ) -> None:
         self.base: Splats | None = None
-        self._lessons = lessons
+        self._training_views = training_views
         self._measured = measured
         self._target = target
         self._config = config
@@ -237,7 +242,7 @@ class _Run:
         self._notify = notify
         self._progress = progress
         self._all = len(source)
-        self.pace = Pace(config.seconds)
+        self.budget = TimeBudget(config.seconds)
         # States before the last rounds, how often splats were trained for long after them, and the
         # number that a correction is on its way to; 0 for none.
         self._kept: list[dict[str, NDArray[np.generic]]] = []
@@ -246,7 +251,7 @@ class _Run:
         # Steps made through quantisers, all of those planned, and the nominal quality they have.
         self._stored = (0, 0, 0.0)
         clipped = np.minimum(source.opacities, np.float32(_LARGEST_LOGIT))
-        self.trainer = Trainer(replace(source, opacities=clipped), lessons, config.train)
+        self.trainer = Trainer(replace(source, opacities=clipped), training_views, config.train)
 
     @property
     def _share(self) -> float:
@@ -260,7 +265,9 @@ class _Run:
             self._recover()
         while self._aim or self._turns():
             keep = self._config.round_keep
-            while (fewer := next_count(len(self.trainer.splats), self._aim, keep)) is not None:
+            while (
+                fewer := count_after_round(len(self.trainer.splats), self._aim, keep)
+            ) is not None:
                 self._round(fewer)
             self._aim = 0
             self._recover()
@@ -274,17 +281,17 @@ class _Run:
         if errors is None:
             errors = deletion_errors(
                 self.trainer.splats,
-                self._lessons,
+                self._training_views,
                 threads=self._config.train.threads,
                 progress=self._progress,
             )
         splats = self.trainer.splats
-        kept, given_up = pairs(splats, errors, len(splats) - count)
+        kept, given_up = merge_candidates(splats, errors, len(splats) - count)
         # What stands for two stays, and what another stands for goes.
         errors = errors.copy()
         errors[kept], errors[given_up] = np.inf, -np.inf
         most = np.argsort(-errors, kind="stable")[:count]
-        self.trainer.keep(np.sort(most), merged(splats, kept, given_up))
+        self.trainer.keep(np.sort(most), merge_pairs(splats, kept, given_up))
         self._train(self._config.round_steps, _ROUND_RATES, stretched=False)
         self._reached()
 
@@ -321,8 +328,10 @@ class _Run:
         count, keep = len(self.trainer.splats), self._config.round_keep
         least = self._least_count()
         if least is not None:
-            return next_count(count, least, keep)
-        return next_count_for_psnr(count, self._measured_db()[0], self._target.psnr_db or 0.0, keep)
+            return count_after_round(count, least, keep)
+        return count_after_round_for_psnr(
+            count, self._measured_db()[0], self._target.psnr_db or 0.0, keep
+        )
 
     def _corrected_count(self) -> int | None:
         """Return how many splats the target asks for after training; None for those there are."""
@@ -343,9 +352,9 @@ class _Run:
 
     def _train(self, planned: int, rates: tuple[float, float], *, stretched: bool) -> None:
         self._plan(planned if stretched else 0)
-        steps = self.pace.steps(planned, stretched=stretched)
+        steps = self.budget.steps(planned, stretched=stretched)
         run = partial(self.trainer.run, steps, *rates, progress=self._progress)
-        self.pace.timed(run, Pace.work(steps, self._share))
+        self.budget.timed(run, TimeBudget.work(steps, self._share))
 
     def _plan(self, recovery_steps: int) -> None:
         """Plan how many steps follow, the steps of a recovery that begins now among them."""
@@ -355,22 +364,24 @@ class _Run:
         rounds = 0.0
         if not recovery_steps and not self._recoveries:
             while share > end:
-                rounds += Pace.work(config.round_steps, share)
+                rounds += TimeBudget.work(config.round_steps, share)
                 share *= config.round_keep
             recovery_steps = config.recovery_steps
-        stored = _STORING_WORK * config.storing_steps
-        self.pace.plan(rounds, Pace.work(recovery_steps + stored, min(end, share)))
+        stored = _STORING_WORK * config.quantised_steps
+        self.budget.plan(rounds, TimeBudget.work(recovery_steps + stored, min(end, share)))
 
     def _measured_db(self) -> tuple[float, float]:
         """Return the mean and the least PSNR in the test views, dB."""
-        lessons = self._measured
+        training_views = self._measured
 
         def measure(view: int) -> float:
-            picture = render(self.trainer.splats, lessons.cameras[view], lessons.configs[view])
-            return float(psnr(lessons.pictures[view], picture))
+            picture = render(
+                self.trainer.splats, training_views.cameras[view], training_views.configs[view]
+            )
+            return float(psnr(training_views.pictures[view], picture))
 
         threads = thread_count(self._config.train.threads)
-        found = list(ordered_map(measure, range(lessons.given), threads))
+        found = list(ordered_map(measure, range(training_views.given), threads))
         return float(np.mean(found)), min(found)
 
     def _reached(self) -> None:
@@ -379,12 +390,12 @@ class _Run:
         if self._checkpoint is not None:
             self._checkpoint(self.state())
 
-    def through_quantisers(self, storing: Storing, seconds: float) -> EncodedScene:
+    def through_quantisers(self, storing: QuantisedTraining, seconds: float) -> EncodedScene:
         """Train the scene as it will be decoded; return it as it is stored in the end.
 
         Parameters
         ----------
-        storing : Storing
+        storing : QuantisedTraining
         seconds : float
             That making it took.
         """
@@ -392,16 +403,16 @@ class _Run:
         done, planned, quality = self._stored
         timed = not planned
         if timed:
-            parts = self.pace.steps(-(-self._config.storing_steps // refresh), stretched=True)
+            parts = self.budget.steps(-(-self._config.quantised_steps // refresh), stretched=True)
             planned = parts * refresh
-            quality = storing.first_quality(self.trainer.splats)
+            quality = storing.initial_quality(self.trainer.splats)
         while done < planned:
-            begin = self.pace.now()
+            begin = self.budget.now()
             quality = self._part(storing, done, planned, quality)
             done += refresh
-            took = self.pace.now() - begin
+            took = self.budget.now() - begin
             if timed and done == _PARTS_TIMED * refresh:
-                left = self.pace.fitting(
+                left = self.budget.fitting(
                     (planned - done) // refresh, took, _FINISHING * seconds + _SETTLING * took
                 )
                 planned = done + left * refresh
@@ -409,24 +420,29 @@ class _Run:
             if (done // refresh) % _PARTS_KEPT == 0:
                 self._stored = done, planned, quality
                 self._stored_reached(storing)
-        encoded = storing.settled(self.trainer, quality, refresh)
+        encoded = storing.reach_target(self.trainer, quality, refresh)
         if self._notify is not None:
-            self._notify(Milestone("stored", *storing.figures(encoded)))
+            self._notify(Milestone("stored", *storing.measure(encoded)))
         return encoded
 
-    def _part(self, storing: Storing, done: int, planned: int, quality: float) -> float:
+    def _part(self, storing: QuantisedTraining, done: int, planned: int, quality: float) -> float:
         """Encode the scene, and train on as it is decoded; return the next nominal quality."""
         refresh = self._config.refresh
         # Each part has one set of decoded values.
         measure = (done // refresh + 1) % _PARTS_KEPT == 0
-        quality, made = storing.aimed(self.trainer.splats, quality, done / planned, measure)
-        rates = storing.rate(done / planned), storing.rate((done + refresh) / planned)
+        quality, made = storing.encode_towards_target(
+            self.trainer.splats, quality, done / planned, measure
+        )
+        rates = (
+            storing.learning_rate_factor(done / planned),
+            storing.learning_rate_factor((done + refresh) / planned),
+        )
         storing.train(self.trainer, made, quality, refresh, rates)
         return quality
 
-    def _stored_reached(self, storing: Storing) -> None:
+    def _stored_reached(self, storing: QuantisedTraining) -> None:
         if self._notify is not None:
-            self._notify(Milestone("stored", *storing.last_figures))
+            self._notify(Milestone("stored", *storing.last_measurement))
         if self._checkpoint is not None:
             self._checkpoint(self.state() | storing.state())
 
@@ -435,7 +451,7 @@ class _Run:
         arrays = dict(self.trainer.state())
         arrays["stored"] = np.array(self._stored)
         arrays["recoveries"] = np.array((self._recoveries, self._aim))
-        arrays["factor"] = np.array(self.pace.factor)
+        arrays["factor"] = np.array(self.budget.factor)
         for number, kept in enumerate(self._kept):
             arrays |= {f"kept{number}.{name}": values for name, values in kept.items()}
         if self.base is not None:
@@ -449,7 +465,7 @@ class _Run:
         done, planned, quality = state["stored"].tolist()
         self._stored = int(done), int(planned), float(quality)
         self._recoveries, self._aim = state["recoveries"].tolist()
-        self.pace.hold(float(state["factor"]))
+        self.budget.hold(float(state["factor"]))
         self._kept = []
         for number in range(_ROUNDS_KEPT):
             first = f"kept{number}."

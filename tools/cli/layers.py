@@ -129,10 +129,10 @@ def layers(
     SCENE is a trained scene, or a COLMAP folder with points, from which and from --images splats
     are trained from the beginning.
     """
+    from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
+    from cogsplat.codec.fit.initial_splats import splats_from_points
     from cogsplat.codec.fit.level_encoding import LevelEncoding, encode_levels
-    from cogsplat.codec.fit.levels import LevelsConfig, grow_levels, train_levels
-    from cogsplat.codec.fit.points_start import splats_from_points
-    from cogsplat.codec.fit.smaller_pictures import averaged, scaled_camera
+    from cogsplat.codec.fit.level_training import LevelsConfig, grow_levels, train_levels
     from cogsplat.tools.evaluation.level_figures import compared, level_sizes
 
     points = find_points(scene)
@@ -200,8 +200,8 @@ def layers(
         with cogsplat.open(out) as file:
             for sizes in level_sizes(file):
                 scale = int(sizes.scale)
-                targets = [averaged(picture, scale) for picture in full]
-                small = [scaled_camera(camera, scale) for camera in judged]
+                targets = [downscale_picture(picture, scale) for picture in full]
+                small = [downscale_camera(camera, scale) for camera in judged]
                 drawn = file.decode(level=sizes.level, threads=threads)
                 found.append((sizes, compared(drawn, small, targets, threads)))
                 stages("measure", sizes.level + 1, len(file.root.levels))

@@ -176,9 +176,9 @@ def tune(
     to make up for them; then what is left trains on through the encoder's quantisers. How much
     smaller the file becomes depends on the scene and on its cameras.
     """
-    from cogsplat.codec.fit.lessons import lessons_of, views_apart
     from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
     from cogsplat.codec.fit.trainer import TrainConfig
+    from cogsplat.codec.fit.training_views import held_out_views, make_training_views
     from cogsplat.codec.fit.tune_config import TuneConfig
     from cogsplat.codec.fit.tuning import tune as tuned_scene
 
@@ -211,14 +211,14 @@ def tune(
             views, covering, tests = plan.views, plan.covering_views, plan.test_views
         else:
             assert cameras is not None
-            tests = apart = views_apart(views)
+            tests = apart = held_out_views(views)
             if not tests:
                 tests = measured_in(given_cameras(cameras), eval_every)
         photos = None
         if images is not None:
             taken = read_photos(images, splats, views, background, threads=threads)
             photos = [pixels.astype(np.float32) / np.float32(255) for pixels in taken.pictures]
-        lessons = lessons_of(
+        training_views = make_training_views(
             splats,
             views,
             photos=photos,
@@ -263,7 +263,7 @@ def tune(
 
         made = tuned_scene(
             splats,
-            lessons,
+            training_views,
             views,
             target,
             config,

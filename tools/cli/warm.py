@@ -18,7 +18,8 @@ from .compile_ahead import CompileAhead
 
 # What `cogsplat tune` calls beside the kernels of an encode.
 _TRAINING: Final = tuple(
-    f"cogsplat.codec.fit.{name}" for name in ("tile_kernels", "splat_kernels", "adam", "losses")
+    f"cogsplat.codec.fit.{name}"
+    for name in ("tile_kernels", "splat_kernels", "splat_adam", "image_losses")
 )
 
 

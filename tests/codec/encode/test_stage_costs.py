@@ -11,7 +11,7 @@ from cogsplat.codec.encode.stage_costs import order_costs, render_cost, score_co
 from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
 from cogsplat.codec.progress import WholeProgress
 
-SHORT = PreviewConfig(share=0.1, round_steps=2, storing_steps=2, threads=1)
+SHORT = PreviewConfig(share=0.1, round_steps=2, quantised_steps=2, threads=1)
 
 
 def views(count):

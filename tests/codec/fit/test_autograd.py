@@ -5,8 +5,8 @@ import torch
 from gsplat_on_cpu import on_cpu
 
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.fit.autograd import rendered
-from cogsplat.codec.fit.drawing import Gradients, draw
+from cogsplat.codec.fit.autograd import render
+from cogsplat.codec.fit.differentiable_rendering import Gradients, render_forward
 from cogsplat.codec.render.rasteriser import RenderConfig
 
 
@@ -16,11 +16,11 @@ def tensors(splats):
 
 def test_torch_has_the_picture_and_the_derivatives_of_a_drawing():
     splats, camera = oracle.scene(1, n=40), oracle.camera()
-    drawing = draw(splats, camera)
+    drawing = render_forward(splats, camera)
     wanted = Gradients.zeros(splats)
     drawing.backward(2 * drawing.picture, wanted)
     values = tensors(splats)
-    picture = rendered(*values, camera)
+    picture = render(*values, camera)
     np.testing.assert_array_equal(picture.detach().numpy(), drawing.picture)
     picture.square().sum().backward()
     for name, value in zip(Gradients.names(), values, strict=True):
@@ -35,7 +35,7 @@ def test_an_optimiser_of_torch_descends():
     errors = []
     for _ in range(20):
         adam.zero_grad()
-        error = (rendered(*values, camera) - target).square().mean()
+        error = (render(*values, camera) - target).square().mean()
         error.backward()
         adam.step()
         errors.append(error.item())
@@ -44,7 +44,7 @@ def test_an_optimiser_of_torch_descends():
 
 def test_values_that_changed_after_they_were_drawn_are_refused():
     values = tensors(oracle.scene(3, n=20))
-    loss = rendered(*values, oracle.camera()).sum()
+    loss = render(*values, oracle.camera()).sum()
     with torch.no_grad():
         values[0] += 1.0
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
@@ -54,7 +54,7 @@ def test_values_that_changed_after_they_were_drawn_are_refused():
 def test_tensors_of_other_types_are_refused():
     values = tensors(oracle.scene(4, n=20))
     with pytest.raises(DataError, match="float32"):
-        rendered(values[0].double(), *values[1:], oracle.camera())
+        render(values[0].double(), *values[1:], oracle.camera())
 
 
 def test_a_device_draws_what_is_differentiated(monkeypatch):
@@ -62,7 +62,7 @@ def test_a_device_draws_what_is_differentiated(monkeypatch):
     gradients = []
     for device in ("cpu", "cuda"):
         values = tensors(splats)
-        rendered(*values, camera, RenderConfig(device=device)).square().sum().backward()
+        render(*values, camera, RenderConfig(device=device)).square().sum().backward()
         gradients.append([value.grad.numpy() for value in values])
         on_cpu(monkeypatch)
     for expected, found in zip(*gradients, strict=True):

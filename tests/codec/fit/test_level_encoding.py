@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.fit.level_encoding import LevelEncoding, encode_levels
-from cogsplat.codec.fit.levels import LevelledSplats
+from cogsplat.codec.fit.level_training import LevelledSplats
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.segments.opacities import decode_opacities

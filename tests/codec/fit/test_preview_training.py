@@ -15,7 +15,7 @@ from cogsplat.codec.scoring.contribution import unscored
 from cogsplat.codec.splats import empty
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
-CONFIG = PreviewConfig(share=0.05, round_steps=25, storing_steps=10, threads=1)
+CONFIG = PreviewConfig(share=0.05, round_steps=25, quantised_steps=10, threads=1)
 
 
 @pytest.fixture(scope="module")

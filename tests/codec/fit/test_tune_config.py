@@ -8,7 +8,7 @@ from cogsplat.codec.fit.tune_config import TuneConfig
     [
         ({"keep": 0.0}, "keep 0.0"),
         ({"round_keep": 1.0}, "round_keep 1.0"),
-        ({"storing_steps": 0}, "at least 1 each"),
+        ({"quantised_steps": 0}, "at least 1 each"),
         ({"rate_weight": -1.0}, "rate_weight -1.0"),
         ({"seconds": 0.0}, "0.0 seconds"),
         ({"preset": "slow"}, "preset 'slow'"),

@@ -10,10 +10,10 @@ from cogsplat.codec.encode.pipeline import encode
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.fit.drawing import Gradients
-from cogsplat.codec.fit.lessons import lessons_of
-from cogsplat.codec.fit.storing import Storing
+from cogsplat.codec.fit.differentiable_rendering import Gradients
+from cogsplat.codec.fit.quantised_training import QuantisedTraining
 from cogsplat.codec.fit.trainer import TrainConfig
+from cogsplat.codec.fit.training_views import make_training_views
 from cogsplat.codec.fit.tune_config import TuneConfig
 from cogsplat.codec.fit.tuning import tune
 from cogsplat.codec.metrics import psnr
@@ -21,7 +21,7 @@ from cogsplat.codec.progress import silent
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
-SHORT = TuneConfig(round_steps=20, recovery_steps=80, storing_steps=60)
+SHORT = TuneConfig(round_steps=20, recovery_steps=80, quantised_steps=60)
 
 
 def size_of(encoded):
@@ -43,12 +43,12 @@ def size_of_all(encoded):
 @pytest.fixture(scope="module")
 def scene():
     splats, cameras = synth(700, seed=1), synth_cameras(6, 64, 48)
-    return splats, cameras, lessons_of(splats, cameras)
+    return splats, cameras, make_training_views(splats, cameras)
 
 
 def tuned(scene, target, config=SHORT, size_of=size_of, **given):
-    splats, cameras, lessons = scene
-    return tune(splats, lessons, cameras, target, config, size_of=size_of, **given)
+    splats, cameras, training_views = scene
+    return tune(splats, training_views, cameras, target, config, size_of=size_of, **given)
 
 
 @pytest.mark.slow
@@ -80,7 +80,7 @@ def test_a_psnr_never_takes_more_bytes_than_the_scene_untuned(scene, profile):
     # Such steps tear the scene apart, so that no quantiser is fine enough.
     train = TrainConfig(rates={"means": 20.0})
     config = TuneConfig(
-        round_steps=1, recovery_steps=1, storing_steps=10, profile=profile, train=train
+        round_steps=1, recovery_steps=1, quantised_steps=10, profile=profile, train=train
     )
     told = []
     made = tuned(scene, Target(psnr_db=33.0), config, size_of_all, notify=told.append)
@@ -102,8 +102,10 @@ def test_a_psnr_never_takes_more_bytes_than_the_scene_untuned(scene, profile):
 def test_a_psnr_that_only_training_reaches_has_no_untuned_scene(scene):
     splats, cameras, _ = scene
     target, config = Target(psnr_db=90.0), replace(SHORT, profile="vq")
-    storing = Storing(splats, splats, cameras, (), target, config, (), size_of, None, silent)
-    assert storing.untrained(splats) is None
+    storing = QuantisedTraining(
+        splats, splats, cameras, (), target, config, (), size_of, None, silent
+    )
+    assert storing.encode_untrained(splats) is None
 
 
 @pytest.mark.slow
@@ -137,7 +139,7 @@ def test_the_result_is_the_same_for_any_threads_and_after_a_restart(scene):
 def test_codebooks_train_with_the_splats(scene):
     splats, cameras, _ = scene
     # Little training before the quantisers, so that it is what follows that tells.
-    config = replace(SHORT, profile="vq", keep=0.7, recovery_steps=30, storing_steps=100)
+    config = replace(SHORT, profile="vq", keep=0.7, recovery_steps=30, quantised_steps=100)
     states = []
 
     def keep(state):
@@ -215,7 +217,7 @@ def test_time_that_is_short_makes_steps_fewer(scene):
 
 
 def test_a_size_out_of_reach_is_refused(scene):
-    config = replace(SHORT, keep=0.9, round_steps=1, recovery_steps=1, storing_steps=10)
-    with pytest.raises(DataError, match="expected a target in reach") as caught:
+    config = replace(SHORT, keep=0.9, round_steps=1, recovery_steps=1, quantised_steps=10)
+    with pytest.raises(DataError, match="expected a larger target") as caught:
         tuned(scene, Target(size_bytes=300), config)
     assert caught.value.code == "target-out-of-reach"

@@ -13,9 +13,9 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.fit.downscaling import downscale_camera
 from cogsplat.codec.fit.level_encoding import LevelEncoding, encode_levels
-from cogsplat.codec.fit.levels import LevelledSplats
-from cogsplat.codec.fit.smaller_pictures import scaled_camera
+from cogsplat.codec.fit.level_training import LevelledSplats
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.formats.cogs import scene as cogs
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 WIDTH, HEIGHT = 400, 320
 FULL = synth_cameras(48, 2 * WIDTH, 2 * HEIGHT)[8]
 """The first view of the files: what full pictures are taken by. No viewer is lower than 160 px."""
-CAMERA = scaled_camera(FULL, 2)
+CAMERA = downscale_camera(FULL, 2)
 SAME_DB = 38.0
 """What a picture must have against our own render of the same data."""
 

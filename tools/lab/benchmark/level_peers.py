@@ -19,14 +19,14 @@ from tempfile import TemporaryDirectory
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
 from cogsplat.codec.fit.level_encoding import encode_levels
-from cogsplat.codec.fit.levels import (
+from cogsplat.codec.fit.level_training import (
     LevelledSplats,
     LevelsConfig,
-    train_for_all_scales,
+    train_jointly,
     train_levels,
 )
-from cogsplat.codec.fit.smaller_pictures import averaged, scaled_camera
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
@@ -104,7 +104,7 @@ def models(splats: Splats, cameras: Sequence[Camera], config: LevelsConfig) -> l
         found += _stored(train_levels(splats, cameras, alone), cameras, "single-scale")
         cut = train_levels(splats, cameras, replace(alone, steps=0))
         found += _stored(cut, cameras, "cut, not trained")
-    found += _stored(train_for_all_scales(splats, cameras, config), cameras, "multi-scale")
+    found += _stored(train_jointly(splats, cameras, config), cameras, "multi-scale")
     return [*found, Model("the scene", config.scales[-1], splats)]
 
 
@@ -131,8 +131,12 @@ def judged(
     info = splats.info
     drawing = RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased)
     full = [render(splats, camera, drawing) for camera in tests]
-    small = {scale: [scaled_camera(camera, scale) for camera in tests] for scale in config.scales}
-    targets = {scale: [averaged(picture, scale) for picture in full] for scale in config.scales}
+    small = {
+        scale: [downscale_camera(camera, scale) for camera in tests] for scale in config.scales
+    }
+    targets = {
+        scale: [downscale_picture(picture, scale) for picture in full] for scale in config.scales
+    }
     return [
         Judged(
             model,
@@ -215,7 +219,7 @@ def main() -> None:
     splats = cogsplat.read(given.scene).without_extras()
     splats = splats.take(~splats.invalid_rows())
     cameras = [
-        scaled_camera(camera, given.smaller) for camera in cogsplat.read_cameras(given.cameras)
+        downscale_camera(camera, given.smaller) for camera in cogsplat.read_cameras(given.cameras)
     ]
     train, tests = hold_out(cameras, given.eval_every)
     config = LevelsConfig(

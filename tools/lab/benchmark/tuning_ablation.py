@@ -22,8 +22,8 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.encoded import EncodedScene
 from cogsplat.codec.encode.rate_control import Target
-from cogsplat.codec.fit.lessons import lessons_of
-from cogsplat.codec.fit.shares import count_for_size
+from cogsplat.codec.fit.splat_budget import count_for_size
+from cogsplat.codec.fit.training_views import make_training_views
 from cogsplat.codec.fit.tune_config import TuneConfig
 from cogsplat.codec.fit.tuning import tune
 from cogsplat.codec.metrics import psnr
@@ -75,7 +75,7 @@ def variants(config: TuneConfig, share: float, *, photos: bool) -> list[Variant]
     train = config.train
     rounds = max(1, math.ceil(math.log(share) / math.log(config.round_keep)))
     untrained = replace(
-        config, round_steps=1, recovery_steps=1, storing_steps=1, refresh=1, round_keep=0.01
+        config, round_steps=1, recovery_steps=1, quantised_steps=1, refresh=1, round_keep=0.01
     )
     found = [
         Variant("as it is", config),
@@ -86,7 +86,9 @@ def variants(config: TuneConfig, share: float, *, photos: bool) -> list[Variant]
             replace(config, round_keep=0.01, round_steps=rounds * config.round_steps),
         ),
         Variant("splats left out, nothing trained", untrained),
-        Variant("not trained through the quantisers", replace(config, storing_steps=1, refresh=1)),
+        Variant(
+            "not trained through the quantisers", replace(config, quantised_steps=1, refresh=1)
+        ),
         Variant(
             "through noise in place of the quantisers",
             replace(config, train=replace(train, noise=True)),
@@ -160,9 +162,16 @@ def measure(
         if variant.photos and photos is not None:
             taught = [photos[0][number] for number in numbers]
         threads = variant.config.train.threads
-        lessons = lessons_of(splats, views, photos=taught, background=background, threads=threads)
+        training_views = make_training_views(
+            splats, views, photos=taught, background=background, threads=threads
+        )
         made = tune(
-            splats, lessons, views, Target(size_bytes=size_bytes), variant.config, size_of=size_of
+            splats,
+            training_views,
+            views,
+            Target(size_bytes=size_bytes),
+            variant.config,
+            size_of=size_of,
         ).encoded
         held = figures(made.decoded, tests, shown["tests"])
         row: Row = (
@@ -202,7 +211,7 @@ def main() -> None:
     if (given.scene is None) != (given.cameras is None):
         parser.error("SCENE and --cameras: expected both or none")
     config = TuneConfig(
-        round_steps=given.steps, recovery_steps=10 * given.steps, storing_steps=6 * given.steps
+        round_steps=given.steps, recovery_steps=10 * given.steps, quantised_steps=6 * given.steps
     )
     config = replace(config, train=replace(config.train, threads=given.threads))
     names = [variant.name for variant in variants(config, 1.0, photos=given.images is not None)]

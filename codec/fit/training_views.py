@@ -1,4 +1,4 @@
-"""Lessons: the views that a scene is trained in, and what it should look like there."""
+"""TrainingViews: the views that a scene is trained in, and what it should look like there."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from cogsplat.codec.splats import SceneInfo, Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.views.view_sets import evenly, jitter
 
-from .smaller_pictures import averaged, scaled_camera
+from .downscaling import downscale_camera, downscale_picture
 
 F32 = NDArray[np.float32]
 
-MOST_PIXELS: Final = 1 << 18
-"""Most pixels of one picture; larger ones are made smaller. Bounds memory, as `MOST_VIEWS` does."""
-MOST_VIEWS: Final = 96
+MAX_PIXELS: Final = 1 << 18
+"""Most pixels of one picture; larger ones are made smaller. Bounds memory, as `MAX_VIEWS` does."""
+MAX_VIEWS: Final = 96
 """Most views of those given; each has two copies beside it, and views between it and others."""
 
 # Cameras that look most alike, halfway to which a view is put: from 2 where there are as many
@@ -46,7 +46,7 @@ Background = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Lessons:
+class TrainingViews:
     """Views and the pictures that a scene should show in them.
 
     Parameters
@@ -122,20 +122,20 @@ def _pairs(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
     return pairs
 
 
-def views_apart(cameras: Sequence[Camera]) -> list[Camera]:
-    """Return views to measure in, halfway between cameras, for lessons without them.
+def held_out_views(cameras: Sequence[Camera]) -> list[Camera]:
+    """Return views to measure in, halfway between cameras, for training_views without them.
 
     Parameters
     ----------
     cameras : sequence of Camera
-        In the frame of the means; those that `lessons_of` is given.
+        In the frame of the means; those that `make_training_views` is given.
 
     Returns
     -------
     list of Camera
-        For the parameter `apart` of `lessons_of`. None where no two of the cameras look alike.
+        For the parameter `apart` of `make_training_views`. Empty where no cameras look alike.
     """
-    given = evenly(cameras, MOST_VIEWS)
+    given = evenly(cameras, MAX_VIEWS)
     alike = [
         (given[one], given[other])
         for one, other in _pairs(given)
@@ -162,7 +162,7 @@ def _drawn(view: tuple[Camera, RenderConfig], source: Splats) -> F32:
     return np.clip(picture, np.float32(0.0), np.float32(1.0), out=picture)
 
 
-def lessons_of(
+def make_training_views(
     source: Splats,
     cameras: Sequence[Camera],
     *,
@@ -171,19 +171,19 @@ def lessons_of(
     covering: Sequence[Camera] = (),
     apart: Sequence[Camera] = (),
     background: Background = (0.0, 0.0, 0.0),
-    most_pixels: int = MOST_PIXELS,
+    most_pixels: int = MAX_PIXELS,
     threads: int = 0,
     device: str = "cpu",
     progress: Progress = silent,
-) -> Lessons:
-    """Make the lessons that a scene is trained by: its own renders, or photos.
+) -> TrainingViews:
+    """Make the training_views that a scene is trained by: its own renders, or photos.
 
     Parameters
     ----------
     source : Splats
         Drawn with the kernel and anti-aliasing of ``source.info``.
     cameras : sequence of Camera
-        In the frame of the means. Of more than `MOST_VIEWS`, evenly spread ones are taken.
+        In the frame of the means. Of more than `MAX_VIEWS`, evenly spread ones are taken.
     photos : sequence of (H, W, 3) float32, optional
         0 to 1, one per camera, in its size; without them the source's renders teach.
     copies : bool
@@ -195,7 +195,7 @@ def lessons_of(
         third of what taught a trained figure was its underside, and views from around it had 1 dB
         less in as many bytes.
     apart : sequence of Camera
-        From `views_apart`: views that do not teach.
+        From `held_out_views`: views that do not teach.
     background : tuple of float
         RGB behind the splats.
     most_pixels : int
@@ -205,11 +205,11 @@ def lessons_of(
     device : str
         As `RenderConfig` has it: where these pictures, and those of the training, are drawn.
     progress : Progress
-        Called with ``lessons``, views done and views.
+        Called with ``training views``, views done and views.
 
     Returns
     -------
-    Lessons
+    TrainingViews
 
     Raises
     ------
@@ -220,19 +220,19 @@ def lessons_of(
 
     Examples
     --------
-    >>> from cogsplat.codec.fit.lessons import lessons_of
+    >>> from cogsplat.codec.fit.training_views import make_training_views
     >>> import cogsplat
     >>> splats = cogsplat.read("scene.ply")
     >>> cameras = cogsplat.read_cameras("cameras.json")[:2]
-    >>> lessons = lessons_of(splats, cameras)
-    >>> len(lessons), lessons.given, lessons.along, lessons.pictures[0].shape
+    >>> views = make_training_views(splats, cameras)
+    >>> len(views), views.given, views.along, views.pictures[0].shape
     (8, 2, 3, (48, 64, 3))
     """
     if not cameras:
         raise DataError("no-cameras", "0 cameras to train in, expected at least 1")
     if photos is not None and len(photos) != len(cameras):
         raise ValueError(f"{len(photos)} photos for {len(cameras)} cameras")
-    chosen = evenly(range(len(cameras)), MOST_VIEWS)
+    chosen = evenly(range(len(cameras)), MAX_VIEWS)
     given = [cameras[number] for number in chosen]
     between, off = [], []
     if copies:
@@ -244,14 +244,14 @@ def lessons_of(
     factors = [_factor(camera, most_pixels) for camera in views]
     for number in range(len(views) - len(covering), len(views)):
         factors[number] *= min(_COVERING_FACTOR, views[number].width, views[number].height)
-    small = [scaled_camera(*pair) for pair in zip(views, factors, strict=True)]
+    small = [downscale_camera(*pair) for pair in zip(views, factors, strict=True)]
     configs = [_config(source.info, factor, background, device) for factor in factors]
     taught = [] if photos is None else [photos[number] for number in chosen]
-    pictures = [averaged(*pair) for pair in zip(taught, factors, strict=False)]
+    pictures = [downscale_picture(*pair) for pair in zip(taught, factors, strict=False)]
     left = list(zip(small, configs, strict=True))[len(pictures) :]
-    progress("lessons", 0, len(views))
+    progress("training views", 0, len(views))
     for picture in ordered_map(partial(_drawn, source=source), left, thread_count(threads)):
         pictures.append(picture)
-        progress("lessons", len(pictures), len(views))
+        progress("training views", len(pictures), len(views))
     along = len(given) + len(between)
-    return Lessons(small, configs, pictures, len(given), along, len(taught))
+    return TrainingViews(small, configs, pictures, len(given), along, len(taught))

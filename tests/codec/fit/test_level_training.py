@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.fit.levels import (
-    LEAST_OPACITY,
+from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
+from cogsplat.codec.fit.initial_splats import splats_from_points
+from cogsplat.codec.fit.level_training import (
+    MIN_OPACITY,
     LevelsConfig,
     grow_levels,
-    train_for_all_scales,
+    train_jointly,
     train_levels,
 )
-from cogsplat.codec.fit.points_start import splats_from_points
-from cogsplat.codec.fit.smaller_pictures import averaged, scaled_camera
 from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
@@ -60,21 +60,21 @@ def test_lower_levels_keep_all_but_opacities(scene):
 def test_one_model_of_all_scales_is_better_than_an_untrained_one_at_each(scene):
     splats, cameras = scene
     short = LevelsConfig(scales=(4, 1), shares=(0.2, 0.5), steps=40, threads=1)
-    model = train_for_all_scales(splats, cameras, short)
+    model = train_jointly(splats, cameras, short)
     assert model.scales == (1,)
     assert 0.9 * 300 <= len(model.splats) <= 300
     assert model.rows(0).tolist() == list(range(len(model.splats)))
-    cut = train_for_all_scales(splats, cameras, LevelsConfig((4, 1), (0.2, 0.5), 0, threads=1))
+    cut = train_jointly(splats, cameras, LevelsConfig((4, 1), (0.2, 0.5), 0, threads=1))
     for scale in short.scales:
-        views = [scaled_camera(camera, scale) for camera in cameras]
-        targets = [averaged(render(splats, camera), scale) for camera in cameras]
+        views = [downscale_camera(camera, scale) for camera in cameras]
+        targets = [downscale_picture(render(splats, camera), scale) for camera in cameras]
         trained, untrained = (
             np.mean([ssim(render(one.at(0), v), t) for v, t in zip(views, targets, strict=True)])
             for one in (model, cut)
         )
         assert trained > untrained
     with pytest.raises(ValueError, match="no cameras"):
-        train_for_all_scales(splats, [], short)
+        train_jointly(splats, [], short)
 
 
 def test_added_splats_move_and_keep_their_sh(scene, levels):
@@ -90,18 +90,18 @@ def test_added_splats_move_and_keep_their_sh(scene, levels):
 def test_splats_that_no_level_shows_are_left_out_for_good(levels):
     for level in range(3):
         rows = levels.rows(level)
-        assert (unit(levels.opacities[level][rows]) >= LEAST_OPACITY).all()
+        assert (unit(levels.opacities[level][rows]) >= MIN_OPACITY).all()
     assert (levels.first <= levels.last).all()
     for level in range(2):
         ended = np.flatnonzero(levels.last == level)
-        assert (unit(levels.opacities[level + 1][ended]) < LEAST_OPACITY).all()
+        assert (unit(levels.opacities[level + 1][ended]) < MIN_OPACITY).all()
 
 
 @pytest.mark.parametrize("loss", ["squared", "structure"])
 def test_training_pays(scene, loss):
     splats, cameras = scene
-    views = [scaled_camera(camera, 4) for camera in cameras]
-    targets = [averaged(render(splats, camera), 4) for camera in cameras]
+    views = [downscale_camera(camera, 4) for camera in cameras]
+    targets = [downscale_picture(render(splats, camera), 4) for camera in cameras]
     measure = psnr if loss == "squared" else ssim
 
     def mean_after(steps):
@@ -159,8 +159,8 @@ def test_levels_grow_out_of_points(scene):
     assert 80 < counts[0] <= 90
     assert 80 < counts[1] <= 210
     for level, scale in enumerate(config.scales):
-        views = [scaled_camera(camera, scale) for camera in cameras]
-        targets = [averaged(photo, scale) for photo in photos]
+        views = [downscale_camera(camera, scale) for camera in cameras]
+        targets = [downscale_picture(photo, scale) for photo in photos]
         found, begun = (
             np.mean([ssim(render(one, v), t) for v, t in zip(views, targets, strict=True)])
             for one in (grown.at(level), points)

@@ -1,10 +1,10 @@
-"""Growth: halves look like what was cut, and the splats that pictures ask for are cut."""
+"""Densification: halves look like what was cut, and the splats that pictures ask for are cut."""
 
 import numpy as np
 import pytest
 
-from cogsplat.codec.fit.adam import Adam
-from cogsplat.codec.fit.growth import Growth, halves
+from cogsplat.codec.fit.densification import Densification, split
+from cogsplat.codec.fit.splat_adam import SplatAdam
 from cogsplat.codec.geometry import rotations
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
@@ -21,7 +21,7 @@ def covariances(splats):
 
 def test_halves_have_the_mean_and_the_covariance_together():
     splats = synth(50)
-    two = halves(splats)
+    two = split(splats)
     first, second = two.take(np.arange(50)), two.take(np.arange(50, 100))
     np.testing.assert_allclose((first.means + second.means) / 2, splats.means, atol=1e-5)
     off = (first.means - second.means).astype(np.float64) / 2
@@ -39,7 +39,7 @@ def test_halves_look_like_the_splat(opacity, least_db):
     one.scales[:] = np.log([0.5, 0.2, 0.1])
     one.opacities[:] = np.log(opacity / (1 - opacity))
     camera = synth_cameras(1, 96, 72)[0]
-    whole, cut = render(one, camera), render(halves(one), camera)
+    whole, cut = render(one, camera), render(split(one), camera)
     assert psnr(whole, cut) > least_db
     # What is opaque becomes wider at its flanks, and hides as much in its middle.
     y, x = np.unravel_index(whole.sum(axis=2).argmax(), whole.shape[:2])
@@ -49,19 +49,19 @@ def test_halves_look_like_the_splat(opacity, least_db):
 def test_infinite_opacities_have_halves():
     one = synth(3)
     one.opacities[:] = [np.inf, 400.0, -20.0]
-    assert np.isfinite(halves(one).opacities).all()
+    assert np.isfinite(split(one).opacities).all()
 
 
 def test_those_with_the_largest_mean_gradients_are_cut_and_frozen_ones_are_not():
     scene = synth(20)
     scene.opacities[:] = 2.0
     scene.opacities[[2, 11]] = -9.0
-    growth = Growth(frozen=5, target=18, steps=100, least_opacity=LEAST)
+    growth = Densification(frozen=5, target=18, steps=100, least_opacity=LEAST)
     pulls = np.linspace(1.0, 20.0, 20)
     for seen in (np.arange(20), np.arange(10)):
         # What twice as many pictures show does not ask for more.
         growth.note(seen, np.stack([pulls[seen], np.zeros(len(seen))], axis=1), 20)
-    grown, adam = growth.grown(scene, Adam(scene), 56)
+    grown, adam = growth.densify(scene, SplatAdam(scene), 56)
     # 14 of 15 are seen well enough, and the last time brings all that are aimed at.
     assert len(grown) == 5 + 18
     for name in ("means", "scales", "opacities"):
@@ -73,16 +73,16 @@ def test_those_with_the_largest_mean_gradients_are_cut_and_frozen_ones_are_not()
 
 
 def test_it_happens_in_the_first_part_of_training_alone():
-    growth = Growth(frozen=0, target=100, steps=200, least_opacity=LEAST)
+    growth = Densification(frozen=0, target=100, steps=200, least_opacity=LEAST)
     due = [step for step in range(1, 201) if growth.is_due(step)]
     assert len(due) == 8
     assert due[-1] <= 120
-    assert not any(Growth(0, 100, 1, LEAST).is_due(step) for step in range(3))
+    assert not any(Densification(0, 100, 1, LEAST).is_due(step) for step in range(3))
 
 
 def test_what_no_picture_shows_is_not_cut():
     scene = synth(10)
     scene.opacities[:] = 2.0
-    growth = Growth(frozen=0, target=100, steps=100, least_opacity=LEAST)
+    growth = Densification(frozen=0, target=100, steps=100, least_opacity=LEAST)
     growth.note(np.arange(4), np.ones((4, 2)), 10)
-    assert len(growth.grown(scene, Adam(scene), 56)[0]) == 14
+    assert len(growth.densify(scene, SplatAdam(scene), 56)[0]) == 14

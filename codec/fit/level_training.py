@@ -23,17 +23,17 @@ from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
-from .adam import Adam
-from .drawing import Gradients, draw, with_values
-from .growth import Growth
-from .losses import LOSSES
-from .smaller_pictures import averaged, scaled_camera
+from .densification import Densification
+from .differentiable_rendering import Gradients, render_forward, with_values
+from .downscaling import downscale_camera, downscale_picture
+from .image_losses import LOSSES
+from .splat_adam import SplatAdam
 from .trainer import RATES
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
-LEAST_OPACITY: Final = 0.005
+MIN_OPACITY: Final = 0.005
 """A splat whose opacity is below this at a level is left out there (LapisGS, section 3.2)."""
 
 # Factors on the learning rates of a level's first and last step; `tuning` begins likewise.
@@ -164,14 +164,14 @@ def train_levels(
     chosen = np.zeros(len(source), np.bool_)
     stack = _Stack(config.scales)
     for level, (scale, share) in enumerate(zip(config.scales, config.shares, strict=True)):
-        views = [scaled_camera(camera, scale) for camera in cameras]
+        views = [downscale_camera(camera, scale) for camera in cameras]
         scored = score(source, views, ScoreConfig(threads=config.threads), progress=progress)
         order = np.argsort(-scored.contribution, kind="stable")
         order = order[~chosen[order]]
         added = np.sort(order[: max(round(share * len(source)) - int(chosen.sum()), 0)])
         chosen[added] = True
         scene, frozen = stack.with_new(source.take(added))
-        small = [averaged(target, scale) for target in targets]
+        small = [downscale_picture(target, scale) for target in targets]
         scene = _trained(scene, frozen, views, small, config, level, progress)
         stack.take(scene, frozen)
     return stack.levels()
@@ -189,7 +189,7 @@ def grow_levels(
     """Make levels of photos and of the points that structure from motion found in them.
 
     Each level begins with splats at some of the points, at most half as many as it may have, and
-    lets its own become more while it is trained (`growth.Growth`).
+    lets its own become more while it is trained (`growth.Densification`).
 
     Parameters
     ----------
@@ -216,13 +216,13 @@ def grow_levels(
     targets = _targets(points, cameras, pictures, config, progress)
     stack = _Stack(config.scales)
     for level, (scale, share) in enumerate(zip(config.scales, config.shares, strict=True)):
-        views = [scaled_camera(camera, scale) for camera in cameras]
+        views = [downscale_camera(camera, scale) for camera in cameras]
         wanted = max(round(share * most) - stack.splats, 1)
         rng = np.random.default_rng((config.seed, _POINTS, level))
         first = rng.permutation(len(points))[: max(round(_BEGINNING_SHARE * wanted), 1)]
         scene, frozen = stack.with_new(points.take(np.sort(first)))
-        growth = Growth(frozen, wanted, config.steps, LEAST_OPACITY)
-        small = [averaged(target, scale) for target in targets]
+        growth = Densification(frozen, wanted, config.steps, MIN_OPACITY)
+        small = [downscale_picture(target, scale) for target in targets]
         scene = _trained(scene, frozen, views, small, config, level, progress, growth)
         stack.take(scene, frozen)
     return stack.levels()
@@ -256,7 +256,7 @@ class _Stack:
     def take(self, scene: Splats, frozen: int) -> None:
         """Take in the next level as it was trained, of which the first rows are of others."""
         level, old, before = self._level, self._old, self.splats
-        drawn = _opacity(scene.opacities) >= LEAST_OPACITY
+        drawn = _opacity(scene.opacities) >= MIN_OPACITY
         # Splats that nothing shows at their own level are in no level.
         kept = np.flatnonzero(drawn[frozen:])
         new = scene.take(frozen + kept)
@@ -277,7 +277,7 @@ class _Stack:
         return LevelledSplats(self._joined, self._scales, self._first, self._last, self._opacities)
 
 
-def train_for_all_scales(
+def train_jointly(
     splats: Splats,
     cameras: Sequence[Camera],
     config: LevelsConfig | None = None,
@@ -309,11 +309,11 @@ def train_for_all_scales(
     scored = score(source, cameras, ScoreConfig(threads=config.threads), progress=progress)
     order = np.argsort(-scored.contribution, kind="stable")
     scene = source.take(np.sort(order[: round(config.shares[-1] * len(source))]))
-    views = [scaled_camera(camera, scale) for scale in config.scales for camera in cameras]
-    pictures = [averaged(target, scale) for scale in config.scales for target in targets]
+    views = [downscale_camera(camera, scale) for scale in config.scales for camera in cameras]
+    pictures = [downscale_picture(target, scale) for scale in config.scales for target in targets]
     longer = replace(config, steps=config.steps * len(config.scales))
     scene = _trained(scene, 0, views, pictures, longer, 0, progress)
-    scene = scene.take(np.flatnonzero(_opacity(scene.opacities) >= LEAST_OPACITY))
+    scene = scene.take(np.flatnonzero(_opacity(scene.opacities) >= MIN_OPACITY))
     zeros = np.zeros(len(scene), np.int64)
     return LevelledSplats(scene, config.scales[-1:], zeros, zeros, scene.opacities[None])
 
@@ -353,7 +353,7 @@ def _trained(
     config: LevelsConfig,
     level: int,
     progress: Progress,
-    growth: Growth | None = None,
+    growth: Densification | None = None,
 ) -> Splats:
     """Return a level's scene after training; of the first `frozen` rows opacities alone move."""
     scene = with_values(scene, {name: getattr(scene, name).copy() for name in Gradients.names()})
@@ -361,7 +361,7 @@ def _trained(
     drawing = RenderConfig(
         kernel_px=info.kernel_px, antialiased=info.antialiased, threads=config.threads
     )
-    adam, gradients = Adam(scene), Gradients.zeros(scene)
+    adam, gradients = SplatAdam(scene), Gradients.zeros(scene)
     axis = _middle_axes(scene)
     first_rate = _FIRST_RATE if growth is None else _GROWING_RATE
     stage = f"level {level}"
@@ -370,7 +370,7 @@ def _trained(
         turn, place = divmod(step, len(views))
         rng = np.random.default_rng((config.seed, level, turn))
         view = int(rng.permutation(len(views))[place])
-        picture = draw(scene, views[view], drawing)
+        picture = render_forward(scene, views[view], drawing)
         _, by_picture = LOSSES[config.loss](picture.picture, pictures[view])
         gradients.clear()
         by_centres = picture.backward(by_picture, gradients)
@@ -380,7 +380,7 @@ def _trained(
         if growth is not None:
             growth.note(picture.footprints.index, by_centres, len(scene))
             if growth.is_due(step + 1):
-                scene, adam = growth.grown(scene, adam, step + 1)
+                scene, adam = growth.densify(scene, adam, step + 1)
                 gradients, axis = Gradients.zeros(scene), _middle_axes(scene)
         progress(stage, step + 1, config.steps)
     return scene

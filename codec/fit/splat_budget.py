@@ -37,12 +37,12 @@ def count_for_size(size_bytes: int, sh_degree: int, most: int) -> int:
     return max(1, min(most, int(count)))
 
 
-def next_count(count: int, least: int, round_keep: float) -> int | None:
+def count_after_round(count: int, least: int, round_keep: float) -> int | None:
     """Return how many splats the next round keeps on the way to `least`; None where that is met."""
     return max(least, int(round_keep * count)) if least < count else None
 
 
-def next_count_for_psnr(
+def count_after_round_for_psnr(
     count: int, measured_db: float, target_db: float, round_keep: float
 ) -> int | None:
     """Return how many splats the next round keeps; None where the target allows no more rounds.

@@ -1,4 +1,4 @@
-"""Pace: how many steps of training fit into the time that is left."""
+"""Time budget of a training run: how many steps fit into the remaining time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LEAST: Final = 0.05
 _MOST: Final = 12.0
 
 
-class Pace:
+class TimeBudget:
     """Stretches or shortens a plan of steps so that it ends when the time is over.
 
     Parameters

@@ -94,7 +94,7 @@ def with_values(splats: Splats, values: Mapping[str, F32]) -> Splats:
 
 
 @dataclass(frozen=True, eq=False)
-class Drawing:
+class ForwardPass:
     """A picture, and what is needed to differentiate it.
 
     Parameters
@@ -228,7 +228,9 @@ class Drawing:
         return centres
 
 
-def draw(splats: Splats, camera: Camera, config: RenderConfig | None = None) -> Drawing:
+def render_forward(
+    splats: Splats, camera: Camera, config: RenderConfig | None = None
+) -> ForwardPass:
     """Draw a scene so that it can be differentiated.
 
     Parameters
@@ -242,16 +244,16 @@ def draw(splats: Splats, camera: Camera, config: RenderConfig | None = None) -> 
 
     Returns
     -------
-    Drawing
+    ForwardPass
 
     Examples
     --------
     >>> import numpy as np
-    >>> from cogsplat.codec.fit.drawing import Gradients, draw
+    >>> from cogsplat.codec.fit.differentiable_rendering import Gradients, render_forward
     >>> import cogsplat
     >>> splats = cogsplat.read("scene.ply")
     >>> camera = cogsplat.read_cameras("cameras.json")[0]
-    >>> drawing = draw(splats, camera)
+    >>> drawing = render_forward(splats, camera)
     >>> gradients = Gradients.zeros(splats)
     >>> grey = np.full_like(drawing.picture, 0.5)
     >>> by_centres = drawing.backward(2.0 * (drawing.picture - grey), gradients)
@@ -263,7 +265,9 @@ def draw(splats: Splats, camera: Camera, config: RenderConfig | None = None) -> 
     if config.device == "cuda":
         view = cuda_view(CudaScene(splats), camera, config)
         picture = view.picture(config.background)
-        return Drawing(splats, camera, config, view.footprints, view.colours, picture, (), (), view)
+        return ForwardPass(
+            splats, camera, config, view.footprints, view.colours, picture, (), (), view
+        )
     footprints = project(
         splats,
         camera,
@@ -291,4 +295,4 @@ def draw(splats: Splats, camera: Camera, config: RenderConfig | None = None) -> 
             stops,
         )
         lists.for_ranges(part, thread_count(config.threads))
-    return Drawing(splats, camera, config, footprints, colours, picture, all_lists, all_stops)
+    return ForwardPass(splats, camera, config, footprints, colours, picture, all_lists, all_stops)

@@ -4,7 +4,7 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.fit.pairs import covariances, merged, pairs
+from cogsplat.codec.fit.splat_merging import covariances, merge_candidates, merge_pairs
 from cogsplat.codec.geometry import rotations
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
@@ -27,7 +27,7 @@ def two_of(splats, row, apart=0.0):
 def test_the_moments_of_a_pair_are_those_of_samples_of_both():
     rng = np.random.default_rng(0)
     splats = oracle.scene(4, n=2)
-    found = merged(splats, *ROWS).take(ROWS[0])
+    found = merge_pairs(splats, *ROWS).take(ROWS[0])
     areas = np.exp(2 / 3 * splats.scales.sum(axis=1, dtype=np.float64))
     masses = areas / (1 + np.exp(-splats.opacities.astype(np.float64)))
     shares = masses / masses.sum()
@@ -53,7 +53,7 @@ def test_halves_of_a_splat_are_merged_into_what_it_was():
     # Two of half the alpha in one place are one of all of it, but for what they hide of each other.
     alpha = 0.3
     halves = replace(halves, opacities=np.full(2, np.log(alpha / (1 - alpha)), np.float32))
-    found = merged(halves, *ROWS)
+    found = merge_pairs(halves, *ROWS)
     assert found.opacities[0] == pytest.approx(np.log(0.6 / 0.4), abs=1e-4)
     np.testing.assert_allclose(covariances(found)[0], covariances(splats)[0], rtol=1e-4, atol=1e-9)
     # What was given up is as it was, and so is the scene.
@@ -66,18 +66,18 @@ def test_only_what_looks_alike_makes_a_pair():
     near, far = two_of(splats, 0, 0.5), two_of(splats, 0, 8.0)
     other = replace(near, sh0=near.sh0 + np.array([[0], [4]], np.float32))
     errors = np.array([1.0, 2.0])
-    kept, given_up = pairs(near, errors, 5)
+    kept, given_up = merge_candidates(near, errors, 5)
     assert (kept.tolist(), given_up.tolist()) == ([1], [0])
     for unlike in (far, other):
-        assert not len(pairs(unlike, errors, 5)[0])
-    assert not len(pairs(near, errors, 0)[0])
-    assert not len(pairs(near.take(slice(0, 1)), errors[:1], 5)[0])
+        assert not len(merge_candidates(unlike, errors, 5)[0])
+    assert not len(merge_candidates(near, errors, 0)[0])
+    assert not len(merge_candidates(near.take(slice(0, 1)), errors[:1], 5)[0])
 
 
 def test_every_splat_stands_in_one_pair_and_the_worse_half_is_given_up():
     splats = synth(800, seed=6)
     errors = np.random.default_rng(1).random(800)
-    kept, given_up = pairs(splats, errors, 60)
+    kept, given_up = merge_candidates(splats, errors, 60)
     rows = np.concatenate([kept, given_up])
     assert 20 < len(kept) <= 60
     assert len(np.unique(rows)) == len(rows)
@@ -87,10 +87,10 @@ def test_every_splat_stands_in_one_pair_and_the_worse_half_is_given_up():
 def test_pictures_keep_more_of_merged_splats_than_of_deleted_ones():
     splats, cameras = synth(2500, seed=7), synth_cameras(4, 96, 72)
     errors = np.exp(splats.scales.sum(axis=1, dtype=np.float64))
-    kept, given_up = pairs(splats, errors, 300)
+    kept, given_up = merge_candidates(splats, errors, 300)
     assert len(kept) > 100
     left = np.setdiff1d(np.arange(len(splats)), given_up)
-    both = [splats.take(left), merged(splats, kept, given_up).take(left)]
+    both = [splats.take(left), merge_pairs(splats, kept, given_up).take(left)]
     deleted, together = (
         np.mean([psnr(render(splats, view), render(each, view)) for view in cameras])
         for each in both
@@ -102,7 +102,7 @@ def test_splats_without_any_size_do_no_harm():
     splats = synth(50, seed=8)
     splats.scales[:25] = -1000.0
     splats.means[:10] = splats.means[0]
-    kept, given_up = pairs(splats, np.ones(50), 50)
-    found = merged(splats, kept, given_up)
+    kept, given_up = merge_candidates(splats, np.ones(50), 50)
+    found = merge_pairs(splats, kept, given_up)
     assert np.isfinite(found.scales).all()
     assert np.isfinite(found.opacities).all()

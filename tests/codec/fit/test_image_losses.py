@@ -3,7 +3,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from cogsplat.codec.fit.losses import LOSSES
+from cogsplat.codec.fit.image_losses import LOSSES
 from cogsplat.codec.metrics import psnr, ssim
 
 

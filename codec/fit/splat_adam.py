@@ -16,7 +16,7 @@ from cogsplat.codec.render.jit import kernel
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
-from .drawing import Gradients
+from .differentiable_rendering import Gradients
 
 F32 = NDArray[np.float32]
 
@@ -70,7 +70,7 @@ def _move_range(
     _move(values, gradients, means, squares, rates, moments[0], moments[1], rows[0], rows[1])
 
 
-class Adam:
+class SplatAdam:
     """The running moments of the gradients of one scene.
 
     Parameters
@@ -113,9 +113,9 @@ class Adam:
             for _ in ordered_map(move, pairwise(edges), threads):
                 pass
 
-    def take(self, rows: NDArray[np.int64]) -> Adam:
+    def take(self, rows: NDArray[np.int64]) -> SplatAdam:
         """Return the moments of some splats, for a scene of these alone."""
-        taken = Adam.__new__(Adam)
+        taken = SplatAdam.__new__(SplatAdam)
         taken._steps = self._steps
         for part in ("_means", "_squares"):
             kept: Gradients = getattr(self, part)
@@ -132,7 +132,7 @@ class Adam:
         return arrays
 
     @classmethod
-    def restored(cls, state: Mapping[str, NDArray[np.generic]]) -> Adam:
+    def from_state(cls, state: Mapping[str, NDArray[np.generic]]) -> SplatAdam:
         """Return the moments that `state` returned."""
         adam = cls.__new__(cls)
         adam._steps = int(state["adam.steps"])

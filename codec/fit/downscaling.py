@@ -12,7 +12,7 @@ from cogsplat.codec.cameras import Camera
 F32 = NDArray[np.float32]
 
 
-def scaled_camera(camera: Camera, scale: int) -> Camera:
+def downscale_camera(camera: Camera, scale: int) -> Camera:
     """Return the camera of pictures that are divided by a number in width and height.
 
     Columns and rows at the right and the bottom that fill no pixel are left out.
@@ -28,7 +28,7 @@ def scaled_camera(camera: Camera, scale: int) -> Camera:
     )
 
 
-def averaged(picture: F32, scale: int) -> F32:
+def downscale_picture(picture: F32, scale: int) -> F32:
     """Return a picture whose pixels are the means of squares of `scale` × `scale` pixels.
 
     Parameters
@@ -39,7 +39,7 @@ def averaged(picture: F32, scale: int) -> F32:
     Returns
     -------
     (H // scale, W // scale, 3) float32
-        What `scaled_camera` sees.
+        What `downscale_camera` sees.
     """
     height, width = (max(size // scale, 1) for size in picture.shape[:2])
     down, across = (min(scale, size) for size in picture.shape[:2])

@@ -12,7 +12,7 @@ from cogsplat.codec.geometry.covariance import principal_axes
 from cogsplat.codec.geometry.sh import C0
 from cogsplat.codec.splats import Splats
 
-from .drawing import Gradients, with_values
+from .differentiable_rendering import Gradients, with_values
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -45,7 +45,7 @@ def covariances(splats: Splats) -> F64:
     return spread
 
 
-def pairs(splats: Splats, errors: F64, most: int) -> tuple[I64, I64]:
+def merge_candidates(splats: Splats, errors: F64, most: int) -> tuple[I64, I64]:
     """Return pairs of neighbouring splats that look alike, the likest first.
 
     Parameters
@@ -118,7 +118,7 @@ def _regular(spread: F64) -> F64:
     return regular
 
 
-def merged(splats: Splats, kept: I64, given_up: I64) -> Splats:
+def merge_pairs(splats: Splats, kept: I64, given_up: I64) -> Splats:
     """Return a scene in which splats stand for others as well.
 
     Mean and covariance are those of both Gaussians together, each counted by its opacity and its

@@ -5,7 +5,7 @@ import oracle
 import pytest
 
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.fit.lessons import MOST_VIEWS, lessons_of, views_apart
+from cogsplat.codec.fit.training_views import MAX_VIEWS, held_out_views, make_training_views
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import SceneInfo
 
@@ -14,25 +14,30 @@ def test_renders_teach_in_the_cameras_and_their_copies():
     splats = oracle.scene(0, info=SceneInfo(antialiased=True, kernel_px=0.1))
     cameras = [oracle.camera(angle) for angle in (0.1, 0.6)]
     background = (0.2, 0.0, 1.0)
-    lessons = lessons_of(splats, cameras, background=background, threads=2)
-    assert (len(lessons), lessons.given, lessons.along, len(lessons.pictures)) == (8, 2, 3, 8)
+    training_views = make_training_views(splats, cameras, background=background, threads=2)
+    assert (
+        len(training_views),
+        training_views.given,
+        training_views.along,
+        len(training_views.pictures),
+    ) == (8, 2, 3, 8)
     for camera, config, picture in zip(
-        lessons.cameras, lessons.configs, lessons.pictures, strict=True
+        training_views.cameras, training_views.configs, training_views.pictures, strict=True
     ):
         assert config == RenderConfig(0.1, True, background=background, threads=1)
         np.testing.assert_array_equal(picture, np.clip(render(splats, camera, config), 0, 1))
-    alone = lessons_of(splats, cameras, copies=False)
+    alone = make_training_views(splats, cameras, copies=False)
     assert len(alone) == alone.given == alone.along == 2
 
 
 def test_a_view_between_two_cameras_is_halfway():
     splats = oracle.scene(4)
     one, other, middle = (oracle.camera(angle) for angle in (0.2, 1.0, 0.6))
-    between = lessons_of(splats, [one, other]).cameras[2]
+    between = make_training_views(splats, [one, other]).cameras[2]
     np.testing.assert_allclose(between.rotation, middle.rotation, atol=1e-12)
     np.testing.assert_allclose(between.position, (one.position + other.position) / 2, atol=1e-12)
     # Of three on a path, those at the ends have the one in the middle and each other.
-    three = lessons_of(splats, [one, middle, other])
+    three = make_training_views(splats, [one, middle, other])
     assert (three.given, three.along) == (3, 6)
     assert len({camera.name for camera in three.cameras}) == len(three)
 
@@ -40,9 +45,9 @@ def test_a_view_between_two_cameras_is_halfway():
 def test_views_that_are_kept_apart_do_not_teach():
     splats = oracle.scene(5)
     cameras = [oracle.camera(angle) for angle in np.linspace(0.0, 1.2, 8)]
-    apart = views_apart(cameras)
+    apart = held_out_views(cameras)
     assert 1 <= len(apart) < len(cameras)
-    whole, without = (lessons_of(splats, cameras, apart=views) for views in ((), apart))
+    whole, without = (make_training_views(splats, cameras, apart=views) for views in ((), apart))
     names = {camera.name for camera in without.cameras}
     assert not names & {camera.name for camera in apart}
     assert {camera.name for camera in whole.cameras[: whole.along]} == {
@@ -51,52 +56,54 @@ def test_views_that_are_kept_apart_do_not_teach():
     # Of copies of the views that are kept apart there are none either.
     assert len(whole) - len(without) == 2 * len(apart)
     # Halfway between cameras that look at each other may be anything.
-    assert views_apart([oracle.camera(0.0), oracle.camera(np.pi)]) == []
-    assert views_apart([oracle.camera()]) == []
-    assert len(views_apart([oracle.camera(x) for x in np.linspace(0, 3, 200)])) <= MOST_VIEWS
+    assert held_out_views([oracle.camera(0.0), oracle.camera(np.pi)]) == []
+    assert held_out_views([oracle.camera()]) == []
+    assert len(held_out_views([oracle.camera(x) for x in np.linspace(0, 3, 200)])) <= MAX_VIEWS
 
 
 def test_covering_views_teach_once_and_without_copies():
     splats = oracle.scene(6)
     cameras = [oracle.camera(angle) for angle in (0.1, 0.6)]
     below = [replace(oracle.camera(2.0), name="covering-000")]
-    lessons, without = (lessons_of(splats, cameras, covering=views) for views in (below, ()))
-    assert len(lessons) == len(without) + 1
-    assert (lessons.given, lessons.along) == (without.given, without.along)
-    last = lessons.cameras[-1]
+    training_views, without = (
+        make_training_views(splats, cameras, covering=views) for views in (below, ())
+    )
+    assert len(training_views) == len(without) + 1
+    assert (training_views.given, training_views.along) == (without.given, without.along)
+    last = training_views.cameras[-1]
     assert last.name == "covering-000"
     assert (last.width, last.height) == (below[0].width // 2, below[0].height // 2)
-    assert lessons.pictures[-1].shape == (last.height, last.width, 3)
-    assert lessons.configs[-1].kernel_px == lessons.configs[0].kernel_px / 4
+    assert training_views.pictures[-1].shape == (last.height, last.width, 3)
+    assert training_views.configs[-1].kernel_px == training_views.configs[0].kernel_px / 4
 
 
 def test_photos_teach_in_the_cameras_and_renders_in_the_copies():
     splats, camera = oracle.scene(1), oracle.camera()
     photo = np.full((camera.height, camera.width, 3), 0.25, np.float32)
-    lessons = lessons_of(splats, [camera], photos=[photo])
-    np.testing.assert_array_equal(lessons.pictures[0], photo)
-    assert (lessons.photos, lessons_of(splats, [camera]).photos) == (1, 0)
-    assert not (lessons.pictures[1] == 0.25).all()
+    training_views = make_training_views(splats, [camera], photos=[photo])
+    np.testing.assert_array_equal(training_views.pictures[0], photo)
+    assert (training_views.photos, make_training_views(splats, [camera]).photos) == (1, 0)
+    assert not (training_views.pictures[1] == 0.25).all()
     with pytest.raises(ValueError, match="1 photos for 2 cameras"):
-        lessons_of(splats, [camera, camera], photos=[photo])
+        make_training_views(splats, [camera, camera], photos=[photo])
 
 
 def test_large_pictures_become_smaller_and_show_the_same():
     splats = oracle.scene(2, n=30)
     camera = oracle.camera(width=80, height=60, focal=60.0)
     photo = render(splats, camera)
-    lessons = lessons_of(splats, [camera], photos=[photo], most_pixels=1500)
-    small = lessons.cameras[0]
+    training_views = make_training_views(splats, [camera], photos=[photo], most_pixels=1500)
+    small = training_views.cameras[0]
     assert (small.width, small.height, small.fx) == (40, 30, 30.0)
-    assert lessons.configs[0].kernel_px == 0.3 / 4
-    drawn = render(splats, small, lessons.configs[0])
-    assert np.abs(drawn - lessons.pictures[0]).mean() < 0.02
-    odd = lessons_of(splats, [replace(camera, width=81)], photos=[np.ones((60, 81, 3), np.float32)],
-                     most_pixels=1500)  # fmt: skip
+    assert training_views.configs[0].kernel_px == 0.3 / 4
+    drawn = render(splats, small, training_views.configs[0])
+    assert np.abs(drawn - training_views.pictures[0]).mean() < 0.02
+    white = np.ones((60, 81, 3), np.float32)
+    odd = make_training_views(splats, [replace(camera, width=81)], photos=[white], most_pixels=1500)
     assert odd.pictures[0].shape == (30, 40, 3)
 
 
 def test_no_cameras_are_refused():
     with pytest.raises(DataError, match="0 cameras") as caught:
-        lessons_of(oracle.scene(3), [])
+        make_training_views(oracle.scene(3), [])
     assert caught.value.code == "no-cameras"

@@ -4,8 +4,8 @@ import numpy as np
 import oracle
 import torch
 
-from cogsplat.codec.fit.adam import Adam
-from cogsplat.codec.fit.drawing import Gradients
+from cogsplat.codec.fit.differentiable_rendering import Gradients
+from cogsplat.codec.fit.splat_adam import SplatAdam
 
 
 def random_gradients(splats, seed):
@@ -31,7 +31,7 @@ def test_steps_are_those_of_torch():
     splats = oracle.scene(0, n=12, degree=1)
     values = torch.from_numpy(splats.scales.copy()).requires_grad_()
     other = torch.optim.Adam([values], lr=0.01, betas=(0.9, 0.999), eps=1e-15)
-    adam, moved = Adam(splats), copy(splats)
+    adam, moved = SplatAdam(splats), copy(splats)
     for step in range(5):
         gradients = random_gradients(splats, step)
         values.grad = torch.from_numpy(gradients.scales.copy())
@@ -45,7 +45,7 @@ def test_threads_change_nothing():
     splats = oracle.scene(1, n=50)
     found = []
     for threads in (1, 3):
-        adam, moved = Adam(splats), copy(splats)
+        adam, moved = SplatAdam(splats), copy(splats)
         for step in range(3):
             adam.step(moved, random_gradients(splats, step), rates_of(splats), threads)
         found.append(moved)
@@ -56,13 +56,13 @@ def test_threads_change_nothing():
 def test_moments_go_on_for_rows_that_are_kept_and_after_a_restart():
     splats = oracle.scene(2, n=20)
     rows = np.array([3, 4, 11])
-    adam, moved = Adam(splats), copy(splats)
+    adam, moved = SplatAdam(splats), copy(splats)
     adam.step(moved, random_gradients(splats, 0), rates_of(splats))
     later = random_gradients(splats, 1)
     fewer = copy(moved.take(rows))
     some = Gradients(**{name: getattr(later, name)[rows].copy() for name in Gradients.names()})
     rates = {name: rate[rows].copy() for name, rate in rates_of(splats).items()}
-    Adam.restored(adam.take(rows).state()).step(fewer, some, rates)
+    SplatAdam.from_state(adam.take(rows).state()).step(fewer, some, rates)
     adam.step(moved, later, rates_of(splats))
     for name in Gradients.names():
         np.testing.assert_array_equal(getattr(fewer, name), getattr(moved, name)[rows])
@@ -71,5 +71,5 @@ def test_moments_go_on_for_rows_that_are_kept_and_after_a_restart():
 def test_scenes_without_higher_bands_move():
     splats = oracle.scene(3, n=5, degree=0)
     moved = copy(splats)
-    Adam(splats).step(moved, random_gradients(splats, 0), rates_of(splats))
+    SplatAdam(splats).step(moved, random_gradients(splats, 0), rates_of(splats))
     assert np.abs(moved.sh0 - splats.sh0).min() > 0

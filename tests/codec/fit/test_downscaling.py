@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from cogsplat.codec.fit.smaller_pictures import averaged, scaled_camera
+from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
 from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 
 def test_averaged_pictures_are_what_scaled_cameras_see():
     picture = np.arange(7 * 9 * 3, dtype=np.float32).reshape(7, 9, 3)
-    small = averaged(picture, 2)
+    small = downscale_picture(picture, 2)
     assert small.shape == (3, 4, 3)
     np.testing.assert_allclose(small[1, 2], picture[2:4, 4:6].mean(axis=(0, 1)))
     camera = synth_cameras(1, 9, 7)[0]
-    found = scaled_camera(camera, 2)
+    found = downscale_camera(camera, 2)
     assert (found.width, found.height) == (4, 3)
     assert found.fx == camera.fx / 2
     assert found.cy == camera.cy / 2

@@ -9,7 +9,7 @@ import torch
 import torch_oracle
 from gsplat_on_cpu import on_cpu
 
-from cogsplat.codec.fit.drawing import Gradients, draw
+from cogsplat.codec.fit.differentiable_rendering import Gradients, render_forward
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
 
@@ -41,7 +41,7 @@ def small_scene(seed: int, degree: int, opacity: float = 1.5):
 def test_derivatives_are_those_of_the_oracle(seed, degree, antialiased):
     splats, camera, target = small_scene(seed, degree)
     config = RenderConfig(kernel_px=0.3, antialiased=antialiased, background=BACKGROUND)
-    drawing = draw(splats, camera, config)
+    drawing = render_forward(splats, camera, config)
     seen, expected = derivatives(
         splats, camera, target, kernel_px=0.3, antialiased=antialiased, background=BACKGROUND
     )
@@ -64,9 +64,9 @@ def test_derivatives_of_one_splat_are_its_finite_differences():
     camera = oracle.camera(angle=0.4, width=40, height=30, focal=26.0)
     weights = np.random.default_rng(5).normal(size=(30, 40, 3))
     # Only where the splat is well above the cut at 1/255, so that no pixel comes or goes.
-    weights[draw(splats, camera).picture.max(axis=2) < 0.02] = 0.0
+    weights[render_forward(splats, camera).picture.max(axis=2) < 0.02] = 0.0
     found = Gradients.zeros(splats)
-    draw(splats, camera).backward(weights.astype(np.float32), found)
+    render_forward(splats, camera).backward(weights.astype(np.float32), found)
     for name in Gradients.names():
         values = getattr(splats, name)
         for place in np.ndindex(values.shape):
@@ -86,7 +86,7 @@ def test_picture_is_that_of_the_rasteriser_whatever_the_threads():
     found = []
     for threads in (1, 3):
         config = RenderConfig(background=BACKGROUND, threads=threads)
-        drawing = draw(splats, camera, config)
+        drawing = render_forward(splats, camera, config)
         np.testing.assert_array_equal(drawing.picture, render(splats, camera, config))
         gradients = Gradients.zeros(splats)
         drawing.backward(drawing.picture - 0.5, gradients)
@@ -99,7 +99,7 @@ def test_picture_is_that_of_the_rasteriser_whatever_the_threads():
 
 def test_gradients_of_two_pictures_add_up_and_clear():
     splats, camera, target = small_scene(7, 2)
-    drawing = draw(splats, camera)
+    drawing = render_forward(splats, camera)
     once, twice = Gradients.zeros(splats), Gradients.zeros(splats)
     centres = drawing.backward(drawing.picture - target, once)
     for _ in range(2):
@@ -114,7 +114,7 @@ def test_gradients_of_two_pictures_add_up_and_clear():
 
 def test_degrees_that_are_not_drawn_have_no_derivatives():
     splats, camera, target = small_scene(8, 3)
-    drawing = draw(splats, camera, RenderConfig(sh_degree=1))
+    drawing = render_forward(splats, camera, RenderConfig(sh_degree=1))
     found = Gradients.zeros(splats)
     drawing.backward(drawing.picture - target, found)
     assert np.abs(found.shN[:, :3]).max() > 0
@@ -126,7 +126,7 @@ def test_opacities_that_are_infinite_and_splats_out_of_sight_do_not_move():
     splats.opacities[:2] = [np.inf, -np.inf]
     splats.means[2] = camera.position - 5.0 * camera.rotation[2]
     found = Gradients.zeros(splats)
-    drawing = draw(splats, camera)
+    drawing = render_forward(splats, camera)
     drawing.backward(drawing.picture - target, found)
     assert not found.opacities[:2].any()
     assert not any(getattr(found, name)[2].any() for name in Gradients.names())
@@ -138,11 +138,14 @@ def test_on_a_device_derivatives_are_the_same_but_for_rounding(monkeypatch, anti
     splats, camera, target = small_scene(3, 2)
     splats.opacities[::4] = 9.0
     config = RenderConfig(antialiased=antialiased, background=BACKGROUND)
-    expected, wanted = draw(splats, camera, config), Gradients.zeros(splats)
+    expected, wanted = render_forward(splats, camera, config), Gradients.zeros(splats)
     sums = expected.sums(2 * (expected.picture - target))
     centres = expected.add(sums, wanted)
     on_cpu(monkeypatch)
-    drawing, found = draw(splats, camera, replace(config, device="cuda")), Gradients.zeros(splats)
+    drawing, found = (
+        render_forward(splats, camera, replace(config, device="cuda")),
+        Gradients.zeros(splats),
+    )
     np.testing.assert_allclose(drawing.picture, expected.picture, atol=1e-4)
     np.testing.assert_array_equal(drawing.footprints.index, expected.footprints.index)
     by_picture = 2 * (drawing.picture - target)

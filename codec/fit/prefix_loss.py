@@ -1,4 +1,4 @@
-"""Prefixes of a scene that is trained: they are to show what the whole scene shows as well."""
+"""Training loss of prefixes: each prefix of a scene should look like the whole scene."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from cogsplat.codec.order.prefix_inflation import Inflation
 from cogsplat.codec.render.rasteriser import RenderConfig
 from cogsplat.codec.splats import Splats
 
-from .drawing import Gradients, draw
-from .losses import LOSSES
+from .differentiable_rendering import Gradients, render_forward
+from .image_losses import LOSSES
 
 # Keeps ratios of errors finite: that of a PSNR of 60 dB.
 _LEAST_ERROR: Final = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Prefixes:
-    """Prefixes that are drawn beside the whole scene while it is trained.
+class PrefixLoss:
+    """PrefixLoss that are drawn beside the whole scene while it is trained.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ class Prefixes:
     weight: float
 
     @classmethod
-    def of_chunks(
+    def for_layers(
         cls, chunk_rows: Sequence[NDArray[np.int64]], effective_splats: int, weight: float
-    ) -> Prefixes:
+    ) -> PrefixLoss:
         """Return the prefixes that the layers of a compensation are made for.
 
         Parameters
@@ -61,7 +61,7 @@ class Prefixes:
         parts = [len(rows) / effective_splats for rows in prefixes]
         return cls(prefixes, [prefix_inflation.typical(part) for part in parts], weight)
 
-    def teach(
+    def add_gradients(
         self,
         shown: Splats,
         camera: Camera,
@@ -97,7 +97,7 @@ class Prefixes:
         number = int(rng.integers(len(self.rows)))
         rows = self.rows[number]
         prefix = prefix_inflation.inflate(shown.take(rows), self.inflations[number])
-        drawing = draw(prefix, camera, config)
+        drawing = render_forward(prefix, camera, config)
         own, by_picture = LOSSES[loss](drawing.picture, picture)
         by_picture *= np.float32(self.weight * error / max(own, _LEAST_ERROR))
         found = Gradients.zeros(prefix)

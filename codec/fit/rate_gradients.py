@@ -24,13 +24,13 @@ from cogsplat.codec.streams import (
 from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.records import INFINITIES, Attribute, Kind, StoredStream
 
-from .drawing import Gradients
+from .differentiable_rendering import Gradients
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-PRICE_OF_A_BIT: Final = float(np.log(2.0)) / 6.0
+ERROR_PER_BIT: Final = float(np.log(2.0)) / 6.0
 """Squared error that a bit is worth, in units of λ: what one more bit of any value removes.
 
 An error that costs λ/12, of a step Δ with ``cost · Δ² = λ``, falls by 2·ln 2 times itself with each
@@ -45,7 +45,7 @@ _SILVERMAN: Final = 0.9
 _LEAST_WIDTH: Final = 0.5
 
 
-def slopes_of_codes(positions: F64) -> F64:
+def bits_per_step(positions: F64) -> F64:
     """Return the bits that each value takes more if it moves by one step.
 
     Each code takes ``-log2`` of its share of all; between two codes the bits run straight.
@@ -118,7 +118,7 @@ class _Streams:
         return refinement_digits.parse(digits, grid.components)[0]
 
 
-def bit_slopes(encoded: EncodedScene, splats: Splats, rows: Sequence[I64]) -> Gradients:
+def rate_gradients(encoded: EncodedScene, splats: Splats, rows: Sequence[I64]) -> Gradients:
     """Return by how many bits a stored scene grows where one of its values moves.
 
     What is entropy-coded on a grid of its chunk counts: opacities, the differences of scales, and
@@ -200,7 +200,7 @@ def _of_sh_n(stream: StoredStream, basis: F32, values: F32) -> F32:
     # As near as colours that are even in all directions ask for; the encoder weighs directions.
     inverse = np.linalg.pinv(rows)
     positions = values.reshape(len(values), -1) @ inverse / found.step
-    by_coefficients = (slopes_of_codes(positions) / found.step) @ inverse.T
+    by_coefficients = (bits_per_step(positions) / found.step) @ inverse.T
     slopes: F32 = by_coefficients.reshape(values.shape).astype(np.float32)
     return slopes
 
@@ -209,5 +209,5 @@ def _on_grid(values: F32, grid: Grid) -> F32:
     """Return the bits by (n, c) values that lie on a grid of the chunk's own."""
     step = np.where(grid.step > 0, grid.step, np.float32(1)).astype(np.float64)
     positions = (values.astype(np.float64) - grid.minimum) / step
-    slopes: F32 = np.where(grid.step > 0, slopes_of_codes(positions) / step, 0.0).astype(np.float32)
+    slopes: F32 = np.where(grid.step > 0, bits_per_step(positions) / step, 0.0).astype(np.float32)
     return slopes

@@ -1,4 +1,4 @@
-"""Stored values: what a scene becomes when it is encoded and decoded, splat by splat."""
+"""Encode-decode round trips of a scene in training, splat by splat."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from cogsplat.codec.executor import LocalThreads
 from cogsplat.codec.geometry import rotations
 from cogsplat.codec.splats import Splats
 
-from .drawing import Gradients, with_values
+from .differentiable_rendering import Gradients, with_values
 
 F32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
-class Stored:
+class RoundTrip:
     """A scene as it was stored.
 
     Parameters
@@ -64,12 +64,12 @@ def _facing(quats: F32, scales: F32, as_quats: F32) -> tuple[F32, F32]:
     return turned.astype(np.float32), permuted
 
 
-def stored(
+def round_trip(
     prepared: PreparedScene,
     splats: Splats,
     quality_db: float,
     codebooks: Sequence[EncodedCodebook] = (),
-) -> Stored:
+) -> RoundTrip:
     """Encode a scene in the order and with the quantiser steps of an earlier state of it.
 
     Parameters
@@ -100,4 +100,4 @@ def stored(
         rotations.unit(encoded.decoded.quats), encoded.decoded.scales, splats.quats[rows]
     )
     arrays["quats"][rows], arrays["scales"][rows] = turned
-    return Stored(with_values(splats, arrays), encoded, chunk_rows)
+    return RoundTrip(with_values(splats, arrays), encoded, chunk_rows)

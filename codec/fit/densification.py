@@ -1,4 +1,4 @@
-"""Growth: splats that become two where the pictures of a scene ask for more detail."""
+"""Splats that are split where the pictures of a scene need more detail."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from cogsplat.codec.geometry import rotations
 from cogsplat.codec.splats import Splats
 
-from .adam import Adam
-from .drawing import Gradients, with_values
+from .differentiable_rendering import Gradients, with_values
+from .splat_adam import SplatAdam
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -27,7 +27,7 @@ _TIMES: Final = 8
 _LARGEST_LOGIT: Final = 9.2
 
 
-def halves(splats: Splats) -> Splats:
+def split(splats: Splats) -> Splats:
     """Cut splats in two across their longest axis.
 
     Parameters
@@ -64,7 +64,7 @@ def halves(splats: Splats) -> Splats:
     return with_values(splats, values)
 
 
-class Growth:
+class Densification:
     """Lets the splats of a scene become more while it is trained.
 
     Kerbl et al. 2023, section 5.2, with two changes. A number of splats is aimed at in place of a
@@ -101,7 +101,7 @@ class Growth:
         rows : (M,) int
             Splats that the picture shows.
         by_centres : (M, 2) float64
-            Derivative of the loss by their centres, 1/px (`Drawing.backward`).
+            Derivative of the loss by their centres, 1/px (`ForwardPass.backward`).
         count : int
             Splats of the scene.
         """
@@ -114,7 +114,7 @@ class Growth:
         """Tell whether the scene grows after so many steps."""
         return steps in self._moments
 
-    def grown(self, scene: Splats, adam: Adam, steps: int) -> tuple[Splats, Adam]:
+    def densify(self, scene: Splats, adam: SplatAdam, steps: int) -> tuple[Splats, SplatAdam]:
         """Return the scene with more splats, and what is known of their gradients.
 
         Frozen splats stay in front; halves take over the moments of what was cut.
@@ -130,7 +130,7 @@ class Growth:
             more = min(max(min(aim, self._target) - len(able), 0), int((asked > 0.0).sum()))
             cut = np.sort(able[np.argsort(-asked, kind="stable")[:more]])
         whole = np.setdiff1d(kept, cut, assume_unique=True)
-        two = halves(scene.take(cut))
+        two = split(scene.take(cut))
         values = {
             name: np.concatenate([getattr(scene, name)[whole], getattr(two, name)])
             for name in Gradients.names()

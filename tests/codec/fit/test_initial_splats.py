@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.fit.points_start import splats_from_points
+from cogsplat.codec.fit.initial_splats import splats_from_points
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 

@@ -7,7 +7,7 @@ import pytest
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.encoder import encode_chunks
 from cogsplat.codec.encode.prepared import prepare
-from cogsplat.codec.fit.stored import stored
+from cogsplat.codec.fit.round_trip import round_trip
 from cogsplat.codec.geometry import rotations
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
@@ -31,7 +31,7 @@ def covariances(splats):
 
 def test_what_is_stored_is_what_is_decoded_row_by_row(prepared):
     source = prepared.source
-    made = stored(prepared, source, QUALITY)
+    made = round_trip(prepared, source, QUALITY)
     found, encoded = made.decoded, made.encoded
     expected = encode_chunks(prepared, QUALITY)
     assert [chunk.payloads.head for chunk in encoded.chunks] == [
@@ -60,7 +60,7 @@ def test_what_is_stored_is_what_is_decoded_row_by_row(prepared):
 
 def test_axes_are_turned_as_the_source_has_them(prepared):
     source = prepared.source
-    found = stored(prepared, source, 60.0).decoded
+    found = round_trip(prepared, source, 60.0).decoded
     left = np.isfinite(found.opacities)
     turned = np.sum(found.quats * source.quats, axis=1)[left]
     lengths = np.linalg.norm(source.quats, axis=1)[left]
@@ -71,10 +71,10 @@ def test_axes_are_turned_as_the_source_has_them(prepared):
 
 def test_the_steps_stay_while_the_values_move(prepared):
     source = prepared.source
-    before = stored(prepared, source, QUALITY).encoded
+    before = round_trip(prepared, source, QUALITY).encoded
     moved = source.take(slice(0, len(source)))
     moved.sh0[:] += np.float32(1e-3)
-    after = stored(prepared, moved, QUALITY).encoded
+    after = round_trip(prepared, moved, QUALITY).encoded
     assert after.splats == before.splats
     for one, other in zip(before.chunks, after.chunks, strict=True):
         np.testing.assert_array_equal(one.payloads.order, other.payloads.order)
@@ -87,7 +87,7 @@ def test_the_basis_of_sh_follows_the_values(prepared):
     axis = rng.normal(size=source.shN.shape[1:])
     along = rng.normal(0.0, 0.3, len(source))[:, None, None] * axis / np.linalg.norm(axis)
     moved = replace(source, shN=along.astype(np.float32))
-    before, after = (stored(prepared, each, QUALITY).encoded for each in (source, moved))
+    before, after = (round_trip(prepared, each, QUALITY).encoded for each in (source, moved))
     anew = encode_chunks(replace(prepared, source=moved), QUALITY)
     assert after.codebooks == anew.codebooks
     rows = after.codebooks[0].decoded(source.sh_degree).shN
@@ -102,11 +102,11 @@ def test_codebooks_go_on_from_those_of_the_encode_before():
         profile="vq", order="contribution", compensate=False, prune=None, threads=1
     )
     prepared = prepare(splats, score(splats, cameras), config, views=cameras)
-    made = stored(prepared, splats, QUALITY)
+    made = round_trip(prepared, splats, QUALITY)
     first = made.encoded
     assert np.isfinite(made.decoded.opacities).all()
-    again = stored(prepared, splats, QUALITY, first.codebooks).encoded
-    anew = stored(prepared, splats, QUALITY).encoded
+    again = round_trip(prepared, splats, QUALITY, first.codebooks).encoded
+    anew = round_trip(prepared, splats, QUALITY).encoded
 
     def rows(encoded):
         return encoded.codebooks[0].decoded(splats.sh_degree)

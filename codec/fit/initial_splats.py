@@ -49,7 +49,7 @@ def splats_from_points(
     Examples
     --------
     >>> import numpy as np
-    >>> from cogsplat.codec.fit.points_start import splats_from_points
+    >>> from cogsplat.codec.fit.initial_splats import splats_from_points
     >>> corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float64)
     >>> splats = splats_from_points(corners, np.full((4, 3), 255, np.uint8))
     >>> float(np.exp(splats.scales[0, 0]).round(3)), splats.sh_degree

@@ -1,0 +1,420 @@
+"""Training through the quantisers: encode, decode, measure the target and train, in turns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.compensation_fit import blank, compensated
+from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig
+from cogsplat.codec.encode.encoded import EncodedCodebook, EncodedScene
+from cogsplat.codec.encode.pipeline import SizeOf
+from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, predicted
+from cogsplat.codec.encode.prepared import prepare
+from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.preview_chunks import PreviewMaker
+from cogsplat.codec.encode.rate_control import Target, to_psnr
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.order.prefix_inflation import effective_splats
+from cogsplat.codec.progress import Progress
+from cogsplat.codec.rate.allocation import lagrangian
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.reference_views import render_references
+from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.view_sets import evenly
+
+from .prefix_loss import PrefixLoss
+from .rate_gradients import ERROR_PER_BIT, rate_gradients
+from .round_trip import RoundTrip, round_trip
+from .trainer import Trainer
+from .tune_config import TuneConfig
+
+# Factors on the learning rates at the first and the last step.
+_LEARNING_RATE_FACTORS: Final = (0.4, 0.04)
+# Share of the steps in which the nominal quality follows the target. Afterwards the quantiser steps
+# are fixed, so that values converge to the quantisation grid.
+_RATE_CONTROL_SHARE: Final = 0.6
+# Slopes of PSNR, dB per dB, and of log2 bytes, 1 per dB, over the nominal quality (`rate_control`).
+_PSNR_PER_DB: Final = 0.8
+_LOG2_BYTES_PER_DB: Final = 0.085
+# First guess of the nominal quality: the PSNR aimed at plus this offset, dB.
+_QUALITY_OFFSET_DB: Final = -0.5
+# Share of the target size that the search aims at; the size still changes while values converge.
+_SIZE_MARGIN: Final = 0.997
+# Tolerances: sizes within this share of the target, and PSNRs within this distance, dB, meet it.
+_SIZE_TOLERANCE: Final = 0.006
+_PSNR_TOLERANCE_DB: Final = 0.05
+# Maximum number of final corrections of the nominal quality, and the encodes with training, at the
+# last learning rate, that follow each.
+_MAX_CORRECTIONS: Final = 6
+_ENCODES_PER_CORRECTION: Final = 3
+# Maximum step of the nominal quality during training, dB.
+_MAX_QUALITY_STEP_DB: Final = 4.0
+# Shares of a size error that one step corrects, during training and at the end. Values that have
+# converged to one grid take more bytes on any other, so that bytes change twice as fast as the
+# slope above says, and full steps oscillate.
+_GAIN, _FINAL_GAIN = 0.4, 0.6
+# Maximum number of views that the scene is scored in.
+_MAX_SCORED_VIEWS: Final = 64
+
+
+class QuantisedTraining:
+    """Training of a scene through the quantisers that store it, towards a target.
+
+    The scene is scored and ordered once, when this is made. Each encode after that keeps the order
+    and takes the current values.
+
+    Parameters
+    ----------
+    source : Splats
+        Ground truth: quality is measured against its renders.
+    base : Splats
+        Scene that scores and order are computed from.
+    cameras : sequence of Camera
+        Views that the scene is scored in.
+    covering : sequence of Camera
+        Views of regions that `cameras` do not show (`contribution.score`).
+    target : Target
+        PSNR, or size of the file.
+    config : TuneConfig
+    test_views : sequence of Camera
+        Views that PSNR is measured in; a subset of `cameras` where none are given.
+    size_of : callable
+        Returns the file size of an encoded scene, bytes.
+    preview : PreviewMaker or None
+        Makes the preview chunks; None for a file without preview.
+    progress : Progress
+        Receives the stages of scoring, ordering and encoding.
+    """
+
+    def __init__(
+        self,
+        source: Splats,
+        base: Splats,
+        cameras: Sequence[Camera],
+        covering: Sequence[Camera],
+        target: Target,
+        config: TuneConfig,
+        test_views: Sequence[Camera],
+        size_of: SizeOf,
+        preview: PreviewMaker | None,
+        progress: Progress,
+    ) -> None:
+        self.last_measurement = (len(base), 0.0, 0.0, 0)
+        self._target = target
+        self._rate_weight = config.rate_weight
+        self._prefix_weight = config.prefix_weight
+        self._size_of = size_of
+        self._preview = preview
+        self._preset = PRESETS[config.preset]
+        self._progress = progress
+        threads, profile = config.train.threads, config.profile
+        self._fit = self._preset.fit_config(threads)
+        views = evenly(cameras, _MAX_SCORED_VIEWS)
+        settings = self._preset.score_config(profile, threads=threads)
+        scores = score(base, views, settings, covering=covering, progress=progress)
+        # The source is the ground truth of prefixes, not the trained scene.
+        self._references = render_references(
+            source,
+            views,
+            jittered=self._preset.reference_jitter,
+            pixels=self._preset.reference_pixels,
+            threads=threads,
+            progress=progress,
+        )
+        self._prepared = prepare(
+            base,
+            scores,
+            EncodeConfig(profile=profile, threads=threads),
+            views=views,
+            references=self._references,
+            effort=self._preset.gain,
+            progress=progress,
+        )
+        self._evaluator = PrefixEvaluator(
+            source, evenly(test_views or cameras, self._preset.test_views), threads
+        )
+        self._scored_views = len(views)
+        # Codebooks of the last encode: k-means of the profile `vq` starts from them next time.
+        self._codebooks: Sequence[EncodedCodebook] = ()
+
+    def state(self) -> dict[str, NDArray[np.generic]]:
+        """Return the codebooks of the last encode as checkpoint arrays by name."""
+        arrays: dict[str, NDArray[np.generic]] = {}
+        for number, book in enumerate(self._codebooks):
+            of = f"codebook.{number}.{book.attribute}.{book.rows}"
+            for part, payload in enumerate(book.payloads):
+                arrays[f"{of}.{part}"] = np.frombuffer(payload, np.uint8)
+        return arrays
+
+    def restore_codebooks(self, state: Mapping[str, NDArray[np.generic]]) -> None:
+        """Restore the codebooks of the last encode from a checkpoint; ignore its other arrays."""
+        parts: dict[tuple[str, ...], list[bytes]] = {}
+        for name in sorted(name for name in state if name.startswith("codebook.")):
+            _, *of, _ = name.split(".")
+            parts.setdefault(tuple(of), []).append(state[name].tobytes())
+        self._codebooks = [
+            EncodedCodebook(attribute, int(rows), tuple(payloads))
+            for (_, attribute, rows), payloads in parts.items()
+        ]
+
+    @staticmethod
+    def learning_rate_factor(done: float) -> float:
+        """Return the factor on the learning rates once a share `done` of the steps is made."""
+        return float(
+            _LEARNING_RATE_FACTORS[0]
+            * (_LEARNING_RATE_FACTORS[1] / _LEARNING_RATE_FACTORS[0]) ** done
+        )
+
+    def initial_quality(self, splats: Splats) -> float:
+        """Return the nominal quality, dB, that the first encode of a scene uses."""
+        if self._target.psnr_db is not None:
+            return _clamp_quality(self._target.psnr_db + _QUALITY_OFFSET_DB)
+        quality = 36.0
+        for _ in range(4):
+            encoded = self._encode(splats, quality).encoded
+            moved = _clamp_quality(quality + self._quality_error_db(encoded))
+            if abs(moved - quality) < 0.1:
+                break
+            quality = moved
+        return quality
+
+    def encode_untrained(self, splats: Splats) -> EncodedScene | None:
+        """Encode a scene at the target PSNR without training it.
+
+        Parameters
+        ----------
+        splats : Splats
+            The scene that was passed as `base`.
+
+        Returns
+        -------
+        EncodedScene or None
+            None where the quantisers alone cannot reach the target PSNR.
+        """
+        try:
+            hit = to_psnr(
+                lambda quality_db: round_trip(self._prepared, splats, quality_db).encoded,
+                self._target.psnr_db or 0.0,
+                lambda encoded: self._evaluator.psnr_db(encoded.decoded),
+                progress=self._progress,
+            )
+        except DataError as error:
+            # Training may still reach the PSNR.
+            if error.code != "target-out-of-reach":
+                raise
+            return None
+        return hit.encoded
+
+    def encode_towards_target(
+        self, splats: Splats, quality_db: float, done: float, measure: bool
+    ) -> tuple[float, RoundTrip]:
+        """Encode the scene; correct the nominal quality towards the target in the early steps.
+
+        Parameters
+        ----------
+        splats : Splats
+            Scene in training.
+        quality_db : float
+            Nominal quality of the encode before, dB.
+        done : float
+            Share of the quantised training steps already made, 0 to 1.
+        measure : bool
+            Whether to update `last_measurement`.
+
+        Returns
+        -------
+        quality_db : float
+            Nominal quality of this encode, dB.
+        made : RoundTrip
+            Encoded and decoded scene.
+        """
+        made = self._encode(splats, quality_db)
+        if measure:
+            self.last_measurement = self.measure(made.encoded)
+        if done < _RATE_CONTROL_SHARE:
+            change_db = self._quality_step_db(made.encoded, _GAIN)
+            quality_db = _clamp_quality(
+                quality_db + min(max(change_db, -_MAX_QUALITY_STEP_DB), _MAX_QUALITY_STEP_DB)
+            )
+            if change_db:
+                made = self._encode(splats, quality_db)
+        return quality_db, made
+
+    def train(
+        self,
+        trainer: Trainer,
+        made: RoundTrip,
+        quality_db: float,
+        steps: int,
+        rates: tuple[float, float],
+    ) -> None:
+        """Train on the decoded values of a scene; the loss includes rate and prefix terms.
+
+        Parameters
+        ----------
+        trainer : Trainer
+            Holds the scene in training.
+        made : RoundTrip
+            Round trip of the trainer's current scene.
+        quality_db : float
+            Nominal quality of that round trip, dB.
+        steps : int
+            Training steps.
+        rates : tuple of float
+            Factors on the learning rates at the first and the last step.
+        """
+        rate = None
+        if self._rate_weight:
+            error_per_bit = ERROR_PER_BIT * lagrangian(self._prepared.scores, quality_db)
+            rate = rate_gradients(made.encoded, trainer.splats, made.rows)
+            rate = rate.times(self._rate_weight * error_per_bit)
+        prefix_loss = None
+        if self._prefix_weight:
+            effective = effective_splats(self._prepared.scores.contribution)
+            prefix_loss = PrefixLoss.for_layers(made.rows, effective, self._prefix_weight)
+        trainer.run(
+            steps, *rates, decoded=made.decoded, extra_gradients=rate, prefix_loss=prefix_loss
+        )
+
+    def measure(self, encoded: EncodedScene) -> tuple[int, float, float, int]:
+        """Return splat count, mean and worst PSNR of the test views, dB, and file size, bytes."""
+        values = self._evaluator.views_db(encoded.decoded)
+        return encoded.splats, float(np.mean(values)), min(values), self._final_bytes(encoded)
+
+    def reach_target(self, trainer: Trainer, quality_db: float, refresh: int) -> EncodedScene:
+        """Alternate corrections of the nominal quality with training; return the best encode.
+
+        Parameters
+        ----------
+        trainer : Trainer
+            Holds the scene in training, which is trained further.
+        quality_db : float
+            Nominal quality to start from, dB.
+        refresh : int
+            Training steps per encode.
+
+        Returns
+        -------
+        EncodedScene
+            Scene that meets the target. After six corrections, the nearest one: its size is at most
+            the target, but a target PSNR may be change_db.
+
+        Raises
+        ------
+        DataError
+            ``target-out-of-reach``: every encode is larger than the target size.
+        """
+        best: EncodedScene | None = None
+        for trial in range(_MAX_CORRECTIONS + 1):
+            encoded = self._encode(trainer.splats, quality_db).encoded
+            change_db = self._quality_error_db(encoded)
+            fits = self._fits(encoded)
+            if fits and (best is None or self._is_better(encoded, best)):
+                best = encoded
+            if trial == _MAX_CORRECTIONS or (not change_db and fits):
+                break
+            quality_db = _clamp_quality(
+                quality_db + (self._quality_step_db(encoded, _FINAL_GAIN) or -0.05)
+            )
+            for _ in range(_ENCODES_PER_CORRECTION):
+                made = self._encode(trainer.splats, quality_db)
+                last = _LEARNING_RATE_FACTORS[1]
+                self.train(trainer, made, quality_db, refresh, (last, last))
+        if best is None:
+            raise DataError(
+                "target-out-of-reach",
+                f"a size of {self._target.size_bytes:,} bytes for {encoded.splats:,} splats: the "
+                f"last encode has {self._final_bytes(encoded):,} bytes, expected a larger target",
+            )
+        return best
+
+    def finish(self, encoded: EncodedScene) -> EncodedScene:
+        """Add preview chunks, compensation and the estimated PSNR of prefixes to a scene."""
+        contribution = self._prepared.scores.contribution
+        if self._preview is not None:
+            encoded = self._preview.add(
+                encoded, self._references, effective_splats(contribution), progress=self._progress
+            )
+        encoded = compensated(
+            encoded,
+            self._references,
+            contribution,
+            self._fit,
+            progress=self._progress,
+        )
+        encoded = predicted(
+            encoded,
+            self._evaluator,
+            most_views=self._preset.prediction_views,
+            progress=self._progress,
+        )
+        report = replace(
+            encoded.report,
+            views="given",
+            test_views="given",
+            scored_views=self._scored_views,
+            coverage=float((self._prepared.scores.covered > 0).mean()),
+        )
+        finished = replace(encoded, report=report)
+        size = self._target.size_bytes
+        if size is not None and self._size_of(finished) > size:
+            # `prefix_mse` reorders segments, the one thing that can have made the file larger. The
+            # file without it was measured before and fits.
+            finished = replace(finished, prefix_mse=None)
+        return finished
+
+    def _encode(self, splats: Splats, quality_db: float) -> RoundTrip:
+        """Encode and decode the scene; keep its codebooks for the next encode."""
+        made = round_trip(self._prepared, splats, quality_db, self._codebooks)
+        self._codebooks = made.encoded.codebooks
+        return made
+
+    def _final_bytes(self, encoded: EncodedScene) -> int:
+        """Return the file size after `finish`, bytes, with dummies in place of what it adds."""
+        if self._preview is not None:
+            encoded = self._preview.reserve(encoded)
+        counts = [chunk.splats for chunk in encoded.chunks]
+        effective = effective_splats(self._prepared.scores.contribution)
+        encoded = replace(encoded, compensation=blank(counts, effective, self._fit))
+        chunks = [replace(chunk, quality_db=1.0) for chunk in encoded.chunks]
+        return self._size_of(replace(encoded, chunks=chunks))
+
+    def _fits(self, encoded: EncodedScene) -> bool:
+        """Tell whether the file is at most as large as the target size, if there is one."""
+        size = self._target.size_bytes
+        return size is None or self._final_bytes(encoded) <= size
+
+    def _quality_error_db(self, encoded: EncodedScene) -> float:
+        """Return the estimated change of nominal quality that meets the target, dB; 0 if met."""
+        size = self._target.size_bytes
+        if size is not None:
+            found = self._final_bytes(encoded) / size
+            low, high = _SIZE_MARGIN - _SIZE_TOLERANCE / 2, 1.0 + _SIZE_TOLERANCE / 2
+            if low <= found / _SIZE_MARGIN <= high and found <= 1.0:
+                return 0.0
+            return float(np.log2(_SIZE_MARGIN / found)) / _LOG2_BYTES_PER_DB
+        change_db = (self._target.psnr_db or 0.0) - self._evaluator.psnr_db(encoded.decoded)
+        return 0.0 if abs(change_db) <= _PSNR_TOLERANCE_DB else change_db / _PSNR_PER_DB
+
+    def _quality_step_db(self, encoded: EncodedScene, gain: float) -> float:
+        """Return the next change of nominal quality, dB; `gain` scales size corrections."""
+        change_db = self._quality_error_db(encoded)
+        return change_db if self._target.size_bytes is None else gain * change_db
+
+    def _is_better(self, encoded: EncodedScene, best: EncodedScene) -> bool:
+        """Tell whether one of two scenes that fit is nearer to the target; by PSNR for a size."""
+        quality, other = (self._evaluator.psnr_db(x.decoded) for x in (encoded, best))
+        if self._target.psnr_db is None:
+            return quality > other
+        return abs(quality - self._target.psnr_db) < abs(other - self._target.psnr_db)
+
+
+def _clamp_quality(quality_db: float) -> float:
+    """Return a nominal quality, dB, clamped to the valid range."""
+    return min(max(quality_db, MIN_QUALITY_DB), MAX_QUALITY_DB)
