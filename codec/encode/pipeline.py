@@ -29,7 +29,7 @@ from cogsplat.codec.scoring.reference_views import ReferenceViews, render_refere
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import one_blas_thread
 from cogsplat.codec.views.planner import ViewPlan, plan
-from cogsplat.codec.views.view_sets import evenly
+from cogsplat.codec.views.view_sets import sample_evenly
 from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 from .compensation_fit import blank, compensated
@@ -197,7 +197,7 @@ def encode(
     if len(splats) and views and (fits or split_name(config.order)[0] == "gain"):
         references = render_references(
             splats,
-            evenly(views, preset.reference_views),
+            sample_evenly(views, preset.reference_views),
             jittered=settings.jitter and preset.reference_jitter,
             pixels=preset.reference_pixels,
             threads=config.threads,
@@ -349,7 +349,7 @@ class _Finishing:
     @cached_property
     def evaluator(self) -> PrefixEvaluator:
         """Pictures of the source in the test views: drawn once, for a search and a prediction."""
-        prepared, views = self.prepared, evenly(self.test_views, self.preset.test_views)
+        prepared, views = self.prepared, sample_evenly(self.test_views, self.preset.test_views)
         return PrefixEvaluator(
             prepared.source,
             views,

@@ -18,7 +18,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render_tiles
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import thread_count
-from cogsplat.codec.views.view_sets import evenly
+from cogsplat.codec.views.view_sets import sample_evenly
 
 from .encoded import EncodedScene
 from .measured_prefixes import interpolated, measured_prefixes
@@ -203,7 +203,7 @@ def predicted(
     if not encoded.report.test_psnr_db:
         encoded = whole_measured(encoded, evaluator)
     whole = encoded.report.test_psnr_db
-    some = evenly(range(len(whole)), most_views)
+    some = sample_evenly(range(len(whole)), most_views)
     there = float(np.mean([whole[number] for number in some]))
     qualities = evaluator.prefixes_db(encoded, views=some, whole_db=there, progress=progress)
     shift = float(np.mean(whole)) - there

@@ -12,7 +12,7 @@ from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.scoring.contribution import LEAST_WEIGHT, ScoreConfig
 from cogsplat.codec.scoring.reference_views import PICTURE_PIXELS
 from cogsplat.codec.views.planner import ViewPlanConfig
-from cogsplat.codec.views.view_sets import evenly
+from cogsplat.codec.views.view_sets import sample_evenly
 
 from .shift_optimiser import FitConfig
 
@@ -78,7 +78,7 @@ class Preset:
     def views(self, cameras: Sequence[Camera]) -> list[Camera]:
         """Return the given views to score on, evenly spread; of a few views, all."""
         every = min(self.views_every, max(len(cameras) // FEWEST_VIEWS, 1))
-        return evenly(cameras, min(-(-len(cameras) // every), self.most_views))
+        return sample_evenly(cameras, min(-(-len(cameras) // every), self.most_views))
 
     def plan_config(self, threads: int = 0) -> ViewPlanConfig:
         """Return how to plan the views of a scene that comes without cameras."""

@@ -12,7 +12,7 @@ from cogsplat.codec.executor import Executor
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.scoring.contribution import ScoreConfig, Scores, score
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.views.view_sets import evenly
+from cogsplat.codec.views.view_sets import sample_evenly
 from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 from .presets import Preset
@@ -106,4 +106,4 @@ def score_given(
         )
         if len(views) == len(cameras) or seen_once(scores, config) <= _MOST_SEEN_ONCE:
             return views, scores
-        views = evenly(cameras, min(_MORE * len(views), len(cameras)))
+        views = sample_evenly(cameras, min(_MORE * len(views), len(cameras)))

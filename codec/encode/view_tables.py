@@ -20,7 +20,7 @@ from cogsplat.codec.segments.view_table import (
     stored_directions,
 )
 from cogsplat.codec.views.view_clusters import view_clusters
-from cogsplat.codec.views.view_sets import evenly
+from cogsplat.codec.views.view_sets import sample_evenly
 
 from .encoded import EncodedScene
 
@@ -88,7 +88,7 @@ def with_view_table(
     EncodedScene
         The same without a table where the scene has too few bytes or cameras for one.
     """
-    cameras = evenly(cameras, MOST_CAMERAS)
+    cameras = sample_evenly(cameras, MOST_CAMERAS)
     views = num_views(encoded, len(cameras))
     if not views:
         return encoded

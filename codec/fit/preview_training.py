@@ -23,7 +23,7 @@ from cogsplat.codec.scoring.reference_views import ReferenceViews
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import thread_count
-from cogsplat.codec.views.view_sets import evenly
+from cogsplat.codec.views.view_sets import sample_evenly
 
 from .deletion import deletion_errors
 from .round_trip import round_trip
@@ -224,7 +224,7 @@ class TrainedPreview:
 
     def _leave_out(self, trainer: Trainer, training_views: TrainingViews, left: int) -> None:
         """Keep so many splats, those whose absence would change the pictures most."""
-        some = evenly(range(len(training_views)), _DELETION_VIEWS)
+        some = sample_evenly(range(len(training_views)), _DELETION_VIEWS)
         errors = deletion_errors(trainer.splats, training_views, some, threads=self._config.threads)
         trainer.keep(np.sort(np.argsort(-errors, kind="stable")[:left]))
 
@@ -256,7 +256,7 @@ class TrainedPreview:
     def _prepared(self, splats: Splats, training_views: TrainingViews) -> PreparedScene:
         """Return the preview scored in the views that it is trained in."""
         threads = self._config.threads
-        views = evenly(training_views.cameras[: training_views.given], _SCORED_VIEWS)
+        views = sample_evenly(training_views.cameras[: training_views.given], _SCORED_VIEWS)
         settings = PRESETS["fast"].score_config("transform", threads=threads)
         config = EncodeConfig(
             order="contribution",

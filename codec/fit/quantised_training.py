@@ -26,7 +26,7 @@ from cogsplat.codec.rate.allocation import lagrangian
 from cogsplat.codec.scoring.contribution import score
 from cogsplat.codec.scoring.reference_views import render_references
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.views.view_sets import evenly
+from cogsplat.codec.views.view_sets import sample_evenly
 
 from .prefix_loss import PrefixLoss
 from .rate_gradients import ERROR_PER_BIT, rate_gradients
@@ -115,7 +115,7 @@ class QuantisedTraining:
         self._progress = progress
         threads, profile = config.train.threads, config.profile
         self._fit = self._preset.fit_config(threads)
-        views = evenly(cameras, _MAX_SCORED_VIEWS)
+        views = sample_evenly(cameras, _MAX_SCORED_VIEWS)
         settings = self._preset.score_config(profile, threads=threads)
         scores = score(base, views, settings, covering=covering, progress=progress)
         # The source is the ground truth of prefixes, not the trained scene.
@@ -137,7 +137,7 @@ class QuantisedTraining:
             progress=progress,
         )
         self._evaluator = PrefixEvaluator(
-            source, evenly(test_views or cameras, self._preset.test_views), threads
+            source, sample_evenly(test_views or cameras, self._preset.test_views), threads
         )
         self._scored_views = len(views)
         # Codebooks of the last encode: k-means of the profile `vq` starts from them next time.

@@ -17,7 +17,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import SceneInfo, Splats
 from cogsplat.codec.threads import ordered_map, thread_count
-from cogsplat.codec.views.view_sets import evenly, jitter
+from cogsplat.codec.views.view_sets import sample_evenly, jitter
 
 from .downscaling import downscale_camera, downscale_picture
 
@@ -135,7 +135,7 @@ def held_out_views(cameras: Sequence[Camera]) -> list[Camera]:
     list of Camera
         For the parameter `apart` of `make_training_views`. Empty where no cameras look alike.
     """
-    given = evenly(cameras, MAX_VIEWS)
+    given = sample_evenly(cameras, MAX_VIEWS)
     alike = [
         (given[one], given[other])
         for one, other in _pairs(given)
@@ -232,7 +232,7 @@ def make_training_views(
         raise DataError("no-cameras", "0 cameras to train in, expected at least 1")
     if photos is not None and len(photos) != len(cameras):
         raise ValueError(f"{len(photos)} photos for {len(cameras)} cameras")
-    chosen = evenly(range(len(cameras)), MAX_VIEWS)
+    chosen = sample_evenly(range(len(cameras)), MAX_VIEWS)
     given = [cameras[number] for number in chosen]
     between, off = [], []
     if copies:

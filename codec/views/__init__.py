@@ -1,1 +1,1 @@
-"""Cameras to score and to test with: held out, jittered, or planned from the splats."""
+"""Cameras for scoring and testing: held out, jittered, or planned from the splats."""

@@ -1,4 +1,4 @@
-"""Candidates for planned views: what a view from a pose would show of the scene."""
+"""Candidate views for planning: poses with the splats that a small picture from there shows."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from .subsample import Subsample
 
 F64 = NDArray[np.float64]
 
-# A splat whose peak weight is at most this is not seen.
+# Peak weight up to which a splat counts as not seen.
 _FAINT: Final = 0.02
-LEVEL_DEG: Final = 15.0
-"""How steeply visitors look down, typically: about level, and rather down than up."""
+USUAL_PITCH_DEG: Final = 15.0
+"""Usual pitch of a viewer's camera, degrees downwards: about level, slightly down."""
 
-# What a view at right angles to that counts.
-_LEAST_LEVEL: Final = 0.1
+# Weight of a view whose pitch differs from the usual one by 90°.
+_MIN_PITCH_WEIGHT: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """What a view from one pose would show.
+    """A candidate view: a pose and the splats seen from it.
 
     Parameters
     ----------
@@ -35,10 +35,10 @@ class Candidate:
     index : (n,) int32
         Rows of the subsample that are seen.
     peaks : (n,) float32
-        Peak weight of each in a pixel.
+        Peak weight of each seen splat in a pixel.
     exposure : (n,) float32
-        How well each is shown: its peak weight, but less where it is too small to be resolved and
-        where the view is steep. 0 to 1.
+        Visibility of each seen splat, 0 to 1: its peak weight, reduced if the splat is too small
+        to be resolved or the view is steep.
     """
 
     pose: Pose
@@ -48,19 +48,20 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class CandidateDrawing:
-    """What drawing a candidate takes.
+class CandidateInputs:
+    """Inputs of `draw_candidate` that all candidates share.
 
     Parameters
     ----------
     scene : Subsample
     detail : float
-        Size over distance that is typical of the scene's splats in a picture.
+        Typical ratio of a splat's size to its distance in a picture of the scene.
     lens : Lens
-        Of the small picture.
+        Size and field of view of the small picture.
     down : (3,) float64
+        Unit vector; zeros if no direction is known to be down.
     near_plane : float
-        Scene units.
+        Camera-space depth up to which nothing is drawn, scene units.
     """
 
     scene: Subsample
@@ -70,22 +71,25 @@ class CandidateDrawing:
     near_plane: float
 
 
-def draw_candidate(pose: Pose, drawing: CandidateDrawing) -> Candidate:
-    """Draw one small picture and measure what it shows; `Executor.map` calls it in any process."""
-    splats, sizes = drawing.scene.splats, drawing.scene.sizes
-    camera = pose.camera(drawing.lens, drawing.down)
-    index, peaks = peak_weights(splats, camera, drawing.near_plane)
+def draw_candidate(pose: Pose, inputs: CandidateInputs) -> Candidate:
+    """Draw a small picture from a pose and return the splats that it shows.
+
+    `Executor.map` may call this function in another process.
+    """
+    splats, sizes = inputs.scene.splats, inputs.scene.sizes
+    camera = pose.camera(inputs.lens, inputs.down)
+    index, peaks = peak_weights(splats, camera, inputs.near_plane)
     clear = peaks > _FAINT
     index, peaks = index[clear], peaks[clear]
     means = splats.means[index].astype(np.float64)
     distances = np.linalg.norm(means - pose.position, axis=1) / pose.zoom
-    # Splats that are too far away to be resolved share pixels.
-    resolved = np.minimum(1.0, sizes[index] / (distances * drawing.detail)) ** 2
-    level = math.cos(math.radians(pitch_deg(pose, drawing.down) - LEVEL_DEG)) ** 2
-    share = _LEAST_LEVEL + (1.0 - _LEAST_LEVEL) * level
-    return Candidate(pose, index, peaks, (share * peaks * resolved).astype(np.float32))
+    # Splats too far away to be resolved share pixels.
+    resolved = np.minimum(1.0, sizes[index] / (distances * inputs.detail)) ** 2
+    level = math.cos(math.radians(pitch_deg(pose, inputs.down) - USUAL_PITCH_DEG)) ** 2
+    weight = _MIN_PITCH_WEIGHT + (1.0 - _MIN_PITCH_WEIGHT) * level
+    return Candidate(pose, index, peaks, (weight * peaks * resolved).astype(np.float32))
 
 
 def pitch_deg(pose: Pose, down: F64) -> float:
-    """Return by what angle a pose looks down, degrees; 0 where no direction is known to be down."""
+    """Return a pose's pitch, degrees downwards; 0 if `down` is zeros (unknown)."""
     return math.degrees(math.asin(min(1.0, max(-1.0, float(pose.forward @ down)))))

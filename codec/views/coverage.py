@@ -1,4 +1,4 @@
-"""Coverage: how much of what is visible in a scene some views show, and views for the rest."""
+"""Coverage: the share of a scene's visible splats that views show, and views that raise it."""
 
 from __future__ import annotations
 
@@ -11,55 +11,55 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
-# A splat is visible where its weight in some view exceeds this.
+# A splat is visible if its weight in some view exceeds this.
 _VISIBLE: Final = 0.1
-# A splat is covered where its weight in a chosen view is at least this share of its largest weight
-# in any: then its energy there is at least a sixteenth of what it can be.
+# A splat is covered if its weight in a chosen view is at least this share of its largest weight in
+# any view: then its energy there is at least a sixteenth of its largest energy.
 _COVERED_SHARE: Final = 0.25
 # Views are added until at least this share of the visible splats is covered.
-_LEAST_COVERAGE: Final = 0.99
+_MIN_COVERAGE: Final = 0.99
 
 
 @dataclass(frozen=True, eq=False)
 class SeenSplats:
-    """What one view shows.
+    """Splats seen in one view, with their weights.
 
     Parameters
     ----------
     index : (n,) int32
         Rows of the splats that are seen.
     weights : (n,) float64
-        Peak weight of each in a pixel of the view, 0 to 1; less for a view that counts less.
+        Peak weight of each splat in a pixel, 0 to 1, times the weight of the view.
     """
 
     index: NDArray[np.int32]
     weights: F64
 
 
-def additions(
-    counts: F64, chosen: Sequence[SeenSplats], candidates: Sequence[SeenSplats], most: int
+def choose_covering(
+    counts: F64, chosen: Sequence[SeenSplats], candidates: Sequence[SeenSplats], max_views: int
 ) -> tuple[list[int], float]:
-    """Choose candidates until what any of them shows is covered.
+    """Choose candidates greedily until 99 % of the visible splats are covered.
 
-    Each time the candidate is taken that covers most splats which are not covered yet.
+    Each step adds the candidate that covers most of the uncovered splats.
 
     Parameters
     ----------
     counts : (M,) float64
-        Splats that each row stands for.
+        Number of the scene's splats that each row stands for.
     chosen : sequence of SeenSplats
-        Views that are there already.
+        Views chosen before.
     candidates : sequence of SeenSplats
-        All others that were drawn.
-    most : int
-        Views that may be added.
+        Views to choose from.
+    max_views : int
+        Number of added views at most.
 
     Returns
     -------
     added : list of int
         Rows of `candidates`.
     coverage : float
-        Share of the visible splats that are covered then, 0 to 1; 1 where none is visible.
+        Covered share of the visible splats, 0 to 1; 1 if none is visible.
     """
     best, shown = np.zeros(len(counts)), np.zeros(len(counts))
     for view in chosen:
@@ -73,7 +73,7 @@ def additions(
     covers = [view.index[view.weights >= enough[view.index]] for view in candidates]
     total = float(counts[visible].sum())
     added: list[int] = []
-    while uncovered.sum() > (1.0 - _LEAST_COVERAGE) * total and len(added) < most:
+    while uncovered.sum() > (1.0 - _MIN_COVERAGE) * total and len(added) < max_views:
         gains = [float(uncovered[rows].sum()) for rows in covers]
         row = int(np.argmax(gains))
         if not gains[row] > 0.0:

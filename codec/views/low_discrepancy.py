@@ -1,4 +1,4 @@
-"""Low-discrepancy sequences: points that cover a range evenly, whatever number of them is taken."""
+"""Low-discrepancy sequences, whose first n points cover a range evenly for every n."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
-# The multiples of these steps, less their whole parts, cover the unit interval, square and cube
-# evenly: powers of the inverse of the root of x^(d+1) = x + 1 in d dimensions (Roberts 2018, "The
-# unreasonable effectiveness of quasirandom sequences"). The roots are the golden ratio (d = 1), the
-# plastic number (d = 2) and its sibling in three dimensions.
+# Multiples of these steps, modulo 1, cover the unit interval, square and cube evenly. In d
+# dimensions the steps are powers of 1/x, where x^(d+1) = x + 1 (Roberts 2018, "The unreasonable
+# effectiveness of quasirandom sequences"). x is the golden ratio (d = 1), the plastic number
+# (d = 2) or 1.2207 (d = 3).
 STEP_1D: Final = (math.sqrt(5.0) - 1.0) / 2.0
 _PLASTIC: Final = 1.3247179572447460
 _ROOT_3D: Final = 1.2207440846057596
@@ -30,14 +30,14 @@ def sequence(numbers: NDArray[np.integer], steps: F64) -> F64:
     Parameters
     ----------
     numbers : (n,) integer
-        Which points; any run of consecutive ones covers the space evenly. May be negative.
+        Numbers of the points, possibly negative. Consecutive numbers cover the space evenly.
     steps : (d,) float64
         `STEPS_2D` or `STEPS_3D`.
 
     Returns
     -------
     (n, d) float64
-        0 to 1, 1 excluded.
+        Points in [0, 1).
 
     Examples
     --------
@@ -56,12 +56,12 @@ def even_directions(count: int) -> F64:
     Parameters
     ----------
     count : int
-        At least 1.
+        Number of directions, at least 1.
 
     Returns
     -------
     (count, 3) float64
-        From the y axis' positive end to its negative one.
+        Unit vectors by descending y.
     """
     k = np.arange(count)
     y = 1.0 - (2.0 * k + 1.0) / count

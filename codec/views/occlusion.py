@@ -1,4 +1,4 @@
-"""Occlusion: how far one sees from a point of a scene before splats block the view."""
+"""Occlusion: free length of rays through a scene, up to the splats that block the view."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ F64 = NDArray[np.float64]
 
 _ALPHA_MAX: Final = float(ALPHA_MAX)
 
-# A ray is blocked where the transmittance falls to one half: at this optical depth.
+# Optical depth at which a ray is blocked: its transmittance is one half.
 _BLOCKED: Final = math.log(2.0)
-# Intervals of equal length that a ray's optical depth is summed in.
+# Number of equal intervals in which a ray's optical depth is summed.
 _STEPS: Final = 64
-# Standard deviations are at least this share of a splat's largest one: no division by zero.
+# Lower bound of a splat's standard deviations, relative to its largest, against division by zero.
 _THINNEST: Final = 1e-4
 _RAYS_AT_ONCE: Final = 16
 
@@ -38,10 +38,10 @@ _RAYS_AT_ONCE: Final = 16
 def _crossing(
     whiten: F64, opacity: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
 ) -> tuple[float, float]:
-    """Return where along a ray a splat is densest, and the optical depth that it adds.
+    """Return the distance along a ray at which a splat is densest, and its optical depth.
 
-    The ray begins at o, relative to the splat's centre, and goes along the unit vector d. The whole
-    splat counts at its densest point: -ln(1 - alpha), as in a pixel that the ray belongs to.
+    The ray starts at o, relative to the splat's centre, and has the unit direction d. The splat's
+    whole optical depth, -ln(1 - alpha), counts at its densest point, as in a rendered pixel.
     """
     oo = dd = od = 0.0
     for k in range(3):
@@ -72,7 +72,7 @@ def _free_lengths(
     starts: F64,
     found: F64,
 ) -> None:
-    """Fill `found` with the length of each ray before it is blocked; see `Occluders`."""
+    """Fill `found` with the free length of each ray; see `Occluders.free_lengths`."""
     depth = np.empty(_STEPS, np.float64)
     for ray in range(len(origins)):
         depth[:] = 0.0
@@ -115,7 +115,7 @@ def _occlusion(
     directions: F64,
     shares: F64,
 ) -> None:
-    """Fill `shares` with the share of rays from each point that are blocked; see `Occluders`."""
+    """Fill `shares` with the blocked share of rays from each point; see `Occluders.occlusion`."""
     depth = np.empty(len(directions), np.float64)
     for point in range(len(points)):
         depth[:] = 0.0
@@ -128,9 +128,9 @@ def _occlusion(
             square = ox * ox + oy * oy + oz * oz
             if square > (reach + radius) * (reach + radius):
                 continue
-            # Where the point lies outside the sphere of the splat's radius, `least` is the squared
-            # length of the tangent from the point. Rays that meet the sphere lead towards it, and
-            # the foot of the perpendicular from its centre is at least a tangent's length away.
+            # If the point lies outside the sphere of the splat's radius, `least` is the squared
+            # length of the tangent from the point. A ray meets the sphere only if it points towards
+            # it and the foot of the perpendicular is at least the tangent's length away.
             least = square - radius * radius
             for k in range(len(directions)):
                 dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
@@ -147,17 +147,17 @@ def _occlusion(
 
 
 class Occluders:
-    """Splats as what blocks the view along rays.
+    """Splats as occluders of rays.
 
-    A ray is blocked where the transmittance along it, the product of 1 - alpha over the splats that
-    it crosses, falls to one half.
+    A ray is blocked where its transmittance, the product of 1 - alpha over the splats that it
+    crosses, falls to one half.
 
     Parameters
     ----------
     splats : Splats
-        All finite.
+        Splats with finite values only.
     threads : int
-        0 for every core this process may use. The answers do not depend on it.
+        Number of threads; 0 for every core this process may use. Results do not depend on it.
     """
 
     def __init__(self, splats: Splats, threads: int = 0) -> None:
@@ -165,7 +165,7 @@ class Occluders:
         deviations = np.exp(log_scales)
         largest = deviations.max(axis=1)
         deviations = np.maximum(deviations, _THINNEST * largest[:, None])
-        # Takes an offset in scene units to the splat's axes, in its standard deviations.
+        # Whitening: maps an offset in scene units to the splat's axes, in standard deviations.
         axes = matrices(unit(splats.quats)).transpose(0, 2, 1)
         with np.errstate(over="ignore"):
             opacities_unit = 1.0 / (1.0 + np.exp(-splats.opacities.astype(np.float64)))
@@ -178,24 +178,27 @@ class Occluders:
         self._threads = thread_count(threads)
 
     def free_lengths(self, origins: F64, directions: F64, lengths: F64, starts: F64) -> F64:
-        """Return how far each ray goes before it is blocked.
+        """Return the distance at which each ray is blocked.
 
         Parameters
         ----------
-        origins, directions : (R, 3) float64
-            Scene units; unit vectors.
+        origins : (R, 3) float64
+            Start of each ray, scene units.
+        directions : (R, 3) float64
+            Direction of each ray, unit vectors.
         lengths : (R,) float64
-            Where each ray ends, scene units.
+            Length of each ray, scene units.
         starts : (R,) float64
-            Splats crossed nearer than this do not count, scene units.
+            Distance up to which crossed splats are ignored, scene units.
 
         Returns
         -------
         (R,) float64
-            Scene units, in steps of a 64th of the length; the length where nothing blocks the ray.
+            Free length, scene units, in steps of 1/64 of the ray's length; the whole length if
+            nothing blocks the ray.
         """
         found = np.empty(len(origins), np.float64)
-        # Contiguous copies: the kernel is compiled for one kind of array.
+        # Contiguous copies: the kernel is compiled for C-contiguous arrays.
         origins, directions = (np.array(rays, order="C") for rays in (origins, directions))
 
         def trace(part: slice) -> None:
@@ -212,21 +215,21 @@ class Occluders:
         return found
 
     def occlusion(self, points: F64, reaches: F64, num_directions: int = 32) -> F64:
-        """Return the share of all directions in which the view from each point is blocked.
+        """Return the share of directions in which the view from each point is blocked.
 
         Parameters
         ----------
         points : (P, 3) float64
-            Scene units.
+            Points to look from, scene units.
         reaches : (P,) float64
-            Length of the rays, scene units; may be infinite.
+            Length of the rays from each point, scene units; may be infinite.
         num_directions : int
-            How many rays, spread evenly over the sphere.
+            Number of rays per point, spread evenly over the sphere.
 
         Returns
         -------
         (P,) float64
-            0 in the open, 1 where splats are all around.
+            0 if no direction is blocked, 1 if all are.
         """
         shares = np.empty(len(points), np.float64)
         directions = even_directions(num_directions)
@@ -238,7 +241,7 @@ class Occluders:
         return shares
 
     def _in_parts(self, work: Callable[[slice], None], count: int) -> None:
-        """Call `work` for slices that together cover `count` rows, and wait for all."""
+        """Call `work` for slices that together cover `count` rows, and return when all are done."""
         parts = (slice(i, i + _RAYS_AT_ONCE) for i in range(0, count, _RAYS_AT_ONCE))
         for _ in ordered_map(work, parts, self._threads):
             pass

@@ -1,4 +1,4 @@
-"""Orbits: camera poses all around an isolated object, as a viewer's orbit controls reach them."""
+"""Orbits: camera poses all around an isolated object, within reach of a viewer's orbit controls."""
 
 from __future__ import annotations
 
@@ -14,40 +14,39 @@ from .pose import Pose, level_axes
 
 F64 = NDArray[np.float64]
 
-# This share of the scene is taken to be the object; the rest may be floaters that a capture left
-# around it.
+# Share of the scene's splats that counts as the object; the rest may be floaters around it.
 _OBJECT_SHARE: Final = 0.9
-# Distances of the cameras from the centre, in radii of the object: at 1.5 it overflows a picture of
-# 60°, at 3 it is small in it.
+# Orbit: closest and furthest camera distance, in radii of the object. At 1.5 radii the object
+# overflows a picture of 60°, at 3 it is small.
 _CLOSEST, _FURTHEST = 1.5, 3.0
-# Distances of the cameras of a turntable, in radii of the ball that holds all but a hundredth of
-# the scene: from where it overflows a picture a little to where it is small in it.
+# Turntable: closest and furthest camera distance, in radii of the ball that holds 99 % of the
+# scene. At 1.2 radii the ball slightly overflows the picture, at 2.2 it is small.
 _WHOLE_CLOSEST, _WHOLE_FURTHEST = 1.2, 2.2
-# Sine of the elevation of the cameras of an orbit above the object: viewers start about level and
-# look rather from above.
+# Orbit: range of the sine of the cameras' elevation. Viewers start about level and look from above
+# more often than from below.
 _ELEVATIONS = (-0.15, 0.6)
-# And of a turntable: as far as orbit controls let a visitor turn, who may look into things from
-# above.
+# Turntable: range of the sine of the elevation, as far as orbit controls turn. A viewer may look
+# into open objects from above.
 _WHOLE_ELEVATIONS = (-0.3, 0.9)
-# Every other pose of an orbit stands where the near plane cuts nothing off. At the others it may
-# cut the object, as it does for a visitor who comes close, but only up to this share of the radius
-# in front of the centre. It cuts nothing off before a turntable: what stands open shows its inside,
-# and how bad that looks depends on the plane and not on the file.
+# At every other orbit pose the near plane lies in front of the object. At the rest it may cut the
+# object, as it does for a viewer at close range, up to this share of the radius in front of the
+# centre. A turntable never cuts the object: an object cut open shows its inside, and that error
+# depends on the near plane, not on the file.
 _CUT_SHARE: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class OrbitTarget:
-    """The ball that an orbit looks at.
+    """Target of an orbit: a centre and the radii of two balls around it.
 
     Parameters
     ----------
     centre : (3,) float64
-        In the frame of the means, scene units.
+        Centre in the frame of the means, scene units.
     radius : float
-        Of the ball around the centre that holds 90 % of the splats, scene units.
+        Radius of the ball that holds 90 % of the splats, scene units.
     reach : float
-        Of the ball that holds 99 %, scene units.
+        Radius of the ball that holds 99 % of the splats, scene units.
     """
 
     centre: F64
@@ -56,18 +55,14 @@ class OrbitTarget:
 
 
 def orbit_target(means: F64, counts: F64) -> OrbitTarget:
-    """Return the ball that holds most of a scene.
+    """Return the orbit target of a scene, centred on the bulk of its splats.
 
     Parameters
     ----------
     means : (n, 3) float64
-        Scene units; at least one.
+        Positions of splats, scene units; at least one.
     counts : (n,) float64
-        How many splats each row stands for.
-
-    Returns
-    -------
-    OrbitTarget
+        Number of the scene's splats that each row stands for.
     """
     middle = np.array([_quantile(means[:, axis], counts, 0.5) for axis in range(3)])
     far = np.linalg.norm(means - middle, axis=1)
@@ -78,19 +73,19 @@ def orbit_target(means: F64, counts: F64) -> OrbitTarget:
 
 
 def bounding_box(means: F64, counts: F64) -> F64:
-    """Return the box that leaves out a hundredth of a scene at each of its sides.
+    """Return the bounding box of a scene without the outermost 1 % of its splats at each side.
 
     Parameters
     ----------
     means : (n, 3) float64
-        Scene units; at least one.
+        Positions of splats, scene units; at least one.
     counts : (n,) float64
-        Splats that each stands for.
+        Number of the scene's splats that each row stands for.
 
     Returns
     -------
     (2, 3) float64
-        Its lowest and its highest corner, scene units.
+        Lowest and highest corner, scene units.
     """
     corners = [
         [_quantile(means[:, axis], counts, share) for axis in range(3)] for share in (0.01, 0.99)
@@ -99,17 +94,17 @@ def bounding_box(means: F64, counts: F64) -> F64:
 
 
 def bounding_ball(means: F64, counts: F64) -> OrbitTarget:
-    """Return the ball that holds all but a hundredth of a scene, thin parts far out included.
+    """Return an orbit target that holds 99 % of a scene, thin parts far out included.
 
-    Its centre is that of the box of the scene. The centre of most of the splats, as `orbit_target`
-    has it, is off that of an object whose detail is at one end.
+    Its centre is the centre of the scene's `bounding_box`. The centre of `orbit_target` is
+    off-centre for an object whose detail is at one end.
 
     Parameters
     ----------
     means : (n, 3) float64
-        Scene units; at least one.
+        Positions of splats, scene units; at least one.
     counts : (n,) float64
-        Splats that each stands for.
+        Number of the scene's splats that each row stands for.
     """
     centre = bounding_box(means, counts).mean(axis=0)
     reach = _quantile(np.linalg.norm(means - centre, axis=1), counts, 0.99)
@@ -117,19 +112,19 @@ def bounding_ball(means: F64, counts: F64) -> OrbitTarget:
 
 
 def turntable(target: OrbitTarget, count: int, down: F64, near_plane: float) -> list[Pose]:
-    """Return poses all around an object, from where the whole of it is seen.
+    """Return poses all around an object that each show the whole object.
 
     Parameters
     ----------
     target : OrbitTarget
-        From `bounding_ball`.
+        Result of `bounding_ball`.
     count, down, near_plane
-        As `orbit` takes them.
+        See `orbit`.
 
     Returns
     -------
     list of Pose
-        None of them stands where a pose of `orbit` does.
+        Poses that all differ from the poses of `orbit`.
     """
     distances = (_WHOLE_CLOSEST, _WHOLE_FURTHEST)
     numbers = np.arange(-count, 0)
@@ -143,17 +138,18 @@ def orbit(target: OrbitTarget, count: int, down: F64, near_plane: float) -> list
     Parameters
     ----------
     target : OrbitTarget
-        Its radius above 0.
+        Target with a radius above 0.
     count : int
+        Number of poses.
     down : (3,) float64
-        Unit vector, or zeros where no direction is known to be down.
+        Unit vector; zeros if no direction is known to be down.
     near_plane : float
         Camera-space depth up to which nothing is drawn, scene units.
 
     Returns
     -------
     list of Pose
-        All look at the centre. The first n of them cover the directions as evenly as all do.
+        Poses that look at the centre. For every n, the first n cover the directions evenly.
     """
     numbers = np.arange(count)
     clear = near_plane + np.where(numbers % 2, target.reach, _CUT_SHARE * target.radius)
@@ -168,7 +164,23 @@ def _around(
     radii: tuple[float, float],
     elevations: tuple[float, float],
 ) -> list[Pose]:
-    """Return the poses of these numbers of the sequence, each at least so far from the centre."""
+    """Return orbit poses for numbers of the low-discrepancy sequence.
+
+    Parameters
+    ----------
+    target : OrbitTarget
+    numbers : (n,) int64
+        Numbers of the points in the low-discrepancy sequence.
+    down : (3,) float64
+        Unit vector; zeros if no direction is known to be down.
+    clear : (n,) float64
+        Minimum distance of each camera from the centre, scene units. A camera moved back to it
+        zooms in by the same factor.
+    radii : (float, float)
+        Closest and furthest distance, in radii of the target.
+    elevations : (float, float)
+        Range of the sine of the elevation.
+    """
     up = -down if down.any() else np.array([0.0, 1.0, 0.0])
     side, other = level_axes(up)
     poses: list[Pose] = []
@@ -185,7 +197,7 @@ def _around(
 
 
 def _quantile(values: F64, weights: F64, share: float) -> float:
-    """Return the smallest value up to which `share` of the weights lies."""
+    """Return the weighted quantile of values: the smallest with `share` of the weights up to it."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     return float(values[order[int(np.searchsorted(total, share * total[-1]))]])

@@ -1,11 +1,13 @@
-"""Virtual views: cameras for a scene that came without any, planned from its splats alone.
+"""Virtual views: cameras planned from the splats of a scene that has no cameras.
 
 Trained splats are small where the capturing cameras were near, and many where these cameras looked.
-A picture from a place like theirs resolves thousands of splats; one from behind a wall, or from
-inside a surface, resolves a few large ones. The planner therefore proposes candidate views: from a
-splat it steps back to the distance at which the splat has the size that is typical in a picture,
-unless something blocks the way. It draws each candidate as a small picture, leaves out places that
-splats enclose, and chooses greedily the views that together show most of the scene clearly.
+A picture from a similar position resolves thousands of splats. A picture from behind a wall or
+inside a surface resolves a few large ones.
+
+The planner proposes candidate views: it steps back from a splat to the distance at which the splat
+has its typical size in a picture, unless other splats block the way. It leaves out positions
+enclosed by splats and draws each candidate as a small picture. Then it greedily chooses the views
+that together show most of the scene clearly.
 """
 
 from __future__ import annotations
@@ -27,104 +29,102 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import thread_count
 
-from .candidates import LEVEL_DEG, Candidate, CandidateDrawing, draw_candidate, pitch_deg
-from .coverage import SeenSplats, additions
+from .candidates import USUAL_PITCH_DEG, Candidate, CandidateInputs, draw_candidate, pitch_deg
+from .coverage import SeenSplats, choose_covering
 from .low_discrepancy import STEPS_2D, STEPS_3D, sequence
 from .occlusion import Occluders
 from .orbit import OrbitTarget, bounding_ball, bounding_box, orbit, orbit_target, turntable
-from .pose import Lens, Pose, down_of, level_axes
+from .pose import Lens, Pose, down_direction, level_axes
 from .subsample import Subsample, subsample
 
 F64 = NDArray[np.float64]
 
-# Splats of the subsample that planning works on, and of the coarser one that tells whether a place
-# is enclosed. They bound the time, whatever the size of the scene.
+# Splats of the subsample for planning, and of the coarser subsample for testing whether a position
+# is enclosed. They bound the run time for scenes of any size.
 _SUBSAMPLE_SPLATS: Final = 40_000
 _COARSE_SPLATS: Final = 4_096
-# Pixels of the small picture of a candidate.
+# Pixels of a candidate's small picture.
 _CANDIDATE_PIXELS: Final = 96 * 72
-_LEAST_SIDE_PX: Final = 8
+_MIN_SIDE_PX: Final = 8
 
-# Candidates for each view chosen: in the first round over the whole scene, in the second for what
+# Candidates per view: in the first round over the whole scene, in the second round for splats that
 # the views chosen so far show badly.
 _FIRST_ROUND, _SECOND_ROUND = 4, 2
-# Share of the views that is chosen after the first round.
+# Share of the views chosen after the first round.
 _FIRST_SHARE: Final = _FIRST_ROUND / (_FIRST_ROUND + _SECOND_ROUND)
 
-# A splat's vicinity is the nearest quarter of the scene, so that each of several things that stand
-# apart has its own. It fills a view of 60° from about this many of its radii. Vicinities are
-# measured for some splats only, and among some.
-_FILLING: Final = 2.0
+# A splat's vicinity is the nearest quarter of the scene, so that each of several separate objects
+# has its own. A vicinity fills a view of 60° from a distance of about two of its radii. Its radius
+# is measured for a sample of the splats, among a sample of neighbours.
+_VIEW_FILLING_RADII: Final = 2.0
 _VICINITY_SHARE: Final = 0.25
 _VICINITY_SAMPLES: Final = 256
 _VICINITY_NEIGHBOURS: Final = 4_096
-# Viewing distances are at most so many times the median one: the large splats of a background are
-# not meant to be seen from as far away as their size would ask for.
-_FURTHEST: Final = 3.0
-# Where splats block the way back from a splat, the camera keeps to this share of the free length,
-# so that its jittered copy (30 % further back) stands before them as well. Where that would be
-# nearer than this share of the viewing distance, the camera stands at the viewing distance, behind
-# what blocks the way.
+# Limit of viewing distances, in median viewing distances. The large splats of a background are not
+# meant to be seen from the distance that their size suggests.
+_MAX_DISTANCE_RATIO: Final = 3.0
+# If splats block the way back from a target, the camera stands at this share of the free length, so
+# that its jittered copy (30 % further back) is also in front of them. If that is nearer than the
+# second share of the viewing distance, the camera stands at the viewing distance, behind them.
 _FREE_SHARE: Final = 0.7
-_NEAREST: Final = 0.12
-# The first part of the way back lies in the splat's own surface and does not count: so many sizes
-# of the splat, or this share of the way if that is more.
+_MIN_DISTANCE_SHARE: Final = 0.12
+# The first part of the way back lies in the target's own surface and is ignored: this many sizes of
+# the splat or this share of the way, whichever is longer.
 _SURFACE_SIZES, _SURFACE_SHARE = 3.0, 0.02
 
-# A place is enclosed by splats, such as one inside a solid object, where within this share of the
-# viewing distance more than this share of all directions is blocked.
+# A position is enclosed by splats, for example inside a solid object, if more than this share of
+# the directions is blocked within this share of the viewing distance.
 _ENCLOSED_REACH: Final = 0.08
 _ENCLOSED_OCCLUSION: Final = 0.7
 
-# A place with splats in more than this share of all directions, at any distance, is inside of
-# something: a room, or an object.
+# A position is inside something, a room or an object, if splats at any distance block more than
+# this share of the directions.
 _INSIDE_OCCLUSION: Final = 0.7
-# Views from inside and from outside count by the share of the scene that only they can show. Where
-# that is at most this much on both sides, the walls hold nothing: the scene is an object, seen from
-# outside.
+# Views from inside and from outside are weighted by the share of the scene that only they show. If
+# both shares are at most this, the walls hide nothing: the scene is an object seen from outside.
 _SIDE_TIE: Final = 0.03
-# Visibility for this is tested for so many splats from so many places. The end of each ray lies in
-# the surface that it aims at and does not count: so many sizes of coarse splats, at most this share
-# of the way.
-_SIDE_SAMPLES, _SIDE_PLACES = 512, 48
+# That visibility is tested for a sample of splats from a sample of positions. The end of each ray
+# lies in the target's surface and is ignored: this many sizes of coarse splats, but at most this
+# share of the way.
+_SIDE_SAMPLES, _SIDE_POSITIONS = 512, 48
 _TARGET_SIZES, _TARGET_SHARE = 4.0, 0.1
-# Views of the other side count at least this much: what only they show deserves a few views.
-_LEAST_SIDE: Final = 0.1
+# Minimum weight of a side: splats that only one side shows deserve a few views.
+_MIN_SIDE_WEIGHT: Final = 0.1
 
-# Exposure beyond this adds little: the gain is logarithmic, so that views spread over the scene as
-# its detail does.
-_SHOWN: Final = 0.1
+# Exposure at which the gain of a view saturates. The gain is logarithmic, so that views spread over
+# the scene in proportion to its detail.
+_SATURATION: Final = 0.1
 
-# An object is isolated where, from half of the poses of an orbit, splats block at most this share
-# of the directions (the object itself fills about as much), and its radius is less than so many
-# radii of the median vicinity. Then all views are poses of an orbit: that is what viewers show.
+# An object is isolated if, from half of the poses of an orbit, splats block at most this share of
+# the directions; the object itself fills about this share. It is compact if its radius is less
+# than this many median vicinity radii. Views of a compact isolated object are all orbit poses,
+# like those of an orbit viewer.
 _ISOLATED_OCCLUSION: Final = 0.12
 _COMPACT: Final = 3.0
 _ORBIT_TRIES: Final = 24
-# Number of test views, and how much larger they are than the views to score on: a small picture
-# averages away errors that a visitor sees.
+# Number of test views, and their size relative to the scoring views: a small picture averages away
+# errors that a viewer sees.
 _TEST_VIEWS: Final = 32
 _TEST_VIEW_SCALE: Final = 1.2
-# Of so many times as many places of visitors those are taken that look up or down by at most this
-# angle from the usual pitch, and from where nothing is nearer than this share of the median
-# vicinity's radius. Of these, the half is taken that splats leave most room: within the second
-# share of that radius they block the fewest directions. A visitor stands in the room, not in a
-# chest that stands in it.
-_VISITORS_DRAWN: Final = 8
-_STEEPEST_DEG: Final = 30.0
+# Test views are chosen from 8 times as many poses. Their pitch differs from the usual one by at
+# most 30°, and no splat is nearer than 0.2 median vicinity radii. Of these poses the half stays in
+# which splats within 0.5 radii block the fewest directions: a viewer stands in the room, not in a
+# chest within the room.
+_TEST_POSE_FACTOR: Final = 8
+_MAX_PITCH_OFFSET_DEG: Final = 30.0
 _CLEARANCE: Final = 0.2
 _ROOM: Final = 0.5
 
-# At most this share of the splats may lie outside all views. For the others up to one more view for
-# each eight is added, from places that were chosen.
+# Share of the splats that may lie outside all views. Views for the rest are added at positions
+# already chosen, at most 1/8 of the number of views.
 _UNCOVERED: Final = 0.001
 _EXTRA_SHARE: Final = 1 / 8
-# Views that are added so that all that is visible is covered, for each that was asked for, at most.
+# Covering views at most, relative to the number of views.
 _COVER_SHARE: Final = 1 / 2
 _UNCOVERED_SAMPLES: Final = 32
 
-# The near plane is a fixed distance. In a small scene it would cut the object off: cameras keep
-# this many near-plane distances from the splat they look at, and zoom in instead.
+# The near plane is a fixed distance and would cut off the objects of a small scene. Cameras stay at
+# least this many near-plane distances from the splat they look at, and zoom in instead.
 _NEAR_PLANES: Final = 4.0
 
 
@@ -135,16 +135,16 @@ class ViewPlanConfig:
     Parameters
     ----------
     views : int
-        Number of views, before those added so that all that is visible is covered (half as many at
-        most), and for splats outside all of them (an eighth at most).
+        Number of views. Planning adds at most half as many covering views, and at most an eighth as
+        many for splats outside all views.
     width, height : int
-        Size of each, px.
+        Image size of each view, px.
     fov_deg : float
         Horizontal field of view, degrees.
     near_plane : float
         Camera-space depth up to which scoring draws nothing, scene units.
     threads : int
-        0 for every core this process may use. The plan does not depend on it.
+        Number of threads; 0 for every core this process may use. The plan does not depend on it.
     """
 
     views: int = 64
@@ -166,35 +166,35 @@ class ViewPlanConfig:
         thread_count(self.threads)
 
     def lens(self, scale: float = 1.0) -> Lens:
-        """Return image size and field of view; `scale` multiplies width and height."""
-        least = min(_LEAST_SIDE_PX, self.width, self.height)
+        """Return the lens of the views, with width and height multiplied by `scale`."""
+        min_side = min(_MIN_SIDE_PX, self.width, self.height)
         return Lens(
-            width=max(least, round(scale * self.width)),
-            height=max(least, round(scale * self.height)),
+            width=max(min_side, round(scale * self.width)),
+            height=max(min_side, round(scale * self.height)),
             slope=math.tan(math.radians(0.5 * self.fov_deg)),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class ViewPlan:
-    """Views to score on, and other views to test in.
+    """Planned views for scoring, and separate views for testing.
 
     Parameters
     ----------
     views : list of Camera
-        Named ``virtual-000`` and on; those that show most come first.
+        Scoring views, named ``virtual-000`` and on, by descending gain.
     covering_views : list of Camera
-        Named ``covering-000`` and on: views of what the orbit around an isolated object leaves out,
-        such as the bottom of a bowl. They say that it is visible, not how often visitors see it:
-        means over views leave them out. Empty for other scenes, where views are chosen by what they
-        show: those that are added are among `views`.
+        Views of parts that the orbit around an isolated object misses, such as the bottom of a
+        bowl; named ``covering-000`` and on. They show that a part is visible, and say nothing of
+        how often: means over views exclude them. Empty for other scenes, whose covering views are
+        among `views`.
     test_views : list of Camera
-        Named ``test-00`` and on, from places that the others have none in: all around an isolated
-        object, or anywhere that a visitor of another scene may be. They are not chosen by what they
-        show, and nothing is tuned on them.
+        Test views, named ``test-00`` and on, at other positions than `views`: all around an
+        isolated object, or at plausible viewer positions in other scenes. They are chosen without
+        regard to what they show, and nothing is tuned on them.
     coverage : float
         Share of the visible splats that `views` and `covering_views` cover
-        (`coverage.additions`), 0 to 1.
+        (`coverage.choose_covering`), 0 to 1.
     """
 
     views: list[Camera]
@@ -206,12 +206,12 @@ class ViewPlan:
 def plan_views(
     splats: Splats, config: ViewPlanConfig | None = None, *, progress: Progress = silent
 ) -> list[Camera]:
-    """Plan the views to score a scene on that came without cameras.
+    """Plan the scoring views of a scene that has no cameras.
 
     Parameters
     ----------
     splats, config, progress
-        As `plan` takes them.
+        See `plan`.
 
     Returns
     -------
@@ -221,7 +221,7 @@ def plan_views(
     Raises
     ------
     DataError
-        As `plan`.
+        See `plan`.
 
     Examples
     --------
@@ -243,19 +243,19 @@ def plan(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> ViewPlan:
-    """Plan the views to score and to test a scene on that came without cameras.
+    """Plan the scoring and test views of a scene that has no cameras.
 
-    Objects are seen from an orbit, rooms from inside, open ground from above, and what has several
-    of these from each in proportion to its detail.
+    Objects are viewed from an orbit, rooms from inside, open ground from above. A scene with
+    several of these gets views of each in proportion to its detail.
 
     Parameters
     ----------
     splats : Splats
-        Rows that cannot be drawn are left out.
+        Scene; splats that cannot be drawn are ignored.
     config : ViewPlanConfig or None
         None for the defaults.
     executor : Executor, optional
-        What runs the work of single views; threads of this process where it is not given.
+        Executor of the work on single views; by default threads of this process.
     progress : Progress
         Called with ``("plan views", candidates drawn, candidates)``; raising from it stops the
         work.
@@ -263,15 +263,15 @@ def plan(
     Returns
     -------
     ViewPlan
-        The same for any number of threads.
+        Plan, independent of the number of threads.
 
     Raises
     ------
     DataError
-        ``empty-scene``: no splat that could be drawn.
+        ``empty-scene``: no splat can be drawn.
     """
     config = config or ViewPlanConfig()
-    # Without SH from the start: copies of it would be most of the work.
+    # SH is dropped first: copying it would be most of the work.
     bare = splats.with_sh_degree(0)
     usable = ~bare.invalid_rows()
     usable &= bare.opacities > math.log(ALPHA_MIN / (1.0 - ALPHA_MIN))
@@ -288,23 +288,23 @@ def plan(
         return [pose.camera(lens, down, f"{name}-{row:03d}") for row, pose in enumerate(found)]
 
     large = config.lens(_TEST_VIEW_SCALE)
-    visitors = enumerate(planner.test_poses())
-    tests = [pose.camera(large, down, f"test-{row:02d}") for row, pose in visitors]
+    test_poses = enumerate(planner.test_poses())
+    tests = [pose.camera(large, down, f"test-{row:02d}") for row, pose in test_poses]
     return ViewPlan(
         cameras(poses, "virtual"), cameras(covering, "covering"), tests, planner.coverage
     )
 
 
 class _Planner:
-    """One run of `plan`.
+    """State of one run of `plan`.
 
     Parameters
     ----------
     scene : Subsample
-        M splats.
+        Scene thinned to M splats.
     config : ViewPlanConfig
     executor : Executor
-        What draws the candidates.
+        Executor that draws the candidates.
     progress : Progress
     """
 
@@ -318,31 +318,30 @@ class _Planner:
         self._means = scene.splats.means.astype(np.float64)
         self._occluders = Occluders(scene.splats, config.threads)
         self._coarse = Occluders(subsample(scene.splats, _COARSE_SPLATS).splats, config.threads)
-        self.down = down_of(scene.splats.info.axes)
-        # Size over distance that is typical of the scene's splats in a picture.
+        self.down = down_direction(scene.splats.info.axes)
+        # Typical ratio of a splat's size to its distance in a picture.
         self._detail = self._typical_detail()
         distances = scene.sizes / self._detail
         typical = _weighted_median(distances, scene.counts)
-        # From where each splat has that size.
-        self._viewing_distances: F64 = np.minimum(distances, _FURTHEST * typical)
-        # Whether the scene is an isolated object, once that is known.
+        # Distance at which each splat has that ratio.
+        self._viewing_distances: F64 = np.minimum(distances, _MAX_DISTANCE_RATIO * typical)
+        # Whether the scene is an isolated object; set by `_orbit_poses`.
         self._isolated = False
-        # What the views cover, once they are chosen.
+        # Covered share of the visible splats; set by `_cover`.
         self.coverage = 1.0
         self._proposed = 0
         self._candidates: list[Candidate] = []
-        # Whether each candidate's place is inside of something, and what such a view counts.
+        # Whether each candidate's position is inside something, and the weight of either side.
         self._inside: list[bool] = []
         self._side_weight = {False: 1.0, True: 1.0}
-        # How well the chosen views show each splat together.
+        # Sum over the chosen views of each splat's exposure.
         self._exposure = np.zeros(len(scene))
         scale = math.sqrt(_CANDIDATE_PIXELS / (config.width * config.height))
         lens = config.lens(min(scale, 1.0))
-        drawing = CandidateDrawing(scene, self._detail, lens, self.down, config.near_plane)
-        self._drawing = drawing
+        self._inputs = CandidateInputs(scene, self._detail, lens, self.down, config.near_plane)
 
     def plan(self) -> tuple[list[Pose], list[Pose]]:
-        """Return the poses of the views, those that show most first, and of the covering views."""
+        """Return the poses of the views, by descending gain, and of the covering views."""
         views, counts = self._config.views, self._scene.counts
         total = (_FIRST_ROUND + _SECOND_ROUND) * views
         self._progress("plan views", 0, total)
@@ -351,13 +350,13 @@ class _Planner:
         self._progress("plan views", _FIRST_ROUND * views, total)
         self._weigh_sides()
         around = self._orbit_poses()
-        # What the orbit shows needs no covering views.
-        orbiting = list(self._executor.map(draw_candidate, around, self._drawing))
+        # Splats that the orbit shows need no covering views.
+        orbiting = list(self._executor.map(draw_candidate, around, self._inputs))
         for found in orbiting:
             self._exposure[found.index] += found.exposure
         views -= len(around)
         self._choose(chosen, round(_FIRST_SHARE * views))
-        badly_shown = counts / (1.0 + self._exposure / _SHOWN)
+        badly_shown = counts / (1.0 + self._exposure / _SATURATION)
         self._draw_candidates(self._propose(_SECOND_ROUND * self._config.views, badly_shown))
         self._progress("plan views", total, total)
         self._choose(chosen, views)
@@ -365,12 +364,12 @@ class _Planner:
         poses = around + [self._candidates[row].pose for row in chosen]
         inside = [False] * len(around) + [self._inside[row] for row in chosen]
         weights = np.array([self._side_weight[side] for side in inside])
-        poses += self._for_uncovered(poses, weights)
+        poses += self._poses_for_uncovered(poses, weights)
         views = len(around) or len(poses)
         return poses[:views], poses[views:]
 
     def _orbit_poses(self) -> list[Pose]:
-        """Return the poses of all views of a compact isolated object; none in other scenes."""
+        """Return the orbit poses of a compact isolated object; empty for any other scene."""
         target = orbit_target(self._means, self._scene.counts)
         self._isolated = self._is_isolated(target)
         if not (self._isolated and target.radius < _COMPACT * self._vicinity_radius):
@@ -378,7 +377,7 @@ class _Planner:
         return orbit(target, self._config.views, self.down, self._config.near_plane)
 
     def _is_isolated(self, target: OrbitTarget) -> bool:
-        """Tell whether an object is all there is around the poses of an orbit."""
+        """Check that splats around the orbit poses, target included, block few directions."""
         if self._from_inside or not target.radius > 0.0:
             return False
         tries = orbit(target, _ORBIT_TRIES, self.down, self._config.near_plane)
@@ -388,23 +387,23 @@ class _Planner:
 
     @property
     def _from_inside(self) -> bool:
-        """Whether the scene is one to look at from inside."""
+        """Whether the scene is mainly viewed from inside."""
         return self._side_weight[True] >= self._side_weight[False]
 
     def test_poses(self) -> list[Pose]:
-        """Return the poses of the test views; `plan` comes first.
+        """Return the poses of the test views; call `plan` first.
 
-        Around an isolated object they are those of a turntable that shows the whole of it. In
-        other scenes they are visitors': they look at splats about level, from the side that the
-        scene is seen from, and keep clear of everything.
+        An isolated object gets turntable poses that show the whole object. Other scenes get
+        plausible viewer poses: about level, on the side (inside or outside) that the scene is
+        viewed from, and clear of splats.
         """
         means, counts = self._means, self._scene.counts
         if self._isolated:
             whole = bounding_ball(means, counts)
             return turntable(whole, _TEST_VIEWS, self.down, self._config.near_plane)
-        count = _VISITORS_DRAWN * _TEST_VIEWS
-        # Outside they are drawn as candidates are, but none of them is one.
-        drawn = self._visitors(count) if self._from_inside else self._propose(count, counts)
+        count = _TEST_POSE_FACTOR * _TEST_VIEWS
+        # `_propose` continues its sequence: these poses differ from all candidates.
+        drawn = self._poses_in_box(count) if self._from_inside else self._propose(count, counts)
         places = np.array([pose.position for pose in drawn])
         around = self._coarse.occlusion(places, np.full(len(drawn), np.inf))
         near, room = (
@@ -412,23 +411,23 @@ class _Planner:
             for share in (_CLEARANCE, _ROOM)
         )
         pitches = np.array([pitch_deg(pose, self.down) for pose in drawn])
-        level = np.abs(pitches - LEVEL_DEG) < _STEEPEST_DEG
+        level = np.abs(pitches - USUAL_PITCH_DEG) < _MAX_PITCH_OFFSET_DEG
         right_side = (around > _INSIDE_OCCLUSION) == self._from_inside
         fits = right_side & level & (near == 0.0)
         if fits.any():
             fits &= room <= np.median(room[fits])
-        # The clearest places where none is clear; all where none is on the right side.
+        # Poses that miss a condition fill up the list: the side weighs most, then pitch, clearance.
         unfit = np.lexsort((np.arange(len(drawn)), ~fits, near > 0.0, ~level, ~right_side))
         fitting = sorted(unfit[:_TEST_VIEWS].tolist())
         return [drawn[row] for row in fitting]
 
-    def _visitors(self, count: int) -> list[Pose]:
-        """Return poses anywhere in the box of the scene that look about level in any direction."""
+    def _poses_in_box(self, count: int) -> list[Pose]:
+        """Return poses spread over the scene's bounding box that look about level."""
         box = bounding_box(self._means, self._scene.counts)
         numbers = np.arange(count)
         places = box[0] + sequence(numbers, STEPS_3D) * (box[1] - box[0])
         looks = sequence(numbers, STEPS_2D)
-        pitches = np.radians(LEVEL_DEG + _STEEPEST_DEG * (2.0 * looks[:, 0] - 1.0))
+        pitches = np.radians(USUAL_PITCH_DEG + _MAX_PITCH_OFFSET_DEG * (2.0 * looks[:, 0] - 1.0))
         angles = 2.0 * np.pi * looks[:, 1]
         down = self.down if self.down.any() else np.array([0.0, 1.0, 0.0])
         side, other = level_axes(down)
@@ -437,9 +436,10 @@ class _Planner:
         return [Pose(place, look, 1.0) for place, look in zip(places, forward, strict=True)]
 
     def _typical_detail(self) -> float:
-        """Return the median, over splats, of size over the distance of a picture of the vicinity.
+        """Return the typical ratio of size to distance: the median over a sample of splats.
 
-        From that distance the splat's vicinity fills the view.
+        The distance of a splat is the one from which its vicinity fills the view. Also set
+        `_vicinity_radius`, the median radius of the vicinities.
         """
         counts, sizes = self._scene.counts, self._scene.sizes
         samples = _systematic(counts, min(_VICINITY_SAMPLES, len(counts)))
@@ -452,21 +452,22 @@ class _Planner:
         # A scene of one point still has an extent.
         radii = np.maximum(radii, 2.0 * sizes[samples])
         self._vicinity_radius = float(np.median(radii))
-        return float(np.median(sizes[samples] / (_FILLING * radii)))
+        return float(np.median(sizes[samples] / (_VIEW_FILLING_RADII * radii)))
 
     def _propose(self, count: int, weights: F64) -> list[Pose]:
-        """Return poses that look at splats drawn by weight, from viewing distance if that is free.
+        """Return poses that look at sampled splats from viewing distance, or nearer if blocked.
 
         Parameters
         ----------
         count : int
+            Number of sampled splats.
         weights : (M,) float64
-            Chance of each splat to be looked at.
+            Sampling weight of each splat.
 
         Returns
         -------
         list of Pose
-            At most `count`: places that splats enclose are left out.
+            At most `count` poses; positions enclosed by splats are left out.
         """
         rows = _systematic(weights, count)
         points = sequence(self._proposed + np.arange(count), STEPS_2D)
@@ -474,25 +475,25 @@ class _Planner:
         height, azimuth = 2.0 * points[:, 0] - 1.0, 2.0 * np.pi * points[:, 1]
         ring = np.sqrt(1.0 - height * height)
         back = np.stack([ring * np.cos(azimuth), height, ring * np.sin(azimuth)], axis=1)
-        targets, wanted = self._means[rows], self._viewing_distances[rows]
-        starts = np.maximum(_SURFACE_SIZES * self._scene.sizes[rows], _SURFACE_SHARE * wanted)
-        free = self._occluders.free_lengths(targets, back, wanted, starts)
-        blocked = (free < wanted) & (_FREE_SHARE * free > _NEAREST * wanted)
-        distances = np.where(blocked, _FREE_SHARE * free, wanted)
+        targets, preferred = self._means[rows], self._viewing_distances[rows]
+        starts = np.maximum(_SURFACE_SIZES * self._scene.sizes[rows], _SURFACE_SHARE * preferred)
+        free = self._occluders.free_lengths(targets, back, preferred, starts)
+        blocked = (free < preferred) & (_FREE_SHARE * free > _MIN_DISTANCE_SHARE * preferred)
+        distances = np.where(blocked, _FREE_SHARE * free, preferred)
         places = targets + distances[:, None] * back
-        occlusion = self._occluders.occlusion(places, _ENCLOSED_REACH * wanted)
+        occlusion = self._occluders.occlusion(places, _ENCLOSED_REACH * preferred)
         usable = occlusion <= _ENCLOSED_OCCLUSION
         if not usable.any():
-            # Splats everywhere, such as fog: no place is better than another.
+            # Splats are everywhere, as in fog: all positions are equally good.
             usable[:] = True
         zoom = np.maximum(1.0, _NEAR_PLANES * self._config.near_plane / distances)
         places = targets + (zoom * distances)[:, None] * back
         return [Pose(places[row], -back[row], float(zoom[row])) for row in np.flatnonzero(usable)]
 
     def _draw_candidates(self, poses: Sequence[Pose]) -> None:
-        """Draw a small picture from each pose and add the candidates."""
+        """Append a candidate for each pose, drawn as a small picture."""
         total = (_FIRST_ROUND + _SECOND_ROUND) * self._config.views
-        for found in self._executor.map(draw_candidate, poses, self._drawing):
+        for found in self._executor.map(draw_candidate, poses, self._inputs):
             self._candidates.append(found)
             if len(self._candidates) % self._config.views == 0:
                 self._progress("plan views", len(self._candidates), total)
@@ -501,7 +502,7 @@ class _Planner:
         self._inside += (occlusion > _INSIDE_OCCLUSION).tolist()
 
     def _weigh_sides(self) -> None:
-        """Decide how much views from inside and from outside of walls count."""
+        """Set the weights of views from inside and from outside of walls."""
         counts = self._scene.counts
         samples = _systematic(counts, min(_SIDE_SAMPLES, len(counts)))
         visible = {side: self._visible_from(side, samples) for side in (False, True)}
@@ -509,15 +510,15 @@ class _Planner:
         most = max(only.values())
         for side in only:
             share = float(not side) if most <= _SIDE_TIE else (only[side] / most) ** 2
-            self._side_weight[side] = max(share, _LEAST_SIDE)
+            self._side_weight[side] = max(share, _MIN_SIDE_WEIGHT)
 
     def _visible_from(self, side: bool, samples: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Mark the samples that some candidate's place on a side sees, in any direction.
+        """Return a mask of the samples visible from candidate positions on one side of walls.
 
         Parameters
         ----------
         side : bool
-            True for places inside, False for those outside.
+            True for positions inside, False for positions outside.
         samples : (n,) intp
             Rows of the subsample.
 
@@ -529,7 +530,7 @@ class _Planner:
         visible = np.zeros(len(samples), np.bool_)
         coarser = math.sqrt(max(1.0, self._scene.counts.sum() / _COARSE_SPLATS))
         ends = _TARGET_SIZES * coarser * self._scene.sizes[samples]
-        for row in rows[:_SIDE_PLACES]:
+        for row in rows[:_SIDE_POSITIONS]:
             hidden = np.flatnonzero(~visible)
             position = self._candidates[row].pose.position
             offsets = self._means[samples[hidden]] - position
@@ -543,19 +544,19 @@ class _Planner:
         return visible
 
     def _choose(self, chosen: list[int], views: int) -> None:
-        """Add the candidates that show most of what the chosen ones do not show yet, one by one.
+        """Choose candidates greedily by the exposure that they add to the chosen views.
 
         Parameters
         ----------
         chosen : list of int
-            Rows of the candidates; extended in place.
+            Rows of the chosen candidates; extended in place.
         views : int
-            How many there are to be in the end.
+            Number of chosen candidates to reach.
 
         Notes
         -----
-        Marginal gains only shrink as views are added, so a candidate is evaluated anew only when
-        its last known gain is the largest (lazy greedy, Minoux 1978).
+        Gains only shrink as views are added, so a candidate's gain is recomputed only when its last
+        known gain is the largest (lazy greedy, Minoux 1978).
         """
         if len(chosen) >= views:
             return
@@ -564,14 +565,14 @@ class _Planner:
         def gain(row: int) -> float:
             found = self._candidates[row]
             added = self._side_weight[self._inside[row]] * found.exposure
-            more = np.log1p(added / (self._exposure[found.index] + _SHOWN))
+            more = np.log1p(added / (self._exposure[found.index] + _SATURATION))
             return float((counts[found.index] * more).sum())
 
-        taken = set(chosen)
+        already_chosen = set(chosen)
         queue = [
             (-gain(row), row, len(chosen))
             for row in range(len(self._candidates))
-            if row not in taken
+            if row not in already_chosen
         ]
         heapq.heapify(queue)
         while queue and len(chosen) < views:
@@ -584,38 +585,39 @@ class _Planner:
             chosen.append(row)
 
     def _cover(self, chosen: Sequence[int], orbiting: Sequence[Candidate]) -> list[int]:
-        """Return the candidates that cover the rest of what is visible; note how much is covered.
+        """Return rows of candidates that cover the remaining visible splats; set `coverage`.
 
         Parameters
         ----------
         chosen : sequence of int
-            Candidates that are views already.
+            Rows of the candidates chosen as views.
         orbiting : sequence of Candidate
-            Views that are not among the candidates.
+            Views of an orbit, which are not among the candidates.
         """
         seen = [
             SeenSplats(found.index, self._side_weight[inside] * found.peaks.astype(np.float64))
             for found, inside in zip(self._candidates, self._inside, strict=True)
         ]
-        there = [SeenSplats(found.index, found.peaks.astype(np.float64)) for found in orbiting]
-        there += [seen[row] for row in chosen]
-        most = int(_COVER_SHARE * self._config.views)
-        added, self.coverage = additions(self._scene.counts, there, seen, most)
+        existing = [SeenSplats(found.index, found.peaks.astype(np.float64)) for found in orbiting]
+        existing += [seen[row] for row in chosen]
+        max_views = int(_COVER_SHARE * self._config.views)
+        added, self.coverage = choose_covering(self._scene.counts, existing, seen, max_views)
         return added
 
-    def _for_uncovered(self, poses: Sequence[Pose], weights: F64) -> list[Pose]:
-        """Return poses in places of given ones that look at splats outside all their pictures.
+    def _poses_for_uncovered(self, poses: Sequence[Pose], weights: F64) -> list[Pose]:
+        """Return poses at given positions that look at splats outside all given pictures.
 
         Parameters
         ----------
         poses : sequence of Pose
+            Poses of all views so far.
         weights : (len(poses),) float64
-            What a view from each place counts.
+            Weight of a view from each position.
 
         Returns
         -------
         list of Pose
-            At most one for each eight views.
+            Poses to add, at most an eighth of the number of views.
         """
         counts = self._scene.counts
         uncovered = np.ones(len(counts), np.bool_)
@@ -647,7 +649,7 @@ class _Planner:
 
 
 def _systematic(weights: F64, count: int) -> NDArray[np.intp]:
-    """Return `count` rows by systematic sampling: at even steps of the weights' running sum."""
+    """Return `count` rows by systematic sampling: at equal steps of the weights' running sum."""
     total = np.cumsum(weights)
     places = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])
     rows: NDArray[np.intp] = np.minimum(places, len(weights) - 1)
@@ -655,7 +657,7 @@ def _systematic(weights: F64, count: int) -> NDArray[np.intp]:
 
 
 def _weighted_median(values: F64, weights: F64) -> float:
-    """Return the smallest value up to which half of the weights lies."""
+    """Return the weighted median: the smallest value with half of the weights up to it."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     return float(values[order[int(np.searchsorted(total, 0.5 * total[-1]))]])

@@ -1,4 +1,4 @@
-"""Poses: where a camera stands and where it looks, before its image has a size."""
+"""Camera poses: position and viewing direction, without image size and field of view."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from cogsplat.codec.cameras import Camera
 
 F64 = NDArray[np.float64]
 
-# Cosine of about 2.6°: a camera that looks up or down more steeply takes its roll from an axis of
-# the scene instead of from `down`, which would leave it to rounding.
+# Cosine of about 2.6°. Closer to `down` the roll would depend on rounding, so it is taken from an
+# axis of the scene instead.
 _PARALLEL = 0.999
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Image size and field of view that poses become cameras with.
+    """Image size and field of view, which turn a pose into a camera.
 
     Parameters
     ----------
     width, height : int
-        Of the image, px.
+        Size of the image, px.
     slope : float
         Half the width of the view at depth 1 without zoom: tan(fov / 2).
     """
@@ -40,9 +40,9 @@ class Pose:
     Parameters
     ----------
     position : (3,) float64
-        In the frame of the means, scene units.
+        Position in the frame of the means, scene units.
     forward : (3,) float64
-        Unit vector, the camera's z axis.
+        Viewing direction, a unit vector: the camera's z axis.
     zoom : float
         Factor on the focal length of the lens.
     """
@@ -52,20 +52,21 @@ class Pose:
     zoom: float
 
     def camera(self, lens: Lens, down: F64, name: str = "") -> Camera:
-        """Return the camera of a pose.
+        """Return the camera at this pose.
 
         Parameters
         ----------
         lens : Lens
         down : (3,) float64
-            Unit vector that the camera's y axis comes as near to as `forward` allows; zeros where
-            no direction is known to be down.
+            Unit vector; the camera's y axis is as close to it as `forward` allows. Zeros if no
+            direction is known to be down.
         name : str
+            Name of the camera.
 
         Returns
         -------
         Camera
-            Its principal point in the middle of the image.
+            Camera with its principal point in the middle of the image.
         """
         forward = self.forward
         if not down.any() or abs(float(forward @ down)) > _PARALLEL:
@@ -88,35 +89,35 @@ class Pose:
 
 
 def level_axes(up: F64) -> tuple[F64, F64]:
-    """Return two directions at right angles to `up` and to each other: unit vectors, (3,) float64.
+    """Return two perpendicular horizontal unit vectors, (3,) float64 each.
 
     Parameters
     ----------
     up : (3,) float64
-        Unit vector; up or down.
+        Vertical unit vector, up or down.
     """
     side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     side /= np.linalg.norm(side)
     return side, np.cross(up, side)
 
 
-def down_of(axes: str) -> F64:
-    """Return the direction that a frame calls down.
+def down_direction(axes: str) -> F64:
+    """Return the down direction of a frame.
 
     Parameters
     ----------
     axes : str
-        As `SceneInfo.axes`: where x, y and z point, such as ``"RDF"``.
+        Directions of x, y and z, such as ``"RDF"``; see `SceneInfo.axes`.
 
     Returns
     -------
     (3,) float64
-        Unit vector; zeros where no axis points up or down.
+        Unit vector; zeros if no axis points up or down.
 
     Examples
     --------
-    >>> from cogsplat.codec.views.pose import down_of
-    >>> down_of("RUB").tolist()
+    >>> from cogsplat.codec.views.pose import down_direction
+    >>> down_direction("RUB").tolist()
     [0.0, -1.0, 0.0]
     """
     down = np.zeros(3)

@@ -1,4 +1,4 @@
-"""Subsamples: a few thousand splats that stand for a scene, its surfaces still closed."""
+"""Subsamples: a scene thinned to a few thousand splats that still close its surfaces."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from cogsplat.codec.splats import Splats
 F64 = NDArray[np.float64]
 
 MAX_LOG_SCALE: Final = 40.0
-"""Log scales are taken as within ± this, so that squares of distances stay finite."""
+"""Log scales are clipped to ± this, so that squared distances stay finite."""
 
-# Share of a subsample that the scene's largest splats may take. They are few and cover the large
-# surfaces.
+# Share of a subsample reserved for the scene's largest splats: few, but they cover large surfaces.
 _LARGEST_SHARE: Final = 0.125
-# Splats along the spatial order, the middle one included, over which the size is averaged. A single
-# splat may be a needle or a speck; the mean of its neighbourhood tells how close the capture was.
+# Window, in splats along the spatial order, over which sizes are averaged. A single splat may be a
+# needle or a speck; the mean of its neighbourhood shows how close the capturing cameras were.
 _NEIGHBOURS: Final = 33
 
 
@@ -33,10 +32,10 @@ class Subsample:
     splats : Splats
         M splats of SH degree 0, in `spatial_order`.
     counts : (M,) float64
-        How many of the scene's splats each stands for.
+        Number of the scene's splats that each splat stands for.
     sizes : (M,) float64
-        Typical size of the scene's splats around each, scene units: the geometric mean, over 33
-        neighbours, of the two larger standard deviations.
+        Typical size of the scene's splats around each splat, scene units: the geometric mean, over
+        33 neighbours, of the two larger standard deviations.
     """
 
     splats: Splats
@@ -47,33 +46,33 @@ class Subsample:
         return len(self.splats)
 
 
-def subsample(splats: Splats, most: int) -> Subsample:
-    """Thin a scene to at most `most` splats.
+def subsample(splats: Splats, max_splats: int) -> Subsample:
+    """Thin a scene to at most `max_splats` splats.
 
     Parameters
     ----------
     splats : Splats
-        At least one row, all finite.
-    most : int
-        At least 8 where the scene has more splats.
+        Splats with finite values only; at least one.
+    max_splats : int
+        Splats of the subsample at most; at least 8 if the scene has more.
 
     Returns
     -------
     Subsample
-        The largest splats, an eighth of `most`, unchanged. Of the others every k-th along
-        `spatial_order`, enlarged to k times its area. The same for the same scene.
+        The largest splats, an eighth of `max_splats`, unchanged; and every k-th of the other splats
+        along `spatial_order`, enlarged to k times its area.
     """
     bare = splats.without_extras().with_sh_degree(0)
     bare = bare.take(spatial_order(bare.means))
     log_sizes = _log_sizes(bare.scales)
     local = _moving_mean(log_sizes)
     n = len(bare)
-    if n <= most:
+    if n <= max_splats:
         return Subsample(bare, np.ones(n), np.exp(local))
-    num_largest = int(most * _LARGEST_SHARE)
+    num_largest = int(max_splats * _LARGEST_SHARE)
     by_size = np.argsort(-log_sizes, kind="stable")
     rest = np.sort(by_size[num_largest:])
-    num_rest = most - num_largest
+    num_rest = max_splats - num_largest
     picked = rest[np.arange(num_rest) * len(rest) // num_rest]
     counts = np.ones(n)
     counts[picked] = len(rest) / num_rest
@@ -92,7 +91,7 @@ def _log_sizes(scales: NDArray[np.float32]) -> F64:
 
 
 def _moving_mean(values: F64) -> F64:
-    """Return means over windows of `_NEIGHBOURS`, which are shorter at both ends: (N,)."""
+    """Return the moving mean over `_NEIGHBOURS` values, fewer at both ends: (N,)."""
     total = np.concatenate([[0.0], np.cumsum(values)])
     place = np.arange(len(values))
     first = np.maximum(place - _NEIGHBOURS // 2, 0)

@@ -1,4 +1,4 @@
-"""Clusters of cameras that stand near each other and look the same way."""
+"""Clusters of cameras with similar positions and viewing directions."""
 
 from __future__ import annotations
 
@@ -14,30 +14,29 @@ I64 = NDArray[np.int64]
 
 
 def view_clusters(cameras: Sequence[Camera], count: int) -> list[I64]:
-    """Gather cameras into clusters, each around one that is far from those of the others.
+    """Cluster cameras by position and viewing direction.
 
-    Two cameras are as far from each other as their distance, in root mean square distances of the
-    cameras from their mean position, and one less the cosine of the angle between their directions:
-    half a turn counts as much as twice the spread of the cameras.
+    The distance between two cameras is the sum of two terms. The first is the distance of their
+    positions over the spread of all cameras (their RMS distance from the mean position). The
+    second is 1 - cos of the angle between their viewing directions.
 
     Parameters
     ----------
     cameras : sequence of Camera
-        At least one.
+        Cameras to cluster, at least one.
     count : int
-        Most clusters, at least 1.
+        Number of clusters at most, at least 1.
 
     Returns
     -------
     list of (m,) int64
-        Numbers of the cameras of each cluster, ascending; at least one each. The clusters stand in
-        an order in which each is near the one before.
+        Ascending camera numbers of each cluster, none empty. Each cluster is close to the one
+        before it.
 
     Notes
     -----
     Centres are chosen farthest first (Gonzalez, Clustering to minimize the maximum intercluster
-    distance, 1985); of equal distances the earlier camera counts. Every camera joins its nearest
-    centre.
+    distance, 1985); ties go to the earlier camera. Every camera joins its nearest centre.
 
     Examples
     --------
@@ -53,30 +52,30 @@ def view_clusters(cameras: Sequence[Camera], count: int) -> list[I64]:
     from_middle = np.square(positions - positions.mean(axis=0)).sum(axis=1)
     spread = max(float(np.sqrt(from_middle.mean())), 1e-9)
 
-    def away(other: int) -> F64:
+    def distances_to(other: int) -> F64:
         moved = np.sqrt(np.square(positions - positions[other]).sum(axis=1)) / spread
         distance: F64 = moved + 1.0 - (forward * forward[other]).sum(axis=1)
         return distance
 
     centres = [0]
-    nearest = away(0)
+    nearest = distances_to(0)
     owner = np.zeros(len(cameras), np.int64)
     while len(centres) < min(count, len(cameras)):
         farthest = int(np.argmax(nearest))
-        distance = away(farthest)
+        distance = distances_to(farthest)
         owner[distance < nearest] = len(centres)
         owner[farthest] = len(centres)
         nearest = np.minimum(nearest, distance)
         nearest[farthest] = -1.0
         centres.append(farthest)
-    return [np.flatnonzero(owner == cluster) for cluster in _path(centres, away)]
+    return [np.flatnonzero(owner == cluster) for cluster in _greedy_path(centres, distances_to)]
 
 
-def _path(centres: Sequence[int], away: Callable[[int], F64]) -> list[int]:
-    """Return clusters in an order in which each is the nearest to the one before of those left."""
+def _greedy_path(centres: Sequence[int], distances_to: Callable[[int], F64]) -> list[int]:
+    """Order clusters greedily: each is followed by the nearest remaining cluster."""
     left = list(range(len(centres)))
     path = [left.pop(0)]
     while left:
-        distance = away(centres[path[-1]])
+        distance = distances_to(centres[path[-1]])
         path.append(left.pop(int(np.argmin([distance[centres[cluster]] for cluster in left]))))
     return path

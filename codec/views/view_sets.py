@@ -1,4 +1,4 @@
-"""Sets of cameras made from given ones: held out for testing, thinned, or moved off the path."""
+"""Sets of cameras derived from given cameras: held out, sampled, or moved off the capture path."""
 
 from __future__ import annotations
 
@@ -16,29 +16,31 @@ from cogsplat.codec.splats import Splats
 from .low_discrepancy import STEP_1D
 
 STEP_BACK = 0.3
-"""How far `roam` moves a camera back, as a share of the median visible depth."""
+"""Distance by which `roam` moves a camera back, as a share of its median visible depth."""
 ROTATION_DEG = 20.0
-"""By what angle `roam` rotates a camera, degrees."""
+"""Angle by which `roam` rotates a camera, degrees."""
 
 Item = TypeVar("Item")
 
 
-def evenly(cameras: Sequence[Item], count: int) -> list[Item]:
-    """Return at most `count` cameras, one from each of so many equal runs of a sequence.
+def sample_evenly(cameras: Sequence[Item], count: int) -> list[Item]:
+    """Return at most `count` cameras spread evenly over a sequence.
+
+    The sequence is cut into `count` equal runs, and one camera is taken from each. Its position in
+    the run varies: a camera rig alternates between kinds of views, and a fixed position would
+    always meet the same kind.
 
     Parameters
     ----------
     cameras : sequence
-        Of cameras, or of their numbers.
+        Cameras or camera numbers.
     count : int
-        At least 1.
+        Number of cameras at most, at least 1.
 
     Returns
     -------
     list
-        In the order of the sequence. Which of its run is taken differs from run to run: captures
-        with several cameras on a rig alternate between kinds of view, and one fixed place would
-        meet one kind alone.
+        Cameras in the order of the sequence.
     """
     if len(cameras) <= count:
         return list(cameras)
@@ -52,7 +54,7 @@ def hold_out(cameras: Sequence[Camera], every: int) -> tuple[list[Camera], list[
     Parameters
     ----------
     cameras : sequence of Camera
-        In file order.
+        Cameras in file order.
     every : int
         Cameras with ``index % every == 0`` are held out; 0 holds out none.
 
@@ -80,21 +82,21 @@ def hold_out(cameras: Sequence[Camera], every: int) -> tuple[list[Camera], list[
 
 
 def roam(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
-    """Return views off the capture path: for every camera one moved back and one rotated.
+    """Return views off the capture path: two copies of every camera, moved back and rotated.
 
     Parameters
     ----------
     splats : Splats
-        Gives the depths.
+        Scene, from which visible depths are measured.
     cameras : sequence of Camera
-        In the frame of the means.
+        Cameras in the frame of the means.
 
     Returns
     -------
     list of Camera
-        Two for each: one moved back along its own z axis by 30 % of its `visible_depth`; and one in
-        the camera's own place, rotated about its own y axis by 20°, to the right for cameras of
-        even index and to the left for odd.
+        Two copies of each camera. The first is moved back along its z axis by 30 % of its
+        `visible_depth`. The second is rotated about its y axis by 20°, to the right if the
+        camera's index is even, else to the left.
 
     Examples
     --------
@@ -125,20 +127,20 @@ def roam(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
 
 
 def jitter(splats: Splats, cameras: Sequence[Camera], copies: int = 2) -> list[Camera]:
-    """Return the jittered copies of cameras that scoring adds to them: those of `roam`.
+    """Return the jittered copies that scoring adds to the given cameras.
 
     Parameters
     ----------
     splats, cameras
-        As in `roam`.
+        See `roam`.
     copies : int
-        2 for both copies of every camera; 1 for one of them, of four cameras the first moved back,
-        the next rotated to the left, one to the right, and the last moved back.
+        Copies per camera. 2 returns both copies of `roam`. 1 returns one of them by index modulo 4:
+        moved back (0, 3), rotated left (1), rotated right (2).
 
     Returns
     -------
     list of Camera
-        In the order of the cameras.
+        Copies in the order of the cameras.
     """
     both = roam(splats, cameras)
     if copies == 2:

@@ -12,7 +12,7 @@ from cogsplat.codec.errors import DataError
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import SceneInfo, concatenate
-from cogsplat.codec.views.view_sets import evenly
+from cogsplat.codec.views.view_sets import sample_evenly
 
 
 def views(count):
@@ -95,7 +95,7 @@ def test_the_whole_is_measured_in_more_views_than_prefixes():
     assert sorted(found.report.test_psnr_db) == pytest.approx(sorted(each))
     assert found.chunks[-1].quality_db == pytest.approx(np.mean(each))
     # Prefixes keep what they have less than the whole, where both are measured.
-    few = PrefixEvaluator(scene(), evenly(views(6), 2)).prefixes_db(encoded)
+    few = PrefixEvaluator(scene(), sample_evenly(views(6), 2)).prefixes_db(encoded)
     lost = [few[-1] - quality for quality in few]
     assert [found.chunks[-1].quality_db - c.quality_db for c in found.chunks] == pytest.approx(lost)
 
@@ -164,14 +164,14 @@ def test_of_large_pictures_some_tiles_tell_what_all_do():
 
 def test_views_are_spread_evenly():
     cameras = list(range(43))
-    assert evenly(cameras, 50) == cameras
+    assert sample_evenly(cameras, 50) == cameras
     for count in (1, 2, 8, 16):
-        chosen = evenly(cameras, count)
+        chosen = sample_evenly(cameras, count)
         run = 43 / count
         for k, camera in enumerate(chosen):
             assert int(k * run) <= camera < (k + 1) * run
     for period in (2, 3):
-        kinds = [camera % period for camera in evenly(list(range(48)), 8)]
+        kinds = [camera % period for camera in sample_evenly(list(range(48)), 8)]
         assert min(kinds.count(kind) for kind in range(period)) >= 2
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import oracle
 
 from cogsplat.codec.render.peak_weights import peak_weights
-from cogsplat.codec.views.candidates import CandidateDrawing, draw_candidate
+from cogsplat.codec.views.candidates import CandidateInputs, draw_candidate
 from cogsplat.codec.views.pose import Lens, Pose
 from cogsplat.codec.views.subsample import subsample
 
@@ -15,7 +15,7 @@ DOWN = np.array([0.0, 1.0, 0.0])
 
 def drawing(near_plane=0.2):
     scene = subsample(oracle.scene(4, n=300, degree=0), 300)
-    return CandidateDrawing(scene, 0.05, Lens(48, 36, 0.6), DOWN, near_plane)
+    return CandidateInputs(scene, 0.05, Lens(48, 36, 0.6), DOWN, near_plane)
 
 
 def test_what_is_seen_is_what_has_a_weight_in_the_picture():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.views.coverage import SeenSplats, additions
+from cogsplat.codec.views.coverage import SeenSplats, choose_covering
 
 
 def seen(**weights: float) -> SeenSplats:
@@ -13,40 +13,40 @@ def seen(**weights: float) -> SeenSplats:
 
 
 def test_views_that_show_all_need_no_others() -> None:
-    added, coverage = additions(np.ones(3), [seen(r0=0.5, r1=0.5, r2=0.5)], [seen(r0=0.9)], 5)
+    added, coverage = choose_covering(np.ones(3), [seen(r0=0.5, r1=0.5, r2=0.5)], [seen(r0=0.9)], 5)
     assert added == []
     assert coverage == 1.0
 
 
 def test_the_candidate_that_covers_most_comes_first_and_only_what_is_needed() -> None:
     candidates = [seen(r1=0.8), seen(r1=0.8, r2=0.8), seen(r3=0.8), seen(r2=0.8)]
-    added, coverage = additions(np.ones(4), [seen(r0=0.9)], candidates, 5)
+    added, coverage = choose_covering(np.ones(4), [seen(r0=0.9)], candidates, 5)
     assert added == [1, 2]
     assert coverage == 1.0
 
 
 def test_rows_count_as_many_splats_as_they_stand_for() -> None:
     candidates = [seen(r1=0.8, r2=0.8), seen(r3=0.8)]
-    added, coverage = additions(np.array([1.0, 1.0, 1.0, 7.0]), [seen(r0=0.9)], candidates, 1)
+    added, coverage = choose_covering(np.array([1.0, 1.0, 1.0, 7.0]), [seen(r0=0.9)], candidates, 1)
     assert added == [1]
     assert coverage == pytest.approx(0.8)
 
 
 def test_a_splat_shown_much_worse_than_it_can_be_is_not_covered() -> None:
     for shown, covered in ((0.21, True), (0.19, False)):
-        _, coverage = additions(np.ones(1), [seen(r0=shown)], [seen(r0=0.8)], 0)
+        _, coverage = choose_covering(np.ones(1), [seen(r0=shown)], [seen(r0=0.8)], 0)
         assert coverage == float(covered)
 
 
 def test_what_no_view_shows_clearly_is_not_visible() -> None:
-    added, coverage = additions(np.ones(2), [seen(r0=0.5)], [seen(r1=0.09)], 3)
+    added, coverage = choose_covering(np.ones(2), [seen(r0=0.5)], [seen(r1=0.09)], 3)
     assert added == []
     assert coverage == 1.0
-    assert additions(np.ones(2), [], [], 3) == ([], 1.0)
+    assert choose_covering(np.ones(2), [], [], 3) == ([], 1.0)
 
 
 def test_no_more_views_are_added_than_are_allowed() -> None:
     candidates = [SeenSplats(np.array([row], np.int32), np.array([0.5])) for row in range(40)]
-    added, coverage = additions(np.ones(40), [], candidates, 12)
+    added, coverage = choose_covering(np.ones(40), [], candidates, 12)
     assert len(added) == 12
     assert coverage == pytest.approx(0.3)

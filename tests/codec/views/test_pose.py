@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from cogsplat.codec.views.pose import Lens, Pose, down_of
+from cogsplat.codec.views.pose import Lens, Pose, down_direction
 
 LENS = Lens(80, 60, math.tan(math.radians(30.0)))
 DOWN = np.array([0.0, 1.0, 0.0])
@@ -43,8 +43,8 @@ def test_cameras_that_look_straight_down_have_a_roll(down: np.ndarray) -> None:
     [("RDF", [0, 1, 0]), ("RUB", [0, -1, 0]), ("RFU", [0, 0, -1]), ("DRF", [1, 0, 0])],
 )
 def test_down_is_where_the_axes_say(axes: str, expected: list[int]) -> None:
-    assert down_of(axes).tolist() == expected
+    assert down_direction(axes).tolist() == expected
 
 
 def test_unknown_axes_have_no_down() -> None:
-    assert not down_of("").any()
+    assert not down_direction("").any()

@@ -29,7 +29,7 @@ from cogsplat.codec.fit.tuning import tune
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.views.view_sets import evenly, hold_out, roam
+from cogsplat.codec.views.view_sets import hold_out, roam, sample_evenly
 from cogsplat.formats.cogs import scene as cogs
 from cogsplat.formats.storage.byte_counts import parse_bytes
 from cogsplat.tools.evaluation.photos import read_photos
@@ -156,7 +156,9 @@ def measure(
     for variant in variants(config, share, photos=photos is not None):
         if only and variant.name not in only:
             continue
-        numbers = evenly(range(len(cameras)), max(2, round(variant.views_share * len(cameras))))
+        numbers = sample_evenly(
+            range(len(cameras)), max(2, round(variant.views_share * len(cameras)))
+        )
         views = [cameras[number] for number in numbers]
         taught = None
         if variant.photos and photos is not None:

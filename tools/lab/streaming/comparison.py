@@ -14,7 +14,7 @@ from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.segments.view_table import ViewTable
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.views.view_sets import evenly
+from cogsplat.codec.views.view_sets import sample_evenly
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.lab.scheduling.chunk_ratios import by_boxes, by_view_table
 from cogsplat.tools.lab.scheduling.poses import Pose
@@ -170,7 +170,7 @@ class Simulation:
         self.units: Units = units_of(file)
         self._source, self._peer = source, peer
         self._shown = ShownScene(file, threads, compensate=compensate)
-        self._known = evenly(known, TABLE_VIEWS)
+        self._known = sample_evenly(known, TABLE_VIEWS)
         chunks = slice(0, self._shown.chunks)
         row = file.view_table_row
         stored = file.view_table() if row is not None and file.is_present(row) else None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.geometry.rotations import from_matrices, matrices
-from cogsplat.codec.views.view_sets import evenly
+from cogsplat.codec.views.view_sets import sample_evenly
 
 F64 = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def orbital(cameras: Sequence[Camera]) -> Trace:
 
     Of fewer cameras all are visited, in the same time.
     """
-    chosen = evenly(cameras, _ORBITAL_POSES)
+    chosen = sample_evenly(cameras, _ORBITAL_POSES)
     seconds = _ORBITAL_SECONDS * (_ORBITAL_POSES - 1) / max(len(chosen) - 1, 1)
     return Trace(chosen, seconds * np.arange(len(chosen), dtype=np.float64))
 
