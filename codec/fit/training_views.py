@@ -17,7 +17,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import SceneInfo, Splats
 from cogsplat.codec.threads import ordered_map, thread_count
-from cogsplat.codec.views.view_sets import sample_evenly, jitter
+from cogsplat.codec.views.view_sets import jitter, sample_evenly
 
 from .downscaling import downscale_camera, downscale_picture
 
