@@ -6,7 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Iterable
-from contextlib import AbstractAsyncContextManager, suppress
+from contextlib import AbstractAsyncContextManager
 from typing import Final
 
 from cogsplat.codec.errors import StorageError
@@ -123,9 +123,7 @@ class RangeReader:
     def wake(self) -> None:
         """Have the loop look at what is wanted."""
         if self._loop is not None:
-            # A loop that has ended wakes nobody.
-            with suppress(RuntimeError):
-                self._loop.call_soon_threadsafe(self._changed.set)
+            self._loop.call_soon_threadsafe(self._changed.set)
 
     def stop(self) -> None:
         """End all requests; `run` returns."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import Context
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from cogsplat.codec.errors import Cancelled, CogsplatWarning
 from cogsplat.formats.storage.source import Cancel, require_within
@@ -22,6 +23,27 @@ from .traffic import Traffic
 
 # Of a file that is fetched whole; small, so that what is read first does not wait for much.
 _PART_BYTES: Final = 256 * KIB
+
+
+class _EventLoop(asyncio.SelectorEventLoop):
+    """Event loop that drops calls from other threads once it is closed.
+
+    obstore's threads report the end of a cancelled request too, and may do so after the loop closed.
+    asyncio's own loop raises then, and obstore prints the traceback.
+    """
+
+    def call_soon_threadsafe(
+        self, callback: Callable[..., object], *args: Any, context: Context | None = None
+    ) -> asyncio.Handle:
+        """Schedule a call from another thread; on a closed loop, return a cancelled handle."""
+        try:
+            return super().call_soon_threadsafe(callback, *args, context=context)
+        except RuntimeError:
+            if not self.is_closed():
+                raise
+            dropped = asyncio.Handle(callback, args, self, context)
+            dropped.cancel()
+            return dropped
 
 
 class RangeSource:
@@ -260,7 +282,8 @@ class RangeSource:
             self._thread.join()
 
     def _run(self) -> None:
-        asyncio.run(self._reader.run())
+        with asyncio.Runner(loop_factory=_EventLoop) as runner:
+            runner.run(self._reader.run())
 
     def _wait_for_size(self) -> int:
         reader = self._reader

@@ -1,5 +1,6 @@
 """Object stores, of which the server of faults stands for one: S3 is HTTP with ranges."""
 
+import subprocess
 import sys
 
 import pytest
@@ -67,6 +68,41 @@ def test_refusals_are_told_apart(answer, code):
     ):
         open_url(URL, options_of(server))
     assert caught.value.code == code
+
+
+# obstore asks a future whether it was cancelled, and then reports to its loop. The pause between
+# the two is what a busy machine adds by chance: the loop is closed before the report.
+_LATE_REPORTS = """
+import asyncio, sys, threading, time
+from cogsplat.formats.network.opening import open_url
+from cogsplat.formats.network.options import NetworkOptions
+
+class SlowFuture(asyncio.Future):
+    def cancelled(self):
+        found = super().cancelled()
+        if threading.current_thread() not in python_threads:
+            time.sleep(0.05)
+        return found
+
+python_threads = {threading.main_thread()}
+asyncio.BaseEventLoop.create_future = lambda loop: SlowFuture(loop=loop)
+start = threading.Thread.start
+threading.Thread.start = lambda thread: (python_threads.add(thread), start(thread))[1]
+store = {"endpoint": sys.argv[1], "region": "us-east-1", "skip_signature": "true"}
+for _ in range(5):
+    with open_url("s3://bucket/scenes/a.cogs", NetworkOptions(options_of_store=store)) as source:
+        ranges = [(offset, 9000) for offset in range(100_000, 400_000, 100_000)]
+        with source.prefetch(ranges):
+            pass
+time.sleep(0.2)
+"""
+
+
+def test_requests_that_end_after_their_source_print_nothing(data):
+    with serving(FaultServer(data)) as server:
+        words = [sys.executable, "-c", _LATE_REPORTS, f"http://127.0.0.1:{server.port}"]
+        done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stderr == ""
 
 
 def test_options_that_no_store_has_are_told():
