@@ -37,7 +37,7 @@ from .formats.cogs.folder_writer import Unpacked
 from .formats.cogs.open_file import open_place, with_place
 from .formats.cogs.packing import pack, unpack
 from .formats.cogs.reader import CogsFile
-from .formats.network.options import NetworkOptions
+from .formats.network.network_options import NetworkOptions
 from .formats.storage.limits import Limits
 from .formats.storage.source import Readable
 

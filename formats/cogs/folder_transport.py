@@ -9,8 +9,8 @@ from contextlib import asynccontextmanager, nullcontext
 from typing import Final
 
 from cogsplat.codec.errors import FormatError, StorageError, TruncatedError
-from cogsplat.formats.network.answers import Answer, NeighbouringTransport, Stated
-from cogsplat.formats.network.faults import PassingFault
+from cogsplat.formats.network.backoff import TransientError
+from cogsplat.formats.network.range_responses import RangeResponse, ResponseHead, SiblingTransport
 
 from .folder_map import FolderMap, Piece
 
@@ -30,14 +30,14 @@ def address_of(number: int, offset: int) -> int:
 
 
 class FolderTransport:
-    """Asks for bytes of a manifest and of objects beside it by addresses; see `answers.Transport`.
+    """Asks for bytes of a manifest and of objects beside it by addresses; see `Transport`.
 
     The manifest has number 0, so that its bytes are addressed as they stand in it. A range is of
     one object.
 
     Parameters
     ----------
-    manifest : NeighbouringTransport
+    manifest : SiblingTransport
     folder : FolderMap
     head : bytes
         What is there of the manifest already, from its first byte on.
@@ -48,7 +48,7 @@ class FolderTransport:
         As in `Traffic`, of all objects.
     """
 
-    def __init__(self, manifest: NeighbouringTransport, folder: FolderMap, head: bytes) -> None:
+    def __init__(self, manifest: SiblingTransport, folder: FolderMap, head: bytes) -> None:
         self._manifest = manifest
         self._map = folder
         self._head = head
@@ -70,8 +70,10 @@ class FolderTransport:
             return number
 
     @asynccontextmanager
-    async def get(self, first: int, end: int, *, fresh: bool = False) -> AsyncIterator[Answer]:
-        """Ask for a range of one object; see `answers.Transport.get`.
+    async def get(
+        self, first: int, end: int, *, fresh: bool = False
+    ) -> AsyncIterator[RangeResponse]:
+        """Ask for a range of one object; see `Transport.get`.
 
         Raises
         ------
@@ -84,28 +86,28 @@ class FolderTransport:
         number = first >> _SPACE_BITS
         base = number << _SPACE_BITS
         start, stop = first - base, min(end - base, self._sizes[number])
-        stated = Stated(first, base + stop, _END, None, is_whole=False)
+        stated = ResponseHead(first, base + stop, _END, None, is_whole=False)
         # From a server without ranges an object comes once, and the next range is of what is kept.
         turn = nullcontext() if self._has_ranges else self._turns.setdefault(number, asyncio.Lock())
         async with turn:
             kept = self._here(number, stop, fresh=fresh)
             if kept is not None:
-                yield Answer(stated, _of_memory(kept[start:stop]))
+                yield RangeResponse(stated, _of_memory(kept[start:stop]))
                 return
             name = self._names[number]
-            transport = self._manifest.beside(name) if name else self._manifest
+            transport = self._manifest.sibling(name) if name else self._manifest
             self.requests += 1
             try:
                 async with transport.get(start, stop, fresh=fresh) as answer:
-                    size = answer.stated.total
+                    size = answer.head.total
                     if size is not None:
                         self._check(number, size)
                     parts = self._parts(number, answer, start, stop)
-                    if not answer.stated.is_whole:
-                        stop = answer.stated.end
-                        stated = Stated(first, base + stop, _END, None, is_whole=False)
+                    if not answer.head.is_whole:
+                        stop = answer.head.end
+                        stated = ResponseHead(first, base + stop, _END, None, is_whole=False)
                     try:
-                        yield Answer(stated, parts)
+                        yield RangeResponse(stated, parts)
                     finally:
                         await parts.aclose()
             except StorageError as error:
@@ -129,10 +131,10 @@ class FolderTransport:
         return None if fresh else self._kept.get(number)
 
     async def _parts(
-        self, number: int, answer: Answer, start: int, stop: int
+        self, number: int, answer: RangeResponse, start: int, stop: int
     ) -> AsyncGenerator[bytes, None]:
         """Yield the bytes from `start` to `stop` of an answer; what comes whole is kept first."""
-        size, whole = self._sizes[number], answer.stated.is_whole
+        size, whole = self._sizes[number], answer.head.is_whole
         keep = whole and (number == 0 or size <= _KEPT_BYTES)
         self._has_ranges = self._has_ranges and not whole
         body: list[bytes] = []
@@ -150,10 +152,10 @@ class FolderTransport:
             yield part[max(0, start - end + len(part)) : max(0, stop - end + len(part))]
         if not whole:
             return
-        if answer.stated.total is None:
+        if answer.head.total is None:
             self._check(number, received)
         if received < size:
-            raise PassingFault(
+            raise TransientError(
                 "connection-broken",
                 f"{self._map.name}: {self._names[number] or 'the manifest'}: the answer ended "
                 f"after {received} bytes, expected {size}",

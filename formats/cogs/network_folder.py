@@ -8,11 +8,11 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Final
 
+from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.open_url import transport_of
-from cogsplat.formats.network.options import NetworkOptions
 from cogsplat.formats.network.range_source import RangeSource
 from cogsplat.formats.network.traffic import Traffic
-from cogsplat.formats.network.urls import shown
+from cogsplat.formats.network.urls import redacted
 from cogsplat.formats.storage.source import Cancel, require_within
 
 from . import layout
@@ -73,7 +73,7 @@ class NetworkFolder(ObjectSource):
         manifest_bytes: int | None = None,
     ) -> None:
         options = options or NetworkOptions()
-        self.name = shown(url)
+        self.name = redacted(url)
         super().__init__(FolderMap(head, self.name))
         if manifest_bytes is not None:
             self._map.check_manifest_size(manifest_bytes)

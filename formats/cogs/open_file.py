@@ -7,8 +7,8 @@ from typing import TypeVar
 from urllib.parse import urlsplit, urlunsplit
 
 from cogsplat.codec.errors import FormatError, StorageError
+from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.open_url import open_url
-from cogsplat.formats.network.options import NetworkOptions
 from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import Readable, Source

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.formats.network.options import NetworkOptions
+from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.storage.atomic import StrPath, check_output
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import Readable

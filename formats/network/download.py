@@ -1,4 +1,4 @@
-"""Fetch a whole file from a network into a local one."""
+"""Download a whole file from a web server or an object store."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Final
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.formats.storage.atomic import atomic_write
 
+from .network_options import MIB, NetworkOptions
 from .open_url import open_url
-from .options import MIB, NetworkOptions
-from .range_reader import BEGINNING_BYTES
+from .range_fetcher import BEGINNING_BYTES
 
 _PART_BYTES: Final = MIB
 
@@ -23,28 +23,31 @@ def download(
     force: bool = False,
     progress: Progress = silent,
 ) -> int:
-    """Fetch a file; `path` is there when all of it is.
+    """Download a file; `path` appears once the file is complete.
 
     Parameters
     ----------
     url : str
-        As `open_url` takes it.
+        Address with one of the schemes of `open_url`.
     path : Path
+        Local file to write.
     options : NetworkOptions, optional
+        Timeouts, retries and limits of requests.
     force : bool
-        Replace an existing file.
+        Whether to replace an existing file.
     progress : Progress
-        Called with ``("fetch", parts that are there, parts of the file)``: 64 KiB, then MiB.
+        Callback, called with ``("fetch", parts received, parts of the file)``. The first part has
+        64 KiB, each further one 1 MiB.
 
     Returns
     -------
     int
-        Bytes of the file.
+        Length of the file, bytes.
 
     Raises
     ------
     StorageError
-        As `open_url`, ``source-changed``, or the file cannot be written.
+        The errors of `open_url`; ``source-changed``; the errors of `atomic_write`.
 
     Examples
     --------
@@ -55,7 +58,7 @@ def download(
     True
     """
     with open_url(url, options) as source, atomic_write(path, force=force) as file:
-        # The first request is under way: what comes after it is asked for beside it, once.
+        # The first part is the range of the source's first request, already in flight.
         starts = [0, *range(BEGINNING_BYTES, source.size, _PART_BYTES)]
         ends = [*starts[1:], source.size]
         ranges = [(start, end - start) for start, end in zip(starts, ends, strict=True)]

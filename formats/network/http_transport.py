@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from cogsplat.codec.errors import MissingExtraError, StorageError
 
-from .answers import Answer, stated_by
-from .faults import PassingFault
-from .options import NetworkOptions
-from .urls import shown
+from .backoff import TransientError
+from .network_options import NetworkOptions
+from .range_responses import RangeResponse, check_response_head
+from .urls import redacted
 
 if TYPE_CHECKING:
     import httpx
@@ -22,20 +22,22 @@ if TYPE_CHECKING:
 _REDIRECTS: Final = frozenset({301, 302, 303, 307, 308})
 _MOST_REDIRECTS: Final = 5
 
-# Bodies are compressed already; what is compressed again has no ranges.
+# Bodies with a Content-Encoding have no byte ranges.
 _PLAIN: Final = {"Accept-Encoding": "identity"}
 _FRESH: Final = {"Cache-Control": "no-cache", "Pragma": "no-cache"}
 
 
 class HttpTransport:
-    """Asks a web server for ranges of one file; see `answers.Transport`.
+    """Transport for a file of a web server; see `Transport`.
 
     Parameters
     ----------
     url : str
+        ``http://`` or ``https://`` address.
     options : NetworkOptions
+        Headers, timeouts and number of connections.
     client : httpx.AsyncClient, optional
-        What requests are made with, in place of one of its own.
+        Client to share with another transport; a new one by default.
 
     Raises
     ------
@@ -47,23 +49,25 @@ class HttpTransport:
         self, url: str, options: NetworkOptions, client: httpx.AsyncClient | None = None
     ) -> None:
         self._httpx = _httpx()
+        # Address without redirects, and the address that redirects led to.
         self._given = url
         self._target = url
         self._options = options
         self._own = client is None
         self._client = client or self._new_client()
-        self._name = shown(url)
+        self._name = redacted(url)
 
-    def beside(self, name: str) -> HttpTransport:
-        """Return a transport of a file that is named relative to this one, over the same client.
+    def sibling(self, name: str) -> HttpTransport:
+        """Return a transport for the file `name`, relative to this file, with the same client.
 
-        The query of the address is kept, which may hold a signature for all files beside it.
+        The address keeps its query, which may hold a signature for every file of the folder.
         """
         given = self._httpx.URL(self._given)
         url = given.join(name).copy_with(query=given.query or None)
         return HttpTransport(str(url), self._options, self._client)
 
     def _new_client(self) -> httpx.AsyncClient:
+        """Return an HTTP/2 client with the timeouts and connections of the options."""
         library, options = self._httpx, self._options
         timeout = library.Timeout(options.idle_seconds, connect=options.connect_seconds, pool=None)
         limits = library.Limits(max_connections=options.in_flight + 2)
@@ -73,37 +77,40 @@ class HttpTransport:
         return made
 
     @asynccontextmanager
-    async def get(self, first: int, end: int, *, fresh: bool = False) -> AsyncIterator[Answer]:
-        """Ask for a range; see `answers.Transport.get`."""
+    async def get(
+        self, first: int, end: int, *, fresh: bool = False
+    ) -> AsyncIterator[RangeResponse]:
+        """Request a range; see `Transport.get`."""
         library = self._httpx
         try:
             response = await self._send(first, end, fresh)
             try:
                 headers = {key.lower(): value for key, value in response.headers.items()}
-                stated = stated_by(response.status_code, headers, first, end, self._name)
-                yield Answer(stated, response.aiter_raw())
+                head = check_response_head(response.status_code, headers, first, end, self._name)
+                yield RangeResponse(head, response.aiter_raw())
             finally:
                 await response.aclose()
         except library.TimeoutException as error:
             seconds = self._options.idle_seconds
             if isinstance(error, library.ConnectTimeout):
                 seconds = self._options.connect_seconds
-            raise PassingFault(
-                "network-timeout", f"{self._name}: nothing came for {seconds:g} s"
+            raise TransientError(
+                "network-timeout", f"{self._name}: no byte for {seconds:g} s, expected a response"
             ) from error
         except library.ConnectError as error:
-            message = f"{self._name}: cannot be reached: {error}"
+            message = f"{self._name}: cannot be reached: {error}, expected a server; check the host"
             if "CERTIFICATE_VERIFY_FAILED" in message:
                 raise StorageError("host-unreachable", message) from error
-            raise PassingFault("host-unreachable", message) from error
+            raise TransientError("host-unreachable", message) from error
         except library.TransportError as error:
-            told = str(error) or type(error).__name__
-            raise PassingFault(
-                "connection-broken", f"{self._name}: the connection broke: {told}"
+            fault = str(error) or type(error).__name__
+            raise TransientError(
+                "connection-broken",
+                f"{self._name}: the connection broke: {fault}, expected a whole response",
             ) from error
 
     async def _send(self, first: int, end: int, fresh: bool) -> httpx.Response:
-        """Make the request, once more where access has expired or a redirect leads nowhere."""
+        """Send a request; repeat it once if a signed URL or the target of a redirect expired."""
         response = await self._follow(first, end, fresh)
         expired = response.status_code in (401, 403)
         if expired and self._options.sign is not None:
@@ -111,14 +118,14 @@ class HttpTransport:
             self._given = self._target = self._options.sign()
             return await self._follow(first, end, fresh)
         if response.status_code in (401, 403, 404, 410) and self._target != self._given:
-            # Where a redirect leads may be for a short time only.
+            # The target of a redirect may be a signed URL that has expired.
             await response.aclose()
             self._target = self._given
             return await self._follow(first, end, fresh)
         return response
 
     async def _follow(self, first: int, end: int, fresh: bool) -> httpx.Response:
-        """Make the request and follow redirects, of which the end is kept for the next request."""
+        """Send a request and follow redirects; later requests go straight to the last target."""
         library = self._httpx
         origin = _origin(library.URL(self._given))
         url = library.URL(self._target)
@@ -130,41 +137,43 @@ class HttpTransport:
             try:
                 response = await self._client.send(request, stream=True)
             except (library.InvalidURL, library.RemoteProtocolError) as error:
-                # httpx reads the place that a redirect names whether or not it follows it.
+                # httpx parses the Location header even though it does not follow redirects here.
                 named = isinstance(error, library.InvalidURL) or "location header" in str(error)
                 if not named:
                     raise
                 raise StorageError(
-                    "redirect-refused", f"{self._name}: redirected to no address: {error}"
+                    "redirect-refused",
+                    f"{self._name}: redirected to a malformed URL: {error}, expected a URL",
                 ) from error
             if response.status_code not in _REDIRECTS or "location" not in response.headers:
                 self._target = str(url)
                 return response
             await response.aclose()
-            url = self._next(url, response.headers["location"])
+            url = self._redirect_target(url, response.headers["location"])
         raise StorageError(
             "redirect-loop", f"{self._name}: more than {_MOST_REDIRECTS} redirects, expected a file"
         )
 
-    def _next(self, url: Any, location: str) -> Any:
-        """Return where a redirect leads."""
+    def _redirect_target(self, url: Any, location: str) -> Any:
+        """Return the target of a redirect; refuse a step from https to http."""
         try:
             target = url.join(location)
         except self._httpx.InvalidURL as error:
             raise StorageError(
-                "redirect-refused", f"{self._name}: redirected to {location!r}: {error}"
+                "redirect-refused",
+                f"{self._name}: redirected to {location!r}: {error}, expected a URL",
             ) from error
         safe = target.scheme == "https" or (target.scheme == "http" and url.scheme == "http")
         if not safe or not target.host:
             raise StorageError(
                 "redirect-refused",
-                f"{self._name}: redirected from {url.scheme} to {shown(str(target))}, "
+                f"{self._name}: redirected from {url.scheme} to {redacted(str(target))}, "
                 "expected https",
             )
         return target
 
     async def close(self) -> None:
-        """Close the connections, where the client is its own."""
+        """Close the connections, unless another transport owns the client."""
         if self._own:
             await self._client.aclose()
 
@@ -175,7 +184,7 @@ def _origin(url: Any) -> tuple[str, str, int | None]:
 
 @cache
 def _certificates() -> ssl.SSLContext:
-    """Return the authorities that are trusted; reading them takes longer than a request."""
+    """Return the trusted certificate authorities; loading takes longer than a request."""
     made: ssl.SSLContext = _httpx().create_ssl_context()
     return made
 
@@ -187,6 +196,7 @@ def _httpx() -> ModuleType:
     except ImportError as error:
         raise MissingExtraError(
             "needs-http",
-            "files are read from web servers with httpx and h2 (pip install 'cogsplat[http]')",
+            "httpx and h2 are not installed, expected both for reading from web servers "
+            "(pip install 'cogsplat[http]')",
         ) from error
     return httpx

@@ -1,4 +1,4 @@
-"""Write files as objects of a store (S3, Google Cloud Storage, Azure) through obstore."""
+"""Upload files to object stores (S3, Google Cloud Storage, Azure) through obstore."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from urllib.parse import urlsplit
 from cogsplat.codec.errors import StorageError
 from cogsplat.formats.storage.atomic import TargetExistsError
 
+from .network_options import NetworkOptions
 from .object_transport import first_line, object_store
-from .options import NetworkOptions
-from .urls import shown
+from .urls import redacted
 
-# Scenes are compressed already; whoever has an older one asks whether there is a new one.
+# no-transform: scenes are compressed already. no-cache: clients revalidate their copy.
 _HEADERS: Final = {
     "Content-Type": "application/octet-stream",
     "Cache-Control": "no-cache, no-transform",
@@ -21,21 +21,22 @@ _HEADERS: Final = {
 
 
 class ObjectOutput:
-    """An object of a store that a file is to become.
+    """Target of an upload to an object store.
 
     Parameters
     ----------
     url : str
         ``s3://bucket/key``, ``gs://bucket/key`` or ``az://container/key``.
     options : NetworkOptions, optional
-        `NetworkOptions.options_of_store` configures the store; the environment does otherwise.
+        Retries, and the store's configuration (`NetworkOptions.options_of_store`), which comes
+        from the environment by default.
 
     Raises
     ------
     MissingExtraError
         ``needs-cloud``: obstore is not installed.
     StorageError
-        ``store-options``: the store cannot be configured so.
+        ``store-options``: obstore refuses the store's configuration.
 
     Examples
     --------
@@ -52,10 +53,10 @@ class ObjectOutput:
         options = options or NetworkOptions()
         self._store: Any = object_store(url, options, retries=options.retries)
         self._key = urlsplit(url).path.lstrip("/")
-        self.name = shown(url)
+        self.name = redacted(url)
 
     def size(self) -> int | None:
-        """Return the bytes of the object that is there; None where there is none.
+        """Return the size of the existing object, bytes; None where there is none.
 
         Raises
         ------
@@ -72,38 +73,39 @@ class ObjectOutput:
             raise self._failed(error) from error
 
     def require_absent(self) -> None:
-        """Refuse an object that is there.
+        """Raise an error if the object exists.
 
         Raises
         ------
         TargetExistsError
             ``exists``. Exit code 2.
         StorageError
-            As `size`.
+            ``permission`` or ``store-failed``.
         """
         if self.size() is not None:
             raise TargetExistsError(self.name)
 
     def write(self, path: Path, *, force: bool = False) -> None:
-        """Send a file; large ones go in several parts, and the object is there with the last.
+        """Upload a file, in several parts if it is large; the object appears with the last part.
 
         Parameters
         ----------
         path : Path
+            Local file.
         force : bool
-            Replace an object that is there.
+            Whether to replace an existing object.
 
         Raises
         ------
         TargetExistsError
             ``exists``. Exit code 2.
         StorageError
-            As `size`.
+            ``permission`` or ``store-failed``.
         """
         import obstore
 
         if not force:
-            # Asked first: stores take no condition for objects that come in parts.
+            # Checked first, because stores support no precondition for multipart uploads.
             self.require_absent()
         try:
             obstore.put(self._store, self._key, path, attributes=dict(_HEADERS))
@@ -111,6 +113,7 @@ class ObjectOutput:
             raise self._failed(error) from error
 
     def _failed(self, error: Exception) -> StorageError:
+        """Return the error for an exception of obstore."""
         import obstore
 
         refused = (
@@ -120,6 +123,8 @@ class ObjectOutput:
         )
         if isinstance(error, refused):
             return StorageError(
-                "permission", f"{self.name}: the store refuses access: {first_line(error)}"
+                "permission",
+                f"{self.name}: the store refuses access: {first_line(error)}; check the "
+                "credentials",
             )
         return StorageError("store-failed", f"{self.name}: {first_line(error)}")

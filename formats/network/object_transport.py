@@ -12,93 +12,104 @@ from urllib.parse import urlsplit
 
 from cogsplat.codec.errors import MissingExtraError, StorageError
 
-from .answers import Answer, Stated
-from .faults import PassingFault
-from .options import NetworkOptions
-from .urls import shown
+from .backoff import TransientError
+from .network_options import NetworkOptions
+from .range_responses import RangeResponse, ResponseHead
+from .urls import redacted
 
-# obstore makes chunks of at least so many bytes of what arrives.
+# Minimum size of the parts in which obstore passes a body on.
 _PART_BYTES: Final = 16384
 
-# Where the environment names the server of a store, as obstore reads it.
+# Environment variables in which obstore looks for the address of the store's server.
 _ENDPOINTS: Final = ("AWS_ENDPOINT", "AWS_ENDPOINT_URL")
 
 
 class ObjectTransport:
-    """Asks an object store for ranges of one object; see `answers.Transport`.
+    """Transport for an object of an object store; see `Transport`.
 
     Parameters
     ----------
     url : str
         ``s3://bucket/key``, ``gs://bucket/key`` or ``az://container/key``.
     options : NetworkOptions
-        `NetworkOptions.options_of_store` configures the store.
+        Timeouts, and the store's configuration (`NetworkOptions.options_of_store`).
     store : obstore store, optional
-        That the address names, in place of a new one.
+        Store of the bucket to share with another transport; a new one by default.
 
     Raises
     ------
     MissingExtraError
         ``needs-cloud``: obstore is not installed.
     StorageError
-        ``store-options``: the store cannot be configured so.
+        ``store-options``: obstore refuses the store's configuration.
     """
 
     def __init__(self, url: str, options: NetworkOptions, store: Any = None) -> None:
         self._obstore = _obstore()
         self._key = urlsplit(url).path.lstrip("/")
         self._url = url
-        self._name = shown(url)
+        self._name = redacted(url)
         self._options = options
-        # Attempts are counted, and paused, in one place: `faults.Backoff`.
+        # obstore does not retry by itself: retries are counted in one place, `Backoff`.
         self._store = object_store(url, options, retries=0) if store is None else store
 
-    def beside(self, name: str) -> ObjectTransport:
-        """Return a transport of an object that is named relative to this one, of the same store."""
+    def sibling(self, name: str) -> ObjectTransport:
+        """Return a transport for the object `name`, relative to this one, in the same store."""
         folder, slash, _ = self._url.rpartition("/")
         return ObjectTransport(f"{folder}{slash}{name}", self._options, self._store)
 
     @asynccontextmanager
-    async def get(self, first: int, end: int, *, fresh: bool = False) -> AsyncIterator[Answer]:
-        """Ask for a range; see `answers.Transport.get`. Stores have no caches to go around."""
+    async def get(
+        self, first: int, end: int, *, fresh: bool = False
+    ) -> AsyncIterator[RangeResponse]:
+        """Request a range; see `Transport.get`. Stores have no caches, so `fresh` has no effect."""
         exceptions = self._obstore.exceptions
         try:
-            asked = self._obstore.get_async(self._store, self._key, options={"range": (first, end)})
-            found = await asyncio.wait_for(asked, self._options.idle_seconds)
+            pending = self._obstore.get_async(
+                self._store, self._key, options={"range": (first, end)}
+            )
+            found = await asyncio.wait_for(pending, self._options.idle_seconds)
             start, stop = found.range
             size = int(found.meta["size"])
             if start != first or not first < stop <= end:
                 raise StorageError(
                     "answer-range",
-                    f"{self._name}: an answer of bytes {start} to {stop - 1}, expected {first} to "
-                    f"{end - 1} or their beginning",
+                    f"{self._name}: a response of bytes {start} to {stop - 1}, expected {first} "
+                    f"to {end - 1} or their beginning",
                 )
             etag = found.meta["e_tag"]
             strong = etag if etag is not None and etag.startswith('"') else None
-            stated = Stated(start, stop, size, strong, is_whole=False)
-            yield Answer(stated, self._parts(found.stream(min_chunk_size=_PART_BYTES)))
+            head = ResponseHead(start, stop, size, strong, is_whole=False)
+            yield RangeResponse(head, self._parts(found.stream(min_chunk_size=_PART_BYTES)))
         except TimeoutError as error:
-            raise PassingFault(
+            raise TransientError(
                 "network-timeout",
-                f"{self._name}: nothing came for {self._options.idle_seconds:g} s",
+                f"{self._name}: no byte for {self._options.idle_seconds:g} s, expected a response",
             ) from error
         except FileNotFoundError as error:
             raise StorageError(
-                "not-found", f"{self._name}: the store has no such object"
+                "not-found",
+                f"{self._name}: the store has no such object, expected it; check the URL",
             ) from error
         except (exceptions.PermissionDeniedError, exceptions.UnauthenticatedError) as error:
             raise StorageError(
-                "permission", f"{self._name}: the store refuses access: {first_line(error)}"
+                "permission",
+                f"{self._name}: the store refuses access: {first_line(error)}; check the "
+                "credentials",
             ) from error
         except exceptions.PreconditionError as error:
             raise StorageError(
-                "source-changed", f"{self._name}: is another object now: {first_line(error)}"
+                "source-changed",
+                f"{self._name}: the object changed while it was read: {first_line(error)}; open "
+                "it again",
             ) from error
         except exceptions.BaseError as error:
-            raise PassingFault("connection-broken", f"{self._name}: {first_line(error)}") from error
+            raise TransientError(
+                "connection-broken", f"{self._name}: {first_line(error)}"
+            ) from error
 
     async def _parts(self, stream: Any) -> AsyncIterator[bytes]:
-        """Give the parts of an answer, none of which may be waited for too long."""
+        """Yield the parts of a body; each must arrive within `idle_seconds`."""
         parts = aiter(stream)
         while True:
             try:
@@ -108,34 +119,35 @@ class ObjectTransport:
             yield bytes(part)
 
     async def close(self) -> None:
-        """Do nothing: the store's connections end with it."""
+        """Do nothing: obstore closes the connections when the store is freed."""
 
 
 def object_store(url: str, options: NetworkOptions, *, retries: int) -> Any:
-    """Return obstore's store of an object's bucket.
+    """Return an obstore client for the bucket of an object.
 
     Parameters
     ----------
     url : str
         ``s3://bucket/key``, ``gs://bucket/key`` or ``az://container/key``.
     options : NetworkOptions
-        Its `options_of_store` configures the store; the environment does otherwise.
+        Connection timeout, and the store's configuration (`options_of_store`), which comes from
+        the environment by default.
     retries : int
-        Times that obstore makes a request again by itself.
+        Number of retries that obstore makes itself.
 
     Raises
     ------
     MissingExtraError
         ``needs-cloud``: obstore is not installed.
     StorageError
-        ``store-options``: the store cannot be configured so.
+        ``store-options``: obstore refuses the store's configuration.
     """
     obstore = _obstore()
     parts = urlsplit(url)
     client = {"connect_timeout": f"{options.connect_seconds:g}s"}
     named = [options.options_of_store.get("endpoint"), *map(os.environ.get, _ENDPOINTS)]
     if next(filter(None, named), "").startswith("http://"):
-        # Whoever names an endpoint without TLS, as one of this machine, means it.
+        # An endpoint without TLS, such as one on localhost, is the user's choice.
         client["allow_http"] = "true"
     try:
         return obstore.store.from_url(
@@ -145,11 +157,14 @@ def object_store(url: str, options: NetworkOptions, *, retries: int) -> Any:
             retry_config={"max_retries": retries},
         )
     except (obstore.exceptions.BaseError, ValueError) as error:
-        raise StorageError("store-options", f"{shown(url)}: {first_line(error)}") from error
+        raise StorageError(
+            "store-options",
+            f"{redacted(url)}: {first_line(error)}, expected options that obstore knows",
+        ) from error
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of a message; obstore prints its insides below."""
+    """Return the first line of an error's message; obstore adds internal details below it."""
     return str(error).strip().partition("\n")[0]
 
 
@@ -161,6 +176,7 @@ def _obstore() -> ModuleType:
     except ImportError as error:
         raise MissingExtraError(
             "needs-cloud",
-            "object stores are read with obstore (pip install 'cogsplat[cloud]')",
+            "obstore is not installed, expected it for object stores "
+            "(pip install 'cogsplat[cloud]')",
         ) from error
     return obstore

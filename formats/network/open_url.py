@@ -1,41 +1,43 @@
-"""Files on a network by their addresses."""
+"""Open files on web servers and object stores by their URLs."""
 
 from __future__ import annotations
 
-from .answers import NeighbouringTransport
 from .http_transport import HttpTransport
+from .network_options import NetworkOptions
 from .object_transport import ObjectTransport
-from .options import NetworkOptions
+from .range_responses import SiblingTransport
 from .range_source import RangeSource
-from .urls import HTTP_SCHEMES, scheme_of, shown
+from .urls import HTTP_SCHEMES, redacted, scheme_of
 
 
 def open_url(
     url: str, options: NetworkOptions | None = None, *, fresh: bool = False
 ) -> RangeSource:
-    """Open a file on a network; its first 64 KiB are asked for.
+    """Open a file on a network and request its first 64 KiB.
 
     Parameters
     ----------
     url : str
-        ``http://``, ``https://``, or of an object store: ``s3://``, ``gs://``, ``az://``.
+        URL of a web server (``http://``, ``https://``) or an object store (``s3://``, ``gs://``,
+        ``az://``).
     options : NetworkOptions, optional
+        Timeouts, retries and request sizes.
     fresh : bool
-        Go around caches.
+        Whether to bypass HTTP caches.
 
     Returns
     -------
     RangeSource
-        A context manager; `RangeSource.close` ends its requests.
+        Source of the file, a context manager. `RangeSource.close` cancels its requests.
 
     Raises
     ------
     StorageError
-        As `RangeSource` says.
+        The errors of `RangeSource`.
     MissingExtraError
         ``needs-http``, ``needs-cloud``: the packages of the extra are not installed.
     ValueError
-        It is no such address.
+        The URL has another scheme.
 
     Examples
     --------
@@ -45,14 +47,14 @@ def open_url(
     True
     """
     options = options or NetworkOptions()
-    return RangeSource(transport_of(url, options), shown(url), options, fresh=fresh)
+    return RangeSource(transport_of(url, options), redacted(url), options, fresh=fresh)
 
 
-def transport_of(url: str, options: NetworkOptions) -> NeighbouringTransport:
-    """Return what asks for ranges of a file by its address; raises as `open_url`."""
+def transport_of(url: str, options: NetworkOptions) -> SiblingTransport:
+    """Return the transport for a URL: HTTP, or an object store. Raises as `open_url`."""
     scheme = scheme_of(url)
     if scheme in HTTP_SCHEMES:
         return HttpTransport(url, options)
     if scheme:
         return ObjectTransport(url, options)
-    raise ValueError(f"{shown(url)!r}, expected the address of a file")
+    raise ValueError(f"{redacted(url)!r}, expected a URL with http, https, s3, gs or az")

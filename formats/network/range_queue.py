@@ -1,4 +1,4 @@
-"""Ranges that are wanted, in the order of the wishes, joined into requests (SPEC 8.8)."""
+"""Queue of byte ranges to fetch, which joins neighbouring ranges into requests (SPEC 8.8)."""
 
 from __future__ import annotations
 
@@ -6,26 +6,26 @@ from collections import deque
 from collections.abc import Iterable
 
 
-class Piece:
-    """A range that is wanted, and what has come of it.
+class PendingRange:
+    """Byte range to fetch, and the bytes of it received so far.
 
     Parameters
     ----------
     first, end : int
-        First byte and the end behind the last one.
+        Range in the file: the first byte, and one past the last.
     is_fresh : bool
-        Whether caches are gone around for it.
+        Whether its request bypasses HTTP caches.
 
     Attributes
     ----------
     received : int
-        Bytes that have come, from the first on.
+        Number of bytes received, from the first on.
     error : BaseException or None
-        Why the rest does not come.
+        Error that ended its request.
     is_started : bool
-        Whether a request for it was made.
+        Whether a request for the range was made.
     is_dropped : bool
-        Whether nobody wants it any more.
+        Whether the range was read, or is no longer needed.
     """
 
     def __init__(self, first: int, end: int, *, is_fresh: bool = False) -> None:
@@ -39,159 +39,159 @@ class Piece:
 
     @property
     def length(self) -> int:
-        """Bytes that are wanted."""
+        """Length of the range, bytes."""
         return self.end - self.first
 
     @property
-    def is_whole(self) -> bool:
-        """Whether all bytes have come."""
+    def is_complete(self) -> bool:
+        """Whether all bytes were received."""
         return self.received == self.length
 
     @property
     def position(self) -> int:
-        """Place in the file of the first byte that has not come."""
+        """File offset of the first byte that is still missing."""
         return self.first + self.received
 
-    def take(self, at: int, part: bytes) -> None:
-        """Keep what falls into the range of bytes that stand at `at`; bytes come in order."""
+    def receive(self, at: int, part: bytes) -> None:
+        """Append the bytes of the range that a part at file offset `at` holds; parts in order."""
         start, stop = self.position, min(self.end, at + len(part))
         if at <= start < stop:
             self._bytes += part[start - at : stop - at]
             self.received = len(self._bytes)
 
     def bytes_at(self, first: int, end: int) -> bytes:
-        """Return bytes that have come, by their place in the file."""
+        """Return received bytes by their file offsets."""
         return bytes(self._bytes[first - self.first : end - self.first])
 
 
 class Request:
-    """One request: a range, and the pieces in it that are wanted.
+    """One range request for several pending ranges, gaps included.
 
     Parameters
     ----------
-    pieces : list of Piece
-        At least one.
+    ranges : list of PendingRange
+        Ranges that the request covers, at least one.
     """
 
-    def __init__(self, pieces: list[Piece]) -> None:
-        self.pieces = sorted(pieces, key=lambda piece: piece.position)
-        self.first = self.pieces[0].position
-        self.end = max(piece.end for piece in pieces)
+    def __init__(self, ranges: list[PendingRange]) -> None:
+        self.ranges = sorted(ranges, key=lambda pending: pending.position)
+        self.first = self.ranges[0].position
+        self.end = max(pending.end for pending in ranges)
         self.position = self.first
 
     @property
     def missing(self) -> int:
-        """Bytes that have not come."""
+        """Number of bytes still to receive."""
         return self.end - self.position
 
     @property
     def is_fresh(self) -> bool:
-        """Whether caches are gone around."""
-        return any(piece.is_fresh for piece in self.pieces)
+        """Whether the request bypasses HTTP caches."""
+        return any(pending.is_fresh for pending in self.ranges)
 
     @property
     def is_dropped(self) -> bool:
-        """Whether nobody wants any of it."""
-        return all(piece.is_dropped for piece in self.pieces)
+        """Whether none of its ranges is needed any more."""
+        return all(pending.is_dropped for pending in self.ranges)
 
-    def take(self, part: bytes) -> None:
-        """Give the pieces their share of the next bytes."""
-        for piece in self.pieces:
-            if piece.position >= self.position + len(part):
+    def receive(self, part: bytes) -> None:
+        """Distribute the next bytes of the response over the ranges."""
+        for pending in self.ranges:
+            if pending.position >= self.position + len(part):
                 break
-            piece.take(self.position, part)
+            pending.receive(self.position, part)
         self.position += len(part)
 
 
 class RangeQueue:
-    """Pieces that were not asked for yet.
+    """Ranges to request, in two first-in-first-out queues: urgent, and prefetched.
 
     Parameters
     ----------
     gap_bytes : int
-        Largest gap between pieces of one request.
+        Largest gap between two ranges of one request, bytes.
     request_bytes : int
-        Most bytes of a request for several pieces.
+        Maximum size of a request that joins several ranges, bytes.
 
     Examples
     --------
-    >>> from cogsplat.formats.network.range_queue import Piece, RangeQueue
+    >>> from cogsplat.formats.network.range_queue import PendingRange, RangeQueue
     >>> queue = RangeQueue(gap_bytes=10, request_bytes=1000)
-    >>> queue.add([Piece(0, 100), Piece(105, 200), Piece(500, 600)])
+    >>> queue.add([PendingRange(0, 100), PendingRange(105, 200), PendingRange(500, 600)])
     >>> request = queue.next_request(1000)
-    >>> request.first, request.end, len(request.pieces)
+    >>> request.first, request.end, len(request.ranges)
     (0, 200, 2)
     """
 
     def __init__(self, gap_bytes: int, request_bytes: int) -> None:
         self._gap_bytes = gap_bytes
         self._request_bytes = request_bytes
-        self._urgent: deque[Piece] = deque()
-        self._waiting: deque[Piece] = deque()
+        self._urgent: deque[PendingRange] = deque()
+        self._prefetched: deque[PendingRange] = deque()
 
-    def add(self, pieces: Iterable[Piece], *, urgent: bool = False) -> None:
-        """Put pieces at the end, or at the end of those that somebody waits for."""
-        (self._urgent if urgent else self._waiting).extend(pieces)
+    def add(self, ranges: Iterable[PendingRange], *, urgent: bool = False) -> None:
+        """Append ranges to the queue of prefetched ranges, or to the urgent one."""
+        (self._urgent if urgent else self._prefetched).extend(ranges)
 
     @property
-    def is_urgent(self) -> bool:
-        """Whether somebody waits for a piece that was not asked for."""
-        _skip(self._urgent)
+    def has_urgent(self) -> bool:
+        """Whether an urgent range has no request yet."""
+        _skip_settled(self._urgent)
         return bool(self._urgent)
 
-    def bytes_before(self, piece: Piece, most: int) -> int:
-        """Return how many wanted bytes are to be asked for before a piece, `most` at most."""
+    def bytes_before(self, pending: PendingRange, most: int) -> int:
+        """Return the number of prefetched bytes queued before a range, capped at `most`."""
         count = 0
-        for other in self._waiting:
-            if other is piece or count >= most:
+        for other in self._prefetched:
+            if other is pending or count >= most:
                 return min(count, most)
             if not (other.is_dropped or other.is_started):
                 count += other.length
         return most
 
-    def clear(self) -> list[Piece]:
-        """Take all pieces out."""
-        pieces = [*self._urgent, *self._waiting]
+    def clear(self) -> list[PendingRange]:
+        """Empty both queues and return their ranges."""
+        ranges = [*self._urgent, *self._prefetched]
         self._urgent.clear()
-        self._waiting.clear()
-        return pieces
+        self._prefetched.clear()
+        return ranges
 
     def next_request(self, most_bytes: int) -> Request | None:
-        """Take the pieces that come next, joined as long as they lie close together.
+        """Remove the next range and its close successors, joined into one request.
 
         Parameters
         ----------
         most_bytes : int
-            Most bytes of a request for several pieces, where that is fewer than usual.
+            Maximum size of a request that joins several ranges, if below `request_bytes`.
 
         Returns
         -------
         Request or None
-            None where nothing is wanted.
+            Next request; None where both queues are empty.
         """
-        waiting = self._urgent if self.is_urgent else self._waiting
-        _skip(waiting)
-        if not waiting:
+        queue = self._urgent if self.has_urgent else self._prefetched
+        _skip_settled(queue)
+        if not queue:
             return None
-        pieces = [waiting.popleft()]
-        first, end = pieces[0].position, pieces[0].end
+        ranges = [queue.popleft()]
+        first, end = ranges[0].position, ranges[0].end
         while True:
-            _skip(waiting)
-            if not waiting:
+            _skip_settled(queue)
+            if not queue:
                 break
-            following = waiting[0]
+            following = queue[0]
             start, stop = min(first, following.position), max(end, following.end)
             gap = max(following.position - end, first - following.end, 0)
             if gap > self._gap_bytes or stop - start > min(most_bytes, self._request_bytes):
                 break
             first, end = start, stop
-            pieces.append(waiting.popleft())
-        for piece in pieces:
-            piece.is_started = True
-        return Request(pieces)
+            ranges.append(queue.popleft())
+        for pending in ranges:
+            pending.is_started = True
+        return Request(ranges)
 
 
-def _skip(pieces: deque[Piece]) -> None:
-    """Remove what nobody wants any more, and what was asked for by now, from the front."""
-    while pieces and (pieces[0].is_dropped or pieces[0].is_started):
-        pieces.popleft()
+def _skip_settled(queue: deque[PendingRange]) -> None:
+    """Remove dropped and already requested ranges from the front of a queue."""
+    while queue and (queue[0].is_dropped or queue[0].is_started):
+        queue.popleft()

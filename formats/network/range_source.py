@@ -1,4 +1,4 @@
-"""A byte source over a network: ranges on demand and ahead of it."""
+"""Byte source of a file on a network, with prefetching."""
 
 from __future__ import annotations
 
@@ -9,31 +9,36 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import Context
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, TypeVarTuple, Unpack
 
 from cogsplat.codec.errors import Cancelled, CogsplatWarning
 from cogsplat.formats.storage.source import Cancel, require_within
 
-from .answers import Transport
-from .options import KIB, NetworkOptions
-from .range_queue import Piece
-from .range_reader import BEGINNING_BYTES, RangeReader
+from .network_options import KIB, NetworkOptions
+from .range_fetcher import BEGINNING_BYTES, RangeFetcher
+from .range_queue import PendingRange
+from .range_responses import Transport
 from .segment_cache import SegmentCache
 from .traffic import Traffic
 
-# Of a file that is fetched whole; small, so that what is read first does not wait for much.
+# Size of the ranges in which `fetch_all` requests a file; small, so that the first arrives soon.
 _PART_BYTES: Final = 256 * KIB
+
+_Arguments = TypeVarTuple("_Arguments")
 
 
 class _EventLoop(asyncio.SelectorEventLoop):
-    """Event loop that drops calls from other threads once it is closed.
+    """Event loop that ignores calls from other threads after its end.
 
-    obstore's threads report the end of a cancelled request too, and may do so after the loop closed.
-    asyncio's own loop raises then, and obstore prints the traceback.
+    obstore's threads report the end of a cancelled request as well, perhaps after the loop is
+    closed. asyncio's own loop raises an error then, and obstore prints its traceback.
     """
 
     def call_soon_threadsafe(
-        self, callback: Callable[..., object], *args: Any, context: Context | None = None
+        self,
+        callback: Callable[[Unpack[_Arguments]], object],
+        *args: *_Arguments,
+        context: Context | None = None,
     ) -> asyncio.Handle:
         """Schedule a call from another thread; on a closed loop, return a cancelled handle."""
         try:
@@ -47,22 +52,23 @@ class _EventLoop(asyncio.SelectorEventLoop):
 
 
 class RangeSource:
-    """A file on a network as a `Source`; safe to read from several threads.
+    """Source of a file on a network; safe to read from several threads.
 
-    Requests are made by a thread of its own, which `close` ends. Opening asks for the first 64 KiB
-    and returns when the length of the file is known.
+    A thread makes the requests until `close`. The constructor requests the first 64 KiB and returns
+    once the length of the file is known.
 
     Parameters
     ----------
     transport : Transport
-        Of the file; closed with the source.
+        Transport of the file; closed with the source.
     name : str
-        Names the file in messages.
-    options : NetworkOptions
+        Name of the file in messages.
+    options : NetworkOptions, optional
+        Timeouts, retries, request sizes and the disk cache.
     fresh : bool
-        Go around caches, because what they gave was damaged.
+        Whether to bypass HTTP caches, because a cached response was damaged.
     beginning_bytes : int
-        What the first request asks for.
+        Size of the first request, bytes.
 
     Raises
     ------
@@ -90,18 +96,18 @@ class RangeSource:
         beginning_bytes: int = BEGINNING_BYTES,
     ) -> None:
         self.name = name
-        self._reader = RangeReader(
+        self._fetcher = RangeFetcher(
             transport,
             name,
             options or NetworkOptions(),
             fresh=fresh,
             beginning_bytes=beginning_bytes,
         )
-        self._moved = self._reader.moved
-        self._pieces: dict[tuple[int, int], Piece] = {}
-        # What lies behind the beginning, in parts, where all of the file was asked for.
-        self._rest: list[Piece] = []
-        self._told = False
+        self._arrival = self._fetcher.arrival
+        self._prefetched: dict[tuple[int, int], PendingRange] = {}
+        # Ranges of `fetch_all`: the whole file behind its first bytes.
+        self._rest: list[PendingRange] = []
+        self._has_warned = False
         options = options or NetworkOptions()
         self._window_bytes = options.window_bytes
         self.cache: SegmentCache | None = None
@@ -116,7 +122,7 @@ class RangeSource:
         except BaseException:
             self.close()
             raise
-        self._tell_of_no_ranges()
+        self._warn_without_ranges()
 
     def __enter__(self) -> RangeSource:
         return self
@@ -126,20 +132,20 @@ class RangeSource:
 
     @property
     def size(self) -> int:
-        """Bytes that the server stated at first."""
+        """Length of the file according to the first response, bytes."""
         return self._size
 
     @property
     def etag(self) -> str | None:
-        """The strong ETag that the server stated at first; None where it states none."""
-        with self._moved:
-            return self._reader.etag
+        """First strong ETag of the server; None if it sends none."""
+        with self._arrival:
+            return self._fetcher.etag
 
     @property
     def traffic(self) -> Traffic:
-        """What was asked for and what came, up to now."""
-        with self._moved:
-            return self._reader.traffic()
+        """Requests and received bytes so far."""
+        with self._arrival:
+            return self._fetcher.traffic()
 
     def read(self, offset: int, length: int) -> bytes:
         """Return exactly `length` bytes from `offset`; see `Source.read`.
@@ -147,56 +153,58 @@ class RangeSource:
         Raises
         ------
         TruncatedError
-            ``file-truncated``: the file ends before.
+            ``file-truncated``: the file ends before the range does.
         StorageError
-            As the constructor, and ``source-changed``: it is another file now.
+            The errors of the constructor; ``source-changed``: the file changed while it was read.
         """
         return self._read(offset, length, again=False)
 
     def fetch_all(self) -> None:
-        """Ask for all of the file at once, before it is known what is where in it.
+        """Request the whole file, before its index is read.
 
-        Requests begin as soon as the length of the file is known, while its first bytes come. All
-        bytes are kept until `close`; a file that is longer than the window of `NetworkOptions` is
-        fetched as it is read, as if this had not been called.
+        All bytes are kept in memory until `close`. No effect on a file that is longer than
+        `NetworkOptions.window_bytes`.
         """
-        first = self._reader.beginning.end
-        with self._moved:
+        first = self._fetcher.beginning.end
+        with self._arrival:
             if self._rest or self._size > self._window_bytes:
                 return
             ends = [*range(first + _PART_BYTES, self._size, _PART_BYTES), self._size]
             starts = [first, *ends[:-1]]
             self._rest = [
-                Piece(start, end) for start, end in zip(starts, ends, strict=True) if start < end
+                PendingRange(start, end)
+                for start, end in zip(starts, ends, strict=True)
+                if start < end
             ]
-            self._reader.want(self._rest)
+            self._fetcher.fetch(self._rest)
 
     def arrived(self, offset: int, length: int) -> bool:
-        """Whether bytes that are fetched ahead are here."""
+        """Whether a prefetched range was received."""
         end = offset + length
-        reader = self._reader
-        with self._moved:
-            if reader.whole is not None:
-                return reader.whole.received >= end
+        fetcher = self._fetcher
+        with self._arrival:
+            if fetcher.whole is not None:
+                return fetcher.whole.received >= end
             if self._rest:
                 parts = self._parts_with(offset, end)
                 return all(min(end, part.end) <= part.position for part in parts)
-            piece = self._pieces.get((offset, end), reader.beginning)
-            return piece.first <= offset and end <= piece.position
+            pending = self._prefetched.get((offset, end), fetcher.beginning)
+            return pending.first <= offset and end <= pending.position
 
     def reread(self, offset: int, length: int) -> bytes:
-        """Return bytes that came damaged, asked for once more; see `read`."""
+        """Request damaged bytes again, around HTTP caches; otherwise as `read`."""
         return self._read(offset, length, again=True)
 
     def _read(self, offset: int, length: int, *, again: bool) -> bytes:
+        """Return a range from buffered, prefetched or newly requested bytes."""
         require_within(self, offset, length)
         end = offset + length
         if not length:
             return b""
-        reader = self._reader
-        with self._moved:
-            beginning = reader.beginning
-            usable = not again and reader.whole is None and beginning.error is None
+        fetcher = self._fetcher
+        with self._arrival:
+            beginning = fetcher.beginning
+            usable = not again and fetcher.whole is None and beginning.error is None
             if usable and end <= beginning.end:
                 data = self._wait_for(beginning, offset, end)
             elif usable and self._rest:
@@ -205,124 +213,127 @@ class RangeSource:
                     for part in self._parts_with(offset, end)
                 )
             else:
-                piece = None if again else self._pieces.pop((offset, end), None)
-                if piece is not None:
-                    reader.hurry(piece)
+                pending = None if again else self._prefetched.pop((offset, end), None)
+                if pending is not None:
+                    fetcher.prioritise(pending)
                 else:
-                    piece = Piece(offset, end, is_fresh=again)
-                    reader.want([piece], urgent=True)
+                    pending = PendingRange(offset, end, is_fresh=again)
+                    fetcher.fetch([pending], urgent=True)
                 try:
-                    data = self._wait_for(piece, offset, end)
+                    data = self._wait_for(pending, offset, end)
                 finally:
-                    reader.release(piece)
-        self._tell_of_no_ranges()
+                    fetcher.release(pending)
+        self._warn_without_ranges()
         return data
 
     @contextmanager
     def prefetch(
         self, ranges: Sequence[tuple[int, int]], *, any_order: bool = False
     ) -> Iterator[Cancel]:
-        """Fetch ranges ahead of reading them, in this order, as long as the block lasts.
+        """Prefetch ranges, in the given order, until the block ends.
 
-        What is read of them is given as soon as it is there; of what is not, the requests end with
-        the block.
+        Each read of a range returns as soon as the range has arrived. The end of the block cancels
+        the requests of ranges that were not read.
 
         Parameters
         ----------
         ranges : sequence of (int, int)
-            Offset and length, as they will be read.
+            Offset and length of each later read, bytes.
         any_order : bool
-            Without effect: of one file, the order of the file takes the fewest requests.
+            No effect: within one file, the given order already takes the fewest requests.
 
         Yields
         ------
         callable
-            Calling it, from any thread, ends all reads of the ranges with `Cancelled`.
+            Cancels the prefetch from any thread: reads of the ranges raise `Cancelled`.
         """
-        beginning = self._reader.beginning
-        with self._moved:
-            own: list[Piece] = []
-            # All of the file is on its way where its rest is.
+        beginning = self._fetcher.beginning
+        with self._arrival:
+            own: list[PendingRange] = []
+            # After `fetch_all`, every range is already requested.
             for offset, length in () if self._rest else ranges:
                 key = offset, offset + length
                 kept = key[1] <= beginning.end
-                if key not in self._pieces and not kept and key[1] <= self._size:
-                    piece = self._pieces[key] = Piece(*key)
-                    if offset < beginning.end and beginning.is_whole:
-                        # The rest of what the first request cut is all that is asked for.
-                        piece.take(0, beginning.bytes_at(0, beginning.end))
-                    own.append(piece)
-            self._reader.want(own)
+                if key not in self._prefetched and not kept and key[1] <= self._size:
+                    pending = self._prefetched[key] = PendingRange(*key)
+                    if offset < beginning.end and beginning.is_complete:
+                        # The first request has the range's first bytes: request only the rest.
+                        pending.receive(0, beginning.bytes_at(0, beginning.end))
+                    own.append(pending)
+            self._fetcher.fetch(own)
 
         def cancel() -> None:
-            with self._moved:
-                for piece in (*own, *self._rest):
-                    piece.error = piece.error or Cancelled()
-                self._moved.notify_all()
+            with self._arrival:
+                for pending in (*own, *self._rest):
+                    pending.error = pending.error or Cancelled()
+                self._arrival.notify_all()
 
         try:
             yield cancel
         finally:
-            with self._moved:
-                for piece in own:
-                    key = piece.first, piece.end
-                    if self._pieces.get(key) is piece:
-                        del self._pieces[key]
-                        self._reader.release(piece)
+            with self._arrival:
+                for pending in own:
+                    key = pending.first, pending.end
+                    if self._prefetched.get(key) is pending:
+                        del self._prefetched[key]
+                        self._fetcher.release(pending)
 
-    def _parts_with(self, first: int, end: int) -> list[Piece]:
-        """Return the beginning and the parts behind it that have bytes of a range."""
-        every = (self._reader.beginning, *self._rest)
+    def _parts_with(self, first: int, end: int) -> list[PendingRange]:
+        """Return the ranges of the first request and of `fetch_all` that overlap a range."""
+        every = (self._fetcher.beginning, *self._rest)
         return [part for part in every if part.first < end and part.end > first]
 
     def close(self) -> None:
-        """End all requests and the thread; reading is over."""
-        self._reader.stop()
+        """Cancel all requests and end the thread; later reads fail."""
+        self._fetcher.stop()
         if threading.current_thread() is not self._thread:
             self._thread.join()
 
     def _run(self) -> None:
+        """Run the event loop of the requests, in the thread of this source."""
         with asyncio.Runner(loop_factory=_EventLoop) as runner:
-            runner.run(self._reader.run())
+            runner.run(self._fetcher.run())
 
     def _wait_for_size(self) -> int:
-        reader = self._reader
-        with self._moved:
-            while reader.size is None:
-                error = reader.error or reader.beginning.error
+        """Wait for the first response and return the length of the file, bytes."""
+        fetcher = self._fetcher
+        with self._arrival:
+            while fetcher.size is None:
+                error = fetcher.error or fetcher.beginning.error
                 if error is not None:
                     raise error
-                self._moved.wait()
-            return reader.size
+                self._arrival.wait()
+            return fetcher.size
 
-    def _wait_for(self, piece: Piece, first: int, end: int) -> bytes:
-        """Return bytes of a piece, or of the whole file, as soon as they are there."""
-        reader = self._reader
+    def _wait_for(self, pending: PendingRange, first: int, end: int) -> bytes:
+        """Wait for bytes of a range, or of a whole-file download, and return the bytes."""
+        fetcher = self._fetcher
         while first < end:
-            whole = reader.whole
+            whole = fetcher.whole
             if whole is not None:
                 whole.wanted = max(whole.wanted, end)
                 if whole.received >= end:
                     return whole.bytes_at(first, end)
-                reader.wake()
-                error = reader.error or whole.error
+                fetcher.wake()
+                error = fetcher.error or whole.error
             else:
-                if piece.first + piece.received >= end:
-                    return piece.bytes_at(first, end)
-                error = piece.error or reader.error
+                if pending.position >= end:
+                    return pending.bytes_at(first, end)
+                error = pending.error or fetcher.error
             if error is not None:
                 raise error
-            self._moved.wait()
+            self._arrival.wait()
         return b""
 
-    def _tell_of_no_ranges(self) -> None:
-        # What the first request brings costs no more without ranges.
+    def _warn_without_ranges(self) -> None:
+        """Warn once that the server ignores ranges and the file is read from its beginning."""
+        # A file within the first request costs no more without ranges.
         large = self._size > BEGINNING_BYTES
-        if self._reader.whole is not None and large and not self._told:
-            self._told = True
+        if self._fetcher.whole is not None and large and not self._has_warned:
+            self._has_warned = True
             warnings.warn(
-                f"{self.name}: the server sends the whole file whatever range it is asked for, as "
-                "python -m http.server does; it is read from the beginning",
+                f"{self.name}: the server ignores range requests and sends the whole file, as "
+                "python -m http.server does; the file is read from the beginning",
                 CogsplatWarning,
                 stacklevel=3,
             )

@@ -1,4 +1,4 @@
-"""Segments kept on disk by the hash of their content, for every scene and version that has them."""
+"""Disk cache of segments by content hash, shared by all scenes and versions."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import Final
 from cogsplat.codec.errors import StorageError
 from cogsplat.formats.storage.atomic import atomic_write
 
-# Where there is more than allowed, the least recently used go, down to this share of it.
+# Eviction ends at this share of the size limit, so that it does not run with every new segment.
 _KEPT_SHARE: Final = 0.8
 
 
 class SegmentCache:
-    """A folder of segments by their hashes; processes may share it.
+    """Disk cache of segments by hash, with least-recently-used eviction; processes may share it.
 
     Parameters
     ----------
     folder : Path
-        Made where it is not there.
+        Folder of the cache; created if it does not exist.
     most_bytes : int
-        What is kept, nearly.
+        Approximate size limit, bytes.
 
     Examples
     --------
@@ -42,44 +42,44 @@ class SegmentCache:
         self._added = 0
 
     def has(self, key: bytes) -> bool:
-        """Whether a segment is kept."""
+        """Whether the segment with the hash `key` is cached."""
         return (self._folder / key.hex()).is_file()
 
     def get(self, key: bytes) -> bytes | None:
-        """Return a segment, None where it is not kept.
+        """Return a segment; None on a cache miss.
 
         Parameters
         ----------
         key : bytes
-            The first bytes of its SHA-256.
+            First bytes of the segment's SHA-256.
         """
         path = self._folder / key.hex()
         try:
             data = path.read_bytes()
             os.utime(path)
         except OSError:
-            # Another process may have removed it; it is fetched then.
+            # A miss, or another process evicted the file.
             return None
-        return data if _is_of(key, data) else None
+        return data if _has_hash(key, data) else None
 
     def put(self, key: bytes, data: bytes) -> None:
-        """Keep a segment, unless its hash is not the key: a file may state what it likes."""
-        if not _is_of(key, data):
+        """Add a segment; skip one whose hash is not `key`, as a hostile file may claim any hash."""
+        if not _has_hash(key, data):
             return
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             with atomic_write(self._folder / key.hex(), force=True) as file:
                 file.write(data)
         except (OSError, StorageError):
-            # A full disk, or a folder that cannot be written: the segment is used all the same.
+            # The disk is full or the folder read-only: the cache is optional.
             return
         self._added += len(data)
         if self._added > self._most_bytes * (1 - _KEPT_SHARE):
             self._added = 0
-            self._shrink()
+            self._evict()
 
-    def _shrink(self) -> None:
-        """Remove the least recently used segments where there is more than allowed."""
+    def _evict(self) -> None:
+        """Remove the least recently used segments if the cache exceeds its size limit."""
         files = [(path, path.stat()) for path in self._folder.iterdir() if path.is_file()]
         size = sum(status.st_size for _, status in files)
         if size <= self._most_bytes:
@@ -91,5 +91,6 @@ class SegmentCache:
                 return
 
 
-def _is_of(key: bytes, data: bytes) -> bool:
+def _has_hash(key: bytes, data: bytes) -> bool:
+    """Whether the SHA-256 of `data` begins with `key`."""
     return hashlib.sha256(data).digest()[: len(key)] == key

@@ -1,4 +1,4 @@
-"""What reading over a network has cost so far."""
+"""Counts of the requests and bytes of a source on a network."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Traffic:
-    """What was asked for and what came, up to now.
+    """Requests and bytes of a source so far.
 
     Parameters
     ----------
     requests : int
-        Requests that were made, those made again counted.
+        Number of requests, retries included.
     received_bytes : int
-        Bytes of bodies that came, those that nobody wanted counted.
+        Bytes of all response bodies, including bytes that were never read.
     failures : int
-        Requests that failed in a way that passes.
+        Number of requests that failed with a transient error.
     busy_seconds : float
-        Time in which at least one request was under way.
+        Time with at least one request in flight, seconds.
     """
 
     requests: int = 0
@@ -28,5 +28,5 @@ class Traffic:
 
     @property
     def bytes_per_second(self) -> float:
-        """Bandwidth, latency included: bytes for a second in which something was under way."""
+        """Throughput, latency included: received bytes per busy second."""
         return self.received_bytes / self.busy_seconds if self.busy_seconds else 0.0

@@ -1,4 +1,4 @@
-"""Which texts are addresses of files on a network, and how they are shown in messages."""
+"""URLs of files on a network: their schemes, and a form without secrets for messages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ STORE_SCHEMES: Final = ("s3", "gs", "az")
 
 
 def scheme_of(text: str) -> str:
-    """Return the scheme of an address that can be read, empty where the text is none.
+    """Return the scheme of a supported URL in lower case, or an empty string.
 
     Examples
     --------
@@ -24,17 +24,17 @@ def scheme_of(text: str) -> str:
 
 
 def is_url(place: object) -> bool:
-    """Whether something is the address of a file on a network."""
+    """Whether `place` is a string with a supported URL scheme."""
     return isinstance(place, str) and bool(scheme_of(place))
 
 
-def shown(url: str) -> str:
-    """Return an address without what may be secret: user, password and query.
+def redacted(url: str) -> str:
+    """Return a URL without user, password and query, which may be secret.
 
     Examples
     --------
-    >>> from cogsplat.formats.network.urls import shown
-    >>> shown("https://me:secret@example.org/a.cogs?X-Amz-Signature=0123")
+    >>> from cogsplat.formats.network.urls import redacted
+    >>> redacted("https://me:secret@example.org/a.cogs?X-Amz-Signature=0123")
     'https://example.org/a.cogs'
     """
     parts = urlsplit(url)

@@ -1,29 +1,29 @@
-"""The bytes of a file whose server knows no ranges: kept as they come, from the first on."""
+"""Buffer for a file from a server without range requests."""
 
 from __future__ import annotations
 
 import tempfile
 from typing import Final
 
-# As much is kept in memory, the rest in a temporary file.
+# Bytes kept in memory; a longer body goes to a temporary file.
 _IN_MEMORY: Final = 16 << 20
 
 
 class WholeBody:
-    """Bytes from the beginning of a file on, in memory and then in a temporary file.
+    """Received prefix of a file, in memory or, beyond 16 MiB, in a temporary file.
 
-    Used under its owner's lock.
+    Not thread-safe: the owner holds a lock.
 
     Attributes
     ----------
     received : int
-        Bytes that have come.
+        Bytes received so far.
     wanted : int
-        Bytes that somebody has asked for; what comes later may wait.
+        Bytes from the beginning that readers have requested; the download may pause behind them.
     error : BaseException or None
-        Why the rest does not come.
+        Error that ended the download.
     is_complete : bool
-        Whether all of the file is there.
+        Whether the whole file was received.
     """
 
     def __init__(self) -> None:
@@ -33,18 +33,18 @@ class WholeBody:
         self.is_complete = False
         self._file = tempfile.SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115 - see `close`
 
-    def take(self, at: int, part: bytes) -> None:
-        """Keep what is new of bytes that stand at `at` in the file."""
+    def receive(self, at: int, part: bytes) -> None:
+        """Append the new bytes of a part that begins at byte `at` of the file."""
         new = part[max(0, self.received - at) :]
         self._file.seek(self.received)
         self._file.write(new)
         self.received += len(new)
 
     def bytes_at(self, first: int, end: int) -> bytes:
-        """Return bytes that have come."""
+        """Return received bytes from `first` up to `end`."""
         self._file.seek(first)
         return self._file.read(end - first)
 
     def close(self) -> None:
-        """Give the memory and the temporary file back."""
+        """Free the memory and delete the temporary file."""
         self._file.close()

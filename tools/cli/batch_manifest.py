@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Final
 
 from cogsplat.codec.errors import DataError, FormatError
+from cogsplat.formats.network.network_options import MIB
 from cogsplat.formats.network.open_url import open_url
-from cogsplat.formats.network.options import MIB
 from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.scenes.registry import is_cogs, scene_files
 from cogsplat.formats.storage.atomic import open_for_read

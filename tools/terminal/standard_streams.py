@@ -20,7 +20,7 @@ import click
 
 from cogsplat.formats.network.download import download
 from cogsplat.formats.network.object_output import ObjectOutput
-from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, scheme_of, shown
+from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, redacted, scheme_of
 
 from .progress import Stages
 
@@ -128,7 +128,7 @@ class OutputPath(click.Path):
         if streams is not None and ctx is not None and is_url(value):
             if scheme_of(str(value)) in HTTP_SCHEMES:
                 self.fail(
-                    f"{shown(str(value))}: web servers take no files, expected the name of a "
+                    f"{redacted(str(value))}: web servers take no files, expected the name of a "
                     "file, or of an object such as s3://bucket/key",
                     param,
                     ctx,
@@ -218,7 +218,7 @@ class StandardStreams:
         name = PurePosixPath(urlsplit(url).path).name or "scene"
         (self._folder / folder).mkdir()
         path = self._folder / folder / name[-_LONGEST_NAME:]
-        self.call(path, shown(url))
+        self.call(path, redacted(url))
         return path
 
     def fetched(self, path: Path) -> Path:

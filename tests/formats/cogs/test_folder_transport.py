@@ -10,8 +10,8 @@ import pytest
 from cogsplat.codec.errors import CogsplatError, FormatError, StorageError, TruncatedError
 from cogsplat.formats.cogs.folder_map import FolderMap, Piece
 from cogsplat.formats.cogs.folder_transport import FolderTransport, address_of
-from cogsplat.formats.network.answers import Answer, Stated
-from cogsplat.formats.network.faults import PassingFault
+from cogsplat.formats.network.backoff import TransientError
+from cogsplat.formats.network.range_responses import RangeResponse, ResponseHead
 from cogsplat.tools.lab.conformance.folders import MANIFEST, unpacked
 
 PAGED = Path(__file__).resolve().parents[2] / "vectors" / "valid" / "pages.cogs"
@@ -27,26 +27,32 @@ class Memory:
         self.asked: list[tuple[str, int, int]] = []
         self.cut = 0
 
-    def beside(self, name: str) -> "Memory":
+    def sibling(self, name: str) -> "Memory":
         made = Memory(self.objects, ranges=self.ranges, name=name)
         made.asked, made.cut = self.asked, self.cut
         return made
 
     @asynccontextmanager
-    async def get(self, first: int, end: int, *, fresh: bool = False) -> AsyncIterator[Answer]:
+    async def get(
+        self, first: int, end: int, *, fresh: bool = False
+    ) -> AsyncIterator[RangeResponse]:
         self.asked.append((self.name, first, end))
         if self.name not in self.objects:
             raise StorageError("not-found", self.name)
         data = self.objects[self.name]
-        stated = Stated(first, end, len(data), None, is_whole=False)
+        stated = ResponseHead(first, end, len(data), None, is_whole=False)
         if not self.ranges:
-            stated, first, end = Stated(0, len(data), len(data), None, is_whole=True), 0, len(data)
+            stated, first, end = (
+                ResponseHead(0, len(data), len(data), None, is_whole=True),
+                0,
+                len(data),
+            )
 
         async def parts() -> AsyncIterator[bytes]:
             for at in range(first, end - self.cut, 64):
                 yield data[at : min(at + 64, end - self.cut)]
 
-        yield Answer(stated, parts())
+        yield RangeResponse(stated, parts())
 
     async def close(self) -> None:
         self.asked.append(("closed", 0, 0))
@@ -65,8 +71,8 @@ def samples() -> dict[str, bytes]:
 def got(transport: FolderTransport, first: int, end: int) -> bytes:
     async def run() -> bytes:
         async with transport.get(first, end) as answer:
-            assert not answer.stated.is_whole
-            assert answer.stated.first == first
+            assert not answer.head.is_whole
+            assert answer.head.first == first
             return b"".join([part async for part in answer.parts])
 
     return asyncio.run(run())
@@ -127,7 +133,7 @@ def test_a_whole_object_that_breaks_off_is_asked_for_again(
     memory.cut = 10
     transport = FolderTransport(memory, folder, b"")
     first = address_of(transport.number_of(OBJECT), 0)
-    with pytest.raises(PassingFault) as fault:
+    with pytest.raises(TransientError) as fault:
         got(transport, first, first + 10)
     assert fault.value.code == "connection-broken"
     memory.cut = 0

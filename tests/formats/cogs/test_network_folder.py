@@ -21,7 +21,7 @@ from cogsplat.formats.cogs.folder_map import FolderMap
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.network_folder import NetworkFolder
 from cogsplat.formats.cogs.open_file import source_of_place
-from cogsplat.formats.network.options import NetworkOptions
+from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.tools.lab.conformance.folders import MANIFEST, unpacked
 
 PAGED = Path(__file__).resolve().parents[2] / "vectors" / "valid" / "pages.cogs"
@@ -34,7 +34,7 @@ def data() -> bytes:
 
 
 def of_folder(objects: dict[str, bytes], answered: Fault = right) -> Fault:
-    """Answer for the objects of a folder by their paths, with 404 for others."""
+    """RangeResponse for the objects of a folder by their paths, with 404 for others."""
 
     async def fault(exchange: Exchange) -> None:
         name = exchange.asked.path.partition("?")[0].removeprefix("/scene/")

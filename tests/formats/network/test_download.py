@@ -7,7 +7,7 @@ from fault_server import FaultServer, broken_after, right, serving, slow, status
 
 from cogsplat.codec.errors import StorageError
 from cogsplat.formats.network.download import download
-from cogsplat.formats.network.options import NetworkOptions
+from cogsplat.formats.network.network_options import NetworkOptions
 
 DATA = np.random.default_rng(4).bytes(3_500_000)
 QUICK = NetworkOptions(pause_seconds=0.01)

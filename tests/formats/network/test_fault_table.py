@@ -21,7 +21,7 @@ from fault_server import (
 import cogsplat
 from cogsplat.codec.errors import Cancelled, CogsplatError, CogsplatWarning
 from cogsplat.formats.cogs.open_file import source_of_place
-from cogsplat.formats.network.options import NetworkOptions
+from cogsplat.formats.network.network_options import NetworkOptions
 
 DOCS = Path(__file__).resolve().parents[3] / "docs/network.md"
 

@@ -11,9 +11,9 @@ from h2.events import RequestReceived
 
 from cogsplat.codec.errors import MissingExtraError, StorageError
 from cogsplat.formats.network import http_transport
-from cogsplat.formats.network.faults import PassingFault
+from cogsplat.formats.network.backoff import TransientError
 from cogsplat.formats.network.http_transport import HttpTransport
-from cogsplat.formats.network.options import NetworkOptions
+from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.range_source import RangeSource
 
 DATA = np.random.default_rng(2).bytes(400_000)
@@ -68,7 +68,7 @@ def test_a_redirect_that_has_expired_is_asked_for_again():
         transport = mocked(handler)
         for _ in range(2):
             async with transport.get(0, 10) as answer:
-                assert answer.stated.total == 0
+                assert answer.head.total == 0
         await transport.close()
 
     asyncio.run(twice())
@@ -98,7 +98,7 @@ def test_faults_that_may_pass(fault, code):
     def handler(request):
         raise fault
 
-    with pytest.raises(PassingFault, match=r"https://a.org/c.cogs: .{10}") as caught:
+    with pytest.raises(TransientError, match=r"https://a.org/c.cogs: .{10}") as caught:
         fetched(mocked(handler))
     assert caught.value.code == code
 

@@ -5,9 +5,9 @@ import pytest
 from s3_server import s3_server
 
 from cogsplat.codec.errors import StorageError
+from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.object_output import ObjectOutput
 from cogsplat.formats.network.object_transport import object_store
-from cogsplat.formats.network.options import NetworkOptions
 from cogsplat.formats.storage.atomic import TargetExistsError
 
 URL = "s3://bucket/scenes/a.cogs"

@@ -9,9 +9,9 @@ from fault_server import FaultServer, broken_after, right, serving, status
 
 import cogsplat
 from cogsplat.codec.errors import MissingExtraError, StorageError
+from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.object_transport import ObjectTransport
 from cogsplat.formats.network.open_url import open_url
-from cogsplat.formats.network.options import NetworkOptions
 from cogsplat.tools.lab.conformance.folders import unpacked
 
 URL = "s3://bucket/scenes/a.cogs"
@@ -74,8 +74,8 @@ def test_refusals_are_told_apart(answer, code):
 # the two is what a busy machine adds by chance: the loop is closed before the report.
 _LATE_REPORTS = """
 import asyncio, sys, threading, time
-from cogsplat.formats.network.opening import open_url
-from cogsplat.formats.network.options import NetworkOptions
+from cogsplat.formats.network.open_url import open_url
+from cogsplat.formats.network.network_options import NetworkOptions
 
 class SlowFuture(asyncio.Future):
     def cancelled(self):

@@ -6,8 +6,8 @@ import pytest
 from fault_server import FaultServer, no_ranges, reset, right, serving, slow, stating, status
 
 from cogsplat.codec.errors import Cancelled, CogsplatWarning, StorageError, TruncatedError
+from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.open_url import open_url
-from cogsplat.formats.network.options import NetworkOptions
 from cogsplat.formats.storage.source import PrefixSource, RemoteSource
 
 DATA = np.random.default_rng(1).bytes(3_000_000)
@@ -184,7 +184,7 @@ def test_waiting_can_be_cancelled():
 def test_another_length_is_another_file(server):
     with open_url(server.url()) as source:
         server.data = DATA[:-1]
-        with pytest.raises(StorageError, match="2999999 bytes now, had 3000000") as caught:
+        with pytest.raises(StorageError, match="2999999 bytes, expected 3000000") as caught:
             source.read(100_000, 10)
     assert caught.value.code == "source-changed"
 

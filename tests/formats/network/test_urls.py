@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from cogsplat.formats.network.urls import is_url, scheme_of, shown
+from cogsplat.formats.network.urls import is_url, redacted, scheme_of
 
 
 @pytest.mark.parametrize("url", ["https://a.b/c.cogs", "HTTP://a", "s3://bucket/key", "gs://b/k"])
@@ -23,4 +23,4 @@ def test_a_path_object_is_no_address():
 
 
 def test_secrets_are_not_shown():
-    assert shown("https://u:p@a.b:8080/c.cogs?sig=1#x") == "https://a.b:8080/c.cogs"
+    assert redacted("https://u:p@a.b:8080/c.cogs?sig=1#x") == "https://a.b:8080/c.cogs"

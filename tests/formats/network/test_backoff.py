@@ -1,8 +1,8 @@
 import pytest
 
 from cogsplat.codec.errors import StorageError
-from cogsplat.formats.network.faults import Backoff, PassingFault, wait_asked_for
-from cogsplat.formats.network.options import NetworkOptions
+from cogsplat.formats.network.backoff import Backoff, TransientError, retry_after_seconds
+from cogsplat.formats.network.network_options import NetworkOptions
 
 NOON = "Sun, 22 Nov 2026 12:00:00 GMT"
 
@@ -22,13 +22,13 @@ NOON = "Sun, 22 Nov 2026 12:00:00 GMT"
     ],
 )
 def test_a_server_asks_for_seconds_or_for_a_date_of_its_clock(header, date, wait):
-    assert wait_asked_for(header, date) == wait
+    assert retry_after_seconds(header, date) == wait
 
 
 @pytest.mark.parametrize("chance", [0.0, 1.0])
 def test_pauses_double_up_to_the_longest_and_half_of_them_is_chance(chance):
     backoff = Backoff(NetworkOptions(retries=8, random=lambda: chance))
-    fault = PassingFault("http-status", "a: status 500")
+    fault = TransientError("http-status", "a: status 500")
     pauses = [backoff.pause_after(fault) for _ in range(8)]
     whole = [0.25, 0.5, 1, 2, 4, 8, 8, 8]
     assert pauses == [pause * (1 + chance) / 2 for pause in whole]
@@ -36,15 +36,15 @@ def test_pauses_double_up_to_the_longest_and_half_of_them_is_chance(chance):
 
 def test_a_wait_that_is_asked_for_comes_on_top():
     backoff = Backoff(NetworkOptions(random=lambda: 1.0))
-    assert backoff.pause_after(PassingFault("http-status", "a", wait_seconds=5)) == 5.25
+    assert backoff.pause_after(TransientError("http-status", "a", wait_seconds=5)) == 5.25
 
 
 def test_attempts_end_and_begin_anew_with_a_new_byte():
     backoff = Backoff(NetworkOptions(retries=2))
-    fault = PassingFault("connection-broken", "a: broke")
+    fault = TransientError("connection-broken", "a: broke")
     for _ in range(5):
         backoff.pause_after(fault)
-        backoff.progressed()
+        backoff.reset()
     backoff.pause_after(fault)
     backoff.pause_after(fault)
     with pytest.raises(StorageError, match="a: broke; 3 attempts without a new byte") as caught:
@@ -55,4 +55,4 @@ def test_attempts_end_and_begin_anew_with_a_new_byte():
 def test_a_wait_that_is_too_long_is_the_end():
     backoff = Backoff(NetworkOptions(longest_wait_seconds=10))
     with pytest.raises(StorageError):
-        backoff.pause_after(PassingFault("http-status", "a", wait_seconds=11))
+        backoff.pause_after(TransientError("http-status", "a", wait_seconds=11))

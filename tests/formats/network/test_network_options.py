@@ -1,6 +1,6 @@
 import pytest
 
-from cogsplat.formats.network.options import NetworkOptions
+from cogsplat.formats.network.network_options import NetworkOptions
 
 
 def test_defaults_are_those_of_the_specification():

@@ -1,4 +1,4 @@
-"""How files are read over a network: requests, waiting, and what to do where they fail."""
+"""Options for reading files over a network: timeouts, retries, request sizes and caching."""
 
 from __future__ import annotations
 
@@ -12,52 +12,50 @@ MIB = 1 << 20
 
 @dataclass(frozen=True)
 class NetworkOptions:
-    """How a file is read over a network.
+    """Timeouts, retries, request sizes and cache for reading files over a network.
 
     Parameters
     ----------
     headers : mapping of str to str
-        Sent with every request to the server that the URL names, such as an authorisation; servers
-        that it redirects to do not get them.
+        HTTP headers sent to the URL's own server, such as ``Authorization``. Servers behind
+        redirects do not get them.
     sign : callable, optional
-        Returns the URL anew, where access to it expires: called once whenever a server answers 401
-        or 403, and the request is made again with what it returns.
+        Function that returns a newly signed URL. Called once per response with status 401 or 403;
+        the request is then repeated with the new URL.
     retries : int
-        Times that a request is made again without a new byte having come.
+        Maximum number of retries of a request without a new byte in between.
     pause_seconds : float
-        Pause before the second attempt; each further pause is twice as long, up to
-        `longest_pause_seconds`. Half of each pause is left to chance, so that many readers do not
-        come back at once.
+        Pause before the first retry, seconds; it doubles with each further one. Half of each pause
+        is random, so that many clients do not retry at once.
     longest_pause_seconds : float
+        Maximum pause before a retry, seconds.
     longest_wait_seconds : float
-        Longest wait that a server may ask for by ``Retry-After``; one that asks for more has
-        failed.
+        Maximum ``Retry-After``, seconds; a request that is to wait longer fails.
     connect_seconds : float
-        Longest wait for a connection.
+        Timeout of a connection, seconds.
     idle_seconds : float
-        Longest time without a byte.
+        Timeout without a new byte, seconds.
     in_flight : int
-        Requests that are under way at once (SPEC 8.8).
+        Maximum number of concurrent requests (SPEC 8.8).
     gap_bytes : int
-        A gap that costs less to fetch than a request of its own (SPEC 8.8).
+        Largest gap between two ranges that one request joins, bytes (SPEC 8.8).
     request_bytes : int
-        Most bytes of a request that joins several ranges (SPEC 8.8).
+        Maximum size of a request that joins several ranges, bytes (SPEC 8.8).
     window_bytes : int
-        Bytes that are fetched ahead of what was read; memory beside the decoded scene.
+        Maximum size of prefetched ranges that are not read yet, bytes of memory.
     options_of_store : mapping of str to str
-        For ``s3://``, ``gs://`` and ``az://``: configuration of obstore's store, such as
-        ``endpoint`` and ``region``. What is not there is taken from the environment.
+        Configuration of obstore for ``s3://``, ``gs://`` and ``az://``, such as ``endpoint`` and
+        ``region``. Missing keys come from the environment.
     cache : path, optional
-        Folder in which segments are kept by their hashes, for the next time and for every other
-        scene that has them. Roots are fetched each time.
+        Folder of a disk cache of segments, by hash, shared by all scenes. Roots are not cached.
     cache_bytes : int
-        What is kept there, nearly.
-    random : callable
-        Gives the share of a pause that is left to chance, 0 to 1.
+        Approximate size limit of the disk cache, bytes.
+    random : callable, optional
+        Source of random numbers from 0 to 1 for pauses; `random.random` by default.
 
     Examples
     --------
-    >>> from cogsplat.formats.network.options import NetworkOptions
+    >>> from cogsplat.formats.network.network_options import NetworkOptions
     >>> NetworkOptions(headers={"Authorization": "Bearer abc"}).retries
     4
     """
