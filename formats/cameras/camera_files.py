@@ -52,7 +52,7 @@ def read_cameras(path: StrPath, *, limits: Limits | None = None) -> list[Camera]
     LimitError
         ``too-many-cameras``, ``json-too-long``.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
     """
     where = os.fspath(path)
     if (Path(path) / MANIFEST_NAME).is_file():

@@ -120,7 +120,7 @@ def read_colmap(folder: Path, *, limits: Limits | None = None) -> list[Camera]:
     LimitError
         ``too-many-cameras``.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
     """
     limits = limits or Limits()
     suffix = _suffix(folder)

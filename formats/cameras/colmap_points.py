@@ -80,7 +80,7 @@ def read_points(path: Path, *, limits: Limits | None = None) -> Points:
     LimitError
         ``too-many-splats``.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
     """
     limits = limits or Limits()
     read = _binary_points if path.suffix == ".bin" else _text_points

@@ -51,7 +51,7 @@ def read_cameras_json(path: StrPath, *, limits: Limits | None = None) -> list[Ca
         ``too-many-cameras``: more than `limits` allow; ``json-too-long``: an entry is longer than
         `MAX_VALUE_BYTES`.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
     """
     where = os.fspath(path)
     limits = limits or Limits()
@@ -182,7 +182,7 @@ def write_cameras_json(cameras: Sequence[Camera], path: StrPath, force: bool = F
     Raises
     ------
     StorageError
-        As `atomic_write`, ``exists`` among them.
+        See `atomic_write`, e.g. ``exists``.
     """
     entries = [
         {

@@ -100,7 +100,7 @@ def read_transforms(
         ``too-many-cameras``: more than `limits` allow; ``json-too-long``: a frame, or all that is
         no frame, is longer than `MAX_VALUE_BYTES`.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
 
     Warns
     -----

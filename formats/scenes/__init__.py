@@ -1,1 +1,1 @@
-"""Scene formats of others."""
+"""Foreign scene formats: PLY, SPZ, SOG, glTF, .splat, .ksplat, checkpoints."""

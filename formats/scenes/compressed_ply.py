@@ -1,9 +1,9 @@
-"""PlayCanvas' compressed PLY: 16 bytes a splat, ranges per 256 splats, SH in bytes.
+"""PlayCanvas' compressed PLY: 16 bytes per splat, value ranges per 256 splats, SH in bytes.
 
-Nobody wrote the format down; this follows what public readers and writers agree on (SuperSplat and
-splat-transform, their pull requests 313 and 169): an element ``chunk`` with the ranges of 256
-splats each, an element ``vertex`` with four 32-bit words a splat, and for higher SH an element
-``sh`` with a byte per coefficient. Axes are those of the PLY it was made from.
+The format has no specification. This module follows public readers and writers (SuperSplat pull
+request 313, splat-transform pull request 169). An element ``chunk`` holds the value ranges of 256
+splats each, ``vertex`` four 32-bit words per splat, and ``sh`` one byte per SH coefficient above
+DC. Axes are those of the source PLY.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from cogsplat.formats.scenes.ply.header import Element, PlyHeader, check_size, i
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 
-from .dropped_values import extra_losses, warn_of_losses
+from .dropped_values import dropped_extras, warn_dropped
 from .quantised_values import (
     BYTE_LOGITS,
     from_smallest_three,
@@ -35,7 +35,7 @@ from .quantised_values import (
 
 F32 = NDArray[np.float32]
 U32 = NDArray[np.uint32]
-# Least and greatest values, each (chunks, 3), of means, log scales and colours.
+# Minimum and maximum per chunk, each (chunks, 3), of means, log scales and colours.
 Ranges = list[tuple[F32, F32]]
 
 CHUNK_SPLATS: Final = 256
@@ -50,12 +50,12 @@ _RANGES: Final = tuple(
     for end in ("min", "max")
     for name in names
 )
-# Files of 2024 have none: their colours are bytes from 0 to 1.
+# Absent in files of 2024, whose colours range from 0 to 1.
 _COLOUR_RANGES: Final = tuple(f"{end}_{c}" for end in ("min", "max") for c in "rgb")
 _WORDS: Final = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 _REST_COUNTS: Final = (9, 24, 45)
 
-# x, y, z of a position or scale: bits 31-21, 20-11, 10-0.
+# Bits of x, y and z in a word of a position or scale: 31-21, 20-11, 10-0.
 _SHIFTS_111011: Final = np.array([21, 11, 0], np.uint32)
 _LEVELS_111011: Final = np.array([2047, 1023, 2047], np.uint32)
 _COLOUR_SHIFTS: Final = np.array([24, 16, 8], np.uint32)
@@ -63,17 +63,18 @@ _QUAT_SHIFTS: Final = np.array([20, 10, 0], np.uint32)
 _QUAT_LEVELS: Final = 1023
 _SQRT2: Final = float(np.sqrt(2.0))
 
-# Log scales beyond this are no sizes; they would cost the other 255 splats their precision.
+# Log scales are clipped to ±20: one outlier would widen the range of its 255 neighbours.
 _MAX_LOG_SCALE: Final = 20.0
 
-# SH coefficients from -4 to 4 in 256 cells, decoded to their centres but at the ends.
+# SH coefficients from -4 to 4 in 256 cells. A byte decodes to its cell's centre, the first and last
+# byte to the ends of the range.
 _SH_RANGE: Final = 8.0
 _SH_VALUES: Final = ((np.arange(256) + 0.5) / 256 * _SH_RANGE - _SH_RANGE / 2).astype(np.float32)
 _SH_VALUES[0], _SH_VALUES[255] = -_SH_RANGE / 2, _SH_RANGE / 2
 
 
 def is_compressed_ply(head: bytes) -> bool:
-    """Tell whether a file that starts with these bytes is a compressed PLY."""
+    """Return whether a file that begins with `head` is a compressed PLY."""
     if not is_ply(head):
         return False
     header, _, _ = head.partition(b"\nend_header")
@@ -86,34 +87,33 @@ def read_compressed_ply(path: StrPath, *, limits: Limits | None = None) -> Splat
     Parameters
     ----------
     path : path
-        With or without colour ranges, SH degree 0 to 3; further elements without lists are
-        skipped.
+        The file, with or without colour ranges, of SH degree 0 to 3. Unknown elements are skipped.
     limits : Limits, optional
-        What the file may cost.
+        Limits on splats and decoded bytes.
 
     Returns
     -------
     Splats
-        In file order; unit quaternions; a byte 255 of opacity is +inf, 0 is -inf. Ranges that are
-        not finite give rows that are not; `Splats.require_valid` refuses them.
+        Splats in file order with unit quaternions. Opacity byte 255 is a logit of +inf, 0 of -inf.
+        Ranges that are not finite give invalid rows, which `Splats.require_valid` rejects.
 
     Raises
     ------
     FormatError
-        ``compressed-ply-`` and ``properties``, ``chunks``, ``sh``; otherwise ``ply-`` codes of the
-        header, as `read_ply`.
+        ``compressed-ply-`` followed by ``properties``, ``chunks``, ``sh``; codes of the header as
+        in `read_ply`.
     TruncatedError
         ``ply-no-end-header``, ``ply-truncated``.
     UnsupportedError
-        ``compressed-ply-layout``: not little-endian, or lists in it.
+        ``compressed-ply-layout``: the file is not little-endian, or has lists.
     LimitError
         ``decoded-size``, ``too-many-splats``.
     StorageError
-        As `open_for_read`; ``file-changed``: it was written to meanwhile.
+        See `open_for_read`; ``file-changed``: another process changed the file.
 
     Notes
     -----
-    Nothing is allocated before the counts fit the file's size.
+    Counts are checked against the file's size before any allocation.
     """
     where = os.fspath(path)
     with storage_errors(path), open_for_read(path) as file:
@@ -130,7 +130,7 @@ def read_compressed_ply(path: StrPath, *, limits: Limits | None = None) -> Splat
             sh_degree=MAX_SH_DEGREE,
             source_bytes=before.st_size,
             where=where,
-            # The tables of the file, which are held while they are unpacked.
+            # The file's tables stay in memory while they are unpacked.
             beside_bytes=before.st_size,
         )
         ranges = _read_ranges(file, header, chunk, where)
@@ -145,6 +145,7 @@ def read_compressed_ply(path: StrPath, *, limits: Limits | None = None) -> Splat
 
 
 def _check_layout(header: PlyHeader, where: str) -> None:
+    """Raise ``compressed-ply-layout`` unless a file is little-endian without lists."""
     lists = [element.name for element in header.elements if element.has_lists]
     if header.format != "binary_little_endian" or lists:
         found = f"lists in {', '.join(lists)}" if lists else header.format
@@ -154,15 +155,17 @@ def _check_layout(header: PlyHeader, where: str) -> None:
 
 
 def _element(header: PlyHeader, name: str, where: str) -> Element:
+    """Return the element of a name, or raise ``compressed-ply-properties``."""
     for element in header.elements:
         if element.name == name:
             return element
     raise FormatError(
-        "compressed-ply-properties", f"{where}: no element '{name}', expected one beside vertex"
+        "compressed-ply-properties", f"{where}: no element '{name}', expected one next to vertex"
     )
 
 
 def _check_counts(vertex: Element, chunk: Element, where: str) -> None:
+    """Raise ``compressed-ply-chunks`` unless there is one chunk per 256 splats."""
     expected = -(-vertex.count // CHUNK_SPLATS)
     if chunk.count != expected:
         raise FormatError(
@@ -180,7 +183,7 @@ def _read_table(
     dtype: str,
     where: str,
 ) -> NDArray[np.void]:
-    """Return the rows of an element that has these properties, all of one type."""
+    """Return the rows of an element, after checking that properties `names` have type `dtype`."""
     types = {prop.name: prop.dtype for prop in element.properties}
     missing = [name for name in names if types.get(name) != dtype]
     if missing:
@@ -208,6 +211,7 @@ def _read_table(
 
 
 def _read_ranges(file: BinaryIO, header: PlyHeader, chunk: Element, where: str) -> Ranges:
+    """Return the value ranges of all chunks; colours range from 0 to 1 if none are stored."""
     names = _RANGES
     if any(prop.name in _COLOUR_RANGES for prop in chunk.properties):
         names = _RANGES + _COLOUR_RANGES
@@ -223,7 +227,7 @@ def _read_ranges(file: BinaryIO, header: PlyHeader, chunk: Element, where: str) 
 
 
 def _read_rest(file: BinaryIO, header: PlyHeader, count: int, where: str) -> NDArray[np.uint8]:
-    """Return the SH bytes, (N, 0, 9, 24 or 45), channel by channel."""
+    """Return the SH bytes, (N, 0, 9, 24 or 45) uint8, all of red, then green, then blue."""
     if all(element.name != "sh" for element in header.elements):
         return np.empty((count, 0), np.uint8)
     element = _element(header, "sh", where)
@@ -243,6 +247,7 @@ def _read_rest(file: BinaryIO, header: PlyHeader, count: int, where: str) -> NDA
 def _unpack(
     ranges: Ranges, words: NDArray[np.void], rest: NDArray[np.uint8], info: SceneInfo
 ) -> Splats:
+    """Return the scene of a file's ranges, packed words and SH bytes."""
     count = len(words)
     per_channel = rest.shape[1] // 3
     means, scales, sh0 = (np.empty((count, 3), np.float32) for _ in range(3))
@@ -250,16 +255,17 @@ def _unpack(
     opacities = np.empty(count, np.float32)
     shN = np.empty((count, per_channel, 3), np.float32)
     rows = _BLOCK_CHUNKS * CHUNK_SPLATS
-    # Ranges of a damaged file may overflow or be NaN; what comes of them is no finite row.
+    # Ranges of a damaged file may be NaN or overflow; they give invalid rows.
     with np.errstate(over="ignore", invalid="ignore"):
         for start in range(0, count, rows):
             block = slice(start, min(start + rows, count))
             chunks = slice(start // CHUNK_SPLATS, start // CHUNK_SPLATS + _BLOCK_CHUNKS)
             word = {name: words[name][block].astype(np.uint32) for name in _WORDS}
-            means[block] = _between(ranges[0], chunks, _shares_111011(word["packed_position"]))
-            scales[block] = _between(ranges[1], chunks, _shares_111011(word["packed_scale"]))
+            means[block] = _interpolate(ranges[0], chunks, _unpack_111011(word["packed_position"]))
+            scales[block] = _interpolate(ranges[1], chunks, _unpack_111011(word["packed_scale"]))
             colour_bytes = word["packed_color"][:, None] >> _COLOUR_SHIFTS & np.uint32(255)
-            colours = _between(ranges[2], chunks, colour_bytes.astype(np.float32) / np.float32(255))
+            fractions = colour_bytes.astype(np.float32) / np.float32(255)
+            colours = _interpolate(ranges[2], chunks, fractions)
             sh0[block] = (colours - np.float32(COLOUR_OFFSET)) / np.float32(C0)
             opacities[block] = BYTE_LOGITS[word["packed_color"] & 255]
             quats[block] = _unpack_quats(word["packed_rotation"])
@@ -268,36 +274,37 @@ def _unpack(
     return Splats(means, scales, quats, opacities, sh0, shN, info)
 
 
-def _shares_111011(words: U32) -> F32:
-    """Return (n, 3) shares of a range, 0 to 1."""
+def _unpack_111011(words: U32) -> F32:
+    """Unpack words of 11, 10 and 11 bits to (n, 3) fractions of a chunk's range, 0 to 1."""
     codes = words[:, None] >> _SHIFTS_111011 & _LEVELS_111011
-    shares: F32 = np.divide(codes, _LEVELS_111011, dtype=np.float32)
-    return shares
+    fractions: F32 = np.divide(codes, _LEVELS_111011, dtype=np.float32)
+    return fractions
 
 
-def _between(ends: tuple[F32, F32], chunks: slice, shares: F32) -> F32:
-    """Return (n, 3) values at shares of the ranges of consecutive chunks."""
-    low, high = (end[chunks].repeat(CHUNK_SPLATS, axis=0)[: len(shares)] for end in ends)
-    # Weighted from both sides, so that 0 and 1 give the ends exactly.
-    values: F32 = low * (np.float32(1) - shares) + high * shares
+def _interpolate(ends: tuple[F32, F32], chunks: slice, fractions: F32) -> F32:
+    """Return the (n, 3) values at fractions, 0 to 1, of the ranges of consecutive chunks."""
+    low, high = (end[chunks].repeat(CHUNK_SPLATS, axis=0)[: len(fractions)] for end in ends)
+    # This form gives the ends exactly at 0 and 1.
+    values: F32 = low * (np.float32(1) - fractions) + high * fractions
     return values
 
 
 def _unpack_quats(words: U32) -> F32:
+    """Unpack words of a 2-bit index and three 10-bit components to wxyz quaternions."""
     codes = words[:, None] >> _QUAT_SHIFTS & np.uint32(_QUAT_LEVELS)
     others = (codes.astype(np.float32) / np.float32(_QUAT_LEVELS) - np.float32(0.5)) * _SQRT2
     return from_smallest_three(words >> np.uint32(30), others.astype(np.float32))
 
 
 def write_compressed_ply(splats: Splats, path: StrPath, *, force: bool = False) -> None:
-    """Write a scene as a compressed PLY, whole or not at all.
+    """Write a scene as a compressed PLY, atomically.
 
     Parameters
     ----------
     splats : Splats
-        Rows come out in Morton order; log scales are clipped to ±20, SH coefficients above DC to
-        ±4, opacities to the nearest of 256 linear ones. What `splats.info` says beside the
-        defaults goes into comments that `read_compressed_ply` reads back.
+        Scene, stored in Morton order. Log scales are clipped to ±20, SH coefficients above DC to
+        ±4; opacities are rounded to 1/255. Values of `splats.info` other than the defaults become
+        comments, which `read_compressed_ply` parses.
     path : path
         The output.
     force : bool
@@ -308,15 +315,15 @@ def write_compressed_ply(splats: Splats, path: StrPath, *, force: bool = False) 
     DataError
         ``invalid-rows``; ``bad-scene-info``.
     StorageError
-        As `atomic_write`, ``exists`` among them.
+        See `atomic_write`, e.g. ``exists``.
 
     Warns
     -----
     CogsplatWarning
-        There are extras.
+        The scene has extras, which are dropped.
     """
     splats.require_valid()
-    warn_of_losses(path, "compressed PLY", extra_losses(splats))
+    warn_dropped(path, "compressed PLY", dropped_extras(splats))
     splats = splats.without_extras()
     count, rest = len(splats), 3 * splats.shN.shape[1]
     order = morton_order(splats.means)
@@ -335,20 +342,20 @@ def write_compressed_ply(splats: Splats, path: StrPath, *, force: bool = False) 
             part.scales.clip(-_MAX_LOG_SCALE, _MAX_LOG_SCALE),
             part.sh0 * np.float32(C0) + np.float32(COLOUR_OFFSET),
         )
-        shares = []
+        fractions = []
         for index, values in enumerate(columns):
             low, high = _chunk_ranges(values)
             lows[first : first + len(low), index] = low
             highs[first : first + len(low), index] = high
-            shares.append(_shares(values, low, high))
-        words[block, 0] = _pack_111011(shares[0])
+            fractions.append(_fractions(values, low, high))
+        words[block, 0] = _pack_111011(fractions[0])
         words[block, 1] = _pack_quats(part.quats)
-        words[block, 2] = _pack_111011(shares[1])
-        colours = np.rint(shares[2] * 255).astype(np.uint32) << _COLOUR_SHIFTS
+        words[block, 2] = _pack_111011(fractions[1])
+        colours = np.rint(fractions[2] * 255).astype(np.uint32) << _COLOUR_SHIFTS
         words[block, 3] = np.bitwise_or.reduce(colours, axis=1) | opacity_bytes(part.opacities)
         cells = (part.shN.transpose(0, 2, 1) / np.float32(_SH_RANGE) + np.float32(0.5)) * 256
         sh[block] = cells.clip(0, 255).astype(np.uint8).reshape(len(part), rest)
-    # Low and high of means, low and high of scales, low and high of colours.
+    # Minimum and maximum of means, then of scales, then of colours.
     ranges = np.stack([lows, highs], axis=2)
     with atomic_write(path, force) as file:
         file.write(_header(splats, chunks))
@@ -357,6 +364,7 @@ def write_compressed_ply(splats: Splats, path: StrPath, *, force: bool = False) 
 
 
 def _header(splats: Splats, chunks: int) -> bytes:
+    """Return the PLY header of a compressed scene."""
     rest = 3 * splats.shN.shape[1]
     lines = [
         "ply",
@@ -374,31 +382,33 @@ def _header(splats: Splats, chunks: int) -> bytes:
 
 
 def _chunk_ranges(values: F32) -> tuple[F32, F32]:
-    """Return the least and the greatest of each 256 rows, each (chunks, 3)."""
+    """Return the minimum and the maximum of every 256 rows, each (chunks, 3)."""
     starts = np.arange(0, len(values), CHUNK_SPLATS)
     low: F32 = np.minimum.reduceat(values, starts, axis=0)
     high: F32 = np.maximum.reduceat(values, starts, axis=0)
     return low, high
 
 
-def _shares(values: F32, low: F32, high: F32) -> NDArray[np.float64]:
-    """Return (n, 3) positions inside the rows' chunk ranges, 0 to 1."""
+def _fractions(values: F32, low: F32, high: F32) -> NDArray[np.float64]:
+    """Return (n, 3) values as fractions, 0 to 1, of the ranges of their chunks."""
     wide_low = low.astype(np.float64)
     extent = high - wide_low
     extent[extent == 0] = 1
     repeated = wide_low.repeat(CHUNK_SPLATS, axis=0)[: len(values)]
-    shares: NDArray[np.float64] = values - repeated
-    shares /= extent.repeat(CHUNK_SPLATS, axis=0)[: len(values)]
-    return shares
+    fractions: NDArray[np.float64] = values - repeated
+    fractions /= extent.repeat(CHUNK_SPLATS, axis=0)[: len(values)]
+    return fractions
 
 
-def _pack_111011(shares: NDArray[np.float64]) -> U32:
-    codes = np.rint(shares * _LEVELS_111011).astype(np.uint32) << _SHIFTS_111011
+def _pack_111011(fractions: NDArray[np.float64]) -> U32:
+    """Pack (n, 3) fractions, 0 to 1, into words of 11, 10 and 11 bits."""
+    codes = np.rint(fractions * _LEVELS_111011).astype(np.uint32) << _SHIFTS_111011
     packed: U32 = np.bitwise_or.reduce(codes, axis=1)
     return packed
 
 
 def _pack_quats(quats: F32) -> U32:
+    """Pack wxyz quaternions into words of a 2-bit index and three 10-bit components."""
     largest, others = to_smallest_three(quats)
     codes = np.rint((others / _SQRT2 + 0.5) * _QUAT_LEVELS).clip(0, _QUAT_LEVELS)
     packed: U32 = np.bitwise_or.reduce(codes.astype(np.uint32) << _QUAT_SHIFTS, axis=1)

@@ -1,4 +1,4 @@
-"""Values of a scene that a format cannot store, and one warning per file that names them."""
+"""Scene values that a foreign format cannot store, and the warning about a write that drops any."""
 
 from __future__ import annotations
 
@@ -11,48 +11,69 @@ from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.splats import SceneInfo, Splats
 from cogsplat.formats.storage.atomic import StrPath
 
-_MOST_NAMED: Final = 6
+_MAX_LISTED: Final = 6
 
 
-def info_losses(info: SceneInfo, *, antialiased: bool = False) -> list[str]:
-    """Return the values of `SceneInfo` that a format without fields for them loses, in words.
+def dropped_info(info: SceneInfo, *, antialiased: bool = False) -> list[str]:
+    """List the values of `SceneInfo` that a format without metadata fields drops.
 
     Parameters
     ----------
     info : SceneInfo
-        Of the scene to be written. Axes are the writer's own business.
+        Metadata of the scene to write. Axes are ignored: each writer converts them.
     antialiased : bool
-        Whether the format can say that a scene is anti-aliased.
+        Whether the format has a flag for anti-aliased scenes.
+
+    Returns
+    -------
+    list of str
+        One phrase for each dropped value, for `warn_dropped`.
     """
     default = SceneInfo()
-    losses = []
+    dropped = []
     if info.origin != default.origin:
-        losses.append(f"the origin {info.origin}")
+        dropped.append(f"the origin {info.origin}")
     if info.colour_space != default.colour_space:
-        losses.append(f"the colour space {info.colour_space}")
+        dropped.append(f"the colour space {info.colour_space}")
     if info.kernel_px != default.kernel_px:
-        losses.append(f"the kernel of {info.kernel_px:g} px²")
+        dropped.append(f"the kernel of {info.kernel_px:g} px²")
     if info.antialiased and not antialiased:
-        losses.append("the anti-aliasing flag")
-    return losses
+        dropped.append("the anti-aliasing flag")
+    return dropped
 
 
-def extra_losses(splats: Splats) -> list[str]:
-    """Return the extra attributes that a format without them loses, in words."""
+def dropped_extras(splats: Splats) -> list[str]:
+    """List the extra attributes that a format without extras drops.
+
+    Returns
+    -------
+    list of str
+        One phrase with the first attributes' names, for `warn_dropped`; empty without extras.
+    """
     names = list(splats.extras)
     if not names:
         return []
-    listed = ", ".join(names[:_MOST_NAMED])
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    listed = ", ".join(names[:_MAX_LISTED])
+    more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
     return [f"the attributes {listed}{more}"]
 
 
-def warn_of_losses(path: StrPath, name: str, losses: Sequence[str]) -> None:
-    """Warn that `name` cannot hold `losses`, in one line; silent where there are none."""
-    if losses:
-        # The caller's caller is who asked for the file.
+def warn_dropped(path: StrPath, format_name: str, dropped: Sequence[str]) -> None:
+    """Warn once that a format cannot hold some values; do nothing if `dropped` is empty.
+
+    Parameters
+    ----------
+    path : path
+        The written file, named in the warning.
+    format_name : str
+        Name of the format in the warning.
+    dropped : sequence of str
+        Phrases for the dropped values.
+    """
+    if dropped:
+        # Level 3 attributes the warning to the caller of the format's write function.
         warnings.warn(
-            f"{os.fspath(path)}: {name} cannot hold {', '.join(losses)}",
+            f"{os.fspath(path)}: {format_name} cannot hold {', '.join(dropped)}",
             CogsplatWarning,
             stacklevel=3,
         )

@@ -1,9 +1,10 @@
-""".ksplat scenes, levels 0 to 2, as GaussianSplats3D 0.4 writes them; read only.
+"""Reader of .ksplat scenes, compression levels 0 to 2, the format of GaussianSplats3D 0.4.
 
-A header of 4096 bytes, one of 1024 per section, then the sections: sizes of partly filled buckets,
-bucket centres, records. Level 0 has float32; level 1 has half floats and positions as 16-bit
-offsets from the centre of the splat's bucket; level 2 in addition has SH as bytes between a minimum
-and a maximum. Facts from the public behaviour of github.com/mkkellogg/GaussianSplats3D.
+A file has a header of 4096 bytes, one header of 1024 bytes per section, then the sections: sizes of
+partly filled buckets, bucket centres, records. Level 0 stores float32. Level 1 stores half floats,
+and positions as 16-bit offsets from the centre of the splat's bucket. Level 2 also stores SH as
+bytes between a minimum and a maximum. Source: the public behaviour of
+github.com/mkkellogg/GaussianSplats3D.
 """
 
 from __future__ import annotations
@@ -33,18 +34,18 @@ SECTION_HEADER_BYTES: Final = 1024
 
 VERSION: Final = (0, 1)
 
-# Version, sections allowed for and in use, splats allowed for and in use, level, scene centre (the
-# viewer's business, not added to positions), least and greatest SH coefficient of level 2.
+# Version, section capacity and count, splat capacity and count, level, scene centre (for viewers;
+# not added to positions), minimum and maximum SH coefficient of level 2.
 _HEADER: Final = struct.Struct("<BB2xIIIIH2x3f2f")
 
-# Splats in use and allowed for, splats in a full bucket, buckets, side of a bucket's block, bytes
-# of a bucket's centre, half the range of positions, bytes of the section (not relied on), full and
-# partly filled buckets, SH degree.
+# Splat count and capacity, splats in a full bucket, buckets, side of a bucket's block, bytes of a
+# bucket's centre, half the range of positions, bytes of the section (ignored), full and partly
+# filled buckets, SH degree.
 _SECTION: Final = struct.Struct("<IIIIfH2xIIIIH")
 
 _CENTRE_BYTES: Final = 12
 
-# What zero stands for in fields that older writers left empty.
+# Values of fields that older writers left zero.
 _DEFAULT_SH_RANGE: Final = 1.5
 _DEFAULT_POSITION_RANGE: Final = 32767
 
@@ -52,12 +53,15 @@ _MAX_SH_DEGREE: Final = 2
 
 _BLOCK_ROWS: Final = 1 << 14
 
-# Half the smallest positive value, float32 and half: what a scale of zero stands for.
-_FLAT: Final = (np.float32(np.log(2.0**-150)), np.float32(np.log(2.0**-25)))
+# Log scales that replace a scale of zero, for float32 and half: the logarithm of half the smallest
+# positive value.
+_ZERO_LOG_SCALES: Final = (np.float32(np.log(2.0**-150)), np.float32(np.log(2.0**-25)))
 
 
 @dataclass(frozen=True)
 class _Header:
+    """The fields of a file's header that reading needs."""
+
     level: int
     num_sections: int
     count: int
@@ -67,7 +71,7 @@ class _Header:
 
 @dataclass(frozen=True)
 class _Section:
-    """One section's header, and where its parts lie in the file."""
+    """Header of one section, and the offsets of its parts in the file."""
 
     count: int
     bucket_rows: int
@@ -88,20 +92,21 @@ def read_ksplat(path: StrPath, *, limits: Limits | None = None) -> Splats:
     Parameters
     ----------
     path : path
-        Version 0.1 and later minor ones, level 0 to 2, SH degree 0 to 2.
+        File of version 0.1 or a later minor version, level 0 to 2, SH degree 0 to 2.
     limits : Limits, optional
-        What the file may cost.
+        Limits on splats and decoded bytes.
 
     Returns
     -------
     Splats
-        In RDF, sections one after another, at the highest SH degree of any section; the others'
-        coefficients are zeros. Opacity 255 is a logit of inf, 0 of -inf. Rows with NaN are kept.
+        All sections in file order, in RDF axes, at the highest SH degree of any section; missing
+        coefficients are zeros. Opacity byte 255 is a logit of +inf, 0 of -inf. Rows with NaN are
+        kept.
 
     Raises
     ------
     FormatError
-        ``ksplat-`` and ``level``, ``count``, ``bad-sh``, ``buckets``, ``trailing-bytes``.
+        ``ksplat-`` followed by ``level``, ``count``, ``bad-sh``, ``buckets``, ``trailing-bytes``.
     TruncatedError
         ``ksplat-truncated``.
     UnsupportedError
@@ -109,11 +114,11 @@ def read_ksplat(path: StrPath, *, limits: Limits | None = None) -> Splats:
     LimitError
         ``decoded-size``, ``too-many-splats``.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
 
     Notes
     -----
-    Nothing is allocated before every section was found to lie inside the file.
+    Every section is checked to lie inside the file before any allocation.
     """
     where = os.fspath(path)
     with storage_errors(path), open_for_read(path) as file:
@@ -126,7 +131,7 @@ def read_ksplat(path: StrPath, *, limits: Limits | None = None) -> Splats:
         sh_degree=degree,
         source_bytes=len(data),
         where=where,
-        # The bucket of each splat of a section.
+        # Bucket index of each splat, int64.
         beside_bytes=8 * header.count,
     )
     splats = empty(degree, header.count)
@@ -139,6 +144,7 @@ def read_ksplat(path: StrPath, *, limits: Limits | None = None) -> Splats:
 
 
 def _read_header(data: bytes, where: str) -> _Header:
+    """Parse and check a file's header."""
     if len(data) < HEADER_BYTES:
         raise TruncatedError(
             "ksplat-truncated",
@@ -158,6 +164,7 @@ def _read_header(data: bytes, where: str) -> _Header:
 
 
 def _read_sections(data: bytes, header: _Header, where: str) -> list[_Section]:
+    """Parse the section headers, and check that the sections fill the file exactly."""
     offset = HEADER_BYTES + header.num_sections * SECTION_HEADER_BYTES
     if offset > len(data):
         raise TruncatedError(
@@ -169,25 +176,25 @@ def _read_sections(data: bytes, header: _Header, where: str) -> list[_Section]:
     sections = []
     for k in range(header.num_sections):
         fields = _SECTION.unpack_from(data, HEADER_BYTES + k * SECTION_HEADER_BYTES)
-        count, room, bucket_rows, num_buckets, block_size, centre_bytes, *more = fields
-        position_range, _, full, partial, degree = more
+        count, capacity, bucket_rows, num_buckets, block_size, centre_bytes, *rest = fields
+        position_range, _, full, partial, degree = rest
         if degree > _MAX_SH_DEGREE:
             raise FormatError(
                 "ksplat-bad-sh",
                 f"{where}: section {k} of SH degree {degree}, expected 0 to {_MAX_SH_DEGREE}",
             )
-        if count > room:
+        if count > capacity:
             raise FormatError(
                 "ksplat-count",
-                f"{where}: section {k} of {count} splats, expected at most {room}, which it has "
-                "room for",
+                f"{where}: section {k} of {count} splats, expected at most {capacity}, its "
+                "capacity",
             )
         if header.level and (centre_bytes != _CENTRE_BYTES or full + partial > num_buckets):
             raise FormatError(
                 "ksplat-buckets",
-                f"{where}: section {k} has {full} full and {partial} other buckets out of "
-                f"{num_buckets} with centres of {centre_bytes} bytes, expected no more than there "
-                f"are, with {_CENTRE_BYTES}",
+                f"{where}: section {k} has {full} full and {partial} partly filled buckets with "
+                f"centres of {centre_bytes} bytes, expected at most {num_buckets} buckets with "
+                f"centres of {_CENTRE_BYTES} bytes",
             )
         centres = offset + 4 * partial
         records = centres + centre_bytes * num_buckets
@@ -206,12 +213,12 @@ def _read_sections(data: bytes, header: _Header, where: str) -> list[_Section]:
                 records_offset=records,
             )
         )
-        offset = records + room * _record(header.level, degree).itemsize
+        offset = records + capacity * _record(header.level, degree).itemsize
         if offset > len(data):
             raise TruncatedError(
                 "ksplat-truncated",
-                f"{where}: {len(data)} bytes, expected section {k} with {room} splats up to byte "
-                f"{offset}",
+                f"{where}: {len(data)} bytes, expected section {k} with {capacity} splats up to "
+                f"byte {offset}",
                 needed=offset,
             )
     if offset != len(data):
@@ -229,6 +236,7 @@ def _read_sections(data: bytes, header: _Header, where: str) -> list[_Section]:
 
 
 def _record(level: int, degree: int) -> np.dtype[np.void]:
+    """Return the numpy type of a splat's record."""
     number = "<f2" if level else "<f4"
     return np.dtype(
         [
@@ -242,7 +250,7 @@ def _record(level: int, degree: int) -> np.dtype[np.void]:
 
 
 def _read_section(data: bytes, header: _Header, section: _Section, out: Splats, where: str) -> None:
-    """Fill the rows of a section, which `out` views."""
+    """Decode a section into `out`, a view of the scene's rows."""
     records = np.frombuffer(
         data, _record(header.level, section.sh_degree), section.count, section.records_offset
     )
@@ -254,7 +262,7 @@ def _read_section(data: bytes, header: _Header, section: _Section, out: Splats, 
     for start in range(0, section.count, _BLOCK_ROWS):
         rows = slice(start, start + _BLOCK_ROWS)
         block = records[rows]
-        # NaN of any kind passes through.
+        # Rows with NaN are kept, without warnings.
         with np.errstate(over="ignore", invalid="ignore"):
             if buckets is None:
                 out.means[rows] = block["means"]
@@ -263,12 +271,12 @@ def _read_section(data: bytes, header: _Header, section: _Section, out: Splats, 
                 offsets = block["means"].astype(np.float32) - np.float32(section.position_range)
                 out.means[rows] = offsets * step + centres[bucket_of[rows]]
             linear = block["scales"].astype(np.float32)
-            out.scales[rows] = log_scales(linear, _FLAT[1 if header.level else 0])
+            out.scales[rows] = log_scales(linear, _ZERO_LOG_SCALES[1 if header.level else 0])
             out.quats[rows] = block["quats"]
             values = sh_bytes[block["sh"]] if header.level == 2 else block["sh"].astype(np.float32)
         out.sh0[rows] = COLOUR_BYTES[block["rgba"][:, :3]]
         out.opacities[rows] = BYTE_LOGITS[block["rgba"][:, 3]]
-        # Band by band, and in a band all of red first.
+        # SH is stored band by band, and within a band channel by channel, red first.
         at = 0
         for band in range(1, section.sh_degree + 1):
             width = 2 * band + 1
@@ -278,11 +286,11 @@ def _read_section(data: bytes, header: _Header, section: _Section, out: Splats, 
 
 
 def _bucket_rows(data: bytes, section: _Section, where: str) -> tuple[F32, NDArray[np.intp]]:
-    """Return the centres of the buckets, (buckets, 3), and the bucket of each splat."""
+    """Return the (buckets, 3) centres of a section's buckets, and each splat's bucket index."""
     centres = np.frombuffer(data, "<f4", 3 * section.num_buckets, section.centres_offset)
     sizes = np.frombuffer(data, "<u4", section.partial_buckets, section.offset)
     in_full = section.full_buckets * section.bucket_rows
-    # Splats lie bucket by bucket: first the full ones, then the others.
+    # Splats are stored bucket by bucket, full buckets first.
     ends = in_full + np.cumsum(sizes, dtype=np.uint64)
     in_buckets = int(ends[-1]) if len(ends) else in_full
     if in_buckets < section.count:

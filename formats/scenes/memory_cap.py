@@ -1,4 +1,4 @@
-"""The workspace of an encode under a memory cap: in memory, or in files beside the output."""
+"""Workspace of an encode under a memory cap: arrays in memory, or in mapped scratch files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cogsplat.codec.workspace import IN_MEMORY, Workspace
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.sources import cogs_source
 from cogsplat.formats.scenes.ply.header import is_ply
-from cogsplat.formats.scenes.ply.ply_scene import ply_rows
+from cogsplat.formats.scenes.ply.ply_scene import ply_size
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
 from cogsplat.formats.storage.scratch_files import ScratchFiles
 
@@ -23,14 +23,14 @@ from .registry import is_cogs
 
 
 @dataclass(frozen=True)
-class _Rows:
-    """What of a scene decides on memory: rows, SH degree, and bytes of a row's extras."""
+class _SceneSize:
+    """Size of a scene: splats, SH degree, and bytes of one splat's extras."""
 
     splats: int
     sh_degree: int
     extra_bytes: int
-    # Whether the scene is in memory whatever is mapped.
-    is_held: bool
+    # Whether the scene stays in memory even if the workspace is mapped.
+    in_memory: bool
 
 
 @contextmanager
@@ -42,46 +42,49 @@ def working_memory(
     *,
     copied: bool = False,
 ) -> Iterator[Workspace]:
-    """Give the workspace that keeps an encode below a cap.
+    """Choose the workspace of an encode under a memory cap, as a context manager.
 
     Parameters
     ----------
     scene : Splats or path
-        What will be encoded. A PLY that is read with `Workspace.zeros` is mapped; other scenes are
-        in memory.
+        Scene to encode. A PLY is mapped if it is read with `Workspace.zeros`; other scenes stay in
+        memory.
     config : EncodeConfig
+        Configuration of the encode, which determines its memory need.
     cap : int or None
-        Most resident memory of the process, bytes; None for no cap.
+        Limit on the process's resident memory, bytes; None for no limit.
     folder : Path
-        Where mapped files are made: the output's folder. They take up to 0.9 kB a splat of SH
+        Folder of the scratch files: the output's folder. They take up to 0.9 kB per splat of SH
         degree 3.
     copied : bool
-        Whether the scene is edited after reading, which makes a copy in memory.
+        Whether the scene is edited after reading, which adds a copy in memory.
 
     Yields
     ------
     Workspace
+        Arrays in memory if the encode fits the cap, otherwise in scratch files that are deleted on
+        exit.
 
     Raises
     ------
     LimitError
-        ``memory-cap``: the cap is too small; the message says what is needed.
+        ``memory-cap``: the cap is too small; the message states the memory needed.
     UnsupportedError
-        ``memory-cap-format``: a scene of which only reading it tells how large it is.
+        ``memory-cap-format``: the format's header does not state the number of splats.
     CogsplatError
         The scene's header cannot be read.
     """
     if cap is None:
         yield IN_MEMORY
         return
-    rows = _rows_of(scene)
-    row_bytes = memory_need(1, rows.sh_degree, config, extra_bytes=rows.extra_bytes).scene
+    size = _scene_size(scene)
+    row_bytes = memory_need(1, size.sh_degree, config, extra_bytes=size.extra_bytes).scene
     need = memory_need(
-        rows.splats,
-        rows.sh_degree,
+        size.splats,
+        size.sh_degree,
         config,
-        extra_bytes=rows.extra_bytes,
-        held_bytes=rows.splats * row_bytes if rows.is_held or copied else 0,
+        extra_bytes=size.extra_bytes,
+        held_bytes=size.splats * row_bytes if size.in_memory or copied else 0,
     )
     resident = need.resident_bytes(cap)
     if resident is None:
@@ -91,21 +94,22 @@ def working_memory(
         yield Workspace(files.zeros, views_at_once=False, settle=files.settle)
 
 
-def _rows_of(scene: Splats | StrPath) -> _Rows:
+def _scene_size(scene: Splats | StrPath) -> _SceneSize:
+    """Return the size of a scene, from its arrays or from the header of its file."""
     if isinstance(scene, Splats):
-        extras = sum(values.nbytes for values in scene.extras.values()) // max(len(scene), 1)
-        return _Rows(len(scene), scene.sh_degree, extras, is_held=True)
+        extra_bytes = sum(values.nbytes for values in scene.extras.values()) // max(len(scene), 1)
+        return _SceneSize(len(scene), scene.sh_degree, extra_bytes, in_memory=True)
     if is_cogs(scene):
         with open_cogs(cogs_source(scene)) as file:
-            kinds = sum(kind.row_bytes for kind in file.root.attributes)
-            return _Rows(file.root.splats, file.root.sh_degree, kinds, is_held=True)
+            extra_bytes = sum(attribute.row_bytes for attribute in file.root.attributes)
+            return _SceneSize(file.root.splats, file.root.sh_degree, extra_bytes, in_memory=True)
     with storage_errors(scene), open_for_read(scene) as file:
         head = file.read(16)
     if not is_ply(head):
         raise UnsupportedError(
             "memory-cap-format",
-            f"{scene}: a memory cap for this format, expected a PLY or COGS file, which say how "
-            "many splats they hold",
+            f"{scene}: a memory cap for this format, expected a PLY or COGS file, whose header "
+            "states the number of splats",
         )
-    rows = ply_rows(scene)
-    return _Rows(rows.splats, rows.sh_degree, rows.extra_bytes, is_held=False)
+    ply = ply_size(scene)
+    return _SceneSize(ply.splats, ply.sh_degree, ply.extra_bytes, in_memory=False)

@@ -127,7 +127,7 @@ def is_cogs(path: StrPath) -> bool:
     Raises
     ------
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
     """
     if (Path(path) / MANIFEST_NAME).is_file():
         return True
@@ -158,10 +158,10 @@ def read_scene(
     LimitError
         The scene exceeds `limits`.
     FormatError
-        ``unknown-format``: neither the first bytes nor the extension are known; ``cogs-file``: the
-        file is a COGS container. Otherwise as the format's reader.
+        ``unknown-format``: the first bytes and the extension are unknown; ``cogs-file``: the file
+        is a COGS container. Other codes come from the format's reader.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
     """
     format_ = format_of(path)
     if format_.reads_into_arrays:
@@ -177,7 +177,7 @@ def scene_bytes(path: StrPath) -> int:
     Raises
     ------
     CogsplatError
-        As `read_scene`.
+        See `read_scene`.
     """
     total = 0
     for part in scene_files(path):
@@ -192,7 +192,7 @@ def scene_files(path: StrPath) -> list[Path]:
     Raises
     ------
     CogsplatError
-        As `read_scene`.
+        See `read_scene`.
     """
     files = format_of(path).files
     return files(path) if files else [Path(path)]
@@ -206,7 +206,7 @@ def format_of(path: StrPath) -> Format:
     FormatError
         ``unknown-format``, ``cogs-file``.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
     """
     head = _head(path)
     if head.startswith((COGS_MAGIC, MANIFEST_MAGIC)):
@@ -257,9 +257,9 @@ def write_scene(
     ValueError
         The format has no such option, e.g. `absolute` with SPZ.
     FormatError, UnsupportedError
-        As `format_to_write`.
+        See `format_to_write`.
     StorageError
-        As `atomic_write`, e.g. ``exists``.
+        See `atomic_write`, e.g. ``exists``.
     """
     format_ = format_to_write(path, format_name)
     write = format_.write

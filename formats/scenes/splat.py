@@ -1,7 +1,7 @@
-""".splat scenes: records of 32 bytes without a header, as antimatter15/splat defined them.
+""".splat scenes: records of 32 bytes without a header, the format of antimatter15/splat.
 
-A record is position (3 float32), standard deviations (3 float32, linear), colour and opacity
-(4 uint8, activated) and a quaternion (4 uint8, wxyz, 128 for zero). There is no SH above degree 0.
+A record holds the position (3 float32), standard deviations (3 float32, linear), colour and opacity
+(4 uint8, activated) and a quaternion (4 uint8, wxyz, 128 for zero). SH is of degree 0.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.magic import describe
 
-from .dropped_values import extra_losses, info_losses, warn_of_losses
+from .dropped_values import dropped_extras, dropped_info, warn_dropped
 from .quantised_values import BYTE_LOGITS, opacity_bytes, unit_opacities
 
 F32 = NDArray[np.float32]
@@ -31,36 +31,36 @@ RECORD: Final = np.dtype(
     [("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)]
 )
 
-# The frame that 3DGS trains in and that viewers of this format expect.
+# Axes of 3DGS training, which viewers of this format expect.
 _AXES: Final = "RDF"
 
 _BLOCK_ROWS: Final = 1 << 14
 
 COLOUR_BYTES: Final = ((np.arange(256) / 255 - 0.5) / C0).astype(np.float32)
-"""DC coefficient of each colour that a byte can hold, (256,) float32."""
+"""Lookup table from a colour byte to its DC coefficient, (256,) float32."""
 
-# Half the smallest float32: what a scale of zero, which has no logarithm, stands for.
-_FLAT: Final = np.float32(np.log(2.0**-150))
+# Log scale that replaces a scale of zero: the logarithm of half the smallest float32.
+_ZERO_LOG_SCALE: Final = np.float32(np.log(2.0**-150))
 
 
 def no_magic(head: bytes) -> bool:
-    """Return False: .splat has no magic bytes, so its extension decides."""
+    """Return False: the format has no magic bytes, so its extension decides."""
     return False
 
 
-def log_scales(linear: F32, flat: np.float32) -> F32:
-    """Return the logarithm of standard deviations, `flat` for zero and NaN below.
+def log_scales(linear: F32, zero: np.float32) -> F32:
+    """Return the logarithms of standard deviations: `zero` for 0, NaN for negative values.
 
     Parameters
     ----------
     linear : (..., 3) float32
-        Scene units.
-    flat : float32
-        What zero becomes: a splat without thickness is drawn, one with infinite values is not.
+        Standard deviations, scene units.
+    zero : float32
+        Finite log scale of a flat splat: a row with infinite values would be invalid.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = np.log(linear)
-        logs[linear == 0] = flat
+        logs[linear == 0] = zero
     return logs
 
 
@@ -72,21 +72,22 @@ def read_splat(path: StrPath, *, limits: Limits | None = None) -> Splats:
     path : path
         A file of 32-byte records.
     limits : Limits, optional
-        What the file may cost.
+        Limits on splats and decoded bytes.
 
     Returns
     -------
     Splats
-        SH degree 0, in RDF. Opacity 255 is a logit of inf, 0 of -inf. Rows with NaN are kept.
+        Splats of SH degree 0 in RDF axes. Opacity byte 255 is a logit of +inf, 0 of -inf. Rows
+        with NaN are kept.
 
     Raises
     ------
     FormatError
-        ``splat-size``: not a multiple of 32 bytes.
+        ``splat-size``: the file's size is not a multiple of 32 bytes.
     LimitError
         ``decoded-size``, ``too-many-splats``.
     StorageError
-        As `open_for_read`; ``file-changed``: it was cut short meanwhile.
+        See `open_for_read`; ``file-changed``: another process truncated the file.
     """
     where = os.fspath(path)
     with storage_errors(path), open_for_read(path) as file:
@@ -110,7 +111,7 @@ def read_splat(path: StrPath, *, limits: Limits | None = None) -> Splats:
                 )
             rows = slice(start, start + len(block))
             splats.means[rows] = block["means"]
-            splats.scales[rows] = log_scales(block["scales"], _FLAT)
+            splats.scales[rows] = log_scales(block["scales"], _ZERO_LOG_SCALE)
             splats.sh0[rows] = COLOUR_BYTES[block["rgba"][:, :3]]
             splats.opacities[rows] = BYTE_LOGITS[block["rgba"][:, 3]]
             splats.quats[rows] = _unpack_quats(block["quats"])
@@ -118,20 +119,21 @@ def read_splat(path: StrPath, *, limits: Limits | None = None) -> Splats:
 
 
 def _unpack_quats(stored: U8) -> F32:
+    """Return unit wxyz quaternions of four bytes each."""
     quats = (stored.astype(np.float32) - np.float32(128)) / np.float32(128)
-    # Four bytes of 128 have no direction; viewers draw something, so it may as well be unturned.
+    # Four bytes of 128 are a zero quaternion: read it as the identity.
     quats[~quats.any(axis=1), 0] = 1
     return unit(quats)
 
 
 def write_splat(splats: Splats, path: StrPath, *, force: bool = False) -> None:
-    """Write a scene as .splat, whole or not at all.
+    """Write a scene as .splat, atomically.
 
     Parameters
     ----------
     splats : Splats
-        In any axes; stored in RDF, by falling product of standard deviations and opacity, so that
-        readers of a part see the large opaque splats (antimatter15/splat's order).
+        Scene in any axes, stored in RDF. Splats are sorted by descending product of standard
+        deviations and opacity, as in antimatter15/splat, so that large opaque splats come first.
     path : path
         The output.
     force : bool
@@ -140,21 +142,23 @@ def write_splat(splats: Splats, path: StrPath, *, force: bool = False) -> None:
     Raises
     ------
     DataError
-        ``invalid-rows``: a row that cannot be drawn; ``bad-scene-info``: axes that are none.
+        ``invalid-rows``: a row cannot be rendered; ``bad-scene-info``: the axes are invalid.
     StorageError
-        As `atomic_write`, ``exists`` among them.
+        See `atomic_write`, e.g. ``exists``.
 
     Warns
     -----
     CogsplatWarning
-        What .splat cannot hold: SH above degree 0, an origin, a colour space, anti-aliasing.
+        The scene has values that .splat cannot hold: SH above degree 0, an origin, a colour space,
+        anti-aliasing, extras.
 
     Notes
     -----
-    Steps: colours and opacities 1/255, clipped to 0 to 1; quaternions 1/128 per component.
+    Quantisation steps are 1/255 for colours and opacities, which are clipped to 0 to 1, and 1/128
+    for the components of quaternions.
     """
     stored = convert_axes(splats.with_sh_degree(0).require_valid(), _AXES)
-    # Compared as logarithms, which do not overflow.
+    # Logarithms, because the product of standard deviations may overflow.
     volumes = stored.scales.astype(np.float64).sum(axis=1)
     with np.errstate(divide="ignore"):
         order = np.argsort(-(volumes + np.log(unit_opacities(stored.opacities))), kind="stable")
@@ -169,11 +173,12 @@ def write_splat(splats: Splats, path: StrPath, *, force: bool = False) -> None:
             block["rgba"][:, 3] = opacity_bytes(stored.opacities[rows])
             block["quats"] = _to_byte(unit(stored.quats[rows]).astype(np.float64) * 128 + 128)
             file.write(block.view(np.uint8).data)
-    losses = info_losses(splats.info) + extra_losses(splats)
+    dropped = dropped_info(splats.info) + dropped_extras(splats)
     if splats.sh_degree:
-        losses.insert(0, f"SH of degree {splats.sh_degree}")
-    warn_of_losses(path, ".splat", losses)
+        dropped.insert(0, f"SH of degree {splats.sh_degree}")
+    warn_dropped(path, ".splat", dropped)
 
 
 def _to_byte(values: NDArray[np.float64]) -> U8:
+    """Round values to bytes, clipped to 0 to 255."""
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)

@@ -12,41 +12,42 @@ from cogsplat.formats.storage.atomic import StrPath
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.torch_file import CODE, TorchTensor, open_torch
 
-# Where the parameters stand: gsplat's trainer nests them, nerfstudio names them in full.
+# Keys of the dictionary that holds the tensors: gsplat's trainer, nerfstudio.
 _NESTED = ("splats", "pipeline")
 
 
 def is_torch_checkpoint(head: bytes) -> bool:
-    """Tell whether a file that starts with these bytes is a zip that ``torch.save`` wrote.
+    """Return whether a file that begins with `head` is a ZIP file of ``torch.save``.
 
-    Its first entry is the pickle, in a folder named after the file.
+    The first entry of such a file is the pickle ``NAME/data.pkl``.
     """
     name = head[30 : 30 + int.from_bytes(head[26:28], "little")]
     return head.startswith(b"PK\3\4") and name.endswith(b"/data.pkl")
 
 
 def read_torch_checkpoint(path: StrPath, *, limits: Limits | None = None) -> Splats:
-    """Read the scene of a checkpoint.
+    """Read the scene of a training checkpoint.
 
     Parameters
     ----------
     path : path
-        What gsplat's trainer saves (``{"splats": {"means": …}}``), nerfstudio's checkpoints
-        (``{"pipeline": {"_model.gauss_params.means": …}}``), or a plain dictionary of the tensors.
+        Checkpoint of gsplat (``{"splats": {"means": …}}``) or nerfstudio
+        (``{"pipeline": {"_model.gauss_params.means": …}}``), or a flat dictionary of the tensors.
     limits : Limits, optional
+        Limits on splats and decoded bytes.
 
     Returns
     -------
     Splats
-        Axes as trained. Nothing else of the checkpoint, such as the optimiser's state, is read.
+        Scene in the axes of the training. The optimiser's state and other values are not read.
 
     Raises
     ------
     FormatError
-        ``torch-file``: it is no file of ``torch.save``, or holds something else than dictionaries
-        of tensors; ``bad-shape``, ``missing-array``: its tensors are not those of splats.
+        ``torch-file``: the file was not written by ``torch.save``, or holds values other than
+        dictionaries of tensors; ``bad-shape``, ``missing-array``: the tensors are not a scene.
     LimitError
-        The scene has more splats or bytes than the limits allow.
+        The scene exceeds `limits`.
     """
     where = os.fspath(path)
     try:
@@ -60,7 +61,7 @@ def read_torch_checkpoint(path: StrPath, *, limits: Limits | None = None) -> Spl
 
 
 def _tensors(state: Mapping[object, object]) -> dict[str, TorchTensor]:
-    """Return the tensors of the splats by name, found at the top or one level below."""
+    """Return the scene's tensors by name, from the top dictionary or a known nested one."""
     levels = [state, *(state[name] for name in _NESTED if name in state)]
     for level in levels:
         if not isinstance(level, Mapping):
@@ -69,17 +70,18 @@ def _tensors(state: Mapping[object, object]) -> dict[str, TorchTensor]:
             str(name): tensor for name, tensor in level.items() if isinstance(tensor, TorchTensor)
         }
         if any(name == "means" or name.endswith(".means") for name in found):
-            wanted = ("means", "scales", "quats", "opacities", "sh0", "shN")
-            others = ("features_dc", "features_rest")
+            gsplat_names = ("means", "scales", "quats", "opacities", "sh0", "shN")
+            nerfstudio_names = ("features_dc", "features_rest")
             return {
                 name: tensor
                 for name, tensor in found.items()
-                if name.rpartition(".")[2] in (*wanted, *others)
+                if name.rpartition(".")[2] in (*gsplat_names, *nerfstudio_names)
             }
     raise DataError(CODE, f"keys {sorted(map(str, state))[:12]}, expected the tensors of splats")
 
 
 def _require_limits(tensors: Mapping[str, TorchTensor], path: StrPath, limits: Limits) -> None:
+    """Check the size of a scene against limits, from the shapes of its tensors."""
     rows = max((t.shape[0] for t in tensors.values() if t.shape), default=0)
     rest = [t.shape for name, t in tensors.items() if name.endswith(("shN", "features_rest"))]
     coefficients = rest[0][1] if rest and len(rest[0]) == 3 else 0

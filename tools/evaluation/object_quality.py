@@ -146,7 +146,7 @@ def object_qualities_of(
     reference : Splats
     versions : sequence of Splats
     cameras, background, threads, progress
-        As in `object_qualities`.
+        See `object_qualities`.
 
     Returns
     -------
@@ -156,7 +156,7 @@ def object_qualities_of(
     Raises
     ------
     DataError
-        As `object_qualities`.
+        See `object_qualities`.
     """
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 

@@ -132,7 +132,7 @@ def measure(
     Raises
     ------
     DataError
-        As `view_quality.compare`.
+        See `view_quality.compare`.
     """
     file_bytes = path.stat().st_size
     found: list[PrefixQuality] = []

@@ -128,7 +128,7 @@ def write_report(
     Raises
     ------
     StorageError
-        As `atomic_write`, ``exists`` among them.
+        See `atomic_write`, e.g. ``exists``.
     CogsplatError
         The COGS file cannot be read.
     """

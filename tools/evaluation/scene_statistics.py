@@ -76,7 +76,7 @@ class SceneStatistics:
     opaque_share : float or None
         Share of the splats with an opacity above 0.5; None without splats.
     fill_ratio : float or None
-        As `fill_ratio` returns it.
+        See `fill_ratio` returns it.
     values : dict of str to ValueStatistics
         By name, in this order: ``means.x`` to ``means.z``, ``scales.0`` to ``scales.2``,
         ``quats.w`` to ``quats.z``, ``opacities``, ``sh0.r`` to ``sh0.b``, ``shN.1`` to the degree

@@ -163,7 +163,7 @@ def compare(
     Parameters
     ----------
     reference, other, cameras, background, ssim_border, threads
-        As in `view_qualities`.
+        See `view_qualities`.
     progress : Progress
         Called with the stages ``held-out`` and ``roam``.
 
@@ -174,7 +174,7 @@ def compare(
     Raises
     ------
     DataError
-        As `view_qualities`.
+        See `view_qualities`.
     """
     sets = {"held-out": list(cameras), "roam": roam(reference, cameras)}
     held_out, roaming = (

@@ -95,7 +95,7 @@ def plan_upload(source: FolderSource, folder: Path, bucket: Bucket) -> Plan:
     Raises
     ------
     StorageError
-        As `Bucket`.
+        See `Bucket`.
     """
     manifest = manifest_path(folder)
     there = {entry.name: entry.size for entry in bucket.objects(SEGMENT_FOLDER)}
@@ -137,7 +137,7 @@ def upload(
     TruncatedError
         ``segment-missing``.
     StorageError
-        As `Bucket`. The manifest is written after all objects, so that it never names what is not
+        See `Bucket`. The manifest is written after all objects, so that it never names what is not
         there.
     """
 
@@ -178,7 +178,7 @@ def find_unused(bucket: Bucket, *, older_than: timedelta) -> Unused:
     CogsplatError
         A manifest cannot be read; then nothing is known to be unused.
     StorageError
-        As `Bucket`.
+        See `Bucket`.
     """
     # Objects first: one that is written after this list is on none that is deleted.
     objects = [entry for entry in bucket.objects(SEGMENT_FOLDER) if _OBJECT.fullmatch(entry.name)]

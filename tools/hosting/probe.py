@@ -191,7 +191,7 @@ class Prober:
         Raises
         ------
         StorageError
-            As `ask`.
+            See `ask`.
         """
         origin = {"Origin": ORIGIN}
         start = {"Range": f"bytes=0-{FIRST_BYTES - 1}"}

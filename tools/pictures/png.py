@@ -1,4 +1,4 @@
-"""Rendered pictures as PNG files, whole or not at all."""
+"""Rendered pictures as PNG files, atomically."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def write_png(image: Image, path: Path, *, force: bool = False) -> int:
     Raises
     ------
     StorageError
-        As `atomic_write`, ``exists`` among them.
+        See `atomic_write`, e.g. ``exists``.
     """
     # In memory first: Pillow's own writing to files loses the reason of a failure.
     page = io.BytesIO()

@@ -1,6 +1,7 @@
-"""Buffers inside a glTF's JSON, taken out of the text before it is parsed.
+"""Extraction of base64 buffers from a glTF's JSON before it is parsed.
 
-Parsed as strings they would be in memory three times: as bytes of the file, as text and as a value.
+A buffer parsed as a JSON string would be in memory three times: as bytes of the file, as text and
+as a value.
 """
 
 from __future__ import annotations
@@ -12,37 +13,45 @@ from typing import Final
 
 from cogsplat.codec.errors import FormatError, UnsupportedError
 
-# Shorter ones stay in the text, where messages show them. The first quote is not escaped, so that a
-# string is taken whole or not at all; asked behind it, for `re` skips to a first character alone.
+# A whole JSON string that is a long data URI. Short URIs stay in the text, where messages show
+# them. The lookbehind rejects an escaped first quote. It follows the quote, because `re` scans
+# fast only for a literal first character.
 _LONG_URI: Final = re.compile(rb'"(?<!\\")data:[^",\\]{0,120},[A-Za-z0-9+/=]{256,}"')
 
 _PLACEHOLDER: Final = "data:embedded-{}"
 
 
 @dataclass(frozen=True)
-class Embedded:
-    """The text of a file without its long ``data:`` URIs, and these.
+class EmbeddedBuffers:
+    """A glTF's JSON text, with placeholders for its long ``data:`` URIs, and the URIs.
 
     Parameters
     ----------
     text : bytes
-        JSON, with a short name in place of each.
+        JSON with a placeholder for each long URI.
     uris : dict of str to memoryview
-        By these names.
+        Long URIs by placeholder.
     """
 
     text: bytes
     uris: dict[str, memoryview]
 
     def decode(self, uri: str, where: str) -> memoryview:
-        """Return the bytes of a ``data:`` URI.
+        """Return the decoded bytes of a ``data:`` URI.
+
+        Parameters
+        ----------
+        uri : str
+            A placeholder, or a short URI itself.
+        where : str
+            Location for messages.
 
         Raises
         ------
         UnsupportedError
-            ``gltf-uri``: it is not in base64.
+            ``gltf-uri``: the URI does not declare base64.
         FormatError
-            ``gltf-bad-buffer``: what follows is no base64.
+            ``gltf-bad-buffer``: the data are not valid base64.
         """
         whole = self.uris.get(uri)
         if whole is None:
@@ -58,13 +67,13 @@ class Embedded:
             raise FormatError("gltf-bad-buffer", f"{where}: {error}, expected base64") from error
 
 
-def take_out(data: bytes) -> Embedded:
-    """Take the long ``data:`` URIs out of JSON text.
+def extract_buffers(data: bytes) -> EmbeddedBuffers:
+    """Replace the long ``data:`` URIs of JSON text with placeholders.
 
     Parameters
     ----------
     data : bytes
-        The text; it stays in memory as long as the result does, which shows parts of it.
+        JSON text. The result holds views of it, which keep it in memory.
     """
     pieces: list[bytes] = []
     uris: dict[str, memoryview] = {}
@@ -75,4 +84,4 @@ def take_out(data: bytes) -> Embedded:
         uris[name] = view[match.start() + 1 : match.end() - 1]
         pieces += [data[end : match.start()], f'"{name}"'.encode()]
         end = match.end()
-    return Embedded(b"".join([*pieces, data[end:]]) if pieces else data, uris)
+    return EmbeddedBuffers(b"".join([*pieces, data[end:]]) if pieces else data, uris)

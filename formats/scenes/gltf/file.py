@@ -23,7 +23,7 @@ from cogsplat.formats.storage.magic import describe
 from cogsplat.formats.storage.siblings import sibling
 from cogsplat.formats.storage.strict_json import JsonObject, parse_object
 
-from .embedded_buffers import Embedded, take_out
+from .embedded_buffers import EmbeddedBuffers, extract_buffers
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -37,12 +37,12 @@ BIN_CHUNK: Final = b"BIN\0"
 BAD_JSON: Final = "gltf-bad-json"
 
 MAX_TEXT_BYTES: Final = 1 << 28
-"""Longest ``.gltf`` that is written, with the buffers inside it."""
+"""Size limit for writing a ``.gltf``, including its embedded buffers, bytes."""
 
 _MAX_BUFFER_BYTES: Final = (1 << 53) - 1
 _MAX_COUNT: Final = (1 << 31) - 1
 
-# Section 3.6.2.2: numpy type of each component type, and what 1.0 is where it is normalised.
+# Section 3.6.2.2: numpy type of each component type, and the integer that is 1.0 if normalised.
 _COMPONENTS: Final = {
     5120: ("<i1", 127),
     5121: ("<u1", 255),
@@ -52,7 +52,7 @@ _COMPONENTS: Final = {
 }
 _WIDTHS: Final = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 
-# What a reader may meet in extensionsRequired; integer attributes are read anyway.
+# Values of extensionsRequired that are accepted; KHR_mesh_quantization allows integer attributes.
 _KNOWN_EXTENSIONS: Final = frozenset({"KHR_gaussian_splatting", "KHR_mesh_quantization"})
 
 
@@ -67,45 +67,45 @@ class Gltf:
     where : str
         Name of the file for messages.
     folder : Path
-        Where files beside it lie.
+        Folder of the file, to which buffers' URIs are relative.
     binary : memoryview or None
         The binary chunk of a GLB.
-    embedded : Embedded
+    embedded : EmbeddedBuffers
         Buffers inside the JSON.
     file_bytes : int
-        Of the file, without those beside it.
+        Size of the file without external buffers, bytes.
     """
 
     root: JsonObject
     where: str
     folder: Path
     binary: memoryview | None
-    embedded: Embedded
+    embedded: EmbeddedBuffers
     file_bytes: int
     _buffers: dict[int, memoryview] = field(default_factory=dict)
     _items: dict[str, list[JsonObject]] = field(default_factory=dict)
 
     def items(self, key: str) -> list[JsonObject]:
-        """Return a top-level array of objects."""
+        """Return the objects of a top-level array, e.g. ``"nodes"``; parsed once."""
         if key not in self._items:
             self._items[key] = self.root.children(key)
         return self._items[key]
 
     def source_bytes(self) -> int:
-        """Return the bytes of the file and of the buffers beside it, as far as they are there."""
+        """Return the size of the file and of its existing external buffers, bytes."""
         total = self.file_bytes
-        for path in self.beside():
+        for path in self.external_files():
             with storage_errors(path):
                 total += path.stat().st_size if path.exists() else 0
         return total
 
-    def beside(self) -> list[Path]:
-        """Return the files that buffers name, each once.
+    def external_files(self) -> list[Path]:
+        """Return the paths of the external buffers, each once.
 
         Raises
         ------
         FormatError
-            ``gltf-uri``: a name that leads out of the file's folder.
+            ``gltf-uri``: a path lies outside the file's folder.
         """
         uris = [node.text("uri", "data:") for node in self.items("buffers")]
         return [
@@ -115,7 +115,7 @@ class Gltf:
         ]
 
     def count(self, index: int) -> int:
-        """Return how many values an accessor says it has, before any is read."""
+        """Return an accessor's declared number of values, without reading the values."""
         return self._item("accessors", index).integer("count", 1, _MAX_COUNT)
 
     def accessor(self, index: int, kind: str, name: str) -> F32:
@@ -124,27 +124,27 @@ class Gltf:
         Parameters
         ----------
         index : int
-            Checked against the file.
+            Index of the accessor; checked against the file.
         kind : str
-            ``SCALAR``, ``VEC3`` or ``VEC4``, which it must be.
+            Expected type of the accessor: ``SCALAR``, ``VEC3`` or ``VEC4``.
         name : str
-            Of the attribute, for messages.
+            Name of the attribute for messages.
 
         Returns
         -------
         (N, 1, 3 or 4) float32
-            A copy; normalised integers as -1 to 1 or 0 to 1.
+            A copy of the values; normalised integers are scaled to -1 to 1 or 0 to 1.
 
         Raises
         ------
         FormatError
             ``gltf-bad-accessor``; ``gltf-bad-json``.
         TruncatedError
-            ``gltf-truncated``: a buffer is shorter than it says.
+            ``gltf-truncated``: a buffer is shorter than its declared length.
         UnsupportedError
             ``gltf-sparse``, ``gltf-compressed``, ``gltf-component-type``.
         StorageError
-            As `open_for_read`, for a buffer in a file of its own.
+            An external buffer cannot be read; see `open_for_read`.
         """
         node = self._item("accessors", index)
         where = f"{node.where} ({name})"
@@ -162,7 +162,7 @@ class Gltf:
         if "bufferView" not in node:
             raise UnsupportedError(
                 "gltf-compressed",
-                f"{where}: has no bufferView, expected its values as they are, not compressed",
+                f"{where}: has no bufferView, expected uncompressed values",
             )
         data, stride = self._view(node.integer("bufferView", 0, _MAX_COUNT))
         values = _strided(
@@ -173,14 +173,15 @@ class Gltf:
             stride,
             where,
         )
-        # A copy in any case: the file's bytes may lie at odd addresses, and are read-only.
+        # Always a copy: the file's bytes are read-only and may be unaligned.
         wide: F32 = np.array(values, np.float32, order="C")
         if one and node.boolean("normalized", False):
-            # Section 3.6.2.2: the one more negative value is -1 as well.
+            # Section 3.6.2.2: the most negative integer is -1, too.
             wide = np.maximum(wide / np.float32(one), np.float32(-1))
         return wide
 
     def _item(self, key: str, index: int) -> JsonObject:
+        """Return an object of a top-level array, after checking its index."""
         items = self.items(key)
         if not 0 <= index < len(items):
             raise FormatError(
@@ -189,7 +190,7 @@ class Gltf:
         return items[index]
 
     def _view(self, index: int) -> tuple[memoryview, int]:
-        """Return the bytes of a buffer view and its stride, 0 where values lie close together."""
+        """Return the bytes of a buffer view and its stride, 0 for tightly packed values."""
         node = self._item("bufferViews", index)
         extensions = node.child("extensions") if "extensions" in node else None
         if extensions and any("compression" in name for name in extensions.values):
@@ -209,6 +210,7 @@ class Gltf:
         return data[start : start + length], stride
 
     def _buffer(self, index: int) -> memoryview:
+        """Return the bytes of a buffer; loaded once."""
         if index not in self._buffers:
             node = self._item("buffers", index)
             length = node.integer("byteLength", 1, _MAX_BUFFER_BYTES)
@@ -221,6 +223,7 @@ class Gltf:
         return self._buffers[index]
 
     def _load(self, node: JsonObject, length: int, *, is_first: bool) -> memoryview:
+        """Load a buffer from the binary chunk, from a data URI, or from an external file."""
         if "uri" not in node:
             if self.binary is None or not is_first:
                 raise FormatError(
@@ -232,20 +235,20 @@ class Gltf:
             return self.embedded.decode(uri, node.where)
         path = sibling(self.folder, urllib.parse.unquote(uri), node.where, "gltf-uri")
         with storage_errors(path), open_for_read(path) as file:
-            # Never more than the file has, whatever the JSON says.
+            # Read at most the file's size, even if the JSON declares a larger length.
             size = os.fstat(file.fileno()).st_size
             return memoryview(file.read(min(length, size)))
 
 
 def gltf_files(path: StrPath) -> list[Path]:
-    """Return the files that a scene consists of: a ``.glb`` or ``.gltf``, and buffers beside it.
+    """Return the paths of a scene's files: the ``.glb`` or ``.gltf``, and its external buffers.
 
     Raises
     ------
     FormatError, LimitError, StorageError, TruncatedError, UnsupportedError
-        As `open_gltf`; ``gltf-uri``.
+        See `open_gltf`; ``gltf-uri``.
     """
-    return [Path(path), *open_gltf(path).beside()]
+    return [Path(path), *open_gltf(path).external_files()]
 
 
 def _strided(
@@ -256,7 +259,7 @@ def _strided(
     stride: int,
     where: str,
 ) -> NDArray[np.generic]:
-    """Return a view of values, or raise where they leave their buffer view."""
+    """Return a view of strided values, or raise if they exceed their buffer view."""
     count, width = shape
     element = width * dtype.itemsize
     stride = stride or element
@@ -265,19 +268,20 @@ def _strided(
         raise FormatError(
             "gltf-bad-accessor",
             f"{where}: {count} values of {element} bytes every {stride} from byte {offset}, "
-            f"expected them inside {len(data)} bytes and apart",
+            f"expected no overlap and an end within {len(data)} bytes",
         )
     return np.ndarray(shape, dtype, data, offset, (stride, dtype.itemsize))
 
 
 def open_gltf(path: StrPath, *, limits: Limits | None = None) -> Gltf:
-    """Read a ``.glb`` or ``.gltf``, without the files beside it.
+    """Open a ``.glb`` or ``.gltf`` and parse its JSON, without reading external buffers.
 
     Parameters
     ----------
     path : path
+        The file.
     limits : Limits, optional
-        What the parsed JSON may take.
+        Limits on the JSON's size.
 
     Raises
     ------
@@ -286,12 +290,12 @@ def open_gltf(path: StrPath, *, limits: Limits | None = None) -> Gltf:
     TruncatedError
         ``gltf-truncated``.
     UnsupportedError
-        ``gltf-version``; ``gltf-extension`` or ``gltf-compressed``: the file requires one that is
-        not read.
+        ``gltf-version``; ``gltf-extension`` or ``gltf-compressed``: the file requires an
+        unsupported extension.
     LimitError
         ``json-too-long``.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
     """
     where = os.fspath(path)
     with storage_errors(path), open_for_read(path) as file:
@@ -299,13 +303,13 @@ def open_gltf(path: StrPath, *, limits: Limits | None = None) -> Gltf:
     if data.startswith(GLB_MAGIC):
         _check_header(data[: GLB_HEADER.size], len(data), where)
         chunk, binary = _chunks(memoryview(data), where)
-        embedded = take_out(bytes(chunk))
+        embedded = extract_buffers(bytes(chunk))
     else:
         if data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] != b"{":
             raise FormatError(
                 "gltf-magic", f"{where}: is {describe(data[:64])}, expected a .glb or .gltf"
             )
-        embedded, binary = take_out(data), None
+        embedded, binary = extract_buffers(data), None
     root = parse_object(embedded.text, where, BAD_JSON, limits=limits)
     version = root.child("asset").text("version")
     if not version.startswith("2."):
@@ -335,7 +339,7 @@ def _chunks(data: memoryview, where: str) -> tuple[memoryview, memoryview | None
     """Return the JSON and the binary chunk of a GLB (section 4.4.3)."""
     chunks: list[tuple[bytes, memoryview]] = []
     offset = GLB_HEADER.size
-    # What lies behind the two is for others.
+    # Further chunks belong to extensions (section 4.4.3) and are ignored.
     while offset < len(data) and len(chunks) < 2:
         if offset + GLB_CHUNK.size > len(data):
             raise TruncatedError("gltf-truncated", f"{where}: ends in a chunk's header")
@@ -343,7 +347,8 @@ def _chunks(data: memoryview, where: str) -> tuple[memoryview, memoryview | None
         offset += GLB_CHUNK.size
         if offset + length > len(data):
             raise TruncatedError(
-                "gltf-truncated", f"{where}: a chunk of {length} bytes at {offset} leaves the file"
+                "gltf-truncated",
+                f"{where}: a chunk of {length} bytes at {offset} exceeds the file",
             )
         chunks.append((kind, data[offset : offset + length]))
         offset += length
@@ -354,32 +359,34 @@ def _chunks(data: memoryview, where: str) -> tuple[memoryview, memoryview | None
 
 
 def _check_extensions(root: JsonObject, where: str) -> None:
+    """Raise `UnsupportedError` if the file requires an unknown extension."""
     required = set(root.texts("extensionsRequired")) - _KNOWN_EXTENSIONS
     if required:
         compressed = any("compression" in name for name in required)
         raise UnsupportedError(
             "gltf-compressed" if compressed else "gltf-extension",
-            f"{where}: requires {', '.join(sorted(required)[:6])[:200]}, expected nothing but "
+            f"{where}: requires {', '.join(sorted(required)[:6])[:200]}, expected at most "
             f"{', '.join(sorted(_KNOWN_EXTENSIONS))}",
         )
 
 
 def instances(gltf: Gltf) -> Iterator[tuple[int, F64]]:
-    """Yield every mesh of the scene with the transform from its node to the world.
+    """Yield the meshes of the scene, each with its transform from local to world coordinates.
 
-    The default scene counts, the first where none is named, all nodes where there is no scene.
+    The nodes come from the default scene, or from the first scene if there is no default. A file
+    without scenes shows all of its nodes.
 
     Yields
     ------
     mesh : int
-        Index, not checked.
+        Index of the mesh, unchecked.
     matrix : (4, 4) float64
-        Local to world.
+        Transform from local to world coordinates.
 
     Raises
     ------
     FormatError
-        ``gltf-bad-json``; ``gltf-node-tree``: a node reached twice; ``gltf-bad-transform``.
+        ``gltf-bad-json``; ``gltf-node-tree``: two paths lead to a node; ``gltf-bad-transform``.
     """
     nodes, scenes = gltf.items("nodes"), gltf.items("scenes")
     children = [node.integers("children", 0, len(nodes) - 1) for node in nodes]
@@ -389,10 +396,10 @@ def instances(gltf: Gltf) -> Iterator[tuple[int, F64]]:
     else:
         below = {child for group in children for child in group}
         roots = [index for index in range(len(nodes)) if index not in below]
-    waiting = [(index, np.eye(4)) for index in reversed(roots)]
+    stack = [(index, np.eye(4)) for index in reversed(roots)]
     seen: set[int] = set()
-    while waiting:
-        index, outer = waiting.pop()
+    while stack:
+        index, outer = stack.pop()
         node = nodes[index]
         if index in seen:
             raise FormatError(
@@ -402,14 +409,16 @@ def instances(gltf: Gltf) -> Iterator[tuple[int, F64]]:
         with np.errstate(over="ignore", invalid="ignore"):
             matrix = outer @ _local_matrix(node)
         if not np.isfinite(matrix).all():
-            raise FormatError("gltf-bad-transform", f"{node.where}: leaves the range of numbers")
+            raise FormatError(
+                "gltf-bad-transform", f"{node.where}: its transform overflows, expected finite"
+            )
         if "mesh" in node:
             yield node.integer("mesh", 0, _MAX_COUNT), matrix
-        waiting += [(child, matrix) for child in reversed(children[index])]
+        stack += [(child, matrix) for child in reversed(children[index])]
 
 
 def _local_matrix(node: JsonObject) -> F64:
-    """Return a node's transform (section 3.5.3): a matrix by columns, or T·R·S."""
+    """Return a node's local transform (section 3.5.3): its column-major matrix, or T·R·S."""
     if "matrix" in node:
         return np.array(node.numbers("matrix", 16)).reshape(4, 4).T
     matrix = np.eye(4)

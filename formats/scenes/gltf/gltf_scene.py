@@ -1,8 +1,8 @@
-"""glTF with KHR_gaussian_splatting: splats as point primitives with attributes of their own.
+"""Reader and writer of glTF with KHR_gaussian_splatting: splats as point primitives.
 
-Follows the extension as ratified by Khronos in 2026 (github.com/KhronosGroup/glTF): scales are
-linear, opacities from 0 to 1, SH as 3DGS has them. glTF's axes are x left, y up, z front (glTF 2.0,
-section 3.4), "LUF" here: half a turn about z away from those of PLY.
+Source: the extension as ratified by Khronos in 2026 (github.com/KhronosGroup/glTF). Scales are
+linear, opacities 0 to 1, SH coefficients as in 3DGS. glTF's axes are x left, y up, z front (glTF
+2.0, section 3.4), "LUF" here: the axes of PLY rotated by 180 degrees about z.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from cogsplat.codec.geometry.rotations import unit
 from cogsplat.codec.geometry.sh import C0, COLOUR_OFFSET
 from cogsplat.codec.geometry.transforms import convert_axes, transform
 from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo, Splats, concatenate, sh_coefficients
-from cogsplat.formats.scenes.dropped_values import extra_losses, info_losses, warn_of_losses
+from cogsplat.formats.scenes.dropped_values import dropped_extras, dropped_info, warn_dropped
 from cogsplat.formats.scenes.quantised_values import opacity_bytes, opacity_logits, unit_opacities
 from cogsplat.formats.storage.atomic import StrPath, atomic_write
 from cogsplat.formats.storage.limits import Limits
@@ -59,19 +59,20 @@ _POINTS: Final = 0
 _TRIANGLES: Final = 4
 _COLOUR_SPACES: Final = {"srgb_rec709_display": "srgb", "lin_rec709_display": "linear"}
 
-# Far more than exporters cut a scene into.
+# Limit on primitives in the scene; exporters write far fewer.
 _MAX_PRIMITIVES: Final = 1 << 12
 
-# As read, placed in the world, put together, and turned to our axes.
+# Copies of the scene in memory at the peak: as read, transformed, concatenated, and in our axes.
 _COPIES: Final = 4
 
-# A mesh may stand in many places; past this many times its splats it is no scan any more.
+# Limit on the splats of all instances, as a multiple of the distinct splats. Scans have 1; a small
+# file with many instances would exhaust memory.
 _MAX_REPEATS: Final = 16
 
-# How far a node's axes may be from equally long and square: JSON rounds them.
+# Relative tolerance for the lengths of a node's axes, which JSON rounds.
 _SIMILARITY_TOLERANCE: Final = 1e-4
 
-# Rounding may carry an opacity this far out of 0 to 1.
+# Tolerance for opacities outside 0 to 1, from rounding.
 _OPACITY_TOLERANCE: Final = 1e-5
 
 _SMALLEST_SCALE: Final = float(np.finfo(np.float32).tiny)
@@ -87,7 +88,7 @@ _ARRAY_BUFFER: Final = 34962
 
 
 def is_gltf(head: bytes) -> bool:
-    """Tell whether a file that starts with these bytes is a GLB, or glTF that has splats."""
+    """Return whether a file that begins with `head` is a GLB, or a glTF with splats."""
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
     return head.startswith(GLB_MAGIC) or (start == b"{" and _EXTENSION.encode() in head)
 
@@ -98,40 +99,40 @@ def read_gltf(path: StrPath, *, limits: Limits | None = None) -> Splats:
     Parameters
     ----------
     path : path
-        A ``.glb``, or a ``.gltf`` whose buffers are in it or beside it. Attributes may be floats
-        or integers. Other primitives are skipped.
+        A ``.glb``, or a ``.gltf`` with embedded or external buffers. Attributes may be floats or
+        integers. Primitives without splats are skipped.
     limits : Limits, optional
-        What the file may cost.
+        Limits on splats and decoded bytes.
 
     Returns
     -------
     Splats
-        In RDF, the frame of PLY, nodes' transforms applied; several primitives one after the
-        other, at the highest SH degree among them. An opacity of 1 is a logit of +inf, of 0 -inf.
+        Splats of all primitives in RDF, the axes of PLY, with nodes' transforms applied, at the
+        highest SH degree of any primitive. Opacity 1 is a logit of +inf, 0 of -inf.
 
     Raises
     ------
     FormatError
-        ``gltf-`` and ``no-splats``, ``mode``, ``missing-attribute``, ``bad-sh``, ``count``,
-        ``bad-opacity``; otherwise as `open_gltf`, `Gltf.accessor`, `instances`.
+        ``gltf-`` followed by ``no-splats``, ``mode``, ``missing-attribute``, ``bad-sh``, ``count``,
+        ``bad-opacity``; other codes as in `open_gltf`, `Gltf.accessor`, `instances`.
     TruncatedError
         ``gltf-truncated``.
     UnsupportedError
-        ``gltf-`` and ``spz``, ``compressed``, ``extension``, ``kernel``, ``colour-space``,
+        ``gltf-`` followed by ``spz``, ``compressed``, ``extension``, ``kernel``, ``colour-space``,
         ``projection``, ``shear``, ``sparse``, ``component-type``, ``uri``, ``version``.
     LimitError
         ``gltf-too-many-instances``; ``json-too-long``; ``decoded-size``, ``too-many-splats``.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
 
     Warns
     -----
     CogsplatWarning
-        Negative scales, which drafts of the extension stored as logarithms: read as such.
+        Scales are negative, and so read as logarithms, which drafts of the extension stored.
 
     Notes
     -----
-    No array is allocated before its count is checked against the buffers.
+    Counts are checked against the buffers' sizes before any allocation.
     """
     limits = limits or Limits()
     gltf = open_gltf(path, limits=limits)
@@ -152,21 +153,21 @@ def read_gltf(path: StrPath, *, limits: Limits | None = None) -> Splats:
         )
     degree = max(splats.sh_degree for splats in read.values())
     parts = [
-        _place(_with_degree(read[id(node.values)], degree), matrix, node.where)
+        _transformed(_with_degree(read[id(node.values)], degree), matrix, node.where)
         for node, matrix in placed
     ]
     return convert_axes(concatenate(parts) if len(parts) > 1 else parts[0], _AXES)
 
 
 def _check_cost(gltf: Gltf, placed: list[JsonObject], limits: Limits) -> None:
-    """Check what all primitives of a scene will take together, before the first one is read."""
+    """Check the splats and bytes of all primitives against the limits, before reading any."""
     counts: dict[int, int] = {}
     total = degree = 0
     for node in placed:
         attributes = node.child("attributes")
         degree = max(degree, _sh_degree(attributes))
         index = _accessor_index(attributes, "POSITION")
-        # Primitives that name the same positions are the same splats once more.
+        # Primitives with the same positions are instances of the same splats.
         if index not in counts:
             counts[index] = gltf.count(index)
         total += counts[index]
@@ -174,8 +175,8 @@ def _check_cost(gltf: Gltf, placed: list[JsonObject], limits: Limits) -> None:
     if total > _MAX_REPEATS * distinct:
         raise LimitError(
             "gltf-too-many-instances",
-            f"{gltf.where}: {distinct} splats are repeated to {total}, expected at most "
-            f"{_MAX_REPEATS} times as many",
+            f"{gltf.where}: {total} splats in the instances of {distinct}, expected at most "
+            f"{_MAX_REPEATS} times the distinct splats",
         )
     limits.require_scene(
         total,
@@ -187,7 +188,7 @@ def _check_cost(gltf: Gltf, placed: list[JsonObject], limits: Limits) -> None:
 
 
 def _placed_primitives(gltf: Gltf) -> list[tuple[JsonObject, F64]]:
-    """Return every primitive of splats in the scene with its node's transform to the world."""
+    """Return the scene's primitives with splats, each with its local-to-world transform."""
     meshes = gltf.items("meshes")
     primitives: dict[int, list[JsonObject]] = {}
     placed: list[tuple[JsonObject, F64]] = []
@@ -212,7 +213,7 @@ def _placed_primitives(gltf: Gltf) -> list[tuple[JsonObject, F64]]:
 
 
 def _read_primitive(gltf: Gltf, node: JsonObject) -> Splats:
-    """Return a primitive's splats in glTF's axes, in the frame of its mesh."""
+    """Return the splats of a primitive in glTF's axes and local coordinates."""
     colour_space = _check_extension(node)
     if node.integer("mode", 0, 6, default=_TRIANGLES) != _POINTS:
         raise FormatError("gltf-mode", f"{node.where}: mode is not {_POINTS}, expected points")
@@ -238,12 +239,12 @@ def _read_primitive(gltf: Gltf, node: JsonObject) -> Splats:
     )
 
 
-# Reason codes of what says another kind of splat.
-_KIND_CODES: Final = {"kernel": "gltf-kernel", "projection": "gltf-projection"}
+# Reason codes of unsupported values in the extension.
+_VALUE_CODES: Final = {"kernel": "gltf-kernel", "projection": "gltf-projection"}
 
 
 def _check_extension(node: JsonObject) -> str:
-    """Return the colour space, or raise where the extension asks for another kind of splat."""
+    """Return the extension's colour space, or raise if its splats are of an unsupported kind."""
     extension = node.child("extensions").child(_EXTENSION)
     inner = list(extension.child("extensions").values) if "extensions" in extension else []
     if inner:
@@ -251,12 +252,12 @@ def _check_extension(node: JsonObject) -> str:
         raise UnsupportedError(
             "gltf-spz" if spz else "gltf-extension",
             f"{extension.where}: extended by {', '.join(inner[:4])[:200]}, expected the plain "
-            "extension" + (" (its SPZ can be taken out and read)" if spz else ""),
+            "extension" + (" (its SPZ can be extracted and read)" if spz else ""),
         )
     for key, known in (("kernel", "ellipse"), ("projection", "perspective")):
         if extension.text(key, known) != known:
             raise UnsupportedError(
-                _KIND_CODES[key],
+                _VALUE_CODES[key],
                 f"{extension.where}: {key} {extension.text(key)!r}, expected {known}",
             )
     colour_space = extension.text("colorSpace", "srgb_rec709_display")
@@ -270,21 +271,22 @@ def _check_extension(node: JsonObject) -> str:
 
 
 def _sh_name(band: int, order: int) -> str:
+    """Return the name of an SH coefficient's attribute."""
     return f"{_EXTENSION}:SH_DEGREE_{band}_COEF_{order}"
 
 
 def _sh_orders(degree: int) -> Iterator[tuple[int, int]]:
-    """Yield SH band and index within the band of each coefficient above DC."""
+    """Yield the band, and the index within the band, of each SH coefficient above DC."""
     for band in range(1, degree + 1):
         for order in range(2 * band + 1):
             yield band, order
 
 
 def _sh_degree(attributes: JsonObject) -> int:
-    """Return the SH degree whose attributes are there, all of them and no others."""
+    """Return the SH degree of a primitive, after checking that all coefficients exist."""
     names = {name for name in attributes.values if name.startswith(f"{_EXTENSION}:SH_DEGREE_")}
     for degree in range(MAX_SH_DEGREE + 1):
-        if names == {_sh_name(0, 0), *(_sh_name(*place) for place in _sh_orders(degree))}:
+        if names == {_sh_name(0, 0), *(_sh_name(*pair) for pair in _sh_orders(degree))}:
             return degree
     bands = {int(m[1]) for m in (re.search("_DEGREE_([0-9]{1,3})_", name) for name in names) if m}
     raise FormatError(
@@ -295,16 +297,18 @@ def _sh_degree(attributes: JsonObject) -> int:
 
 
 def _accessor_index(attributes: JsonObject, name: str) -> int:
+    """Return the index of an attribute's accessor, or raise ``gltf-missing-attribute``."""
     if name not in attributes:
         raise FormatError(
             "gltf-missing-attribute",
-            f"{attributes.where}: no {name}, expected it beside "
+            f"{attributes.where}: no {name}, expected it next to "
             f"{', '.join(list(attributes.values)[:8])[:300]}",
         )
     return attributes.integer(name, 0, (1 << 31) - 1)
 
 
 def _attribute(gltf: Gltf, attributes: JsonObject, name: str, kind: str, count: int | None) -> F32:
+    """Return an attribute's values, after checking their number against `count`."""
     values = gltf.accessor(_accessor_index(attributes, name), kind, name)
     if count is not None and len(values) != count:
         raise FormatError(
@@ -314,6 +318,7 @@ def _attribute(gltf: Gltf, attributes: JsonObject, name: str, kind: str, count: 
 
 
 def _log_scales(scales: F32, where: str) -> F32:
+    """Return log scales of linear scales, or of the log scales of drafts of the extension."""
     if (scales < 0).any():
         warnings.warn(
             f"{where}: negative scales, as drafts of {_EXTENSION} wrote: read as logarithms",
@@ -321,14 +326,14 @@ def _log_scales(scales: F32, where: str) -> F32:
             stacklevel=4,
         )
         return scales
-    # Flat splats are legal here; a logarithm has no zero.
-    # NaN stays NaN, signalling or not: such rows are told of when they are used.
+    # Scales of zero are legal in glTF, so clip them before the logarithm. Rows with NaN are kept.
     with np.errstate(invalid="ignore"):
         logs: F32 = np.log(np.maximum(scales, np.float32(_SMALLEST_SCALE)))
     return logs
 
 
 def _logits(opacities_unit: F32, where: str) -> F32:
+    """Return the logits of opacities, or raise ``gltf-bad-opacity``."""
     outside = np.abs(opacities_unit - np.float32(0.5)) > 0.5 + _OPACITY_TOLERANCE
     if outside.any():
         raise FormatError(
@@ -340,20 +345,20 @@ def _logits(opacities_unit: F32, where: str) -> F32:
 
 
 def _with_degree(splats: Splats, degree: int) -> Splats:
-    """Return the scene with zeros up to an SH degree."""
+    """Return a scene padded with zero SH coefficients to a degree."""
     missing = sh_coefficients(degree) - 1 - splats.shN.shape[1]
     return replace(splats, shN=np.pad(splats.shN, ((0, 0), (0, missing), (0, 0))))
 
 
-def _place(splats: Splats, matrix: F64, where: str) -> Splats:
-    """Return splats moved by a node's transform, which keeps angles."""
+def _transformed(splats: Splats, matrix: F64, where: str) -> Splats:
+    """Return splats transformed by a node's matrix, which must be a similarity transform."""
     if np.array_equal(matrix, np.eye(4)):
         return splats
     largest = float(np.abs(matrix[:3, :3]).max())
-    # Divided first: determinants of large and of small axes leave the range of doubles.
+    # Normalise first: the determinant of very large or small axes over- or underflows.
     linear = matrix[:3, :3] / largest if largest > 0 else matrix[:3, :3]
     if np.linalg.det(linear) < 0:
-        # As seen in a mirror: x counted the other way, then what turns that into `linear`.
+        # A mirroring: flip x of the splats, and apply the rest as a rotation.
         mirrored = convert_axes(splats, "R" + GLTF_AXES[1:])
         splats = replace(mirrored, info=splats.info)
         linear = linear * np.array([-1.0, 1.0, 1.0])
@@ -362,8 +367,8 @@ def _place(splats: Splats, matrix: F64, where: str) -> Splats:
     if not longest > 0 or longest - shortest > _SIMILARITY_TOLERANCE * longest:
         raise UnsupportedError(
             "gltf-shear",
-            f"{where}: its node stretches axes by {largest * shortest:g} to "
-            f"{largest * longest:g}, expected all by the same",
+            f"{where}: its node scales axes by {largest * shortest:g} to "
+            f"{largest * longest:g}, expected one factor",
         )
     scale = largest * float(lengths.mean())
     x, y, z = (float(value) for value in matrix[:3, 3])
@@ -373,21 +378,21 @@ def _place(splats: Splats, matrix: F64, where: str) -> Splats:
         raise FormatError(
             "gltf-bad-transform",
             f"{where}: its node scales by {scale:g} and moves by ({x:g}, {y:g}, {z:g}), expected "
-            "what float32 holds",
+            "values within float32",
         )
     return transform(splats, scale, left @ right, (x, y, z))
 
 
 def write_gltf(splats: Splats, path: StrPath, *, force: bool = False) -> None:
-    """Write a scene as glTF with KHR_gaussian_splatting, whole or not at all.
+    """Write a scene as glTF with KHR_gaussian_splatting, atomically.
 
     Parameters
     ----------
     splats : Splats
-        At least one. Written as floats in file order; colours for viewers that know points only
-        go along as ``COLOR_0``.
+        Scene with at least one splat, stored as floats in the same row order. ``COLOR_0`` holds
+        colours for viewers without the extension, which draw points.
     path : path
-        The output: a GLB, or JSON with its buffer inside where the name ends in ``.gltf``.
+        The output: JSON with an embedded buffer if the name ends in ``.gltf``, otherwise a GLB.
     force : bool
         Whether an existing file may be replaced.
 
@@ -396,30 +401,30 @@ def write_gltf(splats: Splats, path: StrPath, *, force: bool = False) -> None:
     DataError
         ``invalid-rows``; ``bad-scene-info``; ``no-splats``.
     LimitError
-        ``gltf-too-large``: beyond the 4 GiB of a GLB, or `MAX_TEXT_BYTES` of a ``.gltf``.
+        ``gltf-too-large``: a GLB would exceed 4 GiB, or a ``.gltf`` `MAX_TEXT_BYTES`.
     StorageError
-        As `atomic_write`, ``exists`` among them.
+        See `atomic_write`, e.g. ``exists``.
 
     Warns
     -----
     CogsplatWarning
-        Where `splats.info` says what the extension has no place for, or there are extras.
+        The scene has metadata or extras that glTF cannot hold.
     """
     where = os.fspath(path)
     splats.require_valid()
     if not len(splats):
         raise DataError("no-splats", f"{where}: no splats, expected one: glTF has no empty arrays")
-    info = splats.info
-    losses = info_losses(replace(info, colour_space=SceneInfo().colour_space))
-    losses += extra_losses(splats)
-    warn_of_losses(path, "glTF", losses)
+    # glTF stores the colour space, so exclude it from the dropped values.
+    dropped = dropped_info(replace(splats.info, colour_space=SceneInfo().colour_space))
+    dropped += dropped_extras(splats)
+    warn_dropped(path, "glTF", dropped)
     splats = convert_axes(splats, GLTF_AXES)
     layout = _layout(splats.sh_degree)
-    length = len(splats) * sum(entry.nbytes for entry in layout)
+    length = len(splats) * sum(attribute.nbytes for attribute in layout)
     document = _document(splats, layout, length)
     with atomic_write(path, force) as file:
         if where.lower().endswith(".gltf"):
-            # Base64 makes four bytes of three; the rest is JSON of known size.
+            # Base64 turns three bytes into four; `_MAX_DOCUMENT_BYTES` bounds the JSON.
             if length // 3 * 4 + _MAX_DOCUMENT_BYTES > MAX_TEXT_BYTES:
                 raise LimitError(
                     "gltf-too-large",
@@ -435,8 +440,8 @@ def write_gltf(splats: Splats, path: StrPath, *, force: bool = False) -> None:
 
 
 @dataclass(frozen=True)
-class _Entry:
-    """An attribute as it is written: name, accessor type, component type, bytes of a splat."""
+class _Attribute:
+    """A written attribute: name, accessor type, component type, bytes per splat."""
 
     name: str
     kind: str
@@ -444,21 +449,21 @@ class _Entry:
     nbytes: int
 
 
-def _layout(degree: int) -> list[_Entry]:
-    """Return the attributes in the order of `_values`."""
+def _layout(degree: int) -> list[_Attribute]:
+    """Return the written attributes, in the order of `_values`."""
     return [
-        _Entry("POSITION", "VEC3", _FLOAT, 12),
-        _Entry("COLOR_0", "VEC4", _UNSIGNED_BYTE, 4),
-        _Entry(f"{_EXTENSION}:ROTATION", "VEC4", _FLOAT, 16),
-        _Entry(f"{_EXTENSION}:SCALE", "VEC3", _FLOAT, 12),
-        _Entry(f"{_EXTENSION}:OPACITY", "SCALAR", _FLOAT, 4),
-        _Entry(_sh_name(0, 0), "VEC3", _FLOAT, 12),
-        *(_Entry(_sh_name(*place), "VEC3", _FLOAT, 12) for place in _sh_orders(degree)),
+        _Attribute("POSITION", "VEC3", _FLOAT, 12),
+        _Attribute("COLOR_0", "VEC4", _UNSIGNED_BYTE, 4),
+        _Attribute(f"{_EXTENSION}:ROTATION", "VEC4", _FLOAT, 16),
+        _Attribute(f"{_EXTENSION}:SCALE", "VEC3", _FLOAT, 12),
+        _Attribute(f"{_EXTENSION}:OPACITY", "SCALAR", _FLOAT, 4),
+        _Attribute(_sh_name(0, 0), "VEC3", _FLOAT, 12),
+        *(_Attribute(_sh_name(*pair), "VEC3", _FLOAT, 12) for pair in _sh_orders(degree)),
     ]
 
 
 def _values(splats: Splats) -> Iterator[NDArray[np.generic]]:
-    """Yield the values of one attribute after the other."""
+    """Yield the stored values of each attribute, in the order of `_layout`."""
     yield splats.means.astype("<f4", copy=False)
     colours = (splats.sh0 * np.float32(C0) + np.float32(COLOUR_OFFSET)).clip(0, 1)
     rgba = np.empty((len(splats), 4), np.uint8)
@@ -466,7 +471,7 @@ def _values(splats: Splats) -> Iterator[NDArray[np.generic]]:
     rgba[:, 3] = opacity_bytes(splats.opacities)
     yield rgba
     yield np.roll(unit(splats.quats), -1, axis=1).astype("<f4", copy=False)
-    # float32 ends before log scales do; what lies beyond is no size.
+    # exp of a large log scale overflows float32, so clip it.
     with np.errstate(over="ignore"):
         scales = np.exp(splats.scales.astype(np.float64)).clip(_SMALLEST_SCALE, _LARGEST_SCALE)
     yield scales.astype("<f4")
@@ -476,24 +481,25 @@ def _values(splats: Splats) -> Iterator[NDArray[np.generic]]:
         yield splats.shN[:, k].astype("<f4", order="C")
 
 
-def _document(splats: Splats, layout: list[_Entry], length: int) -> dict[str, object]:
+def _document(splats: Splats, layout: list[_Attribute], length: int) -> dict[str, object]:
+    """Return the glTF JSON of a scene with one buffer of `length` bytes."""
     views, accessors, offset = [], [], 0
-    for index, entry in enumerate(layout):
-        nbytes = len(splats) * entry.nbytes
+    for index, attribute in enumerate(layout):
+        nbytes = len(splats) * attribute.nbytes
         views.append(
             {"buffer": 0, "byteOffset": offset, "byteLength": nbytes, "target": _ARRAY_BUFFER}
         )
         offset += nbytes
         accessor: dict[str, object] = {
             "bufferView": index,
-            "componentType": entry.component,
+            "componentType": attribute.component,
             "count": len(splats),
-            "type": entry.kind,
+            "type": attribute.kind,
         }
-        if entry.component != _FLOAT:
+        if attribute.component != _FLOAT:
             accessor["normalized"] = True
-        if entry.name == "POSITION":
-            # Required of positions alone (section 3.7.2.1).
+        if attribute.name == "POSITION":
+            # Required for positions only (section 3.7.2.1).
             accessor["min"] = [float(value) for value in splats.means.min(axis=0)]
             accessor["max"] = [float(value) for value in splats.means.max(axis=0)]
         accessors.append(accessor)
@@ -505,7 +511,7 @@ def _document(splats: Splats, layout: list[_Entry], length: int) -> dict[str, ob
         "sortingMethod": "cameraDistance",
     }
     primitive = {
-        "attributes": {entry.name: index for index, entry in enumerate(layout)},
+        "attributes": {attribute.name: index for index, attribute in enumerate(layout)},
         "mode": _POINTS,
         "extensions": {_EXTENSION: extension},
     }
@@ -523,6 +529,7 @@ def _document(splats: Splats, layout: list[_Entry], length: int) -> dict[str, ob
 
 
 def _json(document: dict[str, object]) -> bytes:
+    """Serialise a document as compact ASCII JSON."""
     return json.dumps(document, separators=(",", ":"), allow_nan=False).encode("ascii")
 
 
@@ -533,8 +540,9 @@ def _write_glb(
     length: int,
     where: str,
 ) -> None:
+    """Write a GLB: header, JSON chunk, binary chunk of `length` bytes."""
     text = _json(document)
-    # Chunks are multiples of 4 long; the values are anyway.
+    # Lengths of chunks are multiples of 4; that of the values always is.
     text += b" " * (-len(text) % 4)
     total = GLB_HEADER.size + 2 * GLB_CHUNK.size + len(text) + length
     if total > _MAX_GLB_BYTES:

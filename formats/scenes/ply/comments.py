@@ -1,4 +1,4 @@
-"""`SceneInfo` as PLY comments: our own, and the one other programs use for anti-aliasing."""
+"""`SceneInfo` as PLY comments: our own keys, and a foreign comment for anti-aliasing."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from cogsplat.codec.splats import SceneInfo
 _COMMENT = "cogsplat"
 _AXES = ({"R", "L"}, {"U", "D"}, {"F", "B"})
 
-# How Brush, gsplat and splat-transform mark scenes trained with Mip-Splatting's filter.
+# Comment of Brush, gsplat and splat-transform in scenes trained with Mip-Splatting's filter.
 _MIP_COMMENT: Final = "SplatRenderMode: mip"
 
 
 def scene_comments(info: SceneInfo) -> list[str]:
-    """Return the comments for the values that differ from a default `SceneInfo`.
+    """Return one PLY comment for each value that differs from a default `SceneInfo`.
 
-    Anti-aliasing is said twice, in our own words and in those of other programs.
+    Anti-aliasing gets two comments: our own key, and ``SplatRenderMode: mip`` for other programs.
 
     Raises
     ------
     DataError
-        ``bad-scene-info``: a value that `parse_scene_info` would refuse.
+        ``bad-scene-info``: `parse_scene_info` would reject a value.
     """
     default = SceneInfo()
     comments = []
@@ -47,15 +47,22 @@ def scene_comments(info: SceneInfo) -> list[str]:
 
 
 def parse_scene_info(comments: Sequence[str], where: str) -> SceneInfo:
-    """Return the `SceneInfo` of the comments that start with ``cogsplat``; skip unknown keys.
+    """Parse the `SceneInfo` of a PLY's comments.
 
-    ``SplatRenderMode: mip`` says that a scene is anti-aliased, whatever ours say; other modes say
-    nothing.
+    Comments ``cogsplat KEY VALUE`` set the values; unknown keys are skipped. A comment
+    ``SplatRenderMode: mip`` also marks the scene as anti-aliased.
+
+    Parameters
+    ----------
+    comments : sequence of str
+        Text of each comment, without the word ``comment``.
+    where : str
+        Name of the file for messages.
 
     Raises
     ------
     FormatError
-        ``ply-bad-comment``: a known key with a value that it cannot have.
+        ``ply-bad-comment``: a known key has an invalid value.
     """
     default = SceneInfo()
     origin, axes, colour_space = default.origin, default.axes, default.colour_space
@@ -81,12 +88,13 @@ def parse_scene_info(comments: Sequence[str], where: str) -> SceneInfo:
             ]:
                 raise FormatError(
                     "ply-bad-comment",
-                    f"{where}: {comment[:80]!r}, expected a value that {key} can have",
+                    f"{where}: {comment[:80]!r}, expected a valid value of {key}",
                 )
     return SceneInfo(origin, axes, colour_space, kernel_px, antialiased or marked)
 
 
 def _finite(*words: str) -> bool:
+    """Return whether all words are finite numbers."""
     try:
         return all(math.isfinite(float(word)) for word in words)
     except ValueError:
@@ -94,5 +102,5 @@ def _finite(*words: str) -> bool:
 
 
 def _is_axes(name: str) -> bool:
-    """Tell whether there is one letter for each of right/left, up/down, front/back."""
+    """Return whether a name has one letter for each of right/left, up/down, front/back."""
     return len(name) == 3 and all(len(pair & set(name)) == 1 for pair in _AXES)

@@ -1,4 +1,4 @@
-"""Extra properties of a PLY's vertices, and doubles far from zero as offsets from an origin."""
+"""Extra properties of a PLY's vertices, and the origin of scenes in map coordinates."""
 
 from __future__ import annotations
 
@@ -16,32 +16,45 @@ from cogsplat.codec.splats import MAX_EXTRA_NAME_BYTES, MAX_EXTRAS, Extra
 from .header import Element, Property
 
 NORMALS: Final = ("nx", "ny", "nz")
-"""What 3DGS training writes as zeros and never reads."""
+"""Properties that 3DGS training writes as zeros and never reads."""
 
-# What any parser of PLY takes for one word.
+# A property name that every PLY parser reads as one word.
 _WORD: Final = re.compile(r"[!-~]+")
 
-# Float32 steps at this distance are about 1/8000 of a unit; farther than this, and than so many
-# times the scene's own extent, its centre is taken for a place on a map.
-_FAR: Final = 1000.0
-_FAR_EXTENTS: Final = 4.0
+# A scene is in map coordinates if its centre is farther from zero than both limits: this distance,
+# where float32 steps are about 1/8000 of a unit, and this multiple of the scene's extent.
+_MAP_DISTANCE: Final = 1000.0
+_MAP_EXTENTS: Final = 4.0
 
 
 def extra_properties(
     vertex: Element, fields: Mapping[str, Collection[str]], where: str
 ) -> list[Property]:
-    """Return the properties that become extras: scalars other than a splat's own values.
+    """Return the vertex properties that become extra attributes of the scene.
 
-    More than `Splats` can hold, or names too long for it, are left out with a warning.
+    Parameters
+    ----------
+    vertex : Element
+        The vertex element, without lists.
+    fields : mapping of str to collection of str
+        Properties of each array of `Splats`; these become no extras.
+    where : str
+        Name of the file for messages.
+
+    Returns
+    -------
+    list of Property
+        At most `MAX_EXTRAS` properties, in file order, with names of at most
+        `MAX_EXTRA_NAME_BYTES` bytes. A warning reports any that are skipped.
     """
-    drawn = {name for group in fields.values() for name in group}
-    others = [prop for prop in vertex.properties if prop.name not in drawn]
-    kept = [prop for prop in others if len(prop.name.encode()) <= MAX_EXTRA_NAME_BYTES]
+    standard = {name for group in fields.values() for name in group}
+    extra = [prop for prop in vertex.properties if prop.name not in standard]
+    kept = [prop for prop in extra if len(prop.name.encode()) <= MAX_EXTRA_NAME_BYTES]
     kept = kept[:MAX_EXTRAS]
-    if len(kept) < len(others):
+    if len(kept) < len(extra):
         warnings.warn(
-            f"{where}: {len(others) - len(kept)} of {len(others)} properties beside those of a "
-            f"3DGS scene are left out, expected at most {MAX_EXTRAS} with names of at most "
+            f"{where}: {len(extra) - len(kept)} of {len(extra)} extra properties are skipped, "
+            f"expected at most {MAX_EXTRAS} with names of at most "
             f"{MAX_EXTRA_NAME_BYTES} bytes",
             CogsplatWarning,
             stacklevel=3,
@@ -49,73 +62,76 @@ def extra_properties(
     return kept
 
 
-def without_padding(extras: dict[str, Extra]) -> dict[str, Extra]:
-    """Return extras without normals that are all zero."""
-    there = [name for name in NORMALS if name in extras]
-    if any(extras[name].any() for name in there):
+def without_zero_normals(extras: dict[str, Extra]) -> dict[str, Extra]:
+    """Return the extras; normals are removed if all of their values are zero."""
+    normals = [name for name in NORMALS if name in extras]
+    if any(extras[name].any() for name in normals):
         return extras
-    return {name: values for name, values in extras.items() if name not in there}
+    return {name: values for name, values in extras.items() if name not in normals}
 
 
 def extra_columns(
-    extras: Mapping[str, Extra], taken: Collection[str]
+    extras: Mapping[str, Extra], reserved: Collection[str]
 ) -> tuple[dict[str, Extra], list[str]]:
-    """Return the columns to write, and the names of extras that no PLY can hold.
+    """Return the PLY columns of a scene's extras, and the extras that a PLY cannot hold.
 
     Parameters
     ----------
-    extras : mapping
-        Of a scene; those of several components become columns ``name_0``, ``name_1`` and on.
-    taken : collection of str
-        Properties that have their place already.
+    extras : mapping of str to array
+        Extra attributes; one with several components becomes columns ``name_0``, ``name_1``, …
+    reserved : collection of str
+        Property names that extras must not use.
 
     Returns
     -------
     columns : dict of str to (N,) array
-    losses : list of str
-        Extras whose names are no words of ASCII, or are taken.
+        Values by property name.
+    dropped : list of str
+        A phrase for each extra whose name is reserved or is no ASCII word.
     """
     columns: dict[str, Extra] = {}
-    losses = []
+    dropped = []
     for name, values in extras.items():
         own = {name: values}
         if values.ndim == 2:
             own = {f"{name}_{k}": values[:, k] for k in range(values.shape[1])}
-        if all(_WORD.fullmatch(n) and n not in taken and n not in columns for n in own):
+        if all(_WORD.fullmatch(n) and n not in reserved and n not in columns for n in own):
             columns |= own
         else:
-            losses.append(f"the attribute {name!r}")
-    return columns, losses
+            dropped.append(f"the attribute {name!r}")
+    return columns, dropped
 
 
-def as_origin(
+def split_origin(
     means: NDArray[np.float64], where: str
 ) -> tuple[NDArray[np.float64], tuple[float, float, float]]:
-    """Return means relative to a whole-numbered origin where float32 would lose their digits.
+    """Split map coordinates, which float32 would round, into an origin and relative means.
 
     Parameters
     ----------
     means : (N, 3) float64
+        Centres in scene units.
     where : str
-        Name of the file for the warning that says so.
+        Name of the file for the warning that reports the origin.
 
     Returns
     -------
     means : (N, 3) float64
+        Centres relative to the origin.
     origin : tuple of float
-        Zeros where they stay as they are.
+        Whole numbers near the median centre; zeros if the scene is not in map coordinates.
     """
-    still = (0.0, 0.0, 0.0)
+    zero = (0.0, 0.0, 0.0)
     finite = means[np.isfinite(means).all(axis=1)]
     if not len(finite):
-        return means, still
+        return means, zero
     low, centre, high = np.quantile(finite, [0.01, 0.5, 0.99], axis=0, method="nearest")
     with np.errstate(over="ignore"):
         extent = float((high - low).max())
-        far = float(np.abs(centre).max())
-        if not max(_FAR, _FAR_EXTENTS * extent) < far < np.inf:
-            return means, still
-        # Plus zero, for what rounds to -0.
+        distance = float(np.abs(centre).max())
+        if not max(_MAP_DISTANCE, _MAP_EXTENTS * extent) < distance < np.inf:
+            return means, zero
+        # Adding 0.0 turns -0.0 into 0.0.
         x, y, z = (float(value) + 0.0 for value in np.rint(centre))
         warnings.warn(
             f"{where}: centres lie about ({x:.0f}, {y:.0f}, {z:.0f}), which becomes the origin; "

@@ -1,7 +1,7 @@
-"""PLY layouts that are not canonical, through plyfile: text, big-endian, vertices not first.
+"""PLY layouts that plyfile reads: text, big-endian, vertices behind another element.
 
-plyfile is licensed under the GPL and belongs to the extra ``encode``, so it is imported only when
-such a file is met.
+plyfile is licensed under the GPL and belongs to the extra ``encode``, so only a file with such a
+layout imports it.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from cogsplat.codec.splats import Extra
 
 from .header import PlyHeader
 
-# plyfile makes one array of each list: about 250 bytes and 5 µs for what may be one byte of the
-# file. Splats come without lists; a mesh beside them may have some.
+# plyfile makes one array per list: about 250 bytes and 5 µs for possibly one byte of the file.
+# Splats have no lists, but a mesh in the same file may.
 _MAX_LISTS = 1 << 17
 
-# plyfile splits a line of text at once; 45 + 17 numbers take some 1600 bytes.
+# plyfile splits a whole line of text at once; a splat of SH degree 3 has some 1600 bytes.
 _MAX_LINE_BYTES = 1 << 20
 
 _BLOCK_ROWS = 16384
@@ -43,33 +43,32 @@ def read_columns(
     extras: Mapping[str, Extra],
     where: str,
 ) -> None:
-    """Fill arrays from a PLY of any layout.
+    """Fill arrays with the vertices of a PLY of any layout, read by plyfile.
 
     Parameters
     ----------
     file : BinaryIO
-        The file, at any position; it is left open.
+        The open file, at any position; it stays open.
     header : PlyHeader
-        Its header; `check_size` has passed.
-    fields : dict
-        For each array, the vertex properties of its columns.
-    arrays : dict
-        For each field an (N, properties) array to fill; values wider than its type are rounded,
-        or ±inf where float32 ends.
-    extras : mapping
-        For each other property that is wanted an (N,) array of its type.
+        The file's header, which `check_size` has accepted.
+    fields : dict of str to list of str
+        Vertex properties of each array's columns.
+    arrays : mapping of str to (N, properties) array
+        Arrays to fill, by field. Doubles are rounded to the array's type, to ±inf beyond its range.
+    extras : mapping of str to (N,) array
+        Arrays to fill with extra properties, by property name.
     where : str
         Name of the file for messages.
 
     Raises
     ------
     FormatError
-        ``ply-malformed``: what plyfile refuses, or a line of text beyond 1 MiB;
-        ``ply-trailing-bytes``: more lines of text than the header counts.
+        ``ply-malformed``: plyfile rejects the file, or a line of text exceeds 1 MiB;
+        ``ply-trailing-bytes``: there are more lines of text than rows in the header.
     TruncatedError
-        ``ply-truncated``: fewer.
+        ``ply-truncated``: there are fewer lines of text than rows in the header.
     UnsupportedError
-        ``needs-plyfile``: it is not installed; ``ply-too-many-lists``.
+        ``needs-plyfile``: plyfile is not installed; ``ply-too-many-lists``.
     """
     _check_lists(header, where)
     if header.format == "ascii":
@@ -82,17 +81,17 @@ def read_columns(
             f"{where}: {_layout(header)}; without plyfile (pip install 'cogsplat[encode]') only "
             "binary_little_endian files whose first element is vertex, all of floats, are read",
         ) from error
-    # A copy, because a text stream closes the file below it.
+    # A duplicate descriptor, because a text stream closes its underlying file.
     with os.fdopen(os.dup(file.fileno()), "rb") as copy:
         copy.seek(0)
         text = header.format == "ascii"
-        # plyfile refuses comments beyond ASCII, which its own text stream would give it.
+        # Escape non-ASCII comments: plyfile would reject them.
         stream = io.TextIOWrapper(copy, "ascii", "backslashreplace") if text else copy
         try:
             vertices = plyfile.PlyData.read(stream)["vertex"].data
         except OSError:
             raise
-        # Whatever a foreign parser trips over here, it is the file's fault.
+        # Any other exception of the foreign parser is an error in the file.
         except Exception as error:
             raise FormatError(
                 "ply-malformed",
@@ -110,11 +109,13 @@ def read_columns(
 
 
 def _layout(header: PlyHeader) -> str:
+    """Describe a file's format and elements, for a message."""
     elements = ", ".join(element.name for element in header.elements)
     return f"{header.format} with the elements {elements}"
 
 
 def _check_lists(header: PlyHeader, where: str) -> None:
+    """Raise ``ply-too-many-lists`` if a file has more lists than plyfile can hold in memory."""
     lists = sum(
         element.count * sum(1 for prop in element.properties if prop.length_dtype)
         for element in header.elements
@@ -122,11 +123,12 @@ def _check_lists(header: PlyHeader, where: str) -> None:
     if lists > _MAX_LISTS:
         raise UnsupportedError(
             "ply-too-many-lists",
-            f"{where}: {lists} lists beside the vertices, expected at most {_MAX_LISTS}",
+            f"{where}: {lists} lists, expected at most {_MAX_LISTS}",
         )
 
 
 def _check_lines(file: BinaryIO, header: PlyHeader, where: str) -> None:
+    """Check the length and the number of a text file's lines against its header."""
     expected = sum(element.count for element in header.elements)
     rows = 0
     file.seek(header.data_offset)

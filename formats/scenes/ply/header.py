@@ -1,4 +1,4 @@
-"""PLY headers: elements, their properties, and the properties that make up a splat."""
+"""PLY headers: elements, their properties, and the properties of a 3DGS splat."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import BinaryIO
 from cogsplat.codec.errors import FormatError, TruncatedError
 
 MAX_HEADER_BYTES = 65536
-"""Longest header that is read; SH degree 3 takes about 1500 bytes."""
+"""Limit on a header's length; a scene of SH degree 3 has about 1500 bytes."""
 
 MAX_COUNT = 2**31 - 1
-"""Largest element count, as the INT32 of the PLY description (Turk, 1994) allows."""
+"""Limit on an element's count: the INT32 of the PLY description (Turk, 1994)."""
 
-# The names of the PLY description, then those that later writers use; sizes in the numpy type.
+# numpy type of each PLY type: names of the PLY description first, then names of later writers.
 _TYPES = {
     "char": "i1",
     "uchar": "u1",
@@ -44,11 +44,11 @@ class Property:
     Parameters
     ----------
     name : str
-        As in the header.
+        Name in the header.
     dtype : str
-        Type of the value, or of a list's items, as numpy writes it without byte order.
+        numpy type of the value, or of a list's items, without byte order, e.g. ``"f4"``.
     length_dtype : str
-        Type of a list's length; empty where the property is no list.
+        numpy type of a list's length; empty for a scalar property.
     """
 
     name: str
@@ -57,13 +57,13 @@ class Property:
 
     @property
     def min_bytes(self) -> int:
-        """Smallest size of a value in a binary file, in bytes: a scalar, or an empty list."""
+        """Size of the value in a binary file, bytes; for a list, the size of an empty one."""
         return int((self.length_dtype or self.dtype)[1:])
 
 
 @dataclass(frozen=True)
 class Element:
-    """An element of a PLY: `count` rows of its properties."""
+    """An element of a PLY: its name, its number of rows, and the properties of a row."""
 
     name: str
     count: int
@@ -71,12 +71,12 @@ class Element:
 
     @property
     def has_lists(self) -> bool:
-        """Whether rows differ in length."""
+        """Whether a property is a list, so that rows may differ in length."""
         return any(prop.length_dtype for prop in self.properties)
 
     @property
     def min_stride(self) -> int:
-        """Smallest size of a row in a binary file, in bytes; exact where there are no lists."""
+        """Smallest size of a row in a binary file, bytes; the exact size without lists."""
         return sum(prop.min_bytes for prop in self.properties)
 
 
@@ -91,9 +91,9 @@ class PlyHeader:
     elements : tuple of Element
         In file order.
     comments : tuple of str
-        Text after the word ``comment``.
+        Text of each comment, without the word ``comment``.
     data_offset : int
-        Byte where the data begin.
+        Offset of the first row, bytes.
     """
 
     format: str
@@ -103,7 +103,7 @@ class PlyHeader:
 
     @property
     def is_canonical(self) -> bool:
-        """Whether the vertices come first, little-endian, all in rows of one length."""
+        """Whether vertices are the first element, little-endian, without lists."""
         return (
             self.format == "binary_little_endian"
             and self.elements[0].name == "vertex"
@@ -111,7 +111,7 @@ class PlyHeader:
         )
 
     def vertex(self, where: str) -> Element:
-        """Return the element that holds the splats, or raise ``ply-no-vertex``."""
+        """Return the element ``vertex``, which holds the splats, or raise ``ply-no-vertex``."""
         for element in self.elements:
             if element.name == "vertex":
                 return element
@@ -122,28 +122,28 @@ class PlyHeader:
 
 
 def is_ply(head: bytes) -> bool:
-    """Tell whether a file that starts with these bytes is a PLY."""
+    """Return whether a file that begins with `head` is a PLY."""
     return head.startswith((b"ply\n", b"ply\r\n"))
 
 
 def read_header(file: BinaryIO, where: str) -> PlyHeader:
-    """Read the header at the start of a file, at most `MAX_HEADER_BYTES`.
+    """Read and parse the header of an open file.
 
     Raises
     ------
     FormatError
-        As in `parse_header`.
+        See `parse_header`.
     """
     return parse_header(file.read(MAX_HEADER_BYTES), where)
 
 
 def parse_header(head: bytes, where: str) -> PlyHeader:
-    """Parse the header that these bytes start with.
+    """Parse the header at the start of a file.
 
     Parameters
     ----------
     head : bytes
-        The file's first bytes: all of it, or `MAX_HEADER_BYTES`.
+        First `MAX_HEADER_BYTES` of the file, or the whole file if it is shorter.
     where : str
         Name of the file for messages.
 
@@ -167,12 +167,14 @@ def parse_header(head: bytes, where: str) -> PlyHeader:
         raise TruncatedError(
             "ply-no-end-header", f"{where}: ends after {len(head)} bytes, expected end_header"
         )
-    # Comments may be in any encoding; names that matter are ASCII.
+    # Comments may have any encoding; the names that we look up are ASCII.
     lines = head[: end.start()].decode("utf-8", "replace").split("\n")
     return _Parser(where).parse([line.removesuffix("\r") for line in lines[1:]], end.end())
 
 
 class _Parser:
+    """Parser of the lines of a PLY header."""
+
     def __init__(self, where: str) -> None:
         self.where = where
         self.line = ""
@@ -182,6 +184,7 @@ class _Parser:
         self.elements: list[tuple[str, int, list[Property]]] = []
 
     def parse(self, lines: Sequence[str], data_offset: int) -> PlyHeader:
+        """Return the header of its lines, from the second line to the one before end_header."""
         for self.line in lines:
             self.number += 1
             word, *rest = self.line.split(maxsplit=1) or [""]
@@ -203,6 +206,7 @@ class _Parser:
         return PlyHeader(self.format, elements, tuple(self.comments), data_offset)
 
     def statement(self, words: list[str]) -> None:
+        """Parse a line that declares the format, an element or a property."""
         match words:
             case ["format", name, "1.0"] if name in _FORMATS and not self.format:
                 self.format = name
@@ -218,6 +222,7 @@ class _Parser:
                 self.refuse("ply-bad-header", "a format, element, property or comment")
 
     def element(self, name: str, count: str) -> None:
+        """Add an element, after checking its count and its name."""
         if not re.fullmatch("[0-9]{1,10}", count) or int(count) > MAX_COUNT:
             self.refuse("ply-bad-count", f"a count from 0 to {MAX_COUNT}")
         if any(name == known for known, _, _ in self.elements):
@@ -225,6 +230,7 @@ class _Parser:
         self.elements.append((name, int(count), []))
 
     def property(self, new: Property) -> None:
+        """Add a property to the last element."""
         if not self.elements:
             self.refuse("ply-bad-header", "an element before its properties")
         properties = self.elements[-1][2]
@@ -233,6 +239,7 @@ class _Parser:
         properties.append(new)
 
     def refuse(self, code: str, expected: str) -> None:
+        """Raise a `FormatError` about the current line."""
         shown = self.line if len(self.line) <= 80 else self.line[:77] + "..."
         raise FormatError(
             code, f"{self.where}: header line {self.number} is {shown!r}, expected {expected}"
@@ -240,23 +247,32 @@ class _Parser:
 
 
 def check_size(header: PlyHeader, size: int, where: str) -> None:
-    """Check that a file of `size` bytes can hold the rows that its header counts.
+    """Check the size of a file against the element counts of its header.
+
+    Parameters
+    ----------
+    header : PlyHeader
+        The file's header.
+    size : int
+        Size of the file, bytes.
+    where : str
+        Name of the file for messages.
 
     Raises
     ------
     TruncatedError
-        ``ply-truncated``: it cannot.
+        ``ply-truncated``: the file is too small for its rows.
     FormatError
-        ``ply-trailing-bytes``: binary rows of fixed length end before the file does.
+        ``ply-trailing-bytes``: a binary file without lists has bytes behind its last row.
     """
     text = header.format == "ascii"
     needed = header.data_offset
     for element in header.elements:
-        # A number in text takes a digit and a separator.
+        # A number in text takes at least a digit and a separator.
         stride = 2 * len(element.properties) if text else element.min_stride
         needed += element.count * stride
     counts = ", ".join(f"{element.count} {element.name}" for element in header.elements)
-    # The last line of a text file may lack its line feed.
+    # Subtract 1 for text: the last line may lack its line feed.
     if size < needed - text:
         raise TruncatedError(
             "ply-truncated",
@@ -272,7 +288,7 @@ def check_size(header: PlyHeader, size: int, where: str) -> None:
         )
 
 
-# Properties of one splat in the order of each array's row, as 3DGS training names them.
+# PLY properties of each array's columns, in order, under the names of 3DGS training.
 _FIXED_FIELDS = {
     "means": ["x", "y", "z"],
     "scales": ["scale_0", "scale_1", "scale_2"],
@@ -280,14 +296,20 @@ _FIXED_FIELDS = {
     "opacities": ["opacity"],
     "sh0": ["f_dc_0", "f_dc_1", "f_dc_2"],
 }
-# 3 channels of (degree + 1)² - 1 coefficients.
+# Possible numbers of f_rest properties: 3 channels of (degree + 1)² - 1 coefficients.
 _REST_COUNTS = (0, 9, 24, 45)
 
 
 def splat_fields(rest_count: int) -> dict[str, list[str]]:
-    """Return, for each array of `Splats`, the properties of its flattened row, in order.
+    """Return the PLY properties of each array of `Splats`, in the order of its flattened row.
 
-    The file holds f_rest channel by channel: all of red, all of green, all of blue.
+    PLY stores f_rest channel by channel (all of red, then green, then blue), whereas `Splats.shN`
+    is coefficient by coefficient.
+
+    Parameters
+    ----------
+    rest_count : int
+        Number of f_rest properties: 0, 9, 24 or 45.
     """
     per_channel = rest_count // 3
     rest = [f"f_rest_{c * per_channel + k}" for k in range(per_channel) for c in range(3)]
@@ -295,12 +317,13 @@ def splat_fields(rest_count: int) -> dict[str, list[str]]:
 
 
 def match_fields(vertex: Element, where: str) -> dict[str, list[str]]:
-    """Return `splat_fields` of a vertex element that has them all; others are left out.
+    """Return `splat_fields` for a vertex element, after checking that it has every property.
 
     Raises
     ------
     FormatError
-        ``ply-list-property``, ``ply-bad-sh``, ``ply-missing-property``.
+        ``ply-list-property``: the element has lists; ``ply-bad-sh``: the number of f_rest
+        properties fits no SH degree; ``ply-missing-property``.
     """
     names = [prop.name for prop in vertex.properties]
     if vertex.has_lists:

@@ -1,4 +1,4 @@
-"""3DGS scenes as PLY: little-endian by blocks of rows, other layouts through plyfile."""
+"""Reader and writer of 3DGS scenes in PLY; plyfile reads the non-canonical layouts."""
 
 from __future__ import annotations
 
@@ -13,27 +13,33 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import StorageError, TruncatedError
 from cogsplat.codec.splats import Extra, SceneInfo, Splats
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
-from cogsplat.formats.scenes.dropped_values import warn_of_losses
+from cogsplat.formats.scenes.dropped_values import warn_dropped
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 
 from .comments import parse_scene_info, scene_comments
-from .extra_properties import NORMALS, as_origin, extra_columns, extra_properties, without_padding
+from .extra_properties import (
+    NORMALS,
+    extra_columns,
+    extra_properties,
+    split_origin,
+    without_zero_normals,
+)
 from .foreign_layouts import read_columns
 from .header import PlyHeader, check_size, match_fields, read_header, splat_fields
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-# Rows are gathered into columns while a block of this size is in the processor's cache.
+# Bytes of a block of rows, which is split into columns while it is in the processor's cache.
 _BLOCK_BYTES = 1 << 18
 
 _LITTLE_FLOAT = np.dtype("<f4")
 
-# By the number of f_rest properties, as `match_fields` lets pass.
+# SH degree by the number of f_rest properties.
 _DEGREES = {0: 0, 9: 1, 24: 2, 45: 3}
 
-# The names of the PLY description, which every reader knows.
+# PLY name of each numpy type, from the PLY description, which every reader knows.
 _TYPE_NAMES = {
     "i1": "char",
     "u1": "uchar",
@@ -47,15 +53,17 @@ _TYPE_NAMES = {
 
 
 @dataclass(frozen=True)
-class PlyRows:
-    """How much a PLY holds, as its header says.
+class PlySize:
+    """Size of a PLY scene, according to its header.
 
     Parameters
     ----------
     splats : int
+        Number of splats.
     sh_degree : int
+        SH degree, 0 to 3.
     extra_bytes : int
-        Bytes of one splat's extra attributes, normals that may be padding among them.
+        Bytes of one splat's extra attributes, including normals.
     """
 
     splats: int
@@ -63,21 +71,20 @@ class PlyRows:
     extra_bytes: int
 
 
-def ply_rows(path: StrPath) -> PlyRows:
-    """Return how much a PLY holds, without reading its rows.
+def ply_size(path: StrPath) -> PlySize:
+    """Return the size of a PLY scene from its header, without reading its rows.
 
     Raises
     ------
     CogsplatError
-        As `read_ply` raises for the header.
+        The header cannot be read; see `read_ply`.
     """
     where = os.fspath(path)
     with storage_errors(path), open_for_read(path) as file:
         vertex = read_header(file, where).vertex(where)
     fields = match_fields(vertex, where)
-    others = extra_properties(vertex, fields, where)
-    extra_bytes = sum(int(prop.dtype[1:]) for prop in others)
-    return PlyRows(vertex.count, _DEGREES[len(fields["shN"])], extra_bytes)
+    extra_bytes = sum(int(prop.dtype[1:]) for prop in extra_properties(vertex, fields, where))
+    return PlySize(vertex.count, _DEGREES[len(fields["shN"])], extra_bytes)
 
 
 def read_ply(
@@ -88,27 +95,27 @@ def read_ply(
     Parameters
     ----------
     path : path
-        Any PLY with the properties x y z, f_dc_0 to 2, f_rest_0 to (0, 9, 24 or 45) - 1, opacity,
-        scale_0 to 2, rot_0 to 3 of its element ``vertex``. Canonical files (little-endian,
-        ``vertex`` first) take numpy alone, others plyfile.
+        A PLY whose element ``vertex`` has the properties of 3DGS training: x y z, f_dc_0 to 2,
+        0, 9, 24 or 45 f_rest, opacity, scale_0 to 2 and rot_0 to 3. Canonical files
+        (little-endian, ``vertex`` first, no lists) need numpy only; others need plyfile.
     limits : Limits, optional
-        What the file may cost.
+        Limits on splats and decoded bytes.
     zeros : callable
-        Makes the arrays, as `Workspace.zeros` does; rows are read into them block by block.
+        Allocator of the arrays, e.g. `Workspace.zeros`; rows are read into them block by block.
 
     Returns
     -------
     Splats
-        As stored: log scales, logit opacities, quaternions of any norm. Rows with NaN are kept;
-        `Splats.require_valid` refuses them. `Splats.info` is what our own comments say. Every
-        other scalar property is one of `Splats.extras`, in its type; normals that are all zero,
-        which training writes as padding, are not. Where x y z are doubles far from zero, their
-        centre becomes part of ``info.origin``, with a warning.
+        Stored values: log scales, logit opacities, quaternions of any norm. Rows with NaN are
+        kept; `Splats.require_valid` rejects them. `Splats.info` comes from our own comments.
+        Every other scalar property becomes an extra of its type, except normals that are all
+        zero. If x y z are doubles in map coordinates, their centre is added to ``info.origin``,
+        with a warning.
 
     Raises
     ------
     FormatError
-        ``ply-`` and ``magic``, ``header-too-long``, ``bad-header``, ``bad-count``,
+        ``ply-`` followed by ``magic``, ``header-too-long``, ``bad-header``, ``bad-count``,
         ``duplicate-property``, ``duplicate-element``, ``empty-element``, ``no-vertex``,
         ``list-property``, ``bad-sh``, ``missing-property``, ``bad-comment``, ``trailing-bytes``,
         ``malformed``.
@@ -119,12 +126,12 @@ def read_ply(
     LimitError
         ``decoded-size``, ``too-many-splats``.
     StorageError
-        As `open_for_read`; ``file-changed``: it was written to meanwhile.
+        See `open_for_read`; ``file-changed``: another process changed the file.
 
     Notes
     -----
-    Nothing is allocated before the counts fit the file's size. The file is read, not mapped: one
-    cut short by another process is an error, not a bus fault.
+    Counts are checked against the file's size before any allocation. The file is not mapped into
+    memory, because a mapped file that another process truncates causes a bus fault.
     """
     where = os.fspath(path)
     with storage_errors(path), open_for_read(path) as file:
@@ -134,22 +141,20 @@ def read_ply(
         fields = match_fields(vertex, where)
         info = parse_scene_info(header.comments, where)
         check_size(header, before.st_size, where)
-        others = extra_properties(vertex, fields, where)
+        extra = extra_properties(vertex, fields, where)
         (limits or Limits()).require_scene(
             vertex.count,
             sh_degree=_DEGREES[len(fields["shN"])],
             source_bytes=before.st_size,
             where=where,
-            beside_bytes=vertex.count * sum(int(prop.dtype[1:]) for prop in others),
+            beside_bytes=vertex.count * sum(int(prop.dtype[1:]) for prop in extra),
         )
         arrays: dict[str, F32 | F64] = {
             name: zeros((vertex.count, len(p)), np.float32) for name, p in fields.items()
         }
         if any(p.dtype == "f8" for p in vertex.properties if p.name in fields["means"]):
             arrays["means"] = np.empty((vertex.count, 3), np.float64)
-        extras: dict[str, Extra] = {
-            prop.name: zeros((vertex.count,), prop.dtype) for prop in others
-        }
+        extras: dict[str, Extra] = {prop.name: zeros((vertex.count,), prop.dtype) for prop in extra}
         if header.is_canonical:
             _read_rows(file, header, fields, arrays, extras, where)
         else:
@@ -162,8 +167,8 @@ def read_ply(
             "being read, expected a file at rest",
         )
     if arrays["means"].dtype == np.float64:
-        arrays["means"], moved = as_origin(arrays["means"].astype(np.float64), where)
-        x, y, z = (a + b for a, b in zip(info.origin, moved, strict=True))
+        arrays["means"], offset = split_origin(arrays["means"].astype(np.float64), where)
+        x, y, z = (a + b for a, b in zip(info.origin, offset, strict=True))
         info = replace(info, origin=(x, y, z))
     with np.errstate(over="ignore"):
         narrow = {name: values.astype(np.float32, copy=False) for name, values in arrays.items()}
@@ -175,7 +180,7 @@ def read_ply(
         sh0=narrow["sh0"],
         shN=narrow["shN"].reshape(vertex.count, len(fields["shN"]) // 3, 3),
         info=info,
-        extras=without_padding(extras),
+        extras=without_zero_normals(extras),
     )
 
 
@@ -187,7 +192,7 @@ def _read_rows(
     extras: Mapping[str, Extra],
     where: str,
 ) -> None:
-    """Fill arrays of (N, properties), and extras of (N,), from the rows behind the header."""
+    """Fill (N, properties) arrays and (N,) extras from the rows of a canonical file."""
     vertex = header.elements[0]
     names = [prop.name for prop in vertex.properties]
     columns = _columns(names, fields)
@@ -202,10 +207,10 @@ def _read_rows(
             raise TruncatedError(
                 "ply-truncated",
                 f"{where}: ended {block.nbytes - got} bytes early at row {start} of "
-                f"{vertex.count}, expected the bytes that were there when it was opened",
+                f"{vertex.count}, expected the size that it had when it was opened",
             )
         stop = start + len(block)
-        # Rows of one type are a matrix, whose columns are gathered at once.
+        # Rows of float32 only are a matrix, whose columns are gathered in one call.
         if all(prop.dtype == "f4" for prop in vertex.properties):
             flat = block.view(_LITTLE_FLOAT).reshape(len(block), len(names))
             for field, group in columns.items():
@@ -220,7 +225,7 @@ def _read_rows(
 
 
 def _columns(names: list[str], fields: dict[str, list[str]]) -> dict[str, NDArray[np.intp]]:
-    """Return, for each field that has any, the positions of its properties in a file's row."""
+    """Return the column indices of each field's properties in a row; skip empty fields."""
     return {
         field: np.array([names.index(name) for name in group], np.intp)
         for field, group in fields.items()
@@ -231,33 +236,33 @@ def _columns(names: list[str], fields: dict[str, list[str]]) -> dict[str, NDArra
 def write_ply(
     splats: Splats, path: StrPath, *, force: bool = False, absolute: bool = False
 ) -> None:
-    """Write a scene as a canonical PLY, as 3DGS training writes it, whole or not at all.
+    """Write a scene as a PLY in the layout of 3DGS training, atomically.
 
     Parameters
     ----------
     splats : Splats
-        Written as they are; extras become properties of their types, those of several components
-        one for each, ``name_0`` and on. Without normals among them normals are zeros. What
-        `splats.info` says beside the defaults goes into comments that `read_ply` reads back.
+        Scene, stored unchanged. Extras become properties of their types; an extra with several
+        components becomes ``name_0``, ``name_1``, … Normals are zeros unless they are extras.
+        Values of `splats.info` other than the defaults become comments, which `read_ply` parses.
     path : path
         The output.
     force : bool
         Whether an existing file may be replaced.
     absolute : bool
-        Write centres as doubles in world coordinates, ``origin + means``, and no origin: what
-        programs for georeferenced scenes read. `read_ply` takes the origin out again.
+        Whether centres are doubles in world coordinates, ``origin + means``, without an origin
+        comment, for programs that read georeferenced scenes. `read_ply` restores the origin.
 
     Raises
     ------
     DataError
-        ``bad-scene-info``: `splats.info` holds a value that is none.
+        ``bad-scene-info``: `splats.info` has an invalid value.
     StorageError
-        As `atomic_write`, ``exists`` among them.
+        See `atomic_write`, e.g. ``exists``.
 
     Warns
     -----
     CogsplatWarning
-        An extra has a name that no property can have.
+        An extra's name is no valid property name.
     """
     write_ply_parts([splats], len(splats), path, force=force, absolute=absolute)
 
@@ -270,38 +275,39 @@ def write_ply_parts(
     force: bool = False,
     absolute: bool = False,
 ) -> Splats:
-    """Write a scene that comes in parts, as `write_ply` writes it; one part is held at a time.
+    """Write a scene in consecutive parts like `write_ply`, with one part in memory at a time.
 
     Parameters
     ----------
     parts : iterable of Splats
-        At least one, of one SH degree and with the same extras; `info` is the first one's.
+        Parts of the scene, at least one, of equal SH degree and extras. The first part's `info`
+        is stored.
     count : int
-        Rows of all parts.
+        Splats in all parts together.
     path, force, absolute
-        As in `write_ply`.
+        See `write_ply`.
 
     Returns
     -------
     Splats
-        No rows: SH degree, `info` and extras of what was written.
+        Scene without splats, with the SH degree, `info` and extras of the parts.
 
     Raises
     ------
     DataError, StorageError
-        As `write_ply`.
+        See `write_ply`.
     ValueError
-        No parts, or another number of rows than `count`.
+        There are no parts, or their splats do not add up to `count`.
     """
-    coming = iter(parts)
-    splats = next(coming, None)
+    remaining = iter(parts)
+    splats = next(remaining, None)
     if splats is None:
         raise ValueError("no parts, expected at least one")
-    like = splats.take(slice(0, 0))
+    template = splats.take(slice(0, 0))
     rest = splats.shN.shape[1]
     fields = splat_fields(3 * rest)
-    drawn = {name for group in fields.values() for name in group}
-    extras, losses = extra_columns(splats.extras, drawn)
+    standard = {name for group in fields.values() for name in group}
+    extras, dropped = extra_columns(splats.extras, standard)
     dtypes = dict.fromkeys(["x", "y", "z", *NORMALS], "f4")
     if absolute:
         dtypes |= dict.fromkeys(fields["means"], "f8")
@@ -311,7 +317,7 @@ def write_ply_parts(
     dtypes |= {f"f_rest_{k}": "f4" for k in range(3 * rest)}
     dtypes |= {"opacity": "f4"} | {f"scale_{k}": "f4" for k in range(3)}
     dtypes |= {f"rot_{k}": "f4" for k in range(4)}
-    # A name that has a place already keeps it: that of normals.
+    # Normals among the extras keep their column and get the extra's type.
     dtypes |= {name: values.dtype.str[1:] for name, values in extras.items()}
     header = "\n".join(
         [
@@ -349,10 +355,10 @@ def write_ply_parts(
                     block[name] = extra[start:stop]
                 file.write(block.view(np.uint8).data)
             written += len(splats)
-            splats = next(coming, None)
+            splats = next(remaining, None)
             if splats is not None:
-                extras, _ = extra_columns(splats.extras, drawn)
+                extras, _ = extra_columns(splats.extras, standard)
         if written != count:
             raise ValueError(f"{written} rows in all parts, expected {count}")
-    warn_of_losses(path, "ply", losses)
-    return like
+    warn_dropped(path, "ply", dropped)
+    return template

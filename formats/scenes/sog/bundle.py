@@ -1,4 +1,4 @@
-"""Files of a SOG scene: in a ZIP bundle, or in the folder of a ``meta.json``."""
+"""The files of a SOG scene, in a ZIP bundle or in the folder of a ``meta.json``."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ ZIP_MAGIC: Final = b"PK\x03\x04"
 
 _HEAD_BYTES: Final = 64
 
-# WebP does not shrink in a ZIP and JSON is short, so that all files of a bundle together inflate to
-# little more than it has bytes; what its directory says of that is not relied on.
+# Limit on the inflated bytes of a bundle: this multiple of its size, plus a constant. WebP does not
+# shrink in a ZIP and JSON is short, so a valid bundle inflates to little more than its size.
 _MAX_RATIO: Final = 4
 _FREE_BYTES: Final = 1 << 22
 
-# An entry takes 46 bytes and its name, and a scene has eight files. Where the directory lies is
-# looked for in the last 64 KiB, which are read twice.
+# A directory entry takes 46 bytes and its name, and a scene has eight files. The search for the
+# directory reads the last 64 KiB twice.
 _MAX_DIRECTORY_BYTES: Final = 1 << 18
 
-# The earliest date that ZIP can hold, so that a scene gives the same bytes on any day.
+# The earliest date of ZIP, so that equal scenes give equal bytes on any day.
 _DATE: Final = (1980, 1, 1, 0, 0, 0)
 _UNIX: Final = 3
 
 
 class SogFiles(ABC):
-    """The files of one scene, by the names that its ``meta.json`` gives them."""
+    """The files of one SOG scene, by their names in ``meta.json``."""
 
     def __init__(self) -> None:
         self._found: dict[str, bytes] = {}
@@ -46,26 +46,33 @@ class SogFiles(ABC):
     @property
     @abstractmethod
     def source_bytes(self) -> int:
-        """Bytes that lie in the file system: of the bundle, or of the files read by now."""
+        """Bytes in the file system: the size of the bundle, or of the files read so far."""
 
     @abstractmethod
     def _load(self, name: str, max_bytes: int) -> bytes:
         """Read a file for the first time."""
 
     def read(self, name: str, max_bytes: int) -> bytes:
-        """Return a file's bytes, which are read once however often it is named.
+        """Return the bytes of a file; repeated calls return a cached copy.
+
+        Parameters
+        ----------
+        name : str
+            Name of the file in ``meta.json``.
+        max_bytes : int
+            Limit on the file's size, bytes.
 
         Raises
         ------
         FormatError
             ``sog-missing-file``, ``sog-file-name``, ``sog-zip``.
         LimitError
-            ``sog-file-too-large``; ``sog-zip-ratio``: the files of a bundle inflate to far more
-            bytes than it has.
+            ``sog-file-too-large``; ``sog-zip-ratio``: the files of a bundle inflate to more than
+            4 times its size.
         UnsupportedError
             ``sog-zip-method``.
         StorageError
-            As `open_for_read`.
+            See `open_for_read`.
         """
         if name not in self._found:
             self._found[name] = self._load(name, max_bytes)
@@ -74,16 +81,23 @@ class SogFiles(ABC):
 
 @contextmanager
 def open_files(path: StrPath, where: str) -> Iterator[SogFiles]:
-    """Open a bundle, or the folder around a ``meta.json``.
+    """Open a SOG bundle, or the folder of a ``meta.json``.
+
+    Parameters
+    ----------
+    path : path
+        The bundle or the ``meta.json``.
+    where : str
+        Name of the file for messages.
 
     Raises
     ------
     FormatError
-        ``sog-magic``: neither of the two; ``sog-zip``: a damaged bundle.
+        ``sog-magic``: the file is no bundle and no ``meta.json``; ``sog-zip``: a damaged bundle.
     LimitError
-        ``sog-zip-directory``: a bundle of far more files than a scene has.
+        ``sog-zip-directory``: the bundle's directory exceeds 256 KiB.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
     """
     with storage_errors(path), open_for_read(path) as file:
         head = file.read(_HEAD_BYTES)
@@ -92,7 +106,7 @@ def open_files(path: StrPath, where: str) -> Iterator[SogFiles]:
                 raise FormatError(
                     "sog-magic", f"{where}: is {describe(head)}, expected a SOG bundle or meta.json"
                 )
-            yield Folder(Path(path), where)
+            yield SogFolder(Path(path), where)
             return
         with _zip_errors(where):
             archive = open_zip(
@@ -103,11 +117,11 @@ def open_files(path: StrPath, where: str) -> Iterator[SogFiles]:
                 ),
             )
         with archive:
-            yield _Bundle(archive, where, os.fstat(file.fileno()).st_size)
+            yield _SogBundle(archive, where, os.fstat(file.fileno()).st_size)
 
 
-class Folder(SogFiles):
-    """The folder around a ``meta.json``."""
+class SogFolder(SogFiles):
+    """The files of a SOG scene in the folder of its ``meta.json``."""
 
     def __init__(self, meta: Path, where: str) -> None:
         super().__init__()
@@ -116,11 +130,11 @@ class Folder(SogFiles):
 
     @property
     def source_bytes(self) -> int:
-        """Bytes of the files read by now."""
+        """Bytes of the files read so far."""
         return sum(map(len, self._found.values()))
 
     def path(self, name: str) -> Path:
-        """Return where a file lies, or raise ``sog-file-name``."""
+        """Return the path of a file, or raise ``sog-file-name``."""
         if name == META_NAME:
             return self.meta
         return sibling(self.meta.parent, name, self.where, "sog-file-name")
@@ -134,7 +148,9 @@ class Folder(SogFiles):
         return data
 
 
-class _Bundle(SogFiles):
+class _SogBundle(SogFiles):
+    """The files of a SOG scene in a ZIP bundle."""
+
     def __init__(self, archive: zipfile.ZipFile, where: str, size: int) -> None:
         super().__init__()
         self.archive = archive
@@ -152,7 +168,7 @@ class _Bundle(SogFiles):
         except KeyError as error:
             names = ", ".join(map(repr, self.archive.namelist()[:12])) or "nothing"
             raise FormatError(
-                "sog-missing-file", f"{where} is not in the ZIP, expected it beside {names}"
+                "sog-missing-file", f"{where} is not in the ZIP, expected it next to {names}"
             ) from error
         if entry.flag_bits & 1 or entry.compress_type not in (
             zipfile.ZIP_STORED,
@@ -160,7 +176,7 @@ class _Bundle(SogFiles):
         ):
             raise UnsupportedError(
                 "sog-zip-method",
-                f"{where} is encrypted or packed by a method of its own, expected "
+                f"{where} is encrypted or compressed by another method, expected "
                 "it stored or deflated",
             )
         if entry.file_size > max_bytes:
@@ -169,11 +185,11 @@ class _Bundle(SogFiles):
         if inflated > _MAX_RATIO * self.size + _FREE_BYTES:
             raise LimitError(
                 "sog-zip-ratio",
-                f"{where}: the files read up to it have {inflated} bytes in a bundle of "
-                f"{self.size}, expected at most {_MAX_RATIO} times as many",
+                f"{where}: inflated bytes reach {inflated} in a bundle of {self.size} bytes, "
+                f"expected at most {_MAX_RATIO} times its size",
             )
         with _zip_errors(where), self.archive.open(entry) as file:
-            # One byte more: the directory may understate what the stream holds.
+            # Read one byte more, because the directory may understate the stream's length.
             data = file.read(entry.file_size + 1)
         if len(data) != entry.file_size:
             raise FormatError(
@@ -183,6 +199,7 @@ class _Bundle(SogFiles):
 
 
 def _too_large(where: str, found: str, max_bytes: int) -> LimitError:
+    """Return the error about a file above its size limit."""
     return LimitError(
         "sog-file-too-large", f"{where} has {found} bytes, expected at most {max_bytes}"
     )
@@ -190,16 +207,17 @@ def _too_large(where: str, found: str, max_bytes: int) -> LimitError:
 
 @contextmanager
 def _zip_errors(where: str) -> Iterator[None]:
+    """Turn exceptions of a damaged ZIP file into ``sog-zip``, as a context manager."""
     try:
         yield
     except CogsplatError:
         raise
     except OSError as error:
-        # A place outside the file is the archive's fault, anything else the file system's.
+        # EINVAL is an offset outside the file: a damaged archive, not a file system error.
         if error.errno != errno.EINVAL:
             raise
         raise FormatError("sog-zip", f"{where}: {error}, expected a whole ZIP file") from error
-    # A damaged archive makes zipfile and zlib raise almost anything.
+    # zipfile and zlib raise exceptions of many types on a damaged archive.
     except Exception as error:
         raise FormatError(
             "sog-zip",
@@ -208,7 +226,7 @@ def _zip_errors(where: str) -> Iterator[None]:
 
 
 def write_bundle(file: BinaryIO, files: Mapping[str, bytes]) -> None:
-    """Write files as a ZIP without compression; equal files give equal bytes."""
+    """Write files as an uncompressed ZIP; equal files give equal bytes."""
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         for name, data in files.items():
             entry = zipfile.ZipInfo(name, _DATE)
@@ -218,23 +236,23 @@ def write_bundle(file: BinaryIO, files: Mapping[str, bytes]) -> None:
 
 
 def write_folder(meta: Path, files: Mapping[str, bytes], *, force: bool = False) -> None:
-    """Write files beside each other, the one called ``meta.json`` last.
+    """Write a SOG scene's files to one folder, ``meta.json`` last.
 
-    Where a file cannot be written, those of this call that took no other file's place are removed.
+    If a write fails, the new files of this call are removed; replaced files are not restored.
 
     Parameters
     ----------
     meta : Path
-        Where ``meta.json`` goes; the others go beside it.
+        Path of ``meta.json``; other files go to its folder.
     files : mapping of str to bytes
-        By name.
+        Contents by file name.
     force : bool
         Whether existing files may be replaced.
 
     Raises
     ------
     StorageError
-        As `atomic_write`, ``exists`` among them.
+        See `atomic_write`, e.g. ``exists``.
     """
     written: list[Path] = []
     paths = {name: meta.parent / name for name in files if name != META_NAME}

@@ -1,7 +1,8 @@
-"""Streamed SOG version 1: scenes in levels of detail, cut into SOG scenes that are fetched alone.
+"""Index of Streamed SOG version 1: a scene in levels of detail, in several SOG files.
 
-The format is PlayCanvas' (developer.playcanvas.com, "The Streamed SOG Format"): a ``lod-meta.json``
-with a tree of boxes, whose leaves name runs of splats in the files beside it, one of each level.
+The format is PlayCanvas' (developer.playcanvas.com, "The Streamed SOG Format"). Its
+``lod-meta.json`` has a tree of boxes. Each leaf names one run of splats per level, in one of the
+SOG files.
 """
 
 from __future__ import annotations
@@ -26,30 +27,31 @@ I64 = NDArray[np.int64]
 
 _VERSION: Final = 1
 _CODE: Final = "sog-bad-levels"
-_MOST: Final = 1 << 31
-# Each level of the format's writer has half the splats of the one before; 64 halvings leave none.
-_MOST_LEVELS: Final = 64
+_MAX_INTEGER: Final = 1 << 31
+# PlayCanvas' writer halves the splats from level to level; after 64 levels none are left.
+_MAX_LEVELS: Final = 64
 
 
 @dataclass(frozen=True, eq=False)
 class StreamedSog:
-    """What ``lod-meta.json`` says.
+    """The contents of a ``lod-meta.json`` with n leaves and k levels; level 0 is the finest.
 
     Parameters
     ----------
     files : list of Path
-        The ``meta.json`` of each SOG scene.
+        Path of the ``meta.json`` of each SOG file.
     environment : Path, optional
-        That of splats which are always drawn.
+        Path of the ``meta.json`` of splats that are drawn at every level.
     boxes : (n, 6) float64
-        Least and largest x, y and z of each leaf, in scene units.
+        Minimum x, y, z and maximum x, y, z of each leaf, in scene units.
     file : (n, k) int64
-        Of each leaf and level, which of `files` has its splats; -1 where there are none. Level 0 is
-        the finest.
-    start, count : (n, k) int64
-        Of its first splat in that file, and how many follow each other.
+        Index into `files` of the run of each leaf and level; -1 for an empty run.
+    start : (n, k) int64
+        Index of the run's first splat in its file.
+    count : (n, k) int64
+        Number of splats in the run.
     size_bytes : int
-        Of ``lod-meta.json``.
+        Size of ``lod-meta.json``, bytes.
     """
 
     files: list[Path]
@@ -67,20 +69,20 @@ def read_lod_meta(path: StrPath, *, limits: Limits | None = None) -> StreamedSog
     Parameters
     ----------
     path : path
-        A ``lod-meta.json``.
+        Path of the ``lod-meta.json``.
     limits : Limits, optional
-        `Limits.small_bytes` is the most that the index may take.
+        Limits; `Limits.small_bytes` limits the size of the index.
 
     Raises
     ------
     FormatError
-        ``sog-bad-levels``; ``sog-file-name``: a file outside its folder.
+        ``sog-bad-levels``; ``sog-file-name``: a file lies outside the folder.
     UnsupportedError
         ``sog-version``.
     LimitError
         ``sog-file-too-large``, ``json-too-long``.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
     """
     where, limits = os.fspath(path), limits or Limits()
     with storage_errors(path), open_for_read(path) as file:
@@ -88,64 +90,65 @@ def read_lod_meta(path: StrPath, *, limits: Limits | None = None) -> StreamedSog
     if len(data) > limits.small_bytes:
         raise LimitError(
             "sog-file-too-large",
-            f"{where} has more than {limits.small_bytes} bytes, expected at most so many",
+            f"{where} has more bytes than the limit, expected at most {limits.small_bytes}",
         )
     root = parse_object(data, where, _CODE, limits=limits)
-    version = root.integer("version", 0, _MOST)
+    version = root.integer("version", 0, _MAX_INTEGER)
     if version != _VERSION:
         raise UnsupportedError(
             "sog-version", f"{where}: Streamed SOG version {version}, expected {_VERSION}"
         )
-    levels = root.integer("lodLevels", 1, _MOST_LEVELS)
+    levels = root.integer("lodLevels", 1, _MAX_LEVELS)
     folder = Path(path).parent
 
-    def beside(name: str) -> Path:
+    def file_path(name: str) -> Path:
         return sibling(folder, name, where, "sog-file-name")
 
-    files = [beside(name) for name in root.texts("filenames")]
+    files = [file_path(name) for name in root.texts("filenames")]
     if not files:
-        raise root.wrong("filenames", "one file at least")
+        raise root.wrong("filenames", "at least one file")
     boxes, runs = [], []
     for leaf in _leaves(root.child("tree")):
         bound = leaf.child("bound")
         boxes.append([*bound.numbers("min", 3), *bound.numbers("max", 3)])
         runs.append(_runs(leaf.child("lods"), levels, len(files)))
     if not runs:
-        raise FormatError(_CODE, f"{where}: a tree without leaves, expected one at least")
-    of_leaves = np.array(runs, np.int64)
+        raise FormatError(_CODE, f"{where}: a tree without leaves, expected at least one")
+    table = np.array(runs, np.int64)
     return StreamedSog(
         files,
-        beside(root.text("environment")) if "environment" in root else None,
+        file_path(root.text("environment")) if "environment" in root else None,
         np.array(boxes, np.float64),
-        of_leaves[:, :, 0],
-        of_leaves[:, :, 1],
-        of_leaves[:, :, 2],
+        table[:, :, 0],
+        table[:, :, 1],
+        table[:, :, 2],
         len(data),
     )
 
 
 def _leaves(tree: JsonObject) -> Iterator[JsonObject]:
-    """Yield the nodes that have splats, from the first branch to the last."""
-    waiting = [tree]
-    while waiting:
-        node = waiting.pop()
+    """Yield the leaves of a tree, depth first."""
+    stack = [tree]
+    while stack:
+        node = stack.pop()
         if "lods" in node:
             yield node
         elif "children" in node:
-            waiting += reversed(node.children("children"))
+            stack += reversed(node.children("children"))
         else:
-            raise FormatError(_CODE, f"{node.where}: neither lods nor children, expected one")
+            raise FormatError(_CODE, f"{node.where}: no key, expected lods or children")
 
 
 def _runs(lods: JsonObject, levels: int, files: int) -> list[tuple[int, int, int]]:
-    """Return file, first splat and number of splats of each level of a leaf."""
+    """Return the file index, first splat and splat count of each level of a leaf."""
     found = []
     for level in range(levels):
         run = (-1, 0, 0)
         if str(level) in lods:
             node = lods.child(str(level))
-            count = node.integer("count", 0, _MOST)
+            count = node.integer("count", 0, _MAX_INTEGER)
             if count:
-                run = (node.integer("file", 0, files - 1), node.integer("offset", 0, _MOST), count)
+                file = node.integer("file", 0, files - 1)
+                run = (file, node.integer("offset", 0, _MAX_INTEGER), count)
         found.append(run)
     return found

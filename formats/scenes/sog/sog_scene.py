@@ -1,7 +1,8 @@
-"""SOG version 2: splats as lossless images beside a ``meta.json``, bundled in a ZIP or in a folder.
+"""Reader and writer of SOG version 2: splats as lossless images with a ``meta.json``.
 
 The format is PlayCanvas' (developer.playcanvas.com, "The SOG Format", cited here by its sections).
-Its section 1.2 says that y points up; its tools store the axes of the PLY they read, and so do we.
+Section 1.2 says that y points up, but PlayCanvas' tools store the axes of the source PLY; this
+module does too.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from cogsplat.codec.errors import FormatError, LimitError, UnsupportedError
 from cogsplat.codec.geometry.transforms import convert_axes
 from cogsplat.codec.splats import SceneInfo, Splats, sh_coefficients
 from cogsplat.codec.threads import ordered_map, thread_count
-from cogsplat.formats.scenes.dropped_values import extra_losses, info_losses, warn_of_losses
+from cogsplat.formats.scenes.dropped_values import dropped_extras, dropped_info, warn_dropped
 from cogsplat.formats.scenes.quantised_values import (
     BYTE_LOGITS,
     from_smallest_three,
@@ -35,14 +36,14 @@ from cogsplat.formats.storage.images import MAX_SIDE, decode_image, encode_image
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.strict_json import JsonObject, parse_object
 
-from .bundle import META_NAME, ZIP_MAGIC, Folder, open_files, write_bundle, write_folder
+from .bundle import META_NAME, ZIP_MAGIC, SogFolder, open_files, write_bundle, write_folder
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 MAX_COUNT: Final = MAX_SIDE**2
-"""Most splats that a file may count; images set a lower limit before that."""
+"""Limit on a file's count of splats; the limits on images are reached earlier."""
 
 _VERSION: Final = 2
 _MAX_META_BYTES: Final = 1 << 22
@@ -50,12 +51,12 @@ _MAX_IMAGE_BYTES: Final = 1 << 30
 _CODEBOOK: Final = 256
 _CODE: Final = "sog-bad-meta"
 
-# A pixel while its image is decoded, measured: two canvases of libwebp's, Pillow's copy, its
-# conversion to RGBA, and our array, which is what is left of it.
+# Measured memory per pixel while an image is decoded: two canvases of libwebp, Pillow's copy, the
+# conversion to RGBA, and the final array. Only the array remains afterwards.
 _DECODING_BYTES: Final = 24
 _PIXEL_BYTES: Final = 4
 
-# Images hold about one pixel a splat, in textures of powers of two up to four.
+# Limit on the pixels of an image: about one per splat, up to four if sides are powers of two.
 _PIXELS_PER_SPLAT: Final = 4
 _FREE_PIXELS: Final = 1 << 16
 
@@ -64,15 +65,15 @@ _QUAT_ALPHA: Final = 252
 _SQRT2: Final = math.sqrt(2)
 _QUAT_VALUES: Final = ((np.arange(256) / 255 - 0.5) * _SQRT2).astype(np.float32)
 
-# Section 3.5.
-_PALETTE_ROWS: Final = 65536
+# Section 3.5: entries of the SH palette at most, and entries in a row of its image.
+_PALETTE_ENTRIES: Final = 65536
 _PALETTE_COLUMNS: Final = 64
-# Below this many splats a palette saves nothing.
-_SMALL_SCENE: Final = 1024
+# Up to this number of splats a palette saves nothing, so each splat gets its own entry.
+_MAX_UNCLUSTERED: Final = 1024
 
 
 def is_sog(head: bytes) -> bool:
-    """Tell whether a file that starts with these bytes is a SOG bundle or its ``meta.json``."""
+    """Return whether a file that begins with `head` is a SOG bundle or its ``meta.json``."""
     if head.startswith(ZIP_MAGIC):
         return True
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
@@ -81,7 +82,7 @@ def is_sog(head: bytes) -> bool:
 
 @dataclass(frozen=True)
 class _Sh:
-    """SH above DC as ``meta.json`` states it: bands, and palette entries."""
+    """The SH part of ``meta.json``: bands, palette entries, codebook and image files."""
 
     bands: int
     count: int
@@ -91,7 +92,7 @@ class _Sh:
 
 @dataclass(frozen=True)
 class _Meta:
-    """The values of ``meta.json``, checked; images are checked when they are read."""
+    """The checked values of ``meta.json``; images are checked when they are read."""
 
     count: int
     antialiased: bool
@@ -100,7 +101,7 @@ class _Meta:
     scales: F32
     sh0: F32
     sh: _Sh | None
-    # means_l, means_u, scales, quats, sh0, and shN's labels last.
+    # Images in the order means_l, means_u, scales, quats, sh0, shN_labels.
     files: tuple[str, ...]
 
 
@@ -112,32 +113,33 @@ def read_sog(path: StrPath, *, limits: Limits | None = None) -> Splats:
     path : path
         A ``.sog``, or the ``meta.json`` whose folder holds the images.
     limits : Limits, optional
-        What the file may cost. Images of one colour take no bytes for any number of splats, so
-        what they are decoded to is held against the bytes of the images.
+        Limits on splats and decoded bytes. Decoded bytes are compared with the images' bytes,
+        because an image of one colour stays tiny for any number of splats.
 
     Returns
     -------
     Splats
-        In file order, in the axes of PLY, unit quaternions; an opacity of 255 is +inf, 0 is -inf.
+        Splats in file order, in the axes of PLY, with unit quaternions. Opacity byte 255 is a logit
+        of +inf, 0 of -inf.
 
     Raises
     ------
     FormatError
-        ``sog-`` and ``magic``, ``zip``, ``missing-file``, ``file-name``, ``bad-meta``,
+        ``sog-`` followed by ``magic``, ``zip``, ``missing-file``, ``file-name``, ``bad-meta``,
         ``image-size``, ``bad-index``, ``bad-quaternion``; ``image-damaged``.
     TruncatedError
         ``image-truncated``.
     UnsupportedError
         ``sog-version``, ``sog-model``, ``sog-zip-method``, ``image-format``, ``needs-pillow``.
     LimitError
-        ``json-too-long``, ``image-too-large``, ``sog-`` and ``file-too-large``, ``zip-ratio``,
-        ``zip-directory``; ``decoded-size``, ``too-many-splats``.
+        ``json-too-long``, ``image-too-large``, ``sog-file-too-large``, ``sog-zip-ratio``,
+        ``sog-zip-directory``, ``decoded-size``, ``too-many-splats``.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
 
     Notes
     -----
-    Sizes of images are known before they are decoded, and fit the count and the bytes there are.
+    The size of each image is checked against the count and the file's size before it is decoded.
     """
     where = os.fspath(path)
     limits = limits or Limits()
@@ -153,7 +155,7 @@ def read_sog(path: StrPath, *, limits: Limits | None = None) -> Splats:
         sh_degree=meta.sh.bands if meta.sh else 0,
         source_bytes=source_bytes,
         where=where,
-        # The means take two images, of which one is there while the other is decoded.
+        # The means have two images: one stays in memory while the other is decoded.
         beside_bytes=_DECODING_BYTES * max(pixels_each, palette_pixels)
         + _PIXEL_BYTES * pixels_each,
     )
@@ -161,7 +163,7 @@ def read_sog(path: StrPath, *, limits: Limits | None = None) -> Splats:
         decode_image(image, f"{where}: {name!r}").reshape(-1, 4)[: meta.count]
         for name, image in zip(meta.files, data, strict=True)
     )
-    # One image at a time: what follows holds no more of them than it needs.
+    # `pixels` is a generator, so that only the images in use are in memory.
     means = _unpack_means(next(pixels), next(pixels), meta)
     scales = _look_up(meta.scales, next(pixels)[:, :3], f"{where}: scales")
     quats = _unpack_quats(next(pixels), where)
@@ -180,17 +182,17 @@ def read_sog(path: StrPath, *, limits: Limits | None = None) -> Splats:
 
 
 def sog_files(path: StrPath) -> list[Path]:
-    """Return the files that a scene consists of: the bundle, or ``meta.json`` and its images.
+    """Return the paths of a scene's files: the bundle, or ``meta.json`` and its images.
 
     Raises
     ------
     FormatError, LimitError, StorageError
-        As `read_sog`.
+        See `read_sog`.
     """
     where = os.fspath(path)
     found = [Path(path)]
     with open_files(path, where) as files:
-        if isinstance(files, Folder):
+        if isinstance(files, SogFolder):
             meta = _parse_meta(files.read(META_NAME, _MAX_META_BYTES), where)
             names = [*meta.files, *(meta.sh.files[:1] if meta.sh else ())]
             found += [files.path(name) for name in dict.fromkeys(names)]
@@ -198,6 +200,7 @@ def sog_files(path: StrPath) -> list[Path]:
 
 
 def _parse_meta(data: bytes, where: str) -> _Meta:
+    """Parse and check a ``meta.json``."""
     root = parse_object(data, f"{where}: {META_NAME}", _CODE)
     version = root.integer("version", 0, 1 << 31, default=1)
     if version != _VERSION:
@@ -231,20 +234,21 @@ def _parse_meta(data: bytes, where: str) -> _Meta:
 
 
 def _parse_sh(node: JsonObject) -> _Sh:
+    """Parse and check the SH part of a ``meta.json``."""
     return _Sh(
         bands=node.integer("bands", 1, 3),
-        count=node.integer("count", 1, _PALETTE_ROWS),
+        count=node.integer("count", 1, _PALETTE_ENTRIES),
         codebook=_codebook(node),
         files=tuple(node.texts("files", 2)),
     )
 
 
 def _codebook(node: JsonObject) -> F32:
-    """Return a codebook of at most 256 float32 values."""
+    """Return the codebook of a part of ``meta.json``: at most 256 float32 values."""
     values = node.values.get("codebook")
     if isinstance(values, list) and len(values) == _CODEBOOK and values[0] is None:
-        # Writers of 2025 lost a first entry that was not finite; PlayCanvas' engine continues the
-        # others to it (its pull request 8056), and files look right with that.
+        # Writers of 2025 stored null for a first entry that was not finite. PlayCanvas' engine
+        # extrapolates it from the other entries (pull request 8056).
         rest = JsonObject({"codebook": values[1:]}, node.where, node.code).numbers("codebook")
         numbers = [rest[0] + (rest[0] - rest[-1]) / (_CODEBOOK - 1), *rest]
     else:
@@ -256,7 +260,7 @@ def _codebook(node: JsonObject) -> F32:
 
 
 def _check_sizes(meta: _Meta, data: list[bytes], where: str) -> int:
-    """Check every image's size against the count; return the pixels of one."""
+    """Check the size of every image against the count; return the pixels of one image."""
     sizes = [
         image_size(image, f"{where}: {name!r}")
         for name, image in zip(meta.files, data, strict=True)
@@ -273,11 +277,12 @@ def _check_sizes(meta: _Meta, data: list[bytes], where: str) -> int:
 
 
 def _unpack_means(lower: U8, upper: U8, meta: _Meta) -> F32:
+    """Return the (N, 3) means of the images of lower and upper bytes (section 3.1)."""
     means = np.empty((meta.count, 3), np.float32)
-    shares = np.arange(65536) / 65535
+    fractions = np.arange(65536) / 65535
     for axis in range(3):
-        logs = meta.low[axis] * (1 - shares) + meta.high[axis] * shares
-        # Ranges of a damaged file overflow; rows of infinite means are refused later.
+        logs = meta.low[axis] * (1 - fractions) + meta.high[axis] * fractions
+        # Ranges of a damaged file may overflow; rows with infinite means are rejected later.
         with np.errstate(over="ignore"):
             values = (np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32)
         indices = lower[:, axis] | upper[:, axis].astype(np.uint16) << np.uint16(8)
@@ -286,7 +291,7 @@ def _unpack_means(lower: U8, upper: U8, meta: _Meta) -> F32:
 
 
 def _look_up(table: F32, indices: NDArray[np.unsignedinteger], where: str) -> F32:
-    """Return rows of a table, or raise where an index is outside it."""
+    """Return the table's rows at some indices, or raise ``sog-bad-index``."""
     highest = int(indices.max(initial=0))
     if highest >= len(table):
         raise FormatError(
@@ -297,6 +302,7 @@ def _look_up(table: F32, indices: NDArray[np.unsignedinteger], where: str) -> F3
 
 
 def _unpack_quats(pixels: U8, where: str) -> F32:
+    """Return the (N, 4) wxyz quaternions of an image's RGBA pixels (section 3.2)."""
     wrong = np.flatnonzero(pixels[:, 3] < _QUAT_ALPHA)
     if len(wrong):
         raise FormatError(
@@ -308,7 +314,7 @@ def _unpack_quats(pixels: U8, where: str) -> F32:
 
 
 def _check_palette(data: bytes, sh: _Sh, where: str) -> int:
-    """Check the size of the image of SH coefficients against the entries; return its pixels."""
+    """Check the size of the palette image against the number of entries; return its pixels."""
     name = f"{where}: {sh.files[0]!r}"
     columns, rows = _palette_shape(sh)
     width, height = image_size(data, name)
@@ -323,13 +329,13 @@ def _check_palette(data: bytes, sh: _Sh, where: str) -> int:
 
 
 def _palette_shape(sh: _Sh) -> tuple[int, int]:
-    """Return columns and rows of pixels that the entries take."""
+    """Return the width and the smallest height of the palette image, px."""
     coefficients = sh_coefficients(sh.bands) - 1
     return _PALETTE_COLUMNS * coefficients, -(-sh.count // _PALETTE_COLUMNS)
 
 
 def _unpack_palette(data: bytes, sh: _Sh, where: str) -> F32:
-    """Return (entries, K-1, 3) float32."""
+    """Return the SH palette, (entries, K-1, 3) float32."""
     name = f"{where}: {sh.files[0]!r}"
     coefficients = sh_coefficients(sh.bands) - 1
     _, rows = _palette_shape(sh)
@@ -338,18 +344,18 @@ def _unpack_palette(data: bytes, sh: _Sh, where: str) -> F32:
 
 
 def write_sog(splats: Splats, path: StrPath, *, force: bool = False) -> None:
-    """Write a scene as a bundled SOG, or as a folder where the output is called ``meta.json``.
+    """Write a scene as a SOG bundle, or as a folder if the output is called ``meta.json``.
 
-    A bundle is written whole or not at all. The files of a folder get their names one by one,
-    ``meta.json`` last, so that what has it is whole.
+    A bundle is written atomically. In a folder ``meta.json`` is written last, so that a folder
+    with a ``meta.json`` is complete.
 
     Parameters
     ----------
     splats : Splats
-        Rows come out in Morton order, in the axes of PLY. SH above DC becomes a palette of as many
-        entries as the largest power of two of splats, at most 65536.
+        Scene, stored in Morton order and in the axes of PLY. SH above DC becomes a palette; its
+        entries are the largest power of two within the number of splats, at most 65536.
     path : path
-        The output. The folder of a ``meta.json`` must be there.
+        The output. The folder of a ``meta.json`` must exist.
     force : bool
         Whether existing files may be replaced.
 
@@ -358,16 +364,16 @@ def write_sog(splats: Splats, path: StrPath, *, force: bool = False) -> None:
     DataError
         ``invalid-rows``; ``bad-scene-info``.
     LimitError
-        ``sog-too-many-splats``: more than an image has pixels.
+        ``sog-too-many-splats``: the scene has more splats than an image has pixels.
     UnsupportedError
         ``needs-pillow``.
     StorageError
-        As `atomic_write`, ``exists`` among them.
+        See `atomic_write`, e.g. ``exists``.
 
     Warns
     -----
     CogsplatWarning
-        Where `splats.info` says what SOG has no place for, or there are extras.
+        The scene has metadata or extras that SOG cannot hold.
     """
     where = os.fspath(path)
     splats.require_valid()
@@ -375,8 +381,8 @@ def write_sog(splats: Splats, path: StrPath, *, force: bool = False) -> None:
         raise LimitError(
             "sog-too-many-splats", f"{where}: {len(splats)} splats, expected at most {MAX_COUNT}"
         )
-    losses = info_losses(splats.info, antialiased=True) + extra_losses(splats)
-    warn_of_losses(path, "SOG", losses)
+    dropped = dropped_info(splats.info, antialiased=True) + dropped_extras(splats)
+    warn_dropped(path, "SOG", dropped)
     splats = convert_axes(splats, "RDF")
     splats = splats.take(morton_order(splats.means))
     meta, images = _pack(splats)
@@ -392,9 +398,9 @@ def write_sog(splats: Splats, path: StrPath, *, force: bool = False) -> None:
 
 
 def _pack(splats: Splats) -> tuple[dict[str, object], dict[str, U8]]:
-    """Return the contents of ``meta.json``, and the pixels of every image it names."""
+    """Return the contents of ``meta.json``, and the pixels of each image by file name."""
     count = len(splats)
-    # Sides that are multiples of 4, as other writers have them.
+    # Sides are multiples of 4, as in files of other writers.
     width = max(4, 4 * math.ceil(math.sqrt(count) / 4))
     shape = max(4, 4 * math.ceil(count / width / 4)), width
 
@@ -404,8 +410,8 @@ def _pack(splats: Splats) -> tuple[dict[str, object], dict[str, U8]]:
         return pixels.reshape(*shape, -1)
 
     means, low, high = _pack_means(splats.means)
-    scales, scale_codes = _scalars(splats.scales)
-    sh0, sh0_codes = _scalars(splats.sh0)
+    scales, scale_codes = _train_codebook(splats.scales)
+    sh0, sh0_codes = _train_codebook(splats.sh0)
     largest, others = to_smallest_three(splats.quats)
     quat_codes = np.rint((others / _SQRT2 + 0.5) * 255).clip(0, 255)
     images = {
@@ -422,15 +428,15 @@ def _pack(splats: Splats) -> tuple[dict[str, object], dict[str, U8]]:
         "antialias": splats.info.antialiased,
     }
     if splats.info.antialiased:
-        # How PlayCanvas' tools say it since their version 3.2.
+        # Key of PlayCanvas' tools since their version 3.2.
         meta["model"] = "antialiased"
     meta["means"] = {"mins": low, "maxs": high, "files": ["means_l.webp", "means_u.webp"]}
     meta["scales"] = {"codebook": scales, "files": ["scales.webp"]}
     meta["quats"] = {"files": ["quats.webp"]}
     meta["sh0"] = {"codebook": sh0, "files": ["sh0.webp"]}
     if splats.sh_degree:
-        palette, labels = _palette(splats.shN)
-        codebook, codes = _scalars(palette)
+        palette, labels = _train_sh_palette(splats.shN)
+        codebook, codes = _train_codebook(palette)
         images["shN_centroids.webp"] = _centroid_image(codes)
         images["shN_labels.webp"] = image(
             labels[:, None] & 255, labels[:, None] >> 8, np.zeros((count, 1), np.uint8)
@@ -445,7 +451,14 @@ def _pack(splats: Splats) -> tuple[dict[str, object], dict[str, U8]]:
 
 
 def _pack_means(means: F32) -> tuple[NDArray[np.uint16], list[float], list[float]]:
-    """Return 16-bit codes and the ranges they divide, in the symmetric log of section 3.1."""
+    """Quantise means to 16 bits in the symmetric log of section 3.1.
+
+    Returns
+    -------
+    codes : (N, 3) uint16
+    low, high : list of float
+        Range of the codes on each axis.
+    """
     wide = means.astype(np.float64)
     logs = np.copysign(np.log1p(np.abs(wide)), wide)
     if not len(logs):
@@ -456,31 +469,31 @@ def _pack_means(means: F32) -> tuple[NDArray[np.uint16], list[float], list[float
     return codes, low.tolist(), high.tolist()
 
 
-def _scalars(values: F32) -> tuple[list[float], NDArray[np.intp]]:
-    """Return a codebook of 256 values, and the index of the nearest for each value."""
+def _train_codebook(values: F32) -> tuple[list[float], NDArray[np.intp]]:
+    """Return a codebook of 256 scalars, and the index of the nearest scalar for each value."""
     codebook = train_scalars(values.reshape(-1), _CODEBOOK)
     if not len(codebook):
         codebook = np.zeros(1, np.float32)
     codes = nearest_scalars(values, codebook)
-    # Readers expect 256: the last one again fills up.
+    # Readers expect 256 entries: repeat the last one.
     padded = np.pad(codebook, (0, _CODEBOOK - len(codebook)), mode="edge")
     return [float(value) for value in padded], codes
 
 
-def _palette(shN: F32) -> tuple[F32, NDArray[np.uint32]]:
-    """Return (entries, K-1, 3) SH coefficients, and the entry of each splat."""
+def _train_sh_palette(shN: F32) -> tuple[F32, NDArray[np.uint32]]:
+    """Return an (entries, K-1, 3) palette of SH coefficients, and the entry of each splat."""
     count, coefficients = len(shN), shN.shape[1]
-    if count <= _SMALL_SCENE:
-        # An empty scene has an entry that nobody uses: the format has none without.
+    if count <= _MAX_UNCLUSTERED:
+        # The format requires an entry, so an empty scene gets an unused one.
         palette = shN if count else np.zeros((1, coefficients, 3), np.float32)
         return palette, np.arange(count, dtype=np.uint32)
-    rows = min(1 << (count.bit_length() - 1), _PALETTE_ROWS)
-    flat, labels = train_palette(shN.reshape(count, -1), rows)
+    entries = min(1 << (count.bit_length() - 1), _PALETTE_ENTRIES)
+    flat, labels = train_palette(shN.reshape(count, -1), entries)
     return flat.reshape(-1, coefficients, 3), labels
 
 
 def _centroid_image(codes: NDArray[np.intp]) -> U8:
-    """Lay entries out in rows of 64, a pixel for each coefficient (section 3.5)."""
+    """Return the palette image: rows of 64 entries, one pixel per coefficient (section 3.5)."""
     count, coefficients, _ = codes.shape
     rows = -(-count // _PALETTE_COLUMNS)
     pixels = np.zeros((rows * _PALETTE_COLUMNS, coefficients, 3), np.uint8)

@@ -1,8 +1,8 @@
-"""SPZ files as bytes: header, extension records, and the six streams of values in their wrapping.
+"""SPZ container: header, extension records, and six compressed streams of values.
 
-Facts from the format's public description (github.com/nianticlabs/spz, README and
-extensions/README). Versions 1 to 3 are one gzip member holding header, streams and extensions;
-version 4 is a plain header, extensions, a table of contents and one zstd frame per stream.
+Source: the format's public description (github.com/nianticlabs/spz, README and extensions/README).
+Versions 1 to 3 are one gzip member with header, streams and extensions. Version 4 has an
+uncompressed header, extensions, a table of contents, and one zstd frame per stream.
 """
 
 from __future__ import annotations
@@ -30,37 +30,37 @@ GZIP_MAGIC: Final = b"\x1f\x8b"  # RFC 1952, 2.3.1
 FLAG_ANTIALIASED: Final = 0x01
 FLAG_EXTENSIONS: Final = 0x02
 FLAG_LOD_TREE: Final = 0x80
-"""Spark's levels of detail: opacities mean something else and coarse splats overlap fine ones."""
+"""Flag of Spark's tree of levels of detail, whose coarse splats overlap fine ones."""
 
 STREAMS: Final = ("positions", "alphas", "colors", "scales", "rotations", "sh")
-"""In the order of the file."""
+"""Names of the streams, in file order."""
 
 MAX_SH_DEGREE: Final = 4
 
 MAX_FRACTIONAL_BITS: Final = 30
-"""The reference shifts a 32-bit one by this number."""
+"""Limit on fractional bits: the reference shifts a 32-bit 1 by their number."""
 
-# Common to all versions: magic, version, splats, SH degree, fractional bits, flags, and in version
-# 4 the number of streams (reserved before).
+# Header of all versions: magic, version, splats, SH degree, fractional bits, flags, and in version
+# 4 the number of streams (reserved in earlier versions).
 _HEADER: Final = struct.Struct("<4sIIBBBB")
-# Version 4 goes on with the offset of its table of contents and 12 reserved bytes.
+# Header of version 4: the same, then the offset of the table of contents and 12 reserved bytes.
 _HEADER_4: Final = struct.Struct("<4sIIBBBBI12x")
-_TOC_ENTRY: Final = struct.Struct("<QQ")  # stored and decoded bytes
+_TOC_ENTRY: Final = struct.Struct("<QQ")  # compressed and decompressed bytes
 _RECORD: Final = struct.Struct("<II")  # type, payload bytes
 
-# Extensions are camera limits and the like; what is larger than this is none.
+# Limit on all extensions of a file together; known ones hold camera limits or a georeference.
 _MAX_EXTENSION_BYTES: Final = 1 << 20
 
-# Deflate never does better than 1032:1 (zlib's technical notes).
+# The best ratio of deflate is 1032:1 (zlib's technical notes).
 _MAX_DEFLATE_RATIO: Final = 1032
 
 _ZSTD_MAGIC: Final = bytes.fromhex("28b52ffd")  # RFC 8878, 3.1.1
 
-# Level 15 takes eight times as long as 12 on SH of a million splats and saves 3 % of the file.
+# On the SH of a million splats, level 15 took eight times as long as 12 and saved 3 % of the file.
 _ZSTD_LEVEL: Final = 12
 _ZLIB_LEVEL: Final = 6
-# zlib's default. With 9, the most there is, deflate ends its blocks later, and files of three
-# trained scenes were 0.2 to 1.1 % larger.
+# zlib's default memory level. The maximum, 9, made files of three trained scenes 0.2 to 1.1 %
+# larger, because deflate ends its blocks later.
 _ZLIB_MEMORY: Final = 8
 
 
@@ -71,15 +71,15 @@ class SpzHeader:
     Parameters
     ----------
     version : int
-        1 to 4.
+        Version of the file, 1 to 4.
     count : int
-        Splats.
+        Number of splats.
     sh_degree : int
-        0 to 4.
+        SH degree, 0 to 4.
     fractional_bits : int
-        Of 24-bit positions; version 1 has half floats.
+        Fractional bits of the 24-bit positions; unused in version 1, which stores half floats.
     flags : int
-        `FLAG_ANTIALIASED` and others.
+        Bit field of `FLAG_ANTIALIASED`, `FLAG_EXTENSIONS`, `FLAG_LOD_TREE`.
     """
 
     version: int
@@ -108,10 +108,11 @@ class SpzFile:
     Parameters
     ----------
     header : SpzHeader
+        Parsed header.
     extensions : tuple of (int, bytes)
-        Type and payload of each record.
+        Type and payload of each extension record.
     streams : tuple of (count, row bytes) uint8
-        Values as stored, in the order of `STREAMS`.
+        Decompressed streams, in the order of `STREAMS`.
     """
 
     header: SpzHeader
@@ -120,7 +121,7 @@ class SpzFile:
 
 
 def is_spz(head: bytes) -> bool:
-    """Tell whether a file is SPZ of any version by its first bytes."""
+    """Return whether a file that begins with `head` is SPZ of any version."""
     if head.startswith(GZIP_MAGIC):
         try:
             head = zlib.decompressobj(31).decompress(head, _HEADER.size)
@@ -130,16 +131,16 @@ def is_spz(head: bytes) -> bool:
 
 
 def unpack(data: bytes, where: str, limits: Limits) -> SpzFile:
-    """Split an SPZ file into header, streams and extensions.
+    """Parse an SPZ file and decompress its streams.
 
     Parameters
     ----------
     data : bytes
-        All of it.
+        The whole file.
     where : str
-        Names the file in messages.
+        Name of the file for messages.
     limits : Limits
-        What the file may cost, arrays that are made of its values included.
+        Limits on splats and decoded bytes, including the arrays of the scene.
 
     Raises
     ------
@@ -165,6 +166,7 @@ def unpack(data: bytes, where: str, limits: Limits) -> SpzFile:
 
 
 def _header(head: bytes, where: str, versions: range) -> SpzHeader:
+    """Parse and check the header; `versions` is the range valid for the file's compression."""
     if len(head) < _HEADER.size:
         raise TruncatedError(
             "spz-truncated", f"{where}: {len(head)} bytes, expected a header of {_HEADER.size}"
@@ -178,8 +180,8 @@ def _header(head: bytes, where: str, versions: range) -> SpzHeader:
     if version not in versions:
         raise UnsupportedError(
             "spz-version",
-            f"{where}: version {version} in this wrapping, expected "
-            f"{versions.start} to {versions.stop - 1}",
+            f"{where}: version {version}, expected "
+            f"{versions.start} to {versions.stop - 1} for this compression",
         )
     if degree > MAX_SH_DEGREE:
         raise FormatError(
@@ -202,7 +204,7 @@ def _header(head: bytes, where: str, versions: range) -> SpzHeader:
 def _check_cost(
     header: SpzHeader, limits: Limits, file_bytes: int, where: str, *, copies: int
 ) -> None:
-    """Refuse a scene whose values and arrays take more than its file may cost."""
+    """Check a scene's arrays and `copies` of its streams against the limits."""
     limits.require_scene(
         header.count,
         sh_degree=min(header.sh_degree, splats.MAX_SH_DEGREE),
@@ -213,7 +215,8 @@ def _check_cost(
 
 
 def _unpack_gzip(data: bytes, where: str, limits: Limits) -> SpzFile:
-    # 31: a window of 2^15 and a gzip wrapping, whose CRC is checked at the end.
+    """Parse a file of version 1 to 3."""
+    # 31 means a window of 2^15 bytes and a gzip member, whose CRC is checked.
     inflater = zlib.decompressobj(31)
     try:
         header = _header(inflater.decompress(data, _HEADER.size), where, range(1, 4))
@@ -224,7 +227,7 @@ def _unpack_gzip(data: bytes, where: str, limits: Limits) -> SpzFile:
                 f"{where}: {len(data)} bytes cannot hold the {sum(sizes)} bytes of "
                 f"{header.count} splats",
             )
-        # Inflated twice at once: zlib's pieces, and what they are joined to.
+        # Two copies at the peak: zlib's pieces, and the bytes that they are joined to.
         _check_cost(header, limits, len(data), where, copies=2)
         body = inflater.decompress(inflater.unconsumed_tail, sum(sizes)) if sum(sizes) else b""
         rest = inflater.decompress(inflater.unconsumed_tail, _MAX_EXTENSION_BYTES)
@@ -239,7 +242,7 @@ def _unpack_gzip(data: bytes, where: str, limits: Limits) -> SpzFile:
     if len(rest) == _MAX_EXTENSION_BYTES:
         raise FormatError(
             "spz-trailing-bytes",
-            f"{where}: {len(rest)} bytes and more behind the values, expected fewer",
+            f"{where}: {len(rest)} bytes or more behind the values, expected fewer",
         )
     if not inflater.eof:
         raise TruncatedError("spz-truncated", f"{where}: the gzip member has no end")
@@ -266,17 +269,19 @@ def _unpack_gzip(data: bytes, where: str, limits: Limits) -> SpzFile:
 
 
 def _unknown_flags(header: SpzHeader) -> int:
+    """Return the flags of a header without the known ones."""
     return header.flags & ~(FLAG_ANTIALIASED | FLAG_EXTENSIONS)
 
 
 def _unpack_zstd(data: memoryview, where: str, limits: Limits) -> SpzFile:
+    """Parse a file of version 4."""
     header = _header(bytes(data[: _HEADER.size]), where, range(4, 5))
     if len(data) < _HEADER_4.size:
         raise TruncatedError(
             "spz-truncated", f"{where}: {len(data)} bytes, expected a header of {_HEADER_4.size}"
         )
     *_, num_streams, toc = _HEADER_4.unpack_from(data)
-    # Streams without bytes are left out.
+    # Empty streams are not stored.
     rows = [(name, row) for name, row in zip(STREAMS, header.row_bytes, strict=True) if row]
     if not header.count and not num_streams:
         rows = []
@@ -313,8 +318,8 @@ def _unpack_zstd(data: memoryview, where: str, limits: Limits) -> SpzFile:
         if start + stored > len(data):
             raise TruncatedError(
                 "spz-truncated",
-                f"{where}: {name} ends at byte {start + stored}, expected an end at or before "
-                f"{len(data)}, where the file does",
+                f"{where}: {name} ends at byte {start + stored}, expected an end within the "
+                f"{len(data)} bytes of the file",
                 needed=start + stored,
             )
         parts.append((name, data[start : start + stored], decoded))
@@ -326,18 +331,19 @@ def _unpack_zstd(data: memoryview, where: str, limits: Limits) -> SpzFile:
         )
     _check_cost(header, limits, len(data), where, copies=1)
     streams = {name: np.empty((header.count, 0), np.uint8) for name in STREAMS}
-    # The largest first, so that it is not what the others wait for.
+    # Largest stream first, so that its thread does not finish last.
     parts.sort(key=lambda part: -part[2])
     decoded_parts = ordered_map(
-        lambda part: _inflate(part[1], part[2], f"{where}: {part[0]}"), parts, thread_count(0)
+        lambda part: _decompress(part[1], part[2], f"{where}: {part[0]}"), parts, thread_count(0)
     )
     for (name, _, size), values in zip(parts, decoded_parts, strict=True):
         streams[name] = values.reshape(header.count, size // header.count if header.count else 0)
     return SpzFile(header, extensions, tuple(streams[name] for name in STREAMS))
 
 
-def _inflate(stored: memoryview, size: int, where: str) -> U8:
-    # Skippable and legacy frames have other magic numbers, and zstd would accept the first.
+def _decompress(stored: memoryview, size: int, where: str) -> U8:
+    """Decompress one zstd frame of `size` decompressed bytes."""
+    # zstd would accept a skippable frame, which has another magic number.
     if bytes(stored[:4]) != _ZSTD_MAGIC:
         raise FormatError(
             "spz-zstd",
@@ -345,12 +351,12 @@ def _inflate(stored: memoryview, size: int, where: str) -> U8:
         )
     try:
         frame = zstandard.get_frame_parameters(stored)
-        # Before anything is allocated; a frame that states no size is held to the table's.
+        # Checked before any allocation. A frame may omit its size; the table of contents has it.
         if frame.content_size not in (size, zstandard.CONTENTSIZE_UNKNOWN) or frame.dict_id:
             raise FormatError(
                 "spz-zstd",
                 f"{where}: a frame of {frame.content_size} bytes with dictionary {frame.dict_id}, "
-                f"expected {size} bytes and none",
+                f"expected {size} bytes and no dictionary",
             )
         values = zstandard.ZstdDecompressor().decompress(
             stored, max_output_size=size, allow_extra_data=False
@@ -363,6 +369,7 @@ def _inflate(stored: memoryview, size: int, where: str) -> U8:
 
 
 def _records(zone: memoryview, where: str) -> tuple[tuple[int, bytes], ...]:
+    """Split the bytes of all extensions into types and payloads."""
     if len(zone) > _MAX_EXTENSION_BYTES:
         raise FormatError(
             "spz-extension",
@@ -391,19 +398,19 @@ def _records(zone: memoryview, where: str) -> tuple[tuple[int, bytes], ...]:
 
 
 def pack(header: SpzHeader, streams: Sequence[U8]) -> list[bytes]:
-    """Wrap streams as version 2, 3 or 4, without extensions.
+    """Compress streams into an SPZ file of version 2, 3 or 4, without extensions.
 
     Parameters
     ----------
     header : SpzHeader
-        Version 2, 3 or 4.
+        Header with version 2, 3 or 4.
     streams : sequence of (count, row bytes) uint8
-        In the order of `STREAMS`.
+        Uncompressed streams, in the order of `STREAMS`.
 
     Returns
     -------
     list of bytes
-        The file in pieces; the same for the same input, whatever the number of threads.
+        Consecutive pieces of the file; equal for any number of threads.
     """
     fields = (MAGIC, header.version, header.count, header.sh_degree, header.fractional_bits)
     if header.version < 4:
@@ -412,7 +419,7 @@ def pack(header: SpzHeader, streams: Sequence[U8]) -> list[bytes]:
         pieces += [deflater.compress(stream.tobytes()) for stream in streams]
         return [*pieces, deflater.flush()]
     full = [stream for stream in streams if stream.size]
-    # Checksums and stated sizes let readers find damage and allocate once.
+    # A reader detects damage by the checksum, and allocates once by the stated size.
     frames = list(
         ordered_map(
             lambda stream: zstandard.ZstdCompressor(

@@ -1,4 +1,4 @@
-"""SPZ scenes: versions 1 to 4 read, 2 to 4 written (github.com/nianticlabs/spz)."""
+"""Reader of SPZ versions 1 to 4, and writer of versions 2 to 4 (github.com/nianticlabs/spz)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final
 from cogsplat.codec.errors import CogsplatWarning, FormatError
 from cogsplat.codec.geometry.transforms import axes_change, convert_axes
 from cogsplat.codec.splats import MAX_SH_DEGREE, SceneInfo, Splats
-from cogsplat.formats.scenes.dropped_values import extra_losses, info_losses, warn_of_losses
+from cogsplat.formats.scenes.dropped_values import dropped_extras, dropped_info, warn_dropped
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 
@@ -20,28 +20,27 @@ from .spz_values import PRECISIONS, decode, encode
 __all__ = ["is_spz", "read_spz", "write_spz"]
 
 VERSIONS: Final = (2, 3, 4)
-"""Those that are written."""
+"""Versions that `write_spz` can write."""
 
 DEFAULT_VERSION: Final = 4
 
 SPZ_AXES: Final = "RUB"
-"""Frame of values in a file that does not say otherwise."""
+"""Axes of the stored values, unless the file has a coordinate-system extension."""
 
 _AXES: Final = "RDF"
 
-# extensions/README: the frame of the stored values, as a number in this list. Numbers from 9 on are
-# what the format's library (0.2.2) makes of them, which is a quarter turn about x between frames
-# with up along y and along z; its own names for these (LBD, RBD, LBU, RBU, LFD ...) would mirror
-# what it writes.
+# Axes by the number in the coordinate-system extension (extensions/README). For numbers from 9 on,
+# the axes follow the behaviour of the format's library (0.2.2): a quarter turn about x. The names
+# in that library (LBD, RBD, LBU, RBU, LFD, …) contradict it and would mirror the scene.
 _COORDINATE_SYSTEM: Final = 0xADBE0003
 _COORDINATE_SYSTEMS: Final = (
     *("", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
     *("LBU", "RBU", "LFU", "RFU", "LBD", "RBD", "LFD", "RFD"),
 )
-_NAMES: Final = {0xADBE0002: "orbit limits", 0x4E530001: "georeference"}
+_EXTENSION_NAMES: Final = {0xADBE0002: "orbit limits", 0x4E530001: "georeference"}
 
-# Shares of clipped values up to this go without a word: every trained scene has a few.
-_CLIPPED: Final = 0.01
+# Fraction of clipped values above which a write warns; every trained scene clips a few.
+_CLIPPED_TOLERANCE: Final = 0.01
 
 
 def read_spz(path: StrPath, *, limits: Limits | None = None) -> Splats:
@@ -50,22 +49,21 @@ def read_spz(path: StrPath, *, limits: Limits | None = None) -> Splats:
     Parameters
     ----------
     path : path
-        Version 1 to 3 (gzip) or 4 (zstd), SH degree 0 to 4, any fractional bits.
+        File of version 1 to 3 (gzip) or 4 (zstd), SH degree 0 to 4, any fractional bits.
     limits : Limits, optional
-        What the file may cost.
+        Limits on splats and decoded bytes.
 
     Returns
     -------
     Splats
-        In RDF, the frame of PLY, whatever the file's own is: RUB, or what its coordinate-system
-        extension says. Alpha 255 is a logit of inf, alpha 0 of -inf. `Splats.info` says whether
-        the scene is anti-aliased; the file knows nothing of the kernel.
+        Scene converted to RDF, the axes of PLY. Alpha 255 is a logit of +inf, alpha 0 of -inf.
+        `Splats.info` has the file's anti-aliasing flag; SPZ stores no kernel size.
 
     Raises
     ------
     FormatError
-        ``spz-`` and ``magic``, ``bad-sh``, ``fractional-bits``, ``gzip``, ``toc``, ``zstd``,
-        ``extension``, ``trailing-bytes``, ``coordinate-system``.
+        ``spz-`` followed by ``magic``, ``bad-sh``, ``fractional-bits``, ``gzip``, ``toc``,
+        ``zstd``, ``extension``, ``trailing-bytes``, ``coordinate-system``.
     TruncatedError
         ``spz-truncated``.
     UnsupportedError
@@ -73,16 +71,16 @@ def read_spz(path: StrPath, *, limits: Limits | None = None) -> Splats:
     LimitError
         ``decoded-size``, ``too-many-splats``.
     StorageError
-        As `open_for_read`.
+        See `open_for_read`.
 
     Warns
     -----
     CogsplatWarning
-        SH of degree 4, cut to 3; extensions or flags that are left out.
+        SH of degree 4 is cut to 3; an extension or flag is unknown and ignored.
 
     Notes
     -----
-    No array is allocated before its count is checked against the size of the file.
+    Counts are checked against the file's size before any allocation.
     """
     where = os.fspath(path)
     with storage_errors(path), open_for_read(path) as file:
@@ -103,12 +101,12 @@ def read_spz(path: StrPath, *, limits: Limits | None = None) -> Splats:
 
 
 def _read_extensions(spz: SpzFile, where: str) -> str:
-    """Return the axes of the stored values; warn of extensions that are not understood."""
+    """Return the axes of the stored values; warn about ignored extensions and flags."""
     axes = SPZ_AXES
     skipped = []
     for kind, payload in spz.extensions:
         if kind != _COORDINATE_SYSTEM:
-            skipped.append(f"extension {kind:#010x} ({_NAMES.get(kind, 'unknown')})")
+            skipped.append(f"extension {kind:#010x} ({_EXTENSION_NAMES.get(kind, 'unknown')})")
             continue
         number = struct.unpack("<I", payload)[0] if len(payload) == 4 else len(_COORDINATE_SYSTEMS)
         if number >= len(_COORDINATE_SYSTEMS):
@@ -117,18 +115,18 @@ def _read_extensions(spz: SpzFile, where: str) -> str:
                 f"{where}: coordinate system {payload[:8].hex(' ') or 'of no bytes'}, "
                 f"expected a number below {len(_COORDINATE_SYSTEMS)} in 4 bytes",
             )
-        # Number 0 is "unspecified", which means the default.
+        # Number 0 means unspecified, i.e. the default.
         axes = _COORDINATE_SYSTEMS[number] or SPZ_AXES
     flags = spz.header.flags & ~(FLAG_ANTIALIASED | FLAG_EXTENSIONS)
     if flags:
         skipped.append(f"flags {flags:#04x} (unknown)")
     if skipped:
-        _warn(f"{where}: holds {', '.join(skipped)}: left out")
+        _warn(f"{where}: holds {', '.join(skipped)}: ignored")
     return axes
 
 
 def _warn(message: str) -> None:
-    # The caller of `read_spz` is who asked for the file.
+    """Warn with the location of the call of `read_spz`."""
     warnings.warn(message, CogsplatWarning, stacklevel=4)
 
 
@@ -142,48 +140,56 @@ def write_spz(
     sh_rest_bits: int = 4,
     precision: str = "fine",
 ) -> None:
-    """Write a scene as SPZ, whole or not at all.
+    """Write a scene as SPZ, atomically.
 
     Parameters
     ----------
     splats : Splats
-        In any axes; stored in RUB. The order of rows is kept.
+        Scene in any axes; stored in RUB, in the same row order.
     path : path
         The output.
     force : bool
         Whether an existing file may be replaced.
     version : int
-        4 (zstd), or 3 (gzip) for older readers, with the same values, or 2 (gzip) for those that
-        read no quaternions of ten bits a component.
+        Version of the file. 4 uses zstd. 3 uses gzip with the same values, for older readers. 2
+        uses gzip with 8-bit components of quaternions, for still older ones.
     sh1_bits, sh_rest_bits : int
-        Bits that SH coefficients of degree 1 and above keep, 1 to 8; defaults as everybody's.
+        Bits kept of SH coefficients of degree 1, and of degrees above 1; 1 to 8. The defaults are
+        those of the reference writer.
     precision : str
-        ``"fine"`` stores the means of small scenes in finer steps; ``"usual"`` in the steps of
-        other programs, for a smaller file.
+        Steps of the means: ``"usual"`` as in other programs, ``"fine"`` finer in small scenes.
 
     Raises
     ------
     DataError
-        ``invalid-rows``: a row that cannot be drawn; ``bad-scene-info``: axes that are none.
+        ``invalid-rows``: a row cannot be rendered; ``bad-scene-info``: the axes are invalid.
     StorageError
-        As `atomic_write`, ``exists`` among them.
+        See `atomic_write`, e.g. ``exists``.
     ValueError
-        Another version, number of bits or precision.
+        The version, a number of bits or the precision is unknown.
 
     Warns
     -----
     CogsplatWarning
-        What SPZ cannot hold: an origin, a colour space, a kernel; means too far out; more than 1 %
-        of another attribute's values out of its range and clipped.
+        The scene has values that SPZ cannot hold (an origin, a colour space, a kernel, extras),
+        means are out of range, or more than 1 % of another attribute's values are clipped.
 
     Notes
     -----
-    Steps: means 2^-12 scene units, finer in small scenes with the precision ``"fine"``, and coarser
-    in large ones; scales 1/16;
-    opacities 1/255 of the activated value; sh0 0.026; quaternions 0.0014 per component, 0.0078 in
-    version 2, where the w of a turn by nearly half a circle is off by up to 0.12;
-    coefficients of degree 1 1/16 and 1/8 above. Ranges: scales -10 to 5.94, sh0 ±3.33,
-    coefficients -1 to 1.
+    ============================  ==========================================  ================
+    Values                        Step                                        Range
+    ============================  ==========================================  ================
+    means                         2^-12 scene units; finer in small scenes    24 bits
+                                  with ``"fine"``, coarser in large ones
+    scales                        1/16                                        -10 to 5.94
+    opacities (activated)         1/255                                       0 to 1
+    sh0                           0.026                                       ±3.33
+    SH of degree 1                1/16                                        -1 to 1
+    SH of degrees above 1         1/8                                         -1 to 1
+    quaternions, per component    0.0014; 0.0078 in version 2                 -1 to 1
+    ============================  ==========================================  ================
+
+    In version 2 the error of w reaches 0.12 for rotations by nearly 180 degrees.
     """
     if version not in VERSIONS:
         raise ValueError(f"SPZ version {version}, expected one of {VERSIONS}")
@@ -197,10 +203,10 @@ def write_spz(
     pieces = pack(header, streams)
     with atomic_write(path, force) as file:
         file.writelines(pieces)
-    losses = info_losses(splats.info, antialiased=True) + extra_losses(splats)
-    losses += [
-        f"{100 * share:.2g} % of the {name} (out of range, clipped)"
-        for name, share in clipped.items()
-        if share > (0 if name == "means" else _CLIPPED)
+    dropped = dropped_info(splats.info, antialiased=True) + dropped_extras(splats)
+    dropped += [
+        f"{100 * fraction:.2g} % of the {name} (out of range, clipped)"
+        for name, fraction in clipped.items()
+        if fraction > (0 if name == "means" else _CLIPPED_TOLERANCE)
     ]
-    warn_of_losses(path, "SPZ", losses)
+    warn_dropped(path, "SPZ", dropped)

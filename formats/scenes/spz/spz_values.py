@@ -1,8 +1,8 @@
-"""SPZ's stored values as the arrays of a scene, and back.
+"""Quantisation of scenes to SPZ's streams, and dequantisation.
 
-Steps and ranges are those of the format's public description (github.com/nianticlabs/spz): 24-bit
-fixed-point positions, 8-bit logarithmic scales, 8-bit colours, alphas and SH coefficients, and
-quaternions by their first or smallest three components.
+Steps and ranges follow the format's public description (github.com/nianticlabs/spz): 24-bit
+fixed-point positions, 8-bit log scales, 8-bit colours, alphas and SH coefficients, and quaternions
+by their first or smallest three components.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
-# Rows that are converted while they are in a processor's cache.
+# Rows per step of a conversion, so that its temporary arrays stay in the processor's cache.
 _BLOCK_ROWS: Final = 1 << 15
 
-# sh0 in 1 / 0.15 of the colour byte's range, wider than the range of colours.
+# Scale of sh0 in colour bytes, 0.15 × sh0 + 0.5; their range exceeds that of displayed colours.
 _COLOUR_SCALE: Final = 0.15
 
-# Scales are bytes of 1/16 from e^-10 up.
+# Log scales are bytes in steps of 1/16 from -10.
 _SCALE_STEPS: Final = 16.0
 _SCALE_OFFSET: Final = 10.0
 
 _MAX_POSITION: Final = (1 << 23) - 1
 
+# The reference writer's value: a step of 0.24 mm in a scene in metres.
 _DEFAULT_FRACTIONAL_BITS: Final = 12
-"""What the reference writes: a step of 0.24 mm in a scene in metres."""
 
 PRECISIONS: Final = ("fine", "usual")
-"""How finely centres are stored: small scenes in finer steps, or all in those of the reference."""
+"""Steps of centres: finer ones for small scenes, or the reference writer's for all scenes."""
 
-# With "fine", scenes smaller than two units get at least this many steps across most of the scene.
+# With "fine", the extent of the central 98 % of the means gets at least this number of steps.
 _MIN_STEPS: Final = 1 << 13
-_MOST: Final = 0.98
+_CENTRAL_FRACTION: Final = 0.98
 
-# Smallest three: nine bits and a sign for values up to sqrt(1/2).
+# Smallest three components: nine bits and a sign for values up to sqrt(1/2).
 _SMALLEST_STEPS: Final = 511
 _SMALLEST_MAX: Final = math.sqrt(0.5)
 
-
+# Lookup tables from stored codes to values.
 _BYTE: Final = np.arange(256)
 _TEN_BITS: Final = np.arange(1024)
 
@@ -64,25 +64,25 @@ _SMALLEST: Final = (
 
 
 def decode(spz: SpzFile, change: AxesChange, info: SceneInfo) -> Splats:
-    """Return the scene in a file's streams.
+    """Dequantise the streams of a file.
 
     Parameters
     ----------
     spz : SpzFile
-        With SH of any degree; what is above 3 is left out.
+        File with SH of any degree; degree 4 is cut to 3.
     change : AxesChange
-        Flips to apply on the way, at no cost.
+        Axis flips to apply during dequantisation, at no cost.
     info : SceneInfo
-        What the scene says of itself after them.
+        Metadata of the returned scene.
 
     Returns
     -------
     Splats
-        The same for any number of threads.
+        The scene; equal for any number of threads.
     """
     count = spz.header.count
     degree = min(spz.header.sh_degree, MAX_SH_DEGREE)
-    # Every row is filled below: zeroed pages cost nothing until then.
+    # Every row is filled below.
     splats = empty(degree, count, info)
     signs = np.array(change.signs, np.float32)
     quat_signs = np.array(change.quat_signs, np.float32)
@@ -92,7 +92,7 @@ def decode(spz: SpzFile, change: AxesChange, info: SceneInfo) -> Splats:
         rows = slice(start, min(start + _BLOCK_ROWS, count))
         positions, alphas, colors, scales, rotations, sh = (s[rows] for s in spz.streams)
         if spz.header.version == 1:
-            # NaN of any kind passes through.
+            # Rows with NaN are kept, without warnings.
             with np.errstate(invalid="ignore"):
                 splats.means[rows] = positions.view("<f2")
                 splats.means[rows] *= signs
@@ -107,7 +107,7 @@ def decode(spz: SpzFile, change: AxesChange, info: SceneInfo) -> Splats:
             _first_three(rotations, quat_signs, splats.quats[rows])
         if degree:
             values = splats.shN[rows].reshape(len(sh), -1)
-            # x - 128 by turning over the top bit of a two's complement byte; exact.
+            # Flipping the top bit of a byte subtracts 128 in two's complement, exactly.
             values[...] = (sh[:, : values.shape[1]] ^ np.uint8(128)).view(np.int8)
             values *= sh_steps
 
@@ -117,20 +117,23 @@ def decode(spz: SpzFile, change: AxesChange, info: SceneInfo) -> Splats:
 
 
 def _look_up(table: F32, index: U8, out: F32) -> None:
-    # "clip" lets numpy write to `out` directly; bytes cannot leave a table of 256.
+    """Write the values of a lookup table at byte indices to `out`."""
+    # "clip" lets numpy write to `out` directly; no byte is outside a table of 256.
     np.take(table, index, out=out, mode="clip")
 
 
 def _fixed_point(positions: U8, signs: F32, fractional_bits: int, out: F32) -> None:
+    """Write 24-bit fixed-point positions, times `signs`, to `out`, (n, 3)."""
     wide = np.zeros((*out.shape, 4), np.uint8)
     wide[..., 1:] = positions.reshape(*out.shape, 3)
     fixed = wide.view("<i4")[..., 0]
-    # The low byte is zero, so the sign is in place and 8 fractional bits more are divided away;
-    # 24 bits are exact in float32.
+    # The 24 bits are in the upper bytes of an int32, which keeps the sign and adds 8 fractional
+    # bits. 24 bits are exact in float32.
     np.multiply(fixed, signs * np.float32(2.0 ** -(fractional_bits + 8)), out=out, casting="unsafe")
 
 
 def _first_three(rotations: U8, signs: F32, out: F32) -> None:
+    """Write quaternions stored as x, y, z (version 1 and 2), times `signs`, to `out`, (n, 4)."""
     xyz = _FIRST[rotations]
     rest = np.float32(1) - np.square(xyz).sum(axis=1)
     np.sqrt(np.maximum(rest, 0), out=out[:, 0])
@@ -138,9 +141,10 @@ def _first_three(rotations: U8, signs: F32, out: F32) -> None:
 
 
 def _smallest_three(rotations: U8, signs: F32, out: F32) -> None:
+    """Write quaternions stored as their smallest three components to `out`, (n, 4) wxyz."""
     packed = rotations.view("<u4")[:, 0]
     largest = packed >> np.uint32(30)
-    # The first of the three that are stored is in the highest bits.
+    # The first stored component is in the highest bits.
     a, b, c = (_SMALLEST[(packed >> np.uint32(shift)) & np.uint32(1023)] for shift in (20, 10, 0))
     d = np.sqrt(np.maximum(np.float32(1) - (a * a + b * b + c * c), 0))
     x, y, z = signs
@@ -151,22 +155,23 @@ def _smallest_three(rotations: U8, signs: F32, out: F32) -> None:
 
 
 def fractional_bits(means: F32, precision: str = "fine") -> int:
-    """Return how many bits of 24-bit positions go behind the point for a scene's extent.
+    """Return the number of fractional bits of 24-bit positions for a scene's extent.
 
-    12, as everybody writes; with the precision ``"fine"`` more where most of the scene would span
-    fewer than 8192 steps; with either fewer where the farthest mean would not fit.
+    The default is 12. ``"fine"`` raises it until the central 98 % of the means span 8192 steps. Any
+    precision lowers it until the farthest mean fits.
 
     Parameters
     ----------
     means : (N, 3) float32
-        Scene units.
+        Centres, scene units.
     precision : str
         One of `PRECISIONS`.
     """
     bits = _DEFAULT_FRACTIONAL_BITS
     if not len(means):
         return bits
-    low, high = np.quantile(means, [(1 - _MOST) / 2, (1 + _MOST) / 2], axis=0)
+    ends = [(1 - _CENTRAL_FRACTION) / 2, (1 + _CENTRAL_FRACTION) / 2]
+    low, high = np.quantile(means, ends, axis=0)
     span = float((high - low).max())
     while precision == "fine" and 0 < span * 2.0**bits < _MIN_STEPS and bits < 24:
         bits += 1
@@ -184,20 +189,22 @@ def encode(
     Parameters
     ----------
     splats : Splats
-        In the frame of the file, all rows valid.
+        Scene in the axes of the file, all rows valid.
     version : int
-        2, whose quaternions are coarser; 3 or 4, whose values are the same.
+        Version of the file: 2 (coarser quaternions), 3 or 4 (equal values).
     sh1_bits, sh_rest_bits : int
-        Bits that SH coefficients of degree 1 and above keep, 1 to 8.
+        Bits kept of SH coefficients of degree 1, and of degrees above 1; 1 to 8.
     precision : str
         One of `PRECISIONS`.
 
     Returns
     -------
     header : SpzHeader
+        Header of the file.
     streams : list of (N, row bytes) uint8
+        Uncompressed streams, in the order of `STREAMS`.
     clipped : dict of str to float
-        Shares of values that lie outside what the format holds, by attribute.
+        Fraction of clipped values, by attribute.
     """
     clipped: dict[str, float] = {}
 
@@ -215,13 +222,13 @@ def encode(
     positions = fixed.view(np.uint8).reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9)
     scales = (splats.scales.astype(np.float64) + _SCALE_OFFSET) * _SCALE_STEPS
     sh0 = (splats.sh0.astype(np.float64) * _COLOUR_SCALE + 0.5) * 255
-    # Rounded to what `sh1_bits` and `sh_rest_bits` keep of a byte, with zero as one of the steps.
+    # Round to the kept bits of a byte; zero stays exact.
     first = 3 * (sh_coefficients(1) - 1)
     flat = splats.shN.reshape(len(splats), 3 * splats.shN.shape[1])
     steps = np.full(flat.shape[1], 2.0 ** (8 - sh_rest_bits))
     steps[:first] = 2.0 ** (8 - sh1_bits)
     sh = np.rint(flat * (128 / steps)) * steps + 128
-    # The top step is 1, one beyond the byte: 255 stands for it, as in the reference.
+    # The top step, 1, would be 256: store 255, as the reference does.
     sh[sh == 256] = 255
     streams = [
         np.ascontiguousarray(positions),
@@ -242,8 +249,9 @@ def encode(
 
 
 def _pack_smallest_three(quats: F32) -> U8:
+    """Pack wxyz quaternions into four bytes: an index and three 10-bit components."""
     largest, others = to_smallest_three(quats)
-    # From wxyz to xyzw: w goes behind, or is the one that is not there.
+    # From wxyz to xyzw: w moves to the end, unless it is the omitted component.
     three = np.where(largest[:, None] == 0, others, np.roll(others, -1, axis=1))
     index = ((largest + 3) % 4).astype(np.uint32)
     steps = np.rint(np.abs(three) * (_SMALLEST_STEPS / _SMALLEST_MAX)).astype(np.uint32)
@@ -254,8 +262,9 @@ def _pack_smallest_three(quats: F32) -> U8:
 
 
 def _pack_first_three(quats: F32) -> U8:
+    """Pack wxyz quaternions into three bytes: x, y and z."""
     wxyz = unit(quats)
-    # The component that is not stored, w, is read as a root: 0 or more.
+    # Readers compute w as a square root, so flip the sign of quaternions with negative w.
     xyz = np.where(wxyz[:, :1] < 0, -wxyz[:, 1:], wxyz[:, 1:])
     stored: U8 = np.rint((xyz.astype(np.float64) + 1) * 127.5).astype(np.uint8)
     return stored

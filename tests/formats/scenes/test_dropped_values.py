@@ -8,37 +8,37 @@ import pytest
 
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.splats import SceneInfo, empty
-from cogsplat.formats.scenes.dropped_values import extra_losses, info_losses, warn_of_losses
+from cogsplat.formats.scenes.dropped_values import dropped_extras, dropped_info, warn_dropped
 
 
 def test_a_default_scene_loses_nothing() -> None:
-    assert info_losses(SceneInfo()) == []
-    assert extra_losses(empty(0)) == []
+    assert dropped_info(SceneInfo()) == []
+    assert dropped_extras(empty(0)) == []
 
 
 def test_every_field_of_the_information_is_named() -> None:
     info = SceneInfo(origin=(1.0, 2.0, 3.0), colour_space="linear", kernel_px=0.1, antialiased=True)
-    told = info_losses(info)
+    told = dropped_info(info)
     assert len(told) == 4
     for word, line in zip(("origin", "linear", "0.1", "anti-aliasing"), told, strict=True):
         assert word in line
-    assert len(info_losses(info, antialiased=True)) == 3
+    assert len(dropped_info(info, antialiased=True)) == 3
     # Axes are converted by every writer, so that they are never lost.
-    assert info_losses(replace(SceneInfo(), axes="RUB")) == []
+    assert dropped_info(replace(SceneInfo(), axes="RUB")) == []
 
 
 def test_the_names_of_many_attributes_are_cut() -> None:
     few = empty(0)
     one = replace(few, extras={"label": np.zeros(0, np.uint8)})
-    assert extra_losses(one) == ["the attributes label"]
+    assert dropped_extras(one) == ["the attributes label"]
     many = replace(few, extras={f"a{i}": np.zeros(0, np.uint8) for i in range(9)})
-    assert extra_losses(many) == ["the attributes a0, a1, a2, a3, a4, a5 and 3 more"]
+    assert dropped_extras(many) == ["the attributes a0, a1, a2, a3, a4, a5 and 3 more"]
 
 
-def test_losses_are_told_in_one_warning() -> None:
+def test_dropped_values_give_one_warning() -> None:
     with pytest.warns(CogsplatWarning) as caught:
-        warn_of_losses("out.spz", "SPZ", ["the origin", "the kernel"])
+        warn_dropped("out.spz", "SPZ", ["the origin", "the kernel"])
     assert [str(w.message) for w in caught] == ["out.spz: SPZ cannot hold the origin, the kernel"]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warn_of_losses("out.spz", "SPZ", [])
+        warn_dropped("out.spz", "SPZ", [])

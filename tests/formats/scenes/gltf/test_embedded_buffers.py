@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cogsplat.codec.errors import CogsplatError
-from cogsplat.formats.scenes.gltf.embedded_buffers import take_out
+from cogsplat.formats.scenes.gltf.embedded_buffers import extract_buffers
 
 HEAD = "data:application/octet-stream;base64,"
 
@@ -17,7 +17,7 @@ def test_buffers_come_back_and_the_rest_of_the_text_stays(
 ) -> None:
     uris = [HEAD + base64.b64encode(data).decode() for data in buffers]
     value = {"asset": {"version": "2.0"}, "buffers": [{"uri": uri} for uri in uris], "z": "é"}
-    embedded = take_out(json.dumps(value, indent=indent).encode())
+    embedded = extract_buffers(json.dumps(value, indent=indent).encode())
     left = json.loads(embedded.text)
     assert left["asset"] == value["asset"]
     assert left["z"] == "é"
@@ -27,7 +27,7 @@ def test_buffers_come_back_and_the_rest_of_the_text_stays(
 
 def test_text_in_strings_is_no_buffer() -> None:
     inner = f'"{HEAD}{"A" * 400}"'
-    embedded = take_out(json.dumps({"name": inner}).encode())
+    embedded = extract_buffers(json.dumps({"name": inner}).encode())
     assert json.loads(embedded.text) == {"name": inner}
 
 
@@ -44,7 +44,7 @@ def test_text_in_strings_is_no_buffer() -> None:
     ],
 )
 def test_what_is_no_base64(uri: str, code: str) -> None:
-    embedded = take_out(json.dumps({"uri": uri}, ensure_ascii=False).encode())
+    embedded = extract_buffers(json.dumps({"uri": uri}, ensure_ascii=False).encode())
     with pytest.raises(CogsplatError) as caught:
         embedded.decode(json.loads(embedded.text)["uri"], "a.gltf")
     assert caught.value.code == code

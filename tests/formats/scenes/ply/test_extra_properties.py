@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.splats import EXTRA_DTYPES
-from cogsplat.formats.scenes.ply.extra_properties import as_origin
+from cogsplat.formats.scenes.ply.extra_properties import split_origin
 from cogsplat.formats.scenes.ply.ply_scene import read_ply, write_ply, write_ply_parts
 
 N = 700
@@ -130,7 +130,7 @@ def test_more_than_a_scene_can_hold_is_said(tmp_path):
     for name in table.dtype.names:
         more[name] = table[name]
     as_plyfile(tmp_path / "b.ply", more, byte_order="<")
-    with pytest.warns(CogsplatWarning, match="properties beside those of a 3DGS scene"):
+    with pytest.warns(CogsplatWarning, match="extra properties are skipped"):
         read = read_ply(tmp_path / "b.ply")
     assert "n" * 300 not in read.extras
     assert "p0" in read.extras
@@ -204,7 +204,7 @@ def test_an_origin_in_a_comment_is_added_to(tmp_path):
     ],
 )
 def test_what_has_no_far_centre_stays(means):
-    kept, origin = as_origin(means, "here")
+    kept, origin = split_origin(means, "here")
     assert kept is means
     assert origin == (0.0, 0.0, 0.0)
 

@@ -208,7 +208,7 @@ def test_antialiased_flag(tmp_path: Path, version: int) -> None:
 def test_unknown_flags_are_mentioned(tmp_path: Path, version: int) -> None:
     path = tmp_path / "a.spz"
     path.write_bytes(build(version, 5, flags=0x14))
-    with pytest.warns(CogsplatWarning, match=r"a\.spz: holds flags 0x14 \(unknown\): left out"):
+    with pytest.warns(CogsplatWarning, match=r"a\.spz: holds flags 0x14 \(unknown\): ignored"):
         assert len(read_spz(path)) == 5
 
 
@@ -263,7 +263,7 @@ def test_other_extensions_are_skipped_by_length(tmp_path: Path, version: int) ->
         splats = read_spz(path)
     assert [str(warning.message) for warning in caught] == [
         f"{path}: holds extension 0xadbe0002 (orbit limits), extension 0x12340001 (unknown), "
-        "extension 0x00000007 (unknown): left out"
+        "extension 0x00000007 (unknown): ignored"
     ]
     # Number 6 is RDF, so nothing is turned.
     expected = decoded(version, 9, 0, 12)["means"] * [1, -1, -1]
