@@ -205,10 +205,7 @@ def _extra_hint(error: CogsplatError) -> str:
     place = "." if root == Path.cwd() else os.fspath(root)
     named = _EXTRA_NAME.search(error.message)
     extra = named[1] if named else "encode"
-    return (
-        f"from this checkout: pip install -e '{place}[{extra}]' "
-        "--config-settings editable_mode=compat"
-    )
+    return f"from this checkout: pip install -e '{place}[{extra}]'"
 
 
 def _hint(code: str, group: click.Context | None) -> str:

@@ -6,7 +6,9 @@ Written from the equations (Zwicker et al. 2001, Kerbl et al. 2023), sharing no 
 import math
 
 import numpy as np
-import torch
+import pytest
+
+torch = pytest.importorskip("torch")
 
 ALPHA_MAX = float(np.float32(0.99))
 STOP = float(np.float32(1e-4))

@@ -8,10 +8,13 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import pytest
+
 
 @contextmanager
 def s3_server() -> Iterator[str]:
     """Run moto, with an empty bucket of the name ``bucket``; yield its address."""
+    pytest.importorskip("moto", reason="needs moto")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

@@ -1,15 +1,17 @@
 """One small scene for all tests of the tools, ways to run the command line on it, a browser."""
 
+from __future__ import annotations
+
 import json
 import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from chromium import chromium
 from click.testing import CliRunner, Result
-from playwright.sync_api import Browser
 from running import ROOT, SPLATS, VIEWS, Ran, Run, SmallScene, program
 
 import cogsplat
@@ -17,6 +19,9 @@ from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 from cogsplat.tools.main import cli
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 
 @pytest.fixture(scope="session")

@@ -1,13 +1,14 @@
 import numpy as np
 import oracle
 import pytest
-import torch
 from gsplat_on_cpu import on_cpu
 
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.fit.autograd import render
 from cogsplat.codec.fit.differentiable_rendering import Gradients, render_forward
 from cogsplat.codec.render.rasteriser import RenderConfig
+
+torch = pytest.importorskip("torch")
+render = pytest.importorskip("cogsplat.codec.fit.autograd").render
 
 
 def tensors(splats):

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import oracle
 import pytest
-import torch
 import torch_oracle
 from gsplat_on_cpu import on_cpu
 
 from cogsplat.codec.fit.differentiable_rendering import Gradients, render_forward
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
+
+torch = torch_oracle.torch
 
 BACKGROUND = (0.613, 0.01, 0.398)
 

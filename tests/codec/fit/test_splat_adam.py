@@ -2,10 +2,12 @@ from dataclasses import replace
 
 import numpy as np
 import oracle
-import torch
+import pytest
 
 from cogsplat.codec.fit.differentiable_rendering import Gradients
 from cogsplat.codec.fit.splat_adam import SplatAdam
+
+torch = pytest.importorskip("torch")
 
 
 def random_gradients(splats, seed):

@@ -1,15 +1,15 @@
 """A notebook shows an open file: as a widget that fetches what it draws from the kernel."""
 
+from __future__ import annotations
+
 import base64
 import sys
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import nbclient
-import nbformat
 import numpy as np
 import pytest
-from playwright.sync_api import Browser
 from running import SmallScene
 
 import cogsplat
@@ -19,6 +19,9 @@ from cogsplat.codec.render.rasteriser import render
 from cogsplat.formats.storage.images import decode_image
 from cogsplat.tools.delivery.notebook import answer, bundle
 from cogsplat.tools.lab.synthetic.terrace import synth_cameras
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 CELL = """
 import cogsplat
@@ -92,6 +95,8 @@ def test_bundle_without_the_extra_says_what_to_install(
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_a_notebook_shows_what_open_returns(small: SmallScene, tmp_path: Path) -> None:
+    nbclient = pytest.importorskip("nbclient", reason="needs nbclient")
+    nbformat = pytest.importorskip("nbformat", reason="needs nbformat")
     notebook = nbformat.v4.new_notebook(
         cells=[nbformat.v4.new_code_cell(CELL.format(path=str(small.cogs)))]
     )

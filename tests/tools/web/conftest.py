@@ -1,14 +1,19 @@
 """A page in a browser for tests of the viewer and the adapters, and what serves the viewer."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import pytest
 from faulty_server import FaultyServer
-from playwright.sync_api import Browser, Page
 from running import SmallScene
 
 from cogsplat.tools.delivery.slow_server import running
 from cogsplat.tools.delivery.viewer_pages import linked_page
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
 
 
 @pytest.fixture

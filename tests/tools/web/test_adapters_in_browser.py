@@ -1,15 +1,17 @@
 """The example pages of Spark and PlayCanvas in a real browser, against our own renders."""
 
+from __future__ import annotations
+
 import shutil
 import subprocess
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from chromium import PATIENCE_MS, picture
 from faulty_server import FaultyServer
 from numpy.typing import NDArray
-from playwright.sync_api import Page
 from running import ROOT, SmallScene, installed
 
 import cogsplat
@@ -18,6 +20,9 @@ from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.delivery.slow_server import running
 from cogsplat.tools.lab.synthetic.terrace import synth_cameras
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 pytestmark = pytest.mark.slow
 

@@ -3,20 +3,25 @@
 Cases and outcomes are those of the table in docs/network.md.
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 import subprocess
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from cogs_samples import ARRAYS, file_of
 from fault_cases import CASES, Case, name_of
 from fault_server import FaultServer, serving
-from playwright.sync_api import Browser
 from running import ROOT, installed
 
 import cogsplat
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 # Many starts of connections, and a browser.
 pytestmark = pytest.mark.slow

@@ -1,14 +1,16 @@
 """What people do with the viewer: settings, keys, film strip, comparison, fingers."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from chromium import look_from, picture, statistics, wait_until
 from faulty_server import FaultyServer
 from numpy.typing import NDArray
-from playwright.sync_api import Browser, Locator, Page, expect
 from running import SmallScene
 
 import cogsplat
@@ -19,6 +21,12 @@ from cogsplat.codec.splats import Splats
 from cogsplat.tools.delivery.slow_server import Reply, running
 from cogsplat.tools.delivery.viewer_pages import linked_page
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Locator, Page
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+expect = sync_api.expect
 
 pytestmark = pytest.mark.slow
 

@@ -1,5 +1,7 @@
 """The viewer in a real browser: what goes wrong on the way, and what people do with it."""
 
+from __future__ import annotations
+
 import functools
 import json
 import signal
@@ -8,13 +10,13 @@ import threading
 from http import HTTPStatus
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from chromium import look_from, picture, statistics, wait_until
 from faulty_server import FaultyServer
 from numpy.typing import NDArray
-from playwright.sync_api import Browser, Page, expect
 from running import Run, SmallScene, program
 
 import cogsplat
@@ -25,6 +27,12 @@ from cogsplat.tools.delivery.slow_server import Link, running
 from cogsplat.tools.delivery.viewer_pages import linked_page, write_lone_page
 from cogsplat.tools.lab.conformance.folders import unpacked
 from cogsplat.tools.lab.synthetic.terrace import synth_cameras
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+expect = sync_api.expect
 
 pytestmark = pytest.mark.slow
 

@@ -1,13 +1,15 @@
 """Scenes with levels, and chunks that end, in the viewer in a real browser."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from chromium import look_from, picture, shows, statistics, wait_until
 from faulty_server import FaultyServer
-from playwright.sync_api import Browser, Page
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
@@ -22,6 +24,9 @@ from cogsplat.formats.cogs import scene as cogs
 from cogsplat.tools.delivery.slow_server import running
 from cogsplat.tools.delivery.viewer_pages import linked_page
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
 
 pytestmark = pytest.mark.slow
 

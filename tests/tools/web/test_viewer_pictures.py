@@ -1,14 +1,16 @@
 """The viewer's pictures in a real browser equal our own renders of what has arrived."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from chromium import look_from, picture, shows, wait_until
 from faulty_server import FaultyServer
 from numpy.typing import NDArray
-from playwright.sync_api import Browser
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
@@ -19,6 +21,9 @@ from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.tools.delivery.slow_server import running
 from cogsplat.tools.delivery.viewer_pages import linked_page
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 pytestmark = pytest.mark.slow
 

@@ -1,15 +1,17 @@
 """Scenes of many rooms in the viewer in a real browser: chosen by the view, within a budget."""
 
+from __future__ import annotations
+
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from chromium import look_from, picture, shows, statistics, wait_until
 from faulty_server import FaultyServer
-from playwright.sync_api import Page, expect
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
@@ -21,6 +23,12 @@ from cogsplat.tools.delivery.slow_server import Link, Reply, running
 from cogsplat.tools.delivery.viewer_pages import linked_page
 from cogsplat.tools.lab.conformance.folders import unpacked
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, rooms_walk, synth_rooms
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+expect = sync_api.expect
 
 pytestmark = pytest.mark.slow
 

@@ -83,7 +83,7 @@ export default async () => ({
 """
 
 
-@pytest.mark.skipif(shutil.which("node") is None, reason="node is not here")
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
 def test_bench_times_another_library_beside(small: SmallScene, tmp_path: Path) -> None:
     library = tmp_path / "@adobe" / "spz" / "dist"
     library.mkdir(parents=True)
