@@ -1,4 +1,4 @@
-"""Pinhole cameras, and the sets of views that scenes are scored on and judged by."""
+"""Pinhole cameras of scoring, training and test views."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .errors import DataError
 
-# How far a rotation's rows may be from orthonormal: files carry them as rounded decimals.
+# Tolerance of a rotation's orthonormality: files store rotations as rounded decimals.
 _ROTATION_TOLERANCE = 1e-3
 
 
@@ -27,15 +27,15 @@ class Camera:
     rotation : (3, 3) float64
         World to camera: ``x_camera = rotation @ x_world + translation``.
     translation : (3,) float64
-        Scene units.
+        Translation of the pose, scene units.
     name : str
-        What the source calls it, often an image's file name.
+        Name in the source, often an image's file name.
 
     Raises
     ------
     DataError
-        ``bad-camera``: a size below 1, a focal length that is not positive and finite, or a
-        rotation that is not one.
+        ``bad-camera``: a size below 1, a focal length that is not positive and finite, or an
+        invalid rotation.
     """
 
     width: int
@@ -74,13 +74,13 @@ class Camera:
         rows = rotation.tolist()
         if not all(map(math.isfinite, [*rows[0], *rows[1], *rows[2], *translation.tolist()])):
             raise DataError("bad-camera", f"{label}: NaN or infinite pose, expected finite numbers")
-        # Numbers of Python: numpy takes ten times as long for nine of them, and models have many.
+        # Python floats: numpy takes ten times as long for nine numbers, and models have many views.
         (a, b, c), (d, e, f), (g, h, i) = rows
         lengths = (a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + i * i)
         products = (a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)
         error = max(*(abs(length - 1) for length in lengths), *map(abs, products))
         determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-        # Entries beyond 1e154 make a length infinite, which no NaN among the products hides.
+        # Entries beyond 1e154 overflow: the error is then infinite or NaN, and fails the test.
         if not error <= _ROTATION_TOLERANCE or determinant < 0:
             raise DataError(
                 "bad-camera",

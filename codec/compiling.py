@@ -1,8 +1,8 @@
-"""Kernels before they run: how numba caches them, and the types that they are called with.
+"""Compilation of numba kernels: on-disk cache, and declared argument types for compiling ahead.
 
-numba compiles a kernel when it is first called, which takes a fraction of a second to seconds, and
-keeps the machine code in a folder. A kernel whose types are declared can be compiled before it is
-called, in another process that writes to the same folder.
+numba compiles a kernel on its first call, which takes a fraction of a second to seconds, and caches
+the machine code in a folder. A kernel with declared types can be compiled ahead of its first call,
+in another process that writes to the same folder.
 """
 
 from __future__ import annotations
@@ -16,54 +16,54 @@ from typing import Any, Final, TypeVar, cast
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
-def compiled(function: Function, *, fuses: bool = False, kept: bool = True) -> Function:
-    """Compile a function on its first call, and keep the machine code on disk where that works.
+def jit_kernel(function: Function, *, fuses: bool = False, cached: bool = True) -> Function:
+    """Return a function that numba compiles on its first call, with an on-disk cache if possible.
 
     Parameters
     ----------
     function : callable
-        Python that numba compiles (nopython mode). It runs without the interpreter's lock and
+        Python function for numba's nopython mode. It runs without the interpreter's lock and
         divides as numpy does.
     fuses : bool
-        Whether a product and a sum may become one instruction.
-    kept : bool
-        Whether its machine code is kept; False for inner kernels, which only kernels call. What is
-        kept of a kernel holds the inner ones that it calls.
+        Whether a product and a sum may become one fused instruction.
+    cached : bool
+        Whether the machine code is cached on disk. False for inner kernels, which only kernels
+        call: the code of a kernel includes the inner kernels that it calls.
 
     Notes
     -----
-    A kernel that is kept is called with one set of types only. numba (0.68) numbers the files of a
-    function without a lock: where two processes compile it for two sets of types at the same time,
-    both may take the same number, and later processes would run the machine code of the wrong
-    types. Inner kernels are called with many: a constant argument is a type of its own.
+    A cached kernel must be called with one set of types only. numba (0.68) numbers the files of a
+    function without a lock. If two processes compile it for different types at the same time, both
+    may use the same number, and later processes run machine code of the wrong types. Inner kernels
+    are called with many sets of types: each constant argument has its own type.
 
-    The code is kept in ``NUMBA_CACHE_DIR`` where that is set, otherwise beside the module or in the
-    user's cache folder: the first of them that can be written. Where none can, as in an
-    installation that is read-only for a user without a home, every process compiles anew.
+    The cache is in ``NUMBA_CACHE_DIR`` if that is set, otherwise in the first writable folder of
+    the module's and the user's cache folder. Without a writable folder, for example in a read-only
+    installation for a user without a home, every process compiles anew.
     """
     from numba import njit
 
     fastmath = {"contract"} if fuses else False
-    if not kept:
+    if not cached:
         return cast(Function, njit(nogil=True, error_model="numpy", fastmath=fastmath)(function))
     try:
         found = njit(nogil=True, cache=True, error_model="numpy", fastmath=fastmath)(function)
     except RuntimeError:
-        # What numba raises where no folder can be written.
+        # numba raises this if no cache folder is writable.
         found = njit(nogil=True, error_model="numpy", fastmath=fastmath)(function)
     return cast(Function, found)
 
 
 @dataclass(frozen=True, eq=False)
 class DeclaredKernel:
-    """A kernel, and the types of the arguments that it is called with.
+    """A kernel with the types of its arguments.
 
     Parameters
     ----------
     function : callable
-        What `compiled` returned.
+        Result of `jit_kernel`.
     types : str
-        As numba writes them, separated by commas: ``"int64, float32[:, ::1]"``.
+        Types in numba's notation, separated by commas: ``"int64, float32[:, ::1]"``.
     """
 
     function: Callable[..., object]
@@ -71,20 +71,19 @@ class DeclaredKernel:
 
     @property
     def name(self) -> str:
-        """Its module and its name there, with a colon between."""
+        """Module and function name, separated by a colon."""
         return f"{self.function.__module__}:{self.function.__name__}"
 
     @property
     def folder(self) -> Path | None:
-        """Where its machine code is kept; None where no folder can be written."""
+        """Folder of the cached machine code; None if no folder is writable."""
         stats = getattr(self.function, "stats", None)
         return Path(stats.cache_path) if stats is not None and stats.cache_path else None
 
     def is_cached(self) -> bool:
-        """Tell whether the folder of machine code has an entry for this kernel.
+        """Return whether the cache has an entry for this kernel that is newer than its module.
 
-        Code for another processor or of an earlier version of the module may be all there is; then
-        the kernel is compiled when it is called.
+        The entry may be for another processor; the kernel is then compiled on its first call.
         """
         folder, dispatcher = self.folder, cast(Any, self.function)
         if folder is None:
@@ -96,15 +95,15 @@ class DeclaredKernel:
         return any(found.stat().st_mtime >= changed for found in folder.glob(pattern))
 
     def compile(self) -> None:
-        """Compile it, or load it where its machine code is kept already."""
+        """Compile the kernel, or load it from the cache."""
         dispatcher = cast(Any, self.function)
-        # With NUMBA_DISABLE_JIT it is plain Python.
+        # With NUMBA_DISABLE_JIT the kernel is a plain Python function.
         if not hasattr(dispatcher, "compile"):
             return
         from numba.core import sigutils
 
-        # numba files machine code under what it is given here, and a call looks it up under a
-        # tuple of types: under the text of a signature no call would find it.
+        # The cache key must be a tuple of types, as in a call; compiling by the text of a signature
+        # would store the code under a key that no call looks up.
         types, _ = cast(Any, sigutils).normalize_signature(f"({self.types},)")
         dispatcher.compile(tuple(types))
 
@@ -113,12 +112,14 @@ _DECLARED: Final[dict[str, DeclaredKernel]] = {}
 
 
 def called_with(types: str) -> Callable[[Function], Function]:
-    """Declare what types a kernel is called with; stands above the decorator that compiles it.
+    """Return a decorator that declares the argument types of a kernel, for compiling ahead.
+
+    It is applied to the result of `jit_kernel`, so it stands above the compiling decorator.
 
     Parameters
     ----------
     types : str
-        As in `DeclaredKernel`.
+        Types in numba's notation; see `DeclaredKernel`.
     """
 
     def declare(function: Function) -> Function:
@@ -129,8 +130,8 @@ def called_with(types: str) -> Callable[[Function], Function]:
     return declare
 
 
-def declared_in(modules: Iterable[str]) -> list[DeclaredKernel]:
-    """Import some modules and return the kernels that they declare, in the order of the modules."""
+def kernels_in(modules: Iterable[str]) -> list[DeclaredKernel]:
+    """Import modules by name and return the kernels they declare, in the order of the modules."""
     found: list[DeclaredKernel] = []
     for module in modules:
         importlib.import_module(module)
@@ -138,13 +139,13 @@ def declared_in(modules: Iterable[str]) -> list[DeclaredKernel]:
     return found
 
 
-def declared(name: str) -> DeclaredKernel:
-    """Return the kernel of a name that `DeclaredKernel.name` gave, also in another process.
+def kernel_by_name(name: str) -> DeclaredKernel:
+    """Import the module of a kernel and return the kernel, by `DeclaredKernel.name`.
 
     Raises
     ------
     KeyError
-        Its module declares no such kernel.
+        The module declares no such kernel.
     """
     importlib.import_module(name.partition(":")[0])
     return _DECLARED[name]

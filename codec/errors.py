@@ -1,14 +1,13 @@
-"""The one tree of errors: what was found, where, what was expected, and a stable reason code."""
+"""Exception classes. Messages give the problem, its place and the expected value."""
 
 from __future__ import annotations
 
 
 def printable(text: str) -> str:
-    r"""Return text on one line in which what a terminal would obey is written as an escape.
+    r"""Return text on one line, with unprintable characters written as escapes.
 
-    Names and comments of a file may hold such characters, and messages quote them: controls, marks
-    that turn the direction of text, halves of characters, separators of lines (what
-    `str.isprintable` says no to).
+    Messages quote names and comments of files, which may hold control characters, marks of text
+    direction, lone surrogates and line separators: all characters that `str.isprintable` rejects.
 
     Examples
     --------
@@ -21,26 +20,27 @@ def printable(text: str) -> str:
 
 
 def _escaped(number: int) -> str:
+    """Return the Python escape of a code point."""
     if number < 0x100:
         return f"\\x{number:02x}"
     return f"\\u{number:04x}" if number < 0x10000 else f"\\U{number:08x}"
 
 
 class CogsplatError(Exception):
-    """Base of every refusal.
+    """Base class of all errors that cogsplat raises for bad data, limits and failed storage.
 
     Parameters
     ----------
     code : str
-        Stable reason code (lower case, hyphens); the same in every implementation of the format.
+        Stable reason code (lower case, hyphens), shared by all implementations of the format.
     message : str
-        What was found, where, and what was expected; kept as `printable` gives it.
+        Text that gives the problem, its place and the expected value; stored as `printable`.
 
     Attributes
     ----------
     exit_code : int
-        What the command line exits with: 2 misuse, 3 invalid data, 4 input/output or a missing
-        extra, 5 limit, 130 interrupted.
+        Exit code of the command line: 2 misuse, 3 invalid data, 4 input/output or a missing extra,
+        5 limit, 130 interrupted.
     """
 
     exit_code = 3
@@ -52,16 +52,15 @@ class CogsplatError(Exception):
         self.message = message
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Between processes, errors travel whole; by default Python would call __init__ with the
-        # message alone, and fail.
-        return _restored, (type(self), self.args), self.__dict__
+        # Unpickling would call __init__ with the message alone, and fail.
+        return _unpickle, (type(self), self.args), self.__dict__
 
 
 class CogsplatWarning(UserWarning):
-    """Something a file holds, or that was to be written, is left out or altered; work goes on.
+    """Warning that data of a file was omitted or altered in reading or writing.
 
-    Issued through `warnings.warn`, one line that says where, what and why; the command line prints
-    each once.
+    Issued through `warnings.warn` as one line that says where, what and why; the command line
+    prints each warning once.
     """
 
     def __init__(self, message: str) -> None:
@@ -69,16 +68,16 @@ class CogsplatWarning(UserWarning):
 
 
 class FormatError(CogsplatError):
-    """A file breaks the rules of its format.
+    """Error: a file breaks the rules of its format.
 
     Parameters
     ----------
     code, message : str
-        As in `CogsplatError`.
+        See `CogsplatError`.
     clause : str
-        The SPEC clause that was broken, such as ``"4.2"``; empty for foreign formats.
+        Violated SPEC clause, such as ``"4.2"``; empty for foreign formats.
     offset : int or None
-        Byte offset in the file, where known.
+        Byte offset in the file, if known.
     """
 
     def __init__(
@@ -92,12 +91,12 @@ class FormatError(CogsplatError):
 
 
 class TruncatedError(FormatError):
-    """The bytes end early; more of the same file would help.
+    """Error: the bytes end early; more bytes of the same file would help.
 
     Parameters
     ----------
     needed : int
-        File length in bytes that would have sufficed; 0 where not known.
+        File length in bytes that would suffice; 0 if not known.
     """
 
     def __init__(
@@ -114,33 +113,33 @@ class TruncatedError(FormatError):
 
 
 class UnsupportedError(CogsplatError):
-    """Valid, but newer or more than this build does."""
+    """Error: a valid file needs a newer version or a feature that this build lacks."""
 
 
 class MissingExtraError(UnsupportedError):
-    """A package that an extra of cogsplat brings, or its device, is missing; data may be right."""
+    """Error: a package of one of cogsplat's extras, or its device, is missing."""
 
     exit_code = 4
 
 
 class DataError(CogsplatError):
-    """Splats or cameras that cannot be used: NaN rows, zero quaternions, views that see nothing."""
+    """Error: unusable splats or cameras, such as NaN rows or views that show nothing."""
 
 
 class LimitError(CogsplatError):
-    """A limit of the caller's was reached."""
+    """Error: a limit set by the caller was reached."""
 
     exit_code = 5
 
 
 class StorageError(CogsplatError):
-    """Reading or writing failed below the format: missing file, disk full, permission, network."""
+    """Error: reading or writing failed: missing file, disk full, permission, network."""
 
     exit_code = 4
 
 
 class Cancelled(CogsplatError):  # noqa: N818 - an interruption, not a fault
-    """The caller asked for the work to stop."""
+    """Error raised when the caller cancels the work."""
 
     exit_code = 130
 
@@ -148,5 +147,6 @@ class Cancelled(CogsplatError):  # noqa: N818 - an interruption, not a fault
         super().__init__("cancelled", message)
 
 
-def _restored(kind: type[CogsplatError], args: tuple[object, ...]) -> CogsplatError:
+def _unpickle(kind: type[CogsplatError], args: tuple[object, ...]) -> CogsplatError:
+    """Create an error without calling its `__init__`; pickle then restores its attributes."""
     return kind.__new__(kind, *args)

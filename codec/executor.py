@@ -1,8 +1,8 @@
-"""Where work runs that falls into many pieces: on threads of this process, or anywhere else.
+"""Executors: parallel maps over views or chunks, on threads of this process or elsewhere.
 
-The encoder gives such work to an `Executor`: a function, the items that it is called with, and the
-large arrays that all of these calls read. Sums over items are always made by the caller, in the
-order of the items, so that the bytes of a file do not depend on who did the work.
+The encoder passes an `Executor` a function, the items to call it with, and the large arrays that
+all calls read. The caller sums results in the order of the items, so that the bytes of a file do
+not depend on the executor.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Result = TypeVar("Result")
 
 
 class Executor(Protocol):
-    """Runs a function over many items and gives the results in the order of the items."""
+    """Parallel map that yields results in the order of the items."""
 
     def map(
         self, function: Callable[..., Result], items: Iterable[Item], *shared: object
@@ -27,36 +27,36 @@ class Executor(Protocol):
         Parameters
         ----------
         function : callable
-            Of a module's top level, or a `functools.partial` of one with few small arguments, so
-            that other processes can find it. It may be called more than once for an item and must
-            not change its arguments.
+            Function at a module's top level, or a `functools.partial` of one with few small
+            arguments, so that other processes can import it. It may be called more than once for
+            an item and must not change its arguments.
         items : iterable
-            Small: cameras, numbers, slices.
+            Small values: cameras, numbers, slices.
         *shared : object
-            Large values that all calls read. They are recognised as objects: what was shared before
-            is not brought to the workers again, and must not change for as long as it lives.
+            Large values that all calls read. An object shared in an earlier call is not sent to
+            the workers again, so it must not change during its lifetime.
 
         Yields
         ------
         object
-            The results in the order of the items. Leaving the loop drops what has not begun.
+            Results in the order of the items. Leaving the loop cancels calls that have not started.
 
         Raises
         ------
         CogsplatError
-            What the function raised, or ``scheduler-lost`` or ``worker-lost`` of executors that
-            reach other processes.
+            The function raised it, or an executor with other processes lost its scheduler
+            (``scheduler-lost``) or a worker (``worker-lost``).
         """
         ...
 
 
 class LocalThreads:
-    """The executor of this process.
+    """Executor on threads of this process.
 
     Parameters
     ----------
     threads : int
-        0 for every core this process may use.
+        Number of threads; 0 for every core this process may use.
 
     Examples
     --------
@@ -72,5 +72,5 @@ class LocalThreads:
     def map(
         self, function: Callable[..., Result], items: Iterable[Item], *shared: object
     ) -> Iterator[Result]:
-        """As `Executor.map`."""
+        """Call ``function(item, *shared)`` for every item; see `Executor.map`."""
         return ordered_map(lambda item: function(item, *shared), items, self._threads)

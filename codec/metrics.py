@@ -1,4 +1,4 @@
-"""How far one picture is from another: PSNR and SSIM."""
+"""Picture quality metrics: PSNR and SSIM."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _C1 = 0.01**2
 _C2 = 0.03**2
 
 SSIM_BORDERS = ("valid", "zero")
-"""What `ssim` does at the border of a picture."""
+"""Border modes of `ssim`."""
 
 
 def psnr(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
@@ -27,17 +27,17 @@ def psnr(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
     Parameters
     ----------
     a, b : (H, W, 3) or (P, 3) float
-        Clipped to [0, 1] here; the peak is 1.
+        Pictures or lists of pixels; values are clipped to [0, 1], and the peak is 1.
 
     Returns
     -------
     float
-        At most 100, which stands for identical.
+        PSNR, at most 100 dB, the value for identical pictures.
 
     Raises
     ------
     ValueError
-        Different shapes, or no pixels.
+        The shapes differ, or there are no pixels.
     """
     first, second = _clipped(a, b)
     error = float(np.mean(np.square(first - second)))
@@ -52,21 +52,21 @@ def ssim(a: NDArray[np.floating], b: NDArray[np.floating], *, border: str = "val
     Parameters
     ----------
     a, b : (H, W, 3) float
-        Clipped to [0, 1] here; at least 11 px wide and high.
+        Pictures at least 11 px wide and high; values are clipped to [0, 1].
     border : str
-        ``valid`` takes the pixels whose window lies inside the picture, as the paper does; ``zero``
-        takes all pixels and pads the pictures with zeros, as the evaluation of 3DGS does, whose
-        figures are a little higher.
+        ``valid`` averages over pixels whose window lies inside the picture, as in the paper.
+        ``zero`` averages over all pixels and pads with zeros, as in the evaluation of 3DGS; its
+        values are slightly higher.
 
     Returns
     -------
     float
-        Mean over the channels and over those pixels; 1 for identical.
+        Mean over channels and pixels; 1 for identical pictures.
 
     Raises
     ------
     ValueError
-        Different shapes, a side under 11 px, or an unknown border.
+        The shapes differ, a side is under 11 px, or the border mode is unknown.
 
     Examples
     --------
@@ -94,6 +94,7 @@ def ssim(a: NDArray[np.floating], b: NDArray[np.floating], *, border: str = "val
 def _clipped(
     a: NDArray[np.floating], b: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return two pictures as float64 clipped to [0, 1], after checking that their shapes agree."""
     if a.shape != b.shape or a.size == 0:
         raise ValueError(f"pictures of shape {a.shape} and {b.shape}, expected two alike")
     first = np.clip(np.asarray(a, np.float64), 0.0, 1.0)
@@ -102,7 +103,7 @@ def _clipped(
 
 
 def _blur(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Average under the window, wherever it fits: (H - 10, W - 10, C)."""
+    """Return the windowed mean at each pixel whose window lies inside: (H - 10, W - 10, C)."""
     offsets = np.arange(_WINDOW) - _WINDOW // 2
     weights = np.exp(-0.5 * np.square(offsets / _SIGMA))
     weights /= weights.sum()

@@ -1,4 +1,4 @@
-"""How long work reports: one callback, which may also stop it."""
+"""Progress reports of long work: one callback, which can also cancel the work."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ def silent(stage: str, done: int, total: int) -> None:
 
 
 class TimedProgress:
-    """A `Progress` that adds up the seconds of every stage and passes each report on.
+    """Progress callback that measures the time of every stage and forwards each report.
 
-    The time between two reports belongs to the stage that reports second, so that the seconds of
-    all stages add up to the time of the whole work. Processor time is counted beside it.
+    The time between two reports counts for the stage of the second report, so that the times of
+    all stages add up to the total.
 
     Parameters
     ----------
     progress : Progress
-        Receives every report.
+        Callback that every report is forwarded to.
 
     Attributes
     ----------
@@ -32,9 +32,9 @@ class TimedProgress:
         Wall-clock time by stage, in the order in which the stages began.
     cpu_seconds : dict of str to float
         Processor time of all threads of this process by stage, in the same order. Divided by the
-        wall-clock time it says how many cores a stage kept busy. Other processes do not count.
+        wall-clock time it gives the number of busy cores.
     totals : dict of str to int
-        Steps that each stage announced.
+        Number of steps that each stage announced.
     """
 
     def __init__(self, progress: Progress = silent) -> None:
@@ -45,11 +45,11 @@ class TimedProgress:
         self.restart()
 
     def restart(self) -> None:
-        """Leave out the time since the last report: the next stage begins now."""
+        """Discard the time since the last report: the next stage begins now."""
         self._last = time.monotonic(), time.process_time()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Add the time since the last report to a stage and pass the report on."""
+        """Add the time since the last report to a stage and forward the report."""
         now, now_cpu = time.monotonic(), time.process_time()
         last, last_cpu = self._last
         self.seconds[stage] = self.seconds.get(stage, 0.0) + now - last
@@ -61,23 +61,23 @@ class TimedProgress:
 
 @dataclass(frozen=True)
 class StageCost:
-    """What a stage is expected to cost, in any unit that all stages of the work share.
+    """Expected cost of a stage, in any unit shared by all stages of the work.
 
     Parameters
     ----------
     stage : str
-        As it is reported.
+        Name under which the stage reports progress.
     cost : float
-        Of each step that is counted in `steps`, or of the whole stage where that is None.
+        Cost per step, or of the whole stage if `steps` is None.
     steps : int or None
-        Steps expected; what the stage reports counts once it has begun.
+        Expected number of steps; replaced by the reported number once the stage has begun.
     inner : str
-        For a search, whose trials nobody knows in advance: the stage that each trial goes through
-        again. Empty for others.
+        For a search with an unknown number of trials: the stage that each trial repeats. Empty for
+        other stages.
     parts : tuple of tuple of StageCost
-        For a stage each of whose steps goes through stages of its own, such as one that writes and
-        measures several files: the stages of each step. Their costs count, and `cost` is 0. Other
-        stages that are reported while such a stage works are those of its step.
+        For a stage whose steps have stages of their own, such as writing and measuring several
+        files: the stages of each step. Their costs are added up, and `cost` is 0. Other stages
+        reported while this stage runs belong to its current step.
     """
 
     stage: str
@@ -86,123 +86,126 @@ class StageCost:
     inner: str = ""
     parts: tuple[tuple[StageCost, ...], ...] = ()
 
-    def whole(self, steps: int | None = None) -> float:
-        """Return the cost of the whole stage, with as many steps as it reports."""
+    def total(self, steps: int | None = None) -> float:
+        """Return the cost of the whole stage, with `steps` in place of the expected number."""
         if self.parts:
-            return sum(cost.whole() for part in self.parts for cost in part)
+            return sum(cost.total() for part in self.parts for cost in part)
         expected = self.steps if self.steps is None or steps is None else steps
         return self.cost if expected is None else self.cost * expected
 
 
-# Each trial of a search counts this share of what is left of it: of four trials, 87 %.
+# Share of a search's remaining progress that each trial adds: after four trials 87 % is done.
 _TRIAL: Final = 0.4
 
 
-class WholeProgress:
-    """A `Progress` that says what share of the whole work is done.
+class OverallProgress:
+    """Progress callback that computes the completed share of the whole work.
 
     Parameters
     ----------
     costs : sequence of StageCost
-        The stages in their order. A stage that is reported and not among them moves nothing; one
-        that is among them and not reported is over once a later one begins.
+        Stages in their order. Reports of other stages do not change the share. A stage that never
+        reports counts as complete once a later stage begins.
     progress : Progress
-        Receives every report.
-    whole : callable, optional
-        Called with the share after every report, 0 to 1. It never falls, also where a stage turns
-        out larger than expected: what is left is then spread over what is left to do.
+        Callback that every report is forwarded to.
+    overall : callable, optional
+        Callback that receives the share after every report, 0 to 1. The share never falls: if a
+        stage has more steps than expected, the remaining share is spread over the remaining cost.
     """
 
     def __init__(
         self,
         costs: Sequence[StageCost],
         progress: Progress = silent,
-        whole: Callable[[float], None] | None = None,
+        overall: Callable[[float], None] | None = None,
     ) -> None:
         self._costs = {cost.stage: cost for cost in costs}
         self._outer = {cost.inner: cost.stage for cost in costs if cost.inner}
-        self._weights = {cost.stage: cost.whole() for cost in costs}
+        self._weights = {cost.stage: cost.total() for cost in costs}
         self._done = dict.fromkeys(self._costs, 0.0)
         self._trials = 0
-        self._steps: _Steps | None = None
+        self._steps: _NestedSteps | None = None
         self._progress = progress
-        self._whole = whole
-        # The share and the cost that were behind us when the expected costs last changed.
-        self._behind = (0.0, 0.0)
+        self._overall = overall
+        # Share and cost completed when the expected costs last changed.
+        self._completed = (0.0, 0.0)
         self.share = 0.0
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Report that `done` of `total` steps of a stage are through."""
+        """Report that `done` of `total` steps of a stage are complete."""
         self._progress(stage, done, total)
-        self._count(stage, done, total)
-        if self._whole is not None:
-            self._whole(self.share)
+        self._update(stage, done, total)
+        if self._overall is not None:
+            self._overall(self.share)
 
-    def _count(self, stage: str, done: int, total: int) -> None:
+    def _update(self, stage: str, done: int, total: int) -> None:
+        """Update the share from one report."""
         part = done / total if total else 1.0
         if self._steps is not None and stage != self._steps.cost.stage:
-            stage, part = self._steps.cost.stage, self._steps.inside(stage, done, total)
+            stage, part = self._steps.cost.stage, self._steps.update(stage, done, total)
         elif stage in self._costs and self._costs[stage].parts:
-            self._steps = _Steps(self._costs[stage], done) if done < total else None
+            self._steps = _NestedSteps(self._costs[stage], done) if done < total else None
             part = 1.0 if self._steps is None else self._steps.share()
         elif stage in self._outer:
-            stage, part = self._outer[stage], self._searched(part)
+            stage, part = self._outer[stage], self._search_share(part)
         elif stage not in self._costs:
             return
         elif self._costs[stage].inner:
             self._trials = done
-            part = 1.0 if done >= total else self._searched(0.0)
+            part = 1.0 if done >= total else self._search_share(0.0)
         elif self._done[stage] == 0.0:
-            self._expect(stage, self._costs[stage].whole(total))
-        # Whatever comes before a stage that works is over.
+            self._set_cost(stage, self._costs[stage].total(total))
+        # All stages before the current one are complete.
         for earlier in self._costs:
             if earlier == stage:
                 break
             self._done[earlier] = 1.0
         self._done[stage] = max(self._done[stage], part)
-        share, cost = self._behind
+        share, cost = self._completed
         left = sum(self._weights.values()) - cost
         if left > 0.0:
             self.share = max(self.share, share + (1.0 - share) * (self._cost_done() - cost) / left)
         self.share = min(self.share, 1.0)
 
-    def _searched(self, part: float) -> float:
-        """Return how much of a search is over after its trials and a part of one more."""
+    def _search_share(self, part: float) -> float:
+        """Return the completed share of a search after its trials and a part of one more."""
         return 1.0 - float((1.0 - _TRIAL) ** (self._trials + part))
 
-    def _expect(self, stage: str, cost: float) -> None:
+    def _set_cost(self, stage: str, cost: float) -> None:
+        """Replace the expected cost of a stage that begins."""
         if cost != self._weights[stage]:
-            self._behind = (self.share, self._cost_done())
+            self._completed = (self.share, self._cost_done())
             self._weights[stage] = cost
 
     def _cost_done(self) -> float:
+        """Return the cost of all completed stages and parts of stages."""
         return sum(self._weights[stage] * part for stage, part in self._done.items())
 
 
-class _Steps:
-    """A stage whose steps have stages of their own, while one of its steps works.
+class _NestedSteps:
+    """Progress of a stage whose steps have stages of their own.
 
     Parameters
     ----------
     cost : StageCost
-        With parts.
+        Cost of the stage, with `StageCost.parts`.
     done : int
-        Steps that are over.
+        Number of completed steps.
     """
 
     def __init__(self, cost: StageCost, done: int) -> None:
         self.cost = cost
-        self._sizes = [sum(inner.whole() for inner in part) for part in cost.parts]
+        self._sizes = [sum(inner.total() for inner in part) for part in cost.parts]
         self._done = done
-        self._step = WholeProgress(cost.parts[done] if done < len(cost.parts) else ())
+        self._step = OverallProgress(cost.parts[done] if done < len(cost.parts) else ())
 
-    def inside(self, stage: str, done: int, total: int) -> float:
-        """Take a report of the step that works; return the share of all steps."""
+    def update(self, stage: str, done: int, total: int) -> float:
+        """Record a report of the current step and return the completed share of all steps."""
         self._step(stage, done, total)
         return self.share()
 
     def share(self) -> float:
-        """Return the share of all steps that is done."""
+        """Return the completed share of all steps."""
         over = sum(self._sizes[: self._done])
         if self._done < len(self._sizes):
             over += self._sizes[self._done] * self._step.share

@@ -1,4 +1,4 @@
-"""A scene as arrays: validated, in the field's terms, and cut or joined by rows."""
+"""Scenes of splats as arrays: validation, selection and concatenation of rows."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ MAX_SH_DEGREE = 3
 Extra = NDArray[np.number]
 
 EXTRA_DTYPES: Final = ("u1", "i1", "u2", "i2", "u4", "i4", "f4", "f8")
-"""Types of extra attributes, as numpy writes them without byte order."""
+"""Types of extra attributes, in numpy's notation without byte order."""
 
 MAX_EXTRAS: Final = 256
 MAX_EXTRA_NAME_BYTES: Final = 255
 MAX_EXTRA_COMPONENTS: Final = 16
 
 
-# Rows that are looked at together.
+# Rows checked at once, which bounds temporary arrays.
 _BLOCK: Final = 1 << 16
 
 
@@ -38,22 +38,23 @@ def sh_coefficients(degree: int) -> int:
 
 @dataclass(frozen=True)
 class SceneInfo:
-    """What a scene says of itself beside its splats.
+    """Metadata of a scene: frame, colour space and anti-aliasing.
 
     Parameters
     ----------
     origin : tuple of float
-        World position of the means' zero, scene units, float64.
+        World position of the zero of the means, scene units, float64.
     axes : str
         Directions of +x, +y, +z: R right / L left, U up / D down, F front / B back.
-        ``"RDF"`` is what 3DGS training writes.
+        3DGS training writes ``"RDF"``.
     colour_space : str
         Space of the rendered colour, ``"srgb"`` (display-referred) or ``"linear"``.
     kernel_px : float
-        Variance in px² that the renderer adds to projected covariances: 0.3 in 3DGS, 0.1 in
+        Variance that the renderer adds to projected covariances, px²: 0.3 in 3DGS, 0.1 in
         Mip-Splatting.
     antialiased : bool
-        Whether opacities are rescaled by the area that kernel adds (Mip-Splatting, section 4.2).
+        Whether opacities are rescaled by the area that the kernel adds (Mip-Splatting, section
+        4.2).
     """
 
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -76,7 +77,7 @@ class Splats:
     quats : (N, 4) float32
         Rotations, wxyz, any non-zero norm.
     opacities : (N,) float32
-        Logit; ±inf is legal.
+        Opacity logits; ±inf is legal.
     sh0 : (N, 3) float32
         DC coefficient per channel.
     shN : (N, K-1, 3) float32
@@ -84,19 +85,19 @@ class Splats:
     info : SceneInfo
         Frame, colour space and anti-aliasing of the scene.
     extras : mapping of str to (N,) or (N, c) array
-        Attributes of the splats beside those that are drawn, of one of `EXTRA_DTYPES`: labels,
-        normals, whatever a file brings. At most `MAX_EXTRAS`, c from 1 to `MAX_EXTRA_COMPONENTS`,
-        names of 1 to `MAX_EXTRA_NAME_BYTES` bytes in UTF-8.
+        Attributes of the splats that are not drawn, such as labels and normals, of `EXTRA_DTYPES`.
+        At most `MAX_EXTRAS`, c from 1 to `MAX_EXTRA_COMPONENTS`, names of 1 to
+        `MAX_EXTRA_NAME_BYTES` bytes in UTF-8.
 
     Raises
     ------
     DataError
-        ``bad-shape`` or ``bad-dtype``: an array does not fit the others; ``bad-extra``: more
-        extras than allowed, or a name that is none.
+        ``bad-shape`` or ``bad-dtype``: an array has the wrong shape or type; ``bad-extra``: too
+        many extras, or an invalid name.
 
     Notes
     -----
-    Construction checks shapes only and copies nothing that is already float32 and C-ordered.
+    Construction checks shapes and types and copies only arrays that are not C-ordered.
     `invalid_rows` finds rows whose values cannot be drawn.
     """
 
@@ -147,14 +148,14 @@ class Splats:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays."""
+        """Size of all arrays, bytes."""
         arrays = (self.means, self.scales, self.quats, self.opacities, self.sh0, self.shN)
         return sum(array.nbytes for array in (*arrays, *self.extras.values()))
 
     def __getitem__(
         self, rows: int | slice | Sequence[int] | NDArray[np.integer] | NDArray[np.bool_]
     ) -> Splats:
-        """Return the chosen rows: a slice gives views, an index one row, anything else copies.
+        """Return the splats of the given rows: views for a slice or an index, else copies.
 
         Examples
         --------
@@ -187,18 +188,20 @@ class Splats:
         info: SceneInfo | None = None,
         extras: Mapping[str, Extra] | None = None,
     ) -> Splats:
-        """Return a scene of arrays of any float type, or of anything numpy makes arrays of.
+        """Create splats from array-likes of any float type.
 
         Parameters
         ----------
         means : (N, 3)
+            Centres, scene units.
         scales : (N, 3)
-            In `scale_space`.
+            Scales in `scale_space`.
         quats : (N, 4)
-            In `quat_order`, any non-zero norm.
+            Quaternions in `quat_order`, any non-zero norm.
         opacities : (N,) or (N, 1)
-            In `opacity_space`.
-        sh0 : (N, 3), (N, 1, 3), or (N, K, 3) with all coefficients where `shN` is not given
+            Opacities in `opacity_space`.
+        sh0 : (N, 3), (N, 1, 3), or (N, K, 3) with all coefficients if `shN` is not given
+            DC coefficients, channels last.
         shN : (N, K-1, 3), optional
             Coefficients above DC, channels last.
         scale_space : str
@@ -217,10 +220,10 @@ class Splats:
         Raises
         ------
         DataError
-            ``bad-shape``, ``bad-dtype``, or ``bad-value`` for a linear scale that is not above 0 or
-            a unit opacity outside 0 to 1.
+            ``bad-shape``, ``bad-dtype``, or ``bad-value`` for a linear scale of 0 or less or a unit
+            opacity outside 0 to 1.
         ValueError
-            An unknown space or order.
+            The space or order is unknown.
 
         Examples
         --------
@@ -266,21 +269,21 @@ class Splats:
 
     @classmethod
     def from_gsplat(cls, state: Mapping[str, object], *, info: SceneInfo | None = None) -> Splats:
-        """Return a scene of the parameters that gsplat or nerfstudio train.
+        """Create splats from the parameters of a gsplat or nerfstudio model.
 
         Parameters
         ----------
         state : mapping of str to tensor or array
-            gsplat's ``means scales quats opacities sh0 shN``, or nerfstudio's, which call the last
-            two ``features_dc`` and ``features_rest``, with or without a prefix such as
-            ``_model.gauss_params.``. Torch tensors are taken from whatever device they are on.
-            Values are as they are trained: log scales, wxyz quaternions, logit opacities.
+            Parameters by name: ``means scales quats opacities sh0 shN`` in gsplat; nerfstudio calls
+            the last two ``features_dc`` and ``features_rest``. Names may have a prefix such as
+            ``_model.gauss_params.``. Torch tensors may be on any device. Values are log scales,
+            wxyz quaternions and logit opacities.
         info : SceneInfo, optional
 
         Raises
         ------
         DataError
-            ``missing-array``: one of them is not there; otherwise as `from_arrays`.
+            ``missing-array``: a parameter is missing; otherwise see `from_arrays`.
 
         Examples
         --------
@@ -314,11 +317,11 @@ class Splats:
         )
 
     def drop_invalid(self) -> Splats:
-        """Return the scene without the rows that `invalid_rows` marks."""
+        """Return the splats without the rows of `invalid_rows`."""
         return self.take(~self.invalid_rows())
 
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_] | slice) -> Splats:
-        """Return the chosen rows, copied (a slice gives views)."""
+        """Return the splats of the given rows, copied; a slice gives views."""
         return replace(
             self,
             means=self.means[rows],
@@ -331,11 +334,11 @@ class Splats:
         )
 
     def without_extras(self) -> Splats:
-        """Return the scene as it is drawn, of the same arrays."""
+        """Return the splats without extra attributes; the arrays are shared."""
         return replace(self, extras={}) if self.extras else self
 
     def with_sh_degree(self, degree: int) -> Splats:
-        """Return the scene cut to an SH degree no higher than its own; arrays are views if kept."""
+        """Return the splats with SH reduced to `degree`; unchanged if their degree is lower."""
         if not 0 <= degree <= MAX_SH_DEGREE:
             raise ValueError(f"SH degree {degree}, expected 0 to {MAX_SH_DEGREE}")
         if degree >= self.sh_degree:
@@ -343,14 +346,16 @@ class Splats:
         return replace(self, shN=np.ascontiguousarray(self.shN[:, : sh_coefficients(degree) - 1]))
 
     def invalid_rows(self) -> NDArray[np.bool_]:
-        """Mark rows that cannot be drawn: NaN anywhere, ±inf but in opacities, zero quaternions.
+        """Return a mask of the rows that cannot be drawn: NaN, infinite values, zero quaternions.
+
+        Infinite opacity logits are valid.
 
         Returns
         -------
         (N,) bool
         """
         bad = np.isnan(self.opacities)
-        # By blocks, for a flag of each value would be a fifth of a scene.
+        # In blocks: one flag per value would take a fifth of the scene's memory.
         for start in range(0, len(self), _BLOCK):
             part = bad[start : start + _BLOCK]
             for array in (self.means, self.scales, self.quats, self.sh0, self.shN):
@@ -363,12 +368,12 @@ class Splats:
         return bad
 
     def require_valid(self) -> Splats:
-        """Return self, or raise if a row cannot be drawn.
+        """Return self, or raise an error if a row cannot be drawn.
 
         Raises
         ------
         DataError
-            ``invalid-rows``, naming the first row and the count.
+            ``invalid-rows``, with the first such row and their number.
         """
         bad = self.invalid_rows()
         count = int(bad.sum())
@@ -383,6 +388,7 @@ class Splats:
 
 
 def _require_array(name: str, value: object) -> None:
+    """Raise `TypeError` unless a value is a numpy array."""
     if not isinstance(value, np.ndarray):
         raise TypeError(
             f"{name} is a {type(value).__name__}, expected a numpy array; Splats.from_arrays takes "
@@ -391,7 +397,7 @@ def _require_array(name: str, value: object) -> None:
 
 
 def empty(degree: int, n: int = 0, info: SceneInfo | None = None) -> Splats:
-    """Return `n` splats of zeros with unit quaternions at an SH degree."""
+    """Return `n` zero-valued splats of an SH degree, with unit quaternions."""
     quats = np.zeros((n, 4), np.float32)
     quats[:, 0] = 1.0
     return Splats(
@@ -406,12 +412,12 @@ def empty(degree: int, n: int = 0, info: SceneInfo | None = None) -> Splats:
 
 
 def concatenate(parts: list[Splats]) -> Splats:
-    """Join scenes of one SH degree row-wise; `info` is the first one's.
+    """Concatenate splats of one SH degree; the result has the `info` of the first part.
 
     Raises
     ------
     DataError
-        ``extras-mismatch``: extras of other names, types or components than the first one's.
+        ``extras-mismatch``: names, types or components of the parts' extras differ.
     """
     kinds = [
         {name: (values.dtype, values.shape[1:]) for name, values in part.extras.items()}
@@ -439,7 +445,7 @@ def concatenate(parts: list[Splats]) -> Splats:
 
 
 def _checked_extras(extras: Mapping[str, Extra], rows: int) -> dict[str, Extra]:
-    """Return a copy of the mapping, its arrays C-ordered."""
+    """Validate extra attributes and return C-ordered arrays by name."""
     if len(extras) > MAX_EXTRAS:
         raise DataError("bad-extra", f"{len(extras)} extras, expected at most {MAX_EXTRAS}")
     checked: dict[str, Extra] = {}
@@ -470,6 +476,7 @@ def _checked_extras(extras: Mapping[str, Extra], rows: int) -> dict[str, Extra]:
 
 
 def _name_bytes(name: str) -> int:
+    """Return the length of a name in UTF-8, bytes; 0 if it cannot be encoded."""
     try:
         return len(name.encode())
     except UnicodeEncodeError:
@@ -477,6 +484,7 @@ def _name_bytes(name: str) -> int:
 
 
 def _listed(extras: Mapping[str, Extra]) -> str:
+    """Return names and types of extra attributes, for error messages."""
     kinds = [
         f"{name!r} {values.dtype.str[1:]}" + (f"x{values.shape[1]}" if values.ndim == 2 else "")
         for name, values in extras.items()

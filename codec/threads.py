@@ -1,4 +1,4 @@
-"""Work spread over threads whose results come back in order, whatever the number of threads."""
+"""Thread pools: a parallel map with ordered results, and BLAS limited to one thread."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from typing import TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# Results that wait for an earlier, slower one: enough to keep every thread busy, little memory.
+# Items in flight beyond the number of threads: keeps threads busy while an earlier item is slow.
 _AHEAD = 2
 
-# By the number of their threads. Taking and returning one is a single operation of a list.
+# Idle pools by number of threads. `append` and `pop` of a list are atomic.
 _idle: dict[int, list[ThreadPoolExecutor]] = {}
 if hasattr(os, "register_at_fork"):
-    # A child process has no threads but the one that called fork.
+    # A forked child has no threads except the one that called fork.
     os.register_at_fork(after_in_child=_idle.clear)
 
 
 def thread_count(threads: int) -> int:
-    """Return how many threads `threads` asks for; 0 means every core this process may use.
+    """Return the number of threads for the setting `threads`, where 0 means every usable core.
 
     Raises
     ------
     ValueError
-        A negative number.
+        `threads` is negative.
     """
     if threads < 0:
         raise ValueError(f"{threads} threads, expected 0 (all cores) or more")
@@ -44,8 +44,8 @@ def ordered_map(
 ) -> Iterator[Result]:
     """Apply a function to every item on `threads` threads and yield the results in item order.
 
-    At most ``threads + 2`` items are under way or waiting to be taken. When the function raises, or
-    the caller leaves the loop, items that have not begun are dropped.
+    At most ``threads + 2`` items are in flight or not yet yielded. When the function raises, or the
+    caller leaves the loop, items that have not started are cancelled.
     """
     if threads <= 1:
         yield from map(function, items)
@@ -65,10 +65,10 @@ def ordered_map(
 
 @contextmanager
 def _pool(threads: int) -> Iterator[ThreadPoolExecutor]:
-    """Yield a pool that nobody else uses and that has no work left at the end of the block.
+    """Yield an exclusive pool, which must have no work left at the end of the block.
 
-    Pools are kept: to encode a small scene takes hundreds, and starting a thread takes milliseconds
-    where others hold the interpreter.
+    Pools are reused: encoding a small scene needs hundreds, and starting a thread takes
+    milliseconds while other threads hold the interpreter's lock.
     """
     idle = _idle.setdefault(threads, [])
     try:
@@ -78,8 +78,8 @@ def _pool(threads: int) -> Iterator[ThreadPoolExecutor]:
     try:
         yield pool
     except BaseException:
-        # An interrupt may have come while a thread started: only a pool that is shut down tells
-        # such a one to end, without which the process would not.
+        # After an interrupt during the start of a thread, only `shutdown` ends that thread; without
+        # it the process would never exit.
         pool.shutdown()
         raise
     idle.append(pool)
@@ -87,11 +87,10 @@ def _pool(threads: int) -> Iterator[ThreadPoolExecutor]:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Let numpy's BLAS work on one thread, for this thread and those it starts, in the block.
+    """Limit BLAS to one thread within the block; also usable as a decorator, and nestable.
 
-    Work that is spread over threads anyway is slowed down by BLAS's own, which wait for each other
-    on the same cores; and the order of BLAS's sums, so their last bits, depends on their number.
-    Also a decorator. Blocks may be nested.
+    BLAS threads slow down work that is already spread over threads, because they compete for the
+    same cores. The order of BLAS's sums, and so their last bits, depends on its thread count.
 
     Examples
     --------

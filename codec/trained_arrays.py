@@ -1,4 +1,4 @@
-"""Arrays as trainers have them: names, tensors, and the spaces of scales and opacities."""
+"""Arrays of trained scenes: names, tensors, and the spaces of scales, opacities, quaternions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .errors import DataError
 
-# What trainers call the arrays: gsplat, then nerfstudio.
+# Names of each array in trainers: gsplat's, then nerfstudio's.
 TRAINED_NAMES: Final = {
     "means": ("means",),
     "scales": ("scales",),
@@ -21,7 +21,7 @@ TRAINED_NAMES: Final = {
 
 
 def as_floats(name: str, values: object) -> NDArray[np.float32]:
-    """Return anything array-like as float32, tensors that need gradients or a device included."""
+    """Convert an array-like to float32, including tensors with gradients or on a device."""
     if hasattr(values, "detach"):
         values = values.detach().cpu().numpy()
     try:
@@ -31,7 +31,7 @@ def as_floats(name: str, values: object) -> NDArray[np.float32]:
 
 
 def log_scales(values: NDArray[np.float32], space: str) -> NDArray[np.float32]:
-    """Return natural logarithms of scales that are given in a space, ``log`` or ``linear``."""
+    """Convert scales to natural logarithms from `space`, ``log`` or ``linear``."""
     if space == "log":
         return values
     if space != "linear":
@@ -42,7 +42,7 @@ def log_scales(values: NDArray[np.float32], space: str) -> NDArray[np.float32]:
 
 
 def logits(values: NDArray[np.float32], space: str) -> NDArray[np.float32]:
-    """Return logits of opacities that are given in a space, ``logit`` or ``unit``."""
+    """Convert opacities to logits from `space`, ``logit`` or ``unit``."""
     if space == "logit":
         return values
     if space != "unit":
@@ -59,7 +59,7 @@ def logits(values: NDArray[np.float32], space: str) -> NDArray[np.float32]:
 
 
 def wxyz(values: NDArray[np.float32], order: str) -> NDArray[np.float32]:
-    """Return quaternions w first that are given in an order, ``wxyz`` or ``xyzw``."""
+    """Convert quaternions to wxyz from `order`, ``wxyz`` or ``xyzw``."""
     if order == "wxyz":
         return values
     if order != "xyzw":

@@ -1,4 +1,4 @@
-"""Where arrays as long as a scene are kept: in memory, or wherever the caller has them."""
+"""Allocation of arrays with one row per splat: in memory, or in files mapped into memory."""
 
 from __future__ import annotations
 
@@ -12,73 +12,82 @@ from numpy.typing import DTypeLike, NDArray
 from .splats import SceneInfo, Splats, sh_coefficients
 
 Zeros = Callable[[tuple[int, ...], DTypeLike], NDArray[Any]]
-"""Returns a C-ordered array of zeros, from its shape and type."""
+"""Function that returns a C-ordered array of zeros of a shape and a type."""
 
 
 Gather = Callable[[NDArray[Any], NDArray[np.int64]], NDArray[Any]]
-"""Returns some rows of an array, copied."""
+"""Function that returns a copy of an array's rows with the given numbers."""
 
-Settle = Callable[[], None]
-"""Called after a piece of work, such as a chunk: may give memory back."""
+Trim = Callable[[], None]
+"""Function called after each chunk and view; it may release resident memory of mapped files."""
 
 
-# Rows that are gathered between two calls of `settle`.
-_GATHERED: Final = 512
+# Rows gathered from mapped files between two calls of `Workspace.trim`.
+_ROWS_PER_TRIM: Final = 512
 
 
 def _nothing() -> None:
-    pass
+    """Release nothing: arrays in memory need no trimming."""
 
 
 def _in_memory(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    """Return an array of zeros in memory."""
     return np.zeros(shape, dtype)
 
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """How the arrays that are as long as a scene come about, and how many views are drawn at once.
+    """Allocator of arrays with one row per splat, in memory or in mapped files.
 
-    Results do not depend on it.
+    Results do not depend on the workspace.
 
     Parameters
     ----------
     zeros : callable
-        Returns an array of zeros. Arrays that hold a scene, its scores and what a reader decodes
-        of it come from here: they may lie in a file that is mapped into memory.
-    views_at_once : bool
-        Whether several views are worked on at once, one on each core. Otherwise all cores work on
-        one view, which takes less memory and a little more time.
-    settle : callable
-        Called after each chunk and each view.
+        Allocator of arrays of zeros. It allocates scenes, their scores and decoded rows.
+    in_files : bool
+        Whether the arrays lie in files mapped into memory, because memory is scarce. Rows are then
+        read in the order of the file, and only one view is processed at a time.
+    trim : callable
+        Function called after each chunk and each view; it may release resident memory.
     """
 
     zeros: Zeros = _in_memory
-    views_at_once: bool = True
-    settle: Settle = _nothing
+    in_files: bool = False
+    trim: Trim = _nothing
+
+    @property
+    def views_at_once(self) -> bool:
+        """Whether each core may process its own view; in files all cores share one view.
+
+        Sharing takes less memory and slightly more time.
+        """
+        return not self.in_files
 
     def gather(self, values: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
-        """Return some rows of a long array, copied.
+        """Return a copy of an array's rows.
 
         Parameters
         ----------
         values : (N, ...) array
-            Perhaps mapped.
+            Array in memory or mapped from a file.
         rows : (n,) int64
+            Numbers of the rows.
         """
-        if self.views_at_once:
+        if not self.in_files:
             return values[rows]
-        # Each row may bring 64 KiB of its file into memory, as Linux maps what lies around it: in
-        # the order of the file, what it brings serves the next rows.
+        # Linux maps 64 KiB around each row that is read. Reading rows in the order of the file
+        # lets one mapping serve many rows.
         out = np.empty((len(rows), *values.shape[1:]), values.dtype)
         ascending = np.argsort(rows, kind="stable")
-        for start in range(0, len(rows), _GATHERED):
-            places = ascending[start : start + _GATHERED]
+        for start in range(0, len(rows), _ROWS_PER_TRIM):
+            places = ascending[start : start + _ROWS_PER_TRIM]
             out[places] = values[rows[places]]
-            self.settle()
+            self.trim()
         return out
 
     def take(self, splats: Splats, rows: NDArray[np.int64]) -> Splats:
-        """Return some rows of a scene, copied; of a mapped one with few pages in memory."""
+        """Return a copy of the splats `rows`, read with `gather`."""
         return replace(
             splats,
             means=self.gather(splats.means, rows),
@@ -91,13 +100,14 @@ class Workspace:
         )
 
     def splats(self, rows: int, sh_degree: int, info: SceneInfo) -> Splats:
-        """Return so many splats without extras, all their values zero, quaternions too.
+        """Allocate splats without extras, all values zero, quaternions included.
 
         Parameters
         ----------
         rows : int
+            Number of splats.
         sh_degree : int
-            0 to 3.
+            SH degree, 0 to 3.
         info : SceneInfo
         """
         return Splats(
@@ -112,4 +122,4 @@ class Workspace:
 
 
 IN_MEMORY: Final = Workspace()
-"""Arrays in memory, several views at once."""
+"""Workspace that allocates in memory."""

@@ -30,7 +30,7 @@ from .codec.errors import (
     UnsupportedError,
 )
 from .codec.executor import Executor
-from .codec.progress import Progress, TimedProgress, WholeProgress, silent
+from .codec.progress import OverallProgress, Progress, TimedProgress, silent
 from .codec.splats import SceneInfo, Splats
 from .formats.cogs.between_levels import decode_between
 from .formats.cogs.folder_writer import Unpacked
@@ -441,7 +441,7 @@ def encode(
                 target=aim,
                 preview=preview is not None,
             )
-            progress = WholeProgress(costs, progress, whole)
+            progress = OverallProgress(costs, progress, whole)
         encoded = pipeline.encode(
             splats,
             config,

@@ -81,7 +81,7 @@ def encode_chunks(
     made = executor.map(_encode_chunk, scene.slices, plan)
     for number, (payloads, reach, rows) in enumerate(made):
         _write_rows(rows, decoded.take(scene.slices[number]))
-        prepared.workspace.settle()
+        prepared.workspace.trim()
         chunks.append(_chunk(scene, number, payloads, reach))
         progress("chunks", len(chunks), count)
     boxes = np.array([chunk.box for chunk in chunks]).reshape(-1, 6)

@@ -7,7 +7,7 @@ from typing import Final
 
 from cogsplat.codec.errors import LimitError
 from cogsplat.codec.order.orders import split_name
-from cogsplat.codec.scoring.contribution import MOST_BY_VIEW
+from cogsplat.codec.scoring.contribution import MAX_VIEW_PARALLEL_SPLATS
 from cogsplat.codec.splats import sh_coefficients
 from cogsplat.codec.threads import thread_count
 
@@ -113,7 +113,7 @@ def memory_need(
     scene = splats * (row + extra_bytes)
     whole = scene + splats * (row + _SCORES + _KEPT)
     views, threads = _VIEW, thread_count(config.threads)
-    if threads > 1 and splats <= MOST_BY_VIEW:
+    if threads > 1 and splats <= MAX_VIEW_PARALLEL_SPLATS:
         views = threads * _VIEW_OF_EACH_CORE + _WAITING
     in_memory = _BASE + whole + splats * views
     renders = split_name(config.order)[0] == "gain" or config.compensate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from cogsplat.codec.compiling import DeclaredKernel, declared_in
+from cogsplat.codec.compiling import DeclaredKernel, kernels_in
 from cogsplat.codec.order.orders import split_name
 
 from .config import EncodeConfig
@@ -46,4 +46,4 @@ def needed_kernels(config: EncodeConfig, *, planned: bool) -> list[DeclaredKerne
         *(_PLANNING if planned else ()),
         *_OTHERS,
     ]
-    return declared_in(f"cogsplat.codec.{module}" for module in modules)
+    return kernels_in(f"cogsplat.codec.{module}" for module in modules)

@@ -19,11 +19,11 @@ from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.order.prefix_inflation import effective_splats
 from cogsplat.codec.progress import Progress, TimedProgress, silent
 from cogsplat.codec.scoring.contribution import (
-    MOST_BY_VIEW,
+    MAX_VIEW_PARALLEL_SPLATS,
     ScoreConfig,
     Scores,
     score,
-    unscored,
+    zero_scores,
 )
 from cogsplat.codec.scoring.reference_views import ReferenceViews, render_references
 from cogsplat.codec.splats import Splats
@@ -128,17 +128,17 @@ def encode(
     Examples
     --------
     >>> from cogsplat.codec.encode.config import EncodeConfig
-    >>> from cogsplat.codec.scoring.contribution import unscored
+    >>> from cogsplat.codec.scoring.contribution import zero_scores
     >>> from cogsplat.codec.splats import empty
     >>> config = EncodeConfig(order="source", prune=None)
-    >>> encoded = encode(empty(0, 100), config, scores=unscored(100))
+    >>> encoded = encode(empty(0, 100), config, scores=zero_scores(100))
     >>> len(encoded.chunks), encoded.splats
     (1, 100)
     """
     _require_consistent(config, cameras, scores, target, size_of)
     if preview is not None:
         _require_preview_possible(config, workspace)
-    if executor is not None and not workspace.views_at_once:
+    if executor is not None and workspace.in_files:
         raise ValueError("an executor and a workspace in files, expected one of them")
     timed = TimedProgress(progress)
     splats.require_valid()
@@ -206,7 +206,7 @@ def encode(
         )
     prepared = prepare(
         splats,
-        unscored(len(splats)) if scores is None else scores,
+        zero_scores(len(splats)) if scores is None else scores,
         config,
         views=views,
         jitter=settings.jitter,
@@ -293,7 +293,7 @@ def _require_preview_possible(config: EncodeConfig, workspace: Workspace) -> Non
         raise ValueError("a preview without compensation, expected a profile that compensates")
     if config.cells or config.ordering.by_object:
         raise ValueError("a preview with cells or objects, expected one of them")
-    if not workspace.views_at_once:
+    if workspace.in_files:
         raise ValueError("a preview and a workspace in files, expected one of them")
 
 
@@ -354,7 +354,8 @@ class _Finishing:
             prepared.source,
             views,
             prepared.config.threads,
-            views_at_once=prepared.workspace.views_at_once and len(prepared.source) <= MOST_BY_VIEW,
+            views_at_once=prepared.workspace.views_at_once
+            and len(prepared.source) <= MAX_VIEW_PARALLEL_SPLATS,
             executor=self.executor,
         )
 
@@ -372,7 +373,7 @@ class _Finishing:
         encoded = encode_chunks(
             self.prepared,
             quality_db,
-            compress=not self.prepared.workspace.views_at_once,
+            compress=self.prepared.workspace.in_files,
             executor=self.executor,
             progress=self.progress,
         )

@@ -144,7 +144,7 @@ def prepare(
     splats : Splats
         Rows must be valid (`Splats.require_valid`).
     scores : Scores
-        Of these splats, row by row; `unscored` where nothing was rendered.
+        Of these splats, row by row; `zero_scores` where nothing was rendered.
     config : EncodeConfig
     views : sequence of Camera
         Those the scores are of, for orders that render.

@@ -44,7 +44,7 @@ class Preset:
         most: a mean over few depends on which they are.
     reference_views : int
         Cameras that reference views are drawn of, at most; never more than
-        `reference_views.MOST_VIEWS`.
+        `reference_views.MAX_VIEWS`.
     reference_pixels : int
         Most pixels of a reference view, which gains and compensation are measured in.
     reference_jitter : bool

@@ -18,7 +18,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.progress import StageCost
-from cogsplat.codec.scoring.chunk_contributions import PIXELS
+from cogsplat.codec.scoring.chunk_contributions import MAX_PIXELS
 from cogsplat.codec.scoring.reference_views import PICTURE_PIXELS
 
 from .config import EncodeConfig
@@ -131,7 +131,7 @@ def stage_costs(
         costs.append(StageCost("search", trial * trials, inner="chunks"))
     if seen and config.cells and config.view_table:
         drawn = min(views, MOST_CAMERAS)
-        costs.append(StageCost("view table", _of_view(_VIEW_TABLE, PIXELS, splats), drawn))
+        costs.append(StageCost("view table", _of_view(_VIEW_TABLE, MAX_PIXELS, splats), drawn))
     if seen and fits and preview:
         costs.append(StageCost("preview", _PREVIEW * preset.reference_pixels / PICTURE_PIXELS))
     if seen and fits:

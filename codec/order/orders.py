@@ -332,11 +332,11 @@ def order_rows(name: str, scene: Unordered, config: OrderConfig | None = None) -
     --------
     >>> import numpy as np
     >>> from cogsplat.codec.order.orders import Unordered, order_rows
-    >>> from cogsplat.codec.scoring.contribution import unscored
+    >>> from cogsplat.codec.scoring.contribution import zero_scores
     >>> from cogsplat.codec.splats import empty
     >>> splats = empty(0, 3)
     >>> splats.opacities[:] = [0.5, 2.0, -1.0]
-    >>> order_rows("opacity", Unordered(splats, unscored(3))).tolist()
+    >>> order_rows("opacity", Unordered(splats, zero_scores(3))).tolist()
     [1, 0, 2]
     """
     config = config or OrderConfig()

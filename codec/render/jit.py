@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from cogsplat.codec.compiling import compiled
+from cogsplat.codec.compiling import jit_kernel
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -34,7 +34,7 @@ def kernel(function: Function) -> Function:
     changes. numba does not see changes in kernels that it calls from other modules: while
     such a module is being edited, set ``NUMBA_CACHE_DIR`` to a fresh folder.
     """
-    return compiled(function, fuses=True)
+    return jit_kernel(function, fuses=True)
 
 
 def inner_kernel(function: Function) -> Function:
@@ -45,4 +45,4 @@ def inner_kernel(function: Function) -> Function:
     function : callable
         Python that numba compiles (nopython mode).
     """
-    return compiled(function, fuses=True, kept=False)
+    return jit_kernel(function, fuses=True, cached=False)

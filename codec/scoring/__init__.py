@@ -1,1 +1,1 @@
-"""Scores: how much each splat weighs in a set of views; and reference views of the scene."""
+"""Scores of splats (their blending weights in a set of views), and reference views."""

@@ -1,4 +1,4 @@
-"""What each chunk of a scene contributes to each of some views."""
+"""Contribution of each chunk of a scene to each view, as a share of the picture."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from cogsplat.codec.splats import Splats
 
 F64 = NDArray[np.float64]
 
-PIXELS: Final = 20_000
-"""Pixels that a view is drawn with at most: shares of whole chunks need no more."""
+MAX_PIXELS: Final = 20_000
+"""Pixels of a measured view at most; larger ones are reduced, which suffices for whole chunks."""
 
 
 def chunk_contributions(
@@ -34,7 +34,7 @@ def chunk_contributions(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> F64:
-    """Measure what part of each view's picture is made of each chunk.
+    """Measure each chunk's share of each view's picture.
 
     Parameters
     ----------
@@ -44,17 +44,17 @@ def chunk_contributions(
     count : int
         Number of chunks.
     cameras : sequence of Camera
-        In the frame of the means.
+        Cameras of the V views, in the frame of the means.
     executor : Executor, optional
-        What runs the work of single views; threads of this process where it is not given.
+        Executor of the work on single views; by default threads of this process.
     progress : Progress
         Called with ``("view table", views done, views)``.
 
     Returns
     -------
     (V, count) float64
-        Sum of the blending weights T·alpha of the chunk's splats over the pixels of a view, over
-        the number of its pixels: 0 to 1. The same for any number of threads.
+        Shares, 0 to 1: the sum of the blending weights T·alpha of the chunk's splats over a view's
+        pixels, divided by the number of pixels. Independent of the number of threads.
 
     Examples
     --------
@@ -69,7 +69,10 @@ def chunk_contributions(
     """
     shares = np.zeros((len(cameras), count))
     views = (executor or LocalThreads()).map(
-        partial(_of_view, count=count), [_smaller(camera) for camera in cameras], splats, chunks
+        partial(_shares_in_view, count=count),
+        [_reduce(camera) for camera in cameras],
+        splats,
+        chunks,
     )
     progress("view table", 0, len(cameras))
     for view, found in enumerate(views):
@@ -78,7 +81,10 @@ def chunk_contributions(
     return shares
 
 
-def _of_view(camera: Camera, splats: Splats, chunks: NDArray[np.int64], *, count: int) -> F64:
+def _shares_in_view(
+    camera: Camera, splats: Splats, chunks: NDArray[np.int64], *, count: int
+) -> F64:
+    """Return each chunk's share of one view's picture, (count,)."""
     footprints = project(
         splats,
         camera,
@@ -88,15 +94,15 @@ def _of_view(camera: Camera, splats: Splats, chunks: NDArray[np.int64], *, count
     )
     sums = np.zeros((len(footprints), 3), np.float64)
     for lists in tile_lists(footprints, camera.width, camera.height):
-        # Every weight counts, however small.
+        # No top K and no minimum: every weight counts.
         add_weights(lists, footprints, camera, 0, 1, sums)
     weights = np.bincount(chunks[footprints.index], sums[:, WEIGHT], minlength=count)
     return weights / (camera.width * camera.height)
 
 
-def _smaller(camera: Camera) -> Camera:
-    """Return a camera with a picture of at most `PIXELS`."""
-    scale = min(1.0, (PIXELS / (camera.width * camera.height)) ** 0.5)
+def _reduce(camera: Camera) -> Camera:
+    """Return the camera with its picture reduced to at most `MAX_PIXELS` pixels."""
+    scale = min(1.0, (MAX_PIXELS / (camera.width * camera.height)) ** 0.5)
     width, height = max(1, int(camera.width * scale)), max(1, int(camera.height * scale))
     across, down = width / camera.width, height / camera.height
     return replace(

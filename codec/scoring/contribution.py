@@ -1,4 +1,4 @@
-"""Contribution: how much each splat weighs in the pixels of a set of views (PRoGS, section 3.1)."""
+"""Scores of splats: sums of their blending weights in a set of views (PRoGS, section 3.1)."""
 
 from __future__ import annotations
 
@@ -33,34 +33,34 @@ from cogsplat.codec.threads import thread_count
 from cogsplat.codec.views.view_sets import jitter
 from cogsplat.codec.workspace import IN_MEMORY, Gather, Workspace
 
-from .view_sums import ViewSums, add_rows, ascending
+from .view_sums import ViewSums, add_rows, sort_by_row
 
 _BASES = sh_coefficients(MAX_SH_DEGREE)
 
 TOP_K = 20
-"""How many of a pixel's weights count, the largest (PRoGS, section 3.1, Zoomers et al. 2024)."""
+"""Number of a pixel's largest weights that count (PRoGS, section 3.1, Zoomers et al. 2024)."""
 
 LEAST_WEIGHT = 0.01
-"""`ScoreConfig.least_weight` in place of top K, whose 20th weight is at most 1/20.
+"""`ScoreConfig.least_weight` for scoring without top K; the 20th weight is at most 1/20.
 
 Ordered by either contribution, a captured room differs by less than 0.2 dB in its first 16 to 256
 KiB, and files of three scenes by less than 0.5 % in bytes at equal PSNR.
 """
 
 COVERING_SHARE = 1 / 3
-"""What a weight in a covering view counts, of one in another view.
+"""Factor on the weights of covering views.
 
-Covering views are looked for where an orbit shows nothing, and visitors seldom are there. At 1, 1/2
-and 1/4 the file of a trained figure is 8, 4 and 1.5 % larger at equal PSNR all around it than it is
-without covering views. At 1/8 an open shell has 2 dB less in views from all around than its test
-views predict; at 1/4 and more they agree within 0.1 dB.
+Covering views show parts that an orbit misses, where viewers seldom are. At 1, 1/2 and 1/4 the file
+of a trained figure is 8, 4 and 1.5 % larger than without covering views, at equal PSNR all around
+the figure. At 1/8 the PSNR of an open shell all around it is 2 dB below that of its test views; at
+1/4 and more both agree within 0.1 dB.
 """
 
 
-MOST_BY_VIEW = 2_000_000
-"""Up to so many splats each core scores a view of its own; beyond, all cores share one.
+MAX_VIEW_PARALLEL_SPLATS = 2_000_000
+"""Splats of a scene up to which every core scores its own view; larger scenes share the cores.
 
-What is summed of a view takes up to 0.4 kB for each splat that it shows.
+The sums of one view take up to 0.4 kB for each splat in it.
 """
 
 
@@ -71,29 +71,28 @@ class ScoreConfig:
     Parameters
     ----------
     top_k : int
-        Weights counted per pixel in the contribution, the largest ones; 0 for all of at least
-        `least_weight`, in less time.
+        Number of the largest weights of each pixel that count in the contribution. 0 counts all
+        weights of at least `least_weight`, which is faster.
     least_weight : float
-        Weights below this are not counted in the contribution, 0 to 1; without effect where
-        `top_k` is not 0.
+        Minimum of the weights that count in the contribution, 0 to 1; ignored unless `top_k` is 0.
     jitter : bool
-        Also score jittered copies of the cameras (`view_sets.jitter`), so that splats which are
-        hidden from the capture path alone do not score 0.
+        Whether to score jittered copies of the cameras too (`view_sets.jitter`), so that splats
+        hidden from the capture path do not score 0.
     jitter_copies : int
-        Jittered copies of each camera: both kinds, 2, or one kind and the other by turns, 1.
+        Jittered copies of each camera: 2 for both kinds, 1 for alternating kinds.
     near_plane : float
-        Means at or before this camera-space depth are not drawn, scene units.
+        Camera-space depth up to which nothing is drawn, scene units.
     threads : int
-        0 for every core this process may use. The scores do not depend on it.
+        Number of threads; 0 for every core this process may use. Scores do not depend on it.
     sensitivity_every : int
-        Also measure `Sensitivities`, in one of so many views; 0 for none. At 1 this takes about as
-        much time again as the rest.
+        Interval of the views in which `Sensitivities` are measured: every n-th view; 0 for none.
+        At 1 they double the run time.
     colour_sensitivity : bool
-        Also sum `Scores.colour_sensitivity`, which takes 128 bytes a splat.
+        Whether to compute `Scores.colour_sensitivity`, which takes 128 bytes per splat.
     device : str
-        ``cpu``, or ``cuda`` to draw the views with gsplat on a CUDA device (extra ``train``): the
-        same scores but for rounding, which differs from run to run, and with it the order of splats
-        that score alike.
+        ``cpu``, or ``cuda`` to draw the views with gsplat on a CUDA device (extra ``train``). CUDA
+        scores differ by rounding, from run to run too, and so does the order of splats with nearly
+        equal scores.
     """
 
     top_k: int = TOP_K
@@ -125,44 +124,43 @@ class ScoreConfig:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Sums over views and pixels of the weights w = T·alpha with which a splat was blended.
+    """Statistics of each splat's blending weights w = T·alpha over the pixels of a set of views.
 
     Parameters
     ----------
     contribution : (N,) float64
-        Sum over a view's pixels of w, where w is among the pixel's top K or at least the least
-        weight; mean over the given
-        views, plus, with jitter, the mean over their jittered copies (PRoGS, section 3.1). px
-        per view.
+        Sum of w over a view's pixels, px, averaged over the given views (PRoGS, section 3.1). With
+        jitter, plus the average over the jittered copies. Only weights selected by
+        `ScoreConfig.top_k` or `ScoreConfig.least_weight` count.
     colour_sensitivity : (N,) float64
-        Largest change that one SH coefficient makes to the mean unclamped pixel of its channel,
-        per unit: the maximum over all 16 bases of the sum over views of ``|Y| · contribution in the
-        view``, over the views' pixels (Niedermayr et al. 2024, section 3.1). With jitter, the given
-        and the jittered views count half each. Top K makes it a lower bound. Zeros where the
-        configuration does not ask for it.
+        Largest change of a channel's mean unclamped pixel per unit of one SH coefficient: the sum
+        over views of ``|Y| · contribution in the view``, over the views' pixels, maximised over
+        all 16 bases Y (Niedermayr et al. 2024, section 3.1). With jitter, given and jittered views
+        count half each. Top K makes it a lower bound. Zeros unless
+        `ScoreConfig.colour_sensitivity` is set.
     energy : (N,) float64
         Sum of w² over all weights, per pixel of the views: a colour error Δ of the splat alone
-        costs ``energy · Δ²`` of mean squared error. With jitter, the two sets count half each.
+        costs ``energy · Δ²`` of mean squared error. With jitter, given and jittered views count
+        half each.
     largest_energy : (N,) float64
-        Largest energy in one view: Σw² over its own pixels. What the same error costs the view that
-        shows the splat best. Covering views are included, with w times `COVERING_SHARE`.
+        Largest energy in a single view, Σw² per pixel of that view: the cost of a colour error in
+        the view that shows the splat best. Weights in covering views count times `COVERING_SHARE`.
     peak : (N,) float32
-        Largest w in any pixel of any view, covering views included likewise.
+        Largest w in any pixel of any view. Weights in covering views count times `COVERING_SHARE`.
     seen : (N,) int32
-        Views in which it was blended into a pixel, covering views included.
+        Number of views, covering views included, in which the splat was blended into a pixel.
     covered : (N,) int32
-        Views whose image its footprint reaches, whether or not something hides it there; covering
-        views included.
+        Number of views, covering views included, that the splat's footprint reaches, hidden or not.
     basis_mean : (N, 15) float32
-        Mean, by energy, over the views that see a splat of the SH bases above DC in their
-        directions; zeros where none does.
+        SH bases above DC in the viewing directions of a splat: energy-weighted mean over its views;
+        zeros if no view sees it.
     basis_spread : (15, 15) float64
-        Covariance of those bases over a splat's views; mean over the scene, by energy. It gives
-        what an error of shN costs that a change of sh0 cannot make up for.
+        Covariance of these bases over a splat's views: energy-weighted mean over the scene. It
+        gives the cost of an error of shN that sh0 cannot compensate.
     num_pixels : int
-        Pixels of all views, jittered and covering ones included.
+        Number of pixels of all views, jittered and covering views included.
     sensitivities : Sensitivities or None
-        Cost of errors of the stored values; None unless the configuration asks for it.
+        Costs of errors of the stored values; None if `ScoreConfig.sensitivity_every` is 0.
     """
 
     contribution: NDArray[np.float64]
@@ -178,7 +176,7 @@ class Scores:
     sensitivities: Sensitivities | None = None
 
     def take(self, rows: NDArray[np.int64], gather: Gather = IN_MEMORY.gather) -> Scores:
-        """Return the scores of some splats; `gather` as `Workspace.gather`."""
+        """Return the scores of the splats `rows`, copied by `gather` (see `Workspace.gather`)."""
         found = self.sensitivities
         return replace(
             self,
@@ -194,8 +192,8 @@ class Scores:
         )
 
 
-def unscored(splats: int) -> Scores:
-    """Return the scores of a scene of which no view was rendered: zeros for every splat."""
+def zero_scores(splats: int) -> Scores:
+    """Return scores of zero for `splats` splats, for a scene without rendered views."""
     return Scores(
         contribution=np.zeros(splats, np.float64),
         colour_sensitivity=np.zeros(splats, np.float64),
@@ -212,18 +210,18 @@ def unscored(splats: int) -> Scores:
 
 @dataclass(frozen=True, eq=False)
 class _ViewScores:
-    """Sums over the pixels of one view.
+    """Sums over the pixels of one view, for the splats whose footprints reach it.
 
     Parameters
     ----------
     index : (M,) int32
         Rows of the scene, ascending.
     sums : (M, 3) float64
-        Of the weights, from `add_weights`.
+        Sums of the weights, from `add_weights`.
     places : (M,) int32
-        For each row of `index`, that of `columns`.
+        Row of `columns` for each row of `index`.
     columns : (M, 13) float64 or None
-        For `Sensitivities`, where they are asked for.
+        Moments for `Sensitivities`, by depth; None if they are not measured in this view.
     """
 
     index: NDArray[np.int32]
@@ -239,7 +237,7 @@ def _score_view(
     config: ScoreConfig,
     threads: int,
 ) -> _ViewScores:
-    """Score a view of one camera, with sensitivities where its second value says so."""
+    """Score one view; `view` is its camera and whether to measure sensitivities."""
     camera, sensitive = view
     footprints = project(
         splats,
@@ -272,16 +270,19 @@ def _view_scores(
     sums: NDArray[np.float64],
     columns: NDArray[np.float64] | None,
 ) -> _ViewScores:
-    """Return what was summed of footprints by ascending rows; the columns, which are most, stay."""
+    """Return the sums of footprints sorted by row.
+
+    The columns are the largest array and stay in the order of the footprints.
+    """
     return _ViewScores(
-        footprints.ascending(), ascending(footprints, sums), footprints.places(), columns
+        footprints.ascending(), sort_by_row(footprints, sums), footprints.places(), columns
     )
 
 
 def _score_on_device(
     view: tuple[Camera, bool], splats: Splats, scene: CudaScene, config: ScoreConfig
 ) -> _ViewScores:
-    """Do what `_score_view` does with a view on a CUDA device."""
+    """Score one view on a CUDA device; `view` is as for `_score_view`."""
     camera, sensitive = view
     shown = scene.view(
         camera,
@@ -299,11 +300,11 @@ def _score_on_device(
     return _view_scores(footprints, sums, columns)
 
 
-def _sensitive(count: int, every: int) -> list[bool]:
-    """Mark one of every `every` views of a set, at another place in each run.
+def _sensitivity_views(count: int, every: int) -> list[bool]:
+    """Return a list that marks the views with sensitivities: one in each run of `every` views.
 
-    The jittered copies alternate between two kinds; one fixed place in each run would meet one kind
-    alone.
+    Its position varies from run to run: jittered copies alternate between two kinds, and a fixed
+    position would always meet the same kind.
     """
     if every == 0:
         return [False] * count
@@ -320,42 +321,41 @@ def score(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Scores:
-    """Measure how much each splat weighs in the views of some cameras, in one pass over them.
+    """Score every splat of a scene in one pass over the views of given cameras.
 
     Parameters
     ----------
     splats : Splats
-        Drawn with the kernel and anti-aliasing of ``splats.info``. Rows that cannot be drawn score
-        0.
+        Scene, drawn with the kernel and anti-aliasing of ``splats.info``. Splats that cannot be
+        drawn score 0.
     cameras : sequence of Camera
-        In the frame of the means.
+        Cameras in the frame of the means.
     config : ScoreConfig or None
         None for the defaults.
     covering : sequence of Camera
-        Views that show what `cameras` leave out (`planner.ViewPlan.covering_views`). They count
-        where the best view of a splat does, in ``largest_energy`` and ``peak``, with their weights
-        w times `COVERING_SHARE`; and in ``seen`` and ``covered``. They count in no sum or mean, and
-        have no jittered copies.
+        Views of parts that `cameras` miss (`planner.ViewPlan.covering_views`). They count in
+        ``largest_energy`` and ``peak``, with weights w times `COVERING_SHARE`, and in ``seen`` and
+        ``covered``. They are excluded from all sums and means and have no jittered copies.
     workspace : Workspace
-        Where the scores are kept, and whether several views are scored at once.
+        Allocator of the scores; also decides whether several views are scored at once.
     executor : Executor, optional
-        What runs the work of single views; threads of this process where it is not given.
+        Executor of the work on single views; by default threads of this process.
     progress : Progress
         Called with ``("score", views done, views)``; raising from it stops the work.
 
     Returns
     -------
     Scores
-        The same, bit for bit, for any number of threads, on the device ``cpu``.
+        Scores; on the device ``cpu`` they are bit-identical for any number of threads.
 
     Raises
     ------
     DataError
-        ``no-cameras`` for an empty list, ``cameras-see-nothing`` when no splat reaches a pixel.
+        ``no-cameras`` for an empty list, ``cameras-see-nothing`` if no splat reaches a pixel.
     MissingExtraError, LimitError
-        With the device ``cuda``, as `rasteriser.render`.
+        The device ``cuda`` is not available (see `rasteriser.render`).
     ValueError
-        An executor and the device ``cuda``.
+        Both an executor and the device ``cuda`` are given.
 
     Examples
     --------
@@ -380,7 +380,7 @@ def score(
         pixels = sum(camera.width * camera.height for camera in members)
         views += members
         shares += [(1.0 / len(members), 1.0 / (pixels * len(sets)))] * len(members)
-        chosen = _sensitive(len(members), config.sensitivity_every)
+        chosen = _sensitivity_views(len(members), config.sensitivity_every)
         pixels = sum(
             camera.width * camera.height
             for camera, included in zip(members, chosen, strict=True)
@@ -397,7 +397,7 @@ def score(
     columns = workspace.zeros((n if config.sensitivity_every else 0, COLUMNS), np.float64)
     threads = thread_count(config.threads)
     by_view = executor is not None or (
-        workspace.views_at_once and threads <= len(views) and n <= MOST_BY_VIEW
+        workspace.views_at_once and threads <= len(views) and n <= MAX_VIEW_PARALLEL_SPLATS
     )
     if executor is not None and config.device == "cuda":
         raise ValueError("an executor and the device cuda, expected one of them")
@@ -426,7 +426,7 @@ def score(
         totals.add(result.index, sums, camera.position, num_pixels, view_share, pixel_share)
         if result.columns is not None:
             add_rows(result.index, result.places, result.columns, sensitive[done], columns)
-        workspace.settle()
+        workspace.trim()
         progress("score", done + 1, len(views))
     if not totals.seen.any():
         raise DataError(

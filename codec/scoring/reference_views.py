@@ -1,4 +1,4 @@
-"""Reference views: small renders of the full scene, which prefixes of it are compared with."""
+"""Reference views: small renders of the full scene, to compare its prefixes with."""
 
 from __future__ import annotations
 
@@ -21,30 +21,31 @@ from cogsplat.codec.views.low_discrepancy import STEP_1D
 from cogsplat.codec.views.view_sets import jitter
 
 PICTURE_PIXELS = 48_000
-"""Most pixels of one reference view. Bounds time and memory, as `MOST_VIEWS` does."""
-MOST_VIEWS = 192
-"""Most reference views, jittered copies included."""
+"""Pixels of one reference view at most; bounds time and memory."""
+MAX_VIEWS = 192
+"""Number of reference views at most, jittered copies included; bounds time and memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReferenceViews:
-    """Views of a scene and its render in each of them.
+    """Reference views of a scene: reduced cameras and the scene's render in each.
 
     Parameters
     ----------
     cameras : sequence of Camera
-        Reduced to at most `PICTURE_PIXELS` px, or fewer.
+        Cameras whose pictures are reduced, by default to at most `PICTURE_PIXELS`: the given
+        cameras, then their jittered copies.
     kernels : sequence of float
         Variance added to projected covariances, px² of each reduced picture.
     pictures : sequence of (H, W, 3) float32
-        0 to 1, over black.
+        Renders over black, 0 to 1.
     weights : (V,) float64
-        Of each view in means over views. Those of the given views sum to 1, and so do those of
-        their jittered copies.
+        Weight of each view in a mean over views. The weights of the given views sum to 1, and so
+        do those of the jittered copies.
     given : int
-        How many views are given ones; they stand before the jittered copies.
+        Number of given cameras.
     near_plane : float
-        Means at or before this camera-space depth are not drawn, scene units.
+        Camera-space depth up to which nothing is drawn, scene units.
     """
 
     cameras: Sequence[Camera]
@@ -55,19 +56,19 @@ class ReferenceViews:
     near_plane: float
 
     def sample(self, count: int, iteration: int) -> list[int]:
-        """Return the numbers of about `count` views, others in every iteration.
+        """Return the numbers of about `count` views for one iteration of an optimisation.
 
         Parameters
         ----------
         count : int
-            At least 1; all views where there are no more.
+            Number of views, at least 1; capped at the number of reference views.
         iteration : int
-            From 0. Over many iterations all views come equally often.
+            Iteration, from 0. Over many iterations all views occur equally often.
 
         Returns
         -------
         list of int
-            Given views and jittered copies in proportion, each spread evenly over its sequence.
+            Numbers of given views and jittered copies in proportion, each evenly spread.
         """
         total = len(self.cameras)
         if count >= total:
@@ -81,8 +82,8 @@ class ReferenceViews:
         return chosen
 
 
-def _reduced(camera: Camera, pixels: int) -> tuple[Camera, int]:
-    """Return a camera of the same view in at most so many pixels, and the reduction factor."""
+def _reduce(camera: Camera, pixels: int) -> tuple[Camera, int]:
+    """Reduce a camera's picture to at most `pixels`; return it and the integer reduction factor."""
     factor = math.ceil(math.sqrt(camera.width * camera.height / pixels))
     factor = max(1, min(factor, camera.width, camera.height))
     small = replace(
@@ -97,17 +98,17 @@ def _reduced(camera: Camera, pixels: int) -> tuple[Camera, int]:
     return small, factor
 
 
-def _thinned(views: Sequence[Camera], most: int) -> list[Camera]:
-    """Return at most `most` views, spread evenly over the sequence."""
-    if len(views) <= most:
+def _every_nth(views: Sequence[Camera], max_views: int) -> list[Camera]:
+    """Return at most `max_views` views, at equal distances in the sequence."""
+    if len(views) <= max_views:
         return list(views)
-    return [views[k * len(views) // most] for k in range(most)]
+    return [views[k * len(views) // max_views] for k in range(max_views)]
 
 
 def _picture(
     view: tuple[Camera, float], splats: Splats, *, near_plane: float, threads: int
 ) -> NDArray[np.float32]:
-    """Return the picture of a camera with its kernel, px²."""
+    """Render one view; `view` is its camera and the variance of its kernel, px²."""
     camera, kernel_px = view
     config = RenderConfig(
         kernel_px, splats.info.antialiased, near_plane=near_plane, threads=threads
@@ -127,25 +128,25 @@ def render_references(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> ReferenceViews:
-    """Render the full scene in its reference views.
+    """Render the full scene in reduced views of given cameras.
 
     Parameters
     ----------
     splats : Splats
-        Drawn with the kernel and anti-aliasing of ``splats.info``.
+        Scene, drawn with the kernel and anti-aliasing of ``splats.info``.
     cameras : sequence of Camera
-        In the frame of the means, at least one. Where they and their copies are more than
-        `MOST_VIEWS`, evenly spread ones are taken.
+        Cameras in the frame of the means, at least one. If the cameras and their copies exceed
+        `MAX_VIEWS`, an evenly spread sample of the cameras is used.
     jittered : bool
-        Whether jittered copies of the cameras (`view_sets.jitter`) are drawn as well.
+        Whether to draw jittered copies of the cameras (`view_sets.jitter`) too.
     pixels : int
-        Most pixels of one picture, at least 1.
+        Pixels of one picture at most, at least 1.
     near_plane : float
-        Means at or before this camera-space depth are not drawn, scene units.
+        Camera-space depth up to which nothing is drawn, scene units.
     threads : int
-        0 for every core this process may use. The pictures do not depend on it.
+        Number of threads; 0 for every core this process may use. Pictures do not depend on it.
     executor : Executor, optional
-        What runs the work of single views; threads of this process where it is not given.
+        Executor of the work on single views; by default threads of this process.
     progress : Progress
         Called with ``("reference views", views done, views)``; raising from it stops the work.
 
@@ -156,7 +157,7 @@ def render_references(
     Raises
     ------
     ValueError
-        No cameras, or no pixels.
+        There are no cameras, or `pixels` is below 1.
 
     Examples
     --------
@@ -174,11 +175,11 @@ def render_references(
         raise ValueError(f"{pixels} pixels, expected at least 1")
     if jittered:
         # Each camera has two jittered copies.
-        chosen = _thinned(cameras, MOST_VIEWS // 3)
+        chosen = _every_nth(cameras, MAX_VIEWS // 3)
         copies = jitter(splats, chosen)
     else:
-        chosen, copies = _thinned(cameras, MOST_VIEWS), []
-    reduced = [_reduced(camera, pixels) for camera in [*chosen, *copies]]
+        chosen, copies = _every_nth(cameras, MAX_VIEWS), []
+    reduced = [_reduce(camera, pixels) for camera in [*chosen, *copies]]
     info = splats.info
     views = [camera for camera, _ in reduced]
     kernels = [info.kernel_px / (factor * factor) for _, factor in reduced]

@@ -1,4 +1,4 @@
-"""Sums over views: what each splat of a scene weighs in all of them, and from which directions."""
+"""Running sums over views: the blending weights and viewing directions of each splat."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ F64 = NDArray[np.float64]
 
 _BASES = sh_coefficients(MAX_SH_DEGREE)
 
-# The spread of view directions is a mean over the scene: one splat in so many is enough.
+# Interval of the splats over which the spread of directions is averaged: a sample suffices.
 _GRAM_STRIDE = 8
 
 
-# Rows whose means are taken together.
+# Rows divided at once, which bounds temporary arrays.
 _BLOCK = 1 << 16
 
 
@@ -52,7 +52,10 @@ def _add_view(
     basis_sum: NDArray[np.float64],
     gram: NDArray[np.float64],
 ) -> None:
-    """Add one view to the scene's sums: to `bases` and to the last two where asked for."""
+    """Add one view to the scene's sums; see `ViewSums.add`.
+
+    `colours` enables the sum `bases`, `directions` the sums `basis_sum` and `gram`.
+    """
     for row in range(len(index)):
         i = index[row]
         covered[i] += 1
@@ -90,24 +93,26 @@ def _add_view(
 @called_with("int32[::1], float64[:, ::1], float64[:, ::1]")
 @kernel
 def _scatter(order: NDArray[np.int32], values: NDArray[np.float64], by_row: F64) -> None:
+    """Copy row i of `values` to row ``order[i]`` of `by_row`."""
     for row in range(len(order)):
         for column in range(values.shape[1]):
             by_row[order[row], column] = values[row, column]
 
 
-def ascending(footprints: Footprints, values: F64) -> F64:
-    """Return values of footprints in the order of `Footprints.ascending`.
+def sort_by_row(footprints: Footprints, values: F64) -> F64:
+    """Sort values of footprints by their row of the scene, ascending.
 
     Parameters
     ----------
     footprints : Footprints
-        M of them.
+        Footprints of M splats, by depth.
     values : (M, K) float64
-        In their order.
+        Values of each footprint, in the order of the footprints.
 
     Returns
     -------
     (M, K) float64
+        Values in the order of `Footprints.ascending`.
     """
     by_row = np.empty_like(values)
     _scatter(footprints.order, values, by_row)
@@ -123,19 +128,20 @@ def add_rows(
     share: float,
     totals: F64,
 ) -> None:
-    """Add values of some rows to those of a scene, without arrays in between.
+    """Add scaled rows of values to rows of a scene's totals, without temporary arrays.
 
     Parameters
     ----------
     index : (M,) int32
-        Rows of the scene; ascending ones are added fastest, above all to a mapped array.
+        Rows of the scene; ascending rows are added fastest, especially to a mapped array.
     places : (M,) int32
-        Which of the values is of each.
+        Row of `values` for each row of `index`.
     values : (M, K) float64
+        Values to add.
     share : float
         Factor on the values.
     totals : (N, K) float64
-        Changed in place.
+        Sums, changed in place.
     """
     for row in range(len(index)):
         place = places[row]
@@ -150,25 +156,27 @@ class ViewSums:
     ----------
     splats : Splats
     colours : bool
-        Whether `bases` are summed, 128 bytes a splat.
+        Whether to sum `bases`, 128 bytes per splat.
     zeros : callable
-        Makes the arrays, as `Workspace.zeros` does.
+        Allocator of the arrays, such as `Workspace.zeros`.
 
     Attributes
     ----------
     contribution : (N,) float64
-        Σw, weighted by the views' shares, px.
+        Σw, each view times its `view_share`, px.
     energy : (N,) float64
-        Σw², weighted by the pixels' shares.
+        Σw², each view times its `pixel_share`.
     largest_energy : (N,) float64
         Largest Σw² in one view, per pixel of that view.
     bases : (N, 16) float64
-        Σw·|Y| of every SH basis in the direction of each view, weighted by the pixels' shares; no
-        rows where they are not summed.
+        Σw·|Y| of every SH basis Y in the direction of each view, times the view's `pixel_share`;
+        0 rows unless `colours` is set.
     peak : (N,) float32
         Largest w in any pixel.
-    seen, covered : (N,) int32
-        Views in which a pixel shows the splat, and which its footprint reaches.
+    seen : (N,) int32
+        Number of views with a pixel that shows the splat.
+    covered : (N,) int32
+        Number of views that the splat's footprint reaches.
     """
 
     def __init__(
@@ -203,15 +211,17 @@ class ViewSums:
         Parameters
         ----------
         index : (M,) int32
-            Splats whose footprint reaches the image; ascending rows are added fastest.
+            Rows of the splats whose footprint reaches the image; ascending rows are added fastest.
         sums : (M, 3) float64
-            From `blend_weights.add_weights`, over all tiles.
+            Sums of `blend_weights.add_weights` over all tiles.
         position : (3,) float64
-            Of the camera, in the frame of the means.
+            Position of the camera in the frame of the means.
         num_pixels : int
-            Of the view.
-        view_share, pixel_share : float
-            What the view counts in `contribution`, and one of its pixels in the other sums.
+            Number of pixels of the view.
+        view_share : float
+            Weight of the view in `contribution`.
+        pixel_share : float
+            Weight of each of the view's pixels in `energy` and `bases`.
         """
         _add_view(
             index,
@@ -235,12 +245,12 @@ class ViewSums:
         )
 
     def basis_mean(self) -> NDArray[np.float32]:
-        """Return the mean, by energy, of the SH bases above DC over a splat's views.
+        """Return the energy-weighted mean of the SH bases above DC over each splat's views.
 
         Returns
         -------
         (N, 15) float32
-            Zeros where no view sees a splat, and everywhere in scenes of SH degree 0.
+            Means; zeros for splats that no view sees, and in scenes of SH degree 0.
         """
         mean: NDArray[np.float32] = self._zeros((len(self.energy), _BASES - 1), np.float32)
         if not self._directions:
@@ -254,7 +264,7 @@ class ViewSums:
     def basis_spread(self) -> F64:
         """Return the covariance of the SH bases above DC over a splat's views: (15, 15) float64.
 
-        Its mean, by energy, over every eighth splat of the scene.
+        It is the energy-weighted mean over every eighth splat of the scene.
         """
         if not self._directions:
             return np.zeros_like(self._gram)

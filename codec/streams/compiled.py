@@ -40,7 +40,7 @@ KERNEL_MODULES: Final = tuple(
         "chunk",
     )
 )
-"""Modules of the kernels that decoding calls, for `compiling.declared_in`."""
+"""Modules of the kernels that decoding calls, for `compiling.kernels_in`."""
 
 ChunkReader = Callable[..., bool]
 """Writes the values of a chunk as `whole_chunk.read` does; False where anything is unusual."""

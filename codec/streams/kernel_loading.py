@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from cogsplat.codec.compiling import declared_in
+from cogsplat.codec.compiling import kernels_in
 from cogsplat.codec.errors import CogsplatWarning
 
 # How long a thread keeps the interpreter's lock from others while kernels are loaded, seconds. At
@@ -96,7 +96,7 @@ class KernelLoader:
             with self._step:
                 if self._stopped.is_set():
                     return
-                kernels = declared_in([module])
+                kernels = kernels_in([module])
             for kernel in kernels:
                 with self._step:
                     if self._stopped.is_set():

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.compiling import compiled
+from cogsplat.codec.compiling import jit_kernel
 
 U8 = NDArray[np.uint8]
 U64 = NDArray[np.uint64]
@@ -19,12 +19,12 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 def exact(function: Function) -> Function:
     """Compile a function without fusing products and sums (SPEC 2.2), unlike `render.jit`."""
-    return compiled(function)
+    return jit_kernel(function)
 
 
 def inner_exact(function: Function) -> Function:
     """Compile a function that only kernels call, as `exact` does, as a part of their code."""
-    return compiled(function, kept=False)
+    return jit_kernel(function, cached=False)
 
 
 def words(plane: U8) -> U64:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedScene
-from cogsplat.codec.scoring.contribution import unscored
+from cogsplat.codec.scoring.contribution import zero_scores
 
 # Orders by gain draw the scene; compensation is fitted to pictures of it.
 UNSEEN = EncodeConfig(order="contribution", compensate=False)
@@ -18,5 +18,5 @@ def unseen(**changes) -> EncodeConfig:
 
 def encode(splats, scores=None, config=UNSEEN, **options) -> EncodedScene:
     """Encode a scene whose splats count what `scores` says, or all the same."""
-    known = unscored(len(splats)) if scores is None else scores
+    known = zero_scores(len(splats)) if scores is None else scores
     return pipeline.encode(splats, config, scores=known, **options)

@@ -10,10 +10,10 @@ import pytest
 from cogsplat.codec import compiling
 
 SOURCE = """
-from cogsplat.codec.compiling import called_with, compiled
+from cogsplat.codec.compiling import called_with, jit_kernel
 
 @called_with("int64, float32[::1]")
-@compiled
+@jit_kernel
 def scaled(factor, values):
     return factor * values.sum()
 """
@@ -34,10 +34,10 @@ def module(tmp_path, monkeypatch):
     sys.modules.pop(name, None)
 
 
-def test_a_kernel_is_compiled_with_its_types_and_kept(module):
-    (kernel,) = compiling.declared_in([module])
+def test_a_kernel_is_compiled_with_its_types_and_cached(module):
+    (kernel,) = compiling.kernels_in([module])
     assert kernel.name == f"{module}:scaled"
-    assert compiling.declared(kernel.name) is kernel
+    assert compiling.kernel_by_name(kernel.name) is kernel
     assert not kernel.is_cached()
     kernel.compile()
     assert kernel.is_cached()
@@ -49,7 +49,7 @@ def test_a_kernel_is_compiled_with_its_types_and_kept(module):
 
 
 def test_a_call_in_another_process_finds_what_was_kept(module):
-    (kernel,) = compiling.declared_in([module])
+    (kernel,) = compiling.kernels_in([module])
     kernel.compile()
     code = (
         f"import numpy, {module} as m\nassert m.scaled(2, numpy.ones(3, numpy.float32)) == 6\n"
@@ -70,14 +70,14 @@ def test_of_inner_kernels_nothing_is_kept(tmp_path, monkeypatch):
     from numba.core import config
 
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
-    inner = compiling.compiled(lambda x: x + 1, kept=False)
+    inner = compiling.jit_kernel(lambda x: x + 1, cached=False)
     assert inner(1) == 2
     assert not list(tmp_path.rglob("*.nb?"))
 
 
 def test_a_name_that_is_not_declared_is_not_found(module):
     with pytest.raises(KeyError):
-        compiling.declared(f"{module}:other")
+        compiling.kernel_by_name(f"{module}:other")
 
 
 def test_kernels_run_where_no_folder_can_be_written(module, monkeypatch):
@@ -88,7 +88,7 @@ def test_kernels_run_where_no_folder_can_be_written(module, monkeypatch):
 
     monkeypatch.setattr(caching, "FunctionCache", refuse)
     monkeypatch.setattr("numba.core.dispatcher.FunctionCache", refuse)
-    (kernel,) = compiling.declared_in([module])
+    (kernel,) = compiling.kernels_in([module])
     assert kernel.folder is None
     assert not kernel.is_cached()
     kernel.compile()
@@ -97,7 +97,7 @@ def test_kernels_run_where_no_folder_can_be_written(module, monkeypatch):
 
 def test_without_compilation_it_is_plain_python(module):
     code = (
-        f"from cogsplat.codec.compiling import declared_in\n(k,) = declared_in([{module!r}])\n"
+        f"from cogsplat.codec.compiling import kernels_in\n(k,) = kernels_in([{module!r}])\n"
         "k.compile()\nassert k.folder is None\n"
         "assert k.function(2, __import__('numpy').ones(3)) == 6"
     )

@@ -2,7 +2,7 @@ import pytest
 
 from cogsplat.codec import progress
 from cogsplat.codec.errors import Cancelled
-from cogsplat.codec.progress import StageCost, TimedProgress, WholeProgress
+from cogsplat.codec.progress import OverallProgress, StageCost, TimedProgress
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_what_stops_the_work_is_passed_on(clock):
 def test_the_whole_is_the_sum_of_its_stages():
     shares, calls = [], []
     costs = [StageCost("score", 0.1, 10), StageCost("chunks", 2.0), StageCost("write", 1.0)]
-    whole = WholeProgress(costs, lambda *call: calls.append(call), shares.append)
+    whole = OverallProgress(costs, lambda *call: calls.append(call), shares.append)
     reports = [("score", 5, 10), ("other", 1, 2), ("score", 10, 10), ("chunks", 1, 4)]
     for report in [*reports, ("write", 1, 1)]:
         whole(*report)
@@ -53,7 +53,7 @@ def test_the_whole_is_the_sum_of_its_stages():
 
 
 def test_a_stage_larger_than_expected_slows_the_share_and_turns_nothing_back():
-    whole = WholeProgress([StageCost("score", 1.0, 10), StageCost("predict", 1.0, 10)])
+    whole = OverallProgress([StageCost("score", 1.0, 10), StageCost("predict", 1.0, 10)])
     whole("score", 10, 10)
     assert whole.share == 0.5
     whole("predict", 0, 90)
@@ -65,7 +65,7 @@ def test_a_stage_larger_than_expected_slows_the_share_and_turns_nothing_back():
 
 
 def test_stages_that_are_left_out_are_over_once_a_later_one_begins():
-    whole = WholeProgress([StageCost("gain", 3.0), StageCost("chunks", 1.0)])
+    whole = OverallProgress([StageCost("gain", 3.0), StageCost("chunks", 1.0)])
     whole("chunks", 0, 2)
     assert whole.share == 0.75
     whole("gain", 0, 1)
@@ -76,7 +76,7 @@ def test_stages_that_are_left_out_are_over_once_a_later_one_begins():
 def test_a_search_comes_nearer_to_its_end_with_each_trial():
     costs = [StageCost("search", 4.0, inner="chunks"), StageCost("write", 1.0)]
     shares = []
-    whole = WholeProgress(costs, whole=shares.append)
+    whole = OverallProgress(costs, overall=shares.append)
     whole("search", 0, 8)
     for trial in range(1, 6):
         whole("chunks", 0, 2)
@@ -93,16 +93,16 @@ def test_what_the_receiver_of_the_share_raises_stops_the_work():
         raise Cancelled
 
     with pytest.raises(Cancelled):
-        WholeProgress([StageCost("score", 1.0)], whole=stop)("score", 0, 1)
+        OverallProgress([StageCost("score", 1.0)], overall=stop)("score", 0, 1)
 
 
 def test_a_stage_may_go_through_stages_of_its_own_at_each_step():
     encode = (StageCost("chunks", 3.0), StageCost("measure", 1.0))
     files = StageCost("files", 0.0, parts=(encode, (StageCost("measure", 4.0),), encode))
-    assert files.whole() == 12.0
+    assert files.total() == 12.0
     shares = []
-    whole = WholeProgress(
-        [StageCost("measure", 4.0), files, StageCost("write", 4.0)], whole=shares.append
+    whole = OverallProgress(
+        [StageCost("measure", 4.0), files, StageCost("write", 4.0)], overall=shares.append
     )
     reports = [
         ("measure", 1, 1, 0.2),
@@ -129,7 +129,7 @@ def test_a_stage_may_go_through_stages_of_its_own_at_each_step():
 
 def test_steps_beyond_those_expected_turn_nothing_back():
     files = StageCost("files", 0.0, parts=((StageCost("measure", 4.0),),))
-    whole = WholeProgress([files, StageCost("write", 4.0)])
+    whole = OverallProgress([files, StageCost("write", 4.0)])
     for done in range(3):
         whole("files", done, 3)
         whole("measure", 1, 1)

@@ -9,7 +9,7 @@ from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 def test_rows_that_are_gathered_in_blocks_are_the_same_rows():
     calls = []
-    blockwise = Workspace(views_at_once=False, settle=lambda: calls.append(1))
+    blockwise = Workspace(in_files=True, trim=lambda: calls.append(1))
     values = np.random.default_rng(1).normal(size=(3000, 4, 3)).astype(np.float32)
     rows = np.random.default_rng(2).integers(0, 3000, 1700)
     for some in (rows, rows[:1], rows[:0]):
@@ -23,7 +23,7 @@ def test_rows_of_a_scene_keep_their_extras():
     scene = oracle.scene(2, n=900)
     scene = replace(scene, extras={"object": np.arange(900, dtype=np.uint16)})
     rows = np.random.default_rng(3).permutation(900)
-    part = Workspace(views_at_once=False).take(scene, rows)
+    part = Workspace(in_files=True).take(scene, rows)
     expected = scene.take(rows)
     for name in ("means", "scales", "quats", "opacities", "sh0", "shN"):
         np.testing.assert_array_equal(getattr(part, name), getattr(expected, name))

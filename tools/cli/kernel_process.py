@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import sys
 
-from cogsplat.codec.compiling import declared
+from cogsplat.codec.compiling import kernel_by_name
 
 
 def main() -> None:
     """Compile until standard input ends."""
     for line in sys.stdin:
         name = line.strip()
-        declared(name).compile()
+        kernel_by_name(name).compile()
         print(name, flush=True)
 
 

@@ -98,7 +98,7 @@ class FileEvaluation:
 
     def stage_costs(self) -> list[StageCost]:
         """Return what `measure` will cost, for progress of the whole."""
-        once = sum(cost.whole() for cost in comparison_costs(len(self.source), self.cameras))
+        once = sum(cost.total() for cost in comparison_costs(len(self.source), self.cameras))
         return [StageCost("measure", len(prefix_quality.SHARES) * once)]
 
     def measure(

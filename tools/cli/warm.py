@@ -6,7 +6,7 @@ from typing import Final
 
 import click
 
-from cogsplat.codec.compiling import DeclaredKernel, declared_in
+from cogsplat.codec.compiling import DeclaredKernel, kernels_in
 from cogsplat.codec.errors import StorageError
 from cogsplat.codec.streams.compiled import KERNEL_MODULES
 from cogsplat.codec.threads import thread_count
@@ -28,8 +28,8 @@ def every_kernel(*, planned: bool, training: bool = False) -> list[DeclaredKerne
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.needed_kernels import needed_kernels
 
-    trained = declared_in(_TRAINING) if training else []
-    return needed_kernels(EncodeConfig(), planned=planned) + declared_in(KERNEL_MODULES) + trained
+    trained = kernels_in(_TRAINING) if training else []
+    return needed_kernels(EncodeConfig(), planned=planned) + kernels_in(KERNEL_MODULES) + trained
 
 
 @click.command(epilog="\b\nExample:\n  cogsplat warm")

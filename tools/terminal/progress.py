@@ -23,7 +23,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from cogsplat.codec.progress import StageCost, TimedProgress, WholeProgress
+from cogsplat.codec.progress import OverallProgress, StageCost, TimedProgress
 
 # Logs stay readable: a stage writes no more often than this, seconds.
 _LINE_EVERY: Final = 2.0
@@ -62,7 +62,7 @@ class Stages(TimedProgress):
         self._shown = shown
         self._bars: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
-        self._whole: WholeProgress | None = None
+        self._whole: OverallProgress | None = None
         self._written: dict[str, float] = {}
 
     def __enter__(self) -> Stages:
@@ -78,7 +78,7 @@ class Stages(TimedProgress):
 
     def plan(self, costs: Sequence[StageCost]) -> None:
         """Show one bar for all that is left to do, with what its stages are expected to cost."""
-        self._whole = WholeProgress(costs)
+        self._whole = OverallProgress(costs)
         if self._bars:
             for task in self._tasks.values():
                 self._bars.remove_task(task)

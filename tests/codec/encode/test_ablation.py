@@ -12,7 +12,7 @@ from cogsplat.codec.encode.config import Ablation
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.rate import costs as rate_costs
 from cogsplat.codec.render.sensitivities import Sensitivities
-from cogsplat.codec.scoring.contribution import unscored
+from cogsplat.codec.scoring.contribution import zero_scores
 from cogsplat.codec.splats import concatenate
 
 N = 900
@@ -28,7 +28,7 @@ def scored():
 
     spread = rng.normal(size=(15, 15))
     return replace(
-        unscored(N),
+        zero_scores(N),
         contribution=energy * rng.lognormal(0, 1, N),
         energy=energy,
         basis_mean=rng.normal(0, 0.3, (N, 15)).astype(np.float32),

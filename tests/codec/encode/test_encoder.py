@@ -16,7 +16,7 @@ from cogsplat.codec.order import chunks
 from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.rate.allocation import lagrangian
 from cogsplat.codec.rate.pruning import PruneConfig
-from cogsplat.codec.scoring.contribution import score, unscored
+from cogsplat.codec.scoring.contribution import score, zero_scores
 from cogsplat.codec.splats import concatenate, empty
 from cogsplat.codec.streams.grid import MAX_VALUE
 
@@ -42,7 +42,7 @@ def tags(splats):
 def scored(n, seed=2):
     rng = np.random.default_rng(seed)
     return replace(
-        unscored(n),
+        zero_scores(n),
         contribution=rng.lognormal(0, 2, n),
         energy=rng.lognormal(-9, 2, n),
         peak=rng.uniform(0, 1, n).astype(np.float32),
@@ -126,7 +126,7 @@ def test_opacities_may_all_be_infinite(profile, logit):
 @pytest.mark.parametrize("profile", PROFILE_NAMES)
 def test_scores_of_nothing_keep_everything_in_file_order(profile):
     splats = tagged(300)
-    encoded = encode(splats, unscored(300), unseen(profile=profile, morton=False, prune=None))
+    encoded = encode(splats, zero_scores(300), unseen(profile=profile, morton=False, prune=None))
     assert tags(check(encoded, 300, 3)) == list(range(300))
     assert payload_bytes(encoded) == payload_bytes(
         encode(splats, None, unseen(profile=profile, morton=False, prune=None))

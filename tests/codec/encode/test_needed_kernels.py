@@ -16,7 +16,7 @@ CALLS = """
 import sys
 from numba.core import sigutils
 import cogsplat
-from cogsplat.codec.compiling import declared_in
+from cogsplat.codec.compiling import kernels_in
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.needed_kernels import needed_kernels
 from cogsplat.codec.streams import compiled
@@ -30,7 +30,7 @@ for cameras in (synth_cameras(4, 64, 48), None):
     splats = synth(3000)
     cogsplat.encode(splats, sys.argv[1], cameras=cameras, config=config, force=True)
 cogsplat.decode(sys.argv[1])
-kernels = needed_kernels(config, planned=True) + declared_in(KERNEL_MODULES)
+kernels = needed_kernels(config, planned=True) + kernels_in(KERNEL_MODULES)
 for kernel in kernels:
     types, _ = sigutils.normalize_signature(f"({kernel.types},)")
     called = kernel.function.signatures

@@ -10,7 +10,7 @@ from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.errors import CogsplatWarning, DataError
-from cogsplat.codec.scoring.contribution import ScoreConfig, score, unscored
+from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
 
 FAST = PRESETS["fast"]
 LITTLE = EncodeConfig(chunk_splats=40, threads=1)
@@ -105,7 +105,7 @@ def test_an_order_that_renders_takes_cameras(scene, order, cameras):
     ordering = replace(LITTLE.ordering, first_view=oracle.camera(0.0))
     config = EncodeConfig(order=order, ordering=ordering)
     with pytest.raises(ValueError, match="expected the cameras"):
-        pipeline.encode(scene, config, cameras=cameras, scores=unscored(len(scene)))
+        pipeline.encode(scene, config, cameras=cameras, scores=zero_scores(len(scene)))
 
 
 def test_scores_of_the_cameras_are_not_measured_again(scene, views):

@@ -8,14 +8,14 @@ from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.order.chunks import plan_chunks
 from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.rate.pruning import PruneConfig
-from cogsplat.codec.scoring.contribution import unscored
+from cogsplat.codec.scoring.contribution import zero_scores
 
 
 def test_a_scene_is_laid_out_once_while_the_same_splats_stay():
     scene = oracle.scene(4, n=600)
     rng = np.random.default_rng(3)
     scores = replace(
-        unscored(len(scene)),
+        zero_scores(len(scene)),
         energy=rng.lognormal(-9, 2, len(scene)),
         peak=rng.uniform(0, 0.1, len(scene)).astype(np.float32),
         covered=np.full(len(scene), 9, np.int32),
@@ -35,7 +35,7 @@ def test_a_scene_is_laid_out_once_while_the_same_splats_stay():
 
 def test_another_configuration_of_the_same_order_is_laid_out_anew():
     scene = oracle.scene(4, n=600)
-    prepared = prepare(scene, unscored(600), unseen(prune=None, chunk_splats=100))
+    prepared = prepare(scene, zero_scores(600), unseen(prune=None, chunk_splats=100))
     layout = prepared.laid_out(40.0)
     other = replace(prepared, config=unseen(prune=None, chunk_splats=60)).laid_out(40.0)
     assert layout.slices == plan_chunks(600, 100)
@@ -47,7 +47,7 @@ def test_another_configuration_of_the_same_order_is_laid_out_anew():
 def test_cells_have_chunks_of_their_own_in_the_order_of_their_layers():
     scene = oracle.scene(4, n=3000)
     config = unseen(prune=None, chunk_splats=100, cells=True)
-    prepared = prepare(scene, unscored(3000), config)
+    prepared = prepare(scene, zero_scores(3000), config)
     layout = prepared.laid_out(40.0)
     assert sorted(layout.rows.tolist()) == list(range(3000))
     assert max(run.stop - run.start for run in layout.slices) <= 100
@@ -70,7 +70,7 @@ def test_cells_have_chunks_of_their_own_in_the_order_of_their_layers():
 
 
 def test_chunks_that_are_not_cut_by_cell_have_none():
-    layout = prepare(oracle.scene(4, n=300), unscored(300), unseen(prune=None)).laid_out(40.0)
+    layout = prepare(oracle.scene(4, n=300), zero_scores(300), unseen(prune=None)).laid_out(40.0)
     assert layout.cells.tolist() == [0] * len(layout.slices)
 
 
@@ -79,7 +79,7 @@ def test_objects_have_chunks_of_their_own():
     scene = replace(oracle.scene(4, n=600), extras={"object": labels})
     config = unseen(prune=None, chunk_splats=80)
     config = replace(config, ordering=replace(config.ordering, by_object=True))
-    layout = prepare(scene, unscored(600), config).laid_out(40.0)
+    layout = prepare(scene, zero_scores(600), config).laid_out(40.0)
     assert sorted(layout.rows.tolist()) == list(range(600))
     for run, label in zip(layout.slices, layout.objects, strict=True):
         assert (labels[layout.rows[run]] == label).all()

@@ -16,7 +16,7 @@ from cogsplat.codec.encode.preview_chunks import prepend_preview
 from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.rate.segment_order import OrderedKind
-from cogsplat.codec.scoring.contribution import score, unscored
+from cogsplat.codec.scoring.contribution import score, zero_scores
 from cogsplat.codec.scoring.reference_views import render_references
 from cogsplat.codec.segments.attributes import types_of, unpack_attributes
 
@@ -35,7 +35,7 @@ def parts(cameras):
     made = encode(splats, score(splats, cameras), unseen(chunk_splats=50, quality_db=45.0))
     first = oracle.scene(7, n=60).with_sh_degree(0)
     plain = unseen(chunk_splats=40, quality_db=40.0, refine=False, order="contribution")
-    preview = encode(first, unscored(60), plain)
+    preview = encode(first, zero_scores(60), plain)
     return made, preview, prepend_preview(made, preview, UNTIL)
 
 

@@ -9,7 +9,7 @@ from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.encode.stage_costs import order_costs, render_cost, score_cost, stage_costs
 from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
-from cogsplat.codec.progress import WholeProgress
+from cogsplat.codec.progress import OverallProgress
 
 SHORT = PreviewConfig(share=0.1, round_steps=2, quantised_steps=2, threads=1)
 
@@ -42,7 +42,7 @@ def test_the_stages_are_those_that_an_encode_reports(preset, given, target, prof
         len(splats), config, chosen, cameras=cameras, target=target, preview=preview is not None
     )
     shares, stages = [], []
-    whole = WholeProgress(costs, lambda stage, *_: stages.append(stage), shares.append)
+    whole = OverallProgress(costs, lambda stage, *_: stages.append(stage), shares.append)
     pipeline.encode(
         splats,
         config,
@@ -67,7 +67,7 @@ def test_costs_grow_with_splats_views_and_pixels():
     config, preset = EncodeConfig(), PRESETS["balanced"]
 
     def total(splats, cameras):
-        return sum(cost.whole() for cost in stage_costs(splats, config, preset, cameras=cameras))
+        return sum(cost.total() for cost in stage_costs(splats, config, preset, cameras=cameras))
 
     small = total(1000, views(8))
     assert total(100_000, views(8)) > small

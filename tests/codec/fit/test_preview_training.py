@@ -11,7 +11,7 @@ from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring.contribution import unscored
+from cogsplat.codec.scoring.contribution import zero_scores
 from cogsplat.codec.splats import empty
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
@@ -91,7 +91,7 @@ def test_a_scene_that_is_too_small_has_none(scene):
     tiny = splats.take(slice(0, 20)), cameras
     assert not any(chunk.until for chunk in encoded(tiny, TrainedPreview(CONFIG)).chunks)
     nothing = pipeline.encode(
-        empty(0, 0), EncodeConfig(order="source"), scores=unscored(0), preview=TrainedPreview()
+        empty(0, 0), EncodeConfig(order="source"), scores=zero_scores(0), preview=TrainedPreview()
     )
     assert nothing.chunks == []
 

@@ -5,7 +5,7 @@ import oracle
 import pytest
 from numba.core import sigutils
 
-from cogsplat.codec.compiling import declared_in
+from cogsplat.codec.compiling import kernels_in
 from cogsplat.codec.fit.deletion import deletion_errors
 from cogsplat.codec.fit.differentiable_rendering import Gradients
 from cogsplat.codec.fit.trainer import TrainConfig, Trainer
@@ -99,7 +99,7 @@ def test_kernels_are_called_with_the_types_that_are_declared(taught):
     _, training_views, noisy = taught
     Trainer(noisy, training_views, TrainConfig(loss="photo")).run(1, 1.0, 1.0)
     modules = ("tile_kernels", "splat_kernels", "splat_adam", "image_losses")
-    kernels = declared_in(f"cogsplat.codec.fit.{name}" for name in modules)
+    kernels = kernels_in(f"cogsplat.codec.fit.{name}" for name in modules)
     assert len(kernels) == 6
     for kernel in kernels:
         types, _ = sigutils.normalize_signature(f"({kernel.types},)")

@@ -18,7 +18,7 @@ from cogsplat.codec.order.marginal_gain import (
 )
 from cogsplat.codec.order.orders import Unordered, order_rows
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring.contribution import ScoreConfig, score, unscored
+from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
 from cogsplat.codec.scoring.reference_views import render_references
 from cogsplat.codec.splats import concatenate
 
@@ -94,7 +94,7 @@ def test_without_cameras_the_order_is_by_contribution(scene):
     splats, _, scores = scene
     expected = np.argsort(-scores.contribution, kind="stable")
     np.testing.assert_array_equal(gain_order(splats, scores, []), expected)
-    nothing = gain_order(splats, unscored(len(splats)), [])
+    nothing = gain_order(splats, zero_scores(len(splats)), [])
     np.testing.assert_array_equal(nothing, np.arange(len(splats)))
 
 

@@ -8,7 +8,7 @@ from encoding import encode, unseen
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.order import chunks, objects
 from cogsplat.codec.order.orders import OrderConfig
-from cogsplat.codec.scoring.contribution import unscored
+from cogsplat.codec.scoring.contribution import zero_scores
 
 
 def labelled(labels, dtype=np.uint8):
@@ -126,7 +126,7 @@ def test_no_rows_make_no_chunks():
 
 def test_encoded_chunks_name_their_object():
     splats = labelled(np.random.default_rng(3).integers(0, 3, 600))
-    scores = replace(unscored(600), contribution=np.random.default_rng(4).random(600))
+    scores = replace(zero_scores(600), contribution=np.random.default_rng(4).random(600))
     config = unseen(profile="near-lossless", chunk_splats=128, ordering=OrderConfig(by_object=True))
     encoded = encode(splats, scores, config)
     labels = splats.extras["object"]

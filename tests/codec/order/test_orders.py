@@ -17,12 +17,12 @@ from cogsplat.codec.order.orders import (
     order_rows,
     split_name,
 )
-from cogsplat.codec.scoring.contribution import unscored
+from cogsplat.codec.scoring.contribution import zero_scores
 
 
 def scored(contribution, seed=1):
     contribution = np.array(contribution, np.float64)
-    scores = replace(unscored(len(contribution)), contribution=contribution)
+    scores = replace(zero_scores(len(contribution)), contribution=contribution)
     return Unordered(oracle.scene(seed, n=len(contribution), degree=0), scores)
 
 

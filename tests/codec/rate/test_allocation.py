@@ -8,12 +8,12 @@ import pytest
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.rate import costs as rate_costs
 from cogsplat.codec.render.sensitivities import Sensitivities
-from cogsplat.codec.scoring.contribution import unscored
+from cogsplat.codec.scoring.contribution import zero_scores
 
 
 def with_energy(values):
     energy = np.array(values, np.float64)
-    return replace(unscored(len(energy)), energy=energy)
+    return replace(zero_scores(len(energy)), energy=energy)
 
 
 def test_ten_decibels_are_a_tenth_of_lambda_where_no_step_is_the_coarsest():
@@ -54,8 +54,10 @@ def test_unseen_splats_do_not_count():
     seen = with_energy([1.0, 2.0])
     more = with_energy([1.0, 2.0, 0.0, 0.0])
     assert allocation.lagrangian(seen, 36) == allocation.lagrangian(more, 36)
-    assert allocation.lagrangian(unscored(4), 36) == allocation.lagrangian(with_energy([1.0]), 36)
-    assert math.isfinite(allocation.lagrangian(unscored(0), 36))
+    assert allocation.lagrangian(zero_scores(4), 36) == allocation.lagrangian(
+        with_energy([1.0]), 36
+    )
+    assert math.isfinite(allocation.lagrangian(zero_scores(0), 36))
 
 
 def test_no_energy_is_zero():
@@ -64,8 +66,8 @@ def test_no_energy_is_zero():
     assert out.min() == pytest.approx(1.01)
     np.testing.assert_array_equal(out[energy > 1.01], energy[energy > 1.01])
     np.testing.assert_array_equal(out[:10], out.min())
-    assert (rate_costs.positive_energy(unscored(5)) == 1).all()
-    assert rate_costs.positive_energy(unscored(0)).shape == (0,)
+    assert (rate_costs.positive_energy(zero_scores(5)) == 1).all()
+    assert rate_costs.positive_energy(zero_scores(0)).shape == (0,)
     assert (rate_costs.positive_energy(with_energy([0.0, 5e-324])) > 0).all()
 
 
@@ -131,7 +133,7 @@ def sensitive(rows, seed=4, scale=1.0):
 def a_scene(rows=80, seed=5):
     splats = oracle.scene(seed, n=rows)
     energy = np.random.default_rng(seed).lognormal(-9, 2, rows)
-    return splats, replace(unscored(rows), energy=energy)
+    return splats, replace(zero_scores(rows), energy=energy)
 
 
 def test_costs_are_above_zero_with_and_without_sensitivities():

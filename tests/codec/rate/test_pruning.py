@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cogsplat.codec.rate.pruning import PruneConfig, keep_mask
-from cogsplat.codec.scoring.contribution import score, unscored
+from cogsplat.codec.scoring.contribution import score, zero_scores
 
 
 def seen(peak, covered, opacities=None):
@@ -16,7 +16,7 @@ def seen(peak, covered, opacities=None):
     splats = oracle.scene(1, n=n, degree=0)
     splats.opacities[:] = 1.0 if opacities is None else opacities
     scores = replace(
-        unscored(n), peak=np.array(peak, np.float32), covered=np.array(covered, np.int32)
+        zero_scores(n), peak=np.array(peak, np.float32), covered=np.array(covered, np.int32)
     )
     return splats, scores
 
@@ -56,7 +56,7 @@ def test_what_no_view_covers_stays():
     splats, scores = seen([0.0] * 5, [0, 1, 2, 3, 4])
     assert keep_mask(splats, scores, PruneConfig()).tolist() == [True] * 4 + [False]
     assert keep_mask(splats, scores, PruneConfig(views=1)).tolist() == [True] + [False] * 4
-    assert keep_mask(splats, unscored(5), PruneConfig(peak=0.999, views=1)).all()
+    assert keep_mask(splats, zero_scores(5), PruneConfig(peak=0.999, views=1)).all()
 
 
 def test_a_peak_at_the_bound_stays():

@@ -2,7 +2,7 @@ import numpy as np
 import oracle
 
 from cogsplat.codec.executor import LocalThreads
-from cogsplat.codec.scoring.chunk_contributions import PIXELS, chunk_contributions
+from cogsplat.codec.scoring.chunk_contributions import MAX_PIXELS, chunk_contributions
 
 CAMERAS = [
     oracle.camera(angle=0.3),
@@ -28,7 +28,7 @@ def test_large_pictures_are_drawn_smaller_and_show_the_same():
     splats = oracle.scene(5, n=200)
     chunks = np.arange(200) // 50
     large = oracle.camera(angle=0.3, width=300, height=200, focal=240.0)
-    assert 2 * PIXELS < 300 * 200
+    assert 2 * MAX_PIXELS < 300 * 200
     found = chunk_contributions(splats, chunks, 4, [large])
     again = chunk_contributions(splats, chunks, 4, [large], executor=LocalThreads(1))
     np.testing.assert_array_equal(found, again)

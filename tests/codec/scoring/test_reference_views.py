@@ -5,7 +5,7 @@ import oracle
 import pytest
 
 from cogsplat.codec.render.rasteriser import RenderConfig, render
-from cogsplat.codec.scoring.reference_views import MOST_VIEWS, PICTURE_PIXELS, render_references
+from cogsplat.codec.scoring.reference_views import MAX_VIEWS, PICTURE_PIXELS, render_references
 from cogsplat.codec.views.view_sets import jitter
 
 
@@ -46,8 +46,8 @@ def test_reference_views_may_be_smaller(scene):
 def test_reference_views_bound_their_views(scene):
     splats, cameras = scene
     references = render_references(splats.take(np.arange(3)), cameras * 100)
-    assert len(references.cameras) == MOST_VIEWS
-    assert references.given == MOST_VIEWS // 3
+    assert len(references.cameras) == MAX_VIEWS
+    assert references.given == MAX_VIEWS // 3
 
 
 def test_samples_reach_every_view_equally(scene):

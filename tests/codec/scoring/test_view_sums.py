@@ -5,7 +5,7 @@ import oracle
 import pytest
 
 from cogsplat.codec.render.projection import project
-from cogsplat.codec.scoring.view_sums import ViewSums, add_rows, ascending
+from cogsplat.codec.scoring.view_sums import ViewSums, add_rows, sort_by_row
 
 SUMS = ("contribution", "energy", "largest_energy", "peak", "seen")
 
@@ -85,7 +85,7 @@ def test_values_of_footprints_are_put_in_the_order_of_their_rows():
     splats = oracle.scene(6, n=60)
     footprints = project(splats, oracle.camera(), kernel_px=0.3, antialiased=False)
     values = np.stack([footprints.index, -footprints.index], axis=1).astype(np.float64)
-    found = ascending(footprints, values)
+    found = sort_by_row(footprints, values)
     np.testing.assert_array_equal(found[:, 0], np.sort(footprints.index))
     np.testing.assert_array_equal(found[:, 1], -np.sort(footprints.index))
 

@@ -16,15 +16,15 @@ from cogsplat.codec.streams.kernel_loading import KernelLoader
 VECTORS = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 
 SOURCE = """
-from cogsplat.codec.compiling import called_with, compiled
+from cogsplat.codec.compiling import called_with, jit_kernel
 
 @called_with("int64")
-@compiled
+@jit_kernel
 def first(x):
     return x + 1
 
 @called_with("int64")
-@compiled
+@jit_kernel
 def second(x):
     return x + 2
 """
@@ -46,7 +46,7 @@ def module(tmp_path, monkeypatch):
 
 
 def signatures(module):
-    return [len(k.function.signatures) for k in compiling.declared_in([module])]
+    return [len(k.function.signatures) for k in compiling.kernels_in([module])]
 
 
 def test_all_kernels_are_loaded_once(module):
@@ -132,8 +132,8 @@ plain = [cogsplat.decode(vectors[0]), cogsplat.decode(vectors[0])]
 
 USED = """
 compiled.LOADER.join()
-from cogsplat.codec.compiling import declared_in
-kernels = declared_in(compiled.KERNEL_MODULES)
+from cogsplat.codec.compiling import kernels_in
+kernels = kernels_in(compiled.KERNEL_MODULES)
 assert compiled.ready()
 assert (cogsplat.decode(vectors[0]).quats == plain[0].quats).all()
 # What was loaded is what is called: nothing is compiled in the middle of a decode.

@@ -10,7 +10,7 @@ from encoding import encode, unseen
 
 from cogsplat.codec.encode.arriving_prefixes import arriving
 from cogsplat.codec.errors import FormatError
-from cogsplat.codec.scoring.contribution import unscored
+from cogsplat.codec.scoring.contribution import zero_scores
 from cogsplat.formats.cogs import scene
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import open_cogs
@@ -26,7 +26,7 @@ def encoded(refine=True):
     rng = np.random.default_rng(7)
     contribution = rng.exponential(size=N) ** 2
     scores = replace(
-        unscored(N),
+        zero_scores(N),
         contribution=contribution.astype(np.float64),
         energy=(contribution / contribution.sum() * 0.1).astype(np.float64),
     )

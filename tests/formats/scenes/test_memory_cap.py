@@ -74,7 +74,7 @@ def test_a_cap_that_is_too_small_is_refused_before_anything_is_read(folder):
 def test_what_is_in_memory_already_counts(folder):
     scene = cogsplat.read(folder / "scene.ply")
     with working_memory(folder / "scene.ply", CONFIG, 500_000_000, folder) as mapped:
-        assert not mapped.views_at_once
+        assert mapped.in_files
     with pytest.raises(LimitError) as refused, working_memory(scene, CONFIG, 500_000_000, folder):
         pytest.fail("16 MB of splats were not counted")
     assert refused.value.code == "memory-cap"
@@ -106,7 +106,7 @@ def test_extras_are_mapped_as_well(tmp_path):
     views = synth_cameras(2, 64, 48)
     for name, workspace in (("a.cogs", None), ("b.cogs", "mapped")):
         with ScratchFiles(tmp_path, 1 << 20) as files:
-            kept = replace(IN_MEMORY, zeros=files.zeros, views_at_once=False, settle=files.settle)
+            kept = replace(IN_MEMORY, zeros=files.zeros, in_files=True, trim=files.settle)
             cogsplat.encode(
                 tmp_path / "scene.ply",
                 tmp_path / name,

@@ -16,7 +16,7 @@ from cogsplat.tools.cli.compile_ahead import CompileAhead
 
 KERNEL = """
 @called_with("int64")
-@compiled
+@jit_kernel
 def kernel{0}(x):
     return x + {0}
 """
@@ -26,7 +26,7 @@ def kernel{0}(x):
 def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[DeclaredKernel]]:
     """Eight small kernels that nothing has compiled."""
     name = f"eight_{tmp_path.name}"
-    source = "from cogsplat.codec.compiling import called_with, compiled\n"
+    source = "from cogsplat.codec.compiling import called_with, jit_kernel\n"
     (tmp_path / f"{name}.py").write_text(source + "".join(KERNEL.format(i) for i in range(8)))
     monkeypatch.syspath_prepend(tmp_path)
     # The other processes find the module, and keep its code beside it.
@@ -35,7 +35,7 @@ def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[De
     from numba.core import config
 
     monkeypatch.setattr(config, "CACHE_DIR", "")
-    yield compiling.declared_in([name])
+    yield compiling.kernels_in([name])
     for number in range(8):
         compiling._DECLARED.pop(f"{name}:kernel{number}", None)
     sys.modules.pop(name, None)

@@ -136,7 +136,7 @@ def stage_cost(splats: int, sh_degree: int, cameras: Sequence[Camera]) -> StageC
     config = EncodeConfig(compensate=False, order="contribution")
     encode = stage_costs(splats, config, PRESETS[DEFAULT_PRESET], scored=True)
     # Test views, and two of each away from the path.
-    once = sum(cost.whole() for cost in encode) + 3 * render_cost(splats, cameras)
+    once = sum(cost.total() for cost in encode) + 3 * render_cost(splats, cameras)
     return StageCost("ablation", len(_BEYOND_DB) * once, len(changes(sh_degree)) + 1)
 
 

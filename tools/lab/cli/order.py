@@ -76,7 +76,7 @@ def order(
 
     OUT.npy holds an int64 for each splat: the rows of the file, first to last. Nothing is pruned.
     """
-    from cogsplat.codec.scoring.contribution import ScoreConfig, score, unscored
+    from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
 
     check_name(out, NPY)
     check_output(out, force=force, inputs=given_files(path, cameras, choice.masks))
@@ -91,7 +91,7 @@ def order(
         if views is None and (scored or choice.first_view is not None):
             views = numbered = virtual_views(splats, threads=threads, progress=stages)
         config = choice.config(numbered)
-        scores = unscored(len(splats))
+        scores = zero_scores(len(splats))
         if scored:
             settings = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads)
             scores = score(splats, views or (), settings, progress=stages)

@@ -7,7 +7,7 @@ import pytest
 from cogsplat.codec.encode.profiles import shapes
 from cogsplat.codec.encode.profiles.chunk_streams import MAX_LOGIT
 from cogsplat.codec.rate.costs import costs
-from cogsplat.codec.scoring.contribution import unscored
+from cogsplat.codec.scoring.contribution import zero_scores
 from cogsplat.codec.streams import scale_differences
 
 N = 4000
@@ -15,7 +15,7 @@ N = 4000
 
 def scene_and_costs():
     splats = oracle.scene(3, n=N)
-    scores = replace(unscored(N), energy=np.random.default_rng(4).lognormal(-8, 1, N))
+    scores = replace(zero_scores(N), energy=np.random.default_rng(4).lognormal(-8, 1, N))
     # Middle, thin, long.
     scales = np.sort(splats.scales, axis=1)[:, [1, 0, 2]]
     return scales, costs(splats, scores)

@@ -12,7 +12,7 @@ from cogsplat.codec.geometry.sh import C0
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.rate import costs
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring.contribution import ScoreConfig, score, unscored
+from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
 from cogsplat.codec.splats import concatenate
 from cogsplat.codec.streams import records
 from cogsplat.codec.streams.records import Attribute, Kind
@@ -169,7 +169,7 @@ def test_every_technique_can_be_left_out(name):
 
 
 def test_unscored_scenes_are_encoded_too():
-    for found in (unscored(N), None):
+    for found in (zero_scores(N), None):
         whole = encode(scene(), found, replace(CONFIG, quality_db=45.0))
         assert quality(whole) > 30
 
