@@ -73,10 +73,8 @@ def test_wheel_is_the_tree_and_nothing_else(tree: Path, wheel: zipfile.Path) -> 
     for package in PACKAGES:
         sources = (tree / package).rglob("*.py")
         expected |= {f"cogsplat/{path.relative_to(tree).as_posix()}" for path in sources}
-    built = [path for path in (tree / "tools/web/dist").iterdir() if path.is_file()]
-    programs = {"viewer.js", "worker.js", "viewer_worker.js"}
-    assert {"viewer.html", *programs} <= {path.name for path in built}
-    expected |= {f"cogsplat/{path.relative_to(tree).as_posix()}" for path in built}
+    served = ("viewer.html", "viewer.css", "viewer.js", "viewer_worker.js", "worker.js")
+    expected |= {f"cogsplat/tools/web/dist/{name}" for name in served}
     vectors = [path for path in (tree / "tests/vectors").rglob("*") if path.is_file()]
     expected |= {f"cogsplat/{path.relative_to(tree / 'tests').as_posix()}" for path in vectors}
     assert inside == expected

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ import pytest
 from chromium import chromium
 from click.testing import CliRunner, Result
 from running import ROOT, SPLATS, VIEWS, Ran, Run, SmallScene, program
+from web_package import build_once
 
 import cogsplat
 from cogsplat.codec.rate.pruning import PruneConfig
@@ -36,6 +38,13 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> SmallScene:
     config = EncodeConfig(chunk_splats=300, prune=PruneConfig(peak=0.001))
     cogsplat.encode(splats, scene.cogs, cameras=cameras, config=config)
     return scene
+
+
+@pytest.fixture(scope="session")
+def web_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the npm package, built once for all processes of this run."""
+    own = tmp_path_factory.getbasetemp()
+    return build_once(own.parent if "PYTEST_XDIST_WORKER" in os.environ else own)
 
 
 @pytest.fixture(scope="module")

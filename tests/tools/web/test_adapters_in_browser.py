@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from chromium import PATIENCE_MS, picture
 from faulty_server import FaultyServer
 from numpy.typing import NDArray
-from running import ROOT, SmallScene, installed
+from running import SmallScene, installed
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
@@ -51,13 +52,13 @@ _SLOW_SORTING = """
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory, small: SmallScene) -> Iterator[FaultyServer]:
+def server(
+    tmp_path_factory: pytest.TempPathFactory, small: SmallScene, web_package: Path
+) -> Iterator[FaultyServer]:
     """Serve the package and the examples with the renderers that they name."""
     folder = tmp_path_factory.mktemp("site")
-    web = ROOT / "tools" / "web"
-    shutil.copytree(web / "dist", folder / "dist")
-    ignored = shutil.ignore_patterns("node_modules")
-    shutil.copytree(web / "examples", folder / "examples", ignore=ignored)
+    shutil.copytree(web_package / "dist", folder / "dist")
+    shutil.copytree(web_package / "examples", folder / "examples")
     shutil.copy(small.cogs, folder / "examples" / "scene.cogs")
     cogsplat.write(cogsplat.decode(small.cogs), folder / "examples" / "scene.ply")
     install = [installed("npm"), "ci", "--prefer-offline", "--ignore-scripts", "--no-fund"]

@@ -16,7 +16,7 @@ import pytest
 from cogs_samples import ARRAYS, file_of
 from fault_cases import CASES, Case, name_of
 from fault_server import FaultServer, serving
-from running import ROOT, installed
+from running import installed
 
 import cogsplat
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 # Many starts of connections, and a browser.
 pytestmark = pytest.mark.slow
 
-MODULE = ROOT / "tools/web/dist/cogsplat.js"
 HERE = Path(__file__).resolve().parent
 # After which an outcome counts as a hang; the longest case waits five times for a second.
 PATIENCE_SECONDS = 60
@@ -48,9 +47,10 @@ def other() -> bytes:
 
 
 @pytest.fixture(scope="module")
-def in_node() -> Iterator[Callable[[str], Said]]:
+def in_node(web_package: Path) -> Iterator[Callable[[str], Said]]:
     """Ask one process of Node what comes of a URL."""
-    command = [installed("node"), str(HERE / "fetch_scenes.mjs"), str(MODULE)]
+    module = web_package / "dist" / "cogsplat.js"
+    command = [installed("node"), str(HERE / "fetch_scenes.mjs"), str(module)]
     with subprocess.Popen(
         [*command, str(PATIENCE_SECONDS)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:
@@ -104,11 +104,11 @@ def test_a_fault_ends_in_node_as_the_table_says(
 
 @pytest.mark.parametrize("case", CASES, ids=name_of)
 def test_a_fault_ends_in_chromium_as_the_table_says(
-    case: Case, data: bytes, other: bytes, browser: Browser
+    case: Case, data: bytes, other: bytes, browser: Browser, web_package: Path
 ) -> None:
     pages = {
         "/page.html": ("text/html", b'<!doctype html><link rel="icon" href="data:,">'),
-        "/cogsplat.js": ("text/javascript", MODULE.read_bytes()),
+        "/cogsplat.js": ("text/javascript", (web_package / "dist" / "cogsplat.js").read_bytes()),
         "/fetch_scene.mjs": ("text/javascript", (HERE / "fetch_scene.mjs").read_bytes()),
     }
     made = FaultServer(data, case.faults(other), case.always, pages=pages)

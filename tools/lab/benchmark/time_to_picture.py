@@ -1,9 +1,11 @@
 """How soon a scene can be seen: seconds until a browser has decoded a picture, format by format.
 
 Run ``python -m cogsplat.tools.lab.benchmark.time_to_picture SCENE --cameras PATH --out DIR`` from a
-checkout. Headless Chromium fetches each file over one and the same slow link and decodes it: COGS
-with ``tools/web``, other formats with the decoders of Spark, ``.splat`` also row by row. What has
-been decoded at each moment is drawn afterwards, by our renderer, in views that the encoder was not
+checkout, after ``npm ci && npm run build`` in ``tools/web``.
+
+Headless Chromium fetches each file over one and the same slow link and decodes it: COGS with
+``tools/web``, other formats with the decoders of Spark, ``.splat`` also row by row. What has been
+decoded at each moment is drawn afterwards, by our renderer, in views that the encoder was not
 given, and compared with renders of the source: the speed of this machine's software WebGL does not
 count. Programs are loaded and warm before the clock starts.
 """

@@ -1,11 +1,12 @@
 """A visit in a real browser beside its simulation: what is seen at moments along a path.
 
 Run ``python -m cogsplat.tools.lab.benchmark.visits SCENE.cogs --cameras PATH --trace
-WALK.json`` from a checkout. Headless Chromium visits the scene with the npm package over a slow
-link; which chunks it has decoded at each moment is noted, and drawn afterwards by our renderer,
-as is what ``cogsplat simulate --policy visit`` predicts: the speed of this machine's software
-WebGL does not count. The simulation makes its first request and starts to decode when the
-browser did.
+WALK.json`` from a checkout, after ``npm ci && npm run build`` in ``tools/web``.
+
+Headless Chromium visits the scene with the npm package over a slow link; which chunks it has
+decoded at each moment is noted, and drawn afterwards by our renderer, as is what ``cogsplat
+simulate --policy visit`` predicts: the speed of this machine's software WebGL does not count. The
+simulation makes its first request and starts to decode when the browser did.
 """
 
 from __future__ import annotations

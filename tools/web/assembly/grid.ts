@@ -3,7 +3,7 @@
 /** Codes of 0 to 3 byte planes; −1 for one of `limit` or more. */
 export function codes(p0: usize, p1: usize, p2: usize, rows: i32, limit: u32, target: usize): i32 {
   let row = 0;
-  if (p2 == 0) {
+  if (p2 === 0) {
     const whole = rows & ~7;
     let most = i16x8.splat(0);
     for (; row < whole; row += 8) {
@@ -22,8 +22,8 @@ export function codes(p0: usize, p1: usize, p2: usize, rows: i32, limit: u32, ta
   }
   for (; row < rows; row++) {
     let code: u32 = p0 ? load<u8>(p0 + row) : 0;
-    if (p1) code |= <u32>load<u8>(p1 + row) << 8;
-    if (p2) code |= <u32>load<u8>(p2 + row) << 16;
+    if (p1) code |= (<u32>load<u8>(p1 + row)) << 8;
+    if (p2) code |= (<u32>load<u8>(p2 + row)) << 16;
     if (code >= limit) return -1;
     store<u32>(target + (row << 2), code);
   }
@@ -33,7 +33,7 @@ export function codes(p0: usize, p1: usize, p2: usize, rows: i32, limit: u32, ta
 /** Values of codes, every `stride` floats. */
 export function gridValues(source: usize, rows: i32, step: f32, minimum: f32, target: usize, stride: i32): void {
   let row = 0;
-  if (stride == 1) {
+  if (stride === 1) {
     const steps = f32x4.splat(step);
     const minima = f32x4.splat(minimum);
     for (const whole = rows & ~3; row < whole; row += 4) {
@@ -50,7 +50,7 @@ export function gridValues(source: usize, rows: i32, step: f32, minimum: f32, ta
 export function infinities(source: usize, rows: i32, levels: u32, target: usize): void {
   for (let row = 0; row < rows; row++) {
     const code = load<u32>(source + (row << 2));
-    if (code >= levels) store<f32>(target + (row << 2), code == levels ? Infinity : -Infinity);
+    if (code >= levels) store<f32>(target + (row << 2), code === levels ? Infinity : -Infinity);
   }
 }
 
@@ -64,10 +64,13 @@ export function floats(planes: usize, rows: i32, infinite: bool, target: usize, 
   const most: u32 = 0x71800000;
   const infinity: u32 = 0x7f800000;
   for (let row = 0; row < rows; row++) {
-    const bits = <u32>load<u8>(p0 + row) | (<u32>load<u8>(p1 + row) << 8) | (<u32>load<u8>(p2 + row) << 16) |
-      (<u32>load<u8>(p3 + row) << 24);
+    const bits =
+      <u32>load<u8>(p0 + row) |
+      ((<u32>load<u8>(p1 + row)) << 8) |
+      ((<u32>load<u8>(p2 + row)) << 16) |
+      ((<u32>load<u8>(p3 + row)) << 24);
     const magnitude = bits & 0x7fffffff;
-    if (magnitude > most && !(infinite && magnitude == infinity)) return -1;
+    if (magnitude > most && !(infinite && magnitude === infinity)) return -1;
     store<u32>(target + ((row * stride) << 2), bits);
   }
   return 0;
@@ -125,7 +128,6 @@ export function sh0Axes(x: usize, y: usize, z: usize, rows: i32, axes: usize): v
   }
 }
 
-@inline
 function onAxes(a: v128, b: v128, c: v128, axes: usize): v128 {
   return f32x4.add(
     f32x4.add(f32x4.mul(a, v128.load_splat<f32>(axes)), f32x4.mul(b, v128.load_splat<f32>(axes, 12))),
@@ -143,13 +145,20 @@ export function add(a: usize, b: usize, rows: i32): void {
 
 /** Rows of a codebook, and behind its `size` rows of the escape rows, every `stride` floats. */
 export function gather(
-  codebook: usize, escape: usize, size: u32, indices: usize, rows: i32, width: i32, target: usize, stride: i32,
+  codebook: usize,
+  escapeRows: usize,
+  size: u32,
+  indices: usize,
+  rows: i32,
+  width: i32,
+  target: usize,
+  stride: i32,
 ): void {
   for (let row = 0; row < rows; row++) {
     const index = load<u32>(indices + (row << 2));
-    const from = index < size ? codebook + ((index * width) << 2) : escape + (((index - size) * width) << 2);
+    const from = index < size ? codebook + ((index * width) << 2) : escapeRows + (((index - size) * width) << 2);
     const to = target + ((row * stride) << 2);
-    if (width == 1) {
+    if (width === 1) {
       store<u32>(to, load<u32>(from));
     } else {
       // 9, 15 and 21 values: whole vectors, then what is left.
@@ -163,14 +172,14 @@ export function gather(
 /** Rows of `count` components from columns, whose addresses are u32 at `columns`. */
 export function interleave(columns: usize, count: i32, rows: i32, target: usize): void {
   const c0 = <usize>load<u32>(columns);
-  if (count == 1) {
-    memory.copy(target, c0, <usize>rows << 2);
+  if (count === 1) {
+    memory.copy(target, c0, (<usize>rows) << 2);
     return;
   }
   const c1 = <usize>load<u32>(columns, 4);
   const c2 = <usize>load<u32>(columns, 8);
   let to = target;
-  if (count == 3) {
+  if (count === 3) {
     for (let row = 0; row < rows; row++, to += 12) {
       const at = row << 2;
       store<u32>(to, load<u32>(c0 + at));

@@ -1,8 +1,20 @@
 // The kernels of src/kernels/kernels.ts in WebAssembly with vectors of 128 bits. Every sum, product and quotient is
-// one float32 operation in the order of SPEC.md, so that the bits are those of src/kernels/javascript.ts.
+// one float32 operation in the order of SPEC.md, so that the results are exact to the bit.
 
 export { unpackDigits } from "./digits";
-export { add, below, codes, differences, floats, gather, gridValues, infinities, interleave, refineDigits, sh0Axes } from "./grid";
+export {
+  add,
+  below,
+  codes,
+  differences,
+  floats,
+  gather,
+  gridValues,
+  infinities,
+  interleave,
+  refineDigits,
+  sh0Axes,
+} from "./grid";
 export { countBits, extraBits, morton, mortonBits, sortedMeans } from "./means";
 export { packShn, packSplats } from "./pack";
 export { quats, swingTwist, swingTwistQuats } from "./rotations";

@@ -33,7 +33,7 @@ export function morton(classes: usize, rows: i32, bits: usize, x: usize, y: usiz
       code += leading + ((load<u64>(bits + (at >> 3)) >>> (at & 7)) & (leading - 1));
       at += count;
     }
-    if (code >>> MAX_CLASS != 0) return -1;
+    if (code >>> MAX_CLASS !== 0) return -1;
     let axes = ninth(code >>> 45);
     axes = (axes << 3) | ninth(code >>> 36);
     axes = (axes << 3) | ninth(code >>> 27);
@@ -47,16 +47,15 @@ export function morton(classes: usize, rows: i32, bits: usize, x: usize, y: usiz
   return 0;
 }
 
-@inline
 function ninth(code: u64): u64 {
-  return load<u64>(ninths + (<usize>(code & 511) << 3));
+  return load<u64>(ninths + ((<usize>(code & 511)) << 3));
 }
 
 function makeNinths(): void {
   for (let code: u64 = 0; code < 512; code++) {
     let value: u64 = 0;
     for (let bit: u64 = 0; bit < 9; bit++) value |= ((code >>> bit) & 1) << (bit / 3 + 21 * (bit % 3));
-    store<u64>(ninths + (<usize>code << 3), value);
+    store<u64>(ninths + ((<usize>code) << 3), value);
   }
   ninthsMade = true;
 }
@@ -94,15 +93,23 @@ export function extraBits(s0: usize, s1: usize, s2: usize, rows: i32, coefficien
 export function countBits(extra: usize, rows: i32, target: usize): void {
   memory.fill(target, 0, 64);
   for (let row = 0; row < rows; row++) {
-    const count = target + (<usize>load<u8>(extra + row) << 2);
+    const count = target + ((<usize>load<u8>(extra + row)) << 2);
     store<u32>(count, load<u32>(count) + 1);
   }
 }
 
 /** Means of coarse axis codes, extra bits and perhaps refinement bits; −1 for a fine code below 0. */
 export function sortedMeans(
-  x: usize, y: usize, z: usize, extra: usize, rows: i32, bits: usize,
-  refinement: usize, refinementBits: i32, axes: usize, targets: usize,
+  x: usize,
+  y: usize,
+  z: usize,
+  extra: usize,
+  rows: i32,
+  bits: usize,
+  refinement: usize,
+  refinementBits: i32,
+  axes: usize,
+  targets: usize,
 ): i32 {
   for (let axis = 0; axis < 3; axis++) {
     const step = load<f32>(axes + (axis << 3));
@@ -129,9 +136,9 @@ export function sortedMeans(
     const low = load<u64>(bits + (at >> 3)) >>> (at & 7);
     at += 3 * h;
     const to = row << 2;
-    let cx = (<u64>load<u32>(x + to) << h) | (low & mask);
-    let cy = (<u64>load<u32>(y + to) << h) | ((low >>> h) & mask);
-    let cz = (<u64>load<u32>(z + to) << h) | ((low >>> (2 * h)) & mask);
+    let cx = ((<u64>load<u32>(x + to)) << h) | (low & mask);
+    let cy = ((<u64>load<u32>(y + to)) << h) | ((low >>> h) & mask);
+    let cz = ((<u64>load<u32>(z + to)) << h) | ((low >>> (2 * h)) & mask);
     if (refinementBits > 0) {
       const more = load<u64>(refinement + (refinedAt >> 3)) >>> (refinedAt & 7);
       refinedAt += 3 * refinementBits;

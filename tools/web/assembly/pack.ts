@@ -26,7 +26,10 @@ export function packSplats(columns: usize, rows: i32, rgbMin: f32, rgbMax: f32, 
     );
     const w1 = v128.or(half(column(columns, 0, at)), i32x4.shl(half(column(columns, 1, at)), 16));
     const rotation = octahedral(
-      column(columns, 6, at), column(columns, 7, at), column(columns, 8, at), column(columns, 9, at),
+      column(columns, 6, at),
+      column(columns, 7, at),
+      column(columns, 8, at),
+      column(columns, 9, at),
     );
     const w2 = v128.or(half(column(columns, 2, at)), i32x4.shl(rotation, 16));
     const w3 = v128.or(
@@ -46,27 +49,23 @@ export function packSplats(columns: usize, rows: i32, rgbMin: f32, rgbMax: f32, 
   }
 }
 
-@inline
 function column(columns: usize, number: usize, at: i32): v128 {
   return v128.load(<usize>load<u32>(columns + (number << 2)) + at);
 }
 
 /** A byte of 0 to 255 from a number of 0 to 1; NaN gives 0. */
-@inline
 function byte(value: v128): v128 {
   const clamped = f32x4.min(f32x4.max(f32x4.mul(value, f32x4.splat(255)), f32x4.splat(0)), f32x4.splat(255));
   return i32x4.trunc_sat_f32x4_s(f32x4.nearest(clamped));
 }
 
-@inline
 function colour(sh0: v128, scale: v128, shift: v128): v128 {
   return byte(f32x4.add(f32x4.mul(sh0, scale), shift));
 }
 
 /** The logistic function of a logit, as a byte. */
-@inline
 function alpha(logit: v128): v128 {
-  const y = f32x4.max(f32x4.min(f32x4.mul(logit, f32x4.splat(-1.442695)), f32x4.splat(30)), f32x4.splat(-30));
+  const y = f32x4.max(f32x4.min(f32x4.mul(logit, f32x4.splat(-Mathf.LOG2E)), f32x4.splat(30)), f32x4.splat(-30));
   const whole = f32x4.floor(y);
   const f = f32x4.sub(y, whole);
   // 2^f for 0 ≤ f < 1 by the first terms of its series around ½: good to 3e-5.
@@ -79,7 +78,6 @@ function alpha(logit: v128): v128 {
 }
 
 /** A log scale as a byte of 1 to 255. */
-@inline
 function scale(log: v128): v128 {
   const steps = f32x4.mul(f32x4.sub(log, f32x4.splat(LOG_MIN)), f32x4.splat(LOG_STEPS));
   const clamped = f32x4.min(f32x4.max(steps, f32x4.splat(0)), f32x4.splat(254));
@@ -87,7 +85,6 @@ function scale(log: v128): v128 {
 }
 
 /** Half floats, rounded to nearest; below the normal range by float arithmetic, above it the largest. */
-@inline
 function half(value: v128): v128 {
   const sign = v128.and(i32x4.shr_u(value, 16), i32x4.splat(0x8000));
   const magnitude = f32x4.min(f32x4.abs(value), f32x4.splat(65504));
@@ -101,7 +98,6 @@ function half(value: v128): v128 {
 }
 
 /** A rotation as its axis on an octahedron, two bytes, and its angle, one byte. */
-@inline
 function octahedral(w: v128, x: v128, y: v128, z: v128): v128 {
   const zero = f32x4.splat(0);
   const one = f32x4.splat(1);
@@ -120,10 +116,9 @@ function octahedral(w: v128, x: v128, y: v128, z: v128): v128 {
 }
 
 /** 2·acos(w)/π as a byte, by Abramowitz and Stegun 4.4.45: good to 7e-5 radians. */
-@inline
 function angle(w: v128): v128 {
   const c = f32x4.min(f32x4.max(w, f32x4.splat(0)), f32x4.splat(1));
-  let series = f32x4.add(f32x4.mul(f32x4.splat(-0.0187293), c), f32x4.splat(0.0742610));
+  let series = f32x4.add(f32x4.mul(f32x4.splat(-0.0187293), c), f32x4.splat(0.074261));
   series = f32x4.add(f32x4.mul(series, c), f32x4.splat(-0.2121144));
   series = f32x4.add(f32x4.mul(series, c), f32x4.splat(1.5707288));
   const acos = f32x4.mul(f32x4.sqrt(f32x4.sub(f32x4.splat(1), c)), series);
@@ -137,7 +132,7 @@ function angle(w: v128): v128 {
  * @param range - Magnitude that the largest code stands for.
  */
 export function packShn(source: usize, rows: i32, degree: i32, range: f32, sh1: usize, sh2: usize, sh3: usize): void {
-  const stride: usize = degree == 3 ? 180 : degree == 2 ? 96 : 36;
+  const stride: usize = degree === 3 ? 180 : degree === 2 ? 96 : 36;
   const scale7 = f32x4.splat(63 / range);
   const scale8 = f32x4.splat(127 / range);
   const scale6 = f32x4.splat(31 / range);
@@ -147,23 +142,33 @@ export function packShn(source: usize, rows: i32, degree: i32, range: f32, sh1: 
   let from = source;
   for (let row = 0; row < rows; row++, from += stride) {
     const low = bytes(
-      quantise(from, scale7, most7), quantise(from + 16, scale7, most7), quantise(from + 32, scale7, most7), f32x4.splat(0),
+      quantise(from, scale7, most7),
+      quantise(from + 16, scale7, most7),
+      quantise(from + 32, scale7, most7),
+      f32x4.splat(0),
     );
     const ninth = <u64>i8x16.extract_lane_u(low, 8) & 127;
     store<u64>(sh1 + (row << 3), squeeze7(i64x2.extract_lane(low, 0)) | (ninth << 56));
     if (degree < 2) continue;
     const middle = bytes(
-      quantise(from + 36, scale8, most8), quantise(from + 52, scale8, most8), quantise(from + 68, scale8, most8),
+      quantise(from + 36, scale8, most8),
+      quantise(from + 52, scale8, most8),
+      quantise(from + 68, scale8, most8),
       quantise(from + 84, scale8, most8),
     );
     v128.store(sh2 + (row << 4), i8x16.replace_lane(middle, 15, 0));
     if (degree < 3) continue;
     const high = bytes(
-      quantise(from + 96, scale6, most6), quantise(from + 112, scale6, most6), quantise(from + 128, scale6, most6),
+      quantise(from + 96, scale6, most6),
+      quantise(from + 112, scale6, most6),
+      quantise(from + 128, scale6, most6),
       quantise(from + 144, scale6, most6),
     );
     const rest = bytes(
-      quantise(from + 160, scale6, most6), quantise(from + 176, scale6, most6), f32x4.splat(0), f32x4.splat(0),
+      quantise(from + 160, scale6, most6),
+      quantise(from + 176, scale6, most6),
+      f32x4.splat(0),
+      f32x4.splat(0),
     );
     const a = squeeze6(i64x2.extract_lane(high, 0));
     const b = squeeze6(i64x2.extract_lane(high, 1));
@@ -173,19 +178,16 @@ export function packShn(source: usize, rows: i32, degree: i32, range: f32, sh1: 
   }
 }
 
-@inline
 function quantise(from: usize, scale: v128, most: v128): v128 {
   const value = f32x4.mul(v128.load(from), scale);
   return i32x4.trunc_sat_f32x4_s(f32x4.nearest(f32x4.max(f32x4.min(value, most), f32x4.neg(most))));
 }
 
-@inline
 function bytes(a: v128, b: v128, c: v128, d: v128): v128 {
   return i8x16.narrow_i16x8_s(i16x8.narrow_i32x4_s(a, b), i16x8.narrow_i32x4_s(c, d));
 }
 
 /** The low seven bits of eight bytes, side by side. */
-@inline
 function squeeze7(value: u64): u64 {
   let x = (value & 0x007f007f007f007f) | ((value & 0x7f007f007f007f00) >>> 1);
   x = (x & 0x00003fff00003fff) | ((x & 0x3fff00003fff0000) >>> 2);
@@ -193,7 +195,6 @@ function squeeze7(value: u64): u64 {
 }
 
 /** The low six bits of eight bytes, side by side. */
-@inline
 function squeeze6(value: u64): u64 {
   let x = (value & 0x003f003f003f003f) | ((value & 0x3f003f003f003f00) >>> 2);
   x = (x & 0x00000fff00000fff) | ((x & 0x0fff00000fff0000) >>> 4);

@@ -16,7 +16,7 @@ export function swingTwist(extra: usize, rows: i32, planes: usize, low: usize, t
       const e = max<i32>(h - SYMBOL_BITS, 0);
       const rest = (load<u32>(low + (at >> 3)) >>> (at & 7)) & ((1 << e) - 1);
       at += e;
-      const code = (<i32>load<u8>(<usize>from) << e) | rest;
+      const code = ((<i32>load<u8>(<usize>from)) << e) | rest;
       bad |= i32(code > 1 << h);
       // 2^(1 − h), exact.
       value = <f32>code * reinterpret<f32>((128 - h) << 23) - 1;
@@ -40,9 +40,7 @@ export function swingTwistQuats(a: usize, b: usize, c: usize, rows: i32, targets
     const z = v128.load(c + at);
     const x = f32x4.add(av, f32x4.mul(bv, z));
     const y = f32x4.sub(bv, f32x4.mul(av, z));
-    const norm = f32x4.sqrt(
-      f32x4.add(f32x4.add(f32x4.add(one, f32x4.mul(x, x)), f32x4.mul(y, y)), f32x4.mul(z, z)),
-    );
+    const norm = f32x4.sqrt(f32x4.add(f32x4.add(f32x4.add(one, f32x4.mul(x, x)), f32x4.mul(y, y)), f32x4.mul(z, z)));
     v128.store(tw + at, f32x4.div(one, norm));
     v128.store(tx + at, f32x4.div(x, norm));
     v128.store(ty + at, f32x4.div(y, norm));
@@ -64,11 +62,11 @@ export function quats(a: usize, b: usize, c: usize, rows: i32, largest: i32, pla
     const left = plane ? <i32>load<u8>(plane + row) : largest;
     const sum: f32 = av * av + bv * bv + cv * cv;
     const rest = sqrt<f32>(max<f32>(1 - sum, 0));
-    let w = left == 0 ? rest : av;
-    let x = left == 0 ? av : left == 1 ? rest : bv;
-    let y = left <= 1 ? bv : left == 2 ? rest : cv;
-    let z = left == 3 ? rest : cv;
-    let norm = sqrt<f32>(w * w + x * x + y * y + z * z);
+    let w = left === 0 ? rest : av;
+    let x = left === 0 ? av : left === 1 ? rest : bv;
+    let y = left <= 1 ? bv : left === 2 ? rest : cv;
+    let z = left === 3 ? rest : cv;
+    const norm = sqrt<f32>(w * w + x * x + y * y + z * z);
     w /= norm;
     x /= norm;
     y /= norm;

@@ -1,9 +1,7 @@
 // A decoder of one zstd frame, written from RFC 8878. The caller has checked the frame header and the chain of blocks
 // (src/streams/zstd_frame.ts): no dictionary, no checksum, blocks that end where the frame does.
 
-import {
-  consumed, constant, huffmanTable, predefined, readFse, readHuffman, tableLog,
-} from "./zstd_tables";
+import { constant, consumed, huffmanTable, predefined, readFse, readHuffman, tableLog } from "./zstd_tables";
 
 const MAX_BLOCK: i32 = 131072;
 
@@ -45,9 +43,9 @@ let literalCount: i32 = 0;
 /** Decompress a frame of exactly `length` bytes; −1 where it is damaged or gives another number of bytes. */
 export function zstd(source: usize, sourceLength: i32, target: usize, length: i32): i32 {
   const descriptor = load<u8>(source + 4);
-  const single = (descriptor & 0x20) != 0;
+  const single = (descriptor & 0x20) !== 0;
   const flag = descriptor >> 6;
-  const sizeBytes = flag == 0 ? (single ? 1 : 0) : 1 << flag;
+  const sizeBytes = flag === 0 ? (single ? 1 : 0) : 1 << flag;
   let at = source + 5 + (single ? 0 : 1) + sizeBytes;
   let out = target;
   const end = target + length;
@@ -63,27 +61,27 @@ export function zstd(source: usize, sourceLength: i32, target: usize, length: i3
     const size = <i32>(header >> 3);
     const type = (header >> 1) & 3;
     at += 3;
-    if (type == 2) {
+    if (type === 2) {
       const next = block(at, size, target, out, end);
-      if (next == 0) return -1;
+      if (next === 0) return -1;
       out = next;
     } else {
       if (out + size > end) return -1;
-      if (type == 0) memory.copy(out, at, size);
+      if (type === 0) memory.copy(out, at, size);
       else memory.fill(out, load<u8>(at), size);
       out += size;
     }
-    at += type == 1 ? 1 : size;
+    at += type === 1 ? 1 : size;
     if (header & 1) break;
   }
-  return out == end && at == source + sourceLength ? 0 : -1;
+  return out === end && at === source + sourceLength ? 0 : -1;
 }
 
 /** Decompress one block; where its bytes end, or 0 where it is damaged. */
 function block(source: usize, size: i32, frame: usize, out: usize, end: usize): usize {
   const blockEnd = source + size;
   let at = readLiterals(source, blockEnd);
-  if (at == 0 || at >= blockEnd) return 0;
+  if (at === 0 || at >= blockEnd) return 0;
   let count = <i32>load<u8>(at++);
   if (count >= 128) {
     if (count < 255) {
@@ -93,14 +91,14 @@ function block(source: usize, size: i32, frame: usize, out: usize, end: usize): 
       at += 2;
     }
   }
-  if (count == 0) {
-    if (at != blockEnd || out + literalCount > end) return 0;
+  if (count === 0) {
+    if (at !== blockEnd || out + literalCount > end) return 0;
     memory.copy(out, literalStart, literalCount);
     return out + literalCount;
   }
   if (at >= blockEnd) return 0;
   const modes = load<u8>(at++);
-  if ((modes & 3) != 0) return 0;
+  if ((modes & 3) !== 0) return 0;
   lengthLog = readTable(modes >> 6, at, blockEnd, lengthTable, 0, lengthLog);
   if (lengthLog < 0) return 0;
   offsetLog = readTable((modes >> 4) & 3, at + consumedBytes, blockEnd, offsetTable, 1, offsetLog);
@@ -115,11 +113,11 @@ let consumedBytes: usize = 0;
 
 /** Read one of the three tables; the bits of its states, or −1. */
 function readTable(mode: u32, at: usize, end: usize, table: usize, which: i32, previous: i32): i32 {
-  if (which == 0) consumedBytes = 0;
-  if (mode == 0) return predefined(which, table);
-  if (mode == 3) return previous;
-  const maxSymbol = which == 0 ? 35 : which == 1 ? 31 : 52;
-  if (mode == 1) {
+  if (which === 0) consumedBytes = 0;
+  if (mode === 0) return predefined(which, table);
+  if (mode === 3) return previous;
+  const maxSymbol = which === 0 ? 35 : which === 1 ? 31 : 52;
+  if (mode === 1) {
     if (at >= end) return -1;
     const symbol = load<u8>(at);
     if (symbol > <u8>maxSymbol) return -1;
@@ -127,7 +125,7 @@ function readTable(mode: u32, at: usize, end: usize, table: usize, which: i32, p
     consumedBytes += 1;
     return 0;
   }
-  if (!readFse(at, end, table, maxSymbol, which == 1 ? 8 : 9)) return -1;
+  if (!readFse(at, end, table, maxSymbol, which === 1 ? 8 : 9)) return -1;
   consumedBytes += consumed;
   return tableLog;
 }
@@ -140,10 +138,10 @@ function readLiterals(source: usize, end: usize): usize {
   if (type < 2) {
     let size: i32;
     let at = source;
-    if ((format & 1) == 0) {
+    if ((format & 1) === 0) {
       size = first >> 3;
       at += 1;
-    } else if (format == 1) {
+    } else if (format === 1) {
       size = load<u16>(source) >> 4;
       at += 2;
     } else {
@@ -152,7 +150,7 @@ function readLiterals(source: usize, end: usize): usize {
     }
     if (size > MAX_BLOCK) return 0;
     literalCount = size;
-    if (type == 0) {
+    if (type === 0) {
       literalStart = at;
       return at + size <= end ? at + size : 0;
     }
@@ -162,23 +160,23 @@ function readLiterals(source: usize, end: usize): usize {
     return at + 1;
   }
   const header = load<u64>(source) >> 4;
-  const bits: u64 = format < 2 ? 10 : format == 2 ? 14 : 18;
+  const bits: u64 = format < 2 ? 10 : format === 2 ? 14 : 18;
   const mask: u64 = ((<u64>1) << bits) - 1;
   const size = <i32>(header & mask);
   const stored = <i32>((header >> bits) & mask);
-  let at = source + (format < 2 ? 3 : format == 2 ? 4 : 5);
+  let at = source + (format < 2 ? 3 : format === 2 ? 4 : 5);
   const sectionEnd = at + stored;
   if (size > MAX_BLOCK || sectionEnd > end) return 0;
-  if (type == 2) {
+  if (type === 2) {
     if (!readHuffman(at, sectionEnd)) return 0;
     huffmanLog = tableLog;
     at += consumed;
-  } else if (huffmanLog == 0) {
+  } else if (huffmanLog === 0) {
     return 0;
   }
   literalStart = literals;
   literalCount = size;
-  if (format == 0) return huffman(at, sectionEnd, literals, size) ? sectionEnd : 0;
+  if (format === 0) return huffman(at, sectionEnd, literals, size) ? sectionEnd : 0;
   const part = (size + 3) >> 2;
   const s1 = <usize>load<u16>(at);
   const s2 = <usize>load<u16>(at + 2);
@@ -196,7 +194,7 @@ function huffmanFour(source: usize, s1: usize, s2: usize, s3: usize, end: usize,
   const start1 = source + s1;
   const start2 = start1 + s2;
   const start3 = start2 + s3;
-  if (s1 == 0 || s2 == 0 || s3 == 0) return false;
+  if (s1 === 0 || s2 === 0 || s3 === 0) return false;
   if (!load<u8>(start1 - 1) || !load<u8>(start2 - 1) || !load<u8>(start3 - 1) || !load<u8>(end - 1)) return false;
   const log = huffmanLog;
   const mask = (1 << log) - 1;
@@ -236,19 +234,20 @@ function huffmanFour(source: usize, s1: usize, s2: usize, s3: usize, end: usize,
     at3 -= 57 - bits3;
   }
   const done = <i32>(out - literals);
-  return huffmanFrom(source, at0, out, part - done) && huffmanFrom(start1, at1, out + part, part - done) &&
+  return (
+    huffmanFrom(source, at0, out, part - done) &&
+    huffmanFrom(start1, at1, out + part, part - done) &&
     huffmanFrom(start2, at2, out + 2 * part, part - done) &&
-    huffmanFrom(start3, at3, out + 3 * part, size - 3 * part - done);
+    huffmanFrom(start3, at3, out + 3 * part, size - 3 * part - done)
+  );
 }
 
 /** Bits of a stream that ends at `end`: those below the highest bit that is set in its last byte. */
-@inline
 function firstBit(start: usize, end: usize): i32 {
   return ((<i32>(end - start)) << 3) - (<i32>clz<u32>(load<u8>(end - 1)) - 23);
 }
 
 /** The 57 bits below bit `at` of a stream. */
-@inline
 function wordBelow(start: usize, at: i32): u64 {
   const base = at - 57;
   return load<u64>(start + (base >> 3)) >>> (base & 7);
@@ -256,7 +255,7 @@ function wordBelow(start: usize, at: i32): u64 {
 
 /** Decode one Huffman stream, from its last bit to its first; false unless it ends with its first bit. */
 function huffman(start: usize, end: usize, target: usize, count: i32): bool {
-  if (start >= end || load<u8>(end - 1) == 0) return false;
+  if (start >= end || load<u8>(end - 1) === 0) return false;
   return huffmanFrom(start, firstBit(start, end), target, count);
 }
 
@@ -282,20 +281,23 @@ function huffmanFrom(start: usize, from: i32, target: usize, count: i32): bool {
   for (; out < last; out++) {
     // Bits before the first one count as 0.
     const low = at - log;
-    const index = low >= 0
-      ? <i32>(load<u32>(start + (low >> 3)) >>> (low & 7)) & mask
-      : at > 0 ? ((<i32>load<u32>(start) & ((1 << at) - 1)) << -low) & mask : 0;
-    const entry = <u32>load<u16>(huffmanTable + (<usize>index << 1));
+    const index =
+      low >= 0
+        ? <i32>(load<u32>(start + (low >> 3)) >>> (low & 7)) & mask
+        : at > 0
+          ? ((<i32>load<u32>(start) & ((1 << at) - 1)) << -low) & mask
+          : 0;
+    const entry = <u32>load<u16>(huffmanTable + ((<usize>index) << 1));
     store<u8>(out, <u8>entry);
     at -= <i32>(entry >> 8);
     if (at < 0) return false;
   }
-  return at == 0;
+  return at === 0;
 }
 
 /** Carry out the sequences of a block (RFC 8878, 3.1.1.4); where its bytes end, or 0 where it is damaged. */
 function sequences(start: usize, end: usize, count: i32, frame: usize, out: usize, outEnd: usize): usize {
-  if (start >= end || load<u8>(end - 1) == 0) return 0;
+  if (start >= end || load<u8>(end - 1) === 0) return 0;
   let at = ((<i32>(end - start)) << 3) - (<i32>clz<u32>(load<u8>(end - 1)) - 23);
   at -= lengthLog + offsetLog + matchLog;
   if (at < 0) return 0;
@@ -305,9 +307,9 @@ function sequences(start: usize, end: usize, count: i32, frame: usize, out: usiz
   let literal = literalStart;
   const literalEnd = literalStart + literalCount;
   for (let i = 0; i < count; i++) {
-    const lengthEntry = load<u32>(lengthTable + (<usize>lengthState << 2));
-    const offsetEntry = load<u32>(offsetTable + (<usize>offsetState << 2));
-    const matchEntry = load<u32>(matchTable + (<usize>matchState << 2));
+    const lengthEntry = load<u32>(lengthTable + ((<usize>lengthState) << 2));
+    const offsetEntry = load<u32>(offsetTable + ((<usize>offsetState) << 2));
+    const matchEntry = load<u32>(matchTable + ((<usize>matchState) << 2));
     const offsetCode = <i32>(offsetEntry & 255);
     const lengthCode = <usize>(lengthEntry & 255);
     const matchCode = <usize>(matchEntry & 255);
@@ -315,7 +317,7 @@ function sequences(start: usize, end: usize, count: i32, frame: usize, out: usiz
     const lengthBits = <i32>load<u8>(LENGTH_BITS + lengthCode);
     at -= offsetCode;
     if (at < 0) return 0;
-    const offsetValue = (<u32>1 << offsetCode) + take(start, at, offsetCode);
+    const offsetValue = ((<u32>1) << offsetCode) + take(start, at, offsetCode);
     at -= matchBits;
     if (at < 0) return 0;
     const matchLength = <i32>(load<u32>(MATCH_BASE + (matchCode << 2)) + take(start, at, matchBits));
@@ -339,12 +341,12 @@ function sequences(start: usize, end: usize, count: i32, frame: usize, out: usiz
       rep1 = rep0;
       rep0 = offset;
     } else {
-      const which = offsetValue + (literalLength == 0 ? 1 : 0);
-      if (which == 1) {
+      const which = offsetValue + (literalLength === 0 ? 1 : 0);
+      if (which === 1) {
         offset = rep0;
       } else {
-        offset = which == 2 ? rep1 : which == 3 ? rep2 : rep0 - 1;
-        if (which != 2) rep2 = rep1;
+        offset = which === 2 ? rep1 : which === 3 ? rep2 : rep0 - 1;
+        if (which !== 2) rep2 = rep1;
         rep1 = rep0;
         rep0 = offset;
       }
@@ -353,34 +355,31 @@ function sequences(start: usize, end: usize, count: i32, frame: usize, out: usiz
     copy(out, literal, literalLength);
     literal += literalLength;
     out += literalLength;
-    if (offset == 0 || <usize>offset > out - frame) return 0;
+    if (offset === 0 || <usize>offset > out - frame) return 0;
     copyMatch(out, offset, matchLength);
     out += matchLength;
   }
-  if (at != 0) return 0;
+  if (at !== 0) return 0;
   const rest = <i32>(literalEnd - literal);
   if (out + rest > outEnd) return 0;
   memory.copy(out, literal, rest);
   return out + rest;
 }
 
-@inline
 function take(start: usize, at: i32, count: i32): u32 {
   return <u32>((load<u64>(start + (at >> 3)) >>> (at & 7)) & (((<u64>1) << count) - 1));
 }
 
 /** Copy whole vectors; up to 15 bytes behind the end are written as well, and written again later. */
-@inline
 function copy(target: usize, source: usize, count: i32): void {
   for (let i = 0; i < count; i += 16) v128.store(target + i, v128.load(source + i));
 }
 
-@inline
 function copyMatch(target: usize, offset: u32, count: i32): void {
   const source = target - offset;
   if (offset >= 16) {
     copy(target, source, count);
-  } else if (offset == 1) {
+  } else if (offset === 1) {
     const value = i8x16.splat(load<i8>(source));
     for (let i = 0; i < count; i += 16) v128.store(target + i, value);
   } else {

@@ -29,10 +29,10 @@ const OFFSETS = memory.data<i8>([
 
 /** Build a table of a predefined distribution: 0 literal lengths, 1 offsets, 2 match lengths. */
 export function predefined(which: i32, table: usize): i32 {
-  const from = which == 0 ? LITERAL_LENGTHS : which == 1 ? OFFSETS : MATCH_LENGTHS;
-  const count = which == 0 ? 36 : which == 1 ? 29 : 53;
+  const from = which === 0 ? LITERAL_LENGTHS : which === 1 ? OFFSETS : MATCH_LENGTHS;
+  const count = which === 0 ? 36 : which === 1 ? 29 : 53;
   for (let s = 0; s < count; s++) store<i16>(frequencies + ((<usize>s) << 1), load<i8>(from + s));
-  const log = which == 1 ? 5 : 6;
+  const log = which === 1 ? 5 : 6;
   build(table, count, log);
   return log;
 }
@@ -64,17 +64,17 @@ export function readFse(source: usize, end: usize, table: usize, maxSymbol: i32,
     remaining -= probability < 0 ? 1 : probability;
     store<i16>(frequencies + ((<usize>symbol) << 1), <i16>probability);
     symbol++;
-    if (probability == 0) {
+    if (probability === 0) {
       let repeat: i32;
       do {
         repeat = <i32>(load<u16>(source + (at >> 3)) >>> (at & 7)) & 3;
         at += 2;
         if (at > bits || symbol + repeat > maxSymbol + 1) return false;
         for (let i = 0; i < repeat; i++, symbol++) store<i16>(frequencies + ((<usize>symbol) << 1), 0);
-      } while (repeat == 3);
+      } while (repeat === 3);
     }
   }
-  if (remaining != 0) return false;
+  if (remaining !== 0) return false;
   build(table, symbol, log);
   consumed = (at + 7) >> 3;
   tableLog = log;
@@ -92,7 +92,7 @@ function build(table: usize, symbols: i32, log: i32): void {
   let high = size;
   for (let s = 0; s < symbols; s++) {
     const frequency = <i32>load<i16>(frequencies + ((<usize>s) << 1));
-    if (frequency == -1) {
+    if (frequency === -1) {
       high--;
       store<u32>(table + ((<usize>high) << 2), s);
       store<u16>(states + ((<usize>s) << 1), 1);
@@ -115,8 +115,8 @@ function build(table: usize, symbols: i32, log: i32): void {
   for (let i = 0; i < size; i++) {
     const entry = table + ((<usize>i) << 2);
     const symbol = load<u32>(entry);
-    const next = <i32>load<u16>(states + (<usize>symbol << 1));
-    store<u16>(states + (<usize>symbol << 1), <u16>(next + 1));
+    const next = <i32>load<u16>(states + ((<usize>symbol) << 1));
+    store<u16>(states + ((<usize>symbol) << 1), <u16>(next + 1));
     const bits = log - (31 - clz<i32>(next));
     store<u32>(entry, symbol | (bits << 8) | (((next << bits) - size) << 16));
   }
@@ -149,7 +149,7 @@ function readWeights(source: usize, end: usize): i32 {
   if (!readFse(source, end, weightTable, 255, 6)) return -1;
   const log = tableLog;
   const start = source + consumed;
-  if (start >= end || load<u8>(end - 1) == 0) return -1;
+  if (start >= end || load<u8>(end - 1) === 0) return -1;
   let at = ((<i32>(end - start)) << 3) - (<i32>clz<u32>(load<u8>(end - 1)) - 23);
   at -= log;
   let first = bitsAt(start, at, log);
@@ -158,14 +158,14 @@ function readWeights(source: usize, end: usize): i32 {
   if (at < 0) return -1;
   let count = 0;
   while (true) {
-    const entry = load<u32>(weightTable + (<usize>first << 2));
+    const entry = load<u32>(weightTable + ((<usize>first) << 2));
     store<u8>(weights + count++, <u8>entry);
     const bits = <i32>((entry >> 8) & 255);
     at -= bits;
     if (at < 0) {
       // The other state still gives the symbol that it stands for.
       if (count > 254) return -1;
-      store<u8>(weights + count++, <u8>load<u32>(weightTable + (<usize>second << 2)));
+      store<u8>(weights + count++, <u8>load<u32>(weightTable + ((<usize>second) << 2)));
       return count;
     }
     if (count > 254) return -1;
@@ -189,18 +189,18 @@ function buildHuffman(count: i32): bool {
     if (weight > 12) return false;
     if (weight > 0) sum += 1 << (weight - 1);
   }
-  if (sum == 0) return false;
+  if (sum === 0) return false;
   const log = 32 - <i32>clz<u32>(sum);
   if (log > HUFFMAN_BITS) return false;
-  const left = (<u32>1 << log) - sum;
-  if (left == 0 || (left & (left - 1)) != 0) return false;
+  const left = ((<u32>1) << log) - sum;
+  if (left === 0 || (left & (left - 1)) !== 0) return false;
   store<u8>(weights + count, <u8>(32 - clz<u32>(left)));
   count++;
   let at: usize = huffmanTable;
   for (let weight = 1; weight <= log; weight++) {
     const entries = 1 << (weight - 1);
     for (let symbol = 0; symbol < count; symbol++) {
-      if (load<u8>(weights + symbol) != weight) continue;
+      if (load<u8>(weights + symbol) !== weight) continue;
       const entry = <u16>(symbol | ((log + 1 - weight) << 8));
       for (let i = 0; i < entries; i++) {
         store<u16>(at, entry);

@@ -26,36 +26,45 @@ async function contestants() {
   for (const type of ["spz", "splat"]) {
     const bytes = await bytesOf(`${name}.${type}`);
     if (bytes === undefined) continue;
-    found.push([`${type} by Spark`, async () => {
-      // A copy, because Spark hands the bytes to its worker.
-      const splats = new PackedSplats({ fileBytes: bytes.slice(), fileType: type });
-      await splats.initialized;
-      const { numSplats } = splats;
-      splats.dispose();
-      return numSplats;
-    }]);
+    found.push([
+      `${type} by Spark`,
+      async () => {
+        // A copy, because Spark hands the bytes to its worker.
+        const splats = new PackedSplats({ fileBytes: bytes.slice(), fileType: type });
+        await splats.initialized;
+        const { numSplats } = splats;
+        splats.dispose();
+        return numSplats;
+      },
+    ]);
   }
   const meta = await fetch(`${name}/meta.json`).then((response) => (response.ok ? response.json() : undefined));
   if (meta !== undefined) {
     const names = Object.values(meta).flatMap((part) => part?.files ?? []);
     const images = await Promise.all(names.map((image) => bytesOf(`${name}/${image}`)));
-    found.push(["SOG, its WebP alone, by the browser", async () => {
-      for (const image of images) {
-        const bitmap = await createImageBitmap(new Blob([image]), { premultiplyAlpha: "none", colorSpaceConversion: "none" });
-        const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
-        context.drawImage(bitmap, 0, 0);
-        context.getImageData(0, 0, bitmap.width, bitmap.height);
-        bitmap.close();
-      }
-      return meta.count ?? meta.means.shape[0];
-    }]);
+    found.push([
+      "SOG, its WebP alone, by the browser",
+      async () => {
+        for (const image of images) {
+          const bitmap = await createImageBitmap(new Blob([image]), {
+            premultiplyAlpha: "none",
+            colorSpaceConversion: "none",
+          });
+          const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
+          context.drawImage(bitmap, 0, 0);
+          context.getImageData(0, 0, bitmap.width, bitmap.height);
+          bitmap.close();
+        }
+        return meta.count ?? meta.means.shape[0];
+      },
+    ]);
   }
   return found;
 }
 
 const all = await contestants();
 const times = all.map(() => []);
-let splats = [];
+const splats = [];
 for (let round = 0; round <= rounds; round++) {
   for (const [i, [, decode]] of all.entries()) {
     const start = performance.now();

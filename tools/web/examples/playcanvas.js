@@ -43,7 +43,13 @@ function look({ position, right, up, back, fieldOfView }) {
 
 // For programs that drive this page.
 const example = {
-  scene, look, frames: 0, complete: false, app, entity, resource: shown.resource,
+  scene,
+  look,
+  frames: 0,
+  complete: false,
+  app,
+  entity,
+  resource: shown.resource,
   dispose() {
     entity.destroy();
     shown.dispose();

@@ -12,7 +12,13 @@ export function poseOf({ height, fy, rotation, translation }, axes) {
   const turned = (v) => [0, 1, 2].map((row) => v.reduce((sum, value, i) => sum + matrix[3 * row + i] * value, 0));
   const row = (i, sign) => turned(Array.from(rotation.slice(3 * i, 3 * i + 3), (value) => sign * value));
   const centre = [0, 1, 2].map((i) => -[0, 1, 2].reduce((sum, j) => sum + rotation[3 * j + i] * translation[j], 0));
-  return { position: turned(centre), right: row(0, 1), up: row(1, -1), back: row(2, -1), fieldOfView: 2 * Math.atan(height / (2 * fy)) };
+  return {
+    position: turned(centre),
+    right: row(0, 1),
+    up: row(1, -1),
+    back: row(2, -1),
+    fieldOfView: 2 * Math.atan(height / (2 * fy)),
+  };
 }
 
 /** Where to begin: the scene's first view, or so far away that its box fits into the picture. */

@@ -40,7 +40,11 @@ renderer.setAnimationLoop(() => {
 
 /** Put the camera where a pose of `pose.js` says. */
 function look({ position, right, up, back, fieldOfView }) {
-  const axes = new THREE.Matrix4().makeBasis(new THREE.Vector3(...right), new THREE.Vector3(...up), new THREE.Vector3(...back));
+  const axes = new THREE.Matrix4().makeBasis(
+    new THREE.Vector3(...right),
+    new THREE.Vector3(...up),
+    new THREE.Vector3(...back),
+  );
   camera.position.set(...position);
   camera.quaternion.setFromRotationMatrix(axes);
   camera.fov = THREE.MathUtils.radToDeg(fieldOfView);

@@ -1,6 +1,6 @@
 // What a browser has decoded of a scene at each moment while its file comes: COGS by this package, other formats by
 // Spark's decoders. The page of tools/lab/benchmark/time_to_picture.py; everything is kept as packed splats.
-import { DecoderPool, SH_WORDS, shiftPacked, StreamedScene } from "./cogsplat.js";
+import { DecoderPool, SH_WORDS, StreamedScene, shiftPacked } from "./cogsplat.js";
 
 /** Shortest time between two copies of what is there, ms. */
 const COPY_INTERVAL = 30;
@@ -16,7 +16,13 @@ async function streamCogs(url, since) {
   const shifted = new Set();
   let encoding;
   const copy = () => {
-    copies.push({ seconds: since(), words: words.slice(), sh: sh.map((band) => band.slice()), encoding, count: splats });
+    copies.push({
+      seconds: since(),
+      words: words.slice(),
+      sh: sh.map((band) => band.slice()),
+      encoding,
+      count: splats,
+    });
   };
   let copied = -Infinity;
   let changed = false;
@@ -27,7 +33,9 @@ async function streamCogs(url, since) {
       if (chunk !== update.chunk && shifts === undefined && !shifted.has(chunk)) continue;
       if (shifts === undefined) words.set(packed.words, 4 * firstRow);
       else shiftPacked(packed.words, shifts, words, 4 * firstRow);
-      packed.sh.forEach((band, i) => sh[i].set(band, SH_WORDS[i] * firstRow));
+      packed.sh.forEach((band, i) => {
+        sh[i].set(band, SH_WORDS[i] * firstRow);
+      });
       if (shifts === undefined) shifted.delete(chunk);
       else shifted.add(chunk);
     }

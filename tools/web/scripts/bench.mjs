@@ -1,7 +1,6 @@
 // Decoding speed of one file: node scripts/bench.mjs SCENE.cogs [seconds]
 import { readFileSync } from "node:fs";
 import { loadKernels } from "../build/src/kernels/load.js";
-import { JavascriptKernels } from "../build/src/kernels/javascript.js";
 import { SceneFile } from "../build/src/scene/scene_file.js";
 
 const [path, seconds = "3"] = process.argv.slice(2);
@@ -18,13 +17,16 @@ function measure(name, decodeAll) {
     const { user, system } = process.cpuUsage(start);
     best = Math.min(best, (user + system) / 1e6);
   } while (process.cpuUsage().user < until);
-  console.log(`${name}: ${splats} splats in ${(best * 1e3).toFixed(1)} ms of CPU time, ${(splats / best / 1e6).toFixed(2)} M/s`);
+  console.log(
+    `${name}: ${splats} splats in ${(best * 1e3).toFixed(1)} ms of CPU time, ${(splats / best / 1e6).toFixed(2)} M/s`,
+  );
 }
 
 function reader(file) {
   return () => {
     let splats = 0;
-    for (let chunk = 0; chunk < file.prefixChunks; chunk++) splats += file.decodeChunk(chunk, undefined, !process.env.COARSE).count;
+    for (let chunk = 0; chunk < file.prefixChunks; chunk++)
+      splats += file.decodeChunk(chunk, undefined, !process.env.COARSE).count;
     return splats;
   };
 }
@@ -40,4 +42,3 @@ function viewer(file) {
 console.log(`${path}: ${bytes.length} bytes`);
 measure("reader, wasm", reader(new SceneFile(bytes, wasm())));
 measure("viewer, wasm", viewer(new SceneFile(bytes, wasm())));
-if (process.argv.includes("--javascript")) measure("reader, javascript", reader(new SceneFile(bytes, new JavascriptKernels())));

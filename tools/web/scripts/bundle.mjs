@@ -1,10 +1,11 @@
 // Bundles build/src: the library, the program of its workers and the viewer, without a dependency.
 // node scripts/bundle.mjs FOLDER
-import { copyFileSync, readFileSync } from "node:fs";
+import { copyFileSync, readFileSync, rmSync } from "node:fs";
 import { gzipSync } from "node:zlib";
 import { build } from "esbuild";
 
 const [folder] = process.argv.slice(2);
+rmSync(folder, { recursive: true, force: true });
 const common = {
   outdir: folder,
   bundle: true,
@@ -31,7 +32,11 @@ const errorsOfLibrary = {
   name: "errors of the library",
   setup: ({ onResolve }) => onResolve({ filter: /\/errors\.js$/ }, () => ({ path: "./cogsplat.js", external: true })),
 };
-await build({ ...common, entryPoints: { folders: "build/src/loader/folders.js", visit: "build/src/loader/visit.js" }, plugins: [errorsOfLibrary] });
+await build({
+  ...common,
+  entryPoints: { folders: "build/src/loader/folders.js", visit: "build/src/loader/visit.js" },
+  plugins: [errorsOfLibrary],
+});
 for (const file of ["viewer.html", "viewer.css"]) copyFileSync(`viewer/${file}`, `${folder}/${file}`);
 for (const file of ["cogsplat.js", "folders.js", "visit.js", "worker.js", "viewer.js", "viewer_worker.js"]) {
   const bytes = readFileSync(`${folder}/${file}`);

@@ -1,15 +1,14 @@
 // This package behind the protocol of docs/conformance.md:
-// cogsplat conformance run --decoder 'node scripts/conformance_decoder.mjs [wasm|javascript]'
+// cogsplat conformance run --decoder 'node scripts/conformance_decoder.mjs'
 import { createHash } from "node:crypto";
 import { existsSync, readFileSync, writeFileSync } from "node:fs";
-import { createInterface } from "node:readline";
 import { dirname, join } from "node:path";
-import { BlobSource, CogsplatError, concatenate, JavascriptKernels, loadKernels, SceneFile, StreamedScene } from "../dist/cogsplat.js";
+import { createInterface } from "node:readline";
+import { BlobSource, CogsplatError, concatenate, loadKernels, SceneFile, StreamedScene } from "../dist/cogsplat.js";
 import { folders } from "../dist/folders.js";
 
 const VERSION = "0.1.0";
-const [mode = "wasm"] = process.argv.slice(2);
-const makeKernels = mode === "javascript" ? () => new JavascriptKernels() : await loadKernels();
+const makeKernels = await loadKernels();
 
 /** A manifest on disk, with its objects beside it. */
 class LocalManifest extends BlobSource {
@@ -47,7 +46,10 @@ async function decodeFolder({ path, refine, verify }) {
   for await (const update of scene.stream()) last.set(update.chunk, update.splats);
   if (verify) source.checkObjects();
   const chunks = [...last.keys()].sort((a, b) => a - b);
-  return concatenate(chunks.map((chunk) => last.get(chunk)), scene.info.shDegree);
+  return concatenate(
+    chunks.map((chunk) => last.get(chunk)),
+    scene.info.shDegree,
+  );
 }
 
 async function decodeFile({ path, partial, refine, verify }) {
@@ -59,7 +61,10 @@ async function decodeFile({ path, partial, refine, verify }) {
 async function decode(request) {
   const splats = request.path.endsWith(".cogsm") ? await decodeFolder(request) : await decodeFile(request);
   const { count, means, scales, quats, opacities, sh0, shN } = splats;
-  writeFileSync(request.out, Buffer.concat([means, scales, quats, opacities, sh0, shN].map((array) => new Uint8Array(array.buffer))));
+  writeFileSync(
+    request.out,
+    Buffer.concat([means, scales, quats, opacities, sh0, shN].map((array) => new Uint8Array(array.buffer))),
+  );
   return { ok: true, splats: count };
 }
 
@@ -67,7 +72,7 @@ for await (const line of createInterface({ input: process.stdin })) {
   const request = JSON.parse(line);
   let answer;
   if (request.op === "hello") {
-    answer = { name: `cogsplat for the web (${mode})`, version: VERSION, level: "verifier", folders: true };
+    answer = { name: "cogsplat for the web", version: VERSION, level: "verifier", folders: true };
   } else {
     try {
       answer = await decode(request);

@@ -52,13 +52,16 @@ async function contestants(name) {
     const { PackedSplats } = await import("@sparkjsdev/spark");
     for (const type of others) {
       const bytes = new Uint8Array(readFileSync(`${name}.${type}`));
-      found.push([`.${type} by Spark`, async () => {
-        const splats = new PackedSplats({ fileBytes: bytes, fileType: type });
-        await splats.initialized;
-        const { numSplats } = splats;
-        splats.dispose();
-        return numSplats;
-      }]);
+      found.push([
+        `.${type} by Spark`,
+        async () => {
+          const splats = new PackedSplats({ fileBytes: bytes, fileType: type });
+          await splats.initialized;
+          const { numSplats } = splats;
+          splats.dispose();
+          return numSplats;
+        },
+      ]);
     }
   }
   if (existsSync(`${name}/meta.json`)) {
@@ -66,11 +69,16 @@ async function contestants(name) {
     sharp.concurrency(1);
     sharp.cache(false);
     const meta = JSON.parse(readFileSync(`${name}/meta.json`, "utf8"));
-    const images = Object.values(meta).flatMap((part) => part?.files ?? []).map((path) => readFileSync(`${name}/${path}`));
-    found.push(["SOG, its WebP alone, by sharp", async () => {
-      for (const image of images) await sharp(image).raw().toBuffer();
-      return meta.count;
-    }]);
+    const images = Object.values(meta)
+      .flatMap((part) => part?.files ?? [])
+      .map((path) => readFileSync(`${name}/${path}`));
+    found.push([
+      "SOG, its WebP alone, by sharp",
+      async () => {
+        for (const image of images) await sharp(image).raw().toBuffer();
+        return meta.count;
+      },
+    ]);
   }
   return found;
 }

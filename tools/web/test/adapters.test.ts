@@ -1,16 +1,21 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { axesMatrix, axesRotation } from "../src/adapters/axes.js";
-import { drawBySpec as drawPlayCanvasBySpec, streamToPlayCanvas, type PlayCanvasOptions } from "../src/adapters/playcanvas.js";
+import {
+  drawBySpec as drawPlayCanvasBySpec,
+  type PlayCanvasOptions,
+  streamToPlayCanvas,
+} from "../src/adapters/playcanvas.js";
 import { sortBehindCameras } from "../src/adapters/playcanvas_sorting.js";
 import { toPly } from "../src/adapters/ply.js";
-import { drawBySpec as drawSparkBySpec, streamToSpark, type SparkExtSplats } from "../src/adapters/spark.js";
+import { drawBySpec as drawSparkBySpec, type SparkExtSplats, streamToSpark } from "../src/adapters/spark.js";
 import { placeOf } from "../src/adapters/texel_stream.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
 import { SceneFile } from "../src/scene/scene_file.js";
 import { concatenate } from "../src/scene/splats.js";
-import { packTexels, type TexelArray, type TexelLayout } from "../src/scene/texels.js";
+import type { TexelArray, TexelLayout } from "../src/scene/texel_layouts.js";
+import { packTexels } from "../src/scene/texels.js";
 import { vectorBytes } from "./vectors.js";
 
 const kernels = await loadKernels();
@@ -43,9 +48,15 @@ test("axes become matrices and rotations", () => {
   for (const axes of ["RDF", "RUB", "RFU", "LUF", "BRU", "DRB", "UBR"]) {
     const rotation = axesRotation(axes);
     const matrix = axesMatrix(axes);
-    for (const vector of [[1, 0, 0], [0, 1, 0], [0, 0, 1]]) {
+    for (const vector of [
+      [1, 0, 0],
+      [0, 1, 0],
+      [0, 0, 1],
+    ]) {
       const expected = [0, 1, 2].map((row) => vector.reduce((sum, v, i) => sum + matrix[3 * row + i]! * v, 0));
-      rotate(rotation, vector).forEach((value, i) => assert.ok(Math.abs(value - expected[i]!) < 1e-12, axes));
+      rotate(rotation, vector).forEach((value, i) => {
+        assert.ok(Math.abs(value - expected[i]!) < 1e-12, axes);
+      });
     }
   }
   assert.throws(() => axesRotation("LDF"), RangeError);
@@ -62,7 +73,9 @@ for (const layout of LAYOUTS) {
     await done;
     const file = new SceneFile(bytes, kernels());
     const whole = packTexels(layout, file.decode());
-    whole.arrays.forEach((array, i) => assert.deepEqual(arrays[i]!.subarray(0, array.length), array, `texture ${i}`));
+    whole.arrays.forEach((array, i) => {
+      assert.deepEqual(arrays[i]!.subarray(0, array.length), array, `texture ${i}`);
+    });
     assert.equal(uploads.at(-1), scene.info.splats);
   });
 
@@ -116,11 +129,15 @@ test("playcanvas: rows that show nothing stand in the middle of the box", async 
   await done;
   assert.ok(drawn.at(-1)! >= leastRows);
   const middle = [0, 1, 2].map((i) => Math.fround((box[i]! + box[i + 3]!) / 2));
-  for (let row = splats; row < drawn.at(-1)!; row++) assert.deepEqual(Array.from(centers.subarray(3 * row, 3 * row + 3)), middle);
+  for (let row = splats; row < drawn.at(-1)!; row++)
+    assert.deepEqual(Array.from(centers.subarray(3 * row, 3 * row + 3)), middle);
   const [colours] = arrays;
   assert.ok(colours!.length >= 4 * drawn.at(-1)!);
   assert.ok(colours!.subarray(0, 4 * splats).some((word) => word !== 0));
-  assert.ok(colours!.subarray(4 * splats).every((word) => word === 0), "without opacity");
+  assert.ok(
+    colours!.subarray(4 * splats).every((word) => word === 0),
+    "without opacity",
+  );
 });
 
 for (const leastRows of [0, 5000]) {
@@ -142,7 +159,10 @@ test("playcanvas: a view that came while the engine sorted is sorted for, once",
   };
   const forward = { x: 0, y: 0, z: -1 };
   let asked = 0;
-  const end = sortBehindCameras({ on, scene: { on }, systems: { camera: { cameras: [{ entity: { forward } }] } } }, () => asked++);
+  const end = sortBehindCameras(
+    { on, scene: { on }, systems: { camera: { cameras: [{ entity: { forward } }] } } },
+    () => asked++,
+  );
   const frame = () => told.get("frameend")!();
   const sorted = () => told.get("gsplat:sorted")!();
   frame();
@@ -219,7 +239,10 @@ function start(layout: TexelLayout, scene: StreamedScene, options: PlayCanvasOpt
     const { mesh, done, dispose } = streamToSpark(scene, { ExtSplats, SplatMesh }, options);
     const bands = ["sh1", "sh2", "sh3a", "sh3b"].map((name) => mesh.splats.extra[name] as Uint32Array | undefined);
     const arrays = [...mesh.splats.options.extArrays, ...bands].filter((array) => array !== undefined) as TexelArray[];
-    assert.ok(arrays.every((array) => array.length % (4 * 2048) === 0), "whole lines of Spark's textures");
+    assert.ok(
+      arrays.every((array) => array.length % (4 * 2048) === 0),
+      "whole lines of Spark's textures",
+    );
     return { arrays, done, dispose, disposed: () => disposed === 2, drawn, centers: new Float32Array() };
   }
   const textures = new Map<string, TexelArray>();
@@ -230,7 +253,10 @@ function start(layout: TexelLayout, scene: StreamedScene, options: PlayCanvasOpt
     constructor(_device: string, splats: number, format: GSplatFormat) {
       this.centers = new Float32Array(3 * splats);
       for (const { name, format: pixels } of format.streams) {
-        textures.set(name, pixels === 16 ? new Uint16Array(4 * splats) : new Uint32Array((pixels === 1 ? 1 : 4) * splats));
+        textures.set(
+          name,
+          pixels === 16 ? new Uint16Array(4 * splats) : new Uint32Array((pixels === 1 ? 1 : 4) * splats),
+        );
       }
     }
     getTexture(name: string) {
@@ -248,7 +274,10 @@ function start(layout: TexelLayout, scene: StreamedScene, options: PlayCanvasOpt
     }
   }
   class GSplatFormat {
-    constructor(_device: string, readonly streams: { name: string; format: number }[]) {}
+    constructor(
+      _device: string,
+      readonly streams: { name: string; format: number }[],
+    ) {}
   }
   const pc = { GSplatContainer, GSplatFormat, PIXELFORMAT_RGBA16F: 16, PIXELFORMAT_RGBA32U: 4, PIXELFORMAT_R32U: 1 };
   const shown = streamToPlayCanvas<string, GSplatContainer>(scene, pc as never, "device", options);
@@ -258,12 +287,21 @@ function start(layout: TexelLayout, scene: StreamedScene, options: PlayCanvasOpt
   assert.equal(shown.resource.gsplatData.shBands, scene.info.shDegree);
   const { done, resource } = shown;
   const dispose = () => shown.dispose();
-  return { arrays: [...textures.values()], done, dispose, disposed: () => disposed === 1, drawn, centers: resource.centers };
+  return {
+    arrays: [...textures.values()],
+    done,
+    dispose,
+    disposed: () => disposed === 1,
+    drawn,
+    centers: resource.centers,
+  };
 }
 
 function rotate([x, y, z, w]: readonly number[], v: readonly number[]): number[] {
   const cross = (a: readonly number[], b: readonly number[]) => [
-    a[1]! * b[2]! - a[2]! * b[1]!, a[2]! * b[0]! - a[0]! * b[2]!, a[0]! * b[1]! - a[1]! * b[0]!,
+    a[1]! * b[2]! - a[2]! * b[1]!,
+    a[2]! * b[0]! - a[0]! * b[2]!,
+    a[0]! * b[1]! - a[1]! * b[0]!,
   ];
   const q = [x!, y!, z!];
   const t = cross(q, v).map((value) => 2 * value);
@@ -276,8 +314,14 @@ const KERNEL = { info: { antialiased: false, kernelPx: 0.3 } as never };
 test("spark: a shader that is known gets the Jacobian of SPEC 8.7, another one stays and leaves splats out", () => {
   const line = "vec2 J2 = -(J1 * viewCenter.xy) * invZ;";
   const settings = (vertexShader: string) => ({
-    material: { vertexShader, needsUpdate: false }, preBlurAmount: 0, blurAmount: 0.3, sortRadial: true, maxStdDev: 2.8,
-    minAlpha: 0, maxPixelRadius: 512, clipXY: 1.4,
+    material: { vertexShader, needsUpdate: false },
+    preBlurAmount: 0,
+    blurAmount: 0.3,
+    sortRadial: true,
+    maxStdDev: 2.8,
+    minAlpha: 0,
+    maxPixelRadius: 512,
+    clipXY: 1.4,
   });
   const known = settings(`before; ${line} after;`);
   assert.ok(drawSparkBySpec(known, KERNEL));
@@ -297,12 +341,19 @@ test("playcanvas: shaders that are known are edited together or not at all", () 
   const known = new Map([
     ["gsplatPS", "normExp(A) * gaussianColor.a if (A > 1.0)"],
     ["gsplatCommonVS", "float clip = min(1.0, sqrt(max(0.0, log(alpha / alphaClipValue))) * 0.5);"],
-    ["gsplatCornerVS", "a + 0.3; b + 0.3; vec2 J2 = -J1 / vp.z * vp.xy; min(1024.0, min(viewport_size.x, viewport_size.y))"],
+    [
+      "gsplatCornerVS",
+      "a + 0.3; b + 0.3; vec2 J2 = -J1 / vp.z * vp.xy; min(1024.0, min(viewport_size.x, viewport_size.y))",
+    ],
   ]);
   const draw = (own: Map<string, string>) => {
     const edited = new Map<string, string>();
     const gsplat = { minPixelSize: 2, antiAlias: true, material: { getShaderChunks: () => edited } };
-    const isKnown = drawPlayCanvasBySpec({ ShaderChunks: { get: () => own } }, { graphicsDevice: {}, scene: { gsplat } }, KERNEL);
+    const isKnown = drawPlayCanvasBySpec(
+      { ShaderChunks: { get: () => own } },
+      { graphicsDevice: {}, scene: { gsplat } },
+      KERNEL,
+    );
     assert.deepEqual([gsplat.minPixelSize, gsplat.antiAlias], [0, false]);
     return { isKnown, edited };
   };

@@ -6,7 +6,7 @@ import { KeptHeads } from "../src/loader/kept_heads.js";
 import type { ChunkUpdate } from "../src/loader/stream_options.js";
 import { DEFAULT_RANGES } from "../src/scene/packed_splats.js";
 import { SceneFile } from "../src/scene/scene_file.js";
-import { InlineService, type ChunkFormat, type DecodedChunk, type DecodeTask } from "../src/workers/decode_task.js";
+import { type ChunkFormat, type DecodedChunk, type DecodeTask, InlineService } from "../src/workers/decode_task.js";
 import { buffersOf } from "../src/workers/messages.js";
 import { manifest, sha256, vectorBytes } from "./vectors.js";
 
@@ -49,7 +49,8 @@ function queueOf(bytes: Uint8Array, format: ChunkFormat, most: number, degree?: 
     while (!queue.idle);
   };
   const parts = chunks.map((chunk) => index.chunkSegments(chunk));
-  const of = (part: "head" | "refinement" | "tail") => parts.map((segments) => segments[part]).filter((segment) => segment >= 0);
+  const of = (part: "head" | "refinement" | "tail") =>
+    parts.map((segments) => segments[part]).filter((segment) => segment >= 0);
   return { queue, service, updates, add, of, codebooks: index.allCodebookSegments() };
 }
 
@@ -77,7 +78,10 @@ for (const format of FORMATS) {
       await later.add(later.of("tail"));
       assert.deepEqual(lastOf(later.updates), lastOf(atOnce.updates), name);
       const tailTasks = later.service.tasks.slice(before);
-      assert.ok(tailTasks.every(({ payloads }) => payloads.head === undefined), name);
+      assert.ok(
+        tailTasks.every(({ payloads }) => payloads.head === undefined),
+        name,
+      );
       alone += tailTasks.length;
       assert.equal(later.queue.keptBytes, 0, name);
     }

@@ -2,69 +2,72 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { equivalentPrefixes, isClosed, parentsOf } from "../src/container/chunk_sets.js";
 import { CogsplatError } from "../src/errors.js";
+import { loadKernels } from "../src/kernels/load.js";
 import { SceneFile } from "../src/scene/scene_file.js";
 import { concatenate, type Splats } from "../src/scene/splats.js";
-import { backends } from "./backends.js";
-import { manifest, sha256, vectorBytes, type ValidVector } from "./vectors.js";
+import { manifest, sha256, type ValidVector, vectorBytes } from "./vectors.js";
 
-for (const [backend, kernels] of await backends()) {
-  for (const vector of manifest.valid) {
-    test(`${backend}: ${vector.name} decodes to the stated bits`, async () => {
-      const file = new SceneFile(vectorBytes("valid", vector.name), kernels());
-      assert.deepEqual(Array.from(file.index.chunks.splats), vector.chunk_splats);
-      assert.equal(hashOf(file.decode()), vector.arrays_sha256);
-      if (vector.coarse_sha256) assert.equal(hashOf(file.decode(undefined, false)), vector.coarse_sha256);
-      assert.deepEqual(file.scene.levels, (vector.levels ?? []).map(([scale, chunks]) => ({ chunks, scale })));
-      for (const [level, [, , hash]] of (vector.levels ?? []).entries()) {
-        assert.equal(hashOf(file.decode(undefined, true, level)), hash, `level ${level}`);
-      }
-      checkExtras(file, vector);
-      await file.verify();
-    });
+const kernels = await loadKernels();
 
-    test(`${backend}: beginnings of ${vector.name} give the stated chunks`, () => {
-      const bytes = vectorBytes("valid", vector.name);
-      const whole = new SceneFile(bytes, kernels());
-      for (const [number, [length, chunks, tails, refined]] of vector.prefixes.entries()) {
-        const file = new SceneFile(bytes.slice(0, length), kernels(), { partial: true });
-        assert.equal(file.prefixChunks, chunks, `chunks of the first ${length} bytes`);
-        if (vector.drawn) {
-          assert.equal(hashOf(file.decode()), vector.drawn[number], `what the first ${length} bytes draw`);
-          continue;
-        }
-        for (let chunk = 0; chunk < chunks; chunk++) {
-          const refine = refined.includes(chunk);
-          const expected = whole.decodeChunk(chunk, undefined, refine);
-          if (!tails.includes(chunk)) expected.shN.fill(0);
-          assert.equal(hashOf(file.decodeChunk(chunk)), hashOf(expected), `chunk ${chunk} of ${length} bytes`);
-        }
-      }
-    });
-  }
+for (const vector of manifest.valid) {
+  test(`${vector.name} decodes to the stated bits`, async () => {
+    const file = new SceneFile(vectorBytes("valid", vector.name), kernels());
+    assert.deepEqual(Array.from(file.index.chunks.splats), vector.chunk_splats);
+    assert.equal(hashOf(file.decode()), vector.arrays_sha256);
+    if (vector.coarse_sha256) assert.equal(hashOf(file.decode(undefined, false)), vector.coarse_sha256);
+    assert.deepEqual(
+      file.scene.levels,
+      (vector.levels ?? []).map(([scale, chunks]) => ({ chunks, scale })),
+    );
+    for (const [level, [, , hash]] of (vector.levels ?? []).entries()) {
+      assert.equal(hashOf(file.decode(undefined, true, level)), hash, `level ${level}`);
+    }
+    checkExtras(file, vector);
+    await file.verify();
+  });
 
-  for (const vector of manifest.invalid) {
-    test(`${backend}: ${vector.name} is refused with ${vector.code}`, async () => {
-      const bytes = vectorBytes("invalid", vector.name);
-      const partial = () => new SceneFile(bytes, kernels(), { partial: true });
-      const refused = refusal(vector.code);
-      if (vector.stage === "open") {
-        assert.throws(() => new SceneFile(bytes, kernels()), refused);
-        if (vector.partial) partial();
-        else assert.throws(partial, CogsplatError);
-        return;
+  test(`beginnings of ${vector.name} give the stated chunks`, () => {
+    const bytes = vectorBytes("valid", vector.name);
+    const whole = new SceneFile(bytes, kernels());
+    for (const [number, [length, chunks, tails, refined]] of vector.prefixes.entries()) {
+      const file = new SceneFile(bytes.slice(0, length), kernels(), { partial: true });
+      assert.equal(file.prefixChunks, chunks, `chunks of the first ${length} bytes`);
+      if (vector.drawn) {
+        assert.equal(hashOf(file.decode()), vector.drawn[number], `what the first ${length} bytes draw`);
+        continue;
       }
-      const file = new SceneFile(bytes, kernels());
-      if (vector.stage === "decode") {
-        assert.throws(() => {
-          file.decode();
-          for (let chunk = 0; chunk < file.index.chunkCount; chunk++) file.attributes(chunk);
-        }, refused);
-      } else {
+      for (let chunk = 0; chunk < chunks; chunk++) {
+        const refine = refined.includes(chunk);
+        const expected = whole.decodeChunk(chunk, undefined, refine);
+        if (!tails.includes(chunk)) expected.shN.fill(0);
+        assert.equal(hashOf(file.decodeChunk(chunk)), hashOf(expected), `chunk ${chunk} of ${length} bytes`);
+      }
+    }
+  });
+}
+
+for (const vector of manifest.invalid) {
+  test(`${vector.name} is refused with ${vector.code}`, async () => {
+    const bytes = vectorBytes("invalid", vector.name);
+    const partial = () => new SceneFile(bytes, kernels(), { partial: true });
+    const refused = refusal(vector.code);
+    if (vector.stage === "open") {
+      assert.throws(() => new SceneFile(bytes, kernels()), refused);
+      if (vector.partial) partial();
+      else assert.throws(partial, CogsplatError);
+      return;
+    }
+    const file = new SceneFile(bytes, kernels());
+    if (vector.stage === "decode") {
+      assert.throws(() => {
         file.decode();
-        await assert.rejects(file.verify(), refused);
-      }
-    });
-  }
+        for (let chunk = 0; chunk < file.index.chunkCount; chunk++) file.attributes(chunk);
+      }, refused);
+    } else {
+      file.decode();
+      await assert.rejects(file.verify(), refused);
+    }
+  });
 }
 
 function refusal(code: string): (error: unknown) => boolean {
@@ -83,7 +86,10 @@ function checkExtras(file: SceneFile, vector: ValidVector): void {
   const names = (vector.attributes ?? []).map(([name]) => name);
   for (const [chunk, hashes] of vector.attribute_chunks ?? []) {
     const attributes = file.attributes(chunk)!;
-    assert.deepEqual(names.map((name) => sha256(attributes.get(name)!)), hashes);
+    assert.deepEqual(
+      names.map((name) => sha256(attributes.get(name)!)),
+      hashes,
+    );
   }
   const withAttributes = new Set((vector.attribute_chunks ?? []).map(([chunk]) => chunk));
   for (let chunk = 0; chunk < file.index.chunkCount; chunk++) {
@@ -91,14 +97,18 @@ function checkExtras(file: SceneFile, vector: ValidVector): void {
   }
   assert.deepEqual(file.cameras(), vector.cameras);
   const table = file.viewTable();
-  const viewpoints = table && Array.from({ length: table.views }, (_, view) => [
-    Array.from(table.positions.subarray(3 * view, 3 * view + 3)),
-    Array.from(table.directions.subarray(3 * view, 3 * view + 3)),
-    Array.from(table.shares.subarray(table.chunks * view, table.chunks * (view + 1))),
-  ]);
+  const viewpoints =
+    table &&
+    Array.from({ length: table.views }, (_, view) => [
+      Array.from(table.positions.subarray(3 * view, 3 * view + 3)),
+      Array.from(table.directions.subarray(3 * view, 3 * view + 3)),
+      Array.from(table.shares.subarray(table.chunks * view, table.chunks * (view + 1))),
+    ]);
   assert.deepEqual(viewpoints, vector.view_table);
   for (const [prefix, hash] of vector.compensated ?? []) {
-    const drawn = Array.from({ length: prefix }, (_, chunk) => chunk).filter((chunk) => file.index.isDrawn(chunk, prefix));
+    const drawn = Array.from({ length: prefix }, (_, chunk) => chunk).filter((chunk) =>
+      file.index.isDrawn(chunk, prefix),
+    );
     const chunks = drawn.map((chunk) => {
       const splats = file.decodeChunk(chunk);
       file.compensate(splats, chunk, prefix);

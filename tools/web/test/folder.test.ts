@@ -3,8 +3,8 @@ import { test } from "node:test";
 import { CogsplatError } from "../src/errors.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { folders } from "../src/loader/folders.js";
-import { manifestAddress, StreamedScene } from "../src/loader/streamed_scene.js";
 import type { ChunkUpdate, StreamOptions } from "../src/loader/stream_options.js";
+import { manifestAddress, StreamedScene } from "../src/loader/streamed_scene.js";
 import { SceneFile } from "../src/scene/scene_file.js";
 import { FolderServer } from "./folder_server.js";
 import { manifest, sha256, vectorBytes, vectorFolder } from "./vectors.js";
@@ -14,7 +14,9 @@ const kernels = await loadKernels();
 
 /** Open a folder of a server, do something with its scene, and give what was asked for. */
 async function withScene(
-  server: FolderServer, name: string, work: (scene: StreamedScene) => Promise<void>,
+  server: FolderServer,
+  name: string,
+  work: (scene: StreamedScene) => Promise<void>,
 ): Promise<string[]> {
   const url = await server.start();
   try {
@@ -33,7 +35,10 @@ async function lastUpdates(scene: StreamedScene, options: StreamOptions = {}): P
 
 function checkRows(file: SceneFile, chunk: number, { splats }: ChunkUpdate): void {
   const expected = file.decodeChunk(chunk);
-  assert.equal(sha256(splats!.means, splats!.opacities, splats!.shN), sha256(expected.means, expected.opacities, expected.shN));
+  assert.equal(
+    sha256(splats!.means, splats!.opacities, splats!.shN),
+    sha256(expected.means, expected.opacities, expected.shN),
+  );
 }
 
 for (const { name, manifests } of manifest.folders) {
@@ -46,8 +51,13 @@ for (const { name, manifests } of manifest.folders) {
         const asked = await withScene(server, given === "manifest.cogsm" ? "" : given, async (scene) => {
           assert.ok(scene.isFolder);
           const last = await lastUpdates(scene);
-          const drawn = [...file.index.chunks.until.keys()].filter((chunk) => file.index.isDrawn(chunk, file.index.chunkCount));
-          assert.deepEqual([...last.keys()].sort((a, b) => a - b), drawn);
+          const drawn = [...file.index.chunks.until.keys()].filter((chunk) =>
+            file.index.isDrawn(chunk, file.index.chunkCount),
+          );
+          assert.deepEqual(
+            [...last.keys()].sort((a, b) => a - b),
+            drawn,
+          );
           for (const [chunk, update] of last) checkRows(file, chunk, update);
         });
         // What a server without ranges sends whole is asked for once.
@@ -105,7 +115,9 @@ test("an object that is not there spoils no other", async () => {
   files.delete(sizes[0]![0]);
   const damaged: unknown[] = [];
   await withScene(new FolderServer(files), "", async (scene) => {
-    const last = await lastUpdates(scene, { onDamage: (error) => damaged.push(error instanceof CogsplatError ? error.code : error) });
+    const last = await lastUpdates(scene, {
+      onDamage: (error) => damaged.push(error instanceof CogsplatError ? error.code : error),
+    });
     assert.ok(last.size >= whole.index.chunkCount - 1);
   });
   assert.deepEqual([...new Set(damaged)], ["segment-missing"]);

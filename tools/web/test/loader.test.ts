@@ -4,11 +4,11 @@ import { CogsplatError, SourceError } from "../src/errors.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { HttpSource, retryAfter } from "../src/loader/http_source.js";
 import { nextRequest, RangeAssembler } from "../src/loader/range_plan.js";
-import { StreamedScene, type OpenOptions } from "../src/loader/streamed_scene.js";
 import type { ChunkUpdate, StreamOptions } from "../src/loader/stream_options.js";
+import { type OpenOptions, StreamedScene } from "../src/loader/streamed_scene.js";
 import { SceneFile } from "../src/scene/scene_file.js";
 import { padSegments } from "./padded_file.js";
-import { RangeServer, type Fault } from "./range_server.js";
+import { type Fault, RangeServer } from "./range_server.js";
 import { manifest, sha256, vectorBytes } from "./vectors.js";
 
 const FAST_RETRY = { retries: 3, pause: 1, longest: 4 };
@@ -19,7 +19,9 @@ const PADDED = padSegments(vectorBytes("valid", "chunks"), 200_000);
 
 /** Serve a file, stream it whole, and give the last update of each chunk. */
 async function streamFrom(
-  file: Uint8Array, fault?: (number: number, range: readonly [number, number]) => Fault, options: StreamOptions = {},
+  file: Uint8Array,
+  fault?: (number: number, range: readonly [number, number]) => Fault,
+  options: StreamOptions = {},
   open: OpenOptions = {},
 ): Promise<{ last: Map<number, ChunkUpdate>; updates: ChunkUpdate[]; ranges: [number, number][] }> {
   const server = new RangeServer(file, fault);
@@ -46,7 +48,10 @@ function checkWhole(bytes: Uint8Array, last: ReadonlyMap<number, ChunkUpdate>): 
     const { splats, firstRow, count } = last.get(chunk)!;
     const expected = file.decodeChunk(chunk);
     assert.deepEqual([firstRow, count], [row, expected.count]);
-    assert.equal(sha256(splats!.means, splats!.opacities, splats!.shN), sha256(expected.means, expected.opacities, expected.shN));
+    assert.equal(
+      sha256(splats!.means, splats!.opacities, splats!.shN),
+      sha256(expected.means, expected.opacities, expected.shN),
+    );
     row += count;
   }
 }
@@ -59,7 +64,10 @@ for (const { name, splats } of manifest.valid) {
     const scene = await StreamedScene.open(new Blob([new Uint8Array(bytes)]));
     const rows = new Map<number, number>();
     for await (const update of scene.stream()) rows.set(update.chunk, update.count);
-    assert.equal([...rows.values()].reduce((sum, count) => sum + count, 0), splats);
+    assert.equal(
+      [...rows.values()].reduce((sum, count) => sum + count, 0),
+      splats,
+    );
   });
 }
 
@@ -130,7 +138,10 @@ for (const [fault, isIt] of [
   ["other-etag", (error: unknown) => error instanceof CogsplatError && error.code === "source-changed"],
 ] as const) {
   test(`an answer with ${fault} is refused`, async () => {
-    await assert.rejects(streamFrom(PADDED, (number) => (number > 0 ? fault : undefined)), isIt);
+    await assert.rejects(
+      streamFrom(PADDED, (number) => (number > 0 ? fault : undefined)),
+      isIt,
+    );
   });
 }
 
@@ -148,13 +159,22 @@ for (const [fault, isIt] of [
 ] as const) {
   test(`${fault} in the middle ends the stream at once`, async () => {
     let asked = 0;
-    await assert.rejects(streamFrom(PADDED, (number) => (++asked, number > 0 ? fault : undefined)), isIt);
+    await assert.rejects(
+      streamFrom(PADDED, (number) => {
+        asked++;
+        return number > 0 ? fault : undefined;
+      }),
+      isIt,
+    );
     assert.ok(asked <= 1 + 6, "no request is made again");
   });
 }
 
 test("retries end", async () => {
-  await assert.rejects(streamFrom(PADDED, () => "status-503"), (error) => error instanceof SourceError && error.status === 503);
+  await assert.rejects(
+    streamFrom(PADDED, () => "status-503"),
+    (error) => error instanceof SourceError && error.status === 503,
+  );
 });
 
 test("an abort ends a stream that waits", async () => {
@@ -162,13 +182,16 @@ test("an abort ends a stream that waits", async () => {
   const scene = await StreamedScene.open(await server.start());
   const abort = new AbortController();
   const stream = scene.stream({ signal: abort.signal });
-  await assert.rejects(async () => {
-    for (;;) {
-      const next = stream.next();
-      setTimeout(() => abort.abort(), 20);
-      if ((await next).done) return;
-    }
-  }, { name: "AbortError" });
+  await assert.rejects(
+    async () => {
+      for (;;) {
+        const next = stream.next();
+        setTimeout(() => abort.abort(), 20);
+        if ((await next).done) return;
+      }
+    },
+    { name: "AbortError" },
+  );
   await server.stop();
 });
 
@@ -190,14 +213,19 @@ test("a memory budget leaves the last chunks out", async () => {
 
 test("a budget of splats leaves the last chunks out", async () => {
   const { index } = new SceneFile(PADDED, kernels());
-  const { last } = await streamFrom(PADDED, undefined, { splatBudget: index.chunks.splats[0]! + index.chunks.splats[1]! });
+  const { last } = await streamFrom(PADDED, undefined, {
+    splatBudget: index.chunks.splats[0]! + index.chunks.splats[1]!,
+  });
   assert.deepEqual([...last.keys()].sort(), [0, 1]);
 });
 
 test("packed chunks have the words of every band", async () => {
   const { last } = await streamFrom(PADDED, undefined, { format: "packed", degree: 2 });
   for (const { packed, count } of last.values()) {
-    assert.deepEqual([packed!.words.length, ...packed!.sh.map((band) => band.length)], [4 * count, 2 * count, 4 * count]);
+    assert.deepEqual(
+      [packed!.words.length, ...packed!.sh.map((band) => band.length)],
+      [4 * count, 2 * count, 4 * count],
+    );
   }
 });
 
@@ -223,7 +251,14 @@ test("compensation comes with the chunks and is taken back with the last", async
 });
 
 test("requests take neighbours together and stop at gaps, lengths and orders", () => {
-  const ranges = [[0, 100], [100, 50], [70_000, 10], [140_000, 10], [150_000, 5_000_000], [5_150_000, 10]] as const;
+  const ranges = [
+    [0, 100],
+    [100, 50],
+    [70_000, 10],
+    [140_000, 10],
+    [150_000, 5_000_000],
+    [5_150_000, 10],
+  ] as const;
   const rangeOf = (segment: number) => ({ offset: ranges[segment]![0], length: ranges[segment]![1] });
   const take = (wanted: number[], most?: number) => nextRequest(wanted, rangeOf, most);
   const wanted = [0, 1, 2, 3, 4, 5];
@@ -239,13 +274,20 @@ test("requests take neighbours together and stop at gaps, lengths and orders", (
 
 test("an assembler hands out segments however the bytes are cut", () => {
   const bytes = Uint8Array.from({ length: 40 }, (_, i) => i);
-  const rangeOf = (segment: number) => [{ offset: 10, length: 8 }, { offset: 20, length: 20 }][segment]!;
+  const rangeOf = (segment: number) =>
+    [
+      { offset: 10, length: 8 },
+      { offset: 20, length: 20 },
+    ][segment]!;
   for (let size = 1; size <= 31; size++) {
     const assembler = new RangeAssembler({ offset: 10, length: 30, segments: [0, 1] }, rangeOf);
     const got = [];
     for (let at = 10; at < 40; at += size) got.push(...assembler.add(bytes.subarray(at, at + size)));
     assert.ok(assembler.complete);
-    assert.deepEqual(got.map(({ segment }) => segment), [0, 1]);
+    assert.deepEqual(
+      got.map(({ segment }) => segment),
+      [0, 1],
+    );
     assert.deepEqual(Array.from(got[0]!.payload), Array.from(bytes.subarray(10, 18)));
     assert.deepEqual(Array.from(got[1]!.payload), Array.from(bytes.subarray(20, 40)));
   }
@@ -257,9 +299,15 @@ class SlowSource {
   goOn: () => void = () => undefined;
   private readonly going = new Promise<void>((resolve) => (this.goOn = resolve));
 
-  constructor(private readonly bytes: Uint8Array, private readonly stopAt: number) {}
+  constructor(
+    private readonly bytes: Uint8Array,
+    private readonly stopAt: number,
+  ) {}
 
-  async read({ offset, length }: { offset: number; length: number }, { signal }: { signal?: AbortSignal | undefined } = {}) {
+  async read(
+    { offset, length }: { offset: number; length: number },
+    { signal }: { signal?: AbortSignal | undefined } = {},
+  ) {
     const { bytes, stopAt, going } = this;
     const stops = this.signals.push(signal) === 1;
     const aborted = new Promise<void>((_, reject) => signal?.addEventListener("abort", () => reject(signal.reason)));
@@ -302,9 +350,12 @@ test("leaving a stream ends the first request, and the next stream asks for its 
   const source = new SlowSource(bytes, end);
   const scene = await StreamedScene.open(source);
   const abort = new AbortController();
-  await assert.rejects(async () => {
-    for await (const _ of scene.stream({ signal: abort.signal })) abort.abort();
-  }, { name: "AbortError" });
+  await assert.rejects(
+    async () => {
+      for await (const _ of scene.stream({ signal: abort.signal })) abort.abort();
+    },
+    { name: "AbortError" },
+  );
   assert.ok(source.signals[0]!.aborted);
   const last = new Map<number, ChunkUpdate>();
   for await (const update of scene.stream()) last.set(update.chunk, update);
@@ -318,7 +369,10 @@ test("a server that asks for a wait is not asked before, and not waited for too 
   // Timers are told whole milliseconds, and may end a little before.
   assert.ok(performance.now() - start >= 990);
   const retry = { ...FAST_RETRY, longestWait: 500 };
-  await assert.rejects(streamFrom(PADDED, () => "retry-after", {}, { retry }), (error) => error instanceof SourceError && error.status === 503);
+  await assert.rejects(
+    streamFrom(PADDED, () => "retry-after", {}, { retry }),
+    (error) => error instanceof SourceError && error.status === 503,
+  );
 });
 
 test("waits are read as seconds or as a date by the server's clock", () => {
@@ -380,7 +434,9 @@ test("chunks that end are given where they are asked for, in time to be drawn", 
   const { index } = new SceneFile(bytes, kernels());
   assert.deepEqual(new Set(updates.map(({ chunk }) => chunk)), new Set([0, 1, 2, 3]));
   assert.deepEqual(Array.from(index.chunks.until), [3, 4, 0, 0]);
-  for (const { chunk, prefix } of updates.filter((update, i) => updates.findIndex(({ chunk }) => chunk === update.chunk) === i)) {
+  for (const { chunk, prefix } of updates.filter(
+    (update, i) => updates.findIndex(({ chunk }) => chunk === update.chunk) === i,
+  )) {
     assert.ok(index.isDrawn(chunk, prefix), `chunk ${chunk} of ${prefix}`);
   }
   assert.equal(updates.at(-1)!.prefix, 4);
@@ -389,12 +445,20 @@ test("chunks that end are given where they are asked for, in time to be drawn", 
 test("a level comes with what it draws and nothing else", async () => {
   const bytes = padSegments(vectorBytes("valid", "levels"), 200_000);
   const file = new SceneFile(bytes, kernels());
-  for (const [level, chunks] of [[0, [0, 1]], [1, [0, 2]], [2, [0, 2, 3, 4]]] as const) {
+  for (const [level, chunks] of [
+    [0, [0, 1]],
+    [1, [0, 2]],
+    [2, [0, 2, 3, 4]],
+  ] as const) {
     const { last, ranges } = await streamFrom(bytes, undefined, { level });
     assert.deepEqual([...last.keys()].sort(), chunks);
     for (const chunk of chunks) {
       const expected = file.decodeChunk(chunk, undefined, true, level);
-      assert.equal(sha256(last.get(chunk)!.splats!.opacities), sha256(expected.opacities), `level ${level}, chunk ${chunk}`);
+      assert.equal(
+        sha256(last.get(chunk)!.splats!.opacities),
+        sha256(expected.opacities),
+        `level ${level}, chunk ${chunk}`,
+      );
     }
     const segments = chunks.flatMap((chunk) => {
       const { head, refinement, tail } = file.index.chunkSegments(chunk);
@@ -416,7 +480,8 @@ test("requests beside each other go around the browser's cache, which lets one o
       return Promise.resolve(new Response(new Uint8Array(4), { status: 206, headers }));
     },
   });
-  for (const options of [{}, { priority: "low" }, { fresh: true }] as const) await source.read({ offset: 0, length: 4 }, options);
+  for (const options of [{}, { priority: "low" }, { fresh: true }] as const)
+    await source.read({ offset: 0, length: 4 }, options);
   // An object of a folder has an address of its own.
   await source.beside("segments/a").read({ offset: 0, length: 4 }, { priority: "low" });
   assert.deepEqual(asked, ["default", "no-store", "reload", "default"]);

@@ -1,12 +1,14 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import type { Kernels } from "../src/kernels/kernels.js";
+import { loadKernels } from "../src/kernels/load.js";
 import { fromHalf } from "../src/scene/half_floats.js";
 import { DEFAULT_RANGES, shiftPacked, unpackSplats } from "../src/scene/packed_splats.js";
-import { packTexels, type TexelArray, type Texels } from "../src/scene/texels.js";
-import { backends } from "./backends.js";
+import type { TexelArray, Texels } from "../src/scene/texel_layouts.js";
+import { packTexels } from "../src/scene/texels.js";
+import { packBand as packPlyBand, packSplats as packPlySplats } from "../src/viewer/ply_packing.js";
 
 const RANGES = DEFAULT_RANGES;
+const SH_RANGE = 0.75;
 const ROWS = 1003; // not a multiple of four
 const SH_C0 = 0.28209479177387814;
 
@@ -19,13 +21,64 @@ function random(seed: number): () => number {
   };
 }
 
-interface Columns {
-  readonly addresses: number[];
-  readonly values: Float32Array[];
+/** Words, bits, first value and values of a row in each packed band. */
+const BANDS = [
+  [2, 7, 0, 9],
+  [4, 8, 9, 15],
+  [4, 6, 24, 21],
+] as const;
+
+interface Packer {
+  splats(columns: readonly Float32Array[]): Uint32Array;
+  bands(values: Float32Array, degree: number): Uint32Array[];
+}
+
+const k = (await loadKernels())();
+
+/** The kernels, which pack what COGS files hold, and the code that packs PLY. */
+const packers: Readonly<Record<string, Packer>> = {
+  kernels: {
+    splats(columns) {
+      const table = k.alloc(64);
+      const target = k.alloc(16 * ROWS);
+      const addresses = columns.map(copied);
+      k.u32.set(addresses, table >>> 2);
+      k.packSplats(table, ROWS, RANGES.rgbMin, RANGES.rgbMax, target);
+      return k.u32.slice(target >>> 2, (target >>> 2) + 4 * ROWS);
+    },
+    bands(values, degree) {
+      const source = copied(values);
+      const targets = BANDS.map(([words]) => k.alloc(4 * words * ROWS)) as [number, number, number];
+      k.packShn(source, ROWS, degree, SH_RANGE, ...targets);
+      return BANDS.slice(0, degree).map(([words], i) => {
+        return k.u32.slice(targets[i]! >>> 2, (targets[i]! >>> 2) + words * ROWS);
+      });
+    },
+  },
+  "packing of PLY": {
+    splats(columns) {
+      const words = new Uint32Array(4 * ROWS);
+      packPlySplats(columns, ROWS, RANGES.rgbMin, RANGES.rgbMax, words);
+      return words;
+    },
+    bands(values, degree) {
+      return BANDS.slice(0, degree).map(([words, bits, first, count]) => {
+        const target = new Uint32Array(words * ROWS);
+        packPlyBand(values, ROWS, values.length / ROWS, first, count, bits, SH_RANGE, words, target);
+        return target;
+      });
+    },
+  },
+};
+
+function copied(values: Float32Array): number {
+  const address = k.alloc(4 * values.length);
+  k.f32.set(values, address >>> 2);
+  return address;
 }
 
 /** 14 columns of splats that renderers meet, with the ends of every range. */
-function makeColumns(k: Kernels): Columns {
+function makeColumns(): Float32Array[] {
   const next = random(7);
   const values = Array.from({ length: 14 }, () => new Float32Array(ROWS));
   for (let row = 0; row < ROWS; row++) {
@@ -36,35 +89,39 @@ function makeColumns(k: Kernels): Columns {
     const logit = [Infinity, -Infinity, 40, -40, 0][row] ?? 12 * (next() - 0.5);
     const centre = row === 2 ? 1e-6 : row === 3 ? -1e-8 : 200 * (next() - 0.5);
     const splat = [
-      centre, next() / 64, -next(), -12 + 21 * next(), -20, 20, ...quat.map((v) => v / norm), logit, 4 * (next() - 0.5),
-      next(), -next(),
+      centre,
+      next() / 64,
+      -next(),
+      -12 + 21 * next(),
+      -20,
+      20,
+      ...quat.map((v) => v / norm),
+      logit,
+      4 * (next() - 0.5),
+      next(),
+      -next(),
     ];
-    splat.forEach((value, column) => (values[column]![row] = value));
+    splat.forEach((value, column) => {
+      values[column]![row] = value;
+    });
   }
-  const addresses = values.map((column) => {
-    const address = k.alloc(4 * ROWS);
-    k.f32.set(column, address >>> 2);
-    return address;
-  });
-  return { addresses, values };
+  return values;
 }
 
-for (const [backend, makeKernels] of await backends()) {
-  test(`${backend}: packed splats are within the tolerances of SPEC 8.6`, () => {
-    const k = makeKernels();
-    const { addresses, values } = makeColumns(k);
-    const table = k.alloc(64);
-    k.u32.set(addresses, table >>> 2);
-    const target = k.alloc(16 * ROWS);
-    k.packSplats(table, ROWS, RANGES.rgbMin, RANGES.rgbMax, target);
-    const words = k.u32.slice(target >>> 2, (target >>> 2) + 4 * ROWS);
+for (const [name, packer] of Object.entries(packers)) {
+  test(`${name}: packed splats are within the tolerances of SPEC 8.6`, () => {
+    const values = makeColumns();
+    const words = packer.splats(values);
     const unpacked = unpackSplats({ count: ROWS, words, sh: [], ranges: RANGES });
     for (let row = 0; row < ROWS; row++) {
       const [w0, w1, w2, w3] = words.subarray(4 * row, 4 * row + 4) as unknown as [number, number, number, number];
       const at = (column: number) => values[column]![row]!;
       for (const [axis, bits] of [w1 & 0xffff, w1 >>> 16, w2 & 0xffff].entries()) {
         const bound = Math.max(2 ** -11 * Math.abs(at(axis)), 2 ** -25);
-        assert.ok(Math.abs(fromHalf(bits) - at(axis)) <= bound, `mean ${row}.${axis}: ${fromHalf(bits)} for ${at(axis)}`);
+        assert.ok(
+          Math.abs(fromHalf(bits) - at(axis)) <= bound,
+          `mean ${row}.${axis}: ${fromHalf(bits)} for ${at(axis)}`,
+        );
       }
       for (const axis of [0, 1, 2]) {
         const code = (w3 >>> (8 * axis)) & 255;
@@ -82,14 +139,9 @@ for (const [backend, makeKernels] of await backends()) {
     }
   });
 
-  test(`${backend}: shifts of compensation act on packed splats as on arrays`, () => {
-    const k = makeKernels();
-    const { addresses, values } = makeColumns(k);
-    const table = k.alloc(64);
-    k.u32.set(addresses, table >>> 2);
-    const target = k.alloc(16 * ROWS);
-    k.packSplats(table, ROWS, RANGES.rgbMin, RANGES.rgbMax, target);
-    const words = k.u32.slice(target >>> 2, (target >>> 2) + 4 * ROWS);
+  test(`${name}: shifts of compensation act on packed splats as on arrays`, () => {
+    const values = makeColumns();
+    const words = packer.splats(values);
     const shifts = { scales: new Float32Array(ROWS).fill(0.3), opacities: new Float32Array(ROWS).fill(1.25) };
     const shifted = new Uint32Array(4 + words.length);
     shiftPacked(words, shifts, shifted, 4);
@@ -107,25 +159,20 @@ for (const [backend, makeKernels] of await backends()) {
   });
 
   for (const degree of [1, 2, 3]) {
-    test(`${backend}: packed SH of degree ${degree} has every coefficient within half a step`, () => {
-      const k = makeKernels();
+    test(`${name}: packed SH of degree ${degree} has every coefficient within half a step`, () => {
       const floats = 3 * ((degree + 1) ** 2 - 1);
       const next = random(11);
-      const source = k.alloc(4 * floats * ROWS);
-      const [sh1, sh2, sh3] = [k.alloc(8 * ROWS), k.alloc(16 * ROWS), k.alloc(16 * ROWS)];
       const values = Float32Array.from({ length: floats * ROWS }, () => 1.6 * (next() - 0.5));
-      k.f32.set(values, source >>> 2);
-      k.packShn(source, ROWS, degree, 0.75, sh1, sh2, sh3);
-      const bands = [[sh1, 2, 7, 0, 9], [sh2, 4, 8, 9, 15], [sh3, 4, 6, 24, 21]] as const;
-      for (const [address, words, bits, first, count] of bands.slice(0, degree)) {
+      for (const [band, words] of packer.bands(values, degree).entries()) {
+        const [width, bits, first, count] = BANDS[band]!;
         const most = 2 ** (bits - 1) - 1;
         for (let row = 0; row < ROWS; row++) {
-          const packed = k.u32.subarray((address >>> 2) + words * row, (address >>> 2) + words * (row + 1));
+          const packed = words.subarray(width * row, width * (row + 1));
           const all = packed.reduceRight((sum, word) => (sum << 32n) | BigInt(word), 0n);
           for (let i = 0; i < count; i++) {
             const code = Number(BigInt.asIntN(bits, all >> BigInt(bits * i)));
-            const value = Math.min(Math.max(values[row * floats + first + i]!, -0.75), 0.75);
-            assert.ok(Math.abs((code * 0.75) / most - value) <= 0.38 / most, `row ${row}, value ${first + i}`);
+            const value = Math.min(Math.max(values[row * floats + first + i]!, -SH_RANGE), SH_RANGE);
+            assert.ok(Math.abs((code * SH_RANGE) / most - value) <= 0.38 / most, `row ${row}, value ${first + i}`);
           }
           assert.equal(all >> BigInt(bits * count), 0n, "bits behind the last value");
         }
@@ -142,12 +189,24 @@ for (const layout of ["spark", "playcanvas"] as const) {
     const quats = floats(4, () => next() - 0.5);
     for (let i = 0; i < count; i++) {
       // A turn by nothing, by half a turn, and by nearly as much.
-      const q = i === 0 ? [1, 0, 0, 0] : i === 1 ? [0, 0, 0, -1] : i === 2 ? [1e-4, 1, 0, 0] : Array.from(quats.subarray(4 * i, 4 * i + 4));
+      const q =
+        i === 0
+          ? [1, 0, 0, 0]
+          : i === 1
+            ? [0, 0, 0, -1]
+            : i === 2
+              ? [1e-4, 1, 0, 0]
+              : Array.from(quats.subarray(4 * i, 4 * i + 4));
       const norm = Math.hypot(...q) * (q[0]! < 0 ? -1 : 1);
-      quats.set(q.map((value) => value / norm), 4 * i);
+      quats.set(
+        q.map((value) => value / norm),
+        4 * i,
+      );
     }
     const splats = {
-      count, shDegree: 3, quats,
+      count,
+      shDegree: 3,
+      quats,
       means: floats(3, () => 2e5 * (next() - 0.5)),
       scales: floats(3, () => -13 + 20 * next()),
       opacities: floats(1, () => 20 * (next() - 0.5)),
@@ -156,9 +215,10 @@ for (const layout of ["spark", "playcanvas"] as const) {
     };
     splats.opacities.set([Infinity, -Infinity]);
     const found = unpackTexels(packTexels(layout, splats));
-    const near = (name: "scales" | "sh0" | "shN", bound: number) => splats[name].forEach((value, i) => {
-      assert.ok(Math.abs(found[name][i]! - value) <= bound, `${name} ${i}: ${found[name][i]} for ${value}`);
-    });
+    const near = (name: "scales" | "sh0" | "shN", bound: number) =>
+      splats[name].forEach((value, i) => {
+        assert.ok(Math.abs(found[name][i]! - value) <= bound, `${name} ${i}: ${found[name][i]} for ${value}`);
+      });
     assert.deepEqual(found.means, splats.means);
     near("scales", 0.05);
     near("sh0", 0.02);
@@ -175,13 +235,17 @@ for (const layout of ["spark", "playcanvas"] as const) {
 
 /** Splats of textures as the renderers' shaders read them; opacities, not logits. */
 function unpackTexels({ layout, count, arrays }: Texels) {
-  const [means, scales, quats, opacities, sh0, shN] = [3, 3, 4, 1, 3, 45].map((width) => new Float32Array(width * count)) as [
-    Float32Array, Float32Array, Float32Array, Float32Array, Float32Array, Float32Array,
-  ];
+  const [means, scales, quats, opacities, sh0, shN] = [3, 3, 4, 1, 3, 45].map(
+    (width) => new Float32Array(width * count),
+  ) as [Float32Array, Float32Array, Float32Array, Float32Array, Float32Array, Float32Array];
   const words = (array: TexelArray) => new Float32Array(array.buffer);
   for (let i = 0; i < count; i++) {
     const [a, b, c] = arrays as [TexelArray, TexelArray, TexelArray];
-    const colour = (halves: number[]) => sh0.set(halves.map((half) => (fromHalf(half) - 0.5) / SH_C0), 3 * i);
+    const colour = (halves: number[]) =>
+      sh0.set(
+        halves.map((half) => (fromHalf(half) - 0.5) / SH_C0),
+        3 * i,
+      );
     if (layout === "spark") {
       means.set(words(a).subarray(4 * i, 4 * i + 3), 3 * i);
       opacities[i] = fromHalf(a[4 * i + 3]! & 0xffff);
@@ -202,9 +266,15 @@ function unpackTexels({ layout, count, arrays }: Texels) {
       const at = layout === "spark" ? k : k + 1;
       const word = arrays[(layout === "spark" ? 2 : 3) + (at >> 2)]![4 * i + (at & 3)]!;
       const largest = words(arrays[3]!)[4 * i]!;
-      const rgb = layout === "spark"
-        ? [0, 1, 2].map((c) => (((word >>> (8 * c)) & 255) / 255) * 2 ** ((word >>> 27) - 15) * ((word >>> (24 + c)) & 1 ? -1 : 1))
-        : [(word >>> 21) / 2047, ((word >>> 11) & 1023) / 1023, (word & 2047) / 2047].map((part) => (2 * part - 1) * largest);
+      const rgb =
+        layout === "spark"
+          ? [0, 1, 2].map(
+              (c) =>
+                (((word >>> (8 * c)) & 255) / 255) * 2 ** ((word >>> 27) - 15) * ((word >>> (24 + c)) & 1 ? -1 : 1),
+            )
+          : [(word >>> 21) / 2047, ((word >>> 11) & 1023) / 1023, (word & 2047) / 2047].map(
+              (part) => (2 * part - 1) * largest,
+            );
       shN.set(rgb, 45 * i + 3 * k);
     }
   }

@@ -63,7 +63,8 @@ function encode(value: Value): Uint8Array {
   const isMap = value instanceof Map;
   const parts = isMap ? [...value].flat() : [...(value as readonly Value[])];
   const count = isMap ? parts.length / 2 : parts.length;
-  const front = count < 16 ? Uint8Array.of((isMap ? 0x80 : 0x90) | count) : sized(count, isMap ? [0, 0xde, 0xdf] : [0, 0xdc, 0xdd]);
+  const front =
+    count < 16 ? Uint8Array.of((isMap ? 0x80 : 0x90) | count) : sized(count, isMap ? [0, 0xde, 0xdf] : [0, 0xdc, 0xdd]);
   return join(front, ...parts.map((part) => encode(part as Value)));
 }
 

@@ -100,7 +100,12 @@ test("more splats are expected to take longer, up to ten times", () => {
   take(graphics, pace, 20, 1);
   const { milliseconds } = pace;
   assert.ok(!pace.isSlow);
-  for (const [splats, longer] of [[10, 1], [1500, 1.5], [4000, 4], [1e6, 10]] as const) {
+  for (const [splats, longer] of [
+    [10, 1],
+    [1500, 1.5],
+    [4000, 4],
+    [1e6, 10],
+  ] as const) {
     pace.splats = splats;
     assert.equal(pace.expected, longer * milliseconds);
   }

@@ -66,7 +66,12 @@ export class RangeServer {
         return;
       case "shorter": {
         const part = body.subarray(0, Math.ceil(body.length / 2));
-        response.writeHead(206, { "Content-Range": `bytes ${start}-${start + part.length - 1}/${total}`, "Content-Length": part.length }).end(part);
+        response
+          .writeHead(206, {
+            "Content-Range": `bytes ${start}-${start + part.length - 1}/${total}`,
+            "Content-Length": part.length,
+          })
+          .end(part);
         return;
       }
       case "retry-after":

@@ -4,7 +4,7 @@ import { join } from "node:path";
 import { test } from "node:test";
 import type { ViewTable } from "../src/container/view_table.js";
 import { along, byBoxes, bySgss, byViewTable, countedSplats, type PoseRatios } from "../src/schedule/chunk_ratios.js";
-import { path, type Pose } from "../src/schedule/poses.js";
+import { type Pose, path } from "../src/schedule/poses.js";
 import { Scheduler, type Unit } from "../src/schedule/scheduler.js";
 
 /** What `tools/lab/make_decisions.py` writes. */
@@ -32,8 +32,11 @@ interface State {
   readonly decision: readonly (readonly number[])[];
 }
 
-const FILE = join(process.cwd(), "..", "..", "tests", "codec", "scheduling", "decisions.json");
-const { scenes, states } = JSON.parse(readFileSync(FILE, "utf8")) as { scenes: readonly Scene[]; states: readonly State[] };
+const FILE = join(process.cwd(), "..", "..", "tests", "tools", "lab", "scheduling", "decisions.json");
+const { scenes, states } = JSON.parse(readFileSync(FILE, "utf8")) as {
+  scenes: readonly Scene[];
+  states: readonly State[];
+};
 
 function poseOf(numbers: readonly number[]): Pose {
   return { position: numbers.slice(0, 3), rotation: numbers.slice(3, 12), tanX: numbers[12]!, tanY: numbers[13]! };
@@ -61,7 +64,13 @@ test("the scheduler decides as the reference does in every state", () => {
   assert.ok(states.length >= 1000);
   for (const [number, state] of states.entries()) {
     const scene = scenes[state.scene]!;
-    const units: Unit[] = scene.units.map(([chunk, isHead, end, size, after]) => ({ chunk, isHead: isHead === 1, end, size, after }));
+    const units: Unit[] = scene.units.map(([chunk, isHead, end, size, after]) => ({
+      chunk,
+      isHead: isHead === 1,
+      end,
+      size,
+      after,
+    }));
     const ratios = along(ratiosOf(scene, state.rule), path(poseOf(state.now), poseOf(state.before), state.elapsed));
     const { stop, evict, fetch } = new Scheduler(units, scene.splats).decide(ratios, {
       there: new Set(state.there),

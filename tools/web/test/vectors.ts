@@ -48,10 +48,12 @@ export const manifest = JSON.parse(readFileSync(join(FOLDER, "manifest.json"), "
 export function vectorFolder(kind: "folders" | "invalid-folders", name: string): Map<string, Uint8Array> {
   const folder = join(FOLDER, kind, name);
   const files = readdirSync(folder, { recursive: true, withFileTypes: true }).filter((entry) => entry.isFile());
-  return new Map(files.map((entry) => {
-    const path = join(entry.parentPath, entry.name);
-    return [relative(folder, path).replaceAll("\\", "/"), new Uint8Array(readFileSync(path))];
-  }));
+  return new Map(
+    files.map((entry) => {
+      const path = join(entry.parentPath, entry.name);
+      return [relative(folder, path).replaceAll("\\", "/"), new Uint8Array(readFileSync(path))];
+    }),
+  );
 }
 
 /** The bytes of a conformance file. */

@@ -16,7 +16,10 @@ test("splats are ordered from the farthest to the nearest, each once", () => {
   const forward = [0.6, 0, -0.8];
   const order = new Uint32Array(rows);
   sortByDepth(means, rows, forward, order);
-  assert.deepEqual(Array.from(order).sort((a, b) => a - b), Array.from({ length: rows }, (_, i) => i));
+  assert.deepEqual(
+    Array.from(order).sort((a, b) => a - b),
+    Array.from({ length: rows }, (_, i) => i),
+  );
   const depth = (row: number) => Math.fround(means[3 * row]! * 0.6 - means[3 * row + 2]! * 0.8);
   for (let i = 1; i < rows; i++) assert.ok(depth(order[i]!) <= depth(order[i - 1]!));
 });
@@ -37,7 +40,10 @@ test("the farthest splat comes first, however its depth is rounded", () => {
     const means = Float32Array.from({ length: 3 * rows }, (_, i) => Math.sin((i + 1) * (turn + 1)) * 10);
     const forward = [Math.cos(turn), 0, Math.sin(turn)];
     sortByDepth(means, rows, forward, order);
-    const depths = Array.from({ length: rows }, (_, row) => means[3 * row]! * forward[0]! + means[3 * row + 2]! * forward[2]!);
+    const depths = Array.from(
+      { length: rows },
+      (_, row) => means[3 * row]! * forward[0]! + means[3 * row + 2]! * forward[2]!,
+    );
     const farthest = Math.max(...depths);
     assert.ok(depths[order[0]!]! > farthest - 40 / 65_536);
   }
@@ -65,8 +71,12 @@ test("the camera starts at the first view", () => {
   const { scene } = new SceneFile(vectorBytes("valid", "root-values"), kernels());
   const first = scene.firstView!;
   const view = new OrbitCamera(scene).view(first.height);
-  first.rotation.forEach((value, i) => assert.ok(Math.abs(view.rotation[i]! - value) < 1e-6));
-  first.translation.forEach((value, i) => assert.ok(Math.abs(view.translation[i]! - value) < 1e-6 * (1 + Math.abs(value))));
+  first.rotation.forEach((value, i) => {
+    assert.ok(Math.abs(view.rotation[i]! - value) < 1e-6);
+  });
+  first.translation.forEach((value, i) => {
+    assert.ok(Math.abs(view.translation[i]! - value) < 1e-6 * (1 + Math.abs(value)));
+  });
   assert.ok(Math.abs(view.focal[1] - first.fy) < 1e-9);
 });
 
@@ -77,14 +87,20 @@ test("the camera goes to a pose, whatever the height of the canvas", () => {
   const view = camera.view(400);
   assert.deepEqual(view.rotation, [0, 0, 1, 0, 1, 0, -1, 0, 0]);
   assert.deepEqual(view.focal, [600, 560]);
-  [1, 2, 3].forEach((value, i) => assert.ok(Math.abs(view.translation[i]! - value) < 1e-9));
+  [1, 2, 3].forEach((value, i) => {
+    assert.ok(Math.abs(view.translation[i]! - value) < 1e-9);
+  });
 });
 
 test("turning keeps the target in the middle and the axes a rotation", () => {
   const { scene } = new SceneFile(vectorBytes("valid", "sh0"), kernels());
   const camera = new OrbitCamera(scene);
   const centre = [0, 1, 2].map((i) => (scene.box[i]! + scene.box[3 + i]!) / 2);
-  for (const [dx, dy] of [[100, 0], [0, 70], [-300, 40]] as const) {
+  for (const [dx, dy] of [
+    [100, 0],
+    [0, 70],
+    [-300, 40],
+  ] as const) {
     camera.turn(dx, dy);
     const { rotation: r, translation: t } = camera.view(480);
     const p = [0, 1, 2].map((row) => t[row]! + centre.reduce((sum, v, i) => sum + r[3 * row + i]! * v, 0));
@@ -105,7 +121,10 @@ test("rows that chunks give back are taken again, in pieces where they must be",
   slots.give(a);
   slots.give(c);
   const pieces = slots.take(5);
-  assert.deepEqual(pieces, [{ first: 0, count: 3 }, { first: 6, count: 2 }]);
+  assert.deepEqual(pieces, [
+    { first: 0, count: 3 },
+    { first: 6, count: 2 },
+  ]);
   assert.throws(() => slots.take(3), /2 are free/);
   slots.give(b);
   slots.give(pieces);

@@ -5,16 +5,16 @@ import { toPly } from "../src/adapters/ply.js";
 import { CogsplatError, SourceError } from "../src/errors.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { toHalf } from "../src/scene/half_floats.js";
-import { DEFAULT_RANGES, unpackSplats, type PackedSplats } from "../src/scene/packed_splats.js";
+import { DEFAULT_RANGES, type PackedSplats, unpackSplats } from "../src/scene/packed_splats.js";
 import { SceneFile } from "../src/scene/scene_file.js";
 import { concatenate, type Splats } from "../src/scene/splats.js";
 import { bulkOf, depthAhead } from "../src/viewer/framing.js";
 import { Meter } from "../src/viewer/meter.js";
 import { sizeText } from "../src/viewer/numbers.js";
+import { OrbitCamera } from "../src/viewer/orbit.js";
 import { readPlyHeader } from "../src/viewer/ply_header.js";
 import type { PlyResponse } from "../src/viewer/ply_messages.js";
 import { readPly } from "../src/viewer/ply_reader.js";
-import { OrbitCamera } from "../src/viewer/orbit.js";
 import { NoWebGlError } from "../src/viewer/renderer.js";
 import { describe } from "../src/viewer/sentences.js";
 import { vectorBytes } from "./vectors.js";
@@ -33,20 +33,32 @@ async function responses(bytes: Uint8Array, mostRows = Infinity): Promise<PlyRes
 function randomSplats(count: number): Splats {
   let state = 1;
   const random = (length: number, from: number, to: number) =>
-    Float32Array.from({ length }, () => from + ((state = (state * 48_271) % 2_147_483_647) / 2_147_483_647) * (to - from));
+    Float32Array.from({ length }, () => {
+      state = (state * 48_271) % 2_147_483_647;
+      return from + (state / 2_147_483_647) * (to - from);
+    });
   const quats = random(4 * count, -1, 1);
   for (let i = 0; i < count; i++) {
     const row = quats.subarray(4 * i, 4 * i + 4);
     const factor = (row[0]! < 0 ? -1 : 1) / Math.hypot(...row);
-    row.forEach((value, k) => (row[k] = value * factor));
+    row.forEach((value, k) => {
+      row[k] = value * factor;
+    });
   }
   return {
-    count, shDegree: 3, means: random(3 * count, -4, 4), scales: random(3 * count, -6, 0), quats,
-    opacities: random(count, -4, 4), sh0: random(3 * count, -1.5, 1.5), shN: random(45 * count, -0.9, 0.9),
+    count,
+    shDegree: 3,
+    means: random(3 * count, -4, 4),
+    scales: random(3 * count, -6, 0),
+    quats,
+    opacities: random(count, -4, 4),
+    sh0: random(3 * count, -1.5, 1.5),
+    shN: random(45 * count, -0.9, 0.9),
   };
 }
 
-const largest = (a: Float32Array, b: Float32Array) => a.reduce((most, value, i) => Math.max(most, Math.abs(value - b[i]!)), 0);
+const largest = (a: Float32Array, b: Float32Array) =>
+  a.reduce((most, value, i) => Math.max(most, Math.abs(value - b[i]!)), 0);
 
 test("a PLY is packed within the tolerances of SPEC 8.6, its means around its own middle", async () => {
   const splats = randomSplats(20_000);
@@ -71,7 +83,10 @@ test("a PLY is packed within the tolerances of SPEC 8.6, its means around its ow
 test("a PLY that ends early gives what is there, and says so", async () => {
   const bytes = toPly(randomSplats(100));
   const found = await responses(bytes.subarray(0, bytes.length - 1));
-  assert.deepEqual(found.map(({ type }) => type), ["scene", "rows", "failed"]);
+  assert.deepEqual(
+    found.map(({ type }) => type),
+    ["scene", "rows", "failed"],
+  );
   const [, rows, failed] = found;
   assert.ok(rows?.type === "rows" && failed?.type === "failed");
   assert.equal(rows.packed.count, 99);
@@ -86,18 +101,53 @@ test("of a PLY no more rows are read than are wanted", async () => {
 });
 
 test("what our PLY says of its scene is heard", () => {
-  const header = (lines: string[]) => new TextEncoder().encode([
-    "ply", "format binary_little_endian 1.0", ...lines, "element vertex 7",
-    ...["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
-      .map((name) => `property float ${name}`), "property uchar label", "end_header", "",
-  ].join("\n"));
+  const header = (lines: string[]) =>
+    new TextEncoder().encode(
+      [
+        "ply",
+        "format binary_little_endian 1.0",
+        ...lines,
+        "element vertex 7",
+        ...[
+          "x",
+          "y",
+          "z",
+          "f_dc_0",
+          "f_dc_1",
+          "f_dc_2",
+          "opacity",
+          "scale_0",
+          "scale_1",
+          "scale_2",
+          "rot_0",
+          "rot_1",
+          "rot_2",
+          "rot_3",
+        ].map((name) => `property float ${name}`),
+        "property uchar label",
+        "end_header",
+        "",
+      ].join("\n"),
+    );
   const plain = readPlyHeader(header([]))!;
   assert.equal(plain.stride, 57);
-  assert.deepEqual(plain.scene, { splats: 7, shDegree: 0, axes: "RDF", linear: false, kernelPx: 0.3, antialiased: false });
-  const told = readPlyHeader(header([
-    "comment cogsplat origin 1.5 0.0 -2.0", "comment cogsplat axes RUB", "comment cogsplat kernel_px 0.1",
-    "comment cogsplat colour_space linear", "comment SplatRenderMode: mip",
-  ]))!;
+  assert.deepEqual(plain.scene, {
+    splats: 7,
+    shDegree: 0,
+    axes: "RDF",
+    linear: false,
+    kernelPx: 0.3,
+    antialiased: false,
+  });
+  const told = readPlyHeader(
+    header([
+      "comment cogsplat origin 1.5 0.0 -2.0",
+      "comment cogsplat axes RUB",
+      "comment cogsplat kernel_px 0.1",
+      "comment cogsplat colour_space linear",
+      "comment SplatRenderMode: mip",
+    ]),
+  )!;
   assert.deepEqual(told.origin, [1.5, 0, -2]);
   assert.deepEqual(told.scene, { splats: 7, shDegree: 0, axes: "RUB", linear: true, kernelPx: 0.1, antialiased: true });
   assert.equal(readPlyHeader(header([]).subarray(0, 60)), undefined);
@@ -143,11 +193,20 @@ test("an object alone is framed as a whole, but for a splat that floats far off"
   assert.ok(bulk.radius > 1.2 && bulk.radius < 1.6);
   // From where the camera stands then, every splat but that one is in the picture, on a phone that is held upright too.
   const { scene } = new SceneFile(vectorBytes("valid", "sh0"), kernels());
-  for (const [width, height] of [[640, 420], [300, 650]] as const) {
+  for (const [width, height] of [
+    [640, 420],
+    [300, 650],
+  ] as const) {
     const camera = new OrbitCamera({ ...scene, firstView: undefined });
     camera.frame(bulk.centre, bulk.radius);
     const { rotation: r, translation: t, focal } = camera.view(height, width);
-    for (const [x, y, z] of [[0.3, 1, 0], [-0.3, -1, 0], [0, 1, 0.3], [0, -1, -0.3], [0, 1, -0.3]] as const) {
+    for (const [x, y, z] of [
+      [0.3, 1, 0],
+      [-0.3, -1, 0],
+      [0, 1, 0.3],
+      [0, -1, -0.3],
+      [0, 1, -0.3],
+    ] as const) {
       const p = [0, 1, 2].map((row) => r[3 * row]! * x + r[3 * row + 1]! * y + r[3 * row + 2]! * z + t[row]!);
       assert.ok(p[2]! > 0);
       assert.ok(Math.abs((focal[0] * p[0]!) / p[2]!) < width / 2);
@@ -166,7 +225,12 @@ test("a PLY comes no faster than the rate, and the page has its turn between two
   const found: string[] = [];
   const start = performance.now();
   const request = { type: "ply", source, mostRows: Infinity, ranges: DEFAULT_RANGES, bitsPerSecond: Infinity } as const;
-  await readPly(request, meter, ({ type }) => found.push(type), async () => void rests++);
+  await readPly(
+    request,
+    meter,
+    ({ type }) => found.push(type),
+    async () => void rests++,
+  );
   assert.ok(performance.now() - start >= 190);
   assert.deepEqual([...new Set(found)], ["scene", "rows", "end"]);
   assert.equal(rests, found.filter((type) => type === "rows").length);
@@ -196,9 +260,16 @@ test("a meter counts bytes and keeps to its rate", async (context) => {
 
 test("every error is told in a sentence of its own", () => {
   const errors = [
-    new NoWebGlError("none"), new SourceError("gone", 404), new SourceError("no", 403), new SourceError("trouble", 503),
-    new SourceError("unreachable"), new CogsplatError("not-cogs", "x"), new CogsplatError("file-truncated", "x"),
-    new CogsplatError("segment-crc", "x"), new CogsplatError("version-major", "x"), new CogsplatError("decoded-size", "x"),
+    new NoWebGlError("none"),
+    new SourceError("gone", 404),
+    new SourceError("no", 403),
+    new SourceError("trouble", 503),
+    new SourceError("unreachable"),
+    new CogsplatError("not-cogs", "x"),
+    new CogsplatError("file-truncated", "x"),
+    new CogsplatError("segment-crc", "x"),
+    new CogsplatError("version-major", "x"),
+    new CogsplatError("decoded-size", "x"),
     new CogsplatError("source-changed", "x"),
   ];
   const titles = errors.map((error) => describe(error, false).title);
@@ -209,8 +280,16 @@ test("every error is told in a sentence of its own", () => {
 });
 
 test("sizes are written with three digits", () => {
-  assert.deepEqual([0, 999, 1000, 65_536, 999_499, 999_600, 12_345_678, 5e9].map(sizeText),
-    ["0 bytes", "999 bytes", "1 kB", "65.5 kB", "999 kB", "1 MB", "12.3 MB", "5 GB"]);
+  assert.deepEqual([0, 999, 1000, 65_536, 999_499, 999_600, 12_345_678, 5e9].map(sizeText), [
+    "0 bytes",
+    "999 bytes",
+    "1 kB",
+    "65.5 kB",
+    "999 kB",
+    "1 MB",
+    "12.3 MB",
+    "5 GB",
+  ]);
 });
 
 test("a scene without a first view is framed, one with it keeps its picture", async () => {
@@ -219,10 +298,14 @@ test("a scene without a first view is framed, one with it keeps its picture", as
   const camera = new OrbitCamera(scene);
   const before = camera.view(480);
   camera.turnAround(7);
-  camera.view(480).translation.forEach((value, i) => assert.ok(Math.abs(value - before.translation[i]!) < 1e-9));
+  camera.view(480).translation.forEach((value, i) => {
+    assert.ok(Math.abs(value - before.translation[i]!) < 1e-9);
+  });
   const { position } = camera;
   camera.look(40, -20);
-  camera.position.forEach((value, i) => assert.ok(Math.abs(value - position[i]!) < 1e-9));
+  camera.position.forEach((value, i) => {
+    assert.ok(Math.abs(value - position[i]!) < 1e-9);
+  });
   const free = new OrbitCamera({ ...scene, firstView: undefined });
   free.frame([1, 2, 3], 2);
   const { rotation: r, translation: t, focal } = free.view(400);

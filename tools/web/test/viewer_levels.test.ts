@@ -10,16 +10,26 @@ import { levelForSize, levelOfPrefix } from "../src/viewer/levels.js";
 import { vectorBytes } from "./vectors.js";
 
 const kernels = await loadKernels();
-const LEVELS = [{ chunks: 2, scale: 8 }, { chunks: 4, scale: 4 }, { chunks: 8, scale: 1 }];
+const LEVELS = [
+  { chunks: 2, scale: 8 },
+  { chunks: 4, scale: 4 },
+  { chunks: 8, scale: 1 },
+];
 
 test("the level of a size lies where its width lies between those of two levels (SPEC 8.11)", () => {
   const sizes = [0.01, 0.125, 0.1875, 0.25, 0.4375, 1, 7];
-  assert.deepEqual(sizes.map((size) => levelForSize(LEVELS, size)), [0, 0, 0.5, 1, 1.25, 2, 2]);
+  assert.deepEqual(
+    sizes.map((size) => levelForSize(LEVELS, size)),
+    [0, 0, 0.5, 1, 1.25, 2, 2],
+  );
   assert.equal(levelForSize(LEVELS.slice(0, 1), 0.5), 0);
 });
 
 test("a prefix has come as far as the chunks of the next level that are there", () => {
-  assert.deepEqual([0, 1, 2, 3, 4, 5, 8].map((chunks) => levelOfPrefix(LEVELS, chunks)), [0, 0, 0, 0.5, 1, 1.25, 2]);
+  assert.deepEqual(
+    [0, 1, 2, 3, 4, 5, 8].map((chunks) => levelOfPrefix(LEVELS, chunks)),
+    [0, 0, 0, 0.5, 1, 1.25, 2],
+  );
 });
 
 test("words hold the opacities at two adjacent levels, 0 where a level does not draw the chunk", () => {
@@ -28,11 +38,19 @@ test("words hold the opacities at two adjacent levels, 0 where a level does not 
   opacities.put(4, [0, 1, 2], [Uint8Array.of(50), undefined, Uint8Array.of(70)]);
   opacities.put(5, [], [Uint8Array.of(90)]);
   assert.deepEqual([...opacities.known], [3, 4, 5]);
-  assert.deepEqual([0, 1, 2].map((level) => Array.from(opacities.words(3, level))), [
-    [10 << 8, 20 << 8], [10 | (200 << 8), 20 | (100 << 8)], [200, 100],
-  ]);
+  assert.deepEqual(
+    [0, 1, 2].map((level) => Array.from(opacities.words(3, level))),
+    [
+      [10 << 8, 20 << 8],
+      [10 | (200 << 8), 20 | (100 << 8)],
+      [200, 100],
+    ],
+  );
   // What has not come is that of the level before.
-  assert.deepEqual([0, 1].map((level) => opacities.words(4, level)[0]), [50 | (50 << 8), 50 | (70 << 8)]);
+  assert.deepEqual(
+    [0, 1].map((level) => opacities.words(4, level)[0]),
+    [50 | (50 << 8), 50 | (70 << 8)],
+  );
   // A chunk that no level draws is there for the first seconds.
   assert.equal(opacities.words(5, 1)[0], 90 | (90 << 8));
   assert.equal(opacities.words(5, 1, 0.5)[0], 45 | (45 << 8));
@@ -57,7 +75,9 @@ for (const name of ["levels", "levels-pages", "levels-kept"]) {
           continue;
         }
         const logits = file.decodeChunk(chunk, 0, true, level).opacities;
-        logits.forEach((logit, row) => assert.equal(words[row]! & 255, Math.round(255 / (1 + Math.exp(-logit)))));
+        logits.forEach((logit, row) => {
+          assert.equal(words[row]! & 255, Math.round(255 / (1 + Math.exp(-logit))));
+        });
         checked += logits.length;
       }
     }
@@ -67,7 +87,10 @@ for (const name of ["levels", "levels-pages", "levels-kept"]) {
 
 test("chunks that have ended fade within half a second, or go at once", () => {
   const painted: string[] = [];
-  const ending = new EndingChunks((_chunk, prefix) => prefix < 5, (chunk, factor) => painted.push(`${chunk}: ${factor.toFixed(2)}`));
+  const ending = new EndingChunks(
+    (_chunk, prefix) => prefix < 5,
+    (chunk, factor) => painted.push(`${chunk}: ${factor.toFixed(2)}`),
+  );
   const taken = () => painted.splice(0);
   ending.put(0, 1);
   ending.show(4, 1000);

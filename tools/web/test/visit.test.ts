@@ -7,15 +7,15 @@ import { LinkEstimate } from "../src/loader/link_estimate.js";
 import { PoseHistory } from "../src/loader/pose_history.js";
 import { segmentUnits, type UnitIndex } from "../src/loader/segment_units.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
+import { UnitRequests } from "../src/loader/unit_requests.js";
 import { Visit, type VisitOptions } from "../src/loader/visit.js";
-import { along, byBoxes } from "../src/schedule/chunk_ratios.js";
-import { path, type Pose } from "../src/schedule/poses.js";
-import { Scheduler } from "../src/schedule/scheduler.js";
 import { SceneFile } from "../src/scene/scene_file.js";
+import { along, byBoxes } from "../src/schedule/chunk_ratios.js";
+import { type Pose, path } from "../src/schedule/poses.js";
+import { Scheduler } from "../src/schedule/scheduler.js";
 import { FolderServer } from "./folder_server.js";
 import { padSegments } from "./padded_file.js";
 import { RangeServer } from "./range_server.js";
-import { UnitRequests } from "../src/loader/unit_requests.js";
 import { manifest, sha256, vectorBytes, vectorFolder } from "./vectors.js";
 
 const kernels = await loadKernels();
@@ -28,7 +28,11 @@ function looking(back = false, position: readonly number[] = [0, 0, 0]): Pose {
 
 /** An index of a first chunk around the eye, one ahead and one behind, each a head, then the refinements. */
 function smallIndex(): UnitIndex {
-  const boxes = [[-9, -9, -9, 9, 9, 9], [-1, -1, 4, 1, 1, 6], [-1, -1, -6, 1, 1, -4]];
+  const boxes = [
+    [-9, -9, -9, 9, 9, 9],
+    [-1, -1, 4, 1, 1, 6],
+    [-1, -1, -6, 1, 1, -4],
+  ];
   return {
     segments: { kind: Uint8Array.from([1, 1, 1, 7, 7, 7]), owner: Uint32Array.from([0, 1, 2, 0, 1, 2]) },
     chunks: {
@@ -48,7 +52,12 @@ function order(index: UnitIndex, pose: Pose): number[] {
   const units = segmentUnits(index, 0, false);
   const ratios = along(byBoxes(index.chunks.box, index.chunks.contribution), path(pose, pose, 0));
   const nothing = { there: new Set<number>(), underWay: new Set<number>(), received: new Map<number, number>() };
-  const { fetch } = new Scheduler(units, index.chunks.splats).decide(ratios, { ...nothing, budgetSplats: 0, bytesPerSecond: Infinity, latency: 0 });
+  const { fetch } = new Scheduler(units, index.chunks.splats).decide(ratios, {
+    ...nothing,
+    budgetSplats: 0,
+    bytesPerSecond: Infinity,
+    latency: 0,
+  });
   return fetch.map((unit) => units[unit]!.segment);
 }
 
@@ -64,7 +73,10 @@ test("what the pose shows comes first, behind its parents", () => {
 test("chunks that end are no units", () => {
   const index = smallIndex();
   index.chunks.until[1] = 3;
-  assert.deepEqual(segmentUnits(index, 0, false).map(({ segment }) => segment), [0, 2, 3, 5]);
+  assert.deepEqual(
+    segmentUnits(index, 0, false).map(({ segment }) => segment),
+    [0, 2, 3, 5],
+  );
 });
 
 test("a connection is judged by what has come lately, pauses left aside", () => {
@@ -161,7 +173,9 @@ for (const isLasting of [false, true]) {
     const bytes = vectorBytes("valid", "chunks");
     let flips = 0;
     // Behind the first bytes all answers are damaged, or one.
-    const server = new RangeServer(padSegments(bytes, 70_000), (_, [, end]) => (end > 70_000 && (isLasting || flips++ === 0) ? "flip" : undefined));
+    const server = new RangeServer(padSegments(bytes, 70_000), (_, [, end]) =>
+      end > 70_000 && (isLasting || flips++ === 0) ? "flip" : undefined,
+    );
     const url = await server.start();
     try {
       const told = new Set<number | undefined>();
@@ -194,9 +208,16 @@ function viewpoint(file: SceneFile, view: number): Pose {
   const across = Math.hypot(forward[0]!, forward[2]!);
   const right = [forward[2]! / across, 0, -forward[0]! / across];
   const down = [
-    forward[1]! * right[2]! - forward[2]! * right[1]!, forward[2]! * right[0]! - forward[0]! * right[2]!, forward[0]! * right[1]! - forward[1]! * right[0]!,
+    forward[1]! * right[2]! - forward[2]! * right[1]!,
+    forward[2]! * right[0]! - forward[0]! * right[2]!,
+    forward[0]! * right[1]! - forward[1]! * right[0]!,
   ];
-  return { position: Array.from(positions.subarray(3 * view, 3 * view + 3)), rotation: [...right, ...down, ...forward], tanX: 1, tanY: 1 };
+  return {
+    position: Array.from(positions.subarray(3 * view, 3 * view + 3)),
+    rotation: [...right, ...down, ...forward],
+    tanX: 1,
+    tanY: 1,
+  };
 }
 
 for (const padding of [0, 70_000]) {
@@ -210,7 +231,11 @@ for (const padding of [0, 70_000]) {
       const scene = await StreamedScene.open(url);
       let isSettled = false;
       // Two of its four chunks of three splats.
-      const visit = await Visit.begin(scene, { signal: abort.signal, splatBudget: 6, onSettled: (now) => (isSettled = now) });
+      const visit = await Visit.begin(scene, {
+        signal: abort.signal,
+        splatBudget: 6,
+        onSettled: (now) => (isSettled = now),
+      });
       const held = new Set<number>();
       const ended = (async () => {
         for await (const change of visit.changes()) {
@@ -245,7 +270,12 @@ test("what was stopped goes on from the byte where it was, and what was asked fo
   const asked: [number, number, string | undefined][] = [];
   const takes: ((part: Uint8Array) => void)[] = [];
   const reader = {
-    parts: (range: { offset: number; length: number }, signal: AbortSignal, take: (part: Uint8Array) => void, priority?: string) => {
+    parts: (
+      range: { offset: number; length: number },
+      signal: AbortSignal,
+      take: (part: Uint8Array) => void,
+      priority?: string,
+    ) => {
       asked.push([range.offset, range.length, priority]);
       takes.push(take);
       return new Promise<void>((_, reject) => signal.addEventListener("abort", () => reject(signal.reason as Error)));
@@ -267,7 +297,10 @@ test("what was stopped goes on from the byte where it was, and what was asked fo
   takes.splice(0);
   requests.link.bytesPerSecond = 1e6;
   requests.start([3, 4, 5, 8], (unit) => (unit === 3 ? "high" : "low"));
-  assert.deepEqual(asked, [[300, 300, "high"], [800, 100, "low"]]);
+  assert.deepEqual(asked, [
+    [300, 300, "high"],
+    [800, 100, "low"],
+  ]);
   takes[0]!(file.slice(300, 450));
   assert.deepEqual([...came.keys()], [3]);
   assert.deepEqual(requests.underWay, [4, 5, 8]);
@@ -279,7 +312,10 @@ test("what was stopped goes on from the byte where it was, and what was asked fo
   requests.start([4, 5], () => "auto");
   assert.deepEqual(asked.at(-1), [450, 150, "auto"]);
   takes[2]!(file.slice(450, 600));
-  assert.deepEqual([...came], [3, 4, 5].map((unit) => [unit, sha256(file.slice(100 * unit, 100 * unit + 100))]));
+  assert.deepEqual(
+    [...came],
+    [3, 4, 5].map((unit) => [unit, sha256(file.slice(100 * unit, 100 * unit + 100))]),
+  );
   requests.close();
   assert.deepEqual(requests.underWay, []);
 });

@@ -49,7 +49,15 @@ function watched(capacity: number, ratios: () => Float64Array | undefined) {
   const take = (...chunks: number[]): void => {
     for (const chunk of chunks) {
       const firstRow = SPLATS.slice(0, chunk).reduce((sum, count) => sum + count, 0);
-      visited.take({ kind: "rows", chunk, firstRow, count: SPLATS[chunk]!, tail: true, refined: true, packed: packedOf(chunk) });
+      visited.take({
+        kind: "rows",
+        chunk,
+        firstRow,
+        count: SPLATS[chunk]!,
+        tail: true,
+        refined: true,
+        packed: packedOf(chunk),
+      });
     }
   };
   return { visited, prefixes, rows, shifts, layer, take };
@@ -57,12 +65,21 @@ function watched(capacity: number, ratios: () => Float64Array | undefined) {
 
 test("what the pose shows little of is not made up for", () => {
   const unseen = Float64Array.from([1, 1, 1 / 512, 1, 1, 1]);
-  for (const [ratios, ofFirst] of [[undefined, 2], [new Float64Array(6).fill(3), 2], [unseen, 4]] as const) {
+  for (const [ratios, ofFirst] of [
+    [undefined, 2],
+    [new Float64Array(6).fill(3), 2],
+    [unseen, 4],
+  ] as const) {
     const { visited, prefixes, take } = watched(80, () => ratios);
     take(0, 1, 3, 4);
     assert.ok(!visited.work(Infinity));
     // The chunks of the first cell of the second depth are all there, up to the last that came.
-    assert.deepEqual([...prefixes].sort(), [[0, ofFirst], [1, 5], [3, 5], [4, 5]]);
+    assert.deepEqual([...prefixes].sort(), [
+      [0, ofFirst],
+      [1, 5],
+      [3, 5],
+      [4, 5],
+    ]);
   }
 });
 
@@ -99,10 +116,12 @@ test("chunks take the rows of those that went, and bring what they add with them
   take(2);
   visited.work(Infinity);
   assert.deepEqual(drawn(), wanted(0, 1, 2));
-  for (const [row, added] of shifts.entries()) assert.ok(added === 0 || added === rows[row], `row ${row} is shifted by ${added}`);
+  for (const [row, added] of shifts.entries())
+    assert.ok(added === 0 || added === rows[row], `row ${row} is shifted by ${added}`);
   visited.take({ kind: "gone", chunk: 1 });
   take(5);
   visited.work(Infinity);
   assert.deepEqual(drawn(), wanted(0, 2, 5));
-  for (const [row, added] of shifts.entries()) assert.ok(added === 0 || added === rows[row], `row ${row} is shifted by ${added}`);
+  for (const [row, added] of shifts.entries())
+    assert.ok(added === 0 || added === rows[row], `row ${row} is shifted by ${added}`);
 });

@@ -40,7 +40,8 @@ for (const name of ["transform", "two-books", "chunks", "pages"]) {
       service: (index) => new DecoderPool(index, { workers: 2, makeWorker: nodeWorker }),
     });
     const last = new Map<number, string>();
-    for await (const { chunk, splats } of scene.stream()) last.set(chunk, sha256(splats!.means, splats!.quats, splats!.shN));
+    for await (const { chunk, splats } of scene.stream())
+      last.set(chunk, sha256(splats!.means, splats!.quats, splats!.shN));
     assert.equal(last.size, file.index.chunkCount);
     for (const [chunk, hash] of last) {
       const expected = file.decodeChunk(chunk);

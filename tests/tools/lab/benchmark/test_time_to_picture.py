@@ -9,6 +9,7 @@ from running import SmallScene
 
 import cogsplat
 from cogsplat.formats.cameras.camera_files import read_cameras
+from cogsplat.tools.lab.benchmark import time_to_picture
 from cogsplat.tools.lab.benchmark.time_to_picture import Arrival, Contender, chart, contenders, run
 
 ARRIVAL = Arrival("COGS", 5.0, 1000, (0.1, 0.5, 0.9), (20.0, 30.0, 41.0))
@@ -46,9 +47,10 @@ def test_the_scene_is_written_in_every_format(small: SmallScene, tmp_path: Path)
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::cogsplat.codec.errors.CogsplatWarning")
 def test_a_browser_ends_with_the_whole_scene(
-    small: SmallScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small: SmallScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, web_package: Path
 ) -> None:
     monkeypatch.setenv("COGSPLAT_CHROMIUM", executable())
+    monkeypatch.setattr(time_to_picture, "_WEB", web_package)
     source, cameras = cogsplat.read(small.ply), read_cameras(small.cameras)[:2]
     rows = next(file for file in contenders(source, small.cogs, tmp_path) if file.way == "bytes")
     ours = Contender("COGS", "cogs", small.cogs)

@@ -9,6 +9,7 @@ from chromium import executable
 import cogsplat
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.formats.cogs.layout import SegmentKind
+from cogsplat.tools.lab.benchmark import visits
 from cogsplat.tools.lab.benchmark.visits import compare, in_browser, units_there
 from cogsplat.tools.lab.streaming.client import Link, units_of
 from cogsplat.tools.lab.streaming.comparison import Simulation
@@ -36,8 +37,11 @@ def test_units_are_those_that_the_page_noted(house: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_browser_comes_to_what_is_simulated(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_browser_comes_to_what_is_simulated(
+    house: Path, monkeypatch: pytest.MonkeyPatch, web_package: Path
+) -> None:
     monkeypatch.setenv("COGSPLAT_CHROMIUM", executable())
+    monkeypatch.setattr(visits, "_WEB", web_package)
     with cogsplat.open(house) as file:
         simulation = Simulation(file, rooms_cameras(4, views=2), threads=1)
         total = int(file.chunks.splats.sum())

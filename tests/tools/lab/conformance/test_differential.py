@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from mutants import VECTORS
-from running import ROOT, broken_decoder, installed
+from running import broken_decoder, installed
 
 from cogsplat.codec.errors import StorageError
 from cogsplat.tools.lab.conformance.differential import fuzz, vector_files
@@ -20,14 +20,10 @@ def ours(kind: str) -> list[str]:
     return [sys.executable, "-m", "cogsplat.tools.lab.conformance.decoder", kind]
 
 
-def web(backend: str) -> list[str]:
-    script = ROOT / "tools" / "web" / "scripts" / "conformance_decoder.mjs"
-    return [installed("node"), str(script), backend]
-
-
 @pytest.mark.slow
-def test_all_our_decoders_say_the_same_of_every_mutant() -> None:
-    commands = [ours("numpy"), web("wasm"), web("javascript"), ours("reference")]
+def test_all_our_decoders_say_the_same_of_every_mutant(web_package: Path) -> None:
+    web = [installed("node"), str(web_package / "scripts" / "conformance_decoder.mjs")]
+    commands = [ours("numpy"), web, ours("reference")]
     report = fuzz(commands, vector_files(VECTORS), seed=2, count=COUNT)
     assert [(d.number, d.verdicts) for d in report.disagreements] == []
     assert report.mutants == sum(report.verdicts.values()) == COUNT

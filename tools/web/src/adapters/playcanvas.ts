@@ -6,9 +6,17 @@
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import { texelWidths } from "../scene/texels.js";
 import { axesRotation } from "./axes.js";
-import { sortBehindCameras, type PlayCanvasApplication } from "./playcanvas_sorting.js";
+import { type PlayCanvasApplication, sortBehindCameras } from "./playcanvas_sorting.js";
 import { editShader, glslFloat } from "./shader_edits.js";
-import { ownAbort, placeOf, sceneArrays, streamTexels, wantedDegree, type AdapterOptions, type AdapterStream } from "./texel_stream.js";
+import {
+  type AdapterOptions,
+  type AdapterStream,
+  ownAbort,
+  placeOf,
+  sceneArrays,
+  streamTexels,
+  wantedDegree,
+} from "./texel_stream.js";
 
 export type { PlayCanvasApplication } from "./playcanvas_sorting.js";
 export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
@@ -51,7 +59,9 @@ interface Settable {
 /** What the adapter uses of the module `playcanvas`. */
 export interface PlayCanvasModule<D, C extends PlayCanvasContainer> {
   readonly GSplatFormat: new (
-    device: D, streams: { name: string; format: number }[], options: { readGLSL: string; readWGSL: string },
+    device: D,
+    streams: { name: string; format: number }[],
+    options: { readGLSL: string; readWGSL: string },
   ) => unknown;
   readonly GSplatContainer: new (device: D, maxSplats: number, format: never) => C;
   readonly PIXELFORMAT_RGBA16F: number;
@@ -110,7 +120,11 @@ export interface PlayCanvasSettings {
  * drawBySpec(pc, app, scene);
  * ```
  */
-export function drawBySpec(pc: PlayCanvasShaders, app: PlayCanvasSettings, { info }: Pick<StreamedScene, "info">): boolean {
+export function drawBySpec(
+  pc: PlayCanvasShaders,
+  app: PlayCanvasSettings,
+  { info }: Pick<StreamedScene, "info">,
+): boolean {
   const { gsplat } = app.scene;
   gsplat.minPixelSize = 0;
   gsplat.antiAlias = info.antialiased;
@@ -122,7 +136,12 @@ export function drawBySpec(pc: PlayCanvasShaders, app: PlayCanvasSettings, { inf
       ["normExp(A) * gaussianColor.a", "min(0.99, exp(A * -4.0) * gaussianColor.a)"],
       ["if (A > 1.0)", "if (A > 1.4)"],
     ],
-    gsplatCommonVS: [["float clip = min(1.0, sqrt(max(0.0, log(alpha / alphaClipValue))) * 0.5);", "float clip = sqrt(max(0.0, log(alpha / alphaClipValue))) * 0.5;"]],
+    gsplatCommonVS: [
+      [
+        "float clip = min(1.0, sqrt(max(0.0, log(alpha / alphaClipValue))) * 0.5);",
+        "float clip = sqrt(max(0.0, log(alpha / alphaClipValue))) * 0.5;",
+      ],
+    ],
     gsplatCornerVS: [
       ["+ 0.3", `+ ${kernel}`],
       [
@@ -208,7 +227,10 @@ fn getRotation() -> vec4f {
  * ```
  */
 export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
-  scene: StreamedScene, pc: PlayCanvasModule<D, C>, device: D, options: PlayCanvasOptions = {},
+  scene: StreamedScene,
+  pc: PlayCanvasModule<D, C>,
+  device: D,
+  options: PlayCanvasOptions = {},
 ): PlayCanvasScene<C> {
   const degree = wantedDegree(scene, options);
   const widths = texelWidths("playcanvas", degree);
@@ -226,7 +248,10 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
   resource.configureMaterialDefines = (defines) => defines.set("SH_BANDS", String(degree));
   resource.gsplatData.shBands = degree;
   const { box } = scene.info;
-  const [center, half] = [[0, 1, 2].map((i) => (box[i]! + box[i + 3]!) / 2), [0, 1, 2].map((i) => (box[i + 3]! - box[i]!) / 2)];
+  const [center, half] = [
+    [0, 1, 2].map((i) => (box[i]! + box[i + 3]!) / 2),
+    [0, 1, 2].map((i) => (box[i + 3]! - box[i]!) / 2),
+  ];
   resource.aabb.center.set(center[0]!, center[1]!, center[2]!);
   resource.aabb.halfExtents.set(half[0]!, half[1]!, half[2]!);
   // Rows that show nothing are sorted as well, and the engine's keys end at the box.
@@ -236,7 +261,8 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
   // number of splats has changed; with the same number it goes on to draw what it copied before. Rows without data show
   // nothing, so that every upload can have a number of its own: frames are missed for fewer uploads than there are spare rows.
   let uploads = 0;
-  const redraw = (rows: number, centersUpdated: boolean): void => resource.update(rows + (uploads++ % SPARE_ROWS), centersUpdated);
+  const redraw = (rows: number, centersUpdated: boolean): void =>
+    resource.update(rows + (uploads++ % SPARE_ROWS), centersUpdated);
   let drawn = 0;
   const transformA = arrays[1]!;
   const means = new Float32Array(transformA.buffer, transformA.byteOffset, transformA.length);
@@ -254,9 +280,11 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
     redraw(drawn, true);
   };
   const { application } = options;
-  const unfollow = application && sortBehindCameras(application, () => {
-    if (drawn > 0) redraw(drawn, false);
-  });
+  const unfollow =
+    application &&
+    sortBehindCameras(application, () => {
+      if (drawn > 0) redraw(drawn, false);
+    });
   const abort = ownAbort(options.signal);
   const done = streamTexels(scene, "playcanvas", { arrays, upload }, options, abort.signal);
   return {

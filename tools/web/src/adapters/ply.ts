@@ -10,9 +10,24 @@ export interface PlyOptions {
 export function plyProperties(shDegree: number): string[] {
   const rest = 3 * ((shDegree + 1) ** 2 - 1);
   return [
-    "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2",
+    "x",
+    "y",
+    "z",
+    "nx",
+    "ny",
+    "nz",
+    "f_dc_0",
+    "f_dc_1",
+    "f_dc_2",
     ...Array.from({ length: rest }, (_, i) => `f_rest_${i}`),
-    "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+    "opacity",
+    "scale_0",
+    "scale_1",
+    "scale_2",
+    "rot_0",
+    "rot_1",
+    "rot_2",
+    "rot_3",
   ];
 }
 
@@ -28,8 +43,12 @@ export function plyProperties(shDegree: number): string[] {
 export function toPly(splats: Splats, { origin = [0, 0, 0] }: PlyOptions = {}): Uint8Array {
   const names = plyProperties(splats.shDegree);
   const header = [
-    "ply", "format binary_little_endian 1.0", `element vertex ${splats.count}`,
-    ...names.map((name) => `property float ${name}`), "end_header", "",
+    "ply",
+    "format binary_little_endian 1.0",
+    `element vertex ${splats.count}`,
+    ...names.map((name) => `property float ${name}`),
+    "end_header",
+    "",
   ].join("\n");
   const text = new TextEncoder().encode(header);
   const bytes = new Uint8Array(text.length + 4 * names.length * splats.count);

@@ -6,7 +6,15 @@
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import { axesRotation } from "./axes.js";
 import { editShader } from "./shader_edits.js";
-import { ownAbort, placeOf, sceneArrays, streamTexels, wantedDegree, type AdapterOptions, type AdapterStream } from "./texel_stream.js";
+import {
+  type AdapterOptions,
+  type AdapterStream,
+  ownAbort,
+  placeOf,
+  sceneArrays,
+  streamTexels,
+  wantedDegree,
+} from "./texel_stream.js";
 
 export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
 
@@ -126,7 +134,9 @@ const BANDS = ["sh1", "sh2", "sh3a", "sh3b"] as const;
  * ```
  */
 export function streamToSpark<M extends SparkMesh>(
-  scene: StreamedScene, spark: SparkModule<M>, options: AdapterOptions = {},
+  scene: StreamedScene,
+  spark: SparkModule<M>,
+  options: AdapterOptions = {},
 ): SparkScene<M> {
   const degree = wantedDegree(scene, options);
   const lines = Math.max(1, Math.ceil(scene.info.splats / TEXTURE_WIDTH));

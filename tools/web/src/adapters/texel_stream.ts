@@ -1,7 +1,8 @@
-import { axesMatrix } from "./axes.js";
-import type { StreamedScene } from "../loader/streamed_scene.js";
 import type { StreamOptions } from "../loader/stream_options.js";
-import { makeTexelArrays, writeTexels, type TexelArray, type TexelLayout, type Texels } from "../scene/texels.js";
+import type { StreamedScene } from "../loader/streamed_scene.js";
+import type { TexelArray, TexelLayout, Texels } from "../scene/texel_layouts.js";
+import { makeTexelArrays, writeTexels } from "../scene/texels.js";
+import { axesMatrix } from "./axes.js";
 
 /** How a scene is streamed into a renderer. */
 export interface AdapterOptions extends Omit<StreamOptions, "format" | "ranges"> {
@@ -48,7 +49,11 @@ export function wantedDegree(scene: StreamedScene, options: AdapterOptions): num
  * take the places of the rows that they replace. No more is done at once than fits into a frame.
  */
 export async function streamTexels(
-  scene: StreamedScene, layout: TexelLayout, target: TexelTarget, options: AdapterOptions, signal: AbortSignal,
+  scene: StreamedScene,
+  layout: TexelLayout,
+  target: TexelTarget,
+  options: AdapterOptions,
+  signal: AbortSignal,
 ): Promise<void> {
   const compensate = options.compensate ?? true;
   const rows = new DrawnRows(scene, target, compensate);
@@ -146,5 +151,9 @@ export function ownAbort(signal: AbortSignal | undefined): AbortController {
 export function placeOf(scene: StreamedScene, { worldOrigin }: AdapterOptions): [number, number, number] {
   const away = scene.info.origin.map((value, axis) => value - (worldOrigin ?? scene.info.origin)[axis]!);
   const matrix = axesMatrix(scene.info.axes);
-  return [0, 1, 2].map((row) => away.reduce((sum, value, i) => sum + matrix[3 * row + i]! * value, 0)) as [number, number, number];
+  return [0, 1, 2].map((row) => away.reduce((sum, value, i) => sum + matrix[3 * row + i]! * value, 0)) as [
+    number,
+    number,
+    number,
+  ];
 }

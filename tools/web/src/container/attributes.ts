@@ -5,11 +5,24 @@ import { ATTRIBUTE_TYPES, type AttributeEntry } from "./root.js";
 
 /** Values of an extra attribute. */
 export type AttributeArray =
-  | Uint8Array | Int8Array | Uint16Array | Int16Array | Uint32Array | Int32Array | Float32Array | Float64Array;
+  | Uint8Array
+  | Int8Array
+  | Uint16Array
+  | Int16Array
+  | Uint32Array
+  | Int32Array
+  | Float32Array
+  | Float64Array;
 
 const ARRAYS = {
-  u1: Uint8Array, i1: Int8Array, u2: Uint16Array, i2: Int16Array, u4: Uint32Array, i4: Int32Array,
-  f4: Float32Array, f8: Float64Array,
+  u1: Uint8Array,
+  i1: Int8Array,
+  u2: Uint16Array,
+  i2: Int16Array,
+  u4: Uint32Array,
+  i4: Int32Array,
+  f4: Float32Array,
+  f8: Float64Array,
 } as const;
 
 /**
@@ -20,7 +33,10 @@ const ARRAYS = {
  * @returns Values by name, those of a row side by side.
  */
 export function readAttributes(
-  k: Kernels, payload: Uint8Array, entries: readonly AttributeEntry[], rows: number,
+  k: Kernels,
+  payload: Uint8Array,
+  entries: readonly AttributeEntry[],
+  rows: number,
 ): Map<string, AttributeArray> {
   const base = k.alloc(payload.length);
   k.u8.set(payload, base);

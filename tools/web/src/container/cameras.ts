@@ -20,7 +20,9 @@ export function readCameras(payload: Uint8Array): Camera[] {
   const width = fields.column("width", 2);
   const count = width.byteLength / 2;
   const height = fields.column("height", 2, count);
-  const [fx, fy, cx, cy] = (["fx", "fy", "cx", "cy"] as const).map((key) => float64Column(fields.column(key, 8, count)));
+  const [fx, fy, cx, cy] = (["fx", "fy", "cx", "cy"] as const).map((key) =>
+    float64Column(fields.column(key, 8, count)),
+  );
   const rotation = float64Column(fields.column("rotation", 72, count));
   const translation = float64Column(fields.column("translation", 24, count));
   const texts = names.filter((name) => typeof name === "string");

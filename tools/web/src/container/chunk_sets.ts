@@ -8,7 +8,8 @@ export function parentsOf(cells: ArrayLike<number>): Int32Array {
   const last = new Map<number, number>();
   return Int32Array.from(cells, (cell, chunk) => {
     let parent = -1;
-    for (let around = cell; around > 0; around = Math.floor(around / 2)) parent = Math.max(parent, last.get(around) ?? -1);
+    for (let around = cell; around > 0; around = Math.floor(around / 2))
+      parent = Math.max(parent, last.get(around) ?? -1);
     last.set(cell, chunk);
     return parent;
   });
@@ -30,7 +31,9 @@ export function isClosed(chunks: readonly number[], parents: Int32Array): boolea
  * @returns For each chunk of the set the chunks of its prefix.
  */
 export function equivalentPrefixes(
-  chunks: readonly number[], parents: Int32Array, splats: ArrayLike<number>,
+  chunks: readonly number[],
+  parents: Int32Array,
+  splats: ArrayLike<number>,
 ): number[] {
   const end = chunks.length === 0 ? 0 : chunks[chunks.length - 1]! + 1;
   const held = new Float64Array(end);

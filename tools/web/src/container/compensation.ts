@@ -33,7 +33,10 @@ export interface CompensationLayer {
  * @returns The layer, or undefined where it has chunks whose index is not known yet.
  */
 export function readLayer(
-  payload: Uint8Array, chunks: ChunkTable, totalChunks: number, before: CompensationLayer | undefined,
+  payload: Uint8Array,
+  chunks: ChunkTable,
+  totalChunks: number,
+  before: CompensationLayer | undefined,
 ): CompensationLayer | undefined {
   const fields = new Fields(parseMap(payload), "compensation");
   const scales = int8(fields.column("scales", 1));
@@ -121,9 +124,7 @@ export function shiftsOf(
 }
 
 /** Shifts of one layer for the splats of a chunk that it has. */
-function layerShifts(
-  layers: readonly CompensationLayer[], number: number, chunks: ChunkTable, chunk: number,
-): Shifts {
+function layerShifts(layers: readonly CompensationLayer[], number: number, chunks: ChunkTable, chunk: number): Shifts {
   const layer = layers[number]!;
   const rows = chunks.splats[chunk]!;
   // The first layer that has the chunk brings its codes.

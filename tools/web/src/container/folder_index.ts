@@ -46,7 +46,11 @@ export class FolderIndex implements ScenePlaces {
     this.end = rootEnd + placesBytes(index.segments.kind.length);
     this.manifestBytes = index.pages.reduce((sum, page) => sum + page.length + placesBytes(page.segments), this.end);
     if (manifest.length < this.end) {
-      throw new CogsplatError("file-truncated", `${manifest.length} bytes of a manifest of ${this.manifestBytes}`, manifest.length);
+      throw new CogsplatError(
+        "file-truncated",
+        `${manifest.length} bytes of a manifest of ${this.manifestBytes}`,
+        manifest.length,
+      );
     }
     this.objects.push({ name: "", size: this.manifestBytes });
     const places = manifest.subarray(rootEnd, this.end);
@@ -58,7 +62,11 @@ export class FolderIndex implements ScenePlaces {
   checkLength(length: number): void {
     const code = length < this.manifestBytes ? "file-truncated" : "file-trailing";
     if (length !== this.manifestBytes) {
-      throw new CogsplatError(code, `a manifest of ${length} bytes, expected ${this.manifestBytes}`, Math.min(length, this.manifestBytes));
+      throw new CogsplatError(
+        code,
+        `a manifest of ${length} bytes, expected ${this.manifestBytes}`,
+        Math.min(length, this.manifestBytes),
+      );
     }
   }
 
@@ -99,7 +107,8 @@ export class FolderIndex implements ScenePlaces {
       const size = view.getUint32(NAME_BYTES * count + 4 * row, true);
       const offset = view.getUint32((NAME_BYTES + 4) * count + 4 * row, true);
       const end = offset + this.index.segments.length[first + row]!;
-      if (end > size) throw new CogsplatError("places-range", `segment ${first + row} ends at byte ${end} of an object of ${size}`);
+      if (end > size)
+        throw new CogsplatError("places-range", `segment ${first + row} ends at byte ${end} of an object of ${size}`);
       this.addresses.push(this.numberOf(`segments/${digits}.bin`, size) * SPACE + offset);
     }
   }
@@ -122,5 +131,6 @@ function placesBytes(segments: number): number {
 function checkPlaces(places: Uint8Array, where: string): void {
   const end = places.length - CRC_BYTES;
   const stated = new DataView(places.buffer, places.byteOffset, places.byteLength).getUint32(end, true);
-  if (crc32(places.subarray(0, end)) !== stated) throw new CogsplatError("places-crc", `the CRC of the places of ${where} does not match`);
+  if (crc32(places.subarray(0, end)) !== stated)
+    throw new CogsplatError("places-crc", `the CRC of the places of ${where} does not match`);
 }

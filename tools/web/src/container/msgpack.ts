@@ -115,7 +115,9 @@ class Parser {
     const start = this.at;
     if (count > this.bytes.length - start) {
       throw new CogsplatError(
-        "msgpack-truncated", `${count} bytes needed where ${this.bytes.length - start} are left`, start,
+        "msgpack-truncated",
+        `${count} bytes needed where ${this.bytes.length - start} are left`,
+        start,
       );
     }
     this.at = start + count;
@@ -125,8 +127,7 @@ class Parser {
   /** An unsigned integer of 1, 2 or 4 bytes that no shorter encoding could hold. */
   private length(size: 1 | 2 | 4, least: number, start: number): number {
     const at = this.take(size);
-    const value =
-      size === 1 ? this.view.getUint8(at) : size === 2 ? this.view.getUint16(at) : this.view.getUint32(at);
+    const value = size === 1 ? this.view.getUint8(at) : size === 2 ? this.view.getUint16(at) : this.view.getUint32(at);
     if (value < least) throw new CogsplatError("msgpack-canonical", `${value} in ${size} bytes`, start);
     return value;
   }
@@ -187,7 +188,8 @@ class Parser {
       const keyStart = this.at;
       const key = this.value(depth + 1);
       if (typeof key !== "string") throw new CogsplatError("msgpack-key", "a key that is no str", keyStart);
-      if (values.has(key)) throw new CogsplatError("msgpack-duplicate-key", `the key ${JSON.stringify(key)} twice`, keyStart);
+      if (values.has(key))
+        throw new CogsplatError("msgpack-duplicate-key", `the key ${JSON.stringify(key)} twice`, keyStart);
       values.set(key, this.value(depth + 1));
     }
     return values;

@@ -38,7 +38,8 @@ export function readPreamble(bytes: Uint8Array): Preamble {
   const major = view.getUint16(8, true);
   if (major !== MAJOR) throw new CogsplatError("version-major", `major version ${major}`, 8);
   const minor = view.getUint16(10, true);
-  if (minor !== MINOR) throw new CogsplatError("version-minor", `minor version ${minor}, this reader knows ${MINOR}`, 10);
+  if (minor !== MINOR)
+    throw new CogsplatError("version-minor", `minor version ${minor}, this reader knows ${MINOR}`, 10);
   for (let at = 28; at < 60; at++) {
     if (bytes[at] !== 0) throw new CogsplatError("preamble-reserved", `reserved byte ${bytes[at]}`, at);
   }

@@ -1,8 +1,8 @@
 import { CogsplatError } from "../errors.js";
 import { Fields, textBytes } from "./fields.js";
 import { parseMap } from "./msgpack.js";
-import { readFirstView, type Pinhole } from "./pinhole.js";
-import { readChunkTable, readSegmentTable, type ChunkTable, type SegmentTable } from "./tables.js";
+import { type Pinhole, readFirstView } from "./pinhole.js";
+import { type ChunkTable, readChunkTable, readSegmentTable, type SegmentTable } from "./tables.js";
 
 /** What a codebook's rows are (SPEC 5.5). */
 export interface CodebookEntry {
@@ -86,7 +86,8 @@ export function readRoot(bytes: Uint8Array): Root {
   const kernelPx = fields.float("kernel_px", (value) => value >= 0 && Number.isFinite(value), "finite and at least 0");
   const antialiased = fields.boolean("antialiased");
   const box = fields.floats("box", 6);
-  if ([0, 1, 2].some((axis) => box[axis]! > box[axis + 3]!)) throw fields.outOfRange("box", "a minimum above its maximum");
+  if ([0, 1, 2].some((axis) => box[axis]! > box[axis + 3]!))
+    throw fields.outOfRange("box", "a minimum above its maximum");
   const codebooks = fields.maps("codebooks", 32).map(readCodebook);
   const firstView = fields.has("first_view") ? readFirstView(fields.fields("first_view")) : undefined;
   const attributes = fields.has("attributes") ? readAttributeEntries(fields) : [];
@@ -96,7 +97,18 @@ export function readRoot(bytes: Uint8Array): Root {
   const chunks = readChunkTable(fields.fields("chunks"));
   fields.finish();
   const scene = {
-    writer, splats, shDegree, origin, axes, colourSpace, kernelPx, antialiased, box, firstView, attributes, levels,
+    writer,
+    splats,
+    shDegree,
+    origin,
+    axes,
+    colourSpace,
+    kernelPx,
+    antialiased,
+    box,
+    firstView,
+    attributes,
+    levels,
   } as const;
   return { scene, codebooks, pages, segments, chunks };
 }

@@ -3,9 +3,14 @@ import { crc32 } from "./crc32.js";
 import { Fields } from "./fields.js";
 import { parseMap } from "./msgpack.js";
 import { PREAMBLE_BYTES, readPreamble } from "./preamble.js";
-import { readRoot, type CodebookEntry, type PageEntry, type SceneInfo } from "./root.js";
+import { type CodebookEntry, type PageEntry, readRoot, type SceneInfo } from "./root.js";
 import {
-  joinTables, readChunkTable, readSegmentTable, SegmentKind, type ChunkTable, type SegmentTable,
+  type ChunkTable,
+  joinTables,
+  readChunkTable,
+  readSegmentTable,
+  SegmentKind,
+  type SegmentTable,
 } from "./tables.js";
 
 /** Most segments of a file (SPEC 9.1). */
@@ -140,7 +145,8 @@ export class SceneIndex {
     const number = this.pagesRead;
     const entry = this.pages[number]!;
     const offset = this.end;
-    if (crc32(bytes) !== entry.crc) throw new CogsplatError("page-crc", `the CRC of page ${number} does not match`, offset);
+    if (crc32(bytes) !== entry.crc)
+      throw new CogsplatError("page-crc", `the CRC of page ${number} does not match`, offset);
     const fields = new Fields(parseMap(bytes), `page ${number}`);
     const segments = readSegmentTable(fields.fields("segments"));
     const chunks = readChunkTable(fields.fields("chunks"));
@@ -228,7 +234,9 @@ export class SceneIndex {
 
   /** The segments of all codebooks, those that no chunk needs too, codebook by codebook. */
   allCodebookSegments(): number[] {
-    return this.codebookSegments.flatMap((segments) => [...segments].sort(([a], [b]) => a - b).map(([, segment]) => segment));
+    return this.codebookSegments.flatMap((segments) =>
+      [...segments].sort(([a], [b]) => a - b).map(([, segment]) => segment),
+    );
   }
 
   /** Refuse a payload whose CRC is not the table's. */
@@ -257,7 +265,10 @@ export class SceneIndex {
     const first = this.settled;
     this.settled = this.segments.kind.length;
     if (this.end > this.fileLength || (this.complete && this.end !== this.fileLength)) {
-      throw new CogsplatError("segments-length", `index and segments end at ${this.end}, the file at ${this.fileLength}`);
+      throw new CogsplatError(
+        "segments-length",
+        `index and segments end at ${this.end}, the file at ${this.fileLength}`,
+      );
     }
     this.enterHeads(first);
     this.enterOnce(first, SegmentKind.tail, this.tails, "chunk-tails");
@@ -299,15 +310,23 @@ export class SceneIndex {
 
   /** Note the segments that a chunk has at most once, behind its head. */
   private enterOnce(
-    first: number, kind: number, table: Int32Array, code: "chunk-tails" | "chunk-refinements" | "attribute-segments",
+    first: number,
+    kind: number,
+    table: Int32Array,
+    code: "chunk-tails" | "chunk-refinements" | "attribute-segments",
   ): void {
     const isAllowed =
-      code === "chunk-tails" ? this.scene.shDegree > 0 : code !== "attribute-segments" || this.scene.attributes.length > 0;
+      code === "chunk-tails"
+        ? this.scene.shDegree > 0
+        : code !== "attribute-segments" || this.scene.attributes.length > 0;
     for (const [segment, chunk] of this.ofKind(kind, first)) {
       const head = this.heads[chunk];
       if (!isAllowed) throw new CogsplatError(code, `segment ${segment} has no place in this scene`);
       if (head === undefined || head > segment || table[chunk] !== NONE) {
-        throw new CogsplatError(code, `segment ${segment} of chunk ${chunk} is its second, before its head, or of no chunk`);
+        throw new CogsplatError(
+          code,
+          `segment ${segment} of chunk ${chunk} is its second, before its head, or of no chunk`,
+        );
       }
       table[chunk] = segment;
     }
@@ -349,18 +368,32 @@ export class SceneIndex {
   }
 
   private enterCodebooks(first: number): void {
-    for (const kind of [SegmentKind.shapeCodebook, SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentKind.colourBand3]) {
+    for (const kind of [
+      SegmentKind.shapeCodebook,
+      SegmentKind.colourBand1,
+      SegmentKind.colourBand2,
+      SegmentKind.colourBand3,
+    ]) {
       for (const [segment, codebook] of this.ofKind(kind, first)) {
         const segments = this.codebookSegments[codebook];
-        if (segments === undefined || segments.has(kind) || !this.kindsOf(codebook, this.scene.shDegree).includes(kind)) {
-          throw new CogsplatError("codebook-segments", `segment ${segment} of kind ${kind} has no place in codebook ${codebook}`);
+        if (
+          segments === undefined ||
+          segments.has(kind) ||
+          !this.kindsOf(codebook, this.scene.shDegree).includes(kind)
+        ) {
+          throw new CogsplatError(
+            "codebook-segments",
+            `segment ${segment} of kind ${kind} has no place in codebook ${codebook}`,
+          );
         }
         segments.set(kind, segment);
       }
     }
     if (!this.complete) return;
     this.codebooks.forEach((_, codebook) => {
-      const missing = this.kindsOf(codebook, this.scene.shDegree).find((kind) => !this.codebookSegments[codebook]!.has(kind));
+      const missing = this.kindsOf(codebook, this.scene.shDegree).find(
+        (kind) => !this.codebookSegments[codebook]!.has(kind),
+      );
       if (missing !== undefined) {
         throw new CogsplatError("codebook-segments", `codebook ${codebook} has no segment of kind ${missing}`);
       }

@@ -1,5 +1,5 @@
 import { CogsplatError } from "../errors.js";
-import { Fields } from "./fields.js";
+import type { Fields } from "./fields.js";
 
 /** Segment kinds of SPEC 5.2. */
 export const SegmentKind = {
@@ -90,7 +90,8 @@ export function readChunkTable(fields: Fields): ChunkTable {
   };
   fields.finish();
   for (let i = 0; i < rows; i++) {
-    if (splats[i]! < 1 || splats[i]! > MAX_CHUNK_SPLATS) throw fields.outOfRange("splats", `chunk ${i} has ${splats[i]}`);
+    if (splats[i]! < 1 || splats[i]! > MAX_CHUNK_SPLATS)
+      throw fields.outOfRange("splats", `chunk ${i} has ${splats[i]}`);
     for (let axis = 0; axis < 3; axis++) {
       const least = box[6 * i + axis]!;
       const most = box[6 * i + 3 + axis]!;

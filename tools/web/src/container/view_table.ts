@@ -22,7 +22,9 @@ export interface ViewTable {
 }
 
 /** Shares that codes stand for: exact binary fractions. */
-const SHARES = Float64Array.from({ length: 256 }, (_, code) => (code === 0 ? 0 : (2 + (code & 1)) * 2 ** ((code >> 1) - 128)));
+const SHARES = Float64Array.from({ length: 256 }, (_, code) =>
+  code === 0 ? 0 : (2 + (code & 1)) * 2 ** ((code >> 1) - 128),
+);
 
 /**
  * Read a view table.
@@ -40,7 +42,10 @@ export function readViewTable(k: Kernels, payload: Uint8Array, chunks: number, a
   const packed = fields.binary("codes");
   const word = packed.length < WORD_BYTES ? 0 : new DataView(packed.buffer, packed.byteOffset).getUint32(0, true);
   if (packed.length !== WORD_BYTES + storedBytes(word)) {
-    throw new CogsplatError("root-columns", `${packed.length} bytes of codes for a plane of ${storedBytes(word)} and its word`);
+    throw new CogsplatError(
+      "root-columns",
+      `${packed.length} bytes of codes for a plane of ${storedBytes(word)} and its word`,
+    );
   }
   fields.finish();
   if (views < 1 || views > MAX_VIEWS) throw fields.outOfRange("position", `${views} viewpoints`);
@@ -48,7 +53,8 @@ export function readViewTable(k: Kernels, payload: Uint8Array, chunks: number, a
   if (!positions.every(Number.isFinite)) throw fields.outOfRange("position", "a number that is not finite");
   const directions = Int8Array.from({ length: 3 * views }, (_, i) => direction.getInt8(i));
   for (let view = 0; view < views; view++) {
-    if (directions.subarray(3 * view, 3 * view + 3).every((x) => x === 0)) throw fields.outOfRange("direction", "zeros");
+    if (directions.subarray(3 * view, 3 * view + 3).every((x) => x === 0))
+      throw fields.outOfRange("direction", "zeros");
   }
   if (views * chunks > allowedBytes) throw new CogsplatError("decoded-size", `${views * chunks} codes of a view table`);
   return { views, chunks, positions, directions, shares: readShares(k, packed, word, views, chunks) };

@@ -1,14 +1,11 @@
 /**
- * The arithmetic of SPEC 6 on one block of memory.
+ * The arithmetic of SPEC 6 on one block of WebAssembly memory.
  *
- * Two implementations have this interface: `javascript.ts`, the truth, and WebAssembly, the fast one. Both work on
- * addresses: byte offsets into `u8`, always multiples of 16 for what `alloc` gave. Address 0 means "no such plane".
- * A *column* is one f32 or u32 for each row, without gaps. Functions that can meet bad data return 0 where all is
- * well and a negative number otherwise; the caller knows which reason code that is.
+ * Functions take addresses: byte offsets into `u8`, multiples of 16 where `alloc` returned them. Address 0 stands for
+ * an absent plane. A *column* is one f32 or u32 per row, without gaps. Functions that check their input return 0 for
+ * valid data and a negative number otherwise; the caller raises the reason code.
  */
 export interface Kernels {
-  readonly backend: "wasm" | "javascript";
-
   /** Views of the whole memory. They change when memory grows: read them again after each `alloc`. */
   readonly u8: Uint8Array;
   readonly u32: Uint32Array;
@@ -54,8 +51,16 @@ export interface Kernels {
    * @returns −1 for a fine code below 0.
    */
   sortedMeans(
-    x: number, y: number, z: number, extra: number, rows: number, bits: number,
-    refinement: number, refinementBits: number, axes: number, targets: number,
+    x: number,
+    y: number,
+    z: number,
+    extra: number,
+    rows: number,
+    bits: number,
+    refinement: number,
+    refinementBits: number,
+    axes: number,
+    targets: number,
   ): number;
   /** One component of swing and twist (SPEC 6.11); `planes` is the address of six u32 addresses; −1 for a bad code. */
   swingTwist(extra: number, rows: number, planes: number, low: number, target: number): number;
@@ -74,7 +79,14 @@ export interface Kernels {
   shnOrder(ends: number, rows: number, width: number, order: number, counts: number): number;
   /** Coordinates of `rows` codes; `plus` is 1 for last codes, which are stored less one. */
   shnValues(
-    p0: number, p1: number, p2: number, rows: number, plus: number, step: number, shrink: number, target: number,
+    p0: number,
+    p1: number,
+    p2: number,
+    rows: number,
+    plus: number,
+    step: number,
+    shrink: number,
+    target: number,
   ): void;
   /**
    * Sum a row's coordinates times the basis (SPEC 6.14).
@@ -85,13 +97,24 @@ export interface Kernels {
    * @param target - Rows of `floats` f32; what coordinates of no row touch is +0.
    */
   shnSum(
-    order: number, counts: number, rows: number, width: number, columns: number, basis: number, floats: number,
+    order: number,
+    counts: number,
+    width: number,
+    columns: number,
+    basis: number,
+    floats: number,
     target: number,
   ): void;
 
   /** Rows of a codebook, and behind its `size` rows of the escape rows (SPEC 6.7), every `stride` floats. */
   gather(
-    codebook: number, escape: number, size: number, indices: number, rows: number, floats: number, target: number,
+    codebook: number,
+    escapeRows: number,
+    size: number,
+    indices: number,
+    rows: number,
+    floats: number,
+    target: number,
     stride: number,
   ): void;
   /** f32(a + b), row by row, into a. */
@@ -105,7 +128,5 @@ export interface Kernels {
    */
   packSplats(columns: number, rows: number, rgbMin: number, rgbMax: number, target: number): void;
   /** Pack SH bands of rows of 9, 24 or 45 floats; the largest codes stand for `range`. */
-  packShn(
-    source: number, rows: number, degree: number, range: number, sh1: number, sh2: number, sh3: number,
-  ): void;
+  packShn(source: number, rows: number, degree: number, range: number, sh1: number, sh2: number, sh3: number): void;
 }

@@ -58,7 +58,8 @@ export class Beginning {
   }
 
   private fill(): Promise<void> {
-    const { signal } = (this.abort = new AbortController());
+    this.abort = new AbortController();
+    const { signal } = this.abort;
     const filled = this.reader.beginning({ offset: this.received, length: this.length - this.received }, signal, {
       begin: ({ total, whole }) => {
         this.total ??= total;

@@ -1,5 +1,5 @@
-import { SourceError } from "../errors.js";
 import type { ByteRange } from "../container/scene_index.js";
+import { SourceError } from "../errors.js";
 
 /** What a source is asked for. */
 export interface ReadOptions {
@@ -46,17 +46,22 @@ export class BlobSource implements ByteSource {
  * @param longestPause - Longest time without a byte, ms.
  */
 export async function* readParts(
-  stream: ReadableStream<Uint8Array>, signal: AbortSignal | undefined, longestPause = Infinity,
+  stream: ReadableStream<Uint8Array>,
+  signal: AbortSignal | undefined,
+  longestPause = Infinity,
 ): AsyncGenerator<Uint8Array> {
   const reader = stream.getReader();
   let open = true;
   try {
     for (;;) {
       signal?.throwIfAborted();
-      const part = await withinPause(reader.read().catch((error: unknown) => {
-        open = false; // A stream that fails while it is read has ended.
-        throw error;
-      }), longestPause);
+      const part = await withinPause(
+        reader.read().catch((error: unknown) => {
+          open = false; // A stream that fails while it is read has ended.
+          throw error;
+        }),
+        longestPause,
+      );
       open = !part.done;
       if (part.value === undefined) return;
       yield part.value;
@@ -93,7 +98,11 @@ export async function readAll(source: ByteSource, range: ByteRange, options?: Re
     if (at >= range.length) break;
   }
   if (at < range.length) {
-    throw new SourceError(`${Math.max(at, 0)} bytes in the place of ${range.length} from byte ${range.offset}`, undefined, true);
+    throw new SourceError(
+      `${Math.max(at, 0)} bytes in the place of ${range.length} from byte ${range.offset}`,
+      undefined,
+      true,
+    );
   }
   return bytes;
 }

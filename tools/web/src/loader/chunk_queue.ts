@@ -1,6 +1,6 @@
 import type { SceneIndex } from "../container/scene_index.js";
 import type { PackRanges } from "../scene/packed_splats.js";
-import type { ChunkService, ChunkFormat } from "../workers/decode_task.js";
+import type { ChunkFormat, ChunkService } from "../workers/decode_task.js";
 import { KeptHeads, withBands } from "./kept_heads.js";
 import type { ChunkUpdate } from "./stream_options.js";
 
@@ -87,7 +87,10 @@ export class ChunkQueue {
   }
 
   /** The opacities of a chunk that have come: of packed chunks those of all levels, else the last. */
-  private opacitiesHere(chunk: number): { readonly count: number; readonly payloads: readonly (Uint8Array | undefined)[] | undefined } {
+  private opacitiesHere(chunk: number): {
+    readonly count: number;
+    readonly payloads: readonly (Uint8Array | undefined)[] | undefined;
+  } {
     const { format, level } = this.options;
     const all = this.opacities(chunk).map((segment) => this.payloads.get(segment));
     const here = all.filter((payload) => payload !== undefined);
@@ -146,7 +149,12 @@ export class ChunkQueue {
     const before = this.given.get(chunk);
     // A page that is not known yet may bring a tail or a refinement.
     const final = this.index.complete && this.missing(chunk).length === 0;
-    if (before !== undefined && before.tail === withTail && before.refined === refined && before.opacities === opacities.count) {
+    if (
+      before !== undefined &&
+      before.tail === withTail &&
+      before.refined === refined &&
+      before.opacities === opacities.count
+    ) {
       if (final) this.close(chunk);
       return;
     }
@@ -155,7 +163,10 @@ export class ChunkQueue {
     const kept = this.heads.take(chunk);
     const tailPayload = withTail ? this.payloads.get(tail)! : undefined;
     const isTailAlone =
-      kept !== undefined && tailPayload !== undefined && before?.refined === refined && before.opacities === opacities.count;
+      kept !== undefined &&
+      tailPayload !== undefined &&
+      before?.refined === refined &&
+      before.opacities === opacities.count;
     const payloads = isTailAlone
       ? { chunk, tail: tailPayload }
       : {
@@ -168,7 +179,14 @@ export class ChunkQueue {
     this.given.set(chunk, { tail: withTail, refined, opacities: opacities.count });
     if (final) this.close(chunk);
     this.service
-      .decode({ payloads, rows, needs: { head: needs[head]!, tail: withTail ? needs[tail]! : 0 }, degree, format, ranges })
+      .decode({
+        payloads,
+        rows,
+        needs: { head: needs[head]!, tail: withTail ? needs[tail]! : 0 },
+        degree,
+        format,
+        ranges,
+      })
       .then(
         (decoded) => {
           this.decoding.delete(chunk);
@@ -196,7 +214,7 @@ export class ChunkQueue {
   /** Whether a segment and the codebooks that it needs are there. */
   private ready(segment: number, degree: number): boolean {
     const books = this.index.codebookSegmentsOf(segment, degree);
-    return this.payloads.has(segment) && books !== undefined && books.every((book) => this.codebooks.has(book));
+    return this.payloads.has(segment) && (books?.every((book) => this.codebooks.has(book)) ?? false);
   }
 
   private isLost(segment: number, degree: number): boolean {

@@ -1,7 +1,7 @@
-import type { ByteRange } from "../container/scene_index.js";
 import type { FolderIndex, FolderObject } from "../container/folder_index.js";
+import type { ByteRange } from "../container/scene_index.js";
 import { CogsplatError, SourceError } from "../errors.js";
-import { readAll, readParts, type Answer, type ByteSource, type ReadOptions } from "./byte_source.js";
+import { type Answer, type ByteSource, type ReadOptions, readAll, readParts } from "./byte_source.js";
 
 /** Bytes that are kept of objects that a server without ranges has sent whole. */
 const KEPT_BYTES = 32 * 2 ** 20;
@@ -17,7 +17,8 @@ export class FolderSource implements ByteSource {
     /** Whether the server answers ranges, as far as it is known. */
     private hasRanges: boolean,
   ) {
-    if (manifest.beside === undefined) throw new SourceError("the manifest of a folder, expected its URL", undefined, false);
+    if (manifest.beside === undefined)
+      throw new SourceError("the manifest of a folder, expected its URL", undefined, false);
   }
 
   async read(range: ByteRange, options: ReadOptions = {}): Promise<Answer> {
@@ -28,7 +29,12 @@ export class FolderSource implements ByteSource {
       return { ...answer, offset: range.offset - offset + answer.offset, total: undefined, whole: false };
     }
     const bytes = (await this.whole(object)).slice(offset);
-    return { offset: range.offset, total: undefined, whole: false, parts: readParts(new Blob([bytes]).stream(), options.signal) };
+    return {
+      offset: range.offset,
+      total: undefined,
+      whole: false,
+      parts: readParts(new Blob([bytes]).stream(), options.signal),
+    };
   }
 
   private async ask(object: FolderObject, range: ByteRange, options?: ReadOptions): Promise<Answer> {

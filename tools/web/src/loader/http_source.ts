@@ -1,6 +1,6 @@
 import type { ByteRange } from "../container/scene_index.js";
 import { CogsplatError, SourceError } from "../errors.js";
-import { readParts, withinPause, type Answer, type ByteSource, type ReadOptions } from "./byte_source.js";
+import { type Answer, type ByteSource, type ReadOptions, readParts, withinPause } from "./byte_source.js";
 
 /** How requests are made. */
 export interface HttpOptions {
@@ -107,7 +107,12 @@ export class HttpSource implements ByteSource {
     if (status === 206 && contentRange !== null) {
       const end = Math.min(range.offset + range.length, total ?? Infinity) - 1;
       // A server may give fewer bytes than it was asked for; the rest is asked for again.
-      if (stated === null || Number(stated[1]) !== range.offset || Number(stated[2]) < range.offset || Number(stated[2]) > end) {
+      if (
+        stated === null ||
+        Number(stated[1]) !== range.offset ||
+        Number(stated[2]) < range.offset ||
+        Number(stated[2]) > end
+      ) {
         throw new SourceError(`${what}: an answer of ${contentRange}`, status);
       }
     }
@@ -118,14 +123,21 @@ export class HttpSource implements ByteSource {
     this.compare(headers.get("ETag"), total);
     if (response.body === null) throw new SourceError(`${what}: an answer without a body`, status, true);
     const whole = status === 200;
-    return { offset: whole ? 0 : range.offset, total, whole, parts: readParts(response.body, signal, this.longestPause) };
+    return {
+      offset: whole ? 0 : range.offset,
+      total,
+      whole,
+      parts: readParts(response.body, signal, this.longestPause),
+    };
   }
 
   /** Refuse an answer of another file than that of the first answer; weak ETags say nothing of bytes. */
   private compare(etag: string | null, total: number | undefined): void {
     const strong = etag !== null && !etag.startsWith("W/") ? etag : undefined;
-    if ((this.etag !== undefined && strong !== undefined && this.etag !== strong) ||
-        (this.total !== undefined && total !== undefined && this.total !== total)) {
+    if (
+      (this.etag !== undefined && strong !== undefined && this.etag !== strong) ||
+      (this.total !== undefined && total !== undefined && this.total !== total)
+    ) {
       throw new CogsplatError("source-changed", `${String(this.url)} changed while it was read`);
     }
     this.etag ??= strong;

@@ -1,4 +1,4 @@
-import { path, type Pose, type WeightedPose } from "../schedule/poses.js";
+import { type Pose, path, type WeightedPose } from "../schedule/poses.js";
 
 /** How long ago the pose was that shows where a visitor goes, seconds (docs/streaming.md, 11). */
 const OBSERVED_SECONDS = 0.25;

@@ -19,7 +19,10 @@ export interface RangeRequest extends ByteRange {
  * @param maxGap - Most bytes between two segments of a request; what lies there comes as well, and again where it is wanted later.
  */
 export function nextRequest(
-  wanted: number[], rangeOf: (segment: number) => ByteRange, maxBytes = MAX_REQUEST, maxGap = MAX_GAP,
+  wanted: number[],
+  rangeOf: (segment: number) => ByteRange,
+  maxBytes = MAX_REQUEST,
+  maxGap = MAX_GAP,
 ): RangeRequest | undefined {
   const first = wanted[0];
   if (first === undefined) return undefined;

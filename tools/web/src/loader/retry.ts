@@ -30,7 +30,10 @@ export function askedWait(error: unknown): number {
  * @param asked - What the server asked for, ms.
  */
 export async function backOff(
-  attempt: number, { pause, longest }: RetryOptions, signal: AbortSignal | undefined, asked = 0,
+  attempt: number,
+  { pause, longest }: RetryOptions,
+  signal: AbortSignal | undefined,
+  asked = 0,
 ): Promise<void> {
   const full = Math.min(longest, pause * 2 ** (attempt - 1));
   await new Promise<void>((resolve, reject) => {

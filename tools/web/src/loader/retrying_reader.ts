@@ -1,6 +1,6 @@
 import type { ByteRange } from "../container/scene_index.js";
 import { SourceError } from "../errors.js";
-import { readAll, type Answer, type ByteSource } from "./byte_source.js";
+import { type Answer, type ByteSource, readAll } from "./byte_source.js";
 import { askedWait, backOff, isRetryable, type RetryOptions } from "./retry.js";
 
 /** Reads ranges and asks again, after a pause, for what did not come. */
@@ -16,28 +16,37 @@ export class RetryingReader {
    * @param receiver - `begin` is told of each answer, `take` receives the parts in order, without gaps.
    */
   async beginning(
-    range: ByteRange, signal: AbortSignal,
+    range: ByteRange,
+    signal: AbortSignal,
     receiver: { readonly begin: (answer: Answer) => void; readonly take: (part: Uint8Array) => void },
   ): Promise<void> {
     let received = 0;
-    await this.attempt(signal, async () => {
-      const at = range.offset + received;
-      const answer = await this.source.read({ offset: at, length: range.length - received }, { signal });
-      receiver.begin(answer);
-      const { total } = answer;
-      const expected = Math.min(range.length, (total ?? Infinity) - range.offset);
-      let skip = at - answer.offset;
-      for await (const part of answer.parts) {
-        const used = part.subarray(Math.min(skip, part.length), Math.min(part.length, skip + expected - received));
-        skip -= Math.min(skip, part.length);
-        received += used.length;
-        if (used.length > 0) receiver.take(used);
-        if (received >= expected) return;
-      }
-      if (total !== undefined && received < expected) {
-        throw new SourceError(`${received} bytes in the place of ${expected} from byte ${range.offset}`, undefined, true);
-      }
-    }, () => received);
+    await this.attempt(
+      signal,
+      async () => {
+        const at = range.offset + received;
+        const answer = await this.source.read({ offset: at, length: range.length - received }, { signal });
+        receiver.begin(answer);
+        const { total } = answer;
+        const expected = Math.min(range.length, (total ?? Infinity) - range.offset);
+        let skip = at - answer.offset;
+        for await (const part of answer.parts) {
+          const used = part.subarray(Math.min(skip, part.length), Math.min(part.length, skip + expected - received));
+          skip -= Math.min(skip, part.length);
+          received += used.length;
+          if (used.length > 0) receiver.take(used);
+          if (received >= expected) return;
+        }
+        if (total !== undefined && received < expected) {
+          throw new SourceError(
+            `${received} bytes in the place of ${expected} from byte ${range.offset}`,
+            undefined,
+            true,
+          );
+        }
+      },
+      () => received,
+    );
   }
 
   /** All bytes of a range. */
@@ -51,25 +60,45 @@ export class RetryingReader {
    * @param take - Receives the parts in order, without gaps.
    * @param priority - How soon they are wanted beside other requests.
    */
-  async parts(range: ByteRange, signal: AbortSignal, take: (part: Uint8Array) => void, priority?: RequestPriority): Promise<void> {
+  async parts(
+    range: ByteRange,
+    signal: AbortSignal,
+    take: (part: Uint8Array) => void,
+    priority?: RequestPriority,
+  ): Promise<void> {
     let received = 0;
-    await this.attempt(signal, async () => {
-      const rest = { offset: range.offset + received, length: range.length - received };
-      const answer = await this.source.read(rest, { signal, priority });
-      let skip = rest.offset - answer.offset;
-      for await (const part of answer.parts) {
-        const useful = part.subarray(Math.min(skip, part.length), Math.min(part.length, skip + range.length - received));
-        skip -= Math.min(skip, part.length);
-        received += useful.length;
-        if (useful.length > 0) take(useful);
-        if (received === range.length) return;
-      }
-      throw new SourceError(`${received} bytes in the place of ${range.length} from byte ${range.offset}`, undefined, true);
-    }, () => received);
+    await this.attempt(
+      signal,
+      async () => {
+        const rest = { offset: range.offset + received, length: range.length - received };
+        const answer = await this.source.read(rest, { signal, priority });
+        let skip = rest.offset - answer.offset;
+        for await (const part of answer.parts) {
+          const useful = part.subarray(
+            Math.min(skip, part.length),
+            Math.min(part.length, skip + range.length - received),
+          );
+          skip -= Math.min(skip, part.length);
+          received += useful.length;
+          if (useful.length > 0) take(useful);
+          if (received === range.length) return;
+        }
+        throw new SourceError(
+          `${received} bytes in the place of ${range.length} from byte ${range.offset}`,
+          undefined,
+          true,
+        );
+      },
+      () => received,
+    );
   }
 
   /** @param received - Bytes so far: an attempt that brought some is none that failed. */
-  private async attempt<T>(signal: AbortSignal | undefined, work: () => Promise<T>, received = (): number => 0): Promise<T> {
+  private async attempt<T>(
+    signal: AbortSignal | undefined,
+    work: () => Promise<T>,
+    received = (): number => 0,
+  ): Promise<T> {
     let had = 0;
     for (let attempt = 1; ; attempt++) {
       try {

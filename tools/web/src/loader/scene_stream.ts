@@ -1,14 +1,14 @@
 import type { ByteRange, SceneIndex, ScenePlaces } from "../container/scene_index.js";
-import { CogsplatError, SourceError } from "../errors.js";
-import type { Beginning } from "./beginning.js";
 import { SegmentKind } from "../container/tables.js";
+import { CogsplatError, SourceError } from "../errors.js";
 import { DEFAULT_RANGES } from "../scene/packed_splats.js";
 import type { PrefixCompensation } from "../scene/prefix_compensation.js";
 import type { ChunkService } from "../workers/decode_task.js";
+import type { Beginning } from "./beginning.js";
 import { ChunkQueue } from "./chunk_queue.js";
 import { nextRequest, RangeAssembler, type RangeRequest } from "./range_plan.js";
-import { bytesPerSplat, type ChunkInfo, type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 import type { RetryingReader } from "./retrying_reader.js";
+import { bytesPerSplat, type ChunkInfo, type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 
 /** Most requests under way (SPEC 8.8). */
 const MAX_REQUESTS = 6;
@@ -85,7 +85,13 @@ export class SceneStream {
     this.queue = new ChunkQueue(
       index,
       service,
-      { degree: this.degree, format, ranges: { ...DEFAULT_RANGES, ...options.ranges }, refine: true, level: options.level },
+      {
+        degree: this.degree,
+        format,
+        ranges: { ...DEFAULT_RANGES, ...options.ranges },
+        refine: true,
+        level: options.level,
+      },
       (update) => {
         this.given.add(update.chunk);
         while (this.given.has(this.prefix) || this.leftOut.has(this.prefix)) this.prefix++;
@@ -126,7 +132,14 @@ export class SceneStream {
   };
 
   private done(): boolean {
-    return this.pagesDone && this.wanted.length === 0 && this.requests === 0 && this.waits === 0 && this.queue.idle && this.waiting.length === 0;
+    return (
+      this.pagesDone &&
+      this.wanted.length === 0 &&
+      this.requests === 0 &&
+      this.waits === 0 &&
+      this.queue.idle &&
+      this.waiting.length === 0
+    );
   }
 
   private stopWith(error: unknown): void {
@@ -276,7 +289,10 @@ export class SceneStream {
         }
       });
     } catch (error) {
-      this.lose(error, request.segments.filter((segment) => !received.has(segment)));
+      this.lose(
+        error,
+        request.segments.filter((segment) => !received.has(segment)),
+      );
     } finally {
       this.requests--;
       this.wake();
@@ -286,7 +302,8 @@ export class SceneStream {
   /** Go on without segments that did not come, or end where no others would come either. */
   private lose(error: unknown, segments: readonly number[]): void {
     // An object of a folder that is not as it should be spoils no other.
-    const isOfObject = error instanceof CogsplatError && (error.code === "segment-missing" || error.code === "segment-object");
+    const isOfObject =
+      error instanceof CogsplatError && (error.code === "segment-missing" || error.code === "segment-object");
     const isPartial = isOfObject || (error instanceof SourceError && error.retryable);
     if (this.abort.signal.aborted || !isPartial) this.stopWith(error);
     else for (const segment of segments) this.damage(error, this.queue.lose(segment));

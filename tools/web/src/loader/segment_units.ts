@@ -34,7 +34,9 @@ export function segmentUnits(index: UnitIndex, degree: number, compensates: bool
   };
   const segments = Array.from(kind.keys()).filter(isWanted);
   const unitOf = new Map(segments.map((segment, unit) => [segment, unit]));
-  const heads = new Map(segments.flatMap((segment, unit) => (kind[segment] === SegmentKind.head ? [[owner[segment]!, unit]] : [])));
+  const heads = new Map(
+    segments.flatMap((segment, unit) => (kind[segment] === SegmentKind.head ? [[owner[segment]!, unit]] : [])),
+  );
   const parents = parentsOf(cell);
   return segments.map((segment) => {
     const { offset, length } = index.range(segment);
@@ -52,6 +54,8 @@ export function segmentUnits(index: UnitIndex, degree: number, compensates: bool
 /** The units of each chunk. */
 export function unitsByChunk(units: readonly SegmentUnit[], chunks: number): number[][] {
   const found: number[][] = Array.from({ length: chunks }, () => []);
-  units.forEach(({ chunk }, unit) => chunk >= 0 && found[chunk]!.push(unit));
+  units.forEach(({ chunk }, unit) => {
+    if (chunk >= 0) found[chunk]!.push(unit);
+  });
   return found;
 }

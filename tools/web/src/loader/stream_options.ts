@@ -1,7 +1,8 @@
+import type { CogsplatError, SourceError } from "../errors.js";
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { Splats } from "../scene/splats.js";
-import { texelWidths, type Texels } from "../scene/texels.js";
-import type { CogsplatError, SourceError } from "../errors.js";
+import type { Texels } from "../scene/texel_layouts.js";
+import { texelWidths } from "../scene/texels.js";
 import type { ChunkFormat } from "../workers/decode_task.js";
 
 /** What is known of a chunk before its bytes come: enough to decide what to fetch first. */

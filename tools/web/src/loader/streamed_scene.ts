@@ -1,16 +1,16 @@
-import type { SceneInfo } from "../container/root.js";
-import { SceneIndex, type ByteRange, type ScenePlaces } from "../container/scene_index.js";
 import { fileBeginning, isManifest, PREAMBLE_BYTES, readPreamble } from "../container/preamble.js";
+import type { SceneInfo } from "../container/root.js";
+import { type ByteRange, SceneIndex, type ScenePlaces } from "../container/scene_index.js";
 import { CogsplatError, SourceError } from "../errors.js";
 import { loadKernels } from "../kernels/load.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
 import { shnFloats } from "../scene/chunk_tail.js";
 import { PrefixCompensation } from "../scene/prefix_compensation.js";
 import { defaultLimit } from "../scene/scene_file.js";
-import { InlineService, type ChunkService } from "../workers/decode_task.js";
+import { type ChunkService, InlineService } from "../workers/decode_task.js";
 import { Beginning } from "./beginning.js";
 import { BlobSource, type ByteSource } from "./byte_source.js";
-import { HttpSource, type HttpOptions } from "./http_source.js";
+import { type HttpOptions, HttpSource } from "./http_source.js";
 import { DEFAULT_RETRY, type RetryOptions } from "./retry.js";
 import { RetryingReader } from "./retrying_reader.js";
 import { SceneStream, type StreamSource } from "./scene_stream.js";
@@ -45,7 +45,8 @@ export interface FolderReader {
    * @param index - The root.
    */
   open(
-    manifest: ByteSource, beginning: { readonly here: Uint8Array; readonly length: number | undefined; readonly hasRanges: boolean },
+    manifest: ByteSource,
+    beginning: { readonly here: Uint8Array; readonly length: number | undefined; readonly hasRanges: boolean },
     index: SceneIndex,
   ): { readonly places: ScenePlaces; readonly source: ByteSource };
 }
@@ -122,7 +123,9 @@ export class StreamedScene implements StreamSource {
   }
 
   private static async begin(
-    source: string | URL | Blob | ByteSource, options: OpenOptions, isReopened: boolean,
+    source: string | URL | Blob | ByteSource,
+    options: OpenOptions,
+    isReopened: boolean,
   ): Promise<StreamedScene> {
     const given = sourceOf(source, options.http);
     const reader = new RetryingReader(given, { ...DEFAULT_RETRY, ...options.retry });
@@ -141,9 +144,14 @@ export class StreamedScene implements StreamSource {
 
   /** Read the root of a folder from the beginning of its manifest (SPEC 3.4). */
   private static async beginFolder(
-    manifest: ByteSource, beginning: Beginning, source: string | URL | Blob | ByteSource, options: OpenOptions, isReopened: boolean,
+    manifest: ByteSource,
+    beginning: Beginning,
+    source: string | URL | Blob | ByteSource,
+    options: OpenOptions,
+    isReopened: boolean,
   ): Promise<StreamedScene> {
-    if (options.folders === undefined) throw new SourceError("a scene that is kept as a folder, expected the option `folders`", undefined, false);
+    if (options.folders === undefined)
+      throw new SourceError("a scene that is kept as a folder, expected the option `folders`", undefined, false);
     // The root and its places lie in it (SPEC 8.8).
     await beginning.upTo(FIRST_BYTES, options.signal);
     const { here, total, sequential } = beginning;
@@ -195,11 +203,18 @@ export class StreamedScene implements StreamSource {
   }
 
   /** Refuse a scene whose rows and codebooks take more memory than the caller allows, before anything is fetched. */
-  checkSize({ degree = 3, memoryBudget = Infinity, splatBudget = Infinity }: Pick<StreamOptions, "degree" | "memoryBudget" | "splatBudget">): void {
+  checkSize({
+    degree = 3,
+    memoryBudget = Infinity,
+    splatBudget = Infinity,
+  }: Pick<StreamOptions, "degree" | "memoryBudget" | "splatBudget">): void {
     const { scene, codebooks, fileLength } = this.index;
     const used = Math.min(degree, scene.shDegree);
     const rows = Math.min(Math.min(scene.splats, splatBudget) * bytesPerSplat("splats", used), memoryBudget);
-    const books = codebooks.reduce((sum, book) => sum + 4 * book.rows * (book.attribute === "shape" ? 7 : shnFloats(used)), 0);
+    const books = codebooks.reduce(
+      (sum, book) => sum + 4 * book.rows * (book.attribute === "shape" ? 7 : shnFloats(used)),
+      0,
+    );
     const most = this.options.maxDecodedBytes ?? defaultLimit(fileLength);
     if (rows + books > most) throw new CogsplatError("decoded-size", `${rows + books} decoded bytes, at most ${most}`);
   }
@@ -221,7 +236,10 @@ export class StreamedScene implements StreamSource {
         const end = page.offset + page.length;
         const isHere = this.beginning.holds(end);
         if (isHere) await this.beginning.upTo(end, undefined);
-        await this.addPage(page, isHere ? this.beginning.here.slice(page.offset, end) : await this.reader.all(page, undefined));
+        await this.addPage(
+          page,
+          isHere ? this.beginning.here.slice(page.offset, end) : await this.reader.all(page, undefined),
+        );
         this.index.settle();
       }
     };

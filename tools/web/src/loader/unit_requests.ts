@@ -49,7 +49,9 @@ export class UnitRequests {
   private get hasRoom(): boolean {
     const { bytesPerSecond, latency } = this.link;
     const toCome = this.underWay.reduce((sum, unit) => sum + this.rest(unit).length, 0);
-    return this.requests.size === 0 || (this.requests.size < MAX_REQUESTS && toCome < windowBytes(bytesPerSecond, latency));
+    return (
+      this.requests.size === 0 || (this.requests.size < MAX_REQUESTS && toCome < windowBytes(bytesPerSecond, latency))
+    );
   }
 
   /**
@@ -106,18 +108,26 @@ export class UnitRequests {
   };
 
   private async run(request: Request, range: ByteRange, priority: RequestPriority): Promise<void> {
-    const { left, abort: { signal } } = request;
+    const {
+      left,
+      abort: { signal },
+    } = request;
     const asked = performance.now();
     let isFirst = true;
     try {
-      await this.reader.parts(range, signal, (part) => {
-        if (signal.aborted) return;
-        const now = performance.now();
-        if (isFirst) this.link.answered((now - asked) / 1000);
-        isFirst = false;
-        this.link.came(part.length, now / 1000);
-        this.take(part, left);
-      }, priority);
+      await this.reader.parts(
+        range,
+        signal,
+        (part) => {
+          if (signal.aborted) return;
+          const now = performance.now();
+          if (isFirst) this.link.answered((now - asked) / 1000);
+          isFirst = false;
+          this.link.came(part.length, now / 1000);
+          this.take(part, left);
+        },
+        priority,
+      );
     } catch (error) {
       if (signal.aborted) return;
       this.receiver.failed(error, left);

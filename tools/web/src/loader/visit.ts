@@ -10,14 +10,14 @@ import { Scheduler } from "../schedule/scheduler.js";
 import type { ChunkService } from "../workers/decode_task.js";
 import { ChunkQueue } from "./chunk_queue.js";
 import { PoseHistory } from "./pose_history.js";
-import { segmentUnits, unitsByChunk, type SegmentUnit } from "./segment_units.js";
+import { type SegmentUnit, segmentUnits, unitsByChunk } from "./segment_units.js";
 import { bytesPerSplat, type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 import type { StreamedScene } from "./streamed_scene.js";
 import { UnitRequests } from "./unit_requests.js";
 
 export { along, byBoxes, bySgss, byViewTable, countedSplats, type PoseRatios } from "../schedule/chunk_ratios.js";
-export { path, predicted, type Pose, type WeightedPose } from "../schedule/poses.js";
-export { Scheduler, type Decision, type Holdings, type Unit } from "../schedule/scheduler.js";
+export { type Pose, path, predicted, type WeightedPose } from "../schedule/poses.js";
+export { type Decision, type Holdings, Scheduler, type Unit } from "../schedule/scheduler.js";
 
 /** Time between two looks at where a visitor is, at least, seconds (docs/streaming.md, 11). */
 const LOOK_SECONDS = 0.1;
@@ -28,7 +28,10 @@ const MOST_KEPT_BYTES = 32 * 2 ** 20;
 
 /** How a scene is visited; what `splatBudget` or `memoryBudget` have no room for is fetched when it is looked at, in the place of other things. */
 export interface VisitOptions
-  extends Pick<StreamOptions, "signal" | "degree" | "format" | "ranges" | "memoryBudget" | "splatBudget" | "compensate" | "onDamage"> {
+  extends Pick<
+    StreamOptions,
+    "signal" | "degree" | "format" | "ranges" | "memoryBudget" | "splatBudget" | "compensate" | "onDamage"
+  > {
   /** Told when all that the pose is worth is there, and when something is missing again. */
   readonly onSettled?: (isSettled: boolean) => void;
 }
@@ -89,7 +92,12 @@ export class Visit {
    * ```
    */
   static async begin(scene: StreamedScene, options: VisitOptions = {}): Promise<Visit> {
-    if (!scene.answersRanges) throw new SourceError("a server without ranges, expected one that answers them: nothing can be chosen", undefined, false);
+    if (!scene.answersRanges)
+      throw new SourceError(
+        "a server without ranges, expected one that answers them: nothing can be chosen",
+        undefined,
+        false,
+      );
     scene.checkSize(options);
     return new Visit(scene, await scene.makeService(), options);
   }
@@ -227,7 +235,8 @@ export class Visit {
   }
 
   private settle(isIdle: boolean): void {
-    const isSettled = isIdle && this.aside.size === 0 && this.queue.idle && this.index.complete && this.timer === undefined;
+    const isSettled =
+      isIdle && this.aside.size === 0 && this.queue.idle && this.index.complete && this.timer === undefined;
     if (isSettled !== this.settled) this.options.onSettled?.(isSettled);
     this.settled = isSettled;
     if (this.isWhole) this.wake();
@@ -237,7 +246,14 @@ export class Visit {
     const { link, received, underWay } = this.requests;
     const { bytesPerSecond, latency } = link;
     const budgetSplats = this.budget === Infinity ? 0 : this.budget;
-    return { there: this.there, underWay: new Set([...underWay, ...this.aside]), received, budgetSplats, bytesPerSecond, latency };
+    return {
+      there: this.there,
+      underWay: new Set([...underWay, ...this.aside]),
+      received,
+      budgetSplats,
+      bytesPerSecond,
+      latency,
+    };
   }
 
   /** Ratios of the poses to come, made anew when these have changed, and some time has passed. */
@@ -265,7 +281,9 @@ export class Visit {
   private makeRule(): PoseRatios {
     const { box, contribution } = this.index.chunks;
     // The table is about all chunks of the file: while boxes are missing it cannot be used.
-    return this.table !== undefined && this.index.complete ? byViewTable(this.table, box, contribution) : byBoxes(box, contribution);
+    return this.table !== undefined && this.index.complete
+      ? byViewTable(this.table, box, contribution)
+      : byBoxes(box, contribution);
   }
 
   private fetch(units: readonly number[], ratios: Float64Array): void {

@@ -1,12 +1,12 @@
-import { readAttributes, type AttributeArray } from "../container/attributes.js";
+import { type AttributeArray, readAttributes } from "../container/attributes.js";
 import type { SceneIndex } from "../container/scene_index.js";
 import type { Kernels } from "../kernels/kernels.js";
 import { Payload } from "../streams/records.js";
 import { addressTable } from "../streams/step_model.js";
-import { readHead, readOpacities, type HeadColumns } from "./chunk_head.js";
-import { readTail, shnFloats, writeShn, type TailSource } from "./chunk_tail.js";
+import { type HeadColumns, readHead, readOpacities } from "./chunk_head.js";
+import { readTail, shnFloats, type TailSource, writeShn } from "./chunk_tail.js";
 import { Codebooks } from "./codebooks.js";
-import { packedOpacities, SH_WORDS, type PackedSplats, type PackRanges } from "./packed_splats.js";
+import { type PackedSplats, type PackRanges, packedOpacities, SH_WORDS } from "./packed_splats.js";
 import type { Splats } from "./splats.js";
 
 /** The payloads of one chunk. */
@@ -68,7 +68,10 @@ export class ChunkDecoder {
    * @param use - Is given addresses: of the head's columns, and of opacities level by level, the head's first.
    */
   withChunk<T>(
-    payloads: ChunkPayloads, rows: number, needs: { readonly head: number; readonly tail: number }, degree: number,
+    payloads: ChunkPayloads,
+    rows: number,
+    needs: { readonly head: number; readonly tail: number },
+    degree: number,
     use: (head: HeadColumns, tail: TailSource | undefined, opacities: readonly (number | undefined)[]) => T,
   ): T {
     const { k, codebooks } = this;
@@ -78,7 +81,10 @@ export class ChunkDecoder {
       const refinement = payloads.refinement && new Payload(k, payloads.refinement, rows, "refinement");
       const first = readHead(k, head, refinement, rows, needs.head, codebooks);
       const tail = payloads.tail && degree > 0 ? this.tailOf(payloads.tail, rows, needs.tail, degree) : undefined;
-      const opacities = [first.opacities, ...(payloads.opacities ?? []).map((payload) => payload && this.laterOpacities(payload, first, rows))];
+      const opacities = [
+        first.opacities,
+        ...(payloads.opacities ?? []).map((payload) => payload && this.laterOpacities(payload, first, rows)),
+      ];
       const last = opacities.filter((address) => address !== undefined).at(-1)!;
       return use({ ...first, opacities: last }, tail, opacities);
     } finally {
@@ -95,7 +101,13 @@ export class ChunkDecoder {
   }
 
   /** Decode a tail and hand it to a function; its memory is given back afterwards. */
-  private withTail<T>({ tail }: TailPayload, rows: number, needs: number, degree: number, use: (tail: TailSource) => T): T {
+  private withTail<T>(
+    { tail }: TailPayload,
+    rows: number,
+    needs: number,
+    degree: number,
+    use: (tail: TailSource) => T,
+  ): T {
     const mark = this.k.mark();
     try {
       return use(this.tailOf(tail, rows, needs, degree));
@@ -111,7 +123,10 @@ export class ChunkDecoder {
 
   /** Decode a chunk to the bit (SPEC 2.3). */
   decode(
-    payloads: ChunkPayloads, rows: number, needs: { readonly head: number; readonly tail: number }, degree: number,
+    payloads: ChunkPayloads,
+    rows: number,
+    needs: { readonly head: number; readonly tail: number },
+    degree: number,
   ): Splats {
     return this.withChunk(payloads, rows, needs, degree, (head, tail) => {
       return {
@@ -146,7 +161,10 @@ export class ChunkDecoder {
    * @param ranges - What the codes stand for.
    */
   decodePacked(
-    payloads: ChunkPayloads, rows: number, needs: { readonly head: number; readonly tail: number }, degree: number,
+    payloads: ChunkPayloads,
+    rows: number,
+    needs: { readonly head: number; readonly tail: number },
+    degree: number,
     ranges: PackRanges,
   ): PackedSplats {
     return this.withChunk(payloads, rows, needs, degree, (head, tail, opacities) => {
@@ -174,7 +192,13 @@ export class ChunkDecoder {
   /**
    * Decode the packed bands of a chunk alone (SPEC 8.6); the parameters are those of `decodeShN` and `decodePacked`.
    */
-  decodePackedBands(payload: TailPayload, rows: number, needs: number, degree: number, ranges: PackRanges): Uint32Array[] {
+  decodePackedBands(
+    payload: TailPayload,
+    rows: number,
+    needs: number,
+    degree: number,
+    ranges: PackRanges,
+  ): Uint32Array[] {
     return this.withTail(payload, rows, needs, degree, (tail) => this.packedBands(tail, rows, degree, ranges));
   }
 
@@ -198,7 +222,10 @@ export class ChunkDecoder {
 
   private packedBands(tail: TailSource, rows: number, degree: number, { shRange }: PackRanges): Uint32Array[] {
     const { k } = this;
-    const bands = SH_WORDS.slice(0, degree).map((words) => ({ words: words * rows, address: k.alloc(4 * words * rows) }));
+    const bands = SH_WORDS.slice(0, degree).map((words) => ({
+      words: words * rows,
+      address: k.alloc(4 * words * rows),
+    }));
     const shN = k.alloc(4 * rows * shnFloats(degree));
     writeShn(k, tail, rows, degree, shN);
     const [sh1, sh2, sh3] = [0, 1, 2].map((band) => bands[band]?.address ?? 0) as [number, number, number];

@@ -5,7 +5,7 @@ import { readGridStream } from "../streams/grid_streams.js";
 import { readQuats, readSwingTwist } from "../streams/quat_streams.js";
 import { Attribute, Kind, type Payload, type StreamRecord } from "../streams/records.js";
 import { readSortedMeans } from "../streams/sorted_means.js";
-import { readPlainColumns, readShapeRows, type Codebooks } from "./codebooks.js";
+import { type Codebooks, readPlainColumns, readShapeRows } from "./codebooks.js";
 
 /** A head's rows: addresses of columns of f32. */
 export interface HeadColumns {
@@ -28,7 +28,12 @@ export interface HeadColumns {
  * @param needs - Codebooks that the head's segment needs.
  */
 export function readHead(
-  k: Kernels, head: Payload, refinement: Payload | undefined, rows: number, needs: number, codebooks: Codebooks,
+  k: Kernels,
+  head: Payload,
+  refinement: Payload | undefined,
+  rows: number,
+  needs: number,
+  codebooks: Codebooks,
 ): HeadColumns {
   const { coarse, scales, quats } = head.has(Attribute.shape)
     ? readIndexedShape(k, head, rows, needs, codebooks)
@@ -94,7 +99,11 @@ function readIndexedShape(k: Kernels, head: Payload, rows: number, needs: number
 
 /** Read an attribute with what refines it. */
 function readRefined(
-  k: Kernels, head: Payload, refinement: Payload | undefined, attribute: number, coarse: readonly number[],
+  k: Kernels,
+  head: Payload,
+  refinement: Payload | undefined,
+  attribute: number,
+  coarse: readonly number[],
 ): readonly number[] {
   const stream = head.take(attribute);
   const refining = refinement?.takeRefining(stream);

@@ -2,20 +2,28 @@ import type { Kernels } from "../kernels/kernels.js";
 import { readIndexParams, readIndices } from "../streams/codebook_index.js";
 import { Attribute, Kind, type Payload, type StreamRecord } from "../streams/records.js";
 import {
-  BASIS_STRIDE, checkBasisEntries, readShnCodebook, readShnCoordinates, readShnParams, type ShnCoordinates,
+  BASIS_STRIDE,
+  checkBasisEntries,
+  readShnCodebook,
+  readShnCoordinates,
+  readShnParams,
+  type ShnCoordinates,
 } from "../streams/shn_basis.js";
-import { BAND_FLOATS, bandAttributes, readBand, type Codebooks, type ColourCodebook } from "./codebooks.js";
+import { BAND_FLOATS, bandAttributes, type Codebooks, type ColourCodebook, readBand } from "./codebooks.js";
 
 /** SH coefficients above DC of a chunk, in the form in which its tail has them. */
 export type TailSource =
-  | { readonly form: "bands"; /** For each band the address of its rows, where it is there. */ readonly bands: readonly (number | undefined)[] }
+  | {
+      readonly form: "bands" /** For each band the address of its rows, where it is there. */;
+      readonly bands: readonly (number | undefined)[];
+    }
   | {
       readonly form: "indices";
       readonly indices: number;
       readonly codebook: ColourCodebook;
       readonly escapes: readonly (number | undefined)[];
     }
-  | { readonly form: "basis"; readonly coordinates: ShnCoordinates; /** Rows of 48 f32. */ readonly basis: number };
+  | { readonly form: "basis"; readonly coordinates: ShnCoordinates /** Rows of 48 f32. */; readonly basis: number };
 
 /**
  * Read a tail up to a degree (SPEC 7.3).
@@ -25,7 +33,12 @@ export type TailSource =
  * @param degree - Degree wanted; bands above it are not read.
  */
 export function readTail(
-  k: Kernels, tail: Payload, needs: number, codebooks: Codebooks, shDegree: number, degree: number,
+  k: Kernels,
+  tail: Payload,
+  needs: number,
+  codebooks: Codebooks,
+  shDegree: number,
+  degree: number,
 ): TailSource {
   const source = tail.has(Attribute.shN)
     ? readOnCodebook(k, tail, needs, codebooks, shDegree, degree)
@@ -35,7 +48,12 @@ export function readTail(
 }
 
 function readOnCodebook(
-  k: Kernels, tail: Payload, needs: number, codebooks: Codebooks, shDegree: number, degree: number,
+  k: Kernels,
+  tail: Payload,
+  needs: number,
+  codebooks: Codebooks,
+  shDegree: number,
+  degree: number,
 ): TailSource {
   const stream = tail.take(Attribute.shN);
   if (stream.kind === Kind.basis) return readBasis(k, stream, needs, codebooks, degree);
@@ -51,7 +69,13 @@ function readOnCodebook(
  *
  * @param escapes - Number of escape rows; undefined for the rows of the chunk.
  */
-function readBands(k: Kernels, tail: Payload, shDegree: number, degree: number, escapes?: number): (number | undefined)[] {
+function readBands(
+  k: Kernels,
+  tail: Payload,
+  shDegree: number,
+  degree: number,
+  escapes?: number,
+): (number | undefined)[] {
   const addresses = bandAttributes(shDegree).map((attribute, band) => {
     if (!tail.has(attribute, escapes !== undefined)) return undefined;
     const stream = escapes === undefined ? tail.take(attribute) : tail.takeEscape(attribute, escapes);
@@ -63,9 +87,7 @@ function readBands(k: Kernels, tail: Payload, shDegree: number, degree: number, 
   return addresses.slice(0, degree);
 }
 
-function readBasis(
-  k: Kernels, stream: StreamRecord, needs: number, codebooks: Codebooks, degree: number,
-): TailSource {
+function readBasis(k: Kernels, stream: StreamRecord, needs: number, codebooks: Codebooks, degree: number): TailSource {
   const book = codebooks.colour(readShnCodebook(stream), needs, degree);
   const { width, ...params } = readShnParams(stream, book.rows);
   const basis = k.alloc(4 * BASIS_STRIDE * width);
@@ -92,7 +114,7 @@ export function writeShn(k: Kernels, source: TailSource, rows: number, degree: n
   const floats = shnFloats(degree);
   if (source.form === "basis") {
     const { order, counts, width, columns } = source.coordinates;
-    k.shnSum(order, counts, rows, width, columns, source.basis, floats, target);
+    k.shnSum(order, counts, width, columns, source.basis, floats, target);
     return;
   }
   let first = 0;

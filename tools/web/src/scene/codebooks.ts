@@ -1,5 +1,5 @@
-import { SegmentKind } from "../container/tables.js";
 import type { CodebookEntry } from "../container/root.js";
+import { SegmentKind } from "../container/tables.js";
 import { CogsplatError } from "../errors.js";
 import type { Kernels } from "../kernels/kernels.js";
 import { readFloatRows, readFloatStream } from "../streams/float_streams.js";
@@ -112,7 +112,8 @@ export class Codebooks {
  * @param escapes - Number of escape rows; undefined for the rows of a codebook.
  */
 export function readShapeRows(k: Kernels, payload: Payload, escapes?: number): number[] {
-  const take = (attribute: number) => (escapes === undefined ? payload.take(attribute) : payload.takeEscape(attribute, escapes));
+  const take = (attribute: number) =>
+    escapes === undefined ? payload.take(attribute) : payload.takeEscape(attribute, escapes);
   const scales = readPlainColumns(k, take(Attribute.scales));
   return [...scales, ...readQuats(k, take(Attribute.quats))];
 }
@@ -134,5 +135,7 @@ export function bandAttributes(degree: number): readonly number[] {
 }
 
 function copyColumns(k: Kernels, from: readonly number[], to: readonly number[], rows: number): void {
-  from.forEach((address, i) => k.u8.copyWithin(to[i]!, address, address + 4 * rows));
+  from.forEach((address, i) => {
+    k.u8.copyWithin(to[i]!, address, address + 4 * rows);
+  });
 }

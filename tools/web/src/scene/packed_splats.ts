@@ -55,7 +55,11 @@ export const DEFAULT_RANGES: PackRanges = { rgbMin: -0.5, rgbMax: 1.5, shRange: 
 
 const SH_C0 = 0.28209479177387814;
 /** Bits of a value and values of a splat in each packed band. */
-const SH_BITS = [[7, 9], [8, 15], [6, 21]] as const;
+const SH_BITS = [
+  [7, 9],
+  [8, 15],
+  [6, 21],
+] as const;
 
 /** Opacities in 1/255, of their logits. */
 export function packedOpacities(logits: Float32Array): Uint8Array {
@@ -97,7 +101,8 @@ export function unpackSplats(packed: PackedSplats): Splats {
     sh.forEach((band, b) => {
       const [bits, values] = SH_BITS[b]!;
       const row = band.subarray(SH_WORDS[b]! * i, SH_WORDS[b]! * (i + 1));
-      for (let v = 0; v < values; v++) splats.shN[first + v] = (signed(row, v * bits, bits) * shRange) / (2 ** (bits - 1) - 1);
+      for (let v = 0; v < values; v++)
+        splats.shN[first + v] = (signed(row, v * bits, bits) * shRange) / (2 ** (bits - 1) - 1);
       first += values;
     });
   }

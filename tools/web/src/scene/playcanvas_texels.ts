@@ -2,7 +2,7 @@ import type { Shifts } from "../container/compensation.js";
 import { fromHalf, toHalf } from "./half_floats.js";
 import { opacityOf, shiftedOpacity } from "./opacities.js";
 import type { ShRows, Splats } from "./splats.js";
-import type { TexelArray, Texels, TexelWidth } from "./texels.js";
+import type { TexelArray, Texels, TexelWidth } from "./texel_layouts.js";
 
 // Textures as those of PlayCanvas' uncompressed splats, but for the rotation: theirs loses turns of nearly 180°.
 //
@@ -29,7 +29,12 @@ const LARGEST_LOG_SCALE = Math.log(65504);
 
 /** Pack rows; `arrays` are as long as `PLAYCANVAS_WIDTHS` says. */
 export function packPlayCanvas(splats: Splats, arrays: readonly TexelArray[]): void {
-  const [color, transformA, transformB, ...bands] = arrays as [Uint16Array, Uint32Array<ArrayBuffer>, Uint16Array, ...Uint32Array[]];
+  const [color, transformA, transformB, ...bands] = arrays as [
+    Uint16Array,
+    Uint32Array<ArrayBuffer>,
+    Uint16Array,
+    ...Uint32Array[],
+  ];
   const { count, means, scales, quats, opacities, sh0 } = splats;
   const floats = new Float32Array(transformA.buffer, transformA.byteOffset, transformA.length);
   for (let i = 0; i < count; i++) {
@@ -37,7 +42,8 @@ export function packPlayCanvas(splats: Splats, arrays: readonly TexelArray[]): v
     color[4 * i + 3] = toHalf(opacityOf(opacities[i]!));
     floats.set(means.subarray(3 * i, 3 * i + 3), 4 * i);
     transformA[4 * i + 3] = smallestThree(quats.subarray(4 * i, 4 * i + 4));
-    for (let axis = 0; axis < 3; axis++) transformB[4 * i + axis] = toHalf(Math.exp(Math.min(scales[3 * i + axis]!, LARGEST_LOG_SCALE)));
+    for (let axis = 0; axis < 3; axis++)
+      transformB[4 * i + axis] = toHalf(Math.exp(Math.min(scales[3 * i + axis]!, LARGEST_LOG_SCALE)));
   }
   if (splats.shDegree > 0) packPlayCanvasBands(splats, bands);
 }
@@ -81,13 +87,19 @@ export function packPlayCanvasBands({ count, shN, shDegree }: ShRows, bands: rea
 }
 
 /** Add shifts of compensation to rows that are in `targets` already. */
-export function shiftPlayCanvas({ arrays, count }: Texels, shifts: Shifts, targets: readonly TexelArray[], first: number): void {
+export function shiftPlayCanvas(
+  { arrays, count }: Texels,
+  shifts: Shifts,
+  targets: readonly TexelArray[],
+  first: number,
+): void {
   const [color, , transformB] = arrays;
   const [toColor, , toTransformB] = targets;
   for (let i = 0; i < count; i++) {
     const at = 4 * (first + i);
     toColor![at + 3] = toHalf(shiftedOpacity(fromHalf(color![4 * i + 3]!), shifts.opacities[i]!));
     const factor = Math.exp(shifts.scales[i]!);
-    for (let axis = 0; axis < 3; axis++) toTransformB![at + axis] = toHalf(fromHalf(transformB![4 * i + axis]!) * factor);
+    for (let axis = 0; axis < 3; axis++)
+      toTransformB![at + axis] = toHalf(fromHalf(transformB![4 * i + axis]!) * factor);
   }
 }

@@ -1,4 +1,4 @@
-import { readLayer, shiftsOf, type CompensationLayer, type Shifts } from "../container/compensation.js";
+import { type CompensationLayer, readLayer, type Shifts, shiftsOf } from "../container/compensation.js";
 import type { SceneIndex } from "../container/scene_index.js";
 
 /** How splats make up for chunks that are not there (SPEC 5.9, 8.5): the layers that have come, applied to any prefix. */

@@ -1,8 +1,8 @@
 import type { AttributeArray } from "../container/attributes.js";
-import { readCameras, type Camera } from "../container/cameras.js";
-import { readViewTable, type ViewTable } from "../container/view_table.js";
+import { type Camera, readCameras } from "../container/cameras.js";
 import { ATTRIBUTE_TYPES, type SceneInfo } from "../container/root.js";
 import { SceneIndex } from "../container/scene_index.js";
+import { readViewTable, type ViewTable } from "../container/view_table.js";
 import { CogsplatError } from "../errors.js";
 import type { Kernels } from "../kernels/kernels.js";
 import { ChunkDecoder } from "./chunk_decoder.js";
@@ -101,7 +101,10 @@ export class SceneFile {
   /** Check that a chunk is there and small enough, decode its codebooks, and get its payloads. */
   private prepare(chunk: number, degree: number, refine: boolean, level?: number) {
     if (chunk >= this.prefixChunks) {
-      throw new CogsplatError("file-truncated", `chunk ${chunk} is not in the ${this.bytes.length} bytes that are there`);
+      throw new CogsplatError(
+        "file-truncated",
+        `chunk ${chunk} is not in the ${this.bytes.length} bytes that are there`,
+      );
     }
     const { head, tail, refinement } = this.index.chunkSegments(chunk);
     const { needs } = this.index.segments;
@@ -123,7 +126,10 @@ export class SceneFile {
   /** The segment that has a chunk's opacities at a level, or of those that are there the last; undefined for the head. */
   private opacitiesSegment(chunk: number, level: number | undefined): number | undefined {
     if (level !== undefined) return this.index.opacitiesAt(chunk, level);
-    return this.index.chunkSegments(chunk).opacities.filter((segment) => this.isThere(segment)).at(-1);
+    return this.index
+      .chunkSegments(chunk)
+      .opacities.filter((segment) => this.isThere(segment))
+      .at(-1);
   }
 
   /** Decode the codebooks that a chunk needs and that were not decoded before. */
@@ -149,10 +155,18 @@ export class SceneFile {
    */
   decode(degree = this.scene.shDegree, refine = true, level?: number): Splats {
     const count = level === undefined ? this.prefixChunks : this.scene.levels[level]!.chunks;
-    const drawn = Array.from({ length: count }, (_, chunk) => chunk).filter((chunk) => this.index.isDrawn(chunk, count));
-    this.checkSize(drawn.reduce((sum, chunk) => sum + this.index.chunks.splats[chunk]!, 0), degree);
+    const drawn = Array.from({ length: count }, (_, chunk) => chunk).filter((chunk) =>
+      this.index.isDrawn(chunk, count),
+    );
+    this.checkSize(
+      drawn.reduce((sum, chunk) => sum + this.index.chunks.splats[chunk]!, 0),
+      degree,
+    );
     for (const chunk of drawn) this.addCodebooks(chunk, degree);
-    return concatenate(drawn.map((chunk) => this.decodeChunk(chunk, degree, refine, level)), degree);
+    return concatenate(
+      drawn.map((chunk) => this.decodeChunk(chunk, degree, refine, level)),
+      degree,
+    );
   }
 
   /** A chunk's extra attributes; undefined where the chunk has none that are there. */
@@ -188,8 +202,12 @@ export class SceneFile {
     this.layers ??= this.readLayers();
     const shifts = this.layers.shifts(prefix, chunk);
     if (shifts === undefined) return;
-    splats.scales.forEach((value, i) => (splats.scales[i] = value + shifts.scales[Math.floor(i / 3)]!));
-    splats.opacities.forEach((value, i) => (splats.opacities[i] = value + shifts.opacities[i]!));
+    splats.scales.forEach((value, i) => {
+      splats.scales[i] = value + shifts.scales[Math.floor(i / 3)]!;
+    });
+    splats.opacities.forEach((value, i) => {
+      splats.opacities[i] = value + shifts.opacities[i]!;
+    });
   }
 
   /**
@@ -200,13 +218,21 @@ export class SceneFile {
    */
   async verify(): Promise<void> {
     const { segments, chunks, scene } = this.index;
-    this.checkSize(chunks.splats.reduce((sum, n) => sum + n, 0), scene.shDegree, attributeBytes(scene));
+    this.checkSize(
+      chunks.splats.reduce((sum, n) => sum + n, 0),
+      scene.shDegree,
+      attributeBytes(scene),
+    );
     for (let segment = 0; segment < segments.kind.length; segment++) {
       const payload = this.payload(segment);
       const digest = new Uint8Array(await crypto.subtle.digest("SHA-256", payload));
       const hash = segments.hash.subarray(16 * segment, 16 * segment + 16);
       if (hash.some((byte, i) => byte !== digest[i])) {
-        throw new CogsplatError("segment-hash", `the hash of segment ${segment} does not match`, this.index.offsets[segment]);
+        throw new CogsplatError(
+          "segment-hash",
+          `the hash of segment ${segment} does not match`,
+          this.index.offsets[segment],
+        );
       }
     }
     // Codebooks that no chunk needs are part of the file too.
@@ -229,7 +255,10 @@ export class SceneFile {
     const box = this.index.chunks.box.subarray(6 * chunk, 6 * chunk + 6);
     const outside = splats.means.findIndex((value, i) => !(box[i % 3]! <= value && value <= box[3 + (i % 3)]!));
     if (outside >= 0) {
-      throw new CogsplatError("chunk-box", `mean ${Math.floor(outside / 3)} of chunk ${chunk} is outside the chunk's box`);
+      throw new CogsplatError(
+        "chunk-box",
+        `mean ${Math.floor(outside / 3)} of chunk ${chunk} is outside the chunk's box`,
+      );
     }
   }
 
@@ -249,7 +278,7 @@ export class SceneFile {
   /** Whether the codebooks that a segment needs are there: shapes, and colours up to a degree. */
   private booksAreThere(segment: number, degree: number): boolean {
     const books = this.index.codebookSegmentsOf(segment, degree);
-    return books !== undefined && books.every((book) => this.isThere(book));
+    return books?.every((book) => this.isThere(book)) ?? false;
   }
 
   private isThere(segment: number): boolean {
@@ -260,7 +289,10 @@ export class SceneFile {
   private payload(segment: number): Uint8Array<ArrayBuffer> {
     const { offset, length } = this.index.range(segment);
     if (offset + length > this.bytes.length) {
-      throw new CogsplatError("file-truncated", `segment ${segment} is not in the ${this.bytes.length} bytes that are there`);
+      throw new CogsplatError(
+        "file-truncated",
+        `segment ${segment} is not in the ${this.bytes.length} bytes that are there`,
+      );
     }
     const payload = new Uint8Array(this.bytes.subarray(offset, offset + length));
     this.index.checkCrc(segment, payload);
@@ -274,7 +306,8 @@ export class SceneFile {
       return sum + count * 4 * (attribute === "shape" ? 7 : shnFloats(degree));
     }, 0);
     const largest = books.reduce(
-      (most, book) => Math.max(most, book.rows), this.index.chunks.splats.reduce((most, n) => Math.max(most, n), 0),
+      (most, book) => Math.max(most, book.rows),
+      this.index.chunks.splats.reduce((most, n) => Math.max(most, n), 0),
     );
     this.checkBytes(rows * (HEAD_BYTES + 4 * shnFloats(degree) + extraBytes) + codebooks + largest * WORKING_BYTES);
   }
@@ -283,11 +316,6 @@ export class SceneFile {
     if (bytes > this.maxDecodedBytes) {
       throw new CogsplatError("decoded-size", `${bytes} decoded bytes, at most ${this.maxDecodedBytes}`);
     }
-  }
-
-  /** Which arithmetic this file is decoded with. */
-  get backend(): Kernels["backend"] {
-    return this.k.backend;
   }
 }
 
@@ -298,7 +326,5 @@ export function defaultLimit(sourceBytes: number): number {
 
 /** Bytes of a splat's extra attributes. */
 function attributeBytes(scene: SceneInfo): number {
-  return scene.attributes.reduce(
-    (sum, entry) => sum + Math.max(entry.components, 1) * ATTRIBUTE_TYPES[entry.type], 0,
-  );
+  return scene.attributes.reduce((sum, entry) => sum + Math.max(entry.components, 1) * ATTRIBUTE_TYPES[entry.type], 0);
 }

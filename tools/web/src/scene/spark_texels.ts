@@ -2,7 +2,7 @@ import type { Shifts } from "../container/compensation.js";
 import { fromHalf, toHalf } from "./half_floats.js";
 import { opacityOf, shiftedOpacity } from "./opacities.js";
 import type { ShRows, Splats } from "./splats.js";
-import type { TexelArray, Texels, TexelWidth } from "./texels.js";
+import type { TexelArray, Texels, TexelWidth } from "./texel_layouts.js";
 
 // Two textures of four u32 a splat, as Spark's `ExtSplats` has them:
 //
@@ -57,7 +57,12 @@ export function packSparkBands({ count, shDegree, shN }: ShRows, bands: readonly
 }
 
 /** Add shifts of compensation to rows that are in `targets` already. */
-export function shiftSpark({ arrays, count }: Texels, shifts: Shifts, targets: readonly TexelArray[], first: number): void {
+export function shiftSpark(
+  { arrays, count }: Texels,
+  shifts: Shifts,
+  targets: readonly TexelArray[],
+  first: number,
+): void {
   const [centers, shapes] = arrays as readonly [Uint32Array, Uint32Array];
   const [toCenters, toShapes] = targets as readonly [Uint32Array, Uint32Array];
   for (let i = 0; i < count; i++) {

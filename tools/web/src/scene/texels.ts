@@ -1,29 +1,8 @@
 import type { Shifts } from "../container/compensation.js";
-import { packPlayCanvas, packPlayCanvasBands, PLAYCANVAS_WIDTHS, shiftPlayCanvas } from "./playcanvas_texels.js";
-import { packSpark, packSparkBands, shiftSpark, SPARK_WIDTHS } from "./spark_texels.js";
+import { PLAYCANVAS_WIDTHS, packPlayCanvas, packPlayCanvasBands, shiftPlayCanvas } from "./playcanvas_texels.js";
+import { packSpark, packSparkBands, SPARK_WIDTHS, shiftSpark } from "./spark_texels.js";
 import type { ShRows, Splats } from "./splats.js";
-
-/** Whose textures chunks are decoded to: those of Spark's `ExtSplats`, or of PlayCanvas' uncompressed splats. */
-export type TexelLayout = "spark" | "playcanvas";
-
-/** An array for one texture of a renderer, some elements a splat. */
-export type TexelArray = Uint32Array<ArrayBuffer> | Uint16Array<ArrayBuffer>;
-
-/** Rows of splats as the textures of a renderer hold them. */
-export interface Texels {
-  readonly count: number;
-  readonly layout: TexelLayout;
-  readonly arrays: readonly TexelArray[];
-}
-
-/** A texture of a layout: what an array of it has for each splat. */
-export interface TexelWidth {
-  readonly name: string;
-  /** Elements of a splat. */
-  readonly width: number;
-  /** Bytes of an element: 4 for u32, 2 for half floats. */
-  readonly bytes: 2 | 4;
-}
+import type { TexelArray, TexelLayout, Texels, TexelWidth } from "./texel_layouts.js";
 
 /** The textures of a layout that an SH degree needs, in the order of the arrays. */
 export function texelWidths(layout: TexelLayout, degree: number): readonly TexelWidth[] {
@@ -69,8 +48,15 @@ export function packBandTexels(layout: TexelLayout, rows: ShRows): TexelArray[] 
  * @param shifts - What is added; undefined where nothing is.
  * @param first - Row of the whole scene that the first row is.
  */
-export function writeTexels(texels: Texels, shifts: Shifts | undefined, targets: readonly TexelArray[], first: number): void {
+export function writeTexels(
+  texels: Texels,
+  shifts: Shifts | undefined,
+  targets: readonly TexelArray[],
+  first: number,
+): void {
   const { arrays, count, layout } = texels;
-  arrays.forEach((array, i) => targets[i]!.set(array, (array.length / count) * first));
+  arrays.forEach((array, i) => {
+    targets[i]!.set(array, (array.length / count) * first);
+  });
   if (shifts !== undefined) (layout === "spark" ? shiftSpark : shiftPlayCanvas)(texels, shifts, targets, first);
 }

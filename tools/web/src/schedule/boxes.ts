@@ -19,7 +19,8 @@ function local({ position, rotation }: Pose, x: number, y: number, z: number): [
 function corners(boxes: Boxes, box: number, pose: Pose): [number, number, number][] {
   const at = 6 * box;
   return Array.from({ length: 8 }, (_, i) =>
-    local(pose, boxes[at + 3 * (i & 1)]!, boxes[at + 1 + 3 * ((i >> 1) & 1)]!, boxes[at + 2 + 3 * (i >> 2)]!));
+    local(pose, boxes[at + 3 * (i & 1)]!, boxes[at + 1 + 3 * ((i >> 1) & 1)]!, boxes[at + 2 + 3 * (i >> 2)]!),
+  );
 }
 
 /** The share of the picture that the rectangle around a box takes; 0 behind the eye or beside the picture. */
@@ -27,7 +28,10 @@ export function pictureShare(boxes: Boxes, box: number, pose: Pose): number {
   const points = corners(boxes, box, pose);
   if (!(Math.max(...points.map((point) => point[2])) > NEAR)) return 0;
   let share = 1;
-  for (const [axis, tan] of [[0, pose.tanX], [1, pose.tanY]] as const) {
+  for (const [axis, tan] of [
+    [0, pose.tanX],
+    [1, pose.tanY],
+  ] as const) {
     const tangents = points.map((point) => point[axis] / Math.max(point[2], NEAR));
     const low = Math.max(Math.min(...tangents), -tan);
     const high = Math.min(Math.max(...tangents), tan);
@@ -52,9 +56,22 @@ export function inPyramid(boxes: Boxes, box: number, pose: Pose): boolean {
   const high = pose.tanY * far;
   const on = (a: 0 | 1 | 2, b: 0 | 1 | 2): Point[] => points.map((point) => [point[a], point[b]]);
   return (
-    meet(on(0, 2), [[0, 0], [wide, far], [-wide, far]]) &&
-    meet(on(1, 2), [[0, 0], [high, far], [-high, far]]) &&
-    meet(on(0, 1), [[wide, high], [wide, -high], [-wide, -high], [-wide, high]])
+    meet(on(0, 2), [
+      [0, 0],
+      [wide, far],
+      [-wide, far],
+    ]) &&
+    meet(on(1, 2), [
+      [0, 0],
+      [high, far],
+      [-high, far],
+    ]) &&
+    meet(on(0, 1), [
+      [wide, high],
+      [wide, -high],
+      [-wide, -high],
+      [-wide, high],
+    ])
   );
 }
 

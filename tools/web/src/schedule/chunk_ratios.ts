@@ -1,5 +1,5 @@
 import type { ViewTable } from "../container/view_table.js";
-import { inPyramid, middleDepth, pictureShare, type Boxes } from "./boxes.js";
+import { type Boxes, inPyramid, middleDepth, pictureShare } from "./boxes.js";
 import { cross, dot, type Pose, type WeightedPose } from "./poses.js";
 
 /** Ratio of a chunk that a pose shows nothing of: it comes when all that is seen is there. */
@@ -31,7 +31,10 @@ function total(values: Float64Array): number {
 export function along(ratios: PoseRatios, path: readonly WeightedPose[]): Float64Array {
   const [[first, weight], ...rest] = path as [WeightedPose, ...WeightedPose[]];
   const sum = ratios(first).map((ratio) => ratio * weight);
-  for (const [pose, share] of rest) ratios(pose).forEach((ratio, chunk) => (sum[chunk]! += ratio * share));
+  for (const [pose, share] of rest)
+    ratios(pose).forEach((ratio, chunk) => {
+      sum[chunk]! += ratio * share;
+    });
   return sum;
 }
 
@@ -52,7 +55,8 @@ export function byViewTable(table: ViewTable, boxes: Boxes, contribution: Float6
   const viewpoints = viewpointsOf(table);
   // What a viewpoint shows of a chunk is no more than its box takes, whatever angle was seen.
   const taken = Float64Array.from(shares, (share, i) =>
-    Math.max(pictureShare(boxes, i % chunks, viewpoints[Math.floor(i / chunks)]!), share));
+    Math.max(pictureShare(boxes, i % chunks, viewpoints[Math.floor(i / chunks)]!), share),
+  );
   const spread = spreadOf(viewpoints);
   const whole = total(contribution) || 1;
   return (pose) => {
@@ -91,7 +95,8 @@ function overUsual(shown: Float64Array, contribution: Float64Array): Float64Arra
   const whole = total(contribution);
   if (!(everything > 0) || !(whole > 0)) return shown.map(() => 1);
   return shown.map((value, chunk) =>
-    Math.max(value / everything / Math.max(contribution[chunk]! / whole, LEAST_USUAL), LEAST_RATIO));
+    Math.max(value / everything / Math.max(contribution[chunk]! / whole, LEAST_USUAL), LEAST_RATIO),
+  );
 }
 
 /** As how many splats each chunk counts when a picture is compensated (docs/streaming.md, 10). */
@@ -108,7 +113,10 @@ function viewpointsOf({ views, positions, directions }: ViewTable): Pose[] {
     const sizes = forward.map(Math.abs);
     // The axis that is most across, the first of several.
     const across = sizes.indexOf(Math.min(...sizes));
-    const sideways = cross([0, 1, 2].map((axis) => (axis === across ? 1 : 0)), forward);
+    const sideways = cross(
+      [0, 1, 2].map((axis) => (axis === across ? 1 : 0)),
+      forward,
+    );
     const width = Math.sqrt(dot(sideways, sideways));
     const right = sideways.map((x) => x / width);
     return {
@@ -123,7 +131,9 @@ function viewpointsOf({ views, positions, directions }: ViewTable): Pose[] {
 /** The root mean square distance of viewpoints from their mean. */
 function spreadOf(viewpoints: readonly Pose[]): number {
   const count = viewpoints.length;
-  const middle = [0, 1, 2].map((axis) => total(Float64Array.from(viewpoints, ({ position }) => position[axis]!)) / count);
+  const middle = [0, 1, 2].map(
+    (axis) => total(Float64Array.from(viewpoints, ({ position }) => position[axis]!)) / count,
+  );
   const squares = Float64Array.from(viewpoints, ({ position }) => {
     const away = position.map((x, axis) => x - middle[axis]!);
     return dot(away, away);

@@ -13,7 +13,11 @@ export interface Pose {
 export type WeightedPose = readonly [Pose, number];
 
 /** Seconds ahead that count, and how much. */
-const AHEAD = [[0, 1], [0.5, 0.5], [1, 0.25]] as const;
+const AHEAD = [
+  [0, 1],
+  [0.5, 0.5],
+  [1, 0.25],
+] as const;
 /** Nobody goes on for longer than so many times the time that was observed. */
 const MOST_EXTRAPOLATED = 4;
 /** A shorter vector has no direction. */

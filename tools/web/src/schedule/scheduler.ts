@@ -52,13 +52,17 @@ export function windowBytes(bytesPerSecond: number, latency: number): number {
 export class Scheduler {
   private readonly heads = new Map<number, number>();
   /** Ratios of the last decision, and the order that follows from them. */
-  private last: { readonly ratios: Float64Array; readonly urgency: Float64Array; readonly order: readonly number[] } | undefined;
+  private last:
+    | { readonly ratios: Float64Array; readonly urgency: Float64Array; readonly order: readonly number[] }
+    | undefined;
 
   constructor(
     private readonly units: readonly Unit[],
     private readonly splats: ArrayLike<number>,
   ) {
-    units.forEach(({ chunk, isHead }, at) => isHead && this.heads.set(chunk, at));
+    units.forEach(({ chunk, isHead }, at) => {
+      if (isHead) this.heads.set(chunk, at);
+    });
   }
 
   /** What a byte of each unit is thought to gain: its chunk's ratio over the square of its place in the file. */
@@ -246,8 +250,12 @@ class Round {
   makeRoom(keep: number, chain: readonly number[]): boolean {
     const budget = this.holdings.budgetSplats;
     if (budget === 0) return true;
-    const now = (this.held ??= this.heldChunks());
-    const heads = chain.map((unit) => this.units[unit]!).filter(({ isHead }) => isHead).map(({ chunk }) => this.splats[chunk]!);
+    this.held ??= this.heldChunks();
+    const now = this.held;
+    const heads = chain
+      .map((unit) => this.units[unit]!)
+      .filter(({ isHead }) => isHead)
+      .map(({ chunk }) => this.splats[chunk]!);
     const first = heads[0] ?? 0;
     const rows = heads.reduce((sum, count) => sum + count, 0);
     if (now.splats + rows <= budget) return true;
@@ -265,7 +273,11 @@ class Round {
       going.push(chunk);
     }
     // The other heads take their room when they are asked for.
-    for (let last = going.at(-1); last !== undefined && used + this.splats[last]! + first <= budget; last = going.at(-1)) {
+    for (
+      let last = going.at(-1);
+      last !== undefined && used + this.splats[last]! + first <= budget;
+      last = going.at(-1)
+    ) {
       used += this.splats[last]!;
       going.pop();
     }
@@ -316,10 +328,15 @@ class Round {
 
   /** The chunk to evict first: worth least, parent of none that is held. */
   private least(held: ReadonlySet<number>, kept: ReadonlySet<number>, urgency: number): number | undefined {
-    const parents = new Set([...held].flatMap((chunk) => this.units[this.heads.get(chunk)!]!.after.map((unit) => this.units[unit]!.chunk)));
+    const parents = new Set(
+      [...held].flatMap((chunk) => this.units[this.heads.get(chunk)!]!.after.map((unit) => this.units[unit]!.chunk)),
+    );
     const chosen = new Set(this.chosen.map((unit) => this.units[unit]!.chunk));
     return [...held]
-      .filter((chunk) => !kept.has(chunk) && !parents.has(chunk) && !chosen.has(chunk) && this.worth(chunk) * EVICT_FACTOR < urgency)
+      .filter(
+        (chunk) =>
+          !kept.has(chunk) && !parents.has(chunk) && !chosen.has(chunk) && this.worth(chunk) * EVICT_FACTOR < urgency,
+      )
       .sort((a, b) => this.worth(a) - this.worth(b) || b - a)[0];
   }
 }

@@ -17,7 +17,12 @@ export function readFloatStream(k: Kernels, stream: StreamRecord): number[] {
  */
 export function readFloatRows(k: Kernels, stream: StreamRecord, target: number): void {
   const { components } = stream;
-  readFloats(k, stream, Array.from({ length: components }, (_, i) => target + 4 * i), components);
+  readFloats(
+    k,
+    stream,
+    Array.from({ length: components }, (_, i) => target + 4 * i),
+    components,
+  );
 }
 
 function readFloats(k: Kernels, stream: StreamRecord, targets: readonly number[], stride: number): void {

@@ -25,7 +25,11 @@ export interface Grid {
  * @param maxEnd - Largest magnitude of minimum and maximum.
  */
 export function readGrids(
-  params: DataView, at: number, count: number, maxLevels = MAX_LEVELS, maxEnd = MAX_END,
+  params: DataView,
+  at: number,
+  count: number,
+  maxLevels = MAX_LEVELS,
+  maxEnd = MAX_END,
 ): Grid[] {
   const entries = Array.from({ length: count }, (_, i) => ({
     minimum: params.getFloat32(at + GRID_BYTES * i, true),
@@ -61,7 +65,11 @@ export function planesOf(limit: number): number {
  * @returns Address of a column of u32.
  */
 export function readCodes(
-  k: Kernels, planes: readonly StoredPlane[], rows: number, limit: number, reason: "code-range" | "index-range" = "code-range",
+  k: Kernels,
+  planes: readonly StoredPlane[],
+  rows: number,
+  limit: number,
+  reason: "code-range" | "index-range" = "code-range",
 ): number {
   const target = k.alloc(4 * rows);
   const [p0 = 0, p1 = 0, p2 = 0] = planes.map((plane) => readPlane(k, plane, rows));

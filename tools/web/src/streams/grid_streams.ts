@@ -1,6 +1,6 @@
 import { CogsplatError } from "../errors.js";
 import type { Kernels } from "../kernels/kernels.js";
-import { GRID_BYTES, planesOf, readCodes, readGrids, type Grid } from "./grid.js";
+import { GRID_BYTES, type Grid, planesOf, readCodes, readGrids } from "./grid.js";
 import { readPlane } from "./planes.js";
 import { Attribute, checkParams, checkPlanes, Kind, type StreamRecord } from "./records.js";
 
@@ -63,7 +63,10 @@ function readGridCodes(k: Kernels, stream: StreamRecord): Codes {
   const grids = readGrids(stream.params, 0, components, maxLevels);
   const axes = stream.kind === Kind.basis ? readAxes(k, stream) : 0;
   const limits = grids.map((grid) => grid.levels + (stream.infinities ? 2 : 0));
-  checkPlanes(stream, limits.reduce((sum, limit) => sum + planesOf(limit), 0));
+  checkPlanes(
+    stream,
+    limits.reduce((sum, limit) => sum + planesOf(limit), 0),
+  );
   let plane = 0;
   const addresses = limits.map((limit) => {
     const count = planesOf(limit);
@@ -87,7 +90,10 @@ function refineCodes(k: Kernels, codes: Codes, stream: StreamRecord): Grid[] {
   radices.forEach((radix, i) => {
     const plane = radix > 1 ? readPlane(k, stream.planes[next++]!, rows) : 0;
     if (k.refineDigits(codes.addresses[i]!, plane, rows, radix, grids[i]!.levels) !== 0) {
-      throw new CogsplatError("code-range", `${stream.name}: a digit of ${radix} or more, or a code of ${grids[i]!.levels} or more`);
+      throw new CogsplatError(
+        "code-range",
+        `${stream.name}: a digit of ${radix} or more, or a code of ${grids[i]!.levels} or more`,
+      );
     }
   });
   return grids;

@@ -22,7 +22,10 @@ export function readQuats(k: Kernels, stream: StreamRecord): number[] {
   }
   const grids = readGrids(params, 4, 3, undefined, 1);
   const first = largest === PER_ROW ? 1 : 0;
-  checkPlanes(stream, grids.reduce((sum, grid) => sum + planesOf(grid.levels), first));
+  checkPlanes(
+    stream,
+    grids.reduce((sum, grid) => sum + planesOf(grid.levels), first),
+  );
   const plane = first === 1 ? readPlane(k, planes[0]!, rows) : 0;
   if (first === 1 && k.u8.subarray(plane, plane + rows).some((component) => component > 3)) {
     throw new CogsplatError("quat-largest", "a row that leaves out a component above 3");

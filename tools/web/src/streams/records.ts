@@ -1,6 +1,6 @@
 import { CogsplatError } from "../errors.js";
 import type { Kernels } from "../kernels/kernels.js";
-import { storedBytes, type StoredPlane } from "./planes.js";
+import { type StoredPlane, storedBytes } from "./planes.js";
 
 /** Attributes of SPEC 6.2. */
 export const Attribute = {
@@ -71,7 +71,7 @@ export interface StreamRecord {
   readonly kind: number;
   readonly components: number;
   /** Whether the rows are escape rows, which a vq stream of the same payload refers to. */
-  readonly escape: boolean;
+  readonly isEscape: boolean;
   readonly infinities: boolean;
   readonly rows: number;
   readonly params: DataView;
@@ -93,15 +93,21 @@ export class Payload {
    * @param rows - Rows of the chunk or codebook, the most that a stream may have.
    * @param place - What the payload belongs to.
    */
-  constructor(k: Kernels, bytes: Uint8Array, private readonly rows: number, private readonly place: Place) {
+  constructor(
+    k: Kernels,
+    bytes: Uint8Array,
+    private readonly rows: number,
+    private readonly place: Place,
+  ) {
     const base = k.alloc(bytes.length);
     k.u8.set(bytes, base);
-    for (const stream of readRecords(bytes, base, rows)) this.streams.set(keyOf(stream.attribute, stream.escape), stream);
+    for (const stream of readRecords(bytes, base, rows))
+      this.streams.set(keyOf(stream.attribute, stream.isEscape), stream);
   }
 
   /** Whether a stream of an attribute is there and was not taken yet. */
-  has(attribute: number, escape = false): boolean {
-    return this.streams.has(keyOf(attribute, escape));
+  has(attribute: number, isEscape = false): boolean {
+    return this.streams.has(keyOf(attribute, isEscape));
   }
 
   /** The stream of an attribute that must be there, one row for each row of the payload. */
@@ -114,16 +120,16 @@ export class Payload {
     return this.takeRows(attribute, true, rows);
   }
 
-  private takeRows(attribute: number, escape: boolean, rows: number): StreamRecord {
-    const stream = this.streams.get(keyOf(attribute, escape));
+  private takeRows(attribute: number, isEscape: boolean, rows: number): StreamRecord {
+    const stream = this.streams.get(keyOf(attribute, isEscape));
     const { name, kinds } = RULES.get(attribute)!;
     if (stream === undefined) {
-      throw new CogsplatError("stream-missing", `the ${this.place} has no ${escape ? "escape rows of " : ""}${name}`);
+      throw new CogsplatError("stream-missing", `the ${this.place} has no ${isEscape ? "escape rows of " : ""}${name}`);
     }
-    this.streams.delete(keyOf(attribute, escape));
+    this.streams.delete(keyOf(attribute, isEscape));
     checkRows(stream, rows);
     const only = attribute === Attribute.opacities ? "opacities" : "head";
-    const isElsewhere = HEADS_ONLY.includes(stream.kind) && (escape || this.place !== only);
+    const isElsewhere = HEADS_ONLY.includes(stream.kind) && (isEscape || this.place !== only);
     if (!kinds.includes(stream.kind) || isElsewhere) {
       throw new CogsplatError("stream-kind", `${name} of kind ${stream.kind} in a ${this.place}`);
     }
@@ -145,7 +151,7 @@ export class Payload {
   /** Refuse streams that nothing took. */
   finish(): void {
     for (const stream of this.streams.values()) {
-      const rows = stream.escape ? "escape rows of " : "";
+      const rows = stream.isEscape ? "escape rows of " : "";
       throw new CogsplatError("stream-unexpected", `the ${this.place} has a stream of ${rows}${stream.name}`);
     }
   }
@@ -158,8 +164,8 @@ function refinedBy({ attribute, kind, infinities }: StreamRecord): number | unde
   return isOnGrid && !infinities && WITH_DIGITS.includes(attribute) ? Kind.digits : undefined;
 }
 
-function keyOf(attribute: number, escape: boolean): string {
-  return `${attribute}${escape ? "e" : ""}`;
+function keyOf(attribute: number, isEscape: boolean): string {
+  return `${attribute}${isEscape ? "e" : ""}`;
 }
 
 function readRecords(bytes: Uint8Array, base: number, most: number): StreamRecord[] {
@@ -181,7 +187,7 @@ function readRecords(bytes: Uint8Array, base: number, most: number): StreamRecor
     const wordsAt = at + RECORD_BYTES + params;
     leaves(wordsAt + 4 * planes, `record ${i}`, at);
     const record = readRecord(view, at, params, most);
-    const key = keyOf(record.attribute, record.escape);
+    const key = keyOf(record.attribute, record.isEscape);
     if (seen.has(key)) throw new CogsplatError("stream-duplicate", `${record.name} twice`, at);
     seen.add(key);
     records.push(record);
@@ -215,19 +221,32 @@ function readRecord(view: DataView, at: number, paramBytes: number, most: number
     throw new CogsplatError("stream-record", `${rule.name} of ${components} components`, at + 2);
   }
   const infinities = (flags & FLAG_INFINITIES) !== 0;
-  if ((flags & ~(FLAG_ESCAPE | FLAG_INFINITIES)) !== 0) throw new CogsplatError("stream-record", `flags ${flags}`, at + 3);
+  if ((flags & ~(FLAG_ESCAPE | FLAG_INFINITIES)) !== 0)
+    throw new CogsplatError("stream-record", `flags ${flags}`, at + 3);
   if (infinities && (attribute !== Attribute.opacities || kind !== Kind.scalar)) {
     throw new CogsplatError("stream-record", `infinities in ${rule.name}`, at + 3);
   }
   if (rows > most) throw new CogsplatError("stream-rows", `${rows} rows of ${rule.name}, at most ${most}`, at + 4);
   const params = new DataView(view.buffer, view.byteOffset + at + RECORD_BYTES, paramBytes);
-  return { attribute, name: rule.name, kind, components, escape: (flags & FLAG_ESCAPE) !== 0, infinities, rows, params };
+  return {
+    attribute,
+    name: rule.name,
+    kind,
+    components,
+    isEscape: (flags & FLAG_ESCAPE) !== 0,
+    infinities,
+    rows,
+    params,
+  };
 }
 
 /** Refuse parameters of another length than the kind implies. */
 export function checkParams(stream: StreamRecord, bytes: number): void {
   if (stream.params.byteLength !== bytes) {
-    throw new CogsplatError("stream-params", `${stream.name}: ${stream.params.byteLength} bytes of parameters, not ${bytes}`);
+    throw new CogsplatError(
+      "stream-params",
+      `${stream.name}: ${stream.params.byteLength} bytes of parameters, not ${bytes}`,
+    );
   }
 }
 

@@ -103,7 +103,9 @@ export function readShnCoordinates(k: Kernels, stream: StreamRecord, params: Shn
       let at = 0;
       group.forEach((j, i) => {
         const [p0, p1, p2] = [0, 1, 2].map((byte) => (byte < planes.length ? planes[byte]! + at : 0)) as [
-          number, number, number,
+          number,
+          number,
+          number,
         ];
         const target = columns[j]! + (last === 1 ? 4 * beyond[j + 1]! : 0);
         k.shnValues(p0, p1, p2, lengths[i]!, last, step, shrink, target);

@@ -18,7 +18,10 @@ const MAX_REFINEMENT_BITS = 15;
  * @returns Three columns of f32.
  */
 export function readSortedMeans(
-  k: Kernels, stream: StreamRecord, scales: readonly number[], refinement?: StreamRecord,
+  k: Kernels,
+  stream: StreamRecord,
+  scales: readonly number[],
+  refinement?: StreamRecord,
 ): number[] {
   const { rows, params } = stream;
   checkParams(stream, 3 * GRID_BYTES + STEP_MODEL_BYTES);
@@ -37,7 +40,9 @@ export function readSortedMeans(
   const [refined, refinementBits] = refinement === undefined ? [0, 0] : readRefinement(k, refinement);
   const targets = grids.map(() => k.alloc(4 * rows));
   const axes = k.alloc(24);
-  grids.forEach((grid, axis) => k.f32.set([grid.step, grid.minimum], (axes >>> 2) + 2 * axis));
+  grids.forEach((grid, axis) => {
+    k.f32.set([grid.step, grid.minimum], (axes >>> 2) + 2 * axis);
+  });
   const table = addressTable(k, targets);
   const [x, y, z] = codes;
   if (k.sortedMeans(x, y, z, extra, rows, low, refined, refinementBits, axes, table) !== 0) {
@@ -65,7 +70,7 @@ function readMorton(k: Kernels, stream: StreamRecord): [number, number, number] 
 function readRefinement(k: Kernels, stream: StreamRecord): [number, number] {
   checkParams(stream, 4);
   const count = stream.params.getUint8(0);
-  if (count < 1 || count > MAX_REFINEMENT_BITS || (stream.params.getUint32(0, true) >>> 8) !== 0) {
+  if (count < 1 || count > MAX_REFINEMENT_BITS || stream.params.getUint32(0, true) >>> 8 !== 0) {
     throw new CogsplatError("refinement-bits", `a refinement of ${count} bits, or reserved bytes that are set`);
   }
   checkPlanes(stream, 1);

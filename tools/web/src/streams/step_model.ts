@@ -14,7 +14,11 @@ const MAX_COEFFICIENT = 1e6;
  * @returns Address of one byte for each row, 0 to 15.
  */
 export function readExtraBits(
-  k: Kernels, params: DataView, at: number, scales: readonly number[], rows: number,
+  k: Kernels,
+  params: DataView,
+  at: number,
+  scales: readonly number[],
+  rows: number,
 ): number {
   const coefficients = k.alloc(STEP_MODEL_BYTES);
   for (let i = 0; i < 6; i++) {

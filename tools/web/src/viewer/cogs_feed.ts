@@ -1,20 +1,20 @@
-import { CogsplatError, SourceError } from "../errors.js";
-import type { Answer, ByteSource, ReadOptions } from "../loader/byte_source.js";
-import { loadKernels } from "../kernels/load.js";
-import { folders } from "../loader/folders.js";
-import { sourceOf, StreamedScene, type OpenOptions } from "../loader/streamed_scene.js";
-import type { ChunkUpdate } from "../loader/stream_options.js";
-import { Visit } from "../loader/visit.js";
 import type { ByteRange } from "../container/scene_index.js";
+import { CogsplatError, SourceError } from "../errors.js";
+import { loadKernels } from "../kernels/load.js";
+import type { Answer, ByteSource, ReadOptions } from "../loader/byte_source.js";
+import { folders } from "../loader/folders.js";
+import type { ChunkUpdate } from "../loader/stream_options.js";
+import { type OpenOptions, StreamedScene, sourceOf } from "../loader/streamed_scene.js";
+import { Visit } from "../loader/visit.js";
+import type { DecoderIndex } from "../scene/chunk_decoder.js";
 import { faded, type PackedSplats } from "../scene/packed_splats.js";
 import type { Pose } from "../schedule/poses.js";
-import type { DecoderIndex } from "../scene/chunk_decoder.js";
-import { SlicedService, type ChunkService } from "../workers/decode_task.js";
+import { type ChunkService, SlicedService } from "../workers/decode_task.js";
 import { DecoderPool } from "../workers/decoder_pool.js";
 import { EndingChunks } from "./ending_chunks.js";
 import { LevelOpacities } from "./level_opacities.js";
 import { levelForSize, levelOfPrefix } from "./levels.js";
-import { MeteredSource, type Meter } from "./meter.js";
+import { type Meter, MeteredSource } from "./meter.js";
 import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
 import type { SplatLayer } from "./splat_layer.js";
 import type { AllowedWorkers } from "./viewer_workers.js";
@@ -119,7 +119,10 @@ export class CogsFeed implements SceneFeed {
     const { info } = scene;
     await this.workers.found;
     signal.throwIfAborted();
-    this.layer = this.host!.begin({ ...info, linear: info.colourSpace === "linear", hasLevels: info.levels.length > 0 }, info);
+    this.layer = this.host!.begin(
+      { ...info, linear: info.colourSpace === "linear", hasLevels: info.levels.length > 0 },
+      info,
+    );
     this.report();
     if (this.isVisited(scene)) await this.beVisited(scene, signal);
     else await this.streamAll(scene, signal);
@@ -143,15 +146,17 @@ export class CogsFeed implements SceneFeed {
   /** Whether chunks are chosen by the view: those of levels and those that end are drawn in the order of the file. */
   private isVisited({ answersRanges, index, info }: StreamedScene): boolean {
     const { cell, until } = index.chunks;
-    const isAsked = this.order === "view" || (this.order === undefined && cell.length > 0 && cell.every((number) => number > 0));
+    const isAsked =
+      this.order === "view" || (this.order === undefined && cell.length > 0 && cell.every((number) => number > 0));
     return isAsked && answersRanges && info.levels.length === 0 && until.every((end) => end === 0);
   }
 
   private async beVisited(scene: StreamedScene, signal: AbortSignal): Promise<void> {
     const host = this.host!;
     const layer = this.layer!;
-    const visited = (this.visited = new VisitedScene(scene, layer, this.shifted, () => this.visit?.shown()));
-    const visit = (this.visit = await Visit.begin(scene, {
+    const visited = new VisitedScene(scene, layer, this.shifted, () => this.visit?.shown());
+    this.visited = visited;
+    const visit = await Visit.begin(scene, {
       signal,
       format: "packed",
       compensate: true,
@@ -161,7 +166,8 @@ export class CogsFeed implements SceneFeed {
         host.settled(isSettled);
         if (isSettled && this.damage !== undefined) host.damaged(this.damage);
       },
-    }));
+    });
+    this.visit = visit;
     if (this.pose !== undefined) visit.look(this.pose);
     for await (const change of visit.changes()) {
       if (change.kind === "rows") host.rowsCame(change.packed!, visited.splats === 0);

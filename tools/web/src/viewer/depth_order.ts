@@ -16,7 +16,12 @@ export function sortByDepth(means: Float32Array, rows: number, forward: readonly
 }
 
 /** The same in steps of about a millisecond, between which other work can be done. */
-export function* sortSteps(means: Float32Array, rows: number, forward: readonly number[], order: Uint32Array): Generator<void> {
+export function* sortSteps(
+  means: Float32Array,
+  rows: number,
+  forward: readonly number[],
+  order: Uint32Array,
+): Generator<void> {
   const [fx, fy, fz] = forward as [number, number, number];
   const depths = new Float32Array(rows);
   for (let first = 0; first < rows; first += STEP_ROWS, yield) {

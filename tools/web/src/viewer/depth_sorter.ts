@@ -1,16 +1,7 @@
 import { packedMeans } from "../scene/packed_splats.js";
 import { sortByDepth, sortSteps } from "./depth_order.js";
-import type { SortRequest, SortResponse } from "./sort_messages.js";
+import type { DepthOrder, SortRequest, SortResponse } from "./sort_messages.js";
 import type { ViewerWorkers } from "./viewer_workers.js";
-
-/** Rows in the order in which they are drawn. */
-export interface DepthOrder {
-  /** The rows that were sorted, from the farthest to the nearest, with room behind them. */
-  readonly order: Uint32Array;
-  readonly rows: number;
-  /** How long it took, ms. */
-  readonly milliseconds: number;
-}
 
 /** Longest time that is sorted at once where the page runs, ms. */
 const SLICE_MILLISECONDS = 4;

@@ -12,18 +12,26 @@ export class Divide {
     signal: AbortSignal,
   ) {
     line.addEventListener("pointerdown", (event) => line.setPointerCapture(event.pointerId), { signal });
-    line.addEventListener("pointermove", (event) => {
-      if (!line.hasPointerCapture(event.pointerId)) return;
-      const { left, width } = line.parentElement!.getBoundingClientRect();
-      this.place((event.clientX - left) / width);
-    }, { signal });
-    line.addEventListener("keydown", (event) => {
-      const step = { ArrowLeft: -KEY_STEP, ArrowRight: KEY_STEP, Home: -1, End: 1 }[event.key];
-      if (step === undefined) return;
-      event.preventDefault();
-      event.stopPropagation();
-      this.place(this.share + step);
-    }, { signal });
+    line.addEventListener(
+      "pointermove",
+      (event) => {
+        if (!line.hasPointerCapture(event.pointerId)) return;
+        const { left, width } = line.parentElement!.getBoundingClientRect();
+        this.place((event.clientX - left) / width);
+      },
+      { signal },
+    );
+    line.addEventListener(
+      "keydown",
+      (event) => {
+        const step = { ArrowLeft: -KEY_STEP, ArrowRight: KEY_STEP, Home: -1, End: 1 }[event.key];
+        if (step === undefined) return;
+        event.preventDefault();
+        event.stopPropagation();
+        this.place(this.share + step);
+      },
+      { signal },
+    );
   }
 
   /** Show it at a share of the width, or take it away. */

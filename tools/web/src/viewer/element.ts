@@ -3,11 +3,11 @@ import { FilmStrip } from "./film_strip.js";
 import { MARKUP } from "./markup.js";
 import { colourOf, sizeText } from "./numbers.js";
 import { Panel } from "./panel.js";
-import { SceneView, type SceneSource } from "./scene_view.js";
+import { type SceneSource, SceneView } from "./scene_view.js";
 import { describe, type Sentence } from "./sentences.js";
 import { STYLE } from "./style.js";
 import type { ViewerHandle, ViewerPose, ViewerStatistics } from "./viewer_handle.js";
-import { workersBeside, type ViewerWorkers } from "./viewer_workers.js";
+import { type ViewerWorkers, workersBeside } from "./viewer_workers.js";
 
 /** Splats that are drawn at most where fingers are the pointer: phones have less memory and less power. */
 const BUDGET_OF_PHONES = 1_500_000;
@@ -15,7 +15,15 @@ const BUDGET_OF_PHONES = 1_500_000;
 const QUIET_AFTER = 2500;
 
 const NOTHING: ViewerStatistics = {
-  state: "empty", splats: 0, totalSplats: 0, bytes: 0, frames: 0, drawMilliseconds: 0, pictureMilliseconds: 0, sortMilliseconds: 0, upToDate: false,
+  state: "empty",
+  splats: 0,
+  totalSplats: 0,
+  bytes: 0,
+  frames: 0,
+  drawMilliseconds: 0,
+  pictureMilliseconds: 0,
+  sortMilliseconds: 0,
+  upToDate: false,
 };
 
 /**
@@ -40,7 +48,21 @@ const NOTHING: ViewerStatistics = {
  * It fires `cogsplat-change` when `statistics` change. Leaving the page ends its workers and gives all memory back.
  */
 export class CogsplatViewer extends HTMLElement implements ViewerHandle {
-  static readonly observedAttributes = ["src", "against", "label", "against-label", "background", "sh-degree", "level", "splat-budget", "order", "pixel-ratio", "resolution", "fill-holes", "controls"];
+  static readonly observedAttributes = [
+    "src",
+    "against",
+    "label",
+    "against-label",
+    "background",
+    "sh-degree",
+    "level",
+    "splat-budget",
+    "order",
+    "pixel-ratio",
+    "resolution",
+    "fill-holes",
+    "controls",
+  ];
   /** How workers are started: from the programs beside this one, by default. */
   static workers: ViewerWorkers | undefined = workersBeside(import.meta.url);
 
@@ -109,11 +131,15 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     const { signal } = this.abort;
     const canvas = this.find<HTMLCanvasElement>("canvas");
     try {
-      this.scene = new SceneView(canvas, {
-        changed: () => this.changed(),
-        failed: (error, which) => this.failed(error, which),
-        restored: () => this.say(undefined),
-      }, CogsplatViewer.workers);
+      this.scene = new SceneView(
+        canvas,
+        {
+          changed: () => this.changed(),
+          failed: (error, which) => this.failed(error, which),
+          restored: () => this.say(undefined),
+        },
+        CogsplatViewer.workers,
+      );
     } catch (error) {
       this.failed(error, "graphics");
       return;
@@ -121,10 +147,15 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     const { scene } = this;
     scene.view = this.pose;
     scene.fillHoles = this.fills;
-    this.panel = new Panel(this.find("#panel"), scene, {
-      reload: () => void (this.source !== undefined && this.load(this.source)),
-      chooseOther: () => this.find<HTMLInputElement>("#file").click(),
-    }, signal);
+    this.panel = new Panel(
+      this.find("#panel"),
+      scene,
+      {
+        reload: () => void (this.source !== undefined && this.load(this.source)),
+        chooseOther: () => this.find<HTMLInputElement>("#file").click(),
+      },
+      signal,
+    );
     this.strip = new FilmStrip(this.find("#strip"), canvas, scene);
     this.divide = new Divide(this.find("#divide"), (share) => scene.show({ divide: share }), signal);
     this.listen(signal);
@@ -168,7 +199,14 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
       const colour = colourOf(value ?? "black");
       if (colour === undefined) return;
       scene.show({ background: colour });
-      this.panel!.background = `#${colour.slice(0, 3).map((share) => Math.round(255 * share).toString(16).padStart(2, "0")).join("")}`;
+      this.panel!.background = `#${colour
+        .slice(0, 3)
+        .map((share) =>
+          Math.round(255 * share)
+            .toString(16)
+            .padStart(2, "0"),
+        )
+        .join("")}`;
       // What is not covered by splats is as clear as the background.
       this.style.background = value ?? "";
     } else if (name === "sh-degree") scene.show({ degree: value === null ? 3 : Number(value) });
@@ -194,37 +232,55 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     click("full", () => void this.toggleFullScreen());
     click("again", () => void (this.source !== undefined && this.load(this.source)));
     const file = this.find<HTMLInputElement>("#file");
-    file.addEventListener("change", () => {
-      const chosen = file.files?.[0];
-      if (chosen) void this.compare(chosen);
-      file.value = "";
-    }, { signal });
-    this.addEventListener("keydown", (event) => {
-      // Keys that are typed into a field are no commands.
-      const inField = event.composedPath().some((target) => target instanceof HTMLInputElement || target instanceof HTMLSelectElement);
-      if (event.ctrlKey || event.metaKey || event.altKey || (inField && event.code !== "Escape")) return;
-      const command = {
-        KeyR: () => this.scene!.reset(),
-        KeyF: () => void this.toggleFullScreen(),
-        KeyG: () => this.togglePanel(),
-        KeyT: () => this.toggleStrip(),
-        Escape: () => this.closeAll(),
-      }[event.code];
-      if (command === undefined) return;
-      event.preventDefault();
-      command();
-    }, { signal });
-    this.addEventListener("dragover", (event) => {
-      event.preventDefault();
-      this.root!.classList.add("over");
-    }, { signal });
+    file.addEventListener(
+      "change",
+      () => {
+        const chosen = file.files?.[0];
+        if (chosen) void this.compare(chosen);
+        file.value = "";
+      },
+      { signal },
+    );
+    this.addEventListener(
+      "keydown",
+      (event) => {
+        // Keys that are typed into a field are no commands.
+        const inField = event
+          .composedPath()
+          .some((target) => target instanceof HTMLInputElement || target instanceof HTMLSelectElement);
+        if (event.ctrlKey || event.metaKey || event.altKey || (inField && event.code !== "Escape")) return;
+        const command = {
+          KeyR: () => this.scene!.reset(),
+          KeyF: () => void this.toggleFullScreen(),
+          KeyG: () => this.togglePanel(),
+          KeyT: () => this.toggleStrip(),
+          Escape: () => this.closeAll(),
+        }[event.code];
+        if (command === undefined) return;
+        event.preventDefault();
+        command();
+      },
+      { signal },
+    );
+    this.addEventListener(
+      "dragover",
+      (event) => {
+        event.preventDefault();
+        this.root!.classList.add("over");
+      },
+      { signal },
+    );
     this.addEventListener("dragleave", () => this.root!.classList.remove("over"), { signal });
-    this.addEventListener("drop", (event) => {
-      event.preventDefault();
-      this.root!.classList.remove("over");
-      const dropped = event.dataTransfer?.files[0];
-      if (dropped) void (event.shiftKey && this.source !== undefined ? this.compare(dropped) : this.load(dropped));
-    }, { signal });
+    this.addEventListener(
+      "drop",
+      (event) => {
+        event.preventDefault();
+        this.root!.classList.remove("over");
+        const dropped = event.dataTransfer?.files[0];
+        if (dropped) void (event.shiftKey && this.source !== undefined ? this.compare(dropped) : this.load(dropped));
+      },
+      { signal },
+    );
   }
 
   private togglePanel(): void {
@@ -267,13 +323,19 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     root.classList.toggle("failed", state === "failed" && !scene.isShown);
     if (scene.isShown) root.classList.add("shown");
     this.find("#hint").textContent =
-      state === "empty" ? "Drop a .cogs file or a PLY of splats here." : state === "opening" ? "Opening …" : `Loading … ${sizeText(bytes)}`;
+      state === "empty"
+        ? "Drop a .cogs file or a PLY of splats here."
+        : state === "opening"
+          ? "Opening …"
+          : `Loading … ${sizeText(bytes)}`;
     const share = totalBytes === undefined ? splats / Math.max(totalSplats, 1) : bytes / totalBytes;
     const done = state === "complete";
     this.find("#line > div").style.transform = `scaleX(${done ? 1 : Math.min(share, 1)})`;
     this.find("#line").setAttribute("aria-valuenow", String(Math.round(100 * (done ? 1 : share))));
     const texts = [
-      totalBytes !== undefined && !done ? `${sizeText(Math.min(bytes, totalBytes))} of ${sizeText(totalBytes)}` : sizeText(totalBytes ?? bytes),
+      totalBytes !== undefined && !done
+        ? `${sizeText(Math.min(bytes, totalBytes))} of ${sizeText(totalBytes)}`
+        : sizeText(totalBytes ?? bytes),
       `${splats.toLocaleString()} splats`,
       ...(predictedDb === undefined ? [] : [`${predictedDb.toFixed(1)} dB predicted`]),
     ];
@@ -315,7 +377,13 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
 
   private failed(error: unknown, which: "scene" | "other" | "graphics"): void {
     if (which === "graphics" && error === undefined) {
-      this.say({ title: "The graphics were interrupted", detail: "The scene comes back as soon as the browser has them again." }, false);
+      this.say(
+        {
+          title: "The graphics were interrupted",
+          detail: "The scene comes back as soon as the browser has them again.",
+        },
+        false,
+      );
       return;
     }
     const sentence = describe(error, this.scene?.isShown ?? false);

@@ -58,9 +58,9 @@ export class FilmStrip {
     // The middle of the canvas, in the shape of the frame.
     const scale = Math.min(canvas.width / WIDTH, canvas.height / HEIGHT);
     const [width, height] = [WIDTH * scale, HEIGHT * scale];
-    picture.getContext("2d")!.drawImage(
-      canvas, (canvas.width - width) / 2, (canvas.height - height) / 2, width, height, 0, 0, WIDTH, HEIGHT,
-    );
+    picture
+      .getContext("2d")!
+      .drawImage(canvas, (canvas.width - width) / 2, (canvas.height - height) / 2, width, height, 0, 0, WIDTH, HEIGHT);
     const decibels = prefix.predictedDb === undefined ? "" : ` · ${prefix.predictedDb.toFixed(1)} dB`;
     const text = `${sizeText(prefix.bytes)}${decibels}`;
     button.append(picture, text);

@@ -1,4 +1,4 @@
-import { packedMeans, type PackedSplats } from "../scene/packed_splats.js";
+import { type PackedSplats, packedMeans } from "../scene/packed_splats.js";
 import type { Vector } from "./orbit.js";
 
 /** Share of the weight that lies outside, at each end of an axis: far splats of a background do not shrink the rest. */
@@ -42,7 +42,8 @@ export function bulkOf(packed: PackedSplats, zero: Vector): Bulk | undefined {
   });
   const inner = ballOf(axes, weights, OUTSIDE, MARGIN);
   const outer = ballOf(axes, opacities, STRAY, 1);
-  const found = outer.radius <= OBJECT_REACH * inner.radius ? { ...outer, radius: OBJECT_MARGIN * outer.radius } : inner;
+  const found =
+    outer.radius <= OBJECT_REACH * inner.radius ? { ...outer, radius: OBJECT_MARGIN * outer.radius } : inner;
   return found.radius > 0 && Number.isFinite(found.radius) ? found : undefined;
 }
 
@@ -69,7 +70,9 @@ export function depthAhead(packed: PackedSplats, zero: Vector, position: Vector,
     depths[i] = depth;
     if (!(depth > COSINE_OF_MIDDLE * Math.hypot(...offset))) weights[i] = 0;
   }
-  return weights.some((weight) => weight > 0) ? quantile({ values: depths, order: ascending(depths) }, weights, 0.5) : undefined;
+  return weights.some((weight) => weight > 0)
+    ? quantile({ values: depths, order: ascending(depths) }, weights, 0.5)
+    : undefined;
 }
 
 /** Some splats of a scene: their means, what they weigh and their opacities. */

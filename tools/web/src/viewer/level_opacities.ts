@@ -52,5 +52,8 @@ export class LevelOpacities {
 /** Opacities at a level: those of the level before where there are none; undefined where the level does not draw the chunk. */
 function at({ first, last, known }: ChunkOpacities, level: number): Uint8Array | undefined {
   if (level < first || level > last) return undefined;
-  return known.slice(0, level - first + 1).filter((values) => values !== undefined).at(-1);
+  return known
+    .slice(0, level - first + 1)
+    .filter((values) => values !== undefined)
+    .at(-1);
 }

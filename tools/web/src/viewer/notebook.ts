@@ -1,7 +1,7 @@
 import type { ByteRange } from "../container/scene_index.js";
 import { SourceError } from "../errors.js";
 import type { Answer, ByteSource } from "../loader/byte_source.js";
-import { CogsplatViewer, defineViewer } from "./element.js";
+import { type CogsplatViewer, defineViewer } from "./element.js";
 import { workersOfTexts } from "./viewer_workers.js";
 
 /** What a widget of anywidget has of its model: messages to Python and back. */
@@ -13,7 +13,12 @@ export interface WidgetModel {
 
 /** What Python answers (`tools/delivery/notebook.py`). */
 export type WidgetAnswer =
-  | { readonly type: "scene"; readonly name: string; readonly length: number; readonly programs: readonly [string, string] }
+  | {
+      readonly type: "scene";
+      readonly name: string;
+      readonly length: number;
+      readonly programs: readonly [string, string];
+    }
   | { readonly type: "bytes"; readonly id: number }
   | { readonly type: "failed"; readonly id: number; readonly message: string };
 
@@ -34,7 +39,12 @@ export class WidgetSource implements ByteSource {
     const part = await new Promise<Uint8Array>((resolve, reject) => {
       this.waiting.set(id, (answer, [buffer]) => {
         if (answer.type === "failed" || buffer === undefined) {
-          reject(new SourceError(`Python could not read the file: ${answer.type === "failed" ? answer.message : "no bytes came"}`, 0));
+          reject(
+            new SourceError(
+              `Python could not read the file: ${answer.type === "failed" ? answer.message : "no bytes came"}`,
+              0,
+            ),
+          );
         } else resolve(new Uint8Array(buffer.buffer, buffer.byteOffset, buffer.byteLength));
       });
       this.model.send({ type: "read", id, offset, length });

@@ -56,7 +56,9 @@ export class OrbitCamera {
   place(view: ViewerPose): void {
     const r = view.rotation;
     this.axes = [0, 3, 6].map((i) => [r[i]!, r[i + 1]!, r[i + 2]!]) as Axes;
-    const position = [0, 1, 2].map((i) => -this.axes.reduce((sum, axis, k) => sum + axis[i]! * view.translation[k]!, 0));
+    const position = [0, 1, 2].map(
+      (i) => -this.axes.reduce((sum, axis, k) => sum + axis[i]! * view.translation[k]!, 0),
+    );
     this.target = add(position as Vector, this.axes[2], this.distance);
     this.focal = [view.fx, view.fy];
     this.picture = view;

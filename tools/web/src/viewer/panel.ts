@@ -1,7 +1,7 @@
-import { colourOf } from "./numbers.js";
 import type { LevelEntry } from "../container/root.js";
-import type { SceneView } from "./scene_view.js";
 import type { Movement } from "./controls.js";
+import { colourOf } from "./numbers.js";
+import type { SceneView } from "./scene_view.js";
 import type { ViewerStatistics } from "./viewer_handle.js";
 
 /** What the panel asks of the viewer beside its scene view. */
@@ -58,7 +58,8 @@ export class Panel {
     });
     select.replaceChildren(new Option("By the picture's size", ""), ...options);
     // One between two levels is the page's own choice.
-    if (chosen !== undefined && !Number.isInteger(chosen)) select.append(new Option(`Between: ${chosen}`, String(chosen), false, true));
+    if (chosen !== undefined && !Number.isInteger(chosen))
+      select.append(new Option(`Between: ${chosen}`, String(chosen), false, true));
   }
 
   /** Write the statistics, where they are shown. */
@@ -80,7 +81,11 @@ export class Panel {
       row.insertCell();
       row.insertCell();
     }
-    rows.forEach((texts, i) => texts.forEach((text, j) => (body.rows[i]!.cells[j]!.textContent = text)));
+    rows.forEach((texts, i) => {
+      texts.forEach((text, j) => {
+        body.rows[i]!.cells[j]!.textContent = text;
+      });
+    });
   }
 
   private get customRow(): HTMLElement {
@@ -96,7 +101,10 @@ export class Panel {
     const field = this.field(name);
     if (name === "degree") view.show({ degree: Number(field.value) });
     else if (name === "level") view.level = field.value === "" ? undefined : Number(field.value);
-    else if (name === "budget") view.limit(field.value === "100" ? Infinity : Math.ceil((view.statistics.totalSplats * Number(field.value)) / 100));
+    else if (name === "budget")
+      view.limit(
+        field.value === "100" ? Infinity : Math.ceil((view.statistics.totalSplats * Number(field.value)) / 100),
+      );
     else if (name === "movement") view.controls.movement = field.value as Movement;
     else if (name === "rate") view.meter.bitsPerSecond = Number(field.value) * 1e6;
     else if (name === "fill") view.fillHoles = field.checked;

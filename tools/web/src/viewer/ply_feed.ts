@@ -33,7 +33,13 @@ export class PlyFeed implements SceneFeed {
     signal.throwIfAborted();
     const { meter } = this;
     let { bitsPerSecond } = meter;
-    const request: PlyRequest = { type: "ply", source: this.source, mostRows: this.mostSplats, ranges: DEFAULT_RANGES, bitsPerSecond };
+    const request: PlyRequest = {
+      type: "ply",
+      source: this.source,
+      mostRows: this.mostSplats,
+      ranges: DEFAULT_RANGES,
+      bitsPerSecond,
+    };
     let splats = 0;
     let totalSplats = 0;
     let totalBytes: number | undefined;
@@ -50,7 +56,13 @@ export class PlyFeed implements SceneFeed {
           const { scene } = response;
           totalSplats = scene.splats;
           totalBytes = response.totalBytes;
-          const info = { axes: scene.axes, box: [-1, -1, -1, 1, 1, 1], firstView: undefined, origin: scene.fileOrigin, levels: [] };
+          const info = {
+            axes: scene.axes,
+            box: [-1, -1, -1, 1, 1, 1],
+            firstView: undefined,
+            origin: scene.fileOrigin,
+            levels: [],
+          };
           this.layer = host.begin({ ...scene, hasLevels: false }, info);
         } else if (response.type === "rows") {
           splats += response.packed.count;
@@ -66,7 +78,12 @@ export class PlyFeed implements SceneFeed {
           signal.removeEventListener("abort", stop);
           worker?.terminate();
           if (response.type === "end") resolve();
-          else reject(response.status === undefined ? new Error(response.message) : new SourceError(response.message, response.status));
+          else
+            reject(
+              response.status === undefined
+                ? new Error(response.message)
+                : new SourceError(response.message, response.status),
+            );
         }
       };
       if (worker === undefined) {

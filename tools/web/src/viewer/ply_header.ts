@@ -4,8 +4,22 @@ import type { PlyScene } from "./ply_messages.js";
 export const MOST_HEADER_BYTES = 65_536;
 
 const SIZES: Readonly<Record<string, number>> = {
-  char: 1, uchar: 1, int8: 1, uint8: 1, short: 2, ushort: 2, int16: 2, uint16: 2,
-  int: 4, uint: 4, int32: 4, uint32: 4, float: 4, float32: 4, double: 8, float64: 8,
+  char: 1,
+  uchar: 1,
+  int8: 1,
+  uint8: 1,
+  short: 2,
+  ushort: 2,
+  int16: 2,
+  uint16: 2,
+  int: 4,
+  uint: 4,
+  int32: 4,
+  uint32: 4,
+  float: 4,
+  float32: 4,
+  double: 8,
+  float64: 8,
 };
 const COMMENT = /^comment cogsplat (\w+) (.*)$/;
 
@@ -30,7 +44,8 @@ export interface PlyLayout {
  */
 export function readPlyHeader(bytes: Uint8Array): PlyLayout | undefined {
   const text = new TextDecoder("latin1").decode(bytes.subarray(0, MOST_HEADER_BYTES));
-  if (!/^ply\r?\n/.test(text.slice(0, 5)) && bytes.length >= 5) throw new Error("This file is neither a .cogs file nor a PLY.");
+  if (!/^ply\r?\n/.test(text.slice(0, 5)) && bytes.length >= 5)
+    throw new Error("This file is neither a .cogs file nor a PLY.");
   const end = /end_header\r?\n/.exec(text);
   if (end === null) {
     if (bytes.length >= MOST_HEADER_BYTES) throw new Error("The header of this PLY has no end.");
@@ -43,7 +58,8 @@ export function readPlyHeader(bytes: Uint8Array): PlyLayout | undefined {
   }
   const elements = lines.filter((line) => line.startsWith("element "));
   const count = /^element vertex (\d+)$/.exec(elements[0] ?? "");
-  if (count === null || elements.length > 1) throw new Error("This PLY has other elements than splats; convert it first.");
+  if (count === null || elements.length > 1)
+    throw new Error("This PLY has other elements than splats; convert it first.");
   const offsets = new Map<string, number>();
   let stride = 0;
   for (const line of lines) {
@@ -61,10 +77,23 @@ export function readPlyHeader(bytes: Uint8Array): PlyLayout | undefined {
   };
   const rest = [...offsets.keys()].filter((name) => name.startsWith("f_rest_")).length / 3;
   const shDegree = [0, 3, 8, 15].indexOf(rest);
-  if (shDegree < 0) throw new Error(`This PLY has ${3 * rest} SH coefficients above DC, which no degree from 0 to 3 has.`);
+  if (shDegree < 0)
+    throw new Error(`This PLY has ${3 * rest} SH coefficients above DC, which no degree from 0 to 3 has.`);
   const names = [
-    "x", "y", "z", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "opacity",
-    "f_dc_0", "f_dc_1", "f_dc_2",
+    "x",
+    "y",
+    "z",
+    "scale_0",
+    "scale_1",
+    "scale_2",
+    "rot_0",
+    "rot_1",
+    "rot_2",
+    "rot_3",
+    "opacity",
+    "f_dc_0",
+    "f_dc_1",
+    "f_dc_2",
   ];
   // In the PLY channels stand one behind the other, each with all its coefficients.
   const shN = Array.from({ length: 3 * rest }, (_, i) => `f_rest_${(i % 3) * rest + Math.floor(i / 3)}`);

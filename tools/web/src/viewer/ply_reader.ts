@@ -1,16 +1,20 @@
-import { packBand, packSplats } from "../kernels/javascript_packing.js";
 import { readParts } from "../loader/byte_source.js";
-import { SH_WORDS, type PackedSplats, type PackRanges } from "../scene/packed_splats.js";
+import { type PackedSplats, type PackRanges, SH_WORDS } from "../scene/packed_splats.js";
 import type { Meter } from "./meter.js";
-import { readPlyHeader, type PlyLayout } from "./ply_header.js";
+import { type PlyLayout, readPlyHeader } from "./ply_header.js";
 import type { PlyRequest, PlyResponse } from "./ply_messages.js";
+import { packBand, packSplats } from "./ply_packing.js";
 
 /** Rows that are packed and handed over at a time: a few milliseconds. */
 const ROWS = 4096;
 /** Columns of a splat before its SH bands above DC. */
 const COLUMNS = 14;
 /** First coefficient, values and bits of each packed band. */
-const BANDS = [[0, 9, 7], [9, 15, 8], [24, 21, 6]] as const;
+const BANDS = [
+  [0, 9, 7],
+  [9, 15, 8],
+  [24, 21, 6],
+] as const;
 
 type Post = (response: PlyResponse, transfer: ArrayBuffer[]) => void;
 
@@ -20,7 +24,12 @@ type Post = (response: PlyResponse, transfer: ArrayBuffer[]) => void;
  * @param meter - Its bytes come no faster than the meter's rate.
  * @param rest - Awaited between two blocks of rows.
  */
-export async function readPly(request: PlyRequest, meter: Meter, post: Post, rest = async (): Promise<void> => undefined): Promise<void> {
+export async function readPly(
+  request: PlyRequest,
+  meter: Meter,
+  post: Post,
+  rest = async (): Promise<void> => undefined,
+): Promise<void> {
   try {
     const { stream, totalBytes } = await bytesOf(request.source);
     await new PlyRows(request, totalBytes, post, rest).read(meter.through(readParts(stream, undefined)));
@@ -37,7 +46,9 @@ class StatusError extends Error {
   }
 }
 
-async function bytesOf(source: Blob | string): Promise<{ stream: ReadableStream<Uint8Array>; totalBytes: number | undefined }> {
+async function bytesOf(
+  source: Blob | string,
+): Promise<{ stream: ReadableStream<Uint8Array>; totalBytes: number | undefined }> {
   if (typeof source !== "string") return { stream: source.stream(), totalBytes: source.size };
   const response = await fetch(source);
   if (!response.ok || response.body === null) throw new StatusError(response.status);
@@ -76,7 +87,9 @@ class PlyRows {
     await this.take(true);
     if (this.layout === undefined) throw new Error("This PLY ends within its header.");
     if (this.row < this.wantedRows) {
-      throw new Error(`This PLY ends early: ${this.row.toLocaleString()} of ${this.layout.scene.splats.toLocaleString()} splats are there.`);
+      throw new Error(
+        `This PLY ends early: ${this.row.toLocaleString()} of ${this.layout.scene.splats.toLocaleString()} splats are there.`,
+      );
     }
     this.post({ type: "end", bytes: this.bytes }, []);
   }
@@ -100,7 +113,11 @@ class PlyRows {
       if (this.origin === undefined) {
         this.origin = middle(values, layout, rows);
         const { origin: fileOrigin } = layout;
-        const scene = { ...layout.scene, fileOrigin, origin: this.origin.map((value, axis) => value + fileOrigin[axis]!) };
+        const scene = {
+          ...layout.scene,
+          fileOrigin,
+          origin: this.origin.map((value, axis) => value + fileOrigin[axis]!),
+        };
         this.post({ type: "scene", scene, totalBytes: this.totalBytes }, []);
       }
       const packed = pack(values, layout, rows, this.origin, this.request.ranges);
@@ -144,7 +161,13 @@ function valuesOf(bytes: Uint8Array, layout: PlyLayout, rows: number): Float32Ar
   return values;
 }
 
-function pack(values: Float32Array, layout: PlyLayout, rows: number, origin: readonly number[], ranges: PackRanges): PackedSplats {
+function pack(
+  values: Float32Array,
+  layout: PlyLayout,
+  rows: number,
+  origin: readonly number[],
+  ranges: PackRanges,
+): PackedSplats {
   const width = layout.columns.length;
   const columns = Array.from({ length: COLUMNS }, (_, column) => {
     // The three columns of means come first, so that `origin` belongs to them alone.
@@ -165,7 +188,10 @@ function pack(values: Float32Array, layout: PlyLayout, rows: number, origin: rea
 }
 
 /** Make quaternions w x y z of unit length, with w at least 0; trainers store them as they are. */
-function normalise([w, x, y, z]: readonly [Float32Array, Float32Array, Float32Array, Float32Array], rows: number): void {
+function normalise(
+  [w, x, y, z]: readonly [Float32Array, Float32Array, Float32Array, Float32Array],
+  rows: number,
+): void {
   for (let row = 0; row < rows; row++) {
     const norm = Math.sqrt(w[row]! ** 2 + x[row]! ** 2 + y[row]! ** 2 + z[row]! ** 2);
     const factor = norm > 0 ? (w[row]! < 0 ? -1 : 1) / norm : 0;

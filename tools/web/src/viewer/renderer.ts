@@ -1,5 +1,9 @@
 import {
-  COMPOSITE_SHADER, FRAGMENT_SHADER, SPLATS_PER_INSTANCE, VERTEX_SHADER, WHOLE_PICTURE_SHADER,
+  COMPOSITE_SHADER,
+  FRAGMENT_SHADER,
+  SPLATS_PER_INSTANCE,
+  VERTEX_SHADER,
+  WHOLE_PICTURE_SHADER,
 } from "./shaders.js";
 import type { SplatLayer } from "./splat_layer.js";
 
@@ -34,7 +38,11 @@ export class SplatRenderer {
   /** @throws NoWebGlError where the browser has no WebGL 2. */
   constructor(private readonly canvas: HTMLCanvasElement) {
     const gl = canvas.getContext("webgl2", {
-      alpha: true, antialias: false, depth: false, premultipliedAlpha: true, preserveDrawingBuffer: true,
+      alpha: true,
+      antialias: false,
+      depth: false,
+      premultipliedAlpha: true,
+      preserveDrawingBuffer: true,
     });
     if (gl === null) throw new NoWebGlError("this browser has no WebGL 2");
     this.gl = gl;
@@ -70,7 +78,11 @@ export class SplatRenderer {
    * @param layers - The scene, and where there are two, the one that is shown left of the divide.
    * @returns Whether the picture holds all rows that have come.
    */
-  draw(view: View & { readonly origin: readonly number[] }, layers: readonly SplatLayer[], options: PictureOptions): boolean {
+  draw(
+    view: View & { readonly origin: readonly number[] },
+    layers: readonly SplatLayer[],
+    options: PictureOptions,
+  ): boolean {
     const { gl, canvas, composite, target } = this;
     const { width, height } = canvas;
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.framebuffer);
@@ -98,7 +110,11 @@ export class SplatRenderer {
     gl.uniform4fv(composite.at("background"), options.background);
     gl.uniform1f(composite.at("fill"), options.fill);
     gl.uniform1i(composite.at("divide"), divide);
-    gl.uniform2i(composite.at("linear"), Number(layers[0]?.scene.linear ?? false), Number(layers[1]?.scene.linear ?? false));
+    gl.uniform2i(
+      composite.at("linear"),
+      Number(layers[0]?.scene.linear ?? false),
+      Number(layers[1]?.scene.linear ?? false),
+    );
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     return whole.every((isWhole) => isWhole);
   }
@@ -162,7 +178,9 @@ function moved(view: View, from: readonly number[], to: readonly number[]): View
   if (from === to) return view;
   const { rotation: r } = view;
   const shift = to.map((value, i) => value - from[i]!);
-  const translation = view.translation.map((value, row) => value + [0, 1, 2].reduce((sum, i) => sum + r[3 * row + i]! * shift[i]!, 0));
+  const translation = view.translation.map(
+    (value, row) => value + [0, 1, 2].reduce((sum, i) => sum + r[3 * row + i]! * shift[i]!, 0),
+  );
   return { ...view, translation };
 }
 
@@ -173,9 +191,17 @@ class Program {
   private readonly locations = new Map<string, WebGLUniformLocation | null>();
 
   /** @param known - One of its uniforms. */
-  constructor(private readonly gl: WebGL2RenderingContext, vertex: string, fragment: string, private readonly known: string) {
+  constructor(
+    private readonly gl: WebGL2RenderingContext,
+    vertex: string,
+    fragment: string,
+    private readonly known: string,
+  ) {
     this.program = gl.createProgram();
-    for (const [type, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]] as const) {
+    for (const [type, source] of [
+      [gl.VERTEX_SHADER, vertex],
+      [gl.FRAGMENT_SHADER, fragment],
+    ] as const) {
       const shader = gl.createShader(type);
       if (shader === null) throw new NoWebGlError("the graphics were lost");
       gl.shaderSource(shader, source);

@@ -37,7 +37,8 @@ export class RowSlots {
     const joined: RowRun[] = [];
     for (const run of [...this.free, ...runs].sort((a, b) => a.first - b.first)) {
       const last = joined.at(-1);
-      if (last !== undefined && last.first + last.count === run.first) joined[joined.length - 1] = { first: last.first, count: last.count + run.count };
+      if (last !== undefined && last.first + last.count === run.first)
+        joined[joined.length - 1] = { first: last.first, count: last.count + run.count };
       else joined.push(run);
     }
     this.free = joined;

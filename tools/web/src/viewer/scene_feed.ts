@@ -1,6 +1,6 @@
 import type { SceneInfo } from "../container/root.js";
-import type { Pose } from "../schedule/poses.js";
 import type { PackedSplats } from "../scene/packed_splats.js";
+import type { Pose } from "../schedule/poses.js";
 import type { LayerScene, SplatLayer } from "./splat_layer.js";
 
 /** How far a scene has come. */

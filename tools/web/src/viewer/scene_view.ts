@@ -10,7 +10,7 @@ import { Meter } from "./meter.js";
 import { OrbitCamera, type Vector } from "./orbit.js";
 import { PicturePace } from "./picture_pace.js";
 import { PlyFeed, plyOf } from "./ply_feed.js";
-import { SplatRenderer, type PictureOptions } from "./renderer.js";
+import { type PictureOptions, SplatRenderer } from "./renderer.js";
 import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
 import { SplatLayer } from "./splat_layer.js";
 import type { ViewerPose, ViewerStatistics } from "./viewer_handle.js";
@@ -45,7 +45,15 @@ interface Shown {
 }
 
 const EMPTY: ViewerStatistics = {
-  state: "empty", splats: 0, totalSplats: 0, bytes: 0, frames: 0, drawMilliseconds: 0, pictureMilliseconds: 0, sortMilliseconds: 0, upToDate: false,
+  state: "empty",
+  splats: 0,
+  totalSplats: 0,
+  bytes: 0,
+  frames: 0,
+  drawMilliseconds: 0,
+  pictureMilliseconds: 0,
+  sortMilliseconds: 0,
+  upToDate: false,
 };
 
 /** Shows a scene on a canvas, and beside it a second one: loads, moves, draws on demand. */
@@ -110,31 +118,46 @@ export class SceneView {
     this.renderer = new SplatRenderer(canvas);
     this.pace = new PicturePace(this.renderer.gl);
     const { signal } = this.abort;
-    this.controls = new Controls(canvas, () => this.camera, () => {
-      this.touched = true;
-      this.redraw();
-    }, signal);
+    this.controls = new Controls(
+      canvas,
+      () => this.camera,
+      () => {
+        this.touched = true;
+        this.redraw();
+      },
+      signal,
+    );
     this.observer = new ResizeObserver(() => this.redraw());
     this.observer.observe(canvas);
-    canvas.addEventListener("webglcontextlost", (event) => {
-      event.preventDefault();
-      this.lost = true;
-      this.note({ upToDate: false });
-      host.failed(undefined, "graphics");
-    }, { signal });
-    canvas.addEventListener("webglcontextrestored", () => {
-      this.lost = false;
-      this.pace.forget();
-      this.renderer.restore();
-      for (const layer of this.layers) layer.restore();
-      host.restored();
-      this.redraw();
-    }, { signal });
+    canvas.addEventListener(
+      "webglcontextlost",
+      (event) => {
+        event.preventDefault();
+        this.lost = true;
+        this.note({ upToDate: false });
+        host.failed(undefined, "graphics");
+      },
+      { signal },
+    );
+    canvas.addEventListener(
+      "webglcontextrestored",
+      () => {
+        this.lost = false;
+        this.pace.forget();
+        this.renderer.restore();
+        for (const layer of this.layers) layer.restore();
+        host.restored();
+        this.redraw();
+      },
+      { signal },
+    );
   }
 
   /** Whether something of the scene is on the canvas. */
   get isShown(): boolean {
-    return (this.main?.layer?.drawnRows ?? 0) > 0 && (this.main!.feed.progressive || this.statistics.state !== "streaming");
+    return (
+      (this.main?.layer?.drawnRows ?? 0) > 0 && (this.main!.feed.progressive || this.statistics.state !== "streaming")
+    );
   }
 
   /** Whether a second scene is compared with. */
@@ -270,7 +293,10 @@ export class SceneView {
     if (run !== this.runs[which]) return;
     const workers = new AllowedWorkers(this.workers);
     const meter = isMain ? this.meter : new Meter();
-    const feed = ply !== undefined ? new PlyFeed(ply, meter, workers, this.budget) : new CogsFeed(source, meter, workers, this.budget, this.order);
+    const feed =
+      ply !== undefined
+        ? new PlyFeed(ply, meter, workers, this.budget)
+        : new CogsFeed(source, meter, workers, this.budget, this.order);
     const shown: Shown = { feed, abort, workers };
     this[which] = shown;
     try {
@@ -297,7 +323,8 @@ export class SceneView {
         this.reset();
         this.note({ state: "streaming", totalSplats: scene.splats });
         shown.layer?.close();
-        return (shown.layer = this.layerOf(scene, shown.workers.known));
+        shown.layer = this.layerOf(scene, shown.workers.known);
+        return shown.layer;
       },
       rowsCame: (packed, first) => {
         if (!first || this.camera === undefined) return;
@@ -326,7 +353,8 @@ export class SceneView {
     return {
       begin: (scene) => {
         shown.layer?.close();
-        return (shown.layer = this.layerOf(scene, shown.workers.known));
+        shown.layer = this.layerOf(scene, shown.workers.known);
+        return shown.layer;
       },
       rowsCame: () => undefined,
       progressed: () => undefined,
@@ -345,7 +373,9 @@ export class SceneView {
   private progressed(progress: FeedProgress): void {
     const { splats, totalSplats, bytes, totalBytes, predictedDb } = progress;
     this.note({
-      splats, totalSplats, bytes,
+      splats,
+      totalSplats,
+      bytes,
       ...(totalBytes !== undefined && { totalBytes }),
       ...(predictedDb !== undefined && { predictedDb }),
     });
@@ -382,12 +412,16 @@ export class SceneView {
     if (!this.canDraw()) return;
     this.drawLevels();
     pace.splats = layers.reduce((sum, layer) => sum + layer.rows, 0);
-    if (!pace.isFree) return this.schedule(LOOK_MILLISECONDS);
+    if (!pace.isFree) {
+      this.schedule(LOOK_MILLISECONDS);
+      return;
+    }
     const isUploaded = layers.map((layer) => layer.upload()).every(Boolean);
     // Pictures that take long wait for all that they are to show.
     if (!isUploaded && pace.isSlow) {
       pace.uploads();
-      return this.schedule();
+      this.schedule();
+      return;
     }
     // A pause between two movements is no slow picture.
     const passed = Math.min(time - this.lastFrame, 100);
@@ -400,7 +434,10 @@ export class SceneView {
       const isSorting = layers.some((layer) => layer.isSorting);
       const isBusy = controls.active || isSorting || this.statistics.state === "streaming";
       const waits = !hastes || (!moves && !controls.active && pace.isSlow && (isSorting || this.restComesSoon()));
-      if (isBusy && waits && performance.now() - this.lastChange < QUIET_MILLISECONDS) return this.schedule(LOOK_MILLISECONDS);
+      if (isBusy && waits && performance.now() - this.lastChange < QUIET_MILLISECONDS) {
+        this.schedule(LOOK_MILLISECONDS);
+        return;
+      }
       this.dirty = false;
       const scale = hastes && this.mayHaste && this.pixelRatio === undefined ? pace.scale : 1;
       this.isSharp = scale === 1;
@@ -426,7 +463,10 @@ export class SceneView {
     this.looked = key;
     for (const shown of [this.main, this.other]) {
       const origin = shown?.layer?.scene.origin ?? this.origin;
-      shown?.feed.look?.({ ...pose, position: camera.position.map((x, axis) => x + this.origin[axis]! - origin[axis]!) });
+      shown?.feed.look?.({
+        ...pose,
+        position: camera.position.map((x, axis) => x + this.origin[axis]! - origin[axis]!),
+      });
     }
   }
 
@@ -446,7 +486,10 @@ export class SceneView {
   private size(scale: number): [number, number] {
     const { canvas } = this;
     const ratio = (this.pixelRatio ?? Math.min(devicePixelRatio, this.mostPixelRatio)) * scale;
-    return [canvas.clientWidth, canvas.clientHeight].map((px) => Math.max(1, Math.round(px * ratio))) as [number, number];
+    return [canvas.clientWidth, canvas.clientHeight].map((px) => Math.max(1, Math.round(px * ratio))) as [
+      number,
+      number,
+    ];
   }
 
   /** Whether programs are built; where they are not yet, it is looked again soon. */
@@ -477,12 +520,17 @@ export class SceneView {
     const [width, height] = this.size(scale);
     // Also before there is something to draw: a new size waits for the graphics, which have nothing else to do then.
     renderer.resize(width, height);
-    if (camera === undefined || layers.length === 0) return statistics.state === "failed" || statistics.state === "empty";
+    if (camera === undefined || layers.length === 0)
+      return statistics.state === "failed" || statistics.state === "empty";
     const start = performance.now();
     const arriving = statistics.state === "streaming" && this.fills && !this.wasSettled;
     const fill = arriving ? 1 - Math.min(statistics.splats / statistics.totalSplats, 1) : 0;
-    const whole = renderer.draw({ ...camera.view(height, width), origin: this.origin }, layers, { ...this.picture, fill });
-    if (this.drawnRows > 0) pace.given(start, { scale, splats: layers.reduce((sum, layer) => sum + layer.drawnRows, 0) });
+    const whole = renderer.draw({ ...camera.view(height, width), origin: this.origin }, layers, {
+      ...this.picture,
+      fill,
+    });
+    if (this.drawnRows > 0)
+      pace.given(start, { scale, splats: layers.reduce((sum, layer) => sum + layer.drawnRows, 0) });
     this.note({
       frames: statistics.frames + 1,
       drawMilliseconds: performance.now() - start,

@@ -27,18 +27,28 @@ export function describe(error: unknown, shown: boolean): Sentence {
 
 function ofSource({ status, message }: SourceError): Sentence {
   if (status === 404 || status === 410) {
-    return { title: "There is no scene at this address", detail: `The server answered with status ${status}: the file was moved, or the address has a mistake in it.` };
+    return {
+      title: "There is no scene at this address",
+      detail: `The server answered with status ${status}: the file was moved, or the address has a mistake in it.`,
+    };
   }
   if (status === 401 || status === 403) {
-    return { title: "This scene is not open to you", detail: `The server answered with status ${status}: it gives the file only to those it knows.` };
+    return {
+      title: "This scene is not open to you",
+      detail: `The server answered with status ${status}: it gives the file only to those it knows.`,
+    };
   }
   if (status !== undefined && status >= 400) {
-    return { title: "The server has trouble", detail: `It answered with status ${status}. Trying again later may help.` };
+    return {
+      title: "The server has trouble",
+      detail: `It answered with status ${status}. Trying again later may help.`,
+    };
   }
   if (status === undefined) {
     return {
       title: "The scene cannot be reached",
-      detail: "Either there is no connection, or the server of the file does not let pages of other sites read it (CORS).",
+      detail:
+        "Either there is no connection, or the server of the file does not let pages of other sites read it (CORS).",
     };
   }
   return { title: "The server's answer cannot be used", detail: message };
@@ -47,18 +57,30 @@ function ofSource({ status, message }: SourceError): Sentence {
 function ofFile(error: CogsplatError, shown: boolean): Sentence {
   const { code, refusal, message } = error;
   if (code === "not-cogs") {
-    return { title: "This is no scene that can be shown", detail: "The file is neither a .cogs file nor a PLY of splats." };
+    return {
+      title: "This is no scene that can be shown",
+      detail: "The file is neither a .cogs file nor a PLY of splats.",
+    };
   }
   if (code === "source-changed") {
-    return { title: "The scene was replaced meanwhile", detail: "The file on the server changed while it was read. Load it again to see the new one." };
+    return {
+      title: "The scene was replaced meanwhile",
+      detail: "The file on the server changed while it was read. Load it again to see the new one.",
+    };
   }
   if (refusal === "truncated") {
     return shown
-      ? { title: "The file ends early", detail: "What is there of the scene is shown; the rest is missing from the file." }
+      ? {
+          title: "The file ends early",
+          detail: "What is there of the scene is shown; the rest is missing from the file.",
+        }
       : { title: "The file ends early", detail: `Too little of it is there to show anything. ${message}` };
   }
   if (refusal === "unsupported") {
-    return { title: "This scene is newer than the viewer", detail: `It uses something that this version does not know. ${message}` };
+    return {
+      title: "This scene is newer than the viewer",
+      detail: `It uses something that this version does not know. ${message}`,
+    };
   }
   if (refusal === "limit") return { title: "This scene is too large to show", detail: message };
   return shown

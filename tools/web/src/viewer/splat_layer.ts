@@ -147,7 +147,8 @@ export class SplatLayer {
   prepare(forward: readonly number[]): boolean {
     this.forward = [...forward];
     const before = this.sorted?.forward;
-    const turned = before === undefined || before.reduce((sum, value, i) => sum + value * forward[i]!, 0) < SAME_DIRECTION;
+    const turned =
+      before === undefined || before.reduce((sum, value, i) => sum + value * forward[i]!, 0) < SAME_DIRECTION;
     if ((this.stale || turned) && this.rows > 0) void this.sort(this.forward);
     this.textures.bind(this.gl);
     return !this.sorting && (this.rows === 0 || !(this.stale || turned));

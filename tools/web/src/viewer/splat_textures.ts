@@ -1,5 +1,5 @@
 import type { Shifts } from "../container/compensation.js";
-import { SH_WORDS, type PackedSplats } from "../scene/packed_splats.js";
+import { type PackedSplats, SH_WORDS } from "../scene/packed_splats.js";
 import { OPACITY_STEPS, SCALE_STEPS, TEXTURE_WIDTH } from "./shaders.js";
 
 /**
@@ -28,7 +28,8 @@ class RowTexture {
   allocate(gl: WebGL2RenderingContext): void {
     this.texture = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
+    for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER])
+      gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
     const format = { 1: gl.R32UI, 2: gl.RG32UI, 4: gl.RGBA32UI }[this.channels];
     gl.texStorage2D(gl.TEXTURE_2D, 1, format, TEXTURE_WIDTH, this.height);
   }
@@ -154,7 +155,9 @@ export class SplatTextures {
 
   /** Bind all to units: splats, order, shifts, then the bands and the opacities of levels. */
   bind(gl: WebGL2RenderingContext): void {
-    this.all.forEach((texture, unit) => texture.bind(gl, unit));
+    this.all.forEach((texture, unit) => {
+      texture.bind(gl, unit);
+    });
   }
 
   delete(gl: WebGL2RenderingContext): void {

@@ -30,7 +30,8 @@ export interface ViewerStatistics {
 }
 
 /** A pose and its focal lengths, px of a picture of this height; they are scaled to the canvas. */
-export type ViewerPose = Pick<Pinhole, "height" | "fx" | "fy" | "rotation" | "translation"> & Partial<Pick<Pinhole, "width">>;
+export type ViewerPose = Pick<Pinhole, "height" | "fx" | "fy" | "rotation" | "translation"> &
+  Partial<Pick<Pinhole, "width">>;
 
 /** What a page's program can ask of its viewer, as `window.cogsplatViewer`; every `<cogsplat-viewer>` has it. */
 export interface ViewerHandle {

@@ -1,8 +1,8 @@
 // The program of a viewer's worker: it sorts the rows of one scene, or reads one PLY.
 import { RowSorter } from "./depth_sorter.js";
 import { Meter } from "./meter.js";
-import { readPly } from "./ply_reader.js";
 import type { PlyRequest, PlyResponse, RateRequest } from "./ply_messages.js";
+import { readPly } from "./ply_reader.js";
 import type { SortRequest, SortResponse } from "./sort_messages.js";
 
 /** The worker's own side of the messages; `lib.webworker` cannot stand beside `lib.dom`. */

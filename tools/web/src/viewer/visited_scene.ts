@@ -1,9 +1,9 @@
 import { equivalentPrefixes, isClosed, parentsOf } from "../container/chunk_sets.js";
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import type { VisitChange } from "../loader/visit.js";
+import { type PackedSplats, SH_WORDS } from "../scene/packed_splats.js";
 import { countedSplats } from "../schedule/chunk_ratios.js";
-import { SH_WORDS, type PackedSplats } from "../scene/packed_splats.js";
-import { RowSlots, type RowRun } from "./row_slots.js";
+import { type RowRun, RowSlots } from "./row_slots.js";
 import type { SplatLayer } from "./splat_layer.js";
 
 /** How long a visitor stands still before chunks are changed for what is seen from there, ms (docs/streaming.md, 10). */

@@ -2,7 +2,8 @@ import type { KernelsMaker } from "../kernels/load.js";
 import { ChunkDecoder, type ChunkPayloads, type DecoderIndex, type TailPayload } from "../scene/chunk_decoder.js";
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { Splats } from "../scene/splats.js";
-import { packBandTexels, packTexels, type TexelArray, type TexelLayout, type Texels } from "../scene/texels.js";
+import type { TexelArray, TexelLayout, Texels } from "../scene/texel_layouts.js";
+import { packBandTexels, packTexels } from "../scene/texels.js";
 
 /** What chunks are decoded to: arrays to the bit, 16 bytes and packed bands, or the textures of a renderer. */
 export type ChunkFormat = "splats" | "packed" | TexelLayout;
@@ -58,7 +59,8 @@ export class InlineService implements ChunkService {
   /** Decode without a promise, as a worker does. */
   decodeNow({ payloads, rows, needs, degree, format, ranges }: DecodeTask): DecodedChunk {
     if (payloads.head === undefined) {
-      if (format === "packed") return { bands: this.decoder.decodePackedBands(payloads, rows, needs.tail, degree, ranges) };
+      if (format === "packed")
+        return { bands: this.decoder.decodePackedBands(payloads, rows, needs.tail, degree, ranges) };
       const shN = this.decoder.decodeShN(payloads, rows, needs.tail, degree);
       return { bands: format === "splats" ? [shN] : packBandTexels(format, { count: rows, shDegree: degree, shN }) };
     }

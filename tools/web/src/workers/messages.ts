@@ -12,7 +12,12 @@ export type Request =
 export type Response =
   | { readonly ready: true }
   | { readonly id: number; readonly decoded: DecodedChunk }
-  | { readonly id: number; readonly code: ReasonCode | undefined; readonly message: string; readonly offset: number | undefined };
+  | {
+      readonly id: number;
+      readonly code: ReasonCode | undefined;
+      readonly message: string;
+      readonly offset: number | undefined;
+    };
 
 /** The buffers of a decoded chunk, which are handed over instead of copied. */
 export function buffersOf({ splats, packed, texels, bands }: DecodedChunk): ArrayBuffer[] {

@@ -23,28 +23,34 @@ scope.onmessage = ({ data }) => {
   if (data.type === "scene") {
     service = loading.then((kernels) => new InlineService(data.index, kernels));
   } else if (data.type === "codebook") {
-    void service!.then((decoder) => {
-      try {
-        decoder.addCodebook(data.codebook, data.kind, data.payload);
-      } catch (error) {
-        refusal ??= error;
-      }
-    });
+    service!.then(
+      (decoder) => {
+        try {
+          decoder.addCodebook(data.codebook, data.kind, data.payload);
+        } catch (error) {
+          refusal ??= error;
+        }
+      },
+      () => undefined, // Every chunk is refused with the error of the kernels.
+    );
   } else {
-    void service!.then((decoder) => {
-      const { id } = data;
-      try {
-        if (refusal !== undefined) throw refusal;
-        const decoded = decoder.decodeNow(data.task);
-        scope.postMessage({ id, decoded }, buffersOf(decoded));
-      } catch (error) {
-        scope.postMessage({ id, ...describe(error) }, []);
-      }
-    });
+    const { id, task } = data;
+    service!.then(
+      (decoder) => {
+        try {
+          if (refusal !== undefined) throw refusal;
+          const decoded = decoder.decodeNow(task);
+          scope.postMessage({ id, decoded }, buffersOf(decoded));
+        } catch (error) {
+          scope.postMessage({ id, ...describe(error) }, []);
+        }
+      },
+      (error: unknown) => scope.postMessage({ id, ...describe(error) }, []),
+    );
   }
 };
 
 function describe(error: unknown): { code: ReasonCode | undefined; message: string; offset: number | undefined } {
   if (error instanceof CogsplatError) return { code: error.code, message: error.detail, offset: error.offset };
-  return { code: undefined, message: String(error), offset: undefined };
+  return { code: undefined, message: error instanceof Error ? error.message : String(error), offset: undefined };
 }

@@ -29,11 +29,19 @@ function octahedral(w: number, x: number, y: number, z: number): number {
 
 /** Pack rows of 14 columns: means, scales, quats, opacities, sh0. */
 export function packSplats(
-  columns: readonly Float32Array[], rows: number, rgbMin: number, rgbMax: number, target: Uint32Array,
+  columns: readonly Float32Array[],
+  rows: number,
+  rgbMin: number,
+  rgbMax: number,
+  target: Uint32Array,
 ): void {
   for (let row = 0; row < rows; row++) {
     const at = (column: number) => columns[column]![row]!;
-    const rgb = [11, 12, 13].map((column) => byte((at(column) * SH_C0 + 0.5 - rgbMin) / (rgbMax - rgbMin))) as [number, number, number];
+    const rgb = [11, 12, 13].map((column) => byte((at(column) * SH_C0 + 0.5 - rgbMin) / (rgbMax - rgbMin))) as [
+      number,
+      number,
+      number,
+    ];
     const alpha = byte(1 / (1 + Math.exp(-at(10))));
     const rotation = octahedral(at(6), at(7), at(8), at(9));
     target[4 * row] = rgb[0] | (rgb[1] << 8) | (rgb[2] << 16) | (alpha << 24);
@@ -52,8 +60,15 @@ export function packSplats(
  * @param words - Words of a row in `target`.
  */
 export function packBand(
-  source: Float32Array, rows: number, stride: number, first: number, count: number, bits: number, range: number,
-  words: number, target: Uint32Array,
+  source: Float32Array,
+  rows: number,
+  stride: number,
+  first: number,
+  count: number,
+  bits: number,
+  range: number,
+  words: number,
+  target: Uint32Array,
 ): void {
   const most = 2 ** (bits - 1) - 1;
   target.fill(0, 0, rows * words);

@@ -1,1 +1,0 @@
-export declare const WASM_DIGITS: string;

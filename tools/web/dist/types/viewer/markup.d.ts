@@ -1,2 +1,0 @@
-/** What stands in the viewer's shadow. */
-export declare const MARKUP: string;
