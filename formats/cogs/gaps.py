@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cogsplat.codec.errors import TruncatedError
-from cogsplat.formats.storage.source import Source, is_there
+from cogsplat.formats.storage.source import Source, has_range
 
 from .index import AnyIndex
 
@@ -48,5 +48,5 @@ def _gaps(source: Source, index: AnyIndex) -> Iterator[int]:
         return
     ends = zip(index.offsets.tolist(), index.segments.length.tolist(), strict=True)
     for row, (offset, length) in enumerate(ends):
-        if offset + length <= source.size and not is_there(source, offset, length):
+        if offset + length <= source.size and not has_range(source, offset, length):
             yield row

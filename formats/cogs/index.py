@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError, TruncatedError
-from cogsplat.formats.storage.source import RemoteSource, Source, opening_bytes, prefetching
+from cogsplat.formats.storage.source import RemoteSource, Source, first_request_bytes, prefetching
 
 from . import canonical_msgpack, layout
 from . import root as cogs_root
@@ -194,7 +194,7 @@ def read_index(source: Source, *, partial: bool) -> Index:
 def read_root(source: Source, *, partial: bool) -> RootPlace:
     """Read preamble and root; raises as `reader.open_cogs` says."""
     name = source.name
-    first = source.read(0, opening_bytes(source, layout.FIRST_READ))
+    first = source.read(0, first_request_bytes(source, layout.FIRST_READ))
     preamble = layout.unpack_preamble(first[: layout.PREAMBLE_BYTES], name)
     root_end = layout.PREAMBLE_BYTES + preamble.root_length
     if len(first) < root_end:

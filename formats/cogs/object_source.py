@@ -29,7 +29,7 @@ class ObjectSource(ABC):
         return self._map.file_length
 
     @property
-    def opening_bytes(self) -> int:
+    def first_request_bytes(self) -> int:
         """Bytes of preamble and root, which no segment is needed for."""
         return self._map.root_end
 

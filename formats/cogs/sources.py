@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from cogsplat.formats.storage.source import FileSource, Readable, Source, source_of
+from cogsplat.formats.storage.source import FileSource, Readable, Source, as_source
 
 from .folder_source import FolderSource, names_folder
 
@@ -35,4 +35,4 @@ def cogs_source(given: Readable) -> Source:
     if isinstance(given, str | os.PathLike):
         path = Path(given)
         return FolderSource(path) if names_folder(path) else FileSource(path)
-    return source_of(given)
+    return as_source(given)

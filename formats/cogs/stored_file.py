@@ -14,7 +14,7 @@ from cogsplat.codec.errors import FormatError, TruncatedError
 from cogsplat.codec.splats import MAX_SH_DEGREE
 from cogsplat.formats.network.segment_cache import SegmentCache
 from cogsplat.formats.network.traffic import Traffic
-from cogsplat.formats.storage.source import RemoteSource, Source, is_there
+from cogsplat.formats.storage.source import RemoteSource, Source, has_range
 
 from .fetch_order import needed_codebooks
 from .folder_places import object_name
@@ -148,7 +148,7 @@ class StoredFile:
 
     def is_present(self, row: int) -> bool:
         """Whether a segment, by its row in the segment table, has arrived whole."""
-        return is_there(self._source, int(self.offsets[row]), int(self.segments.length[row]))
+        return has_range(self._source, int(self.offsets[row]), int(self.segments.length[row]))
 
     def has_tail(self, chunk: int, sh_degree: int = MAX_SH_DEGREE) -> bool:
         """Whether a chunk's shN can be decoded up to an SH degree, or there is none to decode."""

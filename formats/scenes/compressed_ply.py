@@ -131,7 +131,7 @@ def read_compressed_ply(path: StrPath, *, limits: Limits | None = None) -> Splat
             source_bytes=before.st_size,
             where=where,
             # The file's tables stay in memory while they are unpacked.
-            beside_bytes=before.st_size,
+            extra_bytes=before.st_size,
         )
         ranges = _read_ranges(file, header, chunk, where)
         words = _read_table(file, header, vertex, _WORDS, "u4", where)

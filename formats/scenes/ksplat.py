@@ -132,7 +132,7 @@ def read_ksplat(path: StrPath, *, limits: Limits | None = None) -> Splats:
         source_bytes=len(data),
         where=where,
         # Bucket index of each splat, int64.
-        beside_bytes=8 * header.count,
+        extra_bytes=8 * header.count,
     )
     splats = empty(degree, header.count)
     start = 0

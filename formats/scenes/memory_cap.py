@@ -91,7 +91,7 @@ def working_memory(
         yield IN_MEMORY
         return
     with ScratchFiles(folder, resident) as files:
-        yield Workspace(files.zeros, in_files=True, trim=files.settle)
+        yield Workspace(files.zeros, in_files=True, trim=files.evict)
 
 
 def _scene_size(scene: Splats | StrPath) -> _SceneSize:

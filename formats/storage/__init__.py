@@ -1,1 +1,1 @@
-"""Bytes in and out: sources, atomic writes, strict JSON, images, file signatures."""
+"""Byte sources, atomic writes, strict JSON, images and file signatures."""

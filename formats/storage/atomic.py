@@ -1,4 +1,4 @@
-"""Atomic writes of files, and errors of the file system as `StorageError`."""
+"""Atomic file writes, and file-system errors as `StorageError`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from typing import BinaryIO
 
 from cogsplat.codec.errors import StorageError
 
-# Not there on Windows, where nothing is cleared either.
+# Windows has no flock; stale temporaries are not removed there.
 if sys.platform != "win32":
     import fcntl
 
@@ -29,11 +29,11 @@ StrPath = str | os.PathLike[str]
 _DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _PERMISSION = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _NOT_FOUND = frozenset({errno.ENOENT, errno.ENOTDIR})
-# What file systems without hard links, such as FAT, and systems that forbid them say.
+# Errors of file systems without hard links, such as FAT, and of systems that forbid hard links.
 _NO_LINKS = frozenset({errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK})
 
-# Of the target's name, at most so many bytes go into the temporary's: the rest takes 42, and names
-# of more than 255 (on some encrypted file systems 143) bytes are refused.
+# Bytes of the target's name in the name of its temporary, which has 42 more. File systems refuse
+# names above 255 bytes, some encrypted ones above 143.
 _MAX_STEM_BYTES = 64
 
 # .<target>.<process>-<machine><random>.tmp
@@ -41,27 +41,30 @@ _TEMPORARY = re.compile(r"\..+\.([0-9]{1,10})-([0-9a-f]{8})[0-9a-f]{8}\.tmp")
 
 
 class TargetExistsError(StorageError):
-    """The output is there already and was not to be replaced; a fault of usage, so exit code 2.
+    """Error for an existing output without `force` (``exists``); misuse, so exit code 2.
 
     Parameters
     ----------
     path : path
-        The output; the reason code is ``exists``.
+        Output file.
     """
 
     exit_code = 2
 
     def __init__(self, path: StrPath) -> None:
-        super().__init__("exists", f"{os.fspath(path)}: exists already, expected a new name")
+        super().__init__(
+            "exists",
+            f"{os.fspath(path)}: exists already, expected a new name; force replaces the file",
+        )
 
 
 class OutputIsInputError(StorageError):
-    """The output is a file that is read for it; a fault of usage, so exit code 2.
+    """Error for an output that is also an input (``output-is-input``); misuse, so exit code 2.
 
     Parameters
     ----------
     path, source : path
-        The output and the input; the reason code is ``output-is-input``.
+        Output file and input file.
     """
 
     exit_code = 2
@@ -75,17 +78,17 @@ class OutputIsInputError(StorageError):
 
 
 def storage_error(error: OSError, path: StrPath) -> StorageError:
-    """Return the `StorageError` that stands for an operating system's error.
+    """Convert an `OSError` into a `StorageError`.
 
     Its code is ``disk-full``, ``permission``, ``not-found``, ``not-a-file`` or ``io``.
     """
     where = error.filename
-    # The name of a temporary says nothing to whoever asked for the output.
+    # Messages name the output instead of its temporary.
     if not isinstance(where, str) or _TEMPORARY.fullmatch(Path(where).name):
         where = os.fspath(path)
     reason = error.strerror or str(error)
     if error.errno in _DISK_FULL:
-        return StorageError("disk-full", f"{where}: {reason}, expected room to write")
+        return StorageError("disk-full", f"{where}: {reason}, expected free disk space")
     if error.errno in _PERMISSION:
         return StorageError("permission", f"{where}: {reason}, expected access to it")
     if error.errno in _NOT_FOUND:
@@ -105,13 +108,14 @@ def storage_errors(path: StrPath) -> Iterator[None]:
 
 
 def _require_regular(path: Path, mode: int) -> None:
+    """Refuse a folder, device, pipe or socket by its mode bits."""
     if not stat.S_ISREG(mode):
         kind = "a folder" if stat.S_ISDIR(mode) else "a device, pipe or socket"
         raise StorageError("not-a-file", f"{path}: is {kind}, expected a file")
 
 
 def open_for_read(path: StrPath) -> BufferedReader:
-    """Open a regular file for reading bytes, buffered.
+    """Open a regular file for buffered binary reading.
 
     Raises
     ------
@@ -123,33 +127,33 @@ def open_for_read(path: StrPath) -> BufferedReader:
     Reads can fail later: wrap them in `storage_errors`.
     """
     with storage_errors(path):
-        # Asked before opening, because opening a pipe waits for its other end.
+        # Checked before opening, because opening a pipe blocks until its other end is open.
         _require_regular(Path(path), Path(path).stat().st_mode)
         return Path(path).open("rb")
 
 
 def check_output(path: StrPath, *, force: bool, inputs: Iterable[StrPath] = ()) -> None:
-    """Refuse an output that could not be written, before the work that would fill it.
+    """Check that an output can be written, before the work that produces it.
 
     Parameters
     ----------
     path : path
-        The output. A file is created beside it and removed, to see that its folder takes one.
+        Output file. The check creates and removes a temporary file in its folder.
     force : bool
         Whether an existing file may be replaced.
     inputs : iterable of path
-        Files that are read for it. The output may be none of them, whatever `force` says and
-        by whatever name: links, hard links and names that differ in case are followed.
+        Input files, none of which may be the output, even with `force`. Symbolic links, hard links
+        and names that differ in case are resolved.
 
     Raises
     ------
     OutputIsInputError
         ``output-is-input``. Exit code 2.
     TargetExistsError
-        ``exists``: `path` is there and `force` is not set. Exit code 2.
+        ``exists``: `path` exists and `force` is not set. Exit code 2.
     StorageError
-        ``not-found`` where its folder is not there; ``permission``, which a read-only file system
-        gives as well; ``not-a-file``, ``disk-full`` or ``io``.
+        ``not-found``: the folder does not exist; ``permission``, also for a read-only file system;
+        ``not-a-file``, ``disk-full`` or ``io``.
     """
     with storage_errors(path):
         target = Path(os.path.realpath(path))
@@ -168,37 +172,37 @@ def check_output(path: StrPath, *, force: bool, inputs: Iterable[StrPath] = ()) 
 
 @contextmanager
 def atomic_write(path: StrPath, force: bool = False, *, durable: bool = True) -> Iterator[BinaryIO]:
-    """Give a binary file that becomes `path` when the block ends well.
+    """Open a temporary file that is renamed to `path` when the block ends without an error.
 
     Parameters
     ----------
     path : path
-        The output. A symbolic link is followed: what it points to is replaced.
+        Output file. The target of a symbolic link is replaced, not the link.
     force : bool
-        Whether an existing file may be replaced; its permission bits are kept.
+        Whether to replace an existing file; its permission bits are kept.
     durable : bool
-        Whether the bytes are on disk before they get their name. Of thousands of files, it is
-        faster to call `sync_all` behind the last, before anything else names them.
+        Whether to sync the bytes to disk before the rename. For thousands of files, one `sync_all`
+        at the end is faster.
 
     Yields
     ------
     BinaryIO
-        Buffered, seekable; a temporary sibling of `path` until the block ends.
+        Temporary file in the folder of `path`, buffered and seekable.
 
     Raises
     ------
     TargetExistsError
-        ``exists``: `path` is there and `force` is not set. Exit code 2.
+        ``exists``: `path` exists and `force` is not set. Exit code 2.
     StorageError
         ``disk-full``, ``permission``, ``not-found`` (the folder), ``not-a-file``, ``io``.
 
     Notes
     -----
-    Whatever leaves the block, Ctrl-C included, removes the temporary file and leaves an existing
-    `path` as it was. The bytes are on disk before they get their name, and the name before this
-    returns. Of several writers without `force`, exactly one succeeds. Temporaries that killed
-    processes of this machine left in the folder are removed when a process first writes there;
-    those of live processes are locked (``flock``), which other containers see as well.
+    An error in the block, Ctrl-C included, removes the temporary file and keeps an existing `path`
+    unchanged. With `durable`, bytes and rename are on disk on return. Of several writers without
+    `force`, exactly one succeeds. The first write of a process to a folder removes temporaries that
+    killed processes of this machine left there. Temporaries in use are locked (``flock``), also
+    against other containers.
     """
     with storage_errors(path):
         target = Path(os.path.realpath(path))
@@ -220,10 +224,10 @@ def atomic_write(path: StrPath, force: bool = False, *, durable: bool = True) ->
                 temporary.replace(target)
             else:
                 _move_to_new_name(temporary, target, path)
-            # Closed last, because its lock keeps other processes from clearing the temporary.
+            # Closed last, because its lock keeps other processes from removing the temporary.
             file.close()
         except BaseException:
-            # What failed first is what gets reported, not what fails while cleaning up after it.
+            # Errors of the clean-up must not hide the error of the block.
             with contextlib.suppress(OSError):
                 file.close()
             with contextlib.suppress(OSError):
@@ -234,7 +238,12 @@ def atomic_write(path: StrPath, force: bool = False, *, durable: bool = True) ->
 
 
 def sync_all(paths: Iterable[StrPath]) -> None:
-    """Have files that were written without `durable` on disk when this returns, with their names.
+    """Sync files that were written without `durable`, and their names, to disk.
+
+    Parameters
+    ----------
+    paths : iterable of path
+        Files to sync.
 
     Raises
     ------
@@ -242,35 +251,35 @@ def sync_all(paths: Iterable[StrPath]) -> None:
         ``disk-full`` or ``io``.
     """
     if hasattr(os, "sync"):
-        # One call for all file systems: an order faster than one for each of many files.
+        # One sync of all file systems is ten times faster than one per file for many files.
         os.sync()
         return
     for path in paths:
-        # Windows syncs only what is open for writing.
+        # Windows syncs only files that are open for writing.
         with storage_errors(path), Path(path).open("r+b") as file:
             os.fsync(file.fileno())
 
 
 def _create_temporary(target: Path) -> tuple[Path, BinaryIO]:
-    """Create a sibling of `target`, locked as long as it is open."""
-    # Cut between characters: some file systems refuse names that are no UTF-8.
+    """Create a temporary file in the folder of `target`, locked while it is open."""
+    # Cut between characters, because some file systems refuse names that are not UTF-8.
     stem = os.fsencode(target.name)[:_MAX_STEM_BYTES].decode("utf-8", "ignore") or "output"
     while True:
         temporary = target.with_name(f".{stem}.{os.getpid()}-{_host()}{_token()}.tmp")
-        # "x": a name that is taken fails, so that two writers never share a file.
+        # "x" fails for an existing name, so that two writers never share a file.
         file = temporary.open("xb")
         try:
-            if _lock(file) and _is_at(file, temporary):
+            if _lock(file) and _is_same_file(file, temporary):
                 return temporary, file
         except BaseException:
             file.close()
             raise
-        # Another process took it for a stale one before it was locked.
+        # Another process removed the file as stale before it was locked.
         file.close()
 
 
 def _lock(file: BinaryIO) -> bool:
-    """Lock a file for as long as it is open; say whether no other process has."""
+    """Lock a file while it is open; return False if another process holds the lock."""
     if sys.platform == "win32":
         return True
     try:
@@ -278,12 +287,13 @@ def _lock(file: BinaryIO) -> bool:
     except BlockingIOError:
         return False
     except OSError:
-        # A file system without locks: nothing there is ever taken for stale.
+        # A file system without locks, where no temporary counts as stale.
         return True
     return True
 
 
-def _is_at(file: BinaryIO, path: Path) -> bool:
+def _is_same_file(file: BinaryIO, path: Path) -> bool:
+    """Whether `path` still names the open file."""
     try:
         return os.path.samestat(os.fstat(file.fileno()), path.stat())
     except FileNotFoundError:
@@ -291,10 +301,10 @@ def _is_at(file: BinaryIO, path: Path) -> bool:
 
 
 def _move_to_new_name(temporary: Path, target: Path, path: StrPath) -> None:
-    """Give a temporary its name, or raise `TargetExistsError` where another file has it."""
+    """Rename a temporary to `target`; raise `TargetExistsError` if the target exists."""
     try:
         if sys.platform == "win32":
-            # There, renaming fails where the new name is taken.
+            # On Windows, renaming fails for an existing name.
             temporary.rename(target)
             return
         try:
@@ -302,7 +312,7 @@ def _move_to_new_name(temporary: Path, target: Path, path: StrPath) -> None:
         except OSError as error:
             if error.errno not in _NO_LINKS:
                 raise
-            # The name is taken first, by an empty file, and then what belongs there put in place.
+            # Reserve the name with an empty file, then replace that file.
             os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
             temporary.replace(target)
             return
@@ -312,6 +322,7 @@ def _move_to_new_name(temporary: Path, target: Path, path: StrPath) -> None:
 
 
 def _mode_of(path: Path) -> int | None:
+    """Return the mode bits of a file, or None if it does not exist."""
     try:
         return path.stat().st_mode
     except FileNotFoundError:
@@ -319,7 +330,7 @@ def _mode_of(path: Path) -> int | None:
 
 
 def _host() -> str:
-    """Return 8 hex digits for this machine: a process number means nothing on another one."""
+    """Return 8 hex digits of this machine, because process numbers repeat across machines."""
     return f"{zlib.crc32(socket.gethostname().encode()):08x}"
 
 
@@ -327,10 +338,11 @@ def _token() -> str:
     return secrets.token_hex(4)
 
 
-# Once per folder and process: a layout of thousands of files must not list its folder for each.
+# Cached: writing thousands of files must not list their folder for each of them.
 @functools.lru_cache(maxsize=256)
 def _remove_stale(folder: Path) -> None:
-    # Windows removes nothing here: it has no lock that ends with its process and lets others read.
+    """Remove temporaries of ended processes from a folder, once per process."""
+    # Windows has no lock that ends with its process and still lets others read.
     if sys.platform == "win32":
         return
     with os.scandir(folder) as entries:
@@ -342,15 +354,15 @@ def _remove_stale(folder: Path) -> None:
 
 
 def _remove_unlocked(path: Path) -> None:
-    """Remove a temporary whose writer is gone, which its lock tells: numbers of processes do not.
+    """Remove a temporary that no process has locked.
 
-    Containers that share a volume count their processes each from 1.
+    Process numbers do not identify its writer: containers on a shared volume all count from 1.
     """
     try:
-        # Not through a link, and without waiting for the other end of a pipe.
+        # Do not follow links, nor wait for the other end of a pipe.
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except OSError:
-        # Gone by now, or another user's: whoever may remove it will.
+        # Already removed, or owned by another user.
         return
     with os.fdopen(descriptor, "rb") as file:
         try:
@@ -358,11 +370,12 @@ def _remove_unlocked(path: Path) -> None:
         except OSError:
             return
         if stat.S_ISREG(os.fstat(descriptor).st_mode):
-            # Another process may be clearing the same file.
+            # Another process may be removing the same file.
             path.unlink(missing_ok=True)
 
 
 def _sync_folder(folder: Path) -> None:
+    """Sync the names in a folder to disk."""
     # Windows cannot open folders, and syncs renames by itself.
     if os.name != "posix":
         return
@@ -370,7 +383,7 @@ def _sync_folder(folder: Path) -> None:
     try:
         os.fsync(descriptor)
     except OSError as error:
-        # Network and user-space file systems that cannot sync a folder say EINVAL.
+        # Network and user-space file systems that cannot sync a folder return EINVAL.
         if error.errno not in (errno.EINVAL, errno.ENOTSUP):
             raise
     finally:

@@ -1,4 +1,4 @@
-"""Byte counts as people write them: 65536, 64KiB, 1.5MB, or a share of a file such as 20%."""
+"""Byte counts in options: 65536, 64KiB, 1.5MB, or a share of a file such as 20%."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _BYTES: Final = re.compile(r"([0-9]{1,18}(?:\.[0-9]{1,9})?)\s*(%|[a-z]*)", re.IG
 
 @dataclass(frozen=True)
 class ByteCount:
-    """A number of bytes, or a share of a file's bytes.
+    """Number of bytes, or share of a file's length.
 
     Parameters
     ----------
     amount : Fraction
-        Bytes, or the share.
+        Number of bytes, or the share.
     is_share : bool
         Whether `amount` is a share of the file, 0 to 1.
     """
@@ -36,11 +36,11 @@ class ByteCount:
     is_share: bool
 
     def of(self, file_bytes: int) -> int:
-        """Return the number of bytes for a file of `file_bytes`: at most these, rounded down."""
+        """Return the number of bytes in a file of `file_bytes`, capped at its length."""
         return min(self.uncapped(file_bytes), file_bytes)
 
     def uncapped(self, file_bytes: int) -> int:
-        """Return the number of bytes, of which a share is that of `file_bytes`, rounded down."""
+        """Return the number of bytes in a file of `file_bytes`, rounded down, without a cap."""
         return int(self.amount * file_bytes if self.is_share else self.amount)
 
 
@@ -50,7 +50,7 @@ def parse_byte_count(text: str) -> ByteCount:
     Raises
     ------
     ValueError
-        It is none of them.
+        The text has another form.
 
     Examples
     --------
@@ -67,17 +67,17 @@ def parse_byte_count(text: str) -> ByteCount:
 
 
 def parse_bytes(text: str) -> int:
-    """Parse ``65536``, ``64KiB`` or ``1.5MB`` where there is no file to take a share of.
+    """Parse ``65536``, ``64KiB`` or ``1.5MB``, without shares of a file.
 
     Returns
     -------
     int
-        Bytes, rounded down.
+        Number of bytes, rounded down.
 
     Raises
     ------
     ValueError
-        It is none of them, or a share such as ``20%``.
+        The text has another form, or is a share such as ``20%``.
 
     Examples
     --------

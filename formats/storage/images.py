@@ -22,20 +22,20 @@ from cogsplat.codec.errors import (
 U8 = NDArray[np.uint8]
 
 MAX_PIXELS: Final = (1 << 30) // 12
-"""Largest image that is decoded: beyond it Pillow suspects a decompression bomb (its default)."""
+"""Largest decoded image, pixels; above it, Pillow suspects a decompression bomb (its default)."""
 
 MAX_SIDE: Final = 16383
-"""Longest side that is written: lossless WebP has 14 bits for it (RFC 9649, 3.4)."""
+"""Longest side of a written image, pixels: lossless WebP has 14 bits for it (RFC 9649, 3.4)."""
 
-# The effort at which numbers in Morton order come out smallest; more is slower and no smaller.
+# Smallest files for values in Morton order; higher settings are slower and save nothing.
 _QUALITY: Final = 75
 _METHOD: Final = 1
 
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
 _JPEG: Final = b"\xff\xd8\xff"
-# Huffman tables, extensions and arithmetic conditioning, among the markers of frames.
+# JPEG markers among those of frames: Huffman tables, extensions and arithmetic conditioning.
 _NO_FRAMES: Final = (0xC4, 0xC8, 0xCC)
-# Pictures have one or two chunks before their data: more are padding, or there to keep us busy.
+# WebP files have one or two chunks before their data; more are padding, or an attack.
 _MAX_CHUNKS: Final = 16
 
 
@@ -52,7 +52,7 @@ def image_size(data: bytes, where: str) -> tuple[int, int]:
     Raises
     ------
     UnsupportedError
-        ``image-format``: no lossless still WebP and no PNG.
+        ``image-format``: a format other than lossless still WebP and PNG.
     FormatError
         ``image-damaged``: the header contradicts itself.
     TruncatedError
@@ -67,7 +67,7 @@ def image_size(data: bytes, where: str) -> tuple[int, int]:
             width, height = _webp_size(data, where)
     except struct.error as error:
         raise TruncatedError(
-            "image-truncated", f"{where}: {len(data)} bytes, expected a whole image"
+            "image-truncated", f"{where}: {len(data)} bytes, expected a complete image"
         ) from error
     if width * height > MAX_PIXELS:
         raise LimitError(
@@ -77,7 +77,7 @@ def image_size(data: bytes, where: str) -> tuple[int, int]:
 
 
 def _webp_size(data: bytes, where: str) -> tuple[int, int]:
-    """Walk the chunks of a WebP file (RFC 9649, 2.3 to 2.7) to its lossless picture."""
+    """Return width and height of a lossless WebP file from its chunks (RFC 9649, 2.3 to 2.7)."""
     if data[:4] != b"RIFF" or data[8:12] != b"WEBP":
         raise _unsupported(f"starts with {data[:12].hex(' ')}", where)
     offset = 12
@@ -102,6 +102,7 @@ def _webp_size(data: bytes, where: str) -> tuple[int, int]:
 
 
 def _unsupported(found: str, where: str) -> UnsupportedError:
+    """Return the error for an image of another format."""
     return UnsupportedError("image-format", f"{where}: {found}, expected a lossless WebP or a PNG")
 
 
@@ -118,12 +119,12 @@ def decode_image(data: bytes, where: str) -> U8:
     Returns
     -------
     (height, width, 4) uint8
-        RGBA as stored, alpha 255 where there is none.
+        RGBA as stored; alpha 255 for an image without alpha.
 
     Raises
     ------
     FormatError
-        ``image-damaged``. Otherwise as `image_size`.
+        ``image-damaged``. Other errors as `image_size`.
     MissingExtraError
         ``needs-pillow``: Pillow is not installed.
     """
@@ -132,11 +133,11 @@ def decode_image(data: bytes, where: str) -> U8:
     try:
         with pillow.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image:
             pixels = np.asarray(image.convert("RGBA"))
-    # Whatever a foreign decoder trips over here, it is the image's fault.
+    # Pillow raises errors of many types for damaged images.
     except Exception as error:
         raise FormatError(
             "image-damaged",
-            f"{where}: {str(error)[:200] or type(error).__name__}, expected a whole image",
+            f"{where}: {str(error)[:200] or type(error).__name__}, expected a complete image",
         ) from error
     if pixels.shape != (height, width, 4):
         raise FormatError(
@@ -146,7 +147,14 @@ def decode_image(data: bytes, where: str) -> U8:
 
 
 def encode_image(pixels: U8, where: str) -> bytes:
-    """Return a lossless WebP of (height, width, 3 or 4) uint8 pixels.
+    """Encode pixels as a lossless WebP.
+
+    Parameters
+    ----------
+    pixels : (height, width, 3 or 4) uint8
+        RGB or RGBA.
+    where : str
+        Name of the image for messages.
 
     Raises
     ------
@@ -154,7 +162,7 @@ def encode_image(pixels: U8, where: str) -> bytes:
         ``needs-pillow``.
     """
     out = io.BytesIO()
-    # exact: colours behind alpha 0 are numbers here, and would be zeroed.
+    # exact: without it, colours with alpha 0, which store numbers here, become zero.
     _pillow(where).fromarray(pixels).save(
         out, "WEBP", lossless=True, exact=True, quality=_QUALITY, method=_METHOD
     )
@@ -162,6 +170,7 @@ def encode_image(pixels: U8, where: str) -> bytes:
 
 
 def _pillow(where: str) -> ModuleType:
+    """Return the module ``PIL.Image``, or raise ``needs-pillow``."""
     try:
         features = importlib.import_module("PIL.features")
         image = importlib.import_module("PIL.Image")
@@ -172,13 +181,14 @@ def _pillow(where: str) -> ModuleType:
         ) from error
     if not features.check("webp"):
         raise MissingExtraError(
-            "needs-pillow", f"{where}: this Pillow was built without WebP, expected it with"
+            "needs-pillow",
+            f"{where}: Pillow was built without WebP, expected it; install a wheel from PyPI",
         )
     return image
 
 
 def picture_size(head: bytes) -> tuple[int, int] | None:
-    """Return width and height of a PNG or JPEG from its first bytes, None where they do not say."""
+    """Return width and height of a PNG or JPEG from its first bytes; None if undetermined."""
     try:
         if head.startswith(_PNG):
             width, height = struct.unpack_from(">II", head, 16)
@@ -187,7 +197,7 @@ def picture_size(head: bytes) -> tuple[int, int] | None:
             return None
         offset = 2
         while True:
-            # ITU T.81, B.1.1.4: markers of segments with a length; frame headers hold the size.
+            # ITU T.81, B.1.1.4: marker segments with a length; frame headers hold the size.
             prefix, marker, length = struct.unpack_from(">BBH", head, offset)
             if prefix != 0xFF or length < 2:
                 return None

@@ -1,7 +1,7 @@
-"""JSON of unknown origin read value by value, so that a long file is never in memory as objects.
+"""Streaming JSON parser for untrusted files: memory for one value at a time.
 
-Lists of cameras are long and their entries short. Parsed at once, a file takes up to thirty times
-its bytes; read through `JsonStream`, no more than its largest entry does.
+Lists of cameras are long and their entries short. Parsing a file at once takes up to thirty times
+its bytes of memory; `JsonStream` takes the memory of the largest entry.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ from typing import Final, NoReturn
 from cogsplat.codec.errors import FormatError, LimitError
 
 MAX_VALUE_BYTES: Final = 1 << 20
-"""Longest text of one value that is parsed: an entry of an array, or the value of a key."""
+"""Longest text of one value, bytes: an entry of an array, or the value of a key."""
 
-# Tried one after the other: most entries of a list of cameras take less than the first.
+# Bytes to parse at a time, tried in turn: most cameras of a list fit into the first.
 _WINDOWS: Final = (2048, 65536, MAX_VALUE_BYTES)
 
-# A fault so near the end of a window may come of its cut: "\ud83d\ude0" is the longest such token.
+# An error this near to the end of a window may come from the cut: the longest token that can be
+# cut is "\ud83d\ude0".
 _CUT_CHARACTERS: Final = 16
 
 _SPACE: Final = re.compile(rb"[ \t\n\r]*")
@@ -28,7 +29,7 @@ _BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
 
 
 def refuse_constant(name: str) -> NoReturn:
-    """Refuse NaN and the infinities, which Python's parser takes for JSON."""
+    """Refuse NaN and the infinities, which Python's parser accepts."""
     raise ValueError(f"{name} is no JSON number")
 
 
@@ -36,7 +37,7 @@ _DECODER: Final = json.JSONDecoder(parse_constant=refuse_constant)
 
 
 class JsonStream:
-    """A place in JSON text, which moves as values are read.
+    """Reading position in JSON text.
 
     Parameters
     ----------
@@ -45,12 +46,12 @@ class JsonStream:
     where : str
         Name of the file for messages.
     code : str
-        Reason code of every fault of the text.
+        Reason code of every syntax error.
 
     Attributes
     ----------
     at : int
-        Byte at which the next token begins, or space before it.
+        Byte offset of the next token, or of white space before it.
 
     Examples
     --------
@@ -66,20 +67,19 @@ class JsonStream:
         self.at = len(_BYTE_ORDER_MARK) if data.startswith(_BYTE_ORDER_MARK) else 0
 
     def peek(self) -> bytes:
-        """Return the next byte that is no space, none at the end of the text."""
+        """Return the next byte after white space; empty at the end of the text."""
         match = _SPACE.match(self._data, self.at)
         assert match is not None
         self.at = match.end()
         return self._data[self.at : self.at + 1]
 
     def value(self) -> object:
-        """Read the next value, as `json.loads` gives it.
+        """Parse the next value, like `json.loads`.
 
         Raises
         ------
         FormatError
-            The reason code given: no JSON, NaN or Infinity in it, or nested deeper than Python's
-            parser goes.
+            `code`: a syntax error, NaN, Infinity, or nesting beyond the depth of Python's parser.
         LimitError
             ``json-too-long``: the value takes more than `MAX_VALUE_BYTES`.
         """
@@ -97,26 +97,26 @@ class JsonStream:
                 if is_last or not cut:
                     raise self._malformed(f"{error.msg} behind byte {self.at}") from error
                 continue
-            # RecursionError: nested deeper than the parser goes.
+            # RecursionError: nested beyond the depth of the parser.
             except (ValueError, RecursionError) as error:
                 raise self._malformed(f"{error} behind byte {self.at}") from error
-            # A number may go on behind the window.
+            # A number at the end of the window may be cut.
             if end < len(piece) or is_last:
                 self.at += end if piece.isascii() else len(piece[:end].encode())
                 return found
         raise LimitError(
             "json-too-long",
-            f"{self._where}: a value at byte {self.at} is longer than {MAX_VALUE_BYTES} bytes, "
-            "expected less",
+            f"{self._where}: a value of more than {MAX_VALUE_BYTES} bytes at byte {self.at}, "
+            "expected a shorter one",
         )
 
     def items(self) -> Iterator[int]:
-        """Yield the index of each item of the array that begins here, each to be read meanwhile.
+        """Yield the index of each item of the next array; the caller parses the item in between.
 
         Raises
         ------
         FormatError
-            The reason code given: there is no array, or it is malformed.
+            `code`: no array, or a malformed one.
         """
         self._take(b"[")
         if self.peek() == b"]":
@@ -130,12 +130,12 @@ class JsonStream:
                 return
 
     def members(self) -> Iterator[str]:
-        """Yield each key of the object that begins here, its value to be read meanwhile.
+        """Yield each key of the next object; the caller parses the value in between.
 
         Raises
         ------
         FormatError
-            The reason code given: there is no object, or it is malformed.
+            `code`: no object, or a malformed one.
         """
         self._take(b"{")
         if self.peek() == b"}":
@@ -151,17 +151,18 @@ class JsonStream:
                 return
 
     def finish(self) -> None:
-        """Check that nothing is left.
+        """Check that only white space follows.
 
         Raises
         ------
         FormatError
-            The reason code given.
+            `code`.
         """
         if self.peek():
-            raise self._malformed(f"more at byte {self.at}, where the text should end")
+            raise self._malformed(f"further text at byte {self.at} behind the value")
 
     def _take(self, *marks: bytes) -> bytes:
+        """Read one of several punctuation bytes, or raise an error."""
         found = self.peek()
         if found not in marks:
             expected = " or ".join(mark.decode() for mark in marks)
@@ -170,4 +171,5 @@ class JsonStream:
         return found
 
     def _malformed(self, found: str) -> FormatError:
+        """Return the error for a syntax error."""
         return FormatError(self._code, f"{self._where}: {found}, expected JSON")

@@ -1,4 +1,4 @@
-"""What reading a file of unknown origin may cost, and the refusals where it would cost more."""
+"""Memory and size limits for reading untrusted files."""
 
 from __future__ import annotations
 
@@ -7,36 +7,35 @@ from dataclasses import dataclass
 from cogsplat.codec.errors import LimitError
 from cogsplat.codec.splats import sh_coefficients
 
-# Means, scales, quaternions, opacity and sh0 of one splat, float32.
+# Bytes of the means, scales, quaternion, opacity and sh0 of one splat, float32.
 _ROW_BYTES = 4 * (3 + 3 + 4 + 1 + 3)
 
-# What any COGS file may decode to, whatever its size (SPEC 9.2).
+# Decoded size that a COGS file of any size may reach (SPEC 9.2).
 _COGS_SMALL_BYTES = 64 << 20
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a reader allocates and returns at most for a file that it does not trust (SPEC 9.2).
+    """Limits on the memory and content of untrusted files (SPEC 9.2).
 
     Parameters
     ----------
     decoded_bytes : int
-        Bytes of the decoded arrays, extra attributes among them, and of what is unpacked on the
-        way to them; of a COGS file also its codebooks, its codes of compensation, its view table
-        and its cameras.
+        Maximum decoded size: bytes of arrays, extra attributes and intermediate data. For a COGS
+        file, codebooks, compensation codes, view table and cameras count as well.
     expansion : int
-        Those bytes per byte of a COGS file, above 64 MiB. A splat of SH degree 3 takes 236 bytes:
-        the default admits every scene of a byte a splat or more.
+        Maximum ratio of decoded size to file size for a COGS file, above 64 MiB. A splat of SH
+        degree 3 takes 236 bytes, so the default admits scenes of one byte per splat.
     foreign_expansion : int
-        Those bytes per byte of a scene in another format, where they are more than `small_bytes`.
-        Trained scenes reach about 20 (SOG and SPZ at SH degree 3).
+        Maximum ratio of decoded size to file size for other formats, above `small_bytes`. Trained
+        scenes reach about 20 (SOG and SPZ at SH degree 3).
     small_bytes : int
-        Bytes that a file of any size may take: arrays that are smaller are not held against
-        `foreign_expansion`, and what parsed JSON takes may be no more.
+        Decoded size that a file of any length may reach, bytes; also the memory limit of parsed
+        JSON.
     splats : int
-        Splats of one scene.
+        Maximum number of splats of a scene.
     cameras : int
-        Cameras of one file, and images of one COLMAP model.
+        Maximum number of cameras of a file, and of images of a COLMAP model.
 
     Examples
     --------
@@ -62,7 +61,7 @@ class Limits:
                 raise ValueError(f"limit {name} of {value}, expected 0 or more")
 
     def allowed(self, source_bytes: int) -> int:
-        """Return the bytes that may be decoded from a COGS file of so many (SPEC 9.2)."""
+        """Return the maximum decoded size of a COGS file of `source_bytes`, bytes (SPEC 9.2)."""
         return min(self.decoded_bytes, _COGS_SMALL_BYTES + self.expansion * source_bytes)
 
     def require_scene(
@@ -72,26 +71,25 @@ class Limits:
         sh_degree: int,
         source_bytes: int,
         where: str,
-        beside_bytes: int = 0,
+        extra_bytes: int = 0,
         copies: int = 1,
     ) -> None:
-        """Refuse a foreign scene that takes more than its file may cost, before it is allocated.
+        """Refuse a scene of another format above the limits, before its arrays are allocated.
 
         Parameters
         ----------
         splats : int
-            Splats that the file counts.
+            Number of splats according to the file.
         sh_degree : int
-            Highest SH degree of the arrays to be allocated.
+            Highest SH degree of the arrays.
         source_bytes : int
-            Bytes of the file, and of files that it names.
+            Length of the file and of the files that it refers to, bytes.
         where : str
             Name of the file for messages.
-        beside_bytes : int
-            Bytes of extra attributes, and of what is unpacked on the way and held beside the
-            arrays.
+        extra_bytes : int
+            Memory of extra attributes and intermediate data, bytes.
         copies : int
-            How many times the arrays exist at once while the scene is put together.
+            Number of copies of the arrays that exist at once.
 
         Raises
         ------
@@ -100,11 +98,11 @@ class Limits:
         """
         self.require_splats(splats, where)
         row_bytes = _ROW_BYTES + 12 * (sh_coefficients(sh_degree) - 1)
-        needed = copies * splats * row_bytes + beside_bytes
+        needed = copies * splats * row_bytes + extra_bytes
         self.require_memory(needed, source_bytes, f"{where}: {splats} splats")
 
     def require_splats(self, count: int, where: str) -> None:
-        """Refuse more splats than may be read from one file.
+        """Refuse a splat count above the limit.
 
         Raises
         ------
@@ -118,16 +116,16 @@ class Limits:
             )
 
     def require_memory(self, needed: int, source_bytes: int, what: str) -> None:
-        """Refuse to unpack a foreign file into more bytes than it may cost.
+        """Refuse a memory demand above the limits for a file of another format.
 
         Parameters
         ----------
         needed : int
-            Bytes about to be allocated for the file, all together.
+            Memory to be allocated in total, bytes.
         source_bytes : int
-            Bytes of the file, and of files that it names.
+            Length of the file and of the files that it refers to, bytes.
         what : str
-            Name of the file and what takes the bytes, for messages.
+            Name of the file and of the data, for messages.
 
         Raises
         ------
@@ -140,12 +138,12 @@ class Limits:
         if needed > allowed:
             raise LimitError(
                 "decoded-size",
-                f"{what} take {needed} bytes of memory, expected at most {allowed} from "
+                f"{what} take {needed} bytes of memory, expected at most {allowed} for a file of "
                 f"{source_bytes} bytes (limits memory and expansion)",
             )
 
     def require_cameras(self, count: int, where: str) -> None:
-        """Refuse more cameras than may be read from one file.
+        """Refuse a camera count above the limit.
 
         Raises
         ------

@@ -1,14 +1,14 @@
-"""Magic bytes of known file types, to say in messages what an unexpected file is."""
+"""Magic bytes of known file types, for messages about unexpected files."""
 
 from __future__ import annotations
 
 from typing import Final
 
 COGS_MAGIC: Final = b"\x89COGS\r\n\x1a"
-"""First bytes of a COGS file (SPEC 3.1): not ASCII, and line ends that a text transfer breaks."""
+"""First bytes of a COGS file (SPEC 3.1). Their line end exposes transfers in text mode."""
 
 MANIFEST_MAGIC: Final = b"\x89COGM\r\n\x1a"
-"""First bytes of the manifest of a folder (SPEC 3.4)."""
+"""First bytes of the manifest of a COGS folder (SPEC 3.4)."""
 
 _MAGICS: Final = (
     (COGS_MAGIC, "a COGS file"),
@@ -31,7 +31,7 @@ _MAGICS: Final = (
 
 
 def describe(head: bytes) -> str:
-    """Return a phrase for the type of a file with these first bytes, for "is ..., expected ..."."""
+    """Return a phrase for the type of a file with the first bytes `head`, such as "a PLY file"."""
     if not head:
         return "an empty file"
     for magic, name in _MAGICS:

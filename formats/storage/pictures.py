@@ -1,4 +1,4 @@
-"""Pictures of a scene, photos and masks: few formats, one size, and refusals for all else."""
+"""Photos and masks of a scene: checks of format, size and mode before decoding."""
 
 from __future__ import annotations
 
@@ -29,29 +29,30 @@ def read_picture(
     Parameters
     ----------
     path : Path
+        Image file.
     size : (int, int)
-        Width and height it must have, px, which is asked before its pixels are decoded.
+        Required width and height, px, checked before the pixels are decoded.
     code : str
         Reason code of every refusal.
     formats : tuple of str
-        Pillow's names of the formats to try. Without such a list it tries some forty, with parsers
-        of every age among them, whatever the file is called.
+        Pillow's names of the formats to try. Pillow's default is some forty parsers, old ones
+        included.
     modes : collection of str
-        Pillow's names of the modes it may have; any where there are none.
+        Pillow's names of the accepted modes; empty accepts any.
     convert : str
-        Mode to convert it to; as stored where empty.
+        Mode to convert the picture to; empty keeps its own.
 
     Returns
     -------
     (height, width) or (height, width, channels) array
-        Of the type that the mode has in numpy.
+        Pixels, with the dtype of the mode in numpy.
 
     Raises
     ------
     DataError
-        `code`: it is none of `formats`, damaged, or of another size or mode.
+        `code`: another format, size or mode, or a damaged file.
     StorageError
-        As `open_for_read`.
+        The errors of `open_for_read`.
     """
     from PIL import Image
 
@@ -59,7 +60,7 @@ def read_picture(
         data = file.read()
     try:
         with warnings.catch_warnings():
-            # Of more pixels than any camera has: to be refused, not warned of.
+            # More pixels than any camera has are an error instead of a warning.
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=formats) as image:
                 found, mode = image.size, image.mode
@@ -67,7 +68,7 @@ def read_picture(
                     return np.asarray(image.convert(convert) if convert else image)
     except MemoryError:
         raise
-    # Whatever a foreign decoder trips over here, it is the picture's fault.
+    # Pillow raises errors of many types for damaged images.
     except Exception as error:
         raise DataError(
             code,

@@ -1,4 +1,4 @@
-"""Arrays in unnamed files that are mapped into memory, few of whose pages stay there."""
+"""Memory-mapped arrays in unnamed temporary files, with a limit on resident pages."""
 
 from __future__ import annotations
 
@@ -19,29 +19,28 @@ from numpy.typing import DTypeLike, NDArray
 from .atomic import storage_errors
 
 _STATM: Final = Path("/proc/self/statm")
-"""Pages of this process: in all, resident, resident of files (Linux, proc(5))."""
+"""Page counts of this process: total, resident, resident and file-backed (Linux, proc(5))."""
 
-# How often the resident pages are counted, seconds. In this time two cores touch some tens of MB.
+# Interval between two counts of resident pages, seconds, in which two cores touch some tens of MB.
 _INTERVAL: Final = 0.005
 
-# Smaller arrays are not worth a file each.
+# Smaller arrays are kept in memory, because a file each would cost more.
 _LEAST_BYTES: Final = 1 << 18
 
 
 class ScratchFiles:
-    """Arrays of zeros in files that vanish with them.
+    """Allocator of zeroed arrays in temporary files, which are deleted with the arrays.
 
-    A context manager: while it is entered, pages of the files that are in memory are given back to
-    the system as often as they are more than `resident_bytes`. Their contents stay, in the files.
-    Only Linux tells a process how many they are; elsewhere the system alone decides.
+    As a context manager, it runs a thread that evicts the files' pages from memory whenever more
+    than `resident_bytes` are resident. The contents stay in the files. Only Linux reports resident
+    pages; elsewhere the operating system alone evicts pages.
 
     Parameters
     ----------
     folder : Path
-        Where the files are made. They have no names, and no crash leaves one behind.
+        Folder of the files. The files have no names, so a crash leaves none behind.
     resident_bytes : int
-        Of the files' bytes, how many may be resident. A fast reader may pass it for a few
-        milliseconds.
+        Resident-memory limit for the files, bytes. Fast reads may exceed it for milliseconds.
 
     Examples
     --------
@@ -56,11 +55,11 @@ class ScratchFiles:
     def __init__(self, folder: Path, resident_bytes: int) -> None:
         self._folder = folder
         self._resident_bytes = resident_bytes
-        # Forgotten with the last array that looks into it: a search makes several.
+        # Weak: a map is freed with the last array that uses it.
         self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
         self._lock = threading.Lock()
-        # Programs and libraries are files as well: what stays after a release is theirs.
-        self._theirs = _resident_file_bytes()
+        # Pages of programs and libraries are file-backed as well, and stay after an eviction.
+        self._baseline_bytes = _resident_file_bytes()
         self._stopped = threading.Event()
         self._watcher = threading.Thread(target=self._watch, daemon=True)
 
@@ -80,19 +79,19 @@ class ScratchFiles:
             self._watcher.join()
 
     def zeros(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-        """Return an array of zeros, C-ordered and writable; a small one lies in memory.
+        """Return a writable C-ordered array of zeros, in memory below 256 KiB, else in a file.
 
         Raises
         ------
         StorageError
-            ``disk-full`` where the folder has no room for it, ``permission``, ``io``.
+            ``disk-full``, ``permission``, ``io``.
         """
         kind = np.dtype(dtype)
         size = math.prod(shape) * kind.itemsize
         if size < _LEAST_BYTES:
             return np.zeros(shape, kind)
         with storage_errors(self._folder), tempfile.TemporaryFile(dir=self._folder) as file:
-            # Reserved now: a write into a mapped page that finds no room ends the process.
+            # Reserved now, because a write to a mapped page on a full disk kills the process.
             if sys.platform == "linux":
                 os.posix_fallocate(file.fileno(), 0, size)
             else:
@@ -102,22 +101,23 @@ class ScratchFiles:
             self._maps.add(mapped)
         return np.frombuffer(mapped, kind).reshape(shape)
 
-    def settle(self) -> None:
-        """Give the resident pages of the files back to the system if they are too many."""
+    def evict(self) -> None:
+        """Evict the files' pages from memory if more than `resident_bytes` are resident."""
         with self._lock:
-            if _resident_file_bytes() - self._theirs <= self._resident_bytes:
+            if _resident_file_bytes() - self._baseline_bytes <= self._resident_bytes:
                 return
             for mapped in self._maps:
                 mapped.madvise(mmap.MADV_DONTNEED)
-            self._theirs = _resident_file_bytes()
+            self._baseline_bytes = _resident_file_bytes()
 
     def _watch(self) -> None:
+        """Check the resident pages at intervals until the block ends."""
         while not self._stopped.wait(_INTERVAL):
-            self.settle()
+            self.evict()
 
 
 def _resident_file_bytes() -> int:
-    """Return the bytes of files that are resident in this process; 0 where nobody says."""
+    """Return the resident file-backed memory of this process, bytes; 0 outside Linux."""
     if not _STATM.exists():
         return 0
     return int(_STATM.read_text(encoding="ascii").split()[2]) * mmap.PAGESIZE

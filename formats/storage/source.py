@@ -1,4 +1,4 @@
-"""Byte sources: local files, memory, prefixes, and whatever else reads ranges."""
+"""Byte sources: local files, memory, file objects and prefixes of sources."""
 
 from __future__ import annotations
 
@@ -16,24 +16,23 @@ from .atomic import open_for_read
 
 
 class Source(Protocol):
-    """A protocol for reading byte ranges, from files, memory, HTTP or object stores.
+    """Protocol for reading byte ranges from files, memory, HTTP or object stores.
 
     Notes
     -----
-    A source may have more, which `opening_bytes`, `is_there` and `stored_bytes` ask for: an
-    attribute `opening_bytes`, how many bytes are asked of it first; a method
-    ``holds(offset, length)``, whether bytes within its size are there, where some may be missing in
-    the middle; and an attribute `stored_bytes`, the bytes that it is kept in, where these are fewer
-    than its size.
+    Three further members are optional. The attribute ``first_request_bytes`` is the best size of
+    the first read, bytes. The method ``holds(offset, length)`` is for sources with gaps: it says
+    whether a range is present. The attribute ``stored_bytes`` is the size of the storage, bytes,
+    where it is below `size`.
     """
 
     @property
     def name(self) -> str:
-        """Names the source in messages."""
+        """Name of the source in messages."""
 
     @property
     def size(self) -> int:
-        """Bytes there are."""
+        """Length of the source, bytes."""
 
     def read(self, offset: int, length: int) -> bytes:
         """Return exactly `length` bytes from `offset`.
@@ -47,52 +46,53 @@ class Source(Protocol):
         """
 
     def close(self) -> None:
-        """Give back what the source holds; reading is over."""
+        """Free files, connections and memory; later reads fail."""
 
 
 Cancel = Callable[[], None]
-"""Ends waiting for ranges that were to be fetched ahead."""
+"""Cancels a prefetch: reads of its ranges raise `Cancelled`."""
 
 
 @runtime_checkable
 class RemoteSource(Source, Protocol):
-    """A source of which a read takes long: it fetches ahead, and fetches anew what came damaged."""
+    """Source with slow reads, which can prefetch ranges and fetch damaged ranges again."""
 
     def prefetch(
         self, ranges: Sequence[tuple[int, int]], *, any_order: bool = False
     ) -> AbstractContextManager[Cancel]:
-        """Fetch ranges, in this order, as long as the block lasts.
+        """Prefetch ranges, in the given order, until the block ends.
 
         Parameters
         ----------
         ranges : sequence of (int, int)
-            Offset and length, as they will be read.
+            Offset and length of each later read, bytes.
         any_order : bool
-            Whether nothing is done before most of them are there, so that they may be fetched in
-            whatever order takes the fewest requests.
+            Whether the source may reorder the ranges to save requests, because the caller needs
+            most of them before it begins.
 
         Returns
         -------
         context manager of callable
-            Calling it, from any thread, ends all reads of the ranges with `Cancelled`.
+            The callable cancels the prefetch from any thread; reads then raise `Cancelled`.
         """
 
     def reread(self, offset: int, length: int) -> bytes:
-        """Return bytes that came damaged, fetched around caches; otherwise as `read`."""
+        """Fetch a damaged range again, around HTTP caches; otherwise as `read`."""
 
 
 def prefetching(
     source: Source, ranges: Sequence[tuple[int, int]], *, any_order: bool = False
 ) -> AbstractContextManager[Cancel]:
-    """Have a source fetch ranges ahead as long as the block lasts, where that helps.
+    """Prefetch ranges of a remote source until the block ends; no effect on local sources.
 
     Parameters
     ----------
     source : Source
+        Source to read from.
     ranges : sequence of (int, int)
-        Offset and length, in the order in which they are wanted.
+        Offset and length of each later read, bytes, in order.
     any_order : bool
-        As in `RemoteSource.prefetch`.
+        Whether the source may reorder the ranges; see `RemoteSource.prefetch`.
     """
     if isinstance(source, RemoteSource):
         return source.prefetch(ranges, any_order=any_order)
@@ -100,13 +100,13 @@ def prefetching(
 
 
 def has_arrived(source: Source, offset: int, length: int) -> bool:
-    """Whether bytes that were to be fetched ahead are here, so that reading them does not wait."""
+    """Whether a read of the range would return without waiting for the network."""
     arrived = getattr(source, "arrived", None)
     return arrived is None or bool(arrived(offset, length))
 
 
 class BytesSource:
-    """A source over bytes in memory; slices are copies."""
+    """Source over bytes in memory; reads return copies."""
 
     def __init__(self, data: bytes, name: str = "bytes") -> None:
         self._data = data
@@ -127,11 +127,12 @@ class BytesSource:
 
 
 class FileSource:
-    """A source over a local file, safe to read from several threads.
+    """Source over a local file, safe to read from several threads.
 
     Parameters
     ----------
     path : Path
+        Regular file.
 
     Raises
     ------
@@ -140,7 +141,7 @@ class FileSource:
 
     Notes
     -----
-    Reads copy rather than map, so that a file cut short under us is an error, not a crash.
+    The file is read instead of mapped: with a map, a file that is cut short kills the process.
     """
 
     def __init__(self, path: Path) -> None:
@@ -151,7 +152,7 @@ class FileSource:
 
     @property
     def size(self) -> int:
-        """Bytes the file had when it was opened."""
+        """Length of the file when it was opened, bytes."""
         return self._size
 
     def read(self, offset: int, length: int) -> bytes:
@@ -167,7 +168,7 @@ class FileSource:
             raise TruncatedError(
                 "source-changed",
                 f"{self.name}: {len(data)} bytes at byte {offset}, expected {length}; "
-                "the file became shorter while it was read",
+                "the file became shorter while it was read: open it again",
                 offset=offset,
                 needed=offset + length,
             )
@@ -179,17 +180,17 @@ class FileSource:
 
 
 class StreamSource:
-    """A source over an open binary file object that can seek; it is not closed here.
+    """Source over an open, seekable binary file object; `close` leaves it open.
 
     Parameters
     ----------
     stream : BinaryIO
-        Open for reading: a file, ``io.BytesIO``, or what a storage library opens.
+        File object open for reading: a file, ``io.BytesIO``, or one of a storage library.
 
     Raises
     ------
     StorageError
-        ``not-seekable``: it cannot seek, as a pipe cannot.
+        ``not-seekable``: it cannot seek, such as a pipe.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -202,7 +203,7 @@ class StreamSource:
 
     @property
     def size(self) -> int:
-        """Bytes the stream had when the source was made."""
+        """Length of the stream when the source was made, bytes."""
         return self._size
 
     def read(self, offset: int, length: int) -> bytes:
@@ -214,7 +215,7 @@ class StreamSource:
             with self._lock:
                 self._stream.seek(offset)
                 while missing:
-                    # Streams may give less than they are asked for.
+                    # A stream may return fewer bytes than requested.
                     part = self._stream.read(missing)
                     if not part:
                         break
@@ -226,18 +227,26 @@ class StreamSource:
             raise TruncatedError(
                 "source-changed",
                 f"{self.name}: {length - missing} bytes at byte {offset}, expected {length}; "
-                "the stream became shorter while it was read",
+                "the stream became shorter while it was read: open it again",
                 offset=offset,
                 needed=offset + length,
             )
         return b"".join(parts)
 
     def close(self) -> None:
-        """Do nothing: who opened the stream closes it."""
+        """Do nothing: the caller closes the stream."""
 
 
 class PrefixSource:
-    """A prefix of another source, like a file whose transfer stopped early."""
+    """Prefix of another source, like a file whose transfer stopped early.
+
+    Parameters
+    ----------
+    source : Source
+        Whole source; closed with the prefix.
+    size : int
+        Length of the prefix, bytes.
+    """
 
     def __init__(self, source: Source, size: int) -> None:
         self._source = source
@@ -255,54 +264,54 @@ class PrefixSource:
         return self._source.read(offset, length)
 
     @property
-    def opening_bytes(self) -> int:
-        """How many bytes are asked for first."""
-        return opening_bytes(self._source, self._size)
+    def first_request_bytes(self) -> int:
+        """Best size of the first read, bytes."""
+        return first_request_bytes(self._source, self._size)
 
     def holds(self, offset: int, length: int) -> bool:
-        """Whether bytes within the size are there."""
-        return is_there(self._source, offset, length)
+        """Whether a range within the size is present."""
+        return has_range(self._source, offset, length)
 
     @property
     def stored_bytes(self) -> int:
-        """Bytes that the source is kept in."""
+        """Size of the storage, bytes, capped at the prefix."""
         return min(self._size, stored_bytes(self._source))
 
     def prefetch(
         self, ranges: Sequence[tuple[int, int]], *, any_order: bool = False
     ) -> AbstractContextManager[Cancel]:
-        """Have the source behind fetch ranges ahead; see `RemoteSource.prefetch`."""
+        """Prefetch ranges of the whole source; see `RemoteSource.prefetch`."""
         kept = [x for x in ranges if x[0] + x[1] <= self._size]
         return prefetching(self._source, kept, any_order=any_order)
 
     def reread(self, offset: int, length: int) -> bytes:
-        """Have the source behind fetch bytes anew, where it can; see `RemoteSource.reread`."""
+        """Fetch a damaged range again, if the source is remote; see `RemoteSource.reread`."""
         require_within(self, offset, length)
         source = self._source
         again = source.reread if isinstance(source, RemoteSource) else source.read
         return again(offset, length)
 
     def arrived(self, offset: int, length: int) -> bool:
-        """Whether bytes are here; see `has_arrived`."""
+        """Whether a read would return at once; see `has_arrived`."""
         return has_arrived(self._source, offset, length)
 
     @property
     def traffic(self) -> object:
-        """What reading from the source behind has cost; None where nothing counts it."""
+        """`Traffic` of the whole source; None for a local one."""
         return getattr(self._source, "traffic", None)
 
     def close(self) -> None:
-        """Close the source behind this one."""
+        """Close the whole source."""
         self._source.close()
 
 
-def opening_bytes(source: Source, most: int) -> int:
-    """Return how many bytes to ask of a source first: `most`, where it does not say otherwise."""
-    return min(source.size, int(getattr(source, "opening_bytes", most)))
+def first_request_bytes(source: Source, default: int) -> int:
+    """Return the best size of the first read of a source, bytes; `default` if it has none."""
+    return min(source.size, int(getattr(source, "first_request_bytes", default)))
 
 
-def is_there(source: Source, offset: int, length: int) -> bool:
-    """Whether a source has all of a range of bytes."""
+def has_range(source: Source, offset: int, length: int) -> bool:
+    """Whether a source has every byte of a range."""
     if offset + length > source.size:
         return False
     holds = getattr(source, "holds", None)
@@ -310,12 +319,12 @@ def is_there(source: Source, offset: int, length: int) -> bool:
 
 
 def stored_bytes(source: Source) -> int:
-    """Return the bytes that a source is kept in; its size, where it does not say otherwise."""
+    """Return the size of a source's storage, bytes; by default its length."""
     return int(getattr(source, "stored_bytes", source.size))
 
 
 def require_within(source: Source, offset: int, length: int) -> None:
-    """Refuse a range that a source does not have.
+    """Refuse a range outside a source.
 
     Raises
     ------
@@ -325,7 +334,7 @@ def require_within(source: Source, offset: int, length: int) -> None:
         ``file-truncated``: the source ends before the range does.
     """
     if offset < 0 or length < 0:
-        raise ValueError(f"offset {offset} and length {length}, expected none negative")
+        raise ValueError(f"offset {offset} and length {length}, expected no negative number")
     if offset + length > source.size:
         raise TruncatedError(
             "file-truncated",
@@ -337,18 +346,18 @@ def require_within(source: Source, offset: int, length: int) -> None:
 
 
 Readable = str | os.PathLike[str] | bytes | bytearray | memoryview | BinaryIO | Source
-"""What a COGS file can be read from."""
+"""Types that `as_source` accepts: paths, bytes, binary file objects and sources."""
 
 
-def source_of(given: Readable) -> Source:
-    """Return what reads ranges of a path, of bytes, of a file object, or of a source as it is.
+def as_source(given: Readable) -> Source:
+    """Return a source for a path, bytes or a binary file object; return a source unchanged.
 
     Raises
     ------
     StorageError
-        As `FileSource` and `StreamSource`.
+        The errors of `FileSource` and `StreamSource`.
     TypeError
-        It is none of these.
+        `given` has another type.
     """
     if isinstance(given, str | os.PathLike):
         return FileSource(Path(given))

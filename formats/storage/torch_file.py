@@ -1,7 +1,7 @@
-"""Files of ``torch.save``, read without PyTorch: a zip of a pickle and of raw storages.
+"""Reader for ``torch.save`` files without PyTorch: a ZIP of a pickle and raw tensor storages.
 
-Only dictionaries, numbers, strings and tensors are built: a pickle that names any other class or
-function is refused, so that nothing in it can run. Tensors are read when they are asked for.
+Only dictionaries, numbers, strings and tensors are built. A pickle with any other class or function
+is refused, so that no code in it can run. Tensor values are read on access.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from .zip_directory import open_zip
 F32 = NDArray[np.float32]
 
 CODE: Final = "torch-file"
-"""Reason code of a file that is not what it should be."""
+"""Reason code of a damaged or unsupported file."""
 
-# A trainer's file, optimiser and all, has some hundred tensors of about 200 bytes of pickle each;
-# an opcode of one byte may make an object of 64.
+# A training checkpoint with its optimiser has some hundred tensors of about 200 bytes of pickle
+# each. An opcode of one byte may make an object of 64 bytes.
 _MOST_PICKLE_BYTES: Final = 1 << 19
 
-# Some hundred entries of about 100 bytes each; the end of a ZIP file is looked for in 64 KiB.
+# Some hundred entries of about 100 bytes each, and the last 64 KiB, where the directory's end is.
 _MOST_DIRECTORY_BYTES: Final = 1 << 20
 
-# VGG-16 whole, its classifier included, is 528 MiB.
+# VGG-16 with its classifier has 528 MiB.
 _MOST_BYTES: Final = 1 << 30
 
 _DTYPES: Final[Mapping[str, str]] = {
@@ -49,7 +49,7 @@ _DTYPES: Final[Mapping[str, str]] = {
     "IntStorage": "<i4",
 }
 
-# What damaged pickles, zips and headers end in.
+# Exceptions that damaged pickles, ZIP files and headers raise.
 _DAMAGE: Final = (
     zipfile.BadZipFile,
     pickle.UnpicklingError,
@@ -65,26 +65,27 @@ _DAMAGE: Final = (
     OverflowError,
 )
 
-# Opcodes that store an object under a number, for which the unpickler of CPython keeps an array up
-# to that number: eight bytes of pickle could take gigabytes.
+# Opcodes that store an object under a number. CPython's unpickler allocates an array up to that
+# number: eight bytes of pickle could take gigabytes.
 _STORES: Final = frozenset({"PUT", "BINPUT", "LONG_BINPUT"})
 
 
 @dataclass(frozen=True)
 class TorchTensor:
-    """A tensor of a file that is open: its values are read by `array`.
+    """Tensor of an open file, whose values `array` reads.
 
     Parameters
     ----------
     read : callable
-        Returns the bytes of the storage.
+        Function that returns the bytes of the storage.
     dtype : str
-        As numpy writes it.
+        numpy name of the type, such as ``<f4``.
     count : int
-        Values of the storage.
+        Number of values in the storage.
     offset : int
-        First of them that is the tensor's.
+        Index of the tensor's first value in the storage.
     shape : tuple of int
+        Shape of the tensor.
     """
 
     read: Callable[[], bytes]
@@ -99,7 +100,7 @@ class TorchTensor:
         Raises
         ------
         DataError
-            ``torch-file``: the storage holds another number of values.
+            ``torch-file``: the storage has another length.
         """
         values = np.frombuffer(self.read(), np.dtype(self.dtype))
         if len(values) != self.count:
@@ -110,56 +111,60 @@ class TorchTensor:
 
 @contextmanager
 def open_torch(path: StrPath) -> Iterator[Mapping[object, object]]:
-    """Open what ``torch.save`` wrote; the block gets the dictionary that was saved.
+    """Open a ``torch.save`` file for the block and give its dictionary.
 
     Parameters
     ----------
     path : path
+        File to read.
 
     Yields
     ------
     mapping
-        Dictionaries in it are dictionaries, tensors are `TorchTensor`.
+        Saved dictionary; its tensors are `TorchTensor`.
 
     Raises
     ------
     StorageError
-        It cannot be read.
+        The file cannot be read.
     DataError
-        ``torch-file``: it is no such file, or holds something else than dictionaries, numbers,
-        strings and tensors.
+        ``torch-file``: another format, or objects other than dictionaries, numbers, strings and
+        tensors.
     """
-    with _opened(path) as archive:
-        found = _unpickled(archive)
+    with _open_archive(path) as archive:
+        found = _unpickle(archive)
         if not isinstance(found, dict):
-            raise _bad(path, f"a {type(found).__name__}")
+            raise _refusal(path, f"a {type(found).__name__}")
         yield found
 
 
 @contextmanager
-def _opened(path: StrPath) -> Iterator[zipfile.ZipFile]:
-    """Open a zip; what damage raises in the block becomes ``torch-file``."""
+def _open_archive(path: StrPath) -> Iterator[zipfile.ZipFile]:
+    """Open a ZIP file for the block, and turn errors from damage into ``torch-file``."""
     with storage_errors(path), open_for_read(path) as file:
         try:
-            with open_zip(file, _MOST_DIRECTORY_BYTES, lambda found: _bad(path, found)) as archive:
+            with open_zip(
+                file, _MOST_DIRECTORY_BYTES, lambda found: _refusal(path, found)
+            ) as archive:
                 yield archive
         except DataError:
             raise
         except _DAMAGE as error:
-            raise _bad(path, f"{type(error).__name__}: {error}") from error
+            raise _refusal(path, f"{type(error).__name__}: {error}") from error
 
 
 def _pickle_name(archive: zipfile.ZipFile) -> str | None:
+    """Return the name of the pickle in an archive, or None."""
     return next((name for name in archive.namelist() if name.endswith("/data.pkl")), None)
 
 
-def _unpickled(archive: zipfile.ZipFile) -> object:
-    """Return what was saved; tensors read their storages from the archive."""
+def _unpickle(archive: zipfile.ZipFile) -> object:
+    """Return the saved object, whose tensors read their storages from the archive."""
     name = _pickle_name(archive)
     if name is None:
-        raise zipfile.BadZipFile("no pickle in the zip")
+        raise zipfile.BadZipFile("no pickle in the ZIP file")
     folder = name[: -len("data.pkl")]
-    data = _stored(archive, name, _MOST_PICKLE_BYTES)
+    data = _read_stored(archive, name, _MOST_PICKLE_BYTES)
     for opcode, number, position in pickletools.genops(data):
         if opcode.name in _STORES and isinstance(number, int) and number > len(data):
             raise pickle.UnpicklingError(
@@ -167,54 +172,59 @@ def _unpickled(archive: zipfile.ZipFile) -> object:
                 "from 0 on"
             )
     stream = io.BytesIO(data)
-    return _Tensors(stream, lambda key: _stored(archive, f"{folder}data/{key}", _MOST_BYTES)).load()
+    return _TensorUnpickler(
+        stream, lambda key: _read_stored(archive, f"{folder}data/{key}", _MOST_BYTES)
+    ).load()
 
 
-def _stored(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Return an entry that is stored, as torch stores all, and so no longer than the file is."""
+def _read_stored(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
+    """Return the bytes of an uncompressed entry; refuse a compressed one, or more than `most`."""
     entry = archive.getinfo(name)
     if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > min(
         most, entry.compress_size
     ):
         raise zipfile.BadZipFile(
             f"{name[:60]} of {entry.compress_size} bytes, {entry.file_size} unpacked, expected it "
-            f"stored and at most {most} bytes"
+            f"uncompressed and at most {most} bytes"
         )
     return archive.read(entry)
 
 
 def read_state_dict(path: StrPath) -> dict[str, F32]:
-    """Read named arrays from what ``torch.save`` or ``numpy.savez`` wrote.
+    """Read the named arrays of a file of ``torch.save`` or ``numpy.savez``.
 
     Parameters
     ----------
     path : path
+        File to read.
 
     Returns
     -------
     dict of str to float32 array
+        Arrays by name.
 
     Raises
     ------
     StorageError
-        It cannot be read.
+        The file cannot be read.
     DataError
-        ``torch-file``: it is neither, or holds something else than named arrays.
+        ``torch-file``: another format, or objects other than named arrays.
     """
-    with _opened(path) as archive:
+    with _open_archive(path) as archive:
         if sum(entry.file_size for entry in archive.infolist()) > _MOST_BYTES:
-            raise _bad(path, f"more than {_MOST_BYTES} bytes")
+            raise _refusal(path, f"more than {_MOST_BYTES} bytes")
         if _pickle_name(archive) is None:
-            return {name.removesuffix(".npy"): _npy(archive, name) for name in archive.namelist()}
-        state = _unpickled(archive)
+            names = archive.namelist()
+            return {name.removesuffix(".npy"): _read_npy(archive, name) for name in names}
+        state = _unpickle(archive)
         if not isinstance(state, dict):
-            raise _bad(path, f"a {type(state).__name__}")
-        # State dicts carry their modules' versions beside the arrays.
+            raise _refusal(path, f"a {type(state).__name__}")
+        # State dicts also hold the version numbers of their modules.
         return {str(k): v.array() for k, v in state.items() if isinstance(v, TorchTensor)}
 
 
-def _npy(archive: zipfile.ZipFile, name: str) -> F32:
-    """Return one array of what ``numpy.savez`` wrote."""
+def _read_npy(archive: zipfile.ZipFile, name: str) -> F32:
+    """Return one array of a file of ``numpy.savez``."""
     with archive.open(name) as file:
         version = np.lib.format.read_magic(file)
         read_header = {
@@ -223,7 +233,7 @@ def _npy(archive: zipfile.ZipFile, name: str) -> F32:
         }
         shape, by_columns, dtype = read_header[version](file)
         data = file.read()
-    # Not by `read_array`, which allocates what the header says before it reads.
+    # numpy's `read_array` allocates the header's size before it reads.
     if dtype.hasobject or len(data) != math.prod(shape) * dtype.itemsize:
         raise ValueError(f"{name[:60]}: {len(data)} bytes, expected {dtype} of shape {shape}")
     values = np.frombuffer(data, dtype).reshape(shape, order="F" if by_columns else "C")
@@ -232,20 +242,22 @@ def _npy(archive: zipfile.ZipFile, name: str) -> F32:
 
 @dataclass(frozen=True)
 class _Storage:
+    """Flat array of values that one or several tensors share."""
+
     read: Callable[[], bytes]
     dtype: str
     count: int
 
 
-class _Tensors(pickle.Unpickler):
-    """Unpickler that builds dictionaries of tensors and refuses every other class or function."""
+class _TensorUnpickler(pickle.Unpickler):
+    """Unpickler for dictionaries of tensors, which refuses every foreign class and function."""
 
     def __init__(self, stream: object, read: Callable[[str], bytes]) -> None:
         super().__init__(stream)  # type: ignore[arg-type]
         self._read = read
 
     def find_class(self, module: str, name: str) -> object:
-        """Return what builds the class of this name, or refuse it."""
+        """Return the constructor for an allowed class, or refuse the class."""
         if (module, name) == ("collections", "OrderedDict"):
             return collections.OrderedDict
         if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
@@ -257,7 +269,7 @@ class _Tensors(pickle.Unpickler):
         raise pickle.UnpicklingError(f"{module}.{name}, expected tensors and dictionaries")
 
     def persistent_load(self, key: object) -> _Storage:
-        """Return a storage."""
+        """Return the storage that a persistent id of the pickle refers to."""
         if not isinstance(key, tuple) or len(key) != 5 or key[0] != "storage":
             raise pickle.UnpicklingError(f"{str(key)[:80]}, expected a storage")
         _, dtype, name, _, count = key
@@ -269,7 +281,7 @@ class _Tensors(pickle.Unpickler):
 def _tensor(
     storage: _Storage, offset: int, shape: tuple[int, ...], stride: tuple[int, ...], *_: object
 ) -> TorchTensor:
-    """Return a tensor that is a run of its storage."""
+    """Return a contiguous tensor of a storage (``torch._utils._rebuild_tensor_v2``)."""
     count = math.prod(shape)
     steps = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
     # Saved weights are contiguous; an axis of length 1 may have any stride.
@@ -280,9 +292,10 @@ def _tensor(
 
 
 def _parameter(tensor: TorchTensor, *_: object) -> TorchTensor:
-    """Return a parameter's tensor."""
+    """Return the tensor of a parameter (``torch._utils._rebuild_parameter``)."""
     return tensor
 
 
-def _bad(path: StrPath, found: str) -> DataError:
-    return DataError(CODE, f"{path}: {found[:200]}, expected arrays that torch.save wrote, or .npz")
+def _refusal(path: StrPath, found: str) -> DataError:
+    """Return the ``torch-file`` error for a damaged or unsupported file."""
+    return DataError(CODE, f"{path}: {found[:200]}, expected arrays of torch.save or numpy.savez")

@@ -147,7 +147,7 @@ def read_ply(
             sh_degree=_DEGREES[len(fields["shN"])],
             source_bytes=before.st_size,
             where=where,
-            beside_bytes=vertex.count * sum(int(prop.dtype[1:]) for prop in extra),
+            extra_bytes=vertex.count * sum(int(prop.dtype[1:]) for prop in extra),
         )
         arrays: dict[str, F32 | F64] = {
             name: zeros((vertex.count, len(p)), np.float32) for name, p in fields.items()

@@ -156,7 +156,7 @@ def read_sog(path: StrPath, *, limits: Limits | None = None) -> Splats:
         source_bytes=source_bytes,
         where=where,
         # The means have two images: one stays in memory while the other is decoded.
-        beside_bytes=_DECODING_BYTES * max(pixels_each, palette_pixels)
+        extra_bytes=_DECODING_BYTES * max(pixels_each, palette_pixels)
         + _PIXEL_BYTES * pixels_each,
     )
     pixels = (

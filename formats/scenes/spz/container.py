@@ -210,7 +210,7 @@ def _check_cost(
         sh_degree=min(header.sh_degree, splats.MAX_SH_DEGREE),
         source_bytes=file_bytes,
         where=where,
-        beside_bytes=copies * header.count * sum(header.row_bytes),
+        extra_bytes=copies * header.count * sum(header.row_bytes),
     )
 
 

@@ -216,7 +216,7 @@ MIRRORED = (np.array(POSE) * [[-1, 1, 1, 1]]).tolist()
 @pytest.mark.parametrize(
     ("frame", "code", "said"),
     [
-        ({}, "bad-transforms-json", "'transform_matrix' is not there"),
+        ({}, "bad-transforms-json", "'transform_matrix' is missing"),
         ({"transform_matrix": 5}, "bad-transforms-json", "'transform_matrix' is 5"),
         ({"transform_matrix": POSE[:2]}, "bad-transforms-json", "array of 2"),
         ({"transform_matrix": [*POSE[:3], 5]}, "bad-transforms-json", "row 3"),

@@ -15,7 +15,7 @@ from cogsplat.codec.errors import CogsplatError, FormatError, StorageError, Trun
 from cogsplat.formats.cogs.folder_source import FolderSource, manifest_path, names_folder
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.verification import findings
-from cogsplat.formats.storage.source import BytesSource, PrefixSource, is_there
+from cogsplat.formats.storage.source import BytesSource, PrefixSource, has_range
 from cogsplat.tools.lab.conformance.folders import unpacked
 
 links = pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
@@ -121,10 +121,10 @@ def test_the_first_bytes_of_a_folder_are_those_of_the_file(folder: Path, data: b
         assert part.missing_bytes == cut.missing_bytes
         assert_same(part.decode(), cut.decode())
     with closing(PrefixSource(FolderSource(folder), size)) as prefix:
-        assert prefix.opening_bytes < 16384
+        assert prefix.first_request_bytes < 16384
         assert prefix.stored_bytes == size
-        assert is_there(prefix, size - 2, 2)
-        assert not is_there(prefix, size - 1, 2)
+        assert has_range(prefix, size - 2, 2)
+        assert not has_range(prefix, size - 1, 2)
 
 
 @pytest.mark.parametrize("change", [-1, 1])

@@ -92,7 +92,7 @@ def test_large_manifests_are_read_by_ranges_or_whole() -> None:
             url = server.url(f"scene/{MANIFEST}")
             # As if the first request had brought the root and its places alone.
             with NetworkFolder(url, objects[MANIFEST][:head_end], QUICK) as source:
-                assert source.opening_bytes < head_end
+                assert source.first_request_bytes < head_end
                 assert source.read(0, source.size) == data
             cut = objects | {MANIFEST: objects[MANIFEST][:-1]}
             server.always = of_folder(cut, answered)

@@ -37,7 +37,9 @@ def test_all_that_lies_beside_a_manifest_is_named_and_read(name: str) -> None:
     source = Objects(objects)
     assert source.size == len(data)
     # Behind the preamble and the root: nothing of that is in an object.
-    assert data[64 : source.opening_bytes] == objects[MANIFEST][64 : source.opening_bytes]
+    assert (
+        data[64 : source.first_request_bytes] == objects[MANIFEST][64 : source.first_request_bytes]
+    )
     # Only the root is known yet: pages are added when all is asked for.
     sizes = {other: len(content) for other, content in objects.items() if other != MANIFEST}
     assert source.objects() == sizes

@@ -106,7 +106,7 @@ def test_extras_are_mapped_as_well(tmp_path):
     views = synth_cameras(2, 64, 48)
     for name, workspace in (("a.cogs", None), ("b.cogs", "mapped")):
         with ScratchFiles(tmp_path, 1 << 20) as files:
-            kept = replace(IN_MEMORY, zeros=files.zeros, in_files=True, trim=files.settle)
+            kept = replace(IN_MEMORY, zeros=files.zeros, in_files=True, trim=files.evict)
             cogsplat.encode(
                 tmp_path / "scene.ply",
                 tmp_path / name,

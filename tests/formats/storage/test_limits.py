@@ -31,7 +31,7 @@ def test_larger_scenes_need_bytes_of_the_file(degree: int, row_bytes: int) -> No
 def test_what_is_held_beside_the_arrays_counts() -> None:
     limits = Limits(small_bytes=5600)
     assert code_of(limits, 100, source_bytes=0) == ""
-    assert code_of(limits, 100, source_bytes=0, beside_bytes=1) == "decoded-size"
+    assert code_of(limits, 100, source_bytes=0, extra_bytes=1) == "decoded-size"
     assert code_of(limits, 50, source_bytes=0, copies=2) == ""
     assert code_of(limits, 50, source_bytes=0, copies=3) == "decoded-size"
 

@@ -23,7 +23,7 @@ def test_arrays_are_zeros_that_keep_what_is_written(tmp_path):
         assert not small.any()
         written = np.random.default_rng(1).normal(size=values.shape).astype(np.float32)
         values[:] = written
-        files.settle()
+        files.evict()
         np.testing.assert_array_equal(values, written)
     # Behind the context as well.
     np.testing.assert_array_equal(values, written)
@@ -45,7 +45,7 @@ def test_few_pages_stay_in_memory(tmp_path):
         highest = 0
         for start in range(0, size, 1 << 20):
             values[start : start + (1 << 20)] = 7
-            files.settle()
+            files.evict()
             highest = max(highest, resident_file_bytes() - before)
         assert highest <= most + (2 << 20)
         assert int(values.sum(dtype=np.int64)) == 7 * size

@@ -11,7 +11,7 @@ from cogsplat.formats.storage.source import (
     FileSource,
     PrefixSource,
     StreamSource,
-    source_of,
+    as_source,
 )
 
 DATA = bytes(range(256)) * 40
@@ -151,10 +151,10 @@ def test_sources_are_made_of_what_is_given(tmp_path):
     own = BytesSource(b"abc")
     with path.open("rb") as stream:
         for given in (path, str(path), b"abc", bytearray(b"abc"), memoryview(b"abc"), stream, own):
-            source = source_of(given)
+            source = as_source(given)
             assert source.read(0, 3) == b"abc"
             if given is not own:
                 source.close()
-    assert source_of(own) is own
+    assert as_source(own) is own
     with pytest.raises(TypeError, match="a int, expected a path"):
-        source_of(5)
+        as_source(5)

@@ -76,9 +76,9 @@ def test_wrong_values_are_refused_by_place_and_key(
 
 
 def test_a_key_that_is_not_there_is_said_to_be_missing() -> None:
-    with pytest.raises(FormatError, match="file, o: 'n' is not there, expected a number"):
+    with pytest.raises(FormatError, match="file, o: 'n' is missing, expected a number"):
         parsed(o={}).child("o").number("n")
-    with pytest.raises(FormatError, match="file, os 1: 'n' is not there"):
+    with pytest.raises(FormatError, match="file, os 1: 'n' is missing"):
         parsed(os=[{"n": 1}, {}]).children("os")[1].number("n")
 
 
