@@ -156,8 +156,7 @@ def read_sog(path: StrPath, *, limits: Limits | None = None) -> Splats:
         source_bytes=source_bytes,
         where=where,
         # The means have two images: one stays in memory while the other is decoded.
-        extra_bytes=_DECODING_BYTES * max(pixels_each, palette_pixels)
-        + _PIXEL_BYTES * pixels_each,
+        extra_bytes=_DECODING_BYTES * max(pixels_each, palette_pixels) + _PIXEL_BYTES * pixels_each,
     )
     pixels = (
         decode_image(image, f"{where}: {name!r}").reshape(-1, 4)[: meta.count]
