@@ -1,4 +1,4 @@
-"""Cameras of any known file: cameras.json, transforms.json, COLMAP folders, COGS files."""
+"""Read cameras from any known format: cameras.json, transforms.json, COLMAP, COGS."""
 
 from __future__ import annotations
 
@@ -22,33 +22,32 @@ __all__ = ["read_cameras", "write_cameras_json"]
 
 _HEAD_BYTES = 64
 
-# In a folder without a COLMAP model; the second is Blender's.
+# Files tried in a folder without a COLMAP model; the second name is Blender's.
 _TRANSFORMS = ("transforms.json", "transforms_train.json")
 
 
 def read_cameras(path: StrPath, *, limits: Limits | None = None) -> list[Camera]:
-    """Read the cameras of a scene.
+    """Read the cameras of a scene from a file or folder of any known format.
 
     Parameters
     ----------
     path : path
-        A ``cameras.json`` as 3DGS training writes it, a nerfstudio ``transforms.json``, a COGS
-        file that cameras were stored in, or a folder: one that holds COLMAP's ``cameras`` and
-        ``images`` as ``.bin`` or ``.txt``, or has them in ``sparse/0``, or else holds a
-        ``transforms.json``.
+        A ``cameras.json`` of 3DGS training, a nerfstudio ``transforms.json``, a COGS file with
+        cameras, or a folder. A folder has a COLMAP model, itself or in ``sparse/0`` or ``sparse``,
+        or else a ``transforms.json``.
     limits : Limits, optional
-        What the file may cost; `Limits.cameras` counts in every format.
+        Limits; `Limits.cameras` limits the number of cameras in every format.
 
     Returns
     -------
     list of Camera
-        At least one. From COLMAP by name, from others in file order.
+        Cameras, at least one: of COLMAP sorted by image name, of other formats in file order.
 
     Raises
     ------
     FormatError
-        ``unknown-cameras``: none of these; ``no-cameras``: a COGS file without. Otherwise as
-        `read_cameras_json`, `read_transforms`, `read_colmap` and `open_cogs`.
+        ``unknown-cameras``: the format is unknown; ``no-cameras``: a COGS file without cameras.
+        Other codes as in `read_cameras_json`, `read_transforms`, `read_colmap` and `open_cogs`.
     LimitError
         ``too-many-cameras``, ``json-too-long``.
     StorageError
@@ -71,7 +70,7 @@ def read_cameras(path: StrPath, *, limits: Limits | None = None) -> list[Camera]
         )
     with storage_errors(path), open_for_read(path) as file:
         head = file.read(_HEAD_BYTES)
-    # A byte order mark is legal to find before JSON, if not to write.
+    # RFC 8259 allows readers to ignore a byte order mark.
     first = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
     if first == b"[":
         return read_cameras_json(path, limits=limits)
@@ -87,6 +86,7 @@ def read_cameras(path: StrPath, *, limits: Limits | None = None) -> list[Camera]
 
 
 def _stored_cameras(path: StrPath, limits: Limits) -> list[Camera]:
+    """Return the cameras stored in a COGS file or folder."""
     source = cogs_source(path)
     try:
         with open_cogs(source, limits=limits) as file:
@@ -96,7 +96,7 @@ def _stored_cameras(path: StrPath, limits: Limits) -> list[Camera]:
     if not cameras:
         raise FormatError(
             "no-cameras",
-            f"{os.fspath(path)}: brings no cameras, expected a file that cameras were stored in",
+            f"{os.fspath(path)}: has no cameras, expected a COGS file with stored cameras",
         )
     limits.require_cameras(len(cameras), os.fspath(path))
     return cameras

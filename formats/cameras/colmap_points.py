@@ -1,6 +1,6 @@
-"""COLMAP reconstructions: the points of a sparse model, binary or text.
+"""Reader of the points of a COLMAP sparse model, binary or text.
 
-Layout after COLMAP's documentation, "Output format": little-endian, no padding.
+Source: COLMAP's documentation, "Output format". Binary files are little-endian without padding.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from cogsplat.formats.storage.limits import Limits
 from .colmap import find_model
 from .colmap_records import MAX_LINE_BYTES, RecordReader, skip_line
 
-_POINT = struct.Struct("<Q3d3BdQ")  # number, x y z, red green blue, error, images that show it
-_SEEN_BYTES = 8  # number of an image, and of the point in it
-_FIELDS = 8  # of a line of text, before the images that show the point
+_POINT = struct.Struct("<Q3d3BdQ")  # id, x y z, red green blue, error, length of the track
+_TRACK_ENTRY_BYTES = 8  # image id and the point's index in the image
+_FIELDS = 8  # fields of a text line before its track
 
 _Point = tuple[float, float, float, int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """P points of a sparse model.
+    """The P points of a sparse model.
 
     Parameters
     ----------
     positions : (P, 3) float64
-        Finite, scene units, in the frame of the model's cameras.
+        Positions in scene units and in the world frame of the model's cameras; finite.
     colours : (P, 3) uint8
-        RGB, display-referred.
+        RGB colours, display-referred.
     """
 
     positions: NDArray[np.float64]
@@ -45,11 +45,11 @@ class Points:
 
 
 def find_points(folder: Path) -> Path | None:
-    """Return the file of points of the sparse model in a folder; None where there is none."""
+    """Return the path of the points of a folder's sparse model; None if there is none."""
     model = find_model(folder) if folder.is_dir() else None
     if model is None:
         return None
-    # Binary first, as COLMAP itself prefers it.
+    # Binary first, like COLMAP itself.
     found = (model / f"points3D{suffix}" for suffix in (".bin", ".txt"))
     return next((path for path in found if path.is_file()), None)
 
@@ -62,21 +62,21 @@ def read_points(path: Path, *, limits: Limits | None = None) -> Points:
     path : Path
         ``points3D.bin`` or ``points3D.txt``.
     limits : Limits, optional
-        `Limits.splats` counts for points.
+        Limits; `Limits.splats` limits the number of points.
 
     Returns
     -------
     Points
-        At least one, in file order.
+        Points in file order, at least one.
 
     Raises
     ------
     FormatError
         ``colmap-malformed``, ``colmap-trailing-bytes``.
     TruncatedError
-        ``colmap-truncated``: the file ends before what it counts.
+        ``colmap-truncated``: the file has fewer points than it declares.
     DataError
-        ``bad-point``: a position that is not finite; ``no-points``.
+        ``bad-point``: a position is not finite; ``no-points``.
     LimitError
         ``too-many-splats``.
     StorageError
@@ -100,22 +100,25 @@ def read_points(path: Path, *, limits: Limits | None = None) -> Points:
 
 
 def _binary_points(file: BinaryIO, where: str, limits: Limits) -> Iterator[_Point]:
+    """Yield the points of a ``points3D.bin``."""
     reader = RecordReader(file, where)
-    count = reader.count(_POINT.size, "points")
+    count = reader.read_count(_POINT.size, "points")
     limits.require_splats(count, where)
     for _ in range(count):
-        _, x, y, z, red, green, blue, _, seen = _POINT.unpack(reader.take(_POINT.size, "a point"))
-        reader.skip(seen * _SEEN_BYTES, f"{seen} images that show a point")
+        record = reader.read(_POINT.size, "a point")
+        _, x, y, z, red, green, blue, _, track_length = _POINT.unpack(record)
+        reader.skip(track_length * _TRACK_ENTRY_BYTES, f"the track of {track_length} images")
         yield x, y, z, red, green, blue
-    reader.finish()
+    reader.require_end()
 
 
 def _text_points(file: BinaryIO, where: str, limits: Limits) -> Iterator[_Point]:
+    """Yield the points of a ``points3D.txt``."""
     number = records = 0
     while line := file.readline(MAX_LINE_BYTES):
         number += 1
         if not line.endswith(b"\n"):
-            # Points that very many images show; which of them is not needed.
+            # The line has a long track, which is not needed.
             skip_line(file)
         text = line.decode("utf-8", "replace").strip()
         if not text or text.startswith("#"):
@@ -135,6 +138,7 @@ def _text_points(file: BinaryIO, where: str, limits: Limits) -> Iterator[_Point]
 
 
 def _malformed(where: str, fields: list[str]) -> FormatError:
+    """Return the error about a malformed line."""
     return FormatError(
         "colmap-malformed",
         f"{where}: {' '.join(fields)[:80]!r}, expected POINT3D_ID X Y Z R G B ERROR TRACK[], "

@@ -1,4 +1,4 @@
-"""``cameras.json`` of the 3DGS reference training, read and written."""
+"""Reader and writer of ``cameras.json``, the camera format of the 3DGS reference training."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from cogsplat.formats.storage.limits import Limits
 
 _CODE = "bad-cameras-json"
 
-# How far a given translation may be from the one that position and rotation make, relative to
-# the position: files round rotations, and `Camera` lets them be off orthonormal by 1e-3.
+# Relative tolerance between a stored translation and -rotationᵀ·position: files round rotations,
+# and `Camera` accepts rotations that deviate by 1e-3 from orthonormal ones.
 _TRANSLATION_TOLERANCE = 1e-2
 
 
@@ -29,27 +29,27 @@ def read_cameras_json(path: StrPath, *, limits: Limits | None = None) -> list[Ca
     Parameters
     ----------
     path : path
-        A JSON array of objects with ``width``, ``height``, ``fx``, ``fy`` (px), ``position`` (3;
-        the centre, scene units) and ``rotation`` (3 rows of 3; camera to world, so its columns are
-        the camera's axes), and maybe ``img_name``. Ours have ``cx``, ``cy`` (px; otherwise the
-        image's centre) and ``translation`` (3; world to camera, the exact one) as well.
+        A JSON array with one object per camera. Its keys are ``width``, ``height``, ``fx``, ``fy``
+        (px), ``position`` (3 numbers; the camera's centre, scene units) and ``rotation`` (3 rows
+        of 3 numbers; camera to world, so that columns are the camera's axes). Optional keys are
+        ``img_name``, ``cx``, ``cy`` (px; by default the image's centre) and ``translation`` (3
+        numbers; world to camera, exact).
     limits : Limits, optional
-        `Limits.cameras` counts.
+        Limits; `Limits.cameras` limits the number of cameras.
 
     Returns
     -------
     list of Camera
-        In file order, at least one.
+        Cameras in file order, at least one.
 
     Raises
     ------
     FormatError
-        ``bad-cameras-json``, with entry and key.
+        ``bad-cameras-json``; the message names the entry and the key.
     DataError
-        ``bad-camera``: as `Camera`; ``no-cameras``: the array is empty.
+        ``bad-camera``: `Camera` rejects the values; ``no-cameras``: the array is empty.
     LimitError
-        ``too-many-cameras``: more than `limits` allow; ``json-too-long``: an entry is longer than
-        `MAX_VALUE_BYTES`.
+        ``too-many-cameras``; ``json-too-long``: an entry is longer than `MAX_VALUE_BYTES`.
     StorageError
         See `open_for_read`.
     """
@@ -57,7 +57,7 @@ def read_cameras_json(path: StrPath, *, limits: Limits | None = None) -> list[Ca
     limits = limits or Limits()
     with storage_errors(path), open_for_read(path) as file:
         data = file.read()
-    # Counted first, so that too many are refused before the first camera is made.
+    # A first pass counts the entries, to check the limit before any camera is built.
     stream = JsonStream(data, where, _CODE)
     if stream.peek() != b"[":
         raise FormatError(
@@ -68,7 +68,7 @@ def read_cameras_json(path: StrPath, *, limits: Limits | None = None) -> list[Ca
         stream.value()
     stream.finish()
     stream = JsonStream(data, where, _CODE)
-    # Absurd magnitudes overflow on the way to `Camera`, which refuses what comes of them.
+    # Very large values overflow here; `Camera` rejects the result.
     with np.errstate(over="ignore", invalid="ignore"):
         cameras = [_camera(stream.value(), f"{where}: entry {index}") for index in stream.items()]
     if not cameras:
@@ -77,6 +77,7 @@ def read_cameras_json(path: StrPath, *, limits: Limits | None = None) -> list[Ca
 
 
 def _camera(entry: object, where: str) -> Camera:
+    """Return the camera of an entry."""
     if not isinstance(entry, dict):
         raise _bad(where, entry, "an object")
     width, height = _size(entry, "width", where), _size(entry, "height", where)
@@ -84,10 +85,10 @@ def _camera(entry: object, where: str) -> Camera:
     position = _array(entry, "position", (3,), where)
     translation = -rotation @ position
     if "translation" in entry:
-        given = _array(entry, "translation", (3,), where)
-        if np.abs(given - translation).max() > _TRANSLATION_TOLERANCE * np.abs(position).sum():
+        stored = _array(entry, "translation", (3,), where)
+        if np.abs(stored - translation).max() > _TRANSLATION_TOLERANCE * np.abs(position).sum():
             raise _bad(f"{where}, key 'translation'", entry["translation"], "-rotationᵀ·position")
-        translation = given
+        translation = stored
     name = entry.get("img_name", "")
     if not isinstance(name, str):
         raise _bad(f"{where}, key 'img_name'", name, "a string")
@@ -108,12 +109,14 @@ def _camera(entry: object, where: str) -> Camera:
 
 
 def _number(entry: dict[object, object], key: str, where: str) -> float:
+    """Return an entry's finite number."""
     if key not in entry:
         raise FormatError(_CODE, f"{where}: has no key '{key}', expected a number")
     return _float(entry[key], f"{where}, key '{key}'")
 
 
 def _float(value: object, where: str) -> float:
+    """Return a JSON value as a finite float."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise _bad(where, value, "a number")
     try:
@@ -126,8 +129,9 @@ def _float(value: object, where: str) -> float:
 
 
 def _size(entry: dict[object, object], key: str, where: str) -> int:
+    """Return an entry's width or height, px."""
     value = _number(entry, key, where)
-    # Some writers give sizes as 1920.0.
+    # Some writers store sizes such as 1920.0.
     if not value.is_integer():
         raise _bad(f"{where}, key '{key}'", value, "a whole number")
     return int(value)
@@ -136,9 +140,10 @@ def _size(entry: dict[object, object], key: str, where: str) -> int:
 def _array(
     entry: dict[object, object], key: str, shape: tuple[int, ...], where: str
 ) -> NDArray[np.float64]:
+    """Return an entry's nested arrays of numbers, after checking their shape."""
     where = f"{where}, key '{key}'"
     if key not in entry:
-        raise FormatError(_CODE, f"{where}: is not there, expected numbers")
+        raise FormatError(_CODE, f"{where}: is missing, expected numbers")
     numbers: list[float] = []
 
     def collect(value: object, sizes: tuple[int, ...]) -> None:
@@ -155,10 +160,12 @@ def _array(
 
 
 def _bad(where: str, value: object, expected: str) -> FormatError:
+    """Return the error about an unexpected JSON value."""
     return FormatError(_CODE, f"{where}: is {_kind(value)}, expected {expected}")
 
 
 def _kind(value: object) -> str:
+    """Describe a JSON value for a message."""
     if isinstance(value, list):
         return f"an array of {len(value)}"
     if isinstance(value, dict):
@@ -167,13 +174,13 @@ def _kind(value: object) -> str:
 
 
 def write_cameras_json(cameras: Sequence[Camera], path: StrPath, force: bool = False) -> None:
-    """Write cameras as an INRIA ``cameras.json`` that `read_cameras_json` gives back exactly.
+    """Write cameras as an INRIA ``cameras.json``, without loss.
 
     Parameters
     ----------
     cameras : sequence of Camera
-        ``cx``, ``cy`` and ``translation`` are written beside what INRIA's training writes: its
-        position alone does not give the translation back to the last bit.
+        Cameras to write. ``cx``, ``cy`` and ``translation`` are added to the keys of INRIA's
+        training, because the position does not determine the translation to the last bit.
     path : path
         The output.
     force : bool

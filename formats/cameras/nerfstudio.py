@@ -1,6 +1,6 @@
-"""Cameras from a ``transforms.json``, as nerfstudio, instant-ngp and Blender's NeRF scenes have it.
+"""Reader of ``transforms.json``, the cameras of nerfstudio, instant-ngp and NeRF's Blender scenes.
 
-Follows nerfstudio's page "Data conventions" (docs.nerf.studio).
+Source: nerfstudio's page "Data conventions" (docs.nerf.studio).
 """
 
 from __future__ import annotations
@@ -35,32 +35,35 @@ F64 = NDArray[np.float64]
 
 _CODE: Final = "bad-transforms-json"
 
-# Lenses that are a pinhole but for distortion, which is said and left out.
+# Camera models that are a pinhole with distortion; a warning says that distortion is ignored.
 _MODELS: Final = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
 _DISTORTION: Final = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 # OpenGL's camera looks along -z with y up, OpenCV's along +z with y down.
 _OPENGL_TO_OPENCV: Final = np.diag([1.0, -1.0, -1.0])
 
-# As `Camera` allows: files carry rotations as rounded decimals.
+# The tolerance of `Camera`: files store rotations as rounded decimals.
 _ROTATION_TOLERANCE: Final = 1e-3
 
 _MAX_SIDE: Final = 65535
-# Pictures have their size behind metadata and a thumbnail.
+# Bytes read of an image to find its size, which may follow metadata and a thumbnail.
 _PICTURE_BYTES: Final = 1 << 20
-# Blender's scenes leave the ending out, and say no size.
+# Endings to try: Blender's scenes omit the ending, and state no size.
 _ENDINGS: Final = ("", ".png", ".jpg", ".jpeg")
 
 
 @dataclass(frozen=True)
 class _Frames:
-    """Values that hold for every frame of a file."""
+    """Values common to all frames of a file.
+
+    `undo` and `scale` revert the transform that was applied to the original poses.
+    """
 
     root: JsonObject
     folder: Path
     undo: F64
     scale: float
-    # By file path: scenes of one size often name one picture, and it is not read for every frame.
+    # Cached image sizes by file path, because frames often name the same image.
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
@@ -72,46 +75,47 @@ def read_transforms(
     Parameters
     ----------
     path : path
-        An object with ``frames``, each with a ``transform_matrix`` (3 or 4 rows of 4; camera to
-        world, OpenGL's camera axes), and intrinsics in the frame or for all: ``fl_x``, ``fl_y``,
-        ``cx``, ``cy``, ``w``, ``h`` (px), or ``camera_angle_x``, ``camera_angle_y`` (radians).
-        Without ``w`` and ``h`` the size is taken from the PNG or JPEG that ``file_path`` names.
+        A JSON object with an array ``frames``. Each frame has a ``transform_matrix`` (3 or 4 rows
+        of 4 numbers; camera to world, OpenGL's camera axes). Intrinsics are keys of the frame or
+        of the whole file: ``fl_x``, ``fl_y``, ``cx``, ``cy``, ``w``, ``h`` (px), or
+        ``camera_angle_x``, ``camera_angle_y`` (radians). Without ``w`` and ``h``, the size comes
+        from the PNG or JPEG named by ``file_path``.
     original_frame : bool
-        Whether to undo ``applied_transform`` and ``applied_scale``, and so return to the world of
-        the COLMAP model that the file was made from.
+        Whether to revert ``applied_transform`` and ``applied_scale``, which gives the world frame
+        of the source COLMAP model.
     limits : Limits, optional
-        `Limits.cameras` counts.
+        Limits; `Limits.cameras` limits the number of cameras.
 
     Returns
     -------
     list of Camera
-        In file order, at least one, named by ``file_path``. Pixel centres count from 0.5 on both
-        sides, so principal points are taken as they are.
+        Cameras in file order, at least one, named by ``file_path``. Principal points need no
+        conversion: in nerfstudio, too, the first pixel's centre is at 0.5.
 
     Raises
     ------
     FormatError
-        ``bad-transforms-json``, with frame and key.
+        ``bad-transforms-json``; the message names the frame and the key.
     DataError
-        ``bad-camera``: as `Camera`, a pose that is not rigid among them; ``no-cameras``.
+        ``bad-camera``: `Camera` rejects the values, e.g. a pose that is not rigid; ``no-cameras``.
     UnsupportedError
-        ``camera-model``: a lens that is no pinhole.
+        ``camera-model``: a camera is no pinhole.
     LimitError
-        ``too-many-cameras``: more than `limits` allow; ``json-too-long``: a frame, or all that is
-        no frame, is longer than `MAX_VALUE_BYTES`.
+        ``too-many-cameras``; ``json-too-long``: a frame, or the file without its frames, is longer
+        than `MAX_VALUE_BYTES`.
     StorageError
         See `open_for_read`.
 
     Warns
     -----
     CogsplatWarning
-        Distortion other than zero, which is left out: nerfstudio undistorts its images as it
-        trains, and what it trains is a pinhole's view.
+        Cameras have distortion, which is ignored: nerfstudio undistorts images during training, so
+        that its scenes match pinhole cameras.
 
     Notes
     -----
-    A scene that nerfstudio itself trained is in neither frame: its data parser centres, turns and
-    scales the poses, and writes how to ``dataparser_transforms.json``.
+    Scenes trained by nerfstudio have another world frame: its data parser centres, rotates and
+    scales the poses, and writes this transform to ``dataparser_transforms.json``.
     """
     where = os.fspath(path)
     with storage_errors(path), open_for_read(path) as file:
@@ -119,27 +123,27 @@ def read_transforms(
     root, frames_at, count = _scan(data, where, limits or Limits())
     if "frames" not in root:
         raise root.wrong("frames", "an array of cameras")
-    # Refused here where it is no array.
+    # Raises if the value is no array.
     root.children("frames")
     if not count:
         raise DataError("no-cameras", f"{where}: 'frames' is empty, expected cameras")
-    undo, scale = _applied(root) if original_frame else (np.eye(4), 1.0)
+    undo, scale = _applied_transform(root) if original_frame else (np.eye(4), 1.0)
     frames = _Frames(root, Path(path).parent, undo, scale)
     stream = JsonStream(data, where, _CODE)
     stream.at = frames_at
     cameras: list[Camera] = []
-    bent = 0
-    # Absurd magnitudes overflow on the way to `Camera`, which refuses what comes of them.
+    distorted = 0
+    # Very large values overflow here; `Camera` rejects the result.
     with np.errstate(over="ignore", invalid="ignore"):
         for index in stream.items():
-            # Through an array, which refuses what is no object in the words of the others.
+            # Wrapped in an array, so that `children` reports an entry that is no object.
             entry = JsonObject({"frames": [stream.value()]}, where, _CODE).children("frames")[0]
             node = JsonObject(entry.values, f"{where}, frames {index}", _CODE)
             cameras.append(_camera(node, frames))
-            bent += any(_number(node, root, key, 0.0) for key in _DISTORTION)
-    if bent:
+            distorted += any(_number(node, root, key, 0.0) for key in _DISTORTION)
+    if distorted:
         warnings.warn(
-            f"{where}: {bent} of {count} cameras have lens distortion, which is left out: "
+            f"{where}: {distorted} of {count} cameras have lens distortion, which is ignored: "
             "expected splats trained on undistorted images",
             CogsplatWarning,
             stacklevel=2,
@@ -148,13 +152,22 @@ def read_transforms(
 
 
 def _scan(data: bytes, where: str, limits: Limits) -> tuple[JsonObject, int, int]:
-    """Return what a file says beside its frames, where these begin, and how many they are.
+    """Parse a file except for its frames, which are only counted.
 
-    What is said for all frames may stand behind them, so they are read a second time.
+    Keys of the whole file may follow the frames, so the frames are parsed in a second pass.
+
+    Returns
+    -------
+    root : JsonObject
+        The file's keys, with an empty array for the frames.
+    frames_at : int
+        Offset of the frames, bytes.
+    count : int
+        Number of frames.
     """
     stream = JsonStream(data, where, _CODE)
     root: dict[str, object] = {}
-    frames_at = count = others = 0
+    frames_at = count = other_bytes = 0
     for key in stream.members():
         is_frames = key == "frames" and stream.peek() == b"["
         start = stream.at
@@ -166,18 +179,18 @@ def _scan(data: bytes, where: str, limits: Limits) -> tuple[JsonObject, int, int
                 count += 1
         root[key] = [] if is_frames else stream.value()
         if not is_frames:
-            others += len(key) + stream.at - start
-        if others > MAX_VALUE_BYTES:
+            other_bytes += len(key) + stream.at - start
+        if other_bytes > MAX_VALUE_BYTES:
             raise LimitError(
                 "json-too-long",
-                f"{where}: more than {MAX_VALUE_BYTES} bytes beside its frames, expected fewer",
+                f"{where}: more than {MAX_VALUE_BYTES} bytes without its frames, expected fewer",
             )
     stream.finish()
     return JsonObject(root, where, _CODE), frames_at, count
 
 
-def _applied(root: JsonObject) -> tuple[F64, float]:
-    """Return the (4, 4) inverse of the transform applied to the original poses, and its scale."""
+def _applied_transform(root: JsonObject) -> tuple[F64, float]:
+    """Return the (4, 4) inverse of ``applied_transform``, and ``applied_scale``."""
     applied = np.eye(4)
     if "applied_transform" in root:
         applied = _matrix(root, "applied_transform")
@@ -193,6 +206,7 @@ def _applied(root: JsonObject) -> tuple[F64, float]:
 
 
 def _camera(node: JsonObject, frames: _Frames) -> Camera:
+    """Return the camera of a frame."""
     _check_model(node, frames.root)
     pose = _matrix(node, "transform_matrix")
     pose[:3, 3] /= frames.scale
@@ -221,6 +235,7 @@ def _camera(node: JsonObject, frames: _Frames) -> Camera:
 
 
 def _check_model(node: JsonObject, root: JsonObject) -> None:
+    """Raise ``camera-model`` unless a frame's camera is a pinhole."""
     model = (node if "camera_model" in node else root).text("camera_model", _MODELS[0])
     fisheye = (node if "is_fisheye" in node else root).boolean("is_fisheye", False)
     if model not in _MODELS or fisheye:
@@ -232,11 +247,12 @@ def _check_model(node: JsonObject, root: JsonObject) -> None:
 
 
 def _number(node: JsonObject, root: JsonObject, key: str, default: float) -> float:
-    """Return a frame's own number, or that of all frames, or `default`."""
+    """Return the number of a key in the frame, or else in the file, or else `default`."""
     return (node if key in node else root).number(key, default)
 
 
 def _focal(node: JsonObject, root: JsonObject, axis: str, size: int) -> float | None:
+    """Return the focal length along an axis, px, from its key or from the angle of view."""
     for source in (node, root):
         if f"fl_{axis}" in source:
             return source.number(f"fl_{axis}")
@@ -249,6 +265,7 @@ def _focal(node: JsonObject, root: JsonObject, axis: str, size: int) -> float | 
 
 
 def _size(node: JsonObject, name: str, frames: _Frames) -> tuple[int, int]:
+    """Return a frame's width and height, px, from its keys or from its image file."""
     sources = [node if key in node else frames.root for key in ("w", "h")]
     if "w" in sources[0] and "h" in sources[1]:
         return sources[0].integer("w", 1, _MAX_SIDE), sources[1].integer("h", 1, _MAX_SIDE)
@@ -260,24 +277,25 @@ def _size(node: JsonObject, name: str, frames: _Frames) -> tuple[int, int]:
 
 
 def _picture_size(node: JsonObject, name: str, folder: Path) -> tuple[int, int]:
+    """Return the width and height of an image file, px."""
     for ending in _ENDINGS:
         path = sibling(folder, name + ending, f"{node.where}, file_path", _CODE)
         try:
             with storage_errors(path), open_for_read(path) as file:
                 size = picture_size(file.read(_PICTURE_BYTES))
         except StorageError as error:
-            # The next ending may name a file.
+            # Try the next ending if there is no such file.
             if error.code in ("not-found", "not-a-file"):
                 continue
             raise
         if size is None:
             raise FormatError(_CODE, f"{node.where}: {path.name} has no size, expected PNG or JPEG")
         return size
-    raise node.wrong("w", f"a size, or an image {name!r} to take it from")
+    raise node.wrong("w", f"a size, or an image file {name!r}")
 
 
 def _matrix(node: JsonObject, key: str) -> F64:
-    """Return 3 or 4 rows of 4 numbers as (4, 4)."""
+    """Return a key's 3 or 4 rows of 4 numbers as a (4, 4) matrix."""
     rows = node.values.get(key)
     if not isinstance(rows, list) or len(rows) not in (3, 4):
         raise node.wrong(key, "3 or 4 rows of 4 numbers")

@@ -11,12 +11,12 @@ import click
 import cogsplat
 from cogsplat.formats.cogs.folder_source import FolderSource, names_folder
 from cogsplat.tools.hosting.folder_upload import (
-    Unused,
+    UnusedObjects,
     delete_unused,
     find_unused,
     plan_upload,
+    upload_folder,
 )
-from cogsplat.tools.hosting.folder_upload import upload as send
 from cogsplat.tools.hosting.object_store import Bucket
 from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import json_option, quiet_option
@@ -98,8 +98,8 @@ def upload(
     ):
         plan = plan_upload(source, folder, target)
         if not dry_run:
-            send(plan, source, target, concurrency=concurrency, progress=stages)
-    unused = Unused()
+            upload_folder(plan, source, target, concurrency=concurrency, progress=stages)
+    unused = UnusedObjects()
     if delete:
         unused = find_unused(target, older_than=timedelta(hours=older_than))
         if unused.names and not dry_run:
@@ -114,7 +114,7 @@ def upload(
                 "dry_run": dry_run,
                 "objects_written": len(plan.objects),
                 "object_bytes_written": plan.object_bytes,
-                "objects_shared": plan.there,
+                "objects_shared": plan.num_existing,
                 "manifest_written": plan.manifest_changes,
                 "deleted": len(unused.names),
                 "deleted_bytes": unused.size_bytes,
@@ -125,17 +125,17 @@ def upload(
         would = "would be " if dry_run else ""
         say(
             f"{target.name}: {counted(len(plan.objects), 'object')} {would}written "
-            f"({size_text(plan.object_bytes)}), {plan.there:,} there already; manifest "
+            f"({size_text(plan.object_bytes)}), {plan.num_existing:,} there already; manifest "
             f"{plan.manifest.name} {would + 'written' if plan.manifest_changes else 'the same'}"
         )
         if delete:
             say(
                 f"{target.name}: {counted(len(unused.names), 'object')} {would}deleted "
-                f"({size_text(unused.size_bytes)}), {unused.recent:,} unused and too new"
+                f"({size_text(unused.size_bytes)}), {unused.num_recent:,} unused and too new"
             )
 
 
-def _ask(unused: Unused, name: str, *, as_json: bool) -> None:
+def _ask(unused: UnusedObjects, name: str, *, as_json: bool) -> None:
     question = (
         f"Delete {counted(len(unused.names), 'object')} ({size_text(unused.size_bytes)}) of "
         f"{name} that {counted(len(unused.manifests), 'manifest')} do not need?"

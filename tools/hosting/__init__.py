@@ -1,1 +1,1 @@
-"""Files on other people's servers: whether a host serves scenes well, and uploads to it."""
+"""Hosting on foreign servers: checks of a host, remedies, and uploads to buckets."""

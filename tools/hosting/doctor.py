@@ -1,4 +1,4 @@
-"""Whether a host serves a scene as readers and browsers need it, and whether the scene is whole."""
+"""Diagnosis of a published scene: how its host serves it, and whether its content is valid."""
 
 from __future__ import annotations
 
@@ -15,35 +15,37 @@ from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.verification import Finding, finding_of, findings
 from cogsplat.formats.storage.limits import Limits
 
-from .probe import Probed, Prober
+from .probe import Prober, ProbeResult
 from .rules import HostFinding, file_findings, length_findings, object_findings
 
-# Objects of a folder whose headers are looked at: all are served alike.
-_OBJECTS: Final = 1
+# Objects of a folder whose headers are checked; a host serves all objects alike.
+_CHECKED_OBJECTS: Final = 1
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found about one address.
+    """Findings about the scene at one address.
 
     Parameters
     ----------
     url : str
-        Of the file, or of the manifest of a folder.
+        Address of the file, or of a folder's manifest.
     folder : bool
+        Whether the scene is a folder of a manifest and objects.
     server : str
-        What the server calls itself, empty where it does not.
+        The Server header, empty if there is none.
     version : str
         ``HTTP/1.1`` or ``HTTP/2``.
     first_byte_s : float
-        Seconds until the first answer began, the connection included.
+        Seconds from connecting to the first response.
     first_chunk_s : float or None
-        Seconds until the first chunk was decoded, a new connection included; None where it was not.
+        Seconds from connecting to the first decoded chunk; None if decoding failed.
     host : list of HostFinding
+        Violated rules of hosting.
     content : list of Finding
-        Broken rules of SPEC.
+        Violated rules of SPEC.
     content_read : bool
-        Whether all of the scene was fetched and checked.
+        Whether the whole scene was fetched and checked.
     """
 
     url: str
@@ -65,22 +67,25 @@ def examine(
     progress: Progress = silent,
     prober: Prober | None = None,
 ) -> Diagnosis:
-    """Ask a host what readers and browsers will ask, and read the scene from it.
+    """Diagnose a published scene: probe its host, decode a chunk, and validate the content.
 
     Parameters
     ----------
     url : str
-        Of a file, of a manifest, or of a folder, with a slash at its end.
+        Address of a file, of a manifest, or of a folder with a slash at its end.
     content : bool
-        Whether all of the scene is fetched and checked against SPEC.
+        Whether to fetch the whole scene and check it against SPEC.
     limits : Limits, optional
+        Limits on splats and decoded bytes.
     progress : Progress
         Called with ``("validate", checks done, checks)``.
     prober : Prober, optional
+        Client for the probe requests; it is closed.
 
     Returns
     -------
     Diagnosis
+        Findings, each code once.
 
     Raises
     ------
@@ -88,26 +93,26 @@ def examine(
         ``host-unreachable``, ``network-timeout``, ``connection-broken``, ``redirect-loop``.
     """
     address = manifest_address(url)
-    with prober or Prober() as asked:
-        probed = asked.probe(address)
+    with prober or Prober() as client:
+        probed = client.probe(address)
         head = probed.first.body
         folder = is_manifest(head) or address.endswith(MANIFEST_NAME)
         host = list(file_findings(probed, manifest=folder))
-        wrong: list[Finding] = []
+        content_findings: list[Finding] = []
         readable = False
         if probed.first.status in (200, 206) and not probed.first.encoding:
             try:
-                host += _of_content(asked, probed, folder=folder)
+                host += _length_and_object_findings(client, probed, folder=folder)
                 readable = True
             except StorageError:
                 raise
             except CogsplatError as error:
-                wrong.append(finding_of(error))
+                content_findings.append(finding_of(error))
     first_chunk_s = None
     if readable:
         first_chunk_s = _first_chunk_seconds(address, limits)
         if content:
-            wrong += _broken_rules(address, limits, progress)
+            content_findings += _content_findings(address, limits, progress)
     return Diagnosis(
         url=address,
         folder=folder,
@@ -115,31 +120,40 @@ def examine(
         version=probed.first.version,
         first_byte_s=probed.first.first_byte_s,
         first_chunk_s=first_chunk_s,
-        host=_once(host),
-        content=wrong,
+        host=_one_per_code(host),
+        content=content_findings,
         content_read=readable and content,
     )
 
 
-def _of_content(prober: Prober, probed: Probed, *, folder: bool) -> list[HostFinding]:
-    """Return what is wrong with lengths, and with objects of a folder; raises what SPEC refuses."""
+def _length_and_object_findings(
+    prober: Prober, probed: ProbeResult, *, folder: bool
+) -> list[HostFinding]:
+    """Check the stated length of a file or manifest, and how a folder's first object is served.
+
+    Raises
+    ------
+    CogsplatError
+        The preamble or the manifest violates SPEC.
+    """
     head = probed.first.body
     if not folder:
         preamble = unpack_preamble(head[:PREAMBLE_BYTES], probed.url)
         return list(length_findings(probed, preamble.file_length))
-    found = FolderMap(head, probed.url)
-    wrong = list(length_findings(probed, found.manifest_bytes))
-    start = found.root_end
-    if start < found.file_length and not found.pages_for(start, 1):
-        for piece in found.pieces(start, 1)[:_OBJECTS]:
+    manifest = FolderMap(head, probed.url)
+    found = list(length_findings(probed, manifest.manifest_bytes))
+    start = manifest.root_end
+    if start < manifest.file_length and not manifest.pages_for(start, 1):
+        for piece in manifest.pieces(start, 1)[:_CHECKED_OBJECTS]:
             if piece.name:
-                answer = prober.whole_object(probed.first.url, piece.name, piece.object_bytes + 1)
-                wrong += object_findings(answer, piece.name, piece.object_bytes)
-    return wrong
+                size = piece.object_bytes
+                response = prober.fetch_object(probed.first.url, piece.name, size + 1)
+                found += object_findings(response, piece.name, size)
+    return found
 
 
 def _first_chunk_seconds(url: str, limits: Limits | None) -> float | None:
-    """Return how long a reader takes from nothing to the first chunk, None where it fails."""
+    """Return the seconds from connecting to the first decoded chunk; None if decoding fails."""
     start = time.perf_counter()
     try:
         source = source_of_place(url)
@@ -151,12 +165,13 @@ def _first_chunk_seconds(url: str, limits: Limits | None) -> float | None:
         finally:
             source.close()
     except CogsplatError:
-        # Why it fails is a finding of `_broken_rules`, or of the headers.
+        # `_content_findings` or the host's findings report the cause.
         return None
     return time.perf_counter() - start
 
 
-def _broken_rules(url: str, limits: Limits | None, progress: Progress) -> list[Finding]:
+def _content_findings(url: str, limits: Limits | None, progress: Progress) -> list[Finding]:
+    """Fetch the whole scene and return the violated rules of SPEC, or a network error."""
     try:
         source = source_of_place(url)
     except StorageError as error:
@@ -171,8 +186,8 @@ def _broken_rules(url: str, limits: Limits | None, progress: Progress) -> list[F
         source.close()
 
 
-def _once(found: list[HostFinding]) -> list[HostFinding]:
-    """Return the findings, of each code the first of the highest severity, in their order."""
+def _one_per_code(found: list[HostFinding]) -> list[HostFinding]:
+    """Return the first finding of each code."""
     kept: dict[str, HostFinding] = {}
     for finding in found:
         kept.setdefault(finding.code, finding)

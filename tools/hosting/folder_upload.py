@@ -1,4 +1,4 @@
-"""Upload a folder of a manifest and objects: objects first, the manifest last (SPEC 3.4)."""
+"""Upload of a COGS folder to a bucket: objects first, the manifest last (SPEC 3.4)."""
 
 from __future__ import annotations
 
@@ -23,36 +23,37 @@ OBJECT_HEADERS: Final[Mapping[str, str]] = {
     "Content-Type": "application/octet-stream",
     "Cache-Control": "public, max-age=31536000, immutable, no-transform",
 }
-"""What objects are served with: they never change under their names."""
+"""HTTP headers of objects, whose names are hashes of their content, so that they never change."""
 
 MANIFEST_HEADERS: Final[Mapping[str, str]] = {
     "Content-Type": "application/octet-stream",
     "Cache-Control": "no-cache, no-transform",
 }
-"""What manifests are served with: caches ask whether there is a new one."""
+"""HTTP headers of manifests: caches must ask the host for a new version."""
 
-# Whatever else is in the bucket is not ours to delete.
+# Names of our objects; no other object of the bucket is ever deleted.
 _OBJECT: Final = re.compile(rf"{SEGMENT_FOLDER}/[0-9a-f]{{32}}\.bin")
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What an upload will do.
+class UploadPlan:
+    """The objects that an upload will write.
 
     Parameters
     ----------
     manifest : Path
+        Path of the local manifest.
     objects : dict of str to int
-        Bytes of the objects to write, by their names.
-    there : int
-        Objects that the bucket has already.
+        Size of each object to write, bytes, by name.
+    num_existing : int
+        Objects of the folder that the bucket already has.
     manifest_changes : bool
-        Whether the bucket has no manifest of that name, or another one.
+        Whether the bucket's manifest of that name is missing or different.
     """
 
     manifest: Path
     objects: dict[str, int]
-    there: int
+    num_existing: int
     manifest_changes: bool
 
     @property
@@ -62,35 +63,38 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Unused:
-    """Objects of a bucket that no manifest there needs.
+class UnusedObjects:
+    """Objects of a bucket that none of its manifests references.
 
     Parameters
     ----------
     names : list of str
+        Names of the unused objects that are old enough to delete.
     size_bytes : int
+        Their total size, bytes.
     manifests : list of str
-        The manifests that were read.
-    recent : int
-        Objects that no manifest needs either, and that are too new to be deleted.
+        Names of the bucket's manifests.
+    num_recent : int
+        Unused objects that are too new to delete.
     """
 
     names: list[str] = field(default_factory=list)
     size_bytes: int = 0
     manifests: list[str] = field(default_factory=list)
-    recent: int = 0
+    num_recent: int = 0
 
 
-def plan_upload(source: FolderSource, folder: Path, bucket: Bucket) -> Plan:
-    """Compare a folder with what a bucket has; nothing is written.
+def plan_upload(source: FolderSource, folder: Path, bucket: Bucket) -> UploadPlan:
+    """Compare a folder with a bucket, without writing.
 
     Parameters
     ----------
     source : FolderSource
-        The folder.
+        The open folder.
     folder : Path
-        Its path, or that of one of its manifests.
+        Path of the folder, or of one of its manifests.
     bucket : Bucket
+        Destination.
 
     Raises
     ------
@@ -98,50 +102,54 @@ def plan_upload(source: FolderSource, folder: Path, bucket: Bucket) -> Plan:
         See `Bucket`.
     """
     manifest = manifest_path(folder)
-    there = {entry.name: entry.size for entry in bucket.objects(SEGMENT_FOLDER)}
-    # One of another length is what an upload left that broke off.
-    missing = {name: size for name, size in source.objects().items() if there.get(name) != size}
-    return Plan(
+    existing = {entry.name: entry.size for entry in bucket.objects(SEGMENT_FOLDER)}
+    # An object of another size is left over from an interrupted upload.
+    missing = {name: size for name, size in source.objects().items() if existing.get(name) != size}
+    return UploadPlan(
         manifest,
         missing,
         len(source.objects()) - len(missing),
-        bucket.read(manifest.name) != _bytes_of(manifest),
+        bucket.read(manifest.name) != _read_file(manifest),
     )
 
 
-def upload(
-    plan: Plan,
+def upload_folder(
+    plan: UploadPlan,
     source: FolderSource,
     bucket: Bucket,
     *,
     concurrency: int = 8,
     progress: Progress = silent,
 ) -> None:
-    """Write what a plan lists; begun again, it goes on where it ended.
+    """Upload the objects of a plan, then the manifest.
+
+    The manifest comes last, so that it never references a missing object. A repeated upload with a
+    new plan skips the objects that were written.
 
     Parameters
     ----------
-    plan : Plan
+    plan : UploadPlan
+        Plan of `plan_upload`.
     source : FolderSource
-        What it was made of.
+        The open folder.
     bucket : Bucket
+        Destination.
     concurrency : int
-        Objects that are written at once.
+        Number of simultaneous writes.
     progress : Progress
         Called with ``("upload", objects done, objects)``.
 
     Raises
     ------
     FormatError
-        ``object-hash``, ``segment-object``: a damaged object is not sent.
+        ``object-hash``, ``segment-object``: a local object is damaged.
     TruncatedError
-        ``segment-missing``.
+        ``segment-missing``: a local object is missing.
     StorageError
-        See `Bucket`. The manifest is written after all objects, so that it never names what is not
-        there.
+        See `Bucket`.
     """
 
-    def send(name: str) -> None:
+    def upload_object(name: str) -> None:
         data = source.read_object(name)
         check_object(name, data, source.name)
         bucket.write(name, data, OBJECT_HEADERS)
@@ -149,56 +157,55 @@ def upload(
     total = len(plan.objects) + plan.manifest_changes
     pool = ThreadPoolExecutor(concurrency)
     try:
-        sent = [pool.submit(send, name) for name in plan.objects]
-        for done, future in enumerate(as_completed(sent), start=1):
+        futures = [pool.submit(upload_object, name) for name in plan.objects]
+        for done, future in enumerate(as_completed(futures), start=1):
             future.result()
             progress("upload", done, total)
     finally:
-        # After a failure nothing more is begun.
+        # After a failure, do not start further writes.
         pool.shutdown(cancel_futures=True)
     if plan.manifest_changes:
-        bucket.write(plan.manifest.name, _bytes_of(plan.manifest), MANIFEST_HEADERS)
+        bucket.write(plan.manifest.name, _read_file(plan.manifest), MANIFEST_HEADERS)
         progress("upload", total, total)
 
 
-def find_unused(bucket: Bucket, *, older_than: timedelta) -> Unused:
-    """Return the objects that no manifest of a bucket needs; nothing is deleted.
+def find_unused(bucket: Bucket, *, older_than: timedelta) -> UnusedObjects:
+    """Find the objects that no manifest of a bucket references, without deleting.
 
     Parameters
     ----------
     bucket : Bucket
+        Bucket to search.
     older_than : timedelta
-        Objects that were written later are left: an upload may be under way, and readers may still
-        have the manifest before.
+        Minimum age of an object to delete. Newer objects may belong to an upload in progress, and
+        readers may still use the previous manifest.
 
     Raises
     ------
     DataError
-        ``no-manifest``: the bucket has none, so that nothing says what is needed.
-    CogsplatError
-        A manifest cannot be read; then nothing is known to be unused.
+        ``no-manifest``: the bucket has no manifest, or one that cannot be read.
     StorageError
         See `Bucket`.
     """
-    # Objects first: one that is written after this list is on none that is deleted.
+    # List objects before reading manifests, so that a concurrent upload's objects are not listed.
     objects = [entry for entry in bucket.objects(SEGMENT_FOLDER) if _OBJECT.fullmatch(entry.name)]
     manifests = [
         entry.name for entry in bucket.top_objects() if entry.name.endswith(MANIFEST_SUFFIX)
     ]
     if not manifests:
-        raise DataError("no-manifest", f"{bucket.name}: has no manifest, expected one or more")
-    needed: set[str] = set()
+        raise DataError("no-manifest", f"{bucket.name}: has no manifest, expected at least one")
+    referenced: set[str] = set()
     for name in manifests:
         data = bucket.read(name)
         if data is None:
             raise StorageError(
-                "bucket-failed", f"{bucket.name}/{name}: went away, expected it there"
+                "bucket-failed", f"{bucket.name}/{name}: was deleted, expected it to remain"
             )
-        needed |= _names_in(data, f"{bucket.name}/{name}")
-    unused = [entry for entry in objects if entry.name not in needed]
+        referenced |= _object_names(data, f"{bucket.name}/{name}")
+    unused = [entry for entry in objects if entry.name not in referenced]
     latest = datetime.now(UTC) - older_than
     old = [entry for entry in unused if entry.modified <= latest]
-    return Unused(
+    return UnusedObjects(
         [entry.name for entry in old],
         sum(entry.size for entry in old),
         manifests,
@@ -206,28 +213,29 @@ def find_unused(bucket: Bucket, *, older_than: timedelta) -> Unused:
     )
 
 
-def delete_unused(unused: Unused, bucket: Bucket) -> None:
-    """Delete what `find_unused` found; raises as `Bucket`."""
+def delete_unused(unused: UnusedObjects, bucket: Bucket) -> None:
+    """Delete the objects found by `find_unused`; raises like `Bucket`."""
     names: Sequence[str] = unused.names
     if names:
         bucket.delete(names)
 
 
-def _names_in(manifest: bytes, where: str) -> set[str]:
-    """Return the objects that a manifest needs."""
+def _object_names(manifest: bytes, where: str) -> set[str]:
+    """Return the names of the objects that a manifest references."""
     try:
-        found = FolderMap(manifest, where)
-        found.check_manifest_size(len(manifest))
-        for page in found.pages_for(0, found.file_length):
-            found.add_page(page.page, manifest[page.offset : page.offset + page.length])
-        return set(found.objects())
+        folder = FolderMap(manifest, where)
+        folder.check_manifest_size(len(manifest))
+        for page in folder.pages_for(0, folder.file_length):
+            folder.add_page(page.page, manifest[page.offset : page.offset + page.length])
+        return set(folder.objects())
     except CogsplatError as error:
         raise DataError(
             "no-manifest",
-            f"{where}: cannot be read, so that nothing can be said to be unused: {error.message}",
+            f"{where}: cannot be read, expected it to list the objects in use: {error.message}",
         ) from error
 
 
-def _bytes_of(path: Path) -> bytes:
+def _read_file(path: Path) -> bytes:
+    """Return the bytes of a local file."""
     with storage_errors(path), open_for_read(path) as file:
         return file.read()

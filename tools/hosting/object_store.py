@@ -1,4 +1,4 @@
-"""Objects of a bucket, over S3 and what is like it, by obstore."""
+"""Objects of a bucket in S3, Google Cloud Storage or Azure, through obstore."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class StoredObject:
     Parameters
     ----------
     name : str
-        Below the prefix of the store.
+        Name relative to the bucket's prefix.
     size : int
-        Bytes.
+        Size, bytes.
     modified : datetime
-        When it was written, with its time zone.
+        Time of the last write, with time zone.
     """
 
     name: str
@@ -41,19 +41,19 @@ class Bucket:
     Parameters
     ----------
     url : str
-        ``s3://``, ``gs://`` or ``az://``. Credentials come from the environment, as obstore reads
-        them: ``AWS_ACCESS_KEY_ID`` and so on.
+        Address of scheme ``s3``, ``gs`` or ``az``. obstore reads credentials from the environment,
+        e.g. ``AWS_ACCESS_KEY_ID``.
     config : mapping of str to str
-        Of obstore's store, such as ``endpoint`` and ``region``.
+        Configuration of obstore's store, e.g. ``endpoint`` and ``region``.
     store : ObjectStore, optional
-        In place of the one that the address names.
+        Store to use instead of opening `url`.
 
     Raises
     ------
     MissingExtraError
         ``needs-cloud``: obstore is not installed.
     StorageError
-        ``bucket-address``: the address or the configuration is none.
+        ``bucket-address``: the address or the configuration is invalid.
     """
 
     def __init__(
@@ -75,18 +75,18 @@ class Bucket:
             schemes = ", ".join(f"{scheme}://" for scheme in STORE_SCHEMES)
             raise StorageError("bucket-address", f"{url}: is no bucket, expected one of {schemes}")
         plain = urlsplit(settings.get("endpoint", "")).scheme == "http"
-        # Which keys a configuration has depends on the address, which types cannot say.
-        made: Callable[..., ObjectStore] = from_url
+        # The type of `config` depends on the scheme, so its check is disabled.
+        open_store: Callable[..., ObjectStore] = from_url
         try:
-            self._store = store or made(
+            self._store = store or open_store(
                 self.name, config=settings, client_options={"allow_http": plain}
             )
         except Exception as error:
-            # What obstore raises for addresses is of many types.
+            # obstore raises exceptions of many types for a bad address.
             raise StorageError("bucket-address", f"{url}: {_first_line(error)}") from error
 
     def objects(self, folder: str = "") -> Iterator[StoredObject]:
-        """Yield the objects below a folder, those of folders in it too.
+        """Yield all objects below a folder, recursively.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class Bucket:
                     yield StoredObject(entry["path"], entry["size"], entry["last_modified"])
 
     def top_objects(self) -> list[StoredObject]:
-        """Return the objects that are in no folder; raises as `objects`."""
+        """Return the objects directly below the prefix; raises like `objects`."""
         import obstore
 
         with self._errors(""):
@@ -109,7 +109,7 @@ class Bucket:
         return [StoredObject(x["path"], x["size"], x["last_modified"]) for x in found]
 
     def read(self, name: str) -> bytes | None:
-        """Return an object, None where it is not there; raises as `objects`."""
+        """Return the bytes of an object, None if it does not exist; raises like `objects`."""
         import obstore
 
         try:
@@ -121,14 +121,14 @@ class Bucket:
             raise
 
     def write(self, name: str, data: bytes, headers: Mapping[str, str]) -> None:
-        """Write an object with the headers that it is served with; raises as `objects`."""
+        """Write an object and the HTTP headers to serve it with; raises like `objects`."""
         import obstore
 
         with self._errors(name):
             obstore.put(self._store, name, data, attributes=dict(headers))
 
     def delete(self, names: Sequence[str]) -> None:
-        """Delete objects; raises as `objects`."""
+        """Delete objects by name; raises like `objects`."""
         import obstore
 
         with self._errors(""):
@@ -136,6 +136,7 @@ class Bucket:
 
     @contextmanager
     def _errors(self, name: str) -> Iterator[None]:
+        """Turn obstore's exceptions into `StorageError`, as a context manager."""
         from obstore import exceptions
 
         where = f"{self.name}/{name}".rstrip("/")
@@ -154,4 +155,5 @@ class Bucket:
 
 
 def _first_line(error: Exception) -> str:
+    """Return the first line of an error's message, at most 300 characters."""
     return str(error).partition("\n")[0][:300]

@@ -1,4 +1,4 @@
-"""What a server answers to the requests of readers and browsers: raw answers, nothing judged."""
+"""Probe requests: the requests of readers and browsers, and a host's raw responses."""
 
 from __future__ import annotations
 
@@ -15,37 +15,38 @@ if TYPE_CHECKING:
     import httpx
 
 FIRST_BYTES: Final = 65536
-"""What readers ask for first (SPEC 8.8)."""
+"""Length of a reader's first request, bytes (SPEC 8.8)."""
 
 ORIGIN: Final = "https://viewer.example"
-"""The origin that requests name, as a page of another site would; the name is reserved."""
+"""Origin header of all requests, like that of a page on another site; a reserved name."""
 
 _COMPRESSIONS: Final = "gzip, deflate, br, zstd"
 _LAST_BYTES: Final = 16
 _CONNECT_SECONDS: Final = 10.0
 _IDLE_SECONDS: Final = 15.0
-_MOST_REDIRECTS: Final = 5
+_MAX_REDIRECTS: Final = 5
 
 
 @dataclass(frozen=True)
-class Answer:
-    """One answer of a server.
+class Response:
+    """One HTTP response.
 
     Parameters
     ----------
     url : str
-        Where it came from, redirects followed.
+        Address after redirects.
     status : int
+        Status code.
     version : str
         ``HTTP/1.1`` or ``HTTP/2``.
     headers : mapping of str to str
-        Names in lower case.
+        Headers by lower-case name.
     body : bytes
-        What was read of the body, as it was sent; at most as much as was asked for.
+        First bytes of the body as sent, up to the requested number.
     first_byte_s : float
-        Seconds from the request to the headers; of the first request with the connection.
+        Seconds from the request to the headers; includes connecting on the first request.
     redirects : tuple of str
-        Addresses that led here.
+        Addresses before redirects.
     """
 
     url: str
@@ -58,60 +59,62 @@ class Answer:
 
     @property
     def encoding(self) -> str:
-        """The content encoding, empty where there is none."""
+        """The content encoding, empty if there is none."""
         found = self.headers.get("content-encoding", "").strip().lower()
         return "" if found == "identity" else found
 
     @property
     def etag(self) -> str:
-        """The ETag as it was sent, empty where there is none."""
+        """The ETag as sent, empty if there is none."""
         return self.headers.get("etag", "").strip()
 
     @property
     def media_type(self) -> str:
-        """The media type without parameters, empty where there is none."""
+        """The media type without parameters, empty if there is none."""
         return self.headers.get("content-type", "").partition(";")[0].strip().lower()
 
 
 @dataclass(frozen=True)
-class Probed:
-    """The answers to all requests that one address was probed with.
+class ProbeResult:
+    """Responses to all probe requests for one address.
 
     Parameters
     ----------
     url : str
-        As it was asked for.
-    first : Answer
-        To the first 64 KiB, as browsers ask for them: without compression.
-    compressed : Answer
-        To the same from a client that takes compressed answers.
-    whole : Answer
-        To a request without a range from a client that takes compressed answers; no body is read.
-    last : Answer or None
-        To the last bytes, where `first` was a range and said how long the file is.
-    beyond : Answer or None
-        To a range behind the end.
-    preflight : Answer
-        To what a browser asks before a request with headers that it does not know.
+        Requested address.
+    first : Response
+        Response to a request for the first 64 KiB, without compression, as browsers send it.
+    compressed : Response
+        Response to the same range from a client that accepts compression.
+    whole : Response
+        Response to a request without a range that accepts compression; its body is not read.
+    last : Response or None
+        Response to a request for the last bytes; None if `first` has no range or total length.
+    beyond : Response or None
+        Response to a range behind the end of the file; None like `last`.
+    preflight : Response
+        Response to a CORS preflight request for the header Range.
+    last_range : tuple of int
+        First and last byte of the request of `last`.
     """
 
     url: str
-    first: Answer
-    compressed: Answer
-    whole: Answer
-    last: Answer | None
-    beyond: Answer | None
-    preflight: Answer
-    asked_last: tuple[int, int] = field(default=(0, 0))
+    first: Response
+    compressed: Response
+    whole: Response
+    last: Response | None
+    beyond: Response | None
+    preflight: Response
+    last_range: tuple[int, int] = field(default=(0, 0))
 
 
 class Prober:
-    """Sends single requests and keeps what came back; a context manager.
+    """HTTP client for probe requests; a context manager.
 
     Parameters
     ----------
     client : httpx.Client, optional
-        In place of one that speaks HTTP/2 and HTTP/1.1.
+        Client to use; by default one with HTTP/2 and HTTP/1.1.
     """
 
     def __init__(self, client: httpx.Client | None = None) -> None:
@@ -120,7 +123,7 @@ class Prober:
         self._client = client or httpx.Client(
             http2=True,
             follow_redirects=True,
-            max_redirects=_MOST_REDIRECTS,
+            max_redirects=_MAX_REDIRECTS,
             timeout=httpx.Timeout(_IDLE_SECONDS, connect=_CONNECT_SECONDS),
         )
 
@@ -135,10 +138,21 @@ class Prober:
     ) -> None:
         self._client.close()
 
-    def ask(
-        self, url: str, headers: Mapping[str, str], *, most: int, method: str = "GET"
-    ) -> Answer:
-        """Send a request and read at most so many bytes of the answer.
+    def request(
+        self, url: str, headers: Mapping[str, str], *, max_bytes: int, method: str = "GET"
+    ) -> Response:
+        """Send a request and read the start of its response.
+
+        Parameters
+        ----------
+        url : str
+            Address.
+        headers : mapping of str to str
+            Headers of the request, next to User-Agent.
+        max_bytes : int
+            Limit on the bytes read of the body.
+        method : str
+            HTTP method.
 
         Raises
         ------
@@ -153,15 +167,15 @@ class Prober:
             with self._client.stream(method, url, headers=sent) as response:
                 seconds = time.perf_counter() - start
                 parts: list[bytes] = []
-                missing = most
-                if missing:
-                    # Raw: what a server compressed stays compressed.
+                remaining = max_bytes
+                if remaining:
+                    # Raw bytes, without decompression.
                     for part in response.iter_raw():
-                        parts.append(part[:missing])
-                        missing -= len(parts[-1])
-                        if not missing:
+                        parts.append(part[:remaining])
+                        remaining -= len(parts[-1])
+                        if not remaining:
                             break
-                return Answer(
+                return Response(
                     url=str(response.url),
                     status=response.status_code,
                     version=response.http_version,
@@ -174,68 +188,84 @@ class Prober:
                 )
         except httpx.TooManyRedirects as error:
             raise StorageError(
-                "redirect-loop", f"{url}: more than {_MOST_REDIRECTS} redirects, expected an answer"
+                "redirect-loop",
+                f"{url}: more than {_MAX_REDIRECTS} redirects, expected a response",
             ) from error
         except httpx.ConnectError as error:
             raise StorageError("host-unreachable", f"{url}: {error}") from error
         except httpx.TimeoutException as error:
             raise StorageError(
-                "network-timeout", f"{url}: no byte for {_IDLE_SECONDS:g} s, expected an answer"
+                "network-timeout", f"{url}: no byte for {_IDLE_SECONDS:g} s, expected a response"
             ) from error
         except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError) as error:
             raise StorageError("connection-broken", f"{url}: {error}") from error
 
-    def probe(self, url: str) -> Probed:
-        """Send all requests that `Probed` lists.
+    def probe(self, url: str) -> ProbeResult:
+        """Send all probe requests for an address; see `ProbeResult`.
 
         Raises
         ------
         StorageError
-            See `ask`.
+            See `request`.
         """
         origin = {"Origin": ORIGIN}
         start = {"Range": f"bytes=0-{FIRST_BYTES - 1}"}
         plain = {"Accept-Encoding": "identity"}
-        packed = {"Accept-Encoding": _COMPRESSIONS}
-        first = self.ask(url, origin | start | plain, most=FIRST_BYTES)
-        compressed = self.ask(url, origin | start | packed, most=0)
-        whole = self.ask(url, origin | packed, most=0)
+        compression = {"Accept-Encoding": _COMPRESSIONS}
+        first = self.request(url, origin | start | plain, max_bytes=FIRST_BYTES)
+        compressed = self.request(url, origin | start | compression, max_bytes=0)
+        whole = self.request(url, origin | compression, max_bytes=0)
         total = total_of(first)
         last = beyond = None
-        asked = (0, 0)
+        last_range = (0, 0)
         if first.status == 206 and total:
-            asked = (max(0, total - _LAST_BYTES), total - 1)
-            span = {"Range": f"bytes={asked[0]}-{asked[1]}"}
-            last = self.ask(url, origin | span | plain, most=_LAST_BYTES)
+            last_range = (max(0, total - _LAST_BYTES), total - 1)
+            span = {"Range": f"bytes={last_range[0]}-{last_range[1]}"}
+            last = self.request(url, origin | span | plain, max_bytes=_LAST_BYTES)
             behind = {"Range": f"bytes={total}-{total + 15}"}
-            beyond = self.ask(url, origin | behind | plain, most=0)
-        preflight = self.ask(
+            beyond = self.request(url, origin | behind | plain, max_bytes=0)
+        preflight = self.request(
             url,
             origin
             | {
                 "Access-Control-Request-Method": "GET",
                 "Access-Control-Request-Headers": "range",
             },
-            most=0,
+            max_bytes=0,
             method="OPTIONS",
         )
-        return Probed(url, first, compressed, whole, last, beyond, preflight, asked)
+        return ProbeResult(url, first, compressed, whole, last, beyond, preflight, last_range)
 
-    def whole_object(self, base: str, name: str, most: int) -> Answer:
-        """Ask for an object of a folder as browsers do: whole, compressed answers taken."""
+    def fetch_object(self, base: str, name: str, max_bytes: int) -> Response:
+        """Fetch a whole object of a folder like a browser, which accepts compression.
+
+        Parameters
+        ----------
+        base : str
+            Address of the folder's manifest.
+        name : str
+            Address of the object, relative to `base`.
+        max_bytes : int
+            Limit on the bytes read of the body.
+        """
         headers = {"Origin": ORIGIN, "Accept-Encoding": _COMPRESSIONS}
-        return self.ask(urljoin(base, name), headers, most=most)
+        return self.request(urljoin(base, name), headers, max_bytes=max_bytes)
 
 
-def content_range(answer: Answer) -> tuple[int, int, int] | None:
-    """Return first and last byte and the length of the file of a ``Content-Range``, if it is one.
+def content_range(response: Response) -> tuple[int, int, int] | None:
+    """Parse a response's Content-Range: first byte, last byte, length of the file.
+
+    Returns
+    -------
+    tuple of int or None
+        None if the header is missing or malformed.
 
     Examples
     --------
-    >>> content_range(Answer("", 206, "", {"content-range": "bytes 0-9/200"}, b"", 0.0))
+    >>> content_range(Response("", 206, "", {"content-range": "bytes 0-9/200"}, b"", 0.0))
     (0, 9, 200)
     """
-    unit, _, rest = answer.headers.get("content-range", "").strip().partition(" ")
+    unit, _, rest = response.headers.get("content-range", "").strip().partition(" ")
     span, _, total = rest.partition("/")
     first, _, last = span.partition("-")
     numbers = (first.strip(), last.strip(), total.strip())
@@ -245,7 +275,7 @@ def content_range(answer: Answer) -> tuple[int, int, int] | None:
     return found[0], found[1], found[2]
 
 
-def total_of(answer: Answer) -> int | None:
-    """Return the length of the file that an answer states, None where it states none."""
-    found = content_range(answer)
+def total_of(response: Response) -> int | None:
+    """Return the length of the file from a response's Content-Range; None without the header."""
+    found = content_range(response)
     return found[2] if found else None

@@ -1,4 +1,4 @@
-"""What to change on a host for each finding, in the words of its configuration."""
+"""Remedies: the change to a host's configuration for each finding."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ HOSTS: Final = {
     "github-pages": "GitHub Pages",
     "http-server": "python -m http.server",
 }
-"""Names of the hosts that `REMEDIES` speaks of, by their keys."""
+"""Display names of the hosts in `REMEDIES`, by key."""
 
-# Beginnings of the header Server, in lower case, and the host that sends it.
+# Prefixes of the Server header, in lower case, and the key of the host.
 _SERVERS: Final = (
     ("nginx", "nginx"),
     ("openresty", "nginx"),
@@ -61,7 +61,7 @@ _CACHE: Final = {
     'max-age=31536000, immutable, no-transform"; "no-cache" for *.cogsm and *.cogs',
     "s3": "cogsplat upload sets it; by hand: aws s3 cp --cache-control …",
     "r2": "cogsplat upload sets it",
-    "github-pages": "ten minutes for all files, which cannot be changed",
+    "github-pages": "fixed at ten minutes for all files",
     "http-server": _NO_HEADERS,
 }
 _CORS: Final = {
@@ -69,7 +69,7 @@ _CORS: Final = {
     "caddy": _CORS_CADDY,
     "s3": _CORS_S3,
     "r2": _CORS_R2,
-    "github-pages": "allows all origins and exposes no headers, which cannot be changed",
+    "github-pages": "fixed: allows all origins, exposes no headers",
     "http-server": _NO_HEADERS,
 }
 _TYPE: Final = {
@@ -87,17 +87,17 @@ _ETAG: Final = {
 REMEDIES: Final[Mapping[str, Mapping[str, str]]] = {
     "http-ranges-ignored": {
         "nginx": "no max_ranges 0; and no gzip or proxy_cache without slices for scenes",
-        "caddy": "file_server answers ranges; a reverse_proxy needs a backend that does",
+        "caddy": "file_server supports ranges; a reverse_proxy needs a backend that does",
         "github-pages": _FOLDER,
-        "http-server": "cogsplat view or another server answers ranges; or " + _FOLDER,
+        "http-server": "use cogsplat serve or another server with ranges; or " + _FOLDER,
     },
     "http-encoding-range": _NO_GZIP,
     "http-encoding-whole": _NO_GZIP,
     "http-etag-missing": _ETAG,
     "http-etag-weak": _ETAG,
     "http-etag-changes": {
-        "nginx": "servers behind one name need files of the same time and size: rsync --times",
-        "s3": "something in front changes it: let the CDN pass the ETag of the bucket on",
+        "nginx": "several servers of one name need files of equal time and size: rsync --times",
+        "s3": "a proxy changes it: let the CDN pass on the bucket's ETag",
     },
     "cors-origin": _CORS,
     "cors-expose": _CORS,
@@ -121,16 +121,16 @@ REMEDIES: Final[Mapping[str, Mapping[str, str]]] = {
         "s3": "S3 itself speaks HTTP/1.1; CloudFront in front speaks HTTP/2",
     },
     "http-plain": {
-        "nginx": "listen 443 ssl; with a certificate, as of certbot",
-        "caddy": "a site address without http:// gets a certificate by itself",
+        "nginx": "listen 443 ssl; with a certificate, e.g. of certbot",
+        "caddy": "a site address without http:// gets a certificate automatically",
         "s3": "the REST endpoint speaks HTTPS, the website endpoint does not",
     },
 }
-"""What to change, by the code of the finding and the host."""
+"""Configuration change by finding code, then by key of the host."""
 
 
 def host_of(server: str) -> str | None:
-    """Return the key of the host that sends a header ``Server``, None for one that is not known.
+    """Return the key of the host with a given Server header; None if it is unknown.
 
     Examples
     --------
@@ -142,10 +142,18 @@ def host_of(server: str) -> str | None:
 
 
 def remedies(codes: Iterable[str], hosts: Iterable[str]) -> dict[str, dict[str, str]]:
-    """Return what to change, by code and host, for those codes that have a remedy there."""
-    wanted = list(hosts)
+    """Return the entries of `REMEDIES` for some finding codes and hosts; codes without are omitted.
+
+    Parameters
+    ----------
+    codes : iterable of str
+        Codes of findings.
+    hosts : iterable of str
+        Keys of `HOSTS`.
+    """
+    keys = list(hosts)
     found = {
-        code: {host: REMEDIES[code][host] for host in wanted if host in REMEDIES[code]}
+        code: {host: REMEDIES[code][host] for host in keys if host in REMEDIES[code]}
         for code in dict.fromkeys(codes)
         if code in REMEDIES
     }

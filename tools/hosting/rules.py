@@ -1,4 +1,4 @@
-"""What is right and wrong with the answers of a host, as findings with stable codes."""
+"""Rules for the HTTP responses of a host; each violation is a finding with a stable code."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 from urllib.parse import urlsplit
 
-from .probe import FIRST_BYTES, ORIGIN, Answer, Probed, content_range, total_of
+from .probe import FIRST_BYTES, ORIGIN, ProbeResult, Response, content_range, total_of
 
 ERROR: Final = "error"
 WARNING: Final = "warning"
@@ -17,7 +17,7 @@ SEVERITIES: Final = (ERROR, WARNING, NOTE)
 
 _EXPOSED: Final = ("content-range", "etag")
 
-# Hosts of this machine, which browsers take for as safe as HTTPS.
+# Host names of the local machine, which browsers trust without HTTPS.
 _LOOPBACK: Final = re.compile(r"localhost|127(\.\d{1,3}){3}|\[?::1\]?|.*\.localhost")
 
 _YEAR: Final = 31_536_000
@@ -26,17 +26,17 @@ _DAY: Final = 86_400
 
 @dataclass(frozen=True)
 class HostFinding:
-    """One thing about a host that readers or browsers meet.
+    """A rule that a host violates.
 
     Parameters
     ----------
     code : str
-        Stable; `remedies.REMEDIES` says what to change.
+        Stable reason code, a key of `remedies.REMEDIES`.
     severity : str
-        ``error``: some readers fail; ``warning``: slower, fragile, or closed to some pages;
-        ``note``: could be better.
+        ``error``: some readers fail; ``warning``: reading is slower or fragile, or some pages
+        cannot read; ``note``: a possible improvement.
     message : str
-        What was found, and what was expected.
+        The value found and the value expected.
     """
 
     code: str
@@ -44,14 +44,20 @@ class HostFinding:
     message: str
 
 
-def file_findings(probed: Probed, *, manifest: bool = False) -> Iterator[HostFinding]:
-    """Yield what is wrong with the way a file, or the manifest of a folder, is served.
+def file_findings(probed: ProbeResult, *, manifest: bool = False) -> Iterator[HostFinding]:
+    """Check how a host serves a file, or the manifest of a folder.
 
     Parameters
     ----------
-    probed : Probed
+    probed : ProbeResult
+        The host's responses to all probe requests.
     manifest : bool
-        A manifest is small and is replaced by new versions; readers need no ranges of it.
+        Whether the file is a manifest: readers fetch it whole, and new versions replace it.
+
+    Yields
+    ------
+    HostFinding
+        One for each violated rule.
     """
     first = probed.first
     yield from _connection(first, probed.url)
@@ -68,66 +74,74 @@ def file_findings(probed: Probed, *, manifest: bool = False) -> Iterator[HostFin
     yield from _caching(first, immutable=False, manifest=manifest)
 
 
-def object_findings(answer: Answer, name: str, size: int) -> Iterator[HostFinding]:
-    """Yield what is wrong with the way an object of a folder is served.
+def object_findings(response: Response, name: str, size: int) -> Iterator[HostFinding]:
+    """Check how a host serves an object of a folder.
 
     Parameters
     ----------
-    answer : Answer
-        To a request for all of it, by a client that takes compressed answers.
+    response : Response
+        Response to a request for the whole object that accepts compression.
     name : str
+        Name of the object for messages.
     size : int
-        Bytes that it should have.
+        Expected size of the object, bytes.
+
+    Yields
+    ------
+    HostFinding
+        One for each violated rule.
     """
-    if answer.status != 200:
-        yield HostFinding("http-status", ERROR, f"{name}: status {answer.status}, expected 200")
+    if response.status != 200:
+        yield HostFinding("http-status", ERROR, f"{name}: status {response.status}, expected 200")
         return
-    if answer.encoding:
+    if response.encoding:
         yield HostFinding(
             "http-encoding-whole",
             WARNING,
-            f"{name}: Content-Encoding {answer.encoding}, expected none: the bytes are compressed "
-            "already",
+            f"{name}: Content-Encoding {response.encoding}, expected none: the bytes are "
+            "compressed already",
         )
-    elif len(answer.body) != size:
+    elif len(response.body) != size:
         yield HostFinding(
-            "http-length", ERROR, f"{name}: {len(answer.body)} bytes or more, expected {size}"
+            "http-length", ERROR, f"{name}: {len(response.body)} bytes or more, expected {size}"
         )
-    yield from _origin_allowed(answer, f"{name}: ")
-    yield from _media_type(answer, f"{name}: ")
-    yield from _caching(answer, immutable=True, manifest=False, where=f"{name}: ")
+    yield from _origin_allowed(response, f"{name}: ")
+    yield from _media_type(response, f"{name}: ")
+    yield from _caching(response, immutable=True, manifest=False, where=f"{name}: ")
 
 
-def _connection(answer: Answer, asked: str) -> Iterator[HostFinding]:
-    at, to = urlsplit(asked), urlsplit(answer.url)
-    if answer.redirects:
-        foreign = (at.scheme, at.netloc) != (to.scheme, to.netloc)
+def _connection(response: Response, url: str) -> Iterator[HostFinding]:
+    """Check redirects, HTTPS and the HTTP version."""
+    requested, final = urlsplit(url), urlsplit(response.url)
+    if response.redirects:
+        other_host = (requested.scheme, requested.netloc) != (final.scheme, final.netloc)
         yield HostFinding(
             "http-redirect",
-            WARNING if foreign else NOTE,
-            f"{len(answer.redirects)} redirects, to {answer.url}, expected none: each costs a "
-            "round trip of every request",
+            WARNING if other_host else NOTE,
+            f"{len(response.redirects)} redirects, to {response.url}, expected none: each adds a "
+            "round trip to every request",
         )
-    if to.scheme == "http" and not _LOOPBACK.fullmatch(to.hostname or ""):
+    if final.scheme == "http" and not _LOOPBACK.fullmatch(final.hostname or ""):
         yield HostFinding(
-            "http-plain", WARNING, "no HTTPS: pages that come over HTTPS may not read it"
+            "http-plain", WARNING, "HTTP, expected HTTPS: pages served over HTTPS cannot read it"
         )
-    if to.scheme == "https" and answer.version in ("HTTP/1.0", "HTTP/1.1"):
+    if final.scheme == "https" and response.version in ("HTTP/1.0", "HTTP/1.1"):
         yield HostFinding(
             "http-version",
             NOTE,
-            f"{answer.version}, expected HTTP/2: requests share no connection",
+            f"{response.version}, expected HTTP/2: requests do not share a connection",
         )
 
 
-def _ranges(probed: Probed, *, manifest: bool) -> Iterator[HostFinding]:
+def _ranges(probed: ProbeResult, *, manifest: bool) -> Iterator[HostFinding]:
+    """Check the responses to range requests."""
     first = probed.first
     if first.status == 200:
         yield HostFinding(
             "http-ranges-ignored",
             NOTE if manifest else ERROR,
-            "status 200 and the whole file for a range, expected 206: chunks cannot be fetched by "
-            "themselves",
+            "status 200 and the whole file for a range, expected 206: single chunks cannot be "
+            "fetched",
         )
         return
     found = content_range(first)
@@ -136,19 +150,19 @@ def _ranges(probed: Probed, *, manifest: bool) -> Iterator[HostFinding]:
         yield HostFinding(
             "http-range-wrong",
             ERROR,
-            f"Content-Range {stated!r} for bytes 0 to {FIRST_BYTES - 1}, expected those and the "
-            "length of the file",
+            f"Content-Range {stated!r} for bytes 0 to {FIRST_BYTES - 1}, expected this range and "
+            "the length of the file",
         )
         return
     if len(first.body) != found[1] + 1:
         yield HostFinding(
             "http-range-length",
             ERROR,
-            f"{len(first.body)} bytes behind a Content-Range of {found[1] + 1}, expected as many",
+            f"{len(first.body)} bytes with a Content-Range of {found[1] + 1}, expected equal sizes",
         )
     last = probed.last
     if last is not None:
-        start, end = probed.asked_last
+        start, end = probed.last_range
         if last.status != 206 or content_range(last) != (start, end, found[2]):
             yield HostFinding(
                 "http-range-wrong",
@@ -161,17 +175,18 @@ def _ranges(probed: Probed, *, manifest: bool) -> Iterator[HostFinding]:
         yield HostFinding(
             "http-range-beyond",
             NOTE,
-            f"status {probed.beyond.status} for a range behind the end, expected 416: a file that "
-            "became shorter shows late",
+            f"status {probed.beyond.status} for a range behind the end, expected 416: readers "
+            "detect late that a file became shorter",
         )
 
 
-def _encodings(probed: Probed) -> Iterator[HostFinding]:
+def _encodings(probed: ProbeResult) -> Iterator[HostFinding]:
+    """Check that no response is compressed."""
     if probed.first.encoding:
         yield HostFinding(
             "http-encoding-range",
             ERROR,
-            f"Content-Encoding {probed.first.encoding} though the request takes none, expected "
+            f"Content-Encoding {probed.first.encoding} for a request that accepts none, expected "
             "the bytes of the file",
         )
     elif probed.compressed.encoding or (
@@ -181,8 +196,8 @@ def _encodings(probed: Probed) -> Iterator[HostFinding]:
         yield HostFinding(
             "http-encoding-range",
             ERROR,
-            f"status {probed.compressed.status}, Content-Encoding {what} for a range to a client "
-            "that takes compressed answers, expected 206 and none: ranges are ignored for it",
+            f"status {probed.compressed.status}, Content-Encoding {what} for a range request that "
+            "accepts compression, expected 206 and none",
         )
     elif probed.whole.encoding:
         yield HostFinding(
@@ -193,14 +208,15 @@ def _encodings(probed: Probed) -> Iterator[HostFinding]:
         )
 
 
-def _validators(probed: Probed) -> Iterator[HostFinding]:
+def _validators(probed: ProbeResult) -> Iterator[HostFinding]:
+    """Check the ETag."""
     etag = probed.first.etag
     if not etag:
         yield HostFinding(
             "http-etag-missing",
             WARNING,
-            "no ETag, expected a strong one: a file that is replaced while it is read is noticed "
-            "by its checksums only",
+            "no ETag, expected a strong one: only checksums detect a file that is replaced while "
+            "it is read",
         )
         return
     if etag.startswith("W/"):
@@ -211,13 +227,14 @@ def _validators(probed: Probed) -> Iterator[HostFinding]:
         yield HostFinding(
             "http-etag-changes",
             ERROR,
-            f"ETag {etag} and then {probed.last.etag or 'none'} of the same file, expected one: "
-            "readers take the file for another",
+            f"ETag {etag}, then {probed.last.etag or 'none'} of the same file, expected one ETag: "
+            "readers reject a file that seems to change",
         )
 
 
-def _origin_allowed(answer: Answer, where: str = "") -> Iterator[HostFinding]:
-    allowed = answer.headers.get("access-control-allow-origin", "").strip()
+def _origin_allowed(response: Response, where: str = "") -> Iterator[HostFinding]:
+    """Check that pages of all origins may read a response."""
+    allowed = response.headers.get("access-control-allow-origin", "").strip()
     if allowed not in ("*", ORIGIN):
         yield HostFinding(
             "cors-origin",
@@ -227,7 +244,8 @@ def _origin_allowed(answer: Answer, where: str = "") -> Iterator[HostFinding]:
         )
 
 
-def _cross_origin(first: Answer, preflight: Answer) -> Iterator[HostFinding]:
+def _cross_origin(first: Response, preflight: Response) -> Iterator[HostFinding]:
+    """Check the CORS headers for pages of a foreign origin: the file, its headers, ranges."""
     missing = list(_origin_allowed(first))
     yield from missing
     if missing:
@@ -240,21 +258,23 @@ def _cross_origin(first: Answer, preflight: Answer) -> Iterator[HostFinding]:
             "cors-expose",
             WARNING,
             f"Access-Control-Expose-Headers lacks {', '.join(hidden)}, expected Content-Range and "
-            "ETag: pages of other origins cannot check what they get",
+            "ETag: pages of other origins cannot check their responses",
         )
     allowed = preflight.headers.get("access-control-allow-headers", "").lower()
-    asked = {name.strip() for name in allowed.split(",")}
-    if preflight.status not in (200, 204) or not {"range", "*"} & asked:
+    allowed_names = {name.strip() for name in allowed.split(",")}
+    if preflight.status not in (200, 204) or not {"range", "*"} & allowed_names:
         yield HostFinding(
             "cors-preflight",
             NOTE,
             f"status {preflight.status}, Access-Control-Allow-Headers {allowed or 'none'} for "
-            "OPTIONS, expected 204 and Range: browsers of before 2022 ask before each range",
+            "OPTIONS, expected 204 and Range: browsers before 2022 send it before each range "
+            "request",
         )
 
 
-def _media_type(answer: Answer, where: str = "") -> Iterator[HostFinding]:
-    found = answer.media_type
+def _media_type(response: Response, where: str = "") -> Iterator[HostFinding]:
+    """Check that the media type is binary."""
+    found = response.media_type
     if found.startswith("text/") or found in ("application/json", "application/javascript"):
         yield HostFinding(
             "http-type",
@@ -269,44 +289,45 @@ def _media_type(answer: Answer, where: str = "") -> Iterator[HostFinding]:
 
 
 def _caching(
-    answer: Answer, *, immutable: bool, manifest: bool, where: str = ""
+    response: Response, *, immutable: bool, manifest: bool, where: str = ""
 ) -> Iterator[HostFinding]:
-    stated = answer.headers.get("cache-control", "").lower()
+    """Check Cache-Control; `immutable` is for objects, whose names are hashes of their content."""
+    stated = response.headers.get("cache-control", "").lower()
     rules = {rule.strip() for rule in stated.split(",") if rule.strip()}
     age = next((int(r[8:20]) for r in rules if re.fullmatch(r"max-age=\d+", r)), None)
     if "no-store" in rules:
         yield HostFinding(
-            "cache-none", WARNING, f"{where}Cache-Control {stated}, expected to be cached"
+            "cache-none", WARNING, f"{where}Cache-Control {stated}, expected one without no-store"
         )
     elif immutable and ("immutable" not in rules or (age or 0) < _YEAR):
         yield HostFinding(
             "cache-immutable",
             WARNING if age is None else NOTE,
             f"{where}Cache-Control {stated or 'none'}, expected public, max-age={_YEAR}, "
-            "immutable: what is named by its content never changes",
+            "immutable: an object named by the hash of its content never changes",
         )
     elif manifest and ("immutable" in rules or (age or 0) > _DAY):
         yield HostFinding(
             "cache-manifest",
             WARNING,
-            f"Cache-Control {stated} of the manifest, expected no-cache: new versions of the scene "
-            "stay unseen",
+            f"Cache-Control {stated} of the manifest, expected no-cache: clients would miss new "
+            "versions of the scene",
         )
     elif not rules and not immutable:
         yield HostFinding(
             "cache-missing",
             NOTE,
-            "no Cache-Control, expected no-cache, or a long max-age for a name that is never used "
-            "again: browsers guess how long they keep the file",
+            "no Cache-Control, expected no-cache, or a long max-age if the name is never reused: "
+            "browsers guess how long to keep the file",
         )
 
 
-def length_findings(probed: Probed, file_length: int) -> Iterator[HostFinding]:
-    """Yield what is wrong with the length that a server states of a file (SPEC 3.1)."""
+def length_findings(probed: ProbeResult, file_length: int) -> Iterator[HostFinding]:
+    """Check the length in Content-Range against the length stated in the file (SPEC 3.1)."""
     total = total_of(probed.first)
     if total is not None and total != file_length:
         yield HostFinding(
             "http-length",
             ERROR,
-            f"{total} bytes by the Content-Range, expected {file_length}, as the file states",
+            f"{total} bytes in the Content-Range, expected {file_length}, the length in the file",
         )

@@ -1,4 +1,4 @@
-"""Records of COLMAP's files: what is taken, passed over, and refused because it is not there."""
+"""COLMAP records: reading, skipping, and errors about truncated files."""
 
 import struct
 from pathlib import Path
@@ -26,14 +26,14 @@ def test_records_come_one_after_the_other_across_blocks(tmp_path: Path) -> None:
     path = written(tmp_path, COUNT.pack(5000) + b"".join(rows) + b"name\0")
     with path.open("rb") as file:
         reader = RecordReader(file, "a.bin")
-        assert reader.count(48, "rows") == 5000
+        assert reader.read_count(48, "rows") == 5000
         found = []
         for _ in range(5000):
-            found.append(struct.unpack("<Q", reader.take(8, "a row"))[0])
+            found.append(struct.unpack("<Q", reader.read(8, "a row"))[0])
             reader.skip(40, "the rest of it")
         assert found == list(range(5000))
-        assert reader.name("what follows") == "name"
-        reader.finish()
+        assert reader.read_name("what follows") == "name"
+        reader.require_end()
 
 
 def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
@@ -41,13 +41,13 @@ def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
     with path.open("rb") as file:
         reader = RecordReader(file, "a.bin")
         with pytest.raises(TruncatedError, match="2 rows") as caught:
-            reader.count(8, "rows")
+            reader.read_count(8, "rows")
         assert caught.value.needed == 24
-        for ask in (lambda: reader.take(9, "a row"), lambda: reader.skip(1 << 60, "a row")):
+        for ask in (lambda: reader.read(9, "a row"), lambda: reader.skip(1 << 60, "a row")):
             with pytest.raises(TruncatedError, match="a row"):
                 ask()
         with pytest.raises(FormatError, match="expected 8") as left:
-            reader.finish()
+            reader.require_end()
         assert left.value.code == "colmap-trailing-bytes"
 
 
@@ -55,7 +55,7 @@ def test_names_end(tmp_path: Path) -> None:
     for data, code in ((b"abc", "colmap-truncated"), (b"x" * MAX_NAME_BYTES, "colmap-malformed")):
         with written(tmp_path, data).open("rb") as file:
             with pytest.raises(FormatError) as caught:
-                RecordReader(file, "a.bin").name("an image")
+                RecordReader(file, "a.bin").read_name("an image")
             assert caught.value.code == code
 
 

@@ -101,7 +101,7 @@ def test_files_without_cameras_are_refused_as_such(
 ) -> None:
     told = run("render", small.ply, tmp_path / "a.png", "--cameras", small.cogs)
     assert told.code == 3
-    assert "brings no cameras" in told.err
+    assert "has no cameras" in told.err
     told = run("encode", small.ply, tmp_path / "a.cogs", "--store-cameras")
     assert told.code == 2
     assert "--store-cameras without --cameras" in told.err

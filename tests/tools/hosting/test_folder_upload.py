@@ -19,7 +19,7 @@ from cogsplat.tools.hosting.folder_upload import (
     delete_unused,
     find_unused,
     plan_upload,
-    upload,
+    upload_folder,
 )
 from cogsplat.tools.hosting.object_store import Bucket
 
@@ -51,7 +51,7 @@ def folder(small: SmallScene, tmp_path: Path) -> Path:
 def put(folder: Path, bucket: Bucket, concurrency: int = 4) -> int:
     with closing(FolderSource(folder)) as source:
         plan = plan_upload(source, folder, bucket)
-        upload(plan, source, bucket, concurrency=concurrency)
+        upload_folder(plan, source, bucket, concurrency=concurrency)
         return len(plan.objects)
 
 
@@ -107,7 +107,7 @@ def test_only_segments_that_no_manifest_needs_are_deleted(
     stray = "segments/" + "0" * 32 + ".bin"
     bucket.write(stray, b"left", {})
     recent = find_unused(bucket, older_than=timedelta(hours=1))
-    assert (recent.names, recent.recent) == ([], 1)
+    assert (recent.names, recent.num_recent) == ([], 1)
     found = find_unused(bucket, older_than=NOW)
     assert (found.names, found.size_bytes, found.manifests) == ([stray], 4, ["manifest.cogsm"])
     delete_unused(found, bucket)

@@ -4,7 +4,7 @@ import pytest
 from fault_server import Exchange, FaultServer, no_ranges, reset, serving, status
 
 from cogsplat.codec.errors import StorageError
-from cogsplat.tools.hosting.probe import FIRST_BYTES, Answer, Prober, content_range, total_of
+from cogsplat.tools.hosting.probe import FIRST_BYTES, Prober, Response, content_range, total_of
 
 DATA = bytes(range(256)) * 400
 
@@ -59,4 +59,4 @@ def test_servers_that_do_not_answer_are_said() -> None:
 
 @pytest.mark.parametrize("text", ["", "bytes */10", "bytes 1-2", "bytes a-b/c", "bytes 1-2/*"])
 def test_what_is_no_range_is_none(text: str) -> None:
-    assert content_range(Answer("", 206, "", {"content-range": text}, b"", 0.0)) is None
+    assert content_range(Response("", 206, "", {"content-range": text}, b"", 0.0)) is None

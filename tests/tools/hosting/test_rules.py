@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from cogsplat.tools.hosting.probe import FIRST_BYTES, ORIGIN, Answer, Probed
+from cogsplat.tools.hosting.probe import FIRST_BYTES, ORIGIN, ProbeResult, Response
 from cogsplat.tools.hosting.rules import (
     ERROR,
     NOTE,
@@ -26,14 +26,14 @@ HEADERS = {
 }
 
 
-def answer(status: int = 206, first: int = 0, end: int = FIRST_BYTES, **changes: str) -> Answer:
+def answer(status: int = 206, first: int = 0, end: int = FIRST_BYTES, **changes: str) -> Response:
     headers = HEADERS | {"content-range": f"bytes {first}-{end - 1}/{SIZE}"}
     headers |= {name.replace("_", "-"): value for name, value in changes.items()}
-    return Answer(URL, status, "HTTP/1.1", headers, bytes(end - first), 0.01)
+    return Response(URL, status, "HTTP/1.1", headers, bytes(end - first), 0.01)
 
 
-def probed(**changes: Answer) -> Probed:
-    right = Probed(
+def probed(**changes: Response) -> ProbeResult:
+    right = ProbeResult(
         url=URL,
         first=answer(),
         compressed=answer(),
@@ -41,12 +41,12 @@ def probed(**changes: Answer) -> Probed:
         last=answer(first=SIZE - 16, end=SIZE),
         beyond=answer(416),
         preflight=answer(204, access_control_allow_headers="range"),
-        asked_last=(SIZE - 16, SIZE - 1),
+        last_range=(SIZE - 16, SIZE - 1),
     )
     return replace(right, **changes)
 
 
-def found(given: Probed, *, manifest: bool = False) -> dict[str, str]:
+def found(given: ProbeResult, *, manifest: bool = False) -> dict[str, str]:
     return {x.code: x.severity for x in file_findings(given, manifest=manifest)}
 
 
@@ -55,7 +55,7 @@ def test_nothing_is_wrong_with_a_right_host() -> None:
     assert list(length_findings(probed(), SIZE)) == []
 
 
-def without(name: str) -> Answer:
+def without(name: str) -> Response:
     headers = {key: value for key, value in answer().headers.items() if key != name}
     return replace(answer(), headers=headers)
 
@@ -106,7 +106,7 @@ def test_faults_of_other_answers() -> None:
 
 
 def test_manifests_may_do_without_ranges_and_may_not_be_kept() -> None:
-    whole = Answer(URL, 200, "HTTP/2", HEADERS, b"x", 0.0)
+    whole = Response(URL, 200, "HTTP/2", HEADERS, b"x", 0.0)
     bare = probed(first=whole, compressed=whole, last=None, beyond=None)  # type: ignore[arg-type]
     assert found(bare, manifest=True) == {"http-ranges-ignored": NOTE}
     kept = answer(cache_control="public, max-age=31536000, immutable")
@@ -117,7 +117,7 @@ def test_manifests_may_do_without_ranges_and_may_not_be_kept() -> None:
 def test_objects_of_folders() -> None:
     right = answer(200, end=10, cache_control="public, max-age=31536000, immutable")
 
-    def codes(given: Answer) -> list[HostFinding]:
+    def codes(given: Response) -> list[HostFinding]:
         return list(object_findings(given, "segments/a.bin", 10))
 
     assert codes(right) == []
