@@ -1,1 +1,1 @@
-"""Training: pictures whose error reaches every stored value of the splats, and what descends it."""
+"""Training: differentiable rendering, optimiser, losses, pruning, previews and levels."""

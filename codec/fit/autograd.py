@@ -15,12 +15,13 @@ from .differentiable_rendering import Gradients, render_forward
 
 
 def _array(tensor: torch.Tensor) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """Return the values of a tensor as a numpy array in main memory."""
     found: np.ndarray[Any, np.dtype[np.float32]] = tensor.detach().cpu().numpy()
     return found
 
 
 class _Render(torch.autograd.Function):  # type: ignore[misc]
-    """Draws six tensors; its backward pass gives the derivatives by all of them."""
+    """Autograd function from the six tensors of a scene to a picture."""
 
     @staticmethod
     def forward(
@@ -28,15 +29,15 @@ class _Render(torch.autograd.Function):  # type: ignore[misc]
     ) -> torch.Tensor:
         ctx.save_for_backward(*tensors)
         values: dict[str, Any] = dict(zip(Gradients.names(), map(_array, tensors), strict=True))
-        ctx.drawing = render_forward(Splats(**values), camera, config)
-        return torch.from_numpy(ctx.drawing.picture).to(tensors[0].device)
+        ctx.forward_pass = render_forward(Splats(**values), camera, config)
+        return torch.from_numpy(ctx.forward_pass.picture).to(tensors[0].device)
 
     @staticmethod
     def backward(ctx: Any, *by_outputs: torch.Tensor) -> tuple[Any, ...]:
-        # Asked for so that PyTorch refuses tensors that changed since they were drawn.
+        # PyTorch raises here if a tensor was changed since the forward pass.
         means = ctx.saved_tensors[0]
-        gradients = Gradients.zeros(ctx.drawing.splats)
-        ctx.drawing.backward(_array(by_outputs[0].contiguous()), gradients)
+        gradients = Gradients.zeros(ctx.forward_pass.splats)
+        ctx.forward_pass.backward(_array(by_outputs[0].contiguous()), gradients)
         values = [getattr(gradients, name) for name in Gradients.names()]
         return (None, None, *(torch.from_numpy(value).to(means.device) for value in values))
 
@@ -51,37 +52,37 @@ def render(
     camera: Camera,
     config: RenderConfig | None = None,
 ) -> torch.Tensor:
-    """Render splats so that PyTorch can differentiate the picture by all of them.
+    """Render splats as a PyTorch operation that is differentiable by all six tensors.
 
     Parameters
     ----------
     means : (N, 3) float32 tensor
-        Scene units.
+        Means, scene units.
     scales : (N, 3) float32 tensor
-        Natural logarithms.
+        Log scales.
     quats : (N, 4) float32 tensor
-        wxyz, any non-zero norm.
+        Quaternions, wxyz, of any non-zero norm.
     opacities : (N,) float32 tensor
-        Logits.
+        Opacity logits.
     sh0, shN : (N, 3), (N, K-1, 3) float32 tensor
         SH coefficients.
     camera : Camera
-        In the frame of the means.
+        Camera in the frame of the means.
     config : RenderConfig or None
-        None for 3DGS' kernel of 0.3 px², without anti-aliasing, over black, drawn on the processor;
-        with its device ``cuda`` pictures and derivatives are made there.
+        Render settings. By default, the 3DGS kernel of 0.3 px² without anti-aliasing, over black,
+        on the CPU. With ``device="cuda"``, forward and backward pass run on the GPU.
 
     Returns
     -------
     (H, W, 3) float32 tensor
-        On the device of the means.
+        Picture, not clipped, on the device of the means.
 
     Raises
     ------
     DataError
-        ``bad-shape`` or ``bad-dtype``, as of `Splats`.
+        ``bad-shape`` or ``bad-dtype``: the tensors do not form a scene.
     MissingExtraError, LimitError
-        As `rasteriser.render`.
+        The errors of `rasteriser.render`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Differentiable pictures: a scene drawn from a camera, and the way back to all stored values."""
+"""Differentiable rendering: pictures of a scene, and gradients back to all splat values."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Gradients:
-    """Derivatives of a loss by every stored value of a scene.
+    """Gradients of a loss by all values of a scene, in arrays like those of `Splats`.
 
     Parameters
     ----------
     means : (N, 3) float32
-        Per scene unit.
+        Gradient by means, per scene unit.
     scales : (N, 3) float32
-        By the log scales.
+        Gradient by log scales.
     quats : (N, 4) float32
-        By the quaternions as they are stored; their length changes nothing.
+        Gradient by quaternions as stored, not normalised; it is orthogonal to them.
     opacities : (N,) float32
-        By the logits.
+        Gradient by opacity logits.
     sh0, shN : (N, 3) float32, (N, K-1, 3) float32
-        By the SH coefficients.
+        Gradient by SH coefficients.
     """
 
     means: F32
@@ -54,33 +54,34 @@ class Gradients:
 
     @classmethod
     def zeros(cls, splats: Splats) -> Gradients:
-        """Return the gradients of a scene that no picture has been drawn of."""
+        """Return gradients of zero for a scene."""
         return cls(**{name: np.zeros_like(getattr(splats, name)) for name in cls.names()})
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
-        """Return the names of the arrays, which are those of `Splats`."""
+        """Return the names of the arrays: means, scales, quats, opacities, sh0, shN."""
         return tuple(cls.__dataclass_fields__)
 
     def clear(self) -> None:
-        """Set all of them to 0."""
+        """Set all gradients to 0, in place."""
         for name in self.names():
             getattr(self, name).fill(0.0)
 
     def times(self, factor: float) -> Gradients:
-        """Return all of them times a factor."""
+        """Return the gradients multiplied by a factor."""
         return Gradients(
             **{name: np.float32(factor) * getattr(self, name) for name in self.names()}
         )
 
     def add(self, others: Gradients, rows: NDArray[np.int64] | None = None) -> None:
-        """Add others to them.
+        """Add gradients of the same scene or of a subset of its splats, in place.
 
         Parameters
         ----------
         others : Gradients
+            Gradients to add.
         rows : (n,) int64, optional
-            Splats that the rows of `others` belong to, each at most once; by default all, in order.
+            Row of each splat of `others` in this scene, without duplicates. All rows by default.
         """
         at = slice(None) if rows is None else rows
         for name in self.names():
@@ -88,31 +89,31 @@ class Gradients:
 
 
 def with_values(splats: Splats, values: Mapping[str, F32]) -> Splats:
-    """Return a scene with other arrays of the names of `Gradients`."""
+    """Return a scene with some arrays replaced, by name."""
     arrays: dict[str, Any] = dict(values)
     return replace(splats, **arrays)
 
 
 @dataclass(frozen=True, eq=False)
 class ForwardPass:
-    """A picture, and what is needed to differentiate it.
+    """A rendered picture, with the intermediate results that its backward pass needs.
 
     Parameters
     ----------
     splats, camera, config
-        As `draw` took them. The arrays of the splats must not change before `backward` is called.
+        Arguments of `render_forward`. The arrays of the splats must not change before `backward`.
     footprints : Footprints
-        M of them.
+        Projected splats, M of them.
     colours : (M, 3) float32
-        That they show to the camera.
+        Colour of each footprint towards the camera.
     picture : (H, W, 3) float32
-        In the scene's colour space, not clipped: what `rasteriser.render` gives, bit for bit.
+        Picture in the scene's colour space, not clipped; bit for bit that of `rasteriser.render`.
     lists : sequence of TileLists
-        All tiles of the picture.
+        Footprints of each tile, front to back.
     stops : sequence of (tiles,) int64
-        For each of the lists, where its tiles ended.
+        For each tile, the position in its list where all its pixels became opaque.
     on_device : CudaView or None
-        What was drawn on a CUDA device; then there are no lists.
+        View on a CUDA device, if it was rendered there; `lists` and `stops` are empty then.
     """
 
     splats: Splats
@@ -126,28 +127,38 @@ class ForwardPass:
     on_device: CudaView | None = None
 
     def backward(self, by_picture: F32, gradients: Gradients) -> F64:
-        """Add the derivatives of a loss by the stored values.
+        """Add the gradients of a loss by all splat values.
 
         Parameters
         ----------
         by_picture : (H, W, 3) float32
-            Derivative of the loss by the picture.
+            Gradient of the loss by the picture.
         gradients : Gradients
-            Of the same scene; changed in place. Sums over several pictures do not depend on the
-            number of threads where the pictures come in one order.
+            Gradients of the scene, changed in place.
 
         Returns
         -------
         (M, 2) float64
-            Derivative by each footprint's centre, 1/px: what 3DGS grows scenes by. Row k belongs
-            to splat ``footprints.index[k]``.
+            Gradient by the image-space centre of each footprint, 1/px, which 3DGS densifies by. Row
+            k belongs to splat ``footprints.index[k]``.
         """
-        return self.add(self.sums(by_picture), gradients)
+        return self.add_gradients(self.footprint_sums(by_picture), gradients)
 
-    def sums(self, by_picture: F32) -> F64:
-        """Return what a loss asks of the footprints: (M, SUMS) float64, for `add`.
+    def footprint_sums(self, by_picture: F32) -> F64:
+        """Run the per-pixel half of the backward pass, which is most of its work.
 
-        This is most of the work, and touches no gradients: several pictures can be in it at once.
+        It changes no shared state: several views can run it in parallel.
+
+        Parameters
+        ----------
+        by_picture : (H, W, 3) float32
+            Gradient of the loss by the picture.
+
+        Returns
+        -------
+        (M, SUMS) float64
+            Sums over pixels for each footprint (`tile_kernels.SUMS`), the argument of
+            `add_gradients`.
         """
         if self.on_device is not None:
             return self.on_device.loss_sums(by_picture, self.config.background)
@@ -172,8 +183,23 @@ class ForwardPass:
             gather(lists.members, pair_sums, sums, 0)
         return sums
 
-    def add(self, sums: F64, gradients: Gradients) -> F64:
-        """Add what `sums` returned to gradients; returns what `backward` does."""
+    def add_gradients(self, sums: F64, gradients: Gradients) -> F64:
+        """Run the per-splat half of the backward pass.
+
+        Views must be added in a fixed order for results that do not depend on threads.
+
+        Parameters
+        ----------
+        sums : (M, SUMS) float64
+            Sums from `footprint_sums`.
+        gradients : Gradients
+            Gradients of the scene, changed in place.
+
+        Returns
+        -------
+        (M, 2) float64
+            Gradient by the image-space centre of each footprint, 1/px, as from `backward`.
+        """
         splats, camera, footprints = self.splats, self.camera, self.footprints
         centres = np.empty((len(footprints), 2), np.float64)
         higher = splats.shN.shape[1]
@@ -216,14 +242,14 @@ class ForwardPass:
             centres,
         )
 
-        def of_range(rows: tuple[int, int]) -> None:
+        def add_range(rows: tuple[int, int]) -> None:
             colour(*rows)
             shape(*rows)
 
         threads = thread_count(self.config.threads)
         edges = np.linspace(0, len(footprints), threads + 1).astype(np.int64).tolist()
-        # Every footprint has a row of its own, so that ranges write to different places.
-        for _ in ordered_map(of_range, pairwise(edges), threads):
+        # No two footprints share a row, so threads write to different rows.
+        for _ in ordered_map(add_range, pairwise(edges), threads):
             pass
         return centres
 
@@ -231,16 +257,16 @@ class ForwardPass:
 def render_forward(
     splats: Splats, camera: Camera, config: RenderConfig | None = None
 ) -> ForwardPass:
-    """Draw a scene so that it can be differentiated.
+    """Render a view and keep the intermediate results for its backward pass.
 
     Parameters
     ----------
     splats : Splats
-        Rows that cannot be drawn are left out.
+        Scene to render; rows that cannot be drawn are skipped.
     camera : Camera
-        In the frame of the means.
+        Camera in the frame of the means.
     config : RenderConfig or None
-        None for the kernel and anti-aliasing the scene states in `Splats.info`, over black.
+        Render settings. By default, kernel and anti-aliasing of `Splats.info` over black.
 
     Returns
     -------
@@ -253,11 +279,11 @@ def render_forward(
     >>> import cogsplat
     >>> splats = cogsplat.read("scene.ply")
     >>> camera = cogsplat.read_cameras("cameras.json")[0]
-    >>> drawing = render_forward(splats, camera)
+    >>> forward = render_forward(splats, camera)
     >>> gradients = Gradients.zeros(splats)
-    >>> grey = np.full_like(drawing.picture, 0.5)
-    >>> by_centres = drawing.backward(2.0 * (drawing.picture - grey), gradients)
-    >>> by_centres.shape[0] == len(drawing.footprints), bool(np.abs(gradients.sh0).max() > 0)
+    >>> grey = np.full_like(forward.picture, 0.5)
+    >>> by_centres = forward.backward(2.0 * (forward.picture - grey), gradients)
+    >>> by_centres.shape[0] == len(forward.footprints), bool(np.abs(gradients.sh0).max() > 0)
     (True, True)
     """
     info = splats.info

@@ -1,4 +1,4 @@
-"""Smaller pictures: the same view in fewer pixels, as a camera and as means over squares."""
+"""Downscaled views: cameras and pictures with fewer pixels of the same content."""
 
 from __future__ import annotations
 
@@ -12,37 +12,40 @@ from cogsplat.codec.cameras import Camera
 F32 = NDArray[np.float32]
 
 
-def downscale_camera(camera: Camera, scale: int) -> Camera:
-    """Return the camera of pictures that are divided by a number in width and height.
+def downscale_camera(camera: Camera, factor: int) -> Camera:
+    """Return the camera of a picture that is downscaled by an integer factor per axis.
 
-    Columns and rows at the right and the bottom that fill no pixel are left out.
+    Columns at the right and rows at the bottom that do not fill a pixel are cropped.
     """
     return replace(
         camera,
-        width=max(camera.width // scale, 1),
-        height=max(camera.height // scale, 1),
-        fx=camera.fx / scale,
-        fy=camera.fy / scale,
-        cx=camera.cx / scale,
-        cy=camera.cy / scale,
+        width=max(camera.width // factor, 1),
+        height=max(camera.height // factor, 1),
+        fx=camera.fx / factor,
+        fy=camera.fy / factor,
+        cx=camera.cx / factor,
+        cy=camera.cy / factor,
     )
 
 
-def downscale_picture(picture: F32, scale: int) -> F32:
-    """Return a picture whose pixels are the means of squares of `scale` × `scale` pixels.
+def downscale_picture(picture: F32, factor: int) -> F32:
+    """Downscale a picture by averaging squares of `factor` × `factor` pixels.
 
     Parameters
     ----------
     picture : (H, W, 3) float32
-    scale : int
+        Full picture.
+    factor : int
+        Downscaling per axis.
 
     Returns
     -------
-    (H // scale, W // scale, 3) float32
-        What `downscale_camera` sees.
+    (H // factor, W // factor, 3) float32
+        Picture of the camera that `downscale_camera` returns.
     """
-    height, width = (max(size // scale, 1) for size in picture.shape[:2])
-    down, across = (min(scale, size) for size in picture.shape[:2])
-    cut = picture[: height * down, : width * across]
-    means: F32 = cut.reshape(height, down, width, across, 3).mean(axis=(1, 3), dtype=np.float64)
+    height, width = (max(size // factor, 1) for size in picture.shape[:2])
+    down, across = (min(factor, size) for size in picture.shape[:2])
+    cropped = picture[: height * down, : width * across]
+    blocks = cropped.reshape(height, down, width, across, 3)
+    means: F32 = blocks.mean(axis=(1, 3), dtype=np.float64)
     return means.astype(np.float32)

@@ -1,4 +1,4 @@
-"""Splats to begin with: one for each point of a structure-from-motion model."""
+"""Initial splats: one for each point of a structure-from-motion model."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from cogsplat.codec.geometry.sh import C0, COLOUR_OFFSET
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 
-# Kerbl et al. 2023, section 5.1: how large splats are at first. Their code makes all of them this
-# opaque, and no splat smaller than this.
+# Neighbours whose mean distance is the initial size (Kerbl et al. 2023, section 5.1).
 _NEIGHBOURS: Final = 3
+# Initial opacity and minimum size, as in the code of Kerbl et al.
 _OPACITY: Final = 0.1
-_LEAST_DISTANCE: Final = math.sqrt(1e-7)
+_MIN_SIZE: Final = math.sqrt(1e-7)
 
 
 def splats_from_points(
@@ -24,27 +24,27 @@ def splats_from_points(
     *,
     sh_degree: int = MAX_SH_DEGREE,
 ) -> Splats:
-    """Make splats of points, as 3DGS begins (Kerbl et al. 2023, section 5.1).
+    """Initialise splats from points as 3DGS does (Kerbl et al. 2023, section 5.1).
 
     Parameters
     ----------
     positions : (P, 3) float64
-        Finite, scene units.
+        Finite positions, scene units.
     colours : (P, 3) uint8
         RGB, display-referred.
     sh_degree : int
-        Of the splats, whose higher coefficients are 0.
+        SH degree of the splats; coefficients above degree 0 are 0.
 
     Returns
     -------
     Splats
-        P round ones, as large as the mean distance to the 3 nearest other points, and of opacity
-        0.1. Rows of positions that float32 cannot hold are invalid (`Splats.invalid_rows`).
+        P isotropic splats of opacity 0.1; the size is the mean distance to the 3 nearest points.
+        Positions outside the range of float32 give invalid rows (`Splats.invalid_rows`).
 
     Raises
     ------
     ValueError
-        No points.
+        `positions` is empty.
 
     Examples
     --------
@@ -63,20 +63,20 @@ def splats_from_points(
     nearest = min(_NEIGHBOURS, count - 1)
     distances = np.ones((count, 1))
     if nearest:
-        # The nearest of all is the point itself.
+        # The first neighbour, left out here, is the point itself.
         with np.errstate(over="ignore"):
             distances, _ = KDTree(positions).query(positions, k=np.arange(2, nearest + 2))
-    sizes = np.maximum(distances.mean(axis=1), _LEAST_DISTANCE)
+    sizes = np.maximum(distances.mean(axis=1), _MIN_SIZE)
     quats = np.zeros((count, 4), np.float32)
     quats[:, 0] = 1.0
     with np.errstate(over="ignore"):
         means = positions.astype(np.float32)
-    shown = (colours.astype(np.float64) / 255 - COLOUR_OFFSET) / C0
+    coefficients = (colours.astype(np.float64) / 255 - COLOUR_OFFSET) / C0
     return Splats(
         means=means,
         scales=np.repeat(np.log(sizes)[:, None], 3, axis=1).astype(np.float32),
         quats=quats,
         opacities=np.full(count, math.log(_OPACITY / (1 - _OPACITY)), np.float32),
-        sh0=shown.astype(np.float32),
+        sh0=coefficients.astype(np.float32),
         shN=np.zeros((count, sh_coefficients(sh_degree) - 1, 3), np.float32),
     )

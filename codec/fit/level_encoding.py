@@ -1,4 +1,4 @@
-"""Encode a scene with levels: chunks of one run of levels each, and opacities for each level."""
+"""Encoding of a scene with levels: chunks by level, and opacities for each later level."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ from .level_training import LevelledSplats
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
-# Name of the extra attribute that tells, after encoding, which row stands where.
-_ROW: Final = "row"
+# Extra attribute with the source row of each splat, which restores rows after encoding.
+_ROW_ATTRIBUTE: Final = "row"
 
 
 @dataclass(frozen=True)
 class LevelEncoding:
-    """How a scene with levels is encoded.
+    """Settings of the encoding of a scene with levels.
 
     Parameters
     ----------
     quality_db : float
-        Nominal PSNR, dB, 10 to 90.
+        Nominal quality, dB, 10 to 90.
     opacity_step : float
-        Largest distance between stored opacities of later levels, logits.
+        Maximum quantiser step of opacities of later levels, in logits.
     chunk_splats : int
-        Most splats in a chunk.
+        Maximum number of splats per chunk.
     threads : int
-        0 uses all cores; the bytes do not depend on it.
+        Number of threads; 0 uses all cores. The bytes do not depend on it.
     """
 
     quality_db: float = 40.0
@@ -68,17 +68,19 @@ def encode_levels(
     Parameters
     ----------
     levels : LevelledSplats
+        Trained scene with levels.
     cameras : sequence of Camera
-        Of the full pictures: how finely a splat is stored follows from what it shows there at the
+        Views at full resolution. The precision of a splat follows from its scores in them, at the
         last level that draws it.
     encoding : LevelEncoding, optional
+        Settings of the encoding.
     progress : Progress
-        Called with ``score`` for each level and the stages of `pipeline.encode`.
+        Receives ``score`` for each level, and the stages of `pipeline.encode`.
 
     Returns
     -------
     EncodedScene
-        Its chunks stand level by level.
+        Scene with its chunks ordered by the first level that draws them.
     """
     encoding = encoding or LevelEncoding()
     splats, count = levels.splats, len(levels.splats)
@@ -92,16 +94,19 @@ def encode_levels(
         compensate=False,
         threads=encoding.threads,
     )
-    # One label for each pair of a first and a last level.
+    # The object label of a splat is its pair of first and last level: no chunk mixes pairs.
     labels = levels.first * len(levels.scales) + levels.last
-    extras = {ATTRIBUTE: labels.astype(np.uint32), _ROW: np.arange(count, dtype=np.uint32)}
-    made = pipeline.encode(
+    extras = {
+        ATTRIBUTE: labels.astype(np.uint32),
+        _ROW_ATTRIBUTE: np.arange(count, dtype=np.uint32),
+    }
+    encoded = pipeline.encode(
         replace(splats, extras=extras),
         config,
         scores=_scores(levels, cameras, config, progress),
         progress=progress,
     )
-    return _in_levels(made, levels, encoding.opacity_step)
+    return _order_by_level(encoded, levels, encoding.opacity_step)
 
 
 def _scores(
@@ -113,68 +118,87 @@ def _scores(
     count = len(levels.splats)
     for level in range(len(levels.scales)):
         rows = levels.rows(level)
-        found = score(levels.at(level), cameras, settings, progress=progress)
+        scores = score(levels.scene(level), cameras, settings, progress=progress)
         if merged is None:
-            merged = _blank(found, count)
+            merged = _empty_scores(scores, count)
         ending = levels.last[rows] == level
-        merged = _filled(merged, found, rows[ending], np.flatnonzero(ending))
+        merged = _fill_scores(merged, scores, rows[ending], np.flatnonzero(ending))
     assert merged is not None
     return merged
 
 
-def _blank(scores: Scores, count: int) -> Scores:
+def _empty_scores(scores: Scores, count: int) -> Scores:
+    """Return scores of `count` splats with the arrays of other scores, to be filled."""
     return scores.take(np.zeros(count, np.int64)) if len(scores.contribution) else scores
 
 
-def _filled(into: Scores, scores: Scores, rows: I64, places: I64) -> Scores:
-    """Return scores with those of some rows in their places, and what all share of `scores`."""
-    taken = scores.take(places)
+def _fill_scores(merged: Scores, scores: Scores, rows: I64, level_rows: I64) -> Scores:
+    """Return merged scores with those of some splats replaced.
+
+    Parameters
+    ----------
+    merged : Scores
+        Scores of all splats.
+    scores : Scores
+        Scores of the splats of one level. Fields without a value per splat are taken from them.
+    rows : (n,) int64
+        Rows to replace in `merged`.
+    level_rows : (n,) int64
+        Rows of the new values in `scores`.
+    """
+    selected = scores.take(level_rows)
     changes = {}
     for field in fields(scores):
-        part = getattr(taken, field.name)
-        kept = getattr(into, field.name)
+        new, old = getattr(selected, field.name), getattr(merged, field.name)
         if field.name == "sensitivities":
-            if part is not None:
-                inner = {}
-                for each in fields(part):
-                    values = getattr(part, each.name)
-                    inner[each.name] = _placed(getattr(kept, each.name), values, rows)
-                changes[field.name] = type(part)(**inner)
+            if new is not None:
+                filled = {
+                    each.name: _with_rows(getattr(old, each.name), getattr(new, each.name), rows)
+                    for each in fields(new)
+                }
+                changes[field.name] = type(new)(**filled)
         elif field.name not in ("basis_spread", "num_pixels"):
-            changes[field.name] = _placed(kept, part, rows)
+            changes[field.name] = _with_rows(old, new, rows)
     return replace(scores, **changes)
 
 
-def _placed(into: np.ndarray, values: np.ndarray, rows: I64) -> np.ndarray:
-    out = into.copy()
-    out[rows] = values
-    return out
+def _with_rows(values: np.ndarray, new: np.ndarray, rows: I64) -> np.ndarray:
+    """Return a copy of an array with some rows replaced."""
+    copy = values.copy()
+    copy[rows] = new
+    return copy
 
 
-def _in_levels(made: EncodedScene, levels: LevelledSplats, step: float) -> EncodedScene:
-    """Return an encoded scene with its chunks level by level, and opacities of later levels."""
-    kinds = types_of(made.scene.extras)
-    starts = np.cumsum([0, *(chunk.splats for chunk in made.chunks)])
-    runs = [(chunk, int(start)) for chunk, start in zip(made.chunks, starts, strict=False)]
-    firsts = [chunk.object // len(levels.scales) for chunk, _ in runs]
-    order = np.argsort(firsts, kind="stable").tolist()
-    ends = np.cumsum(np.bincount(firsts, minlength=len(levels.scales)))
-    # A level that adds no chunk would have those of the level before.
+def _order_by_level(encoded: EncodedScene, levels: LevelledSplats, step: float) -> EncodedScene:
+    """Order the chunks of an encoded scene by their first level, and add the level tables.
+
+    Parameters
+    ----------
+    encoded : EncodedScene
+        Scene in chunks of one object label each, with the source row of each splat as attribute.
+    levels : LevelledSplats
+        The scene that was encoded.
+    step : float
+        Maximum quantiser step of opacities of later levels, in logits.
+    """
+    num_levels = len(levels.scales)
+    starts = np.cumsum([0, *(chunk.splats for chunk in encoded.chunks)])
+    first_levels = [chunk.object // num_levels for chunk in encoded.chunks]
+    order = np.argsort(first_levels, kind="stable").tolist()
+    ends = np.cumsum(np.bincount(first_levels, minlength=num_levels))
+    # A level without chunks of its own would equal the level below: it is left out.
     kept = [k for k, end in enumerate(ends) if end > (ends[k - 1] if k else 0)]
     chunks: list[EncodedChunk] = []
     rows: list[I64] = []
-    for place in order:
-        chunk, start = runs[place]
-        first, last = divmod(chunk.object, len(levels.scales))
-        extras = {kind.name: kind.allocate(chunk.splats) for kind in kinds}
-        assert chunk.attributes is not None
-        unpack_attributes(memoryview(chunk.attributes), kinds, extras, "chunk")
-        own = extras[_ROW].astype(np.int64)
-        head = made.decoded.opacities[start : start + chunk.splats]
-        # What the encoder made of the opacities for the shapes that it stores holds at all levels.
-        moved = head - levels.splats.opacities[own]
+    for number in order:
+        chunk, start = encoded.chunks[number], int(starts[number])
+        first, last = divmod(chunk.object, num_levels)
+        source_rows = _source_rows(encoded, chunk)
+        opacities = encoded.decoded.opacities[start : start + chunk.splats]
+        # The encoder adapts opacities to stored shapes; later levels get the same change.
+        change = opacities - levels.splats.opacities[source_rows]
         payloads = tuple(
-            pack_opacities(levels.opacities[k][own] + moved, head, step)
+            pack_opacities(levels.opacities[k][source_rows] + change, opacities, step)
             for k in kept
             if first < k <= last
         )
@@ -189,11 +213,20 @@ def _in_levels(made: EncodedScene, levels: LevelledSplats, step: float) -> Encod
             )
         )
         rows.append(np.arange(start, start + chunk.splats))
-    stored = np.concatenate([np.zeros(0, np.int64), *rows])
+    all_rows = np.concatenate([np.zeros(0, np.int64), *rows])
     return replace(
-        made,
-        scene=made.scene.without_extras(),
+        encoded,
+        scene=encoded.scene.without_extras(),
         chunks=chunks,
-        decoded=made.decoded.take(stored),
+        decoded=encoded.decoded.take(all_rows),
         levels=tuple(EncodedLevel(int(ends[k]), float(levels.scales[k])) for k in kept),
     )
+
+
+def _source_rows(encoded: EncodedScene, chunk: EncodedChunk) -> I64:
+    """Return the row that each splat of a chunk had before encoding, from its attributes."""
+    types = types_of(encoded.scene.extras)
+    extras = {each.name: each.allocate(chunk.splats) for each in types}
+    assert chunk.attributes is not None
+    unpack_attributes(memoryview(chunk.attributes), types, extras, "chunk")
+    return extras[_ROW_ATTRIBUTE].astype(np.int64)

@@ -1,9 +1,10 @@
-"""Levels of a scene for pictures of several sizes, trained one after the other (LapisGS).
+"""Training of levels: one scene for pictures of several resolutions (LapisGS).
 
-Shi et al. 2025, "LapisGS: Layered Progressive 3D Gaussian Splatting for Adaptive Streaming". A
-level adds splats to the level before and trains them on pictures of its own size; what the level
-before has stays as it is but for its opacities. Unlike the code that was released with the paper,
-added splats may move, start with all their SH coefficients, and frozen splats are never copied.
+Shi et al. 2025, "LapisGS: Layered Progressive 3D Gaussian Splatting for Adaptive Streaming". Each
+level adds splats to the level below and trains them on pictures of its own resolution. The splats
+of the level below are frozen, except for their opacities. Unlike in the released code of the paper,
+means of added splats are trained, they start with all SH coefficients, and frozen splats are never
+duplicated.
 """
 
 from __future__ import annotations
@@ -34,41 +35,40 @@ F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
 MIN_OPACITY: Final = 0.005
-"""A splat whose opacity is below this at a level is left out there (LapisGS, section 3.2)."""
+"""Minimum opacity: a level does not draw splats below it (LapisGS, section 3.2)."""
 
-# Factors on the learning rates of a level's first and last step; `tuning` begins likewise.
+# Factors on the learning rates at a level's first and last step.
 _FIRST_RATE: Final = 0.5
 _LAST_RATE: Final = 0.05
-# Where a level begins with points, which are further from what they become: the first factor, and
-# rates in place of some of `trainer.RATES`. Of a captured room at 1/8 of its size these brought
-# 26.96 dB in other views after 1,000 steps, and those 23.59.
-_GROWING_RATE: Final = 1.0
-_GROWING_RATES: Final = {"means": 0.03, "scales": 0.015, "opacities": 0.06, "sh0": 0.01}
-# Share of a level's own splats that lie at points when it begins; growth adds the others where they
-# are asked for.
-_BEGINNING_SHARE: Final = 0.5
-# What tells the random choice of points from that of views.
-_POINTS: Final = 1
+# The same for levels that start from points, and learning rates in place of some of
+# `trainer.RATES`: initial splats are further from their final values. On a captured room at 1/8 of
+# its size, held-out views had 26.96 dB after 1,000 steps, and 23.59 dB with `trainer.RATES`.
+_FIRST_RATE_FROM_POINTS: Final = 1.0
+_RATES_FROM_POINTS: Final = {"means": 0.03, "scales": 0.015, "opacities": 0.06, "sh0": 0.01}
+# Share of a level's added splats that start at points; densification adds the rest.
+_INITIAL_SHARE: Final = 0.5
+# Salt of the random generator for points.
+_POINTS_SALT: Final = 1
 
 
 @dataclass(frozen=True)
 class LevelsConfig:
-    """How a scene is made into levels.
+    """Settings of level training: resolutions, sizes and steps of the levels.
 
     Parameters
     ----------
     scales : tuple of int
-        By what the pictures of each level are divided in width and height, falling.
+        Downscaling of the pictures of each level, per axis, descending.
     shares : tuple of float
-        Share of the scene's splats that each level and those before it have, rising to at most 1.
+        Cumulative share of the scene's splats up to each level, ascending to at most 1.
     steps : int
-        Training steps of a level, a view each.
+        Training steps per level; each step renders one view.
     loss : str
-        One of `losses.LOSSES`; ``structure`` is that of LapisGS.
+        Key of `image_losses.LOSSES`; ``structure`` is the loss of LapisGS.
     seed : int
-        Decides in which order views come.
+        Seed of the order of views.
     threads : int
-        0 for every core this process may use. The result does not depend on it.
+        Number of threads; 0 uses all cores. The result does not depend on it.
     """
 
     scales: tuple[int, ...] = (8, 4, 2, 1)
@@ -97,19 +97,19 @@ class LevelsConfig:
 
 @dataclass(frozen=True, eq=False)
 class LevelledSplats:
-    """The splats of a scene with levels.
+    """A scene with L levels: its splats, and the levels that draw each of them.
 
     Parameters
     ----------
     splats : Splats
-        N of all levels, those of level 0 first, without extra attributes; their opacities are those
-        of the level that each was added at.
+        N splats of all levels, by the level that added them, without extra attributes. Opacities
+        are those of that level.
     scales : tuple of int
-        Of the levels.
+        Downscaling of the pictures of each level, per axis.
     first, last : (N,) int64
-        The level that each splat was added at, and the last that draws it.
+        First and last level that draws each splat.
     opacities : (L, N) float32
-        Logits at every level; those of levels that do not draw a splat mean nothing.
+        Opacity logits at each level; undefined at levels that do not draw the splat.
     """
 
     splats: Splats
@@ -119,11 +119,11 @@ class LevelledSplats:
     opacities: F32
 
     def rows(self, level: int) -> I64:
-        """Return the splats that a level draws."""
+        """Return the (n,) int64 rows of the splats that a level draws."""
         return np.flatnonzero((self.first <= level) & (level <= self.last))
 
-    def at(self, level: int) -> Splats:
-        """Return the scene of a level."""
+    def scene(self, level: int) -> Splats:
+        """Return the splats that a level draws, with their opacities at this level."""
         rows = self.rows(level)
         return replace(self.splats.take(rows), opacities=self.opacities[level][rows])
 
@@ -136,145 +136,179 @@ def train_levels(
     pictures: Sequence[F32] | None = None,
     progress: Progress = silent,
 ) -> LevelledSplats:
-    """Make a trained scene into levels.
+    """Train a scene with levels from a trained scene.
 
-    Each level begins with the splats that contribute most to pictures of its size and are in no
-    level before.
+    Each level adds the splats with the highest contribution to pictures of its resolution that no
+    lower level has.
 
     Parameters
     ----------
     splats : Splats
-        Valid rows, in the frame of the cameras.
+        Trained scene with valid rows, in the frame of the cameras.
     cameras : sequence of Camera
-        Of the full pictures.
+        Training views at full resolution.
     config : LevelsConfig, optional
+        Settings of the levels.
     pictures : sequence of (H, W, 3) float32, optional
-        What the cameras saw, in the scene's colour space; by default renders of the scene.
+        Ground truth of each camera, in the scene's colour space; renders of the scene by default.
     progress : Progress
-        Called with ``pictures``, and for each level with ``score`` and ``level 0``, ``level 1`` ….
+        Receives ``pictures``, and for each level ``score`` and ``level 0``, ``level 1`` …
+
+    Returns
+    -------
+    LevelledSplats
 
     Raises
     ------
     ValueError
-        No cameras, or pictures of other sizes than theirs.
+        There are no cameras, or a picture differs from its camera in size.
     """
     config = config or LevelsConfig()
     source = splats.without_extras()
     targets = _targets(source, cameras, pictures, config, progress)
-    chosen = np.zeros(len(source), np.bool_)
-    stack = _Stack(config.scales)
+    used = np.zeros(len(source), np.bool_)
+    builder = _LevelBuilder(config.scales)
     for level, (scale, share) in enumerate(zip(config.scales, config.shares, strict=True)):
         views = [downscale_camera(camera, scale) for camera in cameras]
         scored = score(source, views, ScoreConfig(threads=config.threads), progress=progress)
         order = np.argsort(-scored.contribution, kind="stable")
-        order = order[~chosen[order]]
-        added = np.sort(order[: max(round(share * len(source)) - int(chosen.sum()), 0)])
-        chosen[added] = True
-        scene, frozen = stack.with_new(source.take(added))
+        order = order[~used[order]]
+        added = np.sort(order[: max(round(share * len(source)) - int(used.sum()), 0)])
+        used[added] = True
+        scene, frozen = builder.initial_scene(source.take(added))
         small = [downscale_picture(target, scale) for target in targets]
-        scene = _trained(scene, frozen, views, small, config, level, progress)
-        stack.take(scene, frozen)
-    return stack.levels()
+        scene = _train_level(scene, frozen, views, small, config, level, progress)
+        builder.append_level(scene, frozen)
+    return builder.levels()
 
 
 def grow_levels(
     points: Splats,
     cameras: Sequence[Camera],
     pictures: Sequence[F32],
-    most: int,
+    max_splats: int,
     config: LevelsConfig | None = None,
     *,
     progress: Progress = silent,
 ) -> LevelledSplats:
-    """Make levels of photos and of the points that structure from motion found in them.
+    """Train a scene with levels from photos and structure-from-motion points.
 
-    Each level begins with splats at some of the points, at most half as many as it may have, and
-    lets its own become more while it is trained (`growth.Densification`).
+    Each level starts with splats at a random half of its number of points, and densifies its own
+    splats while it is trained (`densification.Densification`).
 
     Parameters
     ----------
     points : Splats
-        From `points_start.splats_from_points`, in the frame of the cameras.
+        Splats from `initial_splats.splats_from_points`, in the frame of the cameras.
     cameras : sequence of Camera
-        Of the full pictures.
+        Training views at full resolution.
     pictures : sequence of (H, W, 3) float32
-        What the cameras saw, 0 to 1.
-    most : int
-        Splats of all levels together, at most; `LevelsConfig.shares` are shares of it.
+        Photo of each camera, 0 to 1.
+    max_splats : int
+        Maximum number of splats of all levels; `LevelsConfig.shares` are shares of it.
     config : LevelsConfig, optional
+        Settings of the levels.
     progress : Progress
-        Called with ``level 0``, ``level 1`` ….
+        Receives ``level 0``, ``level 1`` …
+
+    Returns
+    -------
+    LevelledSplats
 
     Raises
     ------
     ValueError
-        No cameras, no points, or pictures of other sizes than the cameras'.
+        There are no cameras or no points, or a photo differs from its camera in size.
     """
     config = config or LevelsConfig()
-    if not len(points) or most < 1:
-        raise ValueError(f"{len(points)} points for {most} splats, expected at least 1 each")
+    if not len(points) or max_splats < 1:
+        raise ValueError(f"{len(points)} points for {max_splats} splats, expected at least 1 each")
     targets = _targets(points, cameras, pictures, config, progress)
-    stack = _Stack(config.scales)
+    builder = _LevelBuilder(config.scales)
     for level, (scale, share) in enumerate(zip(config.scales, config.shares, strict=True)):
         views = [downscale_camera(camera, scale) for camera in cameras]
-        wanted = max(round(share * most) - stack.splats, 1)
-        rng = np.random.default_rng((config.seed, _POINTS, level))
-        first = rng.permutation(len(points))[: max(round(_BEGINNING_SHARE * wanted), 1)]
-        scene, frozen = stack.with_new(points.take(np.sort(first)))
-        growth = Densification(frozen, wanted, config.steps, MIN_OPACITY)
+        added = max(round(share * max_splats) - builder.count, 1)
+        rng = np.random.default_rng((config.seed, _POINTS_SALT, level))
+        initial = rng.permutation(len(points))[: max(round(_INITIAL_SHARE * added), 1)]
+        scene, frozen = builder.initial_scene(points.take(np.sort(initial)))
+        densification = Densification(frozen, added, config.steps, MIN_OPACITY)
         small = [downscale_picture(target, scale) for target in targets]
-        scene = _trained(scene, frozen, views, small, config, level, progress, growth)
-        stack.take(scene, frozen)
-    return stack.levels()
+        scene = _train_level(scene, frozen, views, small, config, level, progress, densification)
+        builder.append_level(scene, frozen)
+    return builder.levels()
 
 
-class _Stack:
-    """The levels that are trained so far, and the next one on top of them."""
+class _LevelBuilder:
+    """Levels trained so far; starts the next one and appends it."""
 
     def __init__(self, scales: tuple[int, ...]) -> None:
         self._scales = scales
-        self._joined: Splats | None = None
+        self._splats: Splats | None = None
         self._first = self._last = np.zeros(0, np.int64)
         self._opacities = np.zeros((len(scales), 0), np.float32)
-        # The next level, and the splats of those before that the last of them draws.
+        # Index of the next level, and rows of the splats that the level below draws.
         self._level = 0
-        self._old = np.zeros(0, np.int64)
+        self._drawn_below = np.zeros(0, np.int64)
 
     @property
-    def splats(self) -> int:
-        """Splats of all levels."""
+    def count(self) -> int:
+        """Number of splats of all levels so far."""
         return len(self._first)
 
-    def with_new(self, new: Splats) -> tuple[Splats, int]:
-        """Return what the next level begins with, and how many of it are of the levels before."""
-        if self._joined is None:
-            return new, 0
-        self._old = np.flatnonzero(self._last == self._level - 1)
-        before = self._opacities[self._level - 1][self._old]
-        return _joined(replace(self._joined.take(self._old), opacities=before), new), len(self._old)
+    def initial_scene(self, added: Splats) -> tuple[Splats, int]:
+        """Start the next level from the level below and added splats.
 
-    def take(self, scene: Splats, frozen: int) -> None:
-        """Take in the next level as it was trained, of which the first rows are of others."""
-        level, old, before = self._level, self._old, self.splats
-        drawn = _opacity(scene.opacities) >= MIN_OPACITY
-        # Splats that nothing shows at their own level are in no level.
-        kept = np.flatnonzero(drawn[frozen:])
-        new = scene.take(frozen + kept)
-        self._joined = new if self._joined is None else _joined(self._joined, new)
+        Parameters
+        ----------
+        added : Splats
+            Splats that the level adds.
+
+        Returns
+        -------
+        scene : Splats
+            Splats of the level below, then the added ones.
+        frozen : int
+            Number of splats of the level below.
+        """
+        if self._splats is None:
+            return added, 0
+        below = self._level - 1
+        self._drawn_below = np.flatnonzero(self._last == below)
+        opacities = self._opacities[below][self._drawn_below]
+        old = replace(self._splats.take(self._drawn_below), opacities=opacities)
+        return _concatenate(old, added), len(old)
+
+    def append_level(self, scene: Splats, frozen: int) -> None:
+        """Append a trained level.
+
+        Parameters
+        ----------
+        scene : Splats
+            Trained scene of the level.
+        frozen : int
+            Number of its first rows that belong to the levels below. Only their opacities are
+            recorded.
+        """
+        level, before = self._level, self.count
+        is_drawn = _opacity(scene.opacities) >= MIN_OPACITY
+        # An added splat that its own level does not draw belongs to no level.
+        kept = np.flatnonzero(is_drawn[frozen:])
+        added = scene.take(frozen + kept)
+        self._splats = added if self._splats is None else _concatenate(self._splats, added)
         self._first = np.concatenate([self._first, np.full(len(kept), level)])
         self._last = np.concatenate([self._last, np.full(len(kept), level)])
-        self._last[old[drawn[:frozen]]] = level
-        wider = np.zeros((len(self._scales), self.splats), np.float32)
-        wider[:, :before] = self._opacities
-        wider[level, old] = scene.opacities[:frozen]
-        wider[level, before:] = new.opacities
-        self._opacities = wider
+        self._last[self._drawn_below[is_drawn[:frozen]]] = level
+        opacities = np.zeros((len(self._scales), self.count), np.float32)
+        opacities[:, :before] = self._opacities
+        opacities[level, self._drawn_below] = scene.opacities[:frozen]
+        opacities[level, before:] = added.opacities
+        self._opacities = opacities
         self._level += 1
 
     def levels(self) -> LevelledSplats:
-        """Return all of them."""
-        assert self._joined is not None
-        return LevelledSplats(self._joined, self._scales, self._first, self._last, self._opacities)
+        """Return the scene with all levels appended so far."""
+        assert self._splats is not None
+        return LevelledSplats(self._splats, self._scales, self._first, self._last, self._opacities)
 
 
 def train_jointly(
@@ -284,24 +318,30 @@ def train_jointly(
     *,
     progress: Progress = silent,
 ) -> LevelledSplats:
-    """Train one model on renders of all scales, for comparison with levels.
+    """Train one model on renders of all resolutions at once, as a baseline for levels.
 
-    It has as many splats as the last level and takes as many steps as all levels together.
+    It has the splats of the last level, and as many training steps as all levels together.
 
     Parameters
     ----------
-    splats, cameras, config, progress
-        As `train_levels` takes them; `progress` is called with one stage, ``level 0``.
+    splats : Splats
+        Trained scene with valid rows, in the frame of the cameras.
+    cameras : sequence of Camera
+        Training views at full resolution.
+    config : LevelsConfig, optional
+        Settings of the levels.
+    progress : Progress
+        Receives ``pictures``, ``score`` and ``level 0``.
 
     Returns
     -------
     LevelledSplats
-        Of one level, for pictures of the last scale.
+        Scene with a single level, of the last scale.
 
     Raises
     ------
     ValueError
-        No cameras.
+        There are no cameras.
     """
     config = config or LevelsConfig()
     source = splats.without_extras()
@@ -312,7 +352,7 @@ def train_jointly(
     views = [downscale_camera(camera, scale) for scale in config.scales for camera in cameras]
     pictures = [downscale_picture(target, scale) for scale in config.scales for target in targets]
     longer = replace(config, steps=config.steps * len(config.scales))
-    scene = _trained(scene, 0, views, pictures, longer, 0, progress)
+    scene = _train_level(scene, 0, views, pictures, longer, 0, progress)
     scene = scene.take(np.flatnonzero(_opacity(scene.opacities) >= MIN_OPACITY))
     zeros = np.zeros(len(scene), np.int64)
     return LevelledSplats(scene, config.scales[-1:], zeros, zeros, scene.opacities[None])
@@ -325,27 +365,27 @@ def _targets(
     config: LevelsConfig,
     progress: Progress,
 ) -> list[F32]:
-    """Return the full pictures that are given, or those of the source."""
+    """Return the ground truth of each camera: given pictures, or renders of the source."""
     if not cameras:
-        raise ValueError("no cameras, expected some to train in")
+        raise ValueError("no cameras, expected at least 1 to train in")
     if pictures is not None:
         sizes = [(camera.height, camera.width, 3) for camera in cameras]
         if [picture.shape for picture in pictures] != sizes:
-            raise ValueError(f"{len(pictures)} pictures, expected one of its size for each camera")
+            raise ValueError(f"{len(pictures)} pictures, expected one per camera, of its size")
         return list(pictures)
     info = source.info
-    one = RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased, threads=1)
-    drawn = []
-    found = ordered_map(
-        lambda camera: render(source, camera, one), cameras, thread_count(config.threads)
+    settings = RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased, threads=1)
+    targets = []
+    renders = ordered_map(
+        lambda camera: render(source, camera, settings), cameras, thread_count(config.threads)
     )
-    for picture in found:
-        drawn.append(picture)
-        progress("pictures", len(drawn), len(cameras))
-    return drawn
+    for picture in renders:
+        targets.append(picture)
+        progress("pictures", len(targets), len(cameras))
+    return targets
 
 
-def _trained(
+def _train_level(
     scene: Splats,
     frozen: int,
     views: Sequence[Camera],
@@ -353,64 +393,99 @@ def _trained(
     config: LevelsConfig,
     level: int,
     progress: Progress,
-    growth: Densification | None = None,
+    densification: Densification | None = None,
 ) -> Splats:
-    """Return a level's scene after training; of the first `frozen` rows opacities alone move."""
+    """Train the scene of one level and return it.
+
+    Parameters
+    ----------
+    scene : Splats
+        Initial scene of the level.
+    frozen : int
+        Number of its first rows of which only opacities are trained.
+    views : sequence of Camera
+        Training views at the resolution of the level.
+    pictures : sequence of (H, W, 3) float32
+        Ground truth of each view.
+    config : LevelsConfig
+        Steps, loss, seed and threads.
+    level : int
+        Index of the level; seeds the order of views and names the progress stage.
+    progress : Progress
+        Receives ``level`` with the index, in steps.
+    densification : Densification, optional
+        Splits splats; also selects the learning rates of levels that start from points.
+    """
     scene = with_values(scene, {name: getattr(scene, name).copy() for name in Gradients.names()})
     info = scene.info
-    drawing = RenderConfig(
+    settings = RenderConfig(
         kernel_px=info.kernel_px, antialiased=info.antialiased, threads=config.threads
     )
     adam, gradients = SplatAdam(scene), Gradients.zeros(scene)
-    axis = _middle_axes(scene)
-    first_rate = _FIRST_RATE if growth is None else _GROWING_RATE
+    axes = _middle_axes(scene)
+    from_points = densification is not None
+    first_rate = _FIRST_RATE_FROM_POINTS if from_points else _FIRST_RATE
     stage = f"level {level}"
     progress(stage, 0, config.steps)
     for step in range(config.steps):
-        turn, place = divmod(step, len(views))
-        rng = np.random.default_rng((config.seed, level, turn))
-        view = int(rng.permutation(len(views))[place])
-        picture = render_forward(scene, views[view], drawing)
-        _, by_picture = LOSSES[config.loss](picture.picture, pictures[view])
+        epoch, position = divmod(step, len(views))
+        rng = np.random.default_rng((config.seed, level, epoch))
+        view = int(rng.permutation(len(views))[position])
+        forward = render_forward(scene, views[view], settings)
+        _, by_picture = LOSSES[config.loss](forward.picture, pictures[view])
         gradients.clear()
-        by_centres = picture.backward(by_picture, gradients)
+        by_centres = forward.backward(by_picture, gradients)
         factor = first_rate * (_LAST_RATE / first_rate) ** (step / config.steps)
-        rates = _rates(axis, frozen, factor, growing=growth is not None)
+        rates = _learning_rates(axes, frozen, factor, from_points=from_points)
         adam.step(scene, gradients, rates, config.threads)
-        if growth is not None:
-            growth.note(picture.footprints.index, by_centres, len(scene))
-            if growth.is_due(step + 1):
-                scene, adam = growth.densify(scene, adam, step + 1)
-                gradients, axis = Gradients.zeros(scene), _middle_axes(scene)
+        if densification is not None:
+            densification.accumulate(forward.footprints.index, by_centres, len(scene))
+            if densification.is_due(step + 1):
+                scene, adam = densification.densify(scene, adam, step + 1)
+                gradients, axes = Gradients.zeros(scene), _middle_axes(scene)
         progress(stage, step + 1, config.steps)
     return scene
 
 
 def _middle_axes(scene: Splats) -> F32:
-    """Return the middle one of the standard deviations of each splat, scene units."""
+    """Return the (N,) middle standard deviation of each splat, scene units."""
     axes: F32 = np.exp(np.median(scene.scales, axis=1)) if len(scene) else np.ones(0, np.float32)
     return axes
 
 
-def _rates(axis: F32, frozen: int, factor: float, *, growing: bool) -> dict[str, F32]:
-    """Return the learning rate of every splat's values; 0 for all but opacities of frozen ones."""
+def _learning_rates(axes: F32, frozen: int, factor: float, *, from_points: bool) -> dict[str, F32]:
+    """Return the learning rate of each splat by array.
+
+    Parameters
+    ----------
+    axes : (N,) float32
+        Middle standard deviations, the unit of the learning rate of means.
+    frozen : int
+        Number of first rows whose learning rates are 0, except for opacities.
+    factor : float
+        Factor on all rates.
+    from_points : bool
+        Whether the level starts from points, which has higher rates.
+    """
     rates = {}
-    for name, rate in ({**RATES, **_GROWING_RATES} if growing else RATES).items():
-        each = np.full(len(axis), factor * rate, np.float32)
+    for name, rate in ({**RATES, **_RATES_FROM_POINTS} if from_points else RATES).items():
+        by_splat = np.full(len(axes), factor * rate, np.float32)
         if name == "means":
-            each *= axis
+            by_splat *= axes
         if name != "opacities":
-            each[:frozen] = 0
-        rates[name] = each
+            by_splat[:frozen] = 0
+        rates[name] = by_splat
     return rates
 
 
 def _opacity(logits: F32) -> NDArray[np.float64]:
+    """Return opacities, 0 to 1, from logits."""
     opacity: NDArray[np.float64] = 1 / (1 + np.exp(-np.clip(logits, -80, 80).astype(np.float64)))
     return opacity
 
 
-def _joined(first: Splats, second: Splats) -> Splats:
+def _concatenate(first: Splats, second: Splats) -> Splats:
+    """Return the splats of two scenes as one scene."""
     return with_values(
         first,
         {

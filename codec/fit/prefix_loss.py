@@ -19,22 +19,22 @@ from cogsplat.codec.splats import Splats
 from .differentiable_rendering import Gradients, render_forward
 from .image_losses import LOSSES
 
-# Keeps ratios of errors finite: that of a PSNR of 60 dB.
-_LEAST_ERROR: Final = 1e-6
+# Lower bound of a prefix's mean squared error (60 dB PSNR): keeps error ratios finite.
+_MIN_ERROR: Final = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class PrefixLoss:
-    """PrefixLoss that are drawn beside the whole scene while it is trained.
+    """Loss of randomly chosen prefixes, one per training step.
 
     Parameters
     ----------
     rows : sequence of (n,) int64
-        The splats of each.
+        Splats of each prefix.
     inflations : sequence of Inflation
-        With what each is drawn: what is usual for the splats that it lacks.
+        Inflation that each prefix is rendered with, as a stand-in for compensation.
     weight : float
-        What one per cent less error of a prefix counts, in per cent less error of the whole scene.
+        Weight of the relative error of a prefix against the relative error of the whole scene.
     """
 
     rows: Sequence[NDArray[np.int64]]
@@ -45,25 +45,25 @@ class PrefixLoss:
     def for_layers(
         cls, chunk_rows: Sequence[NDArray[np.int64]], effective_splats: int, weight: float
     ) -> PrefixLoss:
-        """Return the prefixes that the layers of a compensation are made for.
+        """Make the loss of the prefixes that compensation layers are fitted for.
 
         Parameters
         ----------
         chunk_rows : sequence of (n,) int64
-            The splats of each chunk.
+            Splats of each chunk.
         effective_splats : int
-            Of the scene (`prefix_inflation.effective_splats`).
+            Effective number of splats of the scene (`prefix_inflation.effective_splats`).
         weight : float
-            As the class takes it.
+            Parameter `weight` of the class.
         """
         layers = plan_layers([len(rows) for rows in chunk_rows], effective_splats)
         prefixes = [np.concatenate(chunk_rows[:chunks]) for chunks in layers]
-        parts = [len(rows) / effective_splats for rows in prefixes]
-        return cls(prefixes, [prefix_inflation.typical(part) for part in parts], weight)
+        shares = [len(rows) / effective_splats for rows in prefixes]
+        return cls(prefixes, [prefix_inflation.typical(share) for share in shares], weight)
 
     def add_gradients(
         self,
-        shown: Splats,
+        scene: Splats,
         camera: Camera,
         config: RenderConfig,
         picture: NDArray[np.float32],
@@ -73,33 +73,35 @@ class PrefixLoss:
         rng: np.random.Generator,
         gradients: Gradients,
     ) -> None:
-        """Draw one of the prefixes; add what its picture asks for to the gradients.
+        """Render one randomly chosen prefix in a view and add the gradients of its loss.
 
         Parameters
         ----------
-        shown : Splats
-            The whole scene, as it is drawn.
+        scene : Splats
+            Whole scene, with decoded values where training is quantised.
         camera : Camera
+            View that is rendered.
         config : RenderConfig
+            Render settings of the view.
         picture : (H, W, 3) float32
-            What the prefix should look like.
+            Ground truth of the view.
         loss : str
-            One of `losses.LOSSES`.
+            Key of `image_losses.LOSSES`.
         error : float
-            Mean squared error of the whole scene in this view.
+            Mean squared error of the whole scene in this view; scales the gradients.
         rng : Generator
-            Decides which is drawn.
+            Chooses the prefix.
         gradients : Gradients
-            Of the whole scene; changed in place.
+            Gradients of the whole scene, changed in place.
         """
         if not self.rows:
             return
         number = int(rng.integers(len(self.rows)))
         rows = self.rows[number]
-        prefix = prefix_inflation.inflate(shown.take(rows), self.inflations[number])
-        drawing = render_forward(prefix, camera, config)
-        own, by_picture = LOSSES[loss](drawing.picture, picture)
-        by_picture *= np.float32(self.weight * error / max(own, _LEAST_ERROR))
-        found = Gradients.zeros(prefix)
-        drawing.backward(by_picture, found)
-        gradients.add(found, rows)
+        prefix = prefix_inflation.inflate(scene.take(rows), self.inflations[number])
+        forward = render_forward(prefix, camera, config)
+        prefix_error, by_picture = LOSSES[loss](forward.picture, picture)
+        by_picture *= np.float32(self.weight * error / max(prefix_error, _MIN_ERROR))
+        prefix_gradients = Gradients.zeros(prefix)
+        forward.backward(by_picture, prefix_gradients)
+        gradients.add(prefix_gradients, rows)

@@ -22,17 +22,17 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class RoundTrip:
-    """A scene as it was stored.
+    """A scene in training after encoding and decoding.
 
     Parameters
     ----------
     decoded : Splats
-        Row by row those that were stored, and turned as these are. Splats that were not worth their
-        bytes have a logit of minus infinity.
+        Decoded values in the row order of the scene in training. Quaternions and scales name the
+        axes of each splat in the same order as there. Pruned splats have a logit of -inf.
     encoded : EncodedScene
-        Without compensation and without predicted quality.
+        Encoded scene, without compensation and predicted quality.
     rows : sequence of (n,) int64
-        Which of them each chunk holds, in its order.
+        Rows of the scene in training that each chunk holds, in the order of the chunk.
     """
 
     decoded: Splats
@@ -40,28 +40,31 @@ class RoundTrip:
     rows: Sequence[NDArray[np.int64]]
 
 
-def _facing(quats: F32, scales: F32, as_quats: F32) -> tuple[F32, F32]:
-    """Permute and flip the axes of Gaussians so that they are turned as others are.
+def _align_axes(quats: F32, scales: F32, reference_quats: F32) -> tuple[F32, F32]:
+    """Permute and flip the axes of Gaussians so that they match reference rotations.
+
+    The codec permutes the axes of splats. Straight-through gradients need decoded values near the
+    values in training.
 
     Parameters
     ----------
     quats, scales : (n, 4), (n, 3) float32
-        Unit wxyz and log.
-    as_quats : (n, 4) float32
-        What they should come nearest to, of any length.
+        Unit quaternions, wxyz, and log scales of the decoded Gaussians.
+    reference_quats : (n, 4) float32
+        Quaternions to match, wxyz, of any norm.
 
     Returns
     -------
     quats, scales : (n, 4), (n, 3) float32
-        The same Gaussians; the quaternions have the length and the sign of `as_quats`.
+        The same Gaussians; the quaternions have the norm and the sign of `reference_quats`.
     """
-    lengths = np.linalg.norm(as_quats, axis=1, keepdims=True)
-    reference = as_quats / lengths.astype(np.float64)
+    norms = np.linalg.norm(reference_quats, axis=1, keepdims=True)
+    reference = reference_quats / norms.astype(np.float64)
     inverse = reference * np.array([1.0, -1.0, -1.0, -1.0])
-    between = rotations.multiply(inverse, quats.astype(np.float64))
-    nearest, permuted = rotations.largest_w(between.astype(np.float32), scales)
-    turned = rotations.multiply(reference, nearest.astype(np.float64)) * lengths
-    return turned.astype(np.float32), permuted
+    relative = rotations.multiply(inverse, quats.astype(np.float64))
+    nearest, permuted = rotations.largest_w(relative.astype(np.float32), scales)
+    aligned = rotations.multiply(reference, nearest.astype(np.float64)) * norms
+    return aligned.astype(np.float32), permuted
 
 
 def round_trip(
@@ -70,19 +73,19 @@ def round_trip(
     quality_db: float,
     codebooks: Sequence[EncodedCodebook] = (),
 ) -> RoundTrip:
-    """Encode a scene in the order and with the quantiser steps of an earlier state of it.
+    """Encode and decode a scene in training, with the order and scores of an earlier state.
 
     Parameters
     ----------
     prepared : PreparedScene
-        Of the same splats before they were trained further: its order, and the steps that follow
-        from its scores, stay.
+        Order and scores, computed from an earlier state of the scene. The scores decide the
+        quantiser steps.
     splats : Splats
-        N of them, row by row those of `prepared`.
+        Scene in training, in the row order of `prepared`.
     quality_db : float
         Nominal quality, dB.
     codebooks : sequence of EncodedCodebook
-        Of the encode before, which those of the profile ``vq`` go on from.
+        Codebooks of the last encode, from which k-means of the profile ``vq`` starts.
     """
     now = replace(prepared, source=splats, codebooks=codebooks)
     layout = now.laid_out(quality_db)
@@ -96,8 +99,8 @@ def round_trip(
     arrays["opacities"].fill(-np.inf)
     for name in ("means", "opacities", "sh0", "shN"):
         arrays[name][rows] = getattr(encoded.decoded, name)
-    turned = _facing(
+    aligned = _align_axes(
         rotations.unit(encoded.decoded.quats), encoded.decoded.scales, splats.quats[rows]
     )
-    arrays["quats"][rows], arrays["scales"][rows] = turned
+    arrays["quats"][rows], arrays["scales"][rows] = aligned
     return RoundTrip(with_values(splats, arrays), encoded, chunk_rows)

@@ -1,4 +1,4 @@
-"""Adam over the stored values of a scene (Kingma and Ba 2015), compiled."""
+"""Adam optimiser for the values of a scene (Kingma and Ba 2015), compiled."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from .differentiable_rendering import Gradients
 
 F32 = NDArray[np.float32]
 
-MEMORY: Final = 0.9
-"""What the running mean of gradients keeps of itself in a step (Kingma and Ba 2015)."""
+BETA_1: Final = 0.9
+"""Decay of the first moment, the moving average of gradients (Kingma and Ba 2015)."""
 
-SQUARE_MEMORY: Final = 0.999
-"""The same of the running mean of their squares (as 3DGS trains)."""
+BETA_2: Final = 0.999
+"""Decay of the second moment, the moving average of squared gradients (3DGS)."""
 
-# Added to the size of gradients that steps are divided by (3DGS).
-_LEAST_SIZE: Final = 1e-15
+# Added to the root of the second moment before the division (3DGS).
+_EPSILON: Final = 1e-15
 
 
 @called_with(
@@ -35,23 +35,23 @@ _LEAST_SIZE: Final = 1e-15
     "float64, float64, int64, int64"
 )
 @kernel
-def _move(
+def _update_rows(
     values: F32,
     gradients: F32,
     means: F32,
     squares: F32,
     rates: F32,
-    first_moment: float,
-    second_moment: float,
+    correction_1: float,
+    correction_2: float,
     first: int,
     last: int,
 ) -> None:
-    """Move the rows from `first` to `last` against their gradients, by a rate for each row."""
-    keep, keep_square = np.float32(MEMORY), np.float32(SQUARE_MEMORY)
-    take, take_square = np.float32(1.0 - MEMORY), np.float32(1.0 - SQUARE_MEMORY)
-    least = np.float32(_LEAST_SIZE)
-    root = np.float32(1.0 / math.sqrt(second_moment))
-    inverse = np.float32(1.0 / first_moment)
+    """Make one Adam step on the rows from `first` to `last`, with a learning rate per row."""
+    keep, keep_square = np.float32(BETA_1), np.float32(BETA_2)
+    take, take_square = np.float32(1.0 - BETA_1), np.float32(1.0 - BETA_2)
+    epsilon = np.float32(_EPSILON)
+    root = np.float32(1.0 / math.sqrt(correction_2))
+    inverse = np.float32(1.0 / correction_1)
     for i in range(first, last):
         rate = rates[i] * inverse
         for k in range(values.shape[1]):
@@ -60,23 +60,26 @@ def _move(
             square = keep_square * squares[i, k] + take_square * g * g
             means[i, k] = mean
             squares[i, k] = square
-            values[i, k] -= rate * mean / (np.float32(math.sqrt(square)) * root + least)
+            values[i, k] -= rate * mean / (np.float32(math.sqrt(square)) * root + epsilon)
 
 
-def _move_range(
-    tables: Sequence[F32], rates: F32, moments: tuple[float, float], rows: tuple[int, int]
+def _update_range(
+    tables: Sequence[F32], rates: F32, corrections: tuple[float, float], rows: tuple[int, int]
 ) -> None:
+    """Make one Adam step on a half-open range of rows."""
     values, gradients, means, squares = tables
-    _move(values, gradients, means, squares, rates, moments[0], moments[1], rows[0], rows[1])
+    _update_rows(
+        values, gradients, means, squares, rates, corrections[0], corrections[1], rows[0], rows[1]
+    )
 
 
 class SplatAdam:
-    """The running moments of the gradients of one scene.
+    """Adam optimiser of one scene, with the moments of all its values.
 
     Parameters
     ----------
     splats : Splats
-        N of them.
+        Scene to train; only the shapes of its arrays are used.
     """
 
     def __init__(self, splats: Splats) -> None:
@@ -87,20 +90,21 @@ class SplatAdam:
     def step(
         self, splats: Splats, gradients: Gradients, rates: Mapping[str, F32], threads: int = 1
     ) -> None:
-        """Move the values of a scene against their gradients, in place.
+        """Make one optimiser step on a scene, in place.
 
         Parameters
         ----------
         splats : Splats
-            Its arrays are written to.
+            Scene in training, changed in place.
         gradients : Gradients
+            Gradients of the loss.
         rates : mapping of str to (N,) float32
-            Learning rate of each splat's values, by the names of the arrays that move.
+            Learning rate of each splat by array; arrays without one do not change.
         threads : int
-            0 for every core this process may use. The result does not depend on it.
+            Number of threads; 0 uses all cores. The result does not depend on it.
         """
         self._steps += 1
-        moments = 1.0 - MEMORY**self._steps, 1.0 - SQUARE_MEMORY**self._steps
+        corrections = 1.0 - BETA_1**self._steps, 1.0 - BETA_2**self._steps
         rows = len(splats)
         threads = thread_count(threads)
         edges = np.linspace(0, rows, threads + 1).astype(np.int64).tolist()
@@ -109,22 +113,22 @@ class SplatAdam:
             tables = [getattr(arrays_of, name).reshape(rows, -1) for arrays_of in arrays]
             if not tables[0].shape[1]:
                 continue
-            move = partial(_move_range, tables, rate, moments)
-            for _ in ordered_map(move, pairwise(edges), threads):
+            update = partial(_update_range, tables, rate, corrections)
+            for _ in ordered_map(update, pairwise(edges), threads):
                 pass
 
-    def take(self, rows: NDArray[np.int64]) -> SplatAdam:
-        """Return the moments of some splats, for a scene of these alone."""
-        taken = SplatAdam.__new__(SplatAdam)
-        taken._steps = self._steps
+    def select(self, rows: NDArray[np.int64]) -> SplatAdam:
+        """Return the optimiser of a scene that has only some rows of this one."""
+        selected = SplatAdam.__new__(SplatAdam)
+        selected._steps = self._steps
         for part in ("_means", "_squares"):
             kept: Gradients = getattr(self, part)
             arrays = {name: getattr(kept, name)[rows].copy() for name in Gradients.names()}
-            setattr(taken, part, Gradients(**arrays))
-        return taken
+            setattr(selected, part, Gradients(**arrays))
+        return selected
 
     def state(self) -> dict[str, NDArray[np.generic]]:
-        """Return all that `restored` needs, as arrays by name."""
+        """Return the checkpoint arrays of the optimiser by name."""
         arrays: dict[str, NDArray[np.generic]] = {"adam.steps": np.array(self._steps)}
         for part in ("_means", "_squares"):
             for name in Gradients.names():
@@ -133,7 +137,7 @@ class SplatAdam:
 
     @classmethod
     def from_state(cls, state: Mapping[str, NDArray[np.generic]]) -> SplatAdam:
-        """Return the moments that `state` returned."""
+        """Return the optimiser from the checkpoint arrays of `state`."""
         adam = cls.__new__(cls)
         adam._steps = int(state["adam.steps"])
         for part in ("_means", "_squares"):

@@ -1,6 +1,6 @@
-"""Kernels over splats: from what a picture's footprints ask for to the stored values.
+"""Per-splat kernels of the backward pass: from gradients by footprints to gradients by values.
 
-The derivative of the EWA projection (Zwicker et al. 2001; Kerbl et al. 2023, appendix A) and of the
+They differentiate the EWA projection (Zwicker et al. 2001; Kerbl et al. 2023, appendix A) and the
 spherical harmonics, in float64.
 """
 
@@ -24,17 +24,19 @@ F64 = NDArray[np.float64]
 
 
 @inner_kernel
-def _by_direction(x: float, y: float, z: float, c: F64, degree: int) -> tuple[float, float, float]:
-    """Return the gradient by (x, y, z) of the sum of the bases above DC, each times its c.
+def _direction_gradient(
+    x: float, y: float, z: float, c: F64, degree: int
+) -> tuple[float, float, float]:
+    """Return the gradient by (x, y, z) of a linear combination of the SH bases above DC.
 
     Parameters
     ----------
     x, y, z : float
-        Unit direction.
+        Unit viewing direction.
     c : (15,) float64
-        By basis, in the order of `sh.terms`.
+        Factor of each basis, in the order of `sh.terms`.
     degree : int
-        1 to 3: terms beyond are left out.
+        SH degree, 1 to 3; factors of higher degrees are ignored.
     """
     gx, gy, gz = -sh.C1 * c[2], -sh.C1 * c[0], sh.C1 * c[1]
     if degree > 1:
@@ -80,26 +82,26 @@ def add_colour_gradients(
     first: int,
     last: int,
 ) -> None:
-    """Add the derivatives by SH coefficients, and by means through the direction of view.
+    """Add the gradients by SH coefficients, and by means through the viewing direction.
 
     Parameters
     ----------
     index : (M,) int32
-        Rows of the footprints in the scene, each at most once.
+        Splat of each footprint, without duplicates.
     sums : (M, SUMS) float64
-        Sums over tiles of what `differentiate_tiles` filled.
+        Output of `differentiate_tiles`, summed over the tiles of each footprint.
     colours : (M, 3) float32
-        Of the footprints; a channel at 0 is clamped and moves with nothing.
+        Colours of the footprints. A channel at 0 is clamped and has no gradient.
     means, shN : (N, 3) float32, (N, K-1, 3) float32
-        Of the scene.
+        Values of the scene.
     position : (3,) float64
-        Of the camera.
+        Camera position, scene units.
     degree : int
-        Highest SH degree that was drawn.
+        SH degree of the picture.
     by_means, by_sh0, by_shN : (N, 3), (N, 3), (N, K-1, 3) float32
-        Changed in place.
+        Gradients, changed in place.
     first, last : int
-        Range of footprints, half-open.
+        Half-open range of footprints.
     """
     dots = np.zeros(15, np.float64)
     higher = (degree + 1) * (degree + 1) - 1
@@ -125,8 +127,8 @@ def add_colour_gradients(
             by_shN[i, k, 1] += value * green
             by_shN[i, k, 2] += value * blue
             dots[k] = shN[i, k, 0] * red + shN[i, k, 1] * green + shN[i, k, 2] * blue
-        gx, gy, gz = _by_direction(x, y, z, dots, degree)
-        # The direction has length 1: what would lengthen it counts for nothing.
+        gx, gy, gz = _direction_gradient(x, y, z, dots, degree)
+        # The direction has length 1, so the radial part of its gradient is removed.
         along = gx * x + gy * y + gz * z
         by_means[i, 0] += (gx - along * x) * inverse
         by_means[i, 1] += (gy - along * y) * inverse
@@ -163,36 +165,36 @@ def add_shape_gradients(
     first: int,
     last: int,
 ) -> None:
-    """Add the derivatives by means, scales, quaternions and opacities.
+    """Add the gradients by means, scales, quaternions and opacities.
 
     Parameters
     ----------
     index, sums
-        As in `add_colour_gradients`.
+        Arguments of `add_colour_gradients`.
     ellipse : (M, 8) float32
-        Of `Footprints`.
+        Array of `Footprints`.
     means, scales, quats, opacities
-        Of the scene, as `Splats` has them.
+        Values of the scene.
     rotation, translation, intrinsics : (3, 3), (3,), (4,) float64
-        Of the camera; fx, fy, cx, cy.
+        Camera pose, and fx, fy, cx, cy.
     width, height : int
-        Of the picture, px.
+        Size of the picture, px.
     kernel_px : float
         Variance added to projected covariances, px².
     antialiased : bool
-        Whether opacities were rescaled by the area that the kernel adds.
+        Whether opacities were scaled down by the area that the kernel adds.
     by_means, by_scales, by_quats, by_opacities : (N, 3), (N, 3), (N, 4), (N,) float32
-        Changed in place: derivatives by what is stored.
+        Gradients by means, log scales, quaternions and logits, changed in place.
     by_centres : (M, 2) float64
-        Filled: derivatives by the footprints' centres, 1/px.
+        Output: gradients by the image-space centres of the footprints, 1/px.
     first, last : int
-        Range of footprints, half-open.
+        Half-open range of footprints.
 
     Notes
     -----
     In (u, v) of `differentiate_tiles`, w = W·(pixel - centre) and the covariance's inverse is
-    2·Wᵀ·W. With M the second moments of g, the derivative by the centre is 2·Wᵀ·(Σ g·w) and by the
-    covariance 2·Wᵀ·M·W.
+    2·Wᵀ·W. With M the second moments of g, the gradient by the centre is 2·Wᵀ·(Σ g·w), and the
+    gradient by the covariance is 2·Wᵀ·M·W.
     """
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     guard_x = GUARD * width / (2.0 * fx)
@@ -201,7 +203,7 @@ def add_shape_gradients(
     low_y, high_y = -cy / fy - guard_y, (height - cy) / fy + guard_y
     splat = np.empty((3, 3), np.float64)
     local = np.empty(3, np.float64)
-    # Rows of the projection's Jacobian in world axes, then along the splat's axes of unit length.
+    # Rows of the projection's Jacobian in world axes, then along the unit axes of the splat.
     world = np.empty((2, 3), np.float64)
     bare = np.empty((2, 3), np.float64)
     scaled = np.empty((2, 3), np.float64)
@@ -252,8 +254,8 @@ def add_shape_gradients(
         yy = sheared * sheared * guu + 2.0 * sheared * root_flat * guv
         yy = 2.0 * (yy + root_flat * root_flat * gvv)
         if antialiased:
-            # The logarithm of the opacity's factor is half the bare covariance's ln det less half
-            # the widened one's.
+            # The log of the opacity factor is half the difference of ln det of the covariance
+            # without and with the kernel.
             var_x = scaled[0, 0] ** 2 + scaled[0, 1] ** 2 + scaled[0, 2] ** 2
             var_y = scaled[1, 0] ** 2 + scaled[1, 1] ** 2 + scaled[1, 2] ** 2
             cov = 0.0
@@ -281,8 +283,8 @@ def add_shape_gradients(
                     + by_scaled[j, 2] * splat[k, 2]
                 )
 
-        # By small rotations about the splat's own axes, and from these by the quaternion, which
-        # they change by ½·q·(0, δ).
+        # Gradient by small rotations δ about the axes of the splat, then by the quaternion, which
+        # changes by ½·q·(0, δ).
         turn_x = by_scaled[0, 1] * bare[0, 2] - by_scaled[0, 2] * bare[0, 1]
         turn_x += by_scaled[1, 1] * bare[1, 2] - by_scaled[1, 2] * bare[1, 1]
         turn_y = by_scaled[0, 2] * bare[0, 0] - by_scaled[0, 0] * bare[0, 2]
@@ -294,7 +296,7 @@ def add_shape_gradients(
         by_quats[i, 2] += norm * (qw * turn_y + qz * turn_x - qx * turn_z)
         by_quats[i, 3] += norm * (qw * turn_z + qx * turn_y - qy * turn_x)
 
-        # By the mean in the camera's axes: through the centre, and through the Jacobian.
+        # Gradient by the mean in camera axes: through the centre, and through the Jacobian.
         by_slope_x, by_slope_y, by_depth = by_x * fx, by_y * fy, 0.0
         through_x, through_y = 0.0, 0.0
         for k in range(3):
@@ -314,5 +316,5 @@ def add_shape_gradients(
                 + rotation[1, axis] * local[1]
                 + rotation[2, axis] * local[2]
             )
-        # Rest of the opacity, 1 - σ(o), without overflow where the logit is infinite.
+        # 1 - σ(logit), without overflow at infinite logits.
         by_opacities[i] += g / (1.0 + math.exp(float(opacities[i])))

@@ -1,9 +1,8 @@
-"""Kernels over tiles: pictures that remember where they ended, and what of them each splat moves.
+"""Per-tile kernels: the forward pass, and the per-pixel half of the backward pass.
 
-The blend itself is that of `codec.render.blending`. A tile is walked once to draw it and once more,
-from the front again, to differentiate it: the second walk takes each splat's colour off the picture
-and so knows what lies behind it, on which the derivative by its alpha depends (Kerbl et al. 2023,
-appendix C).
+Blending is that of `codec.render.blending`. Both passes blend a tile front to back. The backward
+pass subtracts each splat from the finished picture. The remainder is the colour behind the splat,
+on which the gradient by its alpha depends (Kerbl et al. 2023, appendix C).
 """
 
 from __future__ import annotations
@@ -42,15 +41,15 @@ _ONE = np.float32(1.0)
 
 BY_RED, BY_GREEN, BY_BLUE, G, GU, GV, GUU, GUV, GVV, DELETED = range(10)
 SUMS: Final = 10
-"""Columns that `differentiate_tiles` fills: derivatives by the colour, moments of g, and how much
-the picture would change without the splat."""
+"""Number of columns of the output of `differentiate_tiles`: gradients by the colour, moments of g,
+and the deletion error."""
 
-# Rows of a tile's lanes.
+# Offset of each column in the lanes of a tile row.
 _L_RED, _L_GREEN, _L_BLUE, _L_G, _L_GU, _L_GV, _L_GUU, _L_GUV, _L_GVV, _L_DELETED = (
     np.uintp(k * TILE) for k in range(SUMS)
 )
 
-# Planes of a tile's state that hold the derivatives by its colours; those of a target elsewhere.
+# Planes of a tile's state with the gradient by the picture. Other kernels keep a target there.
 _D_RED, _D_GREEN, _D_BLUE = (np.uintp(k * PIXELS) for k in range(PLANES, PLANES_COMPARED))
 
 
@@ -73,26 +72,26 @@ def draw_tiles(
     first: int,
     last: int,
 ) -> None:
-    """Draw the tiles from `first` to `last` of an image, and note where each of them ended.
+    """Render the tiles from `first` to `last` of an image, and record where each one ended.
 
     Parameters
     ----------
     lists_first, starts, members
-        Of `TileLists`.
+        Arrays of `TileLists`.
     ellipse, rows : (M, 8) float32, (M, 2) int32
-        Of `Footprints`.
+        Arrays of `Footprints`.
     colours : (M, 3) float32
-        Of the footprints, in the scene's colour space.
+        Colours of the footprints, in the scene's colour space.
     present : (M,) bool
-        Which footprints are drawn.
+        Mask of the footprints to draw.
     background : (3,) float32
-        Behind the splats, in the scene's colour space.
+        Background colour, in the scene's colour space.
     image : (H, W, 3) float32
-        Filled where the tiles are.
+        Output: the picture, in the area of these tiles.
     stops : (tiles of the lists,) int64
-        Filled: the place in `members` from which on no pixel of a tile shows anything.
+        Output: position in `members` from which on all pixels of a tile are opaque.
     first, last : int
-        Half-open, numbered row by row over the whole image.
+        Half-open range of tiles, in row-major order.
     """
     height, width = image.shape[0], image.shape[1]
     state = np.empty(PLANES * PIXELS, np.float32)
@@ -124,7 +123,7 @@ def draw_tiles(
 
 @inner_kernel
 def _load(state: F32, values: F32, plane: int, top: int, left: int, rows: int, cols: int) -> None:
-    """Copy a tile of an (H, W, 3) picture into three planes of a state, 0 outside the image."""
+    """Copy a tile of an (H, W, 3) picture into three planes of a state; 0 outside the picture."""
     for channel in range(3):
         base = (plane + channel) * PIXELS
         for pixel in range(PIXELS):
@@ -153,27 +152,26 @@ def differentiate_tiles(
     first: int,
     last: int,
 ) -> None:
-    """Sum up what every pair of a tile and a splat does to a loss, for some tiles of an image.
+    """Sum the gradients of a loss over the pixels of each pair of a tile and a footprint.
 
-    With (u, v) the offset from the centre in which alpha is ``opacity · exp(-u² - v²)``, and g the
-    derivative of the loss by ln alpha in one pixel, the moments are Σ over pixels of g·uᵖ·v^q.
+    (u, v) is the offset from the centre, scaled so that alpha is ``opacity · exp(-u² - v²)``. With
+    g the gradient of the loss by ln alpha in one pixel, the moments are Σ over pixels of g·uᵖ·v^q.
 
     Parameters
     ----------
     lists_first, starts, members, ellipse, rows, colours
-        As `draw_tiles` took them.
+        Arguments of `draw_tiles`.
     stops : (tiles of the lists,) int64
-        From `draw_tiles`.
+        Output of `draw_tiles`.
     image : (H, W, 3) float32
-        What it drew, background included: all that lies behind a splat counts alike.
+        Output of `draw_tiles`, background included.
     by_image : (H, W, 3) float32
-        Derivative of the loss by the picture.
+        Gradient of the loss by the picture.
     sums : (P, SUMS) float32
-        Filled by pair of a tile and a splat: derivatives by the three colours, then the moments
-        1, u, v, uu, uv and vv, then the squared change of the picture where the splat is taken out
-        (`deletion.deletion_errors`).
+        Output, by pair of a tile and a footprint: gradients by the three colour channels, then the
+        moments 1, u, v, uu, uv and vv, then the deletion error (`deletion_errors.deletion_errors`).
     first, last : int
-        Half-open, numbered row by row over the whole image.
+        Half-open range of tiles, in row-major order.
     """
     height, width = image.shape[0], image.shape[1]
     state = np.empty(PLANES_COMPARED * PIXELS, np.float32)
@@ -223,7 +221,7 @@ def differentiate_tiles(
                     by_red = state[at + _D_RED]
                     by_green = state[at + _D_GREEN]
                     by_blue = state[at + _D_BLUE]
-                    # What the pixel loses without the splat: also what it gains by ln alpha.
+                    # Colour lost by deletion; equals the derivative of the colour by ln alpha.
                     lost_red = shown_red - behind_red * odds
                     lost_green = shown_green - behind_green * odds
                     lost_blue = shown_blue - behind_blue * odds

@@ -6,90 +6,105 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-# A step takes time for what is the same in every scene, and for its splats: measured on a captured
-# scene of which 15 to 100 % were left.
+# Share of a step's time that does not depend on the number of splats. Measured on a captured scene
+# with 15 to 100 % of its splats.
 _FIXED_SHARE: Final = 0.06
-# The plan never shrinks below this share, nor grows to more than so many times as much.
-_LEAST: Final = 0.05
-_MOST: Final = 12.0
+# Bounds of the factor on planned steps.
+_MIN_FACTOR: Final = 0.05
+_MAX_FACTOR: Final = 12.0
 
 
 class TimeBudget:
-    """Stretches or shortens a plan of steps so that it ends when the time is over.
+    """Deadline of a training run, and the factor on planned steps that meets it.
+
+    Work is counted in training steps with all splats of the scene (`work`).
 
     Parameters
     ----------
     seconds : float or None
-        From now on; None leaves the plan as it is.
+        Time until the deadline; None leaves all plans unchanged.
     clock : callable
-        Returns seconds.
+        Returns the current time, seconds.
     """
 
     def __init__(self, seconds: float | None, clock: Callable[[], float] = time.monotonic) -> None:
         self.factor = 1.0
         self._clock = clock
-        self._end = None if seconds is None else clock() + seconds
-        self._spent = 0.0
-        self._done = 0.0
+        self._deadline = None if seconds is None else clock() + seconds
+        self._measured_seconds = 0.0
+        self._measured_work = 0.0
 
     @staticmethod
     def work(steps: float, share: float) -> float:
-        """Return what steps cost with a share of the splats, in steps with all of them."""
+        """Return the cost of steps with a share of the splats, in steps with all splats."""
         return steps * (_FIXED_SHARE + (1.0 - _FIXED_SHARE) * share)
 
-    def hold(self, factor: float) -> None:
-        """Keep to a factor that was found before, whatever the clock says from now on."""
+    def fix_factor(self, factor: float) -> None:
+        """Set the factor, and ignore the deadline from now on; used to resume a run."""
         self.factor = factor
-        self._end = None
+        self._deadline = None
 
-    def plan(self, once: float, stretched: float) -> None:
-        """Find `factor`: how many times the steps planned are to be made.
+    def fit_to_deadline(self, fixed_work: float, scalable_work: float) -> None:
+        """Set `factor` so that the remaining work fits the remaining time.
+
+        A factor below 1 shortens all steps. A factor above 1 extends the scalable steps alone.
+        Nothing changes without a deadline, and before any work was timed (`run_timed`).
 
         Parameters
         ----------
-        once : float
-            Work (`work`) that is worth doing once and not more often; less than once where there is
-            no time for it.
-        stretched : float
-            Work that takes what time is left, above 0.
+        fixed_work : float
+            Remaining work that is never extended.
+        scalable_work : float
+            Remaining work that is extended to fill the time, above 0.
         """
-        if self._end is None or not self._done:
+        if self._deadline is None or not self._measured_work:
             return
-        possible = (self._end - self._clock()) * self._done / self._spent
-        factor = possible / (once + stretched)
+        remaining = self._deadline - self._clock()
+        possible = remaining * self._measured_work / self._measured_seconds
+        factor = possible / (fixed_work + scalable_work)
         if factor > 1.0:
-            factor = (possible - once) / stretched
-        self.factor = min(max(factor, _LEAST), _MOST)
+            factor = (possible - fixed_work) / scalable_work
+        self.factor = min(max(factor, _MIN_FACTOR), _MAX_FACTOR)
 
-    def steps(self, planned: int, *, stretched: bool) -> int:
-        """Return how many steps to make in place of those planned, at least 1."""
-        factor = self.factor if stretched else min(self.factor, 1.0)
-        return max(1, round(planned * factor))
-
-    def fitting(self, planned: int, seconds: float, kept_seconds: float) -> int:
-        """Return how many parts of work to do in place of those planned, at least 1.
+    def scaled_steps(self, planned: int, *, extend: bool) -> int:
+        """Return a number of planned steps times the factor, at least 1.
 
         Parameters
         ----------
         planned : int
-            As they are where nothing limits the time.
-        seconds : float
-            That one of them takes.
-        kept_seconds : float
-            Time that is to be left behind them.
+            Steps without a deadline.
+        extend : bool
+            Whether a factor above 1 applies.
         """
-        if self._end is None:
+        factor = self.factor if extend else min(self.factor, 1.0)
+        return max(1, round(planned * factor))
+
+    def affordable_count(self, planned: int, seconds: float, reserved_seconds: float) -> int:
+        """Return how often a piece of work can be repeated before the deadline, at least once.
+
+        Parameters
+        ----------
+        planned : int
+            Repetitions without a deadline.
+        seconds : float
+            Duration of one repetition.
+        reserved_seconds : float
+            Time to leave for the work that follows.
+        """
+        if self._deadline is None:
             return planned
-        fitting = int((self._end - self._clock() - kept_seconds) / seconds)
-        return max(1, min(max(fitting, round(_LEAST * planned)), round(_MOST * planned)))
+        affordable = int((self._deadline - self._clock() - reserved_seconds) / seconds)
+        return max(
+            1, min(max(affordable, round(_MIN_FACTOR * planned)), round(_MAX_FACTOR * planned))
+        )
 
     def now(self) -> float:
-        """Return the time, seconds from anywhere."""
+        """Return the current time of the clock, seconds."""
         return self._clock()
 
-    def timed(self, make: Callable[[], object], work: float) -> None:
-        """Do something that is so much work, and note what it took."""
+    def run_timed(self, function: Callable[[], object], work: float) -> None:
+        """Call a function, and record its duration for an amount of work (`work`)."""
         begin = self._clock()
-        make()
-        self._spent += self._clock() - begin
-        self._done += work
+        function()
+        self._measured_seconds += self._clock() - begin
+        self._measured_work += work

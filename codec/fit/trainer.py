@@ -1,4 +1,4 @@
-"""Training: Adam on all values of a scene, against the error of its pictures."""
+"""Training of a scene: Adam on all splat values against the error of rendered views."""
 
 from __future__ import annotations
 
@@ -36,48 +36,50 @@ RATES: Final[Mapping[str, float]] = MappingProxyType(
         "shN": 0.0015,
     }
 )
-"""Learning rates. Those of 3DGS but for means, whose unit is each splat's own middle axis: a step
-moves a large splat further than a small one, and scenes of any size train alike."""
+"""Learning rates by array, as in 3DGS except for means.
 
-# Learning rates follow the sizes of splats, looked up once in so many steps.
-_STEPS_AT_ONE_RATE: Final = 20
-# What the error of a view keeps of itself when it is measured again.
-_ERROR_MEMORY: Final = 0.5
-# A view whose error is so many times the mean counts no more than that, or less than its inverse.
-_MOST_WEIGHT: Final = 4.0
+The unit of means is the middle axis of each splat: large splats move further than small ones, and
+the scale of the scene does not matter."""
 
-# Steps, of two views each, in which all splats have been seen well enough to compare them; fewer
-# where every view has been drawn before.
-_STEPS_TO_SCORE: Final = 90
+# Steps between two updates of the learning rates of means, which follow the sizes of splats.
+_RATE_UPDATE_INTERVAL: Final = 20
+# Decay of the moving average of each view's error.
+_ERROR_DECAY: Final = 0.5
+# Limit of the weight of a view by its error, relative to the mean, and of its inverse.
+_MAX_VIEW_WEIGHT: Final = 4.0
 
-# What a render of the source counts where photos teach as well: enough for what no photo shows to
-# stay as it was.
+# Steps, of two views each, after which deletion errors accumulated in training are reliable. Fewer
+# steps suffice where every view has been rendered.
+_DELETION_STEPS: Final = 90
+
+# Weight of renders of the source where photos are ground truth as well: enough to preserve what no
+# photo shows.
 _RENDER_WEIGHT: Final = 0.1
 
-# What tells the random numbers of noise and of prefixes from those of views.
-_NOISE, _PREFIX = 2, 3
+# Salts of the random generators for noise and prefixes; views use 0 and 1.
+_NOISE_SALT, _PREFIX_SALT = 2, 3
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How a scene is trained.
+    """Settings of scene training.
 
     Parameters
     ----------
     loss : str
-        One of `losses.LOSSES`: ``squared`` or ``photo``.
+        Key of `image_losses.LOSSES`: ``squared``, ``photo`` or ``structure``.
     worst_views : float
-        Views count in proportion to their mean squared error to this power: 0 counts all alike.
+        Exponent of the weight of a view by its mean squared error: 0 weighs all views equally, 1
+        in proportion to their error.
     noise : bool
-        Whether what lies between the values and what is drawn in their place has a random sign,
-        value by value and step by step: noise as large as the errors of the quantisers (Ballé et
-        al. 2017), in place of these errors. Measured to be worse; for comparisons.
+        Whether quantisation errors get a random sign per value and step: additive noise (Ballé et
+        al. 2017) in place of straight-through gradients. For comparisons; measured to be worse.
     rates : mapping of str to float
-        Learning rates by array; arrays that are not in it stay as they are.
+        Learning rates by array; arrays without one are not trained.
     seed : int
-        Decides in which order views come.
+        Seed of the order of views.
     threads : int
-        0 for every core this process may use. The result does not depend on it.
+        Number of threads; 0 uses all cores. The result does not depend on it.
     """
 
     loss: str = "squared"
@@ -101,34 +103,36 @@ class TrainConfig:
 
 
 class Trainer:
-    """A scene while it is trained.
+    """A scene in training, with its optimiser state.
 
-    Each step draws one view along the cameras and one copy off their path, and moves all values
-    once. Where photos teach, it draws one of them and one of all other views, which counts less.
+    Each step renders one view on the capture path and one view off it, and updates all values once.
+    Where photos are ground truth, it renders one photo's view and one other view of lower weight.
 
     Parameters
     ----------
     splats : Splats
-        Copied.
-    training_views : TrainingViews
+        Scene to train; it is copied.
+    views : TrainingViews
+        Cameras and ground truth.
     config : TrainConfig
+        Loss, learning rates, seed and threads.
     steps : int
-        Steps that were made before, where training goes on: views come as they would have.
+        Steps already made in a resumed run; the order of views continues from there.
     """
 
     def __init__(
-        self, splats: Splats, training_views: TrainingViews, config: TrainConfig, *, steps: int = 0
+        self, splats: Splats, views: TrainingViews, config: TrainConfig, *, steps: int = 0
     ) -> None:
-        self.splats = _copy(splats)
+        self.splats = _writable_copy(splats)
         self.steps = steps
-        self._training_views = training_views
+        self._views = views
         self._config = config
-        self._pixels = [picture.shape[0] * picture.shape[1] for picture in training_views.pictures]
+        self._pixels = [picture.shape[0] * picture.shape[1] for picture in views.pictures]
         self._adam = SplatAdam(splats)
         self._gradients = Gradients.zeros(splats)
-        self._forget_deletions()
-        # Mean squared error of each view when it was last drawn; NaN before.
-        self._errors = np.full(len(training_views), np.nan)
+        self._reset_deletion_errors()
+        # Moving average of each view's mean squared error; NaN until it is first rendered.
+        self._view_errors = np.full(len(views), np.nan)
 
     def run(
         self,
@@ -142,31 +146,31 @@ class Trainer:
         progress: Progress = silent,
         stage: str = "train",
     ) -> float:
-        """Train for some steps.
+        """Train for a number of steps.
 
         Parameters
         ----------
         steps : int
+            Number of steps.
         first_rate, last_rate : float
-            Factors on the learning rates of the first and of the last step; between them they fall
-            by the same share in every step.
+            Factors on the learning rates at the first and the last step; exponential in between.
         decoded : Splats, optional
-            What is drawn in place of the values that are trained, as stored values are: what lies
-            between the two is added to the trained values in every step (straight-through
-            gradients, Bengio et al. 2013).
+            Scene after an encode-decode round trip. Its distance from the current values is added
+            to them in every step before rendering (straight-through gradients, Bengio et al. 2013).
         extra_gradients : Gradients, optional
-            Derivatives of whatever else the values cost, in units of the mean over pixels of the
-            squared error of a picture, its channels summed.
+            Gradients of a further loss, such as the rate, added in every step. Their unit is the
+            squared error of a picture, summed over channels and averaged over pixels.
         prefix_loss : PrefixLoss, optional
-            In one view of each step one of them is drawn as well.
+            Loss of a random prefix, added in one view per step.
         progress : Progress
-            Called with `stage`, steps done and steps.
+            Receives `stage`, in steps.
         stage : str
+            Name of the stage.
 
         Returns
         -------
         float
-            Mean PSNR of the pictures that were drawn, dB.
+            Mean PSNR of the rendered views, dB.
         """
         offsets = None
         if decoded is not None:
@@ -175,73 +179,74 @@ class Trainer:
                 for name in Gradients.names()
             }
         rates: dict[str, F32] = {}
-        decibels = 0.0
+        total_db = 0.0
         progress(stage, 0, steps)
         for step in range(steps):
-            if step % _STEPS_AT_ONE_RATE == 0:
+            if step % _RATE_UPDATE_INTERVAL == 0:
                 factor = first_rate * (last_rate / first_rate) ** (step / steps)
                 rates = self._rates(factor)
             errors = self._step(rates, offsets, extra_gradients, prefix_loss)
-            decibels += sum(-10 * math.log10(max(error, 1e-10)) for error in errors) / len(errors)
+            total_db += sum(-10 * math.log10(max(error, 1e-10)) for error in errors) / len(errors)
             progress(stage, step + 1, steps)
-        return decibels / max(steps, 1)
+        return total_db / max(steps, 1)
 
     def copy(self) -> Splats:
-        """Return the scene as it is now, which further steps do not change."""
-        return _copy(self.splats)
+        """Return a copy of the current scene, which further steps do not change."""
+        return _writable_copy(self.splats)
 
     def keep(self, rows: NDArray[np.int64], changed: Splats | None = None) -> None:
-        """Go on with some of the splats, and with what is known of their gradients.
+        """Delete all splats but some, which keep their optimiser state.
 
         Parameters
         ----------
         rows : (n,) int64
-            Those that stay.
+            Rows to keep.
         changed : Splats, optional
-            What all of them are from now on; as they were where it is not given.
+            Scene that replaces the current one before rows are deleted; the current one by default.
         """
-        self.splats = _copy((self.splats if changed is None else changed).take(rows))
-        self._adam = self._adam.take(rows)
+        self.splats = _writable_copy((self.splats if changed is None else changed).take(rows))
+        self._adam = self._adam.select(rows)
         self._gradients = Gradients.zeros(self.splats)
-        self._forget_deletions()
+        self._reset_deletion_errors()
 
     def deletion_errors(self) -> F64 | None:
-        """Return what the pictures drawn of late would have lost without each of the splats.
+        """Return the deletion error of each splat, accumulated while training.
 
         Returns
         -------
         (N,) float64 or None
-            As `deletion.deletion_errors` measures it, in the views drawn since splats were left out
-            last, each by its weight, while the values moved: these sums cost a step nearly nothing.
-            None where too few views have been drawn since.
+            Sum like that of `deletion_errors.deletion_errors`, over the views rendered since splats
+            were last deleted, weighted as in training. The values changed meanwhile, but the sum
+            costs next to nothing. None where too few views were rendered since.
         """
-        along, total = self._training_views.along, len(self._training_views)
-        needed = min(max(along, total - along), _STEPS_TO_SCORE)
-        return self._deleted if self._deleted_steps >= needed else None
+        on_path, total = self._views.num_on_path, len(self._views)
+        needed = min(max(on_path, total - on_path), _DELETION_STEPS)
+        return self._deletion_errors if self._deletion_steps >= needed else None
 
     def state(self) -> dict[str, NDArray[np.generic]]:
-        """Return all that `restore` needs, as arrays by name."""
+        """Return the checkpoint arrays of the trainer by name."""
         arrays: dict[str, NDArray[np.generic]] = {
             f"splats.{name}": getattr(self.splats, name) for name in Gradients.names()
         }
         arrays |= self._adam.state()
-        arrays |= {"deleted": self._deleted, "deleted_steps": np.array(self._deleted_steps)}
-        return arrays | {"steps": np.array(self.steps), "errors": self._errors}
+        arrays["deleted"] = self._deletion_errors
+        arrays["deleted_steps"] = np.array(self._deletion_steps)
+        return arrays | {"steps": np.array(self.steps), "errors": self._view_errors}
 
     def restore(self, state: Mapping[str, NDArray[np.generic]]) -> None:
-        """Go on from what `state` returned."""
+        """Restore the trainer from the checkpoint arrays of `state`."""
         arrays = {name: np.array(state[f"splats.{name}"], np.float32) for name in Gradients.names()}
         self.splats = with_values(self.splats, arrays)
         self._adam = SplatAdam.from_state(state)
         self._gradients = Gradients.zeros(self.splats)
         self.steps = int(state["steps"])
-        self._errors = np.array(state["errors"], np.float64)
-        self._deleted = np.array(state["deleted"], np.float64)
-        self._deleted_steps = int(state["deleted_steps"])
+        self._view_errors = np.array(state["errors"], np.float64)
+        self._deletion_errors = np.array(state["deleted"], np.float64)
+        self._deletion_steps = int(state["deleted_steps"])
 
-    def _forget_deletions(self) -> None:
-        self._deleted = np.zeros(len(self.splats))
-        self._deleted_steps = 0
+    def _reset_deletion_errors(self) -> None:
+        self._deletion_errors = np.zeros(len(self.splats))
+        self._deletion_steps = 0
 
     def _step(
         self,
@@ -250,109 +255,110 @@ class Trainer:
         extra_gradients: Gradients | None,
         prefix_loss: PrefixLoss | None,
     ) -> list[float]:
-        """Move the values once; return the mean squared errors of the views that were drawn."""
-        shown = self.splats
-        if offsets is not None:
-            if self._config.noise:
-                offsets = self._with_random_signs(offsets)
-            moved = {name: getattr(shown, name) + offset for name, offset in offsets.items()}
-            shown = with_values(shown, moved)
-        views = self._views()
-        # Weighed before the errors change that weights follow from.
-        weighed = [(view, self._weight(view)) for view in views]
-        measure = partial(self._measured, shown=shown)
+        """Update all values once; return the mean squared errors of the rendered views."""
+        scene = self._with_offsets(offsets)
+        views = self._choose_views()
+        # Weights follow from the view errors, which the loop below updates.
+        weighted_views = [(view, self._view_weight(view)) for view in views]
         self._gradients.clear()
         errors = []
-        found = ordered_map(measure, weighed, thread_count(self._config.threads))
-        for (view, weight), (drawing, sums, error) in zip(weighed, found, strict=True):
-            drawing.add(sums, self._gradients)
-            self._deleted[drawing.footprints.index] += weight * sums[:, DELETED]
-            before = self._errors[view]
-            kept = error if math.isnan(before) else _ERROR_MEMORY * (before - error) + error
-            self._errors[view] = kept
+        found = ordered_map(
+            partial(self._render_and_differentiate, scene=scene),
+            weighted_views,
+            thread_count(self._config.threads),
+        )
+        for (view, weight), (forward, sums, error) in zip(weighted_views, found, strict=True):
+            forward.add_gradients(sums, self._gradients)
+            self._deletion_errors[forward.footprints.index] += weight * sums[:, DELETED]
+            before = self._view_errors[view]
+            averaged = error if math.isnan(before) else _ERROR_DECAY * (before - error) + error
+            self._view_errors[view] = averaged
             errors.append(error)
         if prefix_loss is not None:
             number = self.steps % len(views)
-            view, weight = weighed[number]
+            view, weight = weighted_views[number]
             prefix_loss.add_gradients(
-                shown,
-                self._training_views.cameras[view],
-                self._training_views.configs[view],
-                self._training_views.pictures[view],
+                scene,
+                self._views.cameras[view],
+                self._views.configs[view],
+                self._views.pictures[view],
                 loss=self._config.loss,
-                # One view of a prefix stands for all views of the step.
+                # Prefixes are rendered in one view for all views of the step.
                 error=len(views) * weight * errors[number],
-                rng=np.random.default_rng((self._config.seed, _PREFIX, self.steps)),
+                rng=np.random.default_rng((self._config.seed, _PREFIX_SALT, self.steps)),
                 gradients=self._gradients,
             )
         if extra_gradients is not None:
             # The loss is half the squared error, summed over the pixels of these views.
-            self._gradients.add(
-                extra_gradients.times(0.5 * sum(self._pixels[view] for view in views))
-            )
+            pixels = sum(self._pixels[view] for view in views)
+            self._gradients.add(extra_gradients.times(0.5 * pixels))
         self._adam.step(self.splats, self._gradients, rates, self._config.threads)
         self.steps += 1
-        self._deleted_steps += 1
+        self._deletion_steps += 1
         return errors
 
+    def _with_offsets(self, offsets: Mapping[str, F32] | None) -> Splats:
+        """Return the scene to render: the current values plus their quantisation errors."""
+        if offsets is None:
+            return self.splats
+        if self._config.noise:
+            offsets = self._with_random_signs(offsets)
+        moved = {name: getattr(self.splats, name) + offset for name, offset in offsets.items()}
+        return with_values(self.splats, moved)
+
     def _with_random_signs(self, offsets: Mapping[str, F32]) -> dict[str, F32]:
-        """Return offsets with other signs; those of splats that are not drawn stay."""
-        rng = np.random.default_rng((self._config.seed, _NOISE, self.steps))
+        """Return offsets with random signs; infinite ones, of pruned splats, are unchanged."""
+        rng = np.random.default_rng((self._config.seed, _NOISE_SALT, self.steps))
         return {
             name: np.where((rng.random(values.shape) < 0.5) & np.isfinite(values), -values, values)
             for name, values in offsets.items()
         }
 
-    def _measured(
-        self, weighed: tuple[int, float], *, shown: Splats
+    def _render_and_differentiate(
+        self, weighted_view: tuple[int, float], *, scene: Splats
     ) -> tuple[ForwardPass, F64, float]:
-        """Draw a view; return the picture, what the loss asks of it, and its squared error."""
-        view, weight = weighed
-        training_views = self._training_views
-        drawing = render_forward(shown, training_views.cameras[view], training_views.configs[view])
-        error, by_picture = LOSSES[self._config.loss](
-            drawing.picture, training_views.pictures[view]
-        )
+        """Render a view; return its forward pass, the footprint sums, and its squared error."""
+        view, weight = weighted_view
+        views = self._views
+        forward = render_forward(scene, views.cameras[view], views.configs[view])
+        error, by_picture = LOSSES[self._config.loss](forward.picture, views.pictures[view])
         by_picture *= np.float32(weight)
-        return drawing, drawing.sums(by_picture), error
+        return forward, forward.footprint_sums(by_picture), error
 
-    def _weight(self, view: int) -> float:
-        """Return how much a view counts, by the error that it had when it was last drawn."""
-        error = self._errors[view]
-        photos = self._training_views.photos
+    def _view_weight(self, view: int) -> float:
+        """Return the weight of a view in the loss, from its ground truth and its last errors."""
+        error = self._view_errors[view]
+        photos = self._views.num_photos
         weight = _RENDER_WEIGHT if 0 < photos <= view else 1.0
         if not self._config.worst_views or not error > 0.0:
             return weight
-        ratio = float((error / np.nanmean(self._errors)) ** self._config.worst_views)
-        return weight * min(max(ratio, 1.0 / _MOST_WEIGHT), _MOST_WEIGHT)
+        ratio = float((error / np.nanmean(self._view_errors)) ** self._config.worst_views)
+        return weight * min(max(ratio, 1.0 / _MAX_VIEW_WEIGHT), _MAX_VIEW_WEIGHT)
 
-    def _views(self) -> list[int]:
-        """Return the views of this step: each comes once in every round through all of its kind."""
-        first_kind, total = (
-            self._training_views.photos or self._training_views.along,
-            len(self._training_views),
-        )
-        views = []
+    def _choose_views(self) -> list[int]:
+        """Return the views of this step, one of each kind; an epoch shows each view once."""
+        first_kind, total = self._views.num_photos or self._views.num_on_path, len(self._views)
+        chosen = []
         kinds = ((0, first_kind), (first_kind, total - first_kind))
         for kind, (first, count) in enumerate(kinds):
             if count:
-                turn, place = divmod(self.steps, count)
-                rng = np.random.default_rng((self._config.seed, kind, turn))
-                views.append(first + int(rng.permutation(count)[place]))
-        return views
+                epoch, position = divmod(self.steps, count)
+                rng = np.random.default_rng((self._config.seed, kind, epoch))
+                chosen.append(first + int(rng.permutation(count)[position]))
+        return chosen
 
     def _rates(self, factor: float) -> dict[str, F32]:
-        """Return the learning rate of every splat's values."""
+        """Return the learning rate of each splat by array, times a factor."""
         rates = {}
         for name, rate in self._config.rates.items():
-            each = np.full(len(self.splats), factor * rate, np.float32)
+            by_splat = np.full(len(self.splats), factor * rate, np.float32)
             if name == "means":
-                each *= np.exp(np.median(self.splats.scales, axis=1))
-            rates[name] = each
+                by_splat *= np.exp(np.median(self.splats.scales, axis=1))
+            rates[name] = by_splat
         return rates
 
 
-def _copy(splats: Splats) -> Splats:
-    """Return a scene whose arrays may be written to, without extra attributes."""
+def _writable_copy(splats: Splats) -> Splats:
+    """Return a copy of a scene with writable arrays and without extra attributes."""
     arrays = {name: getattr(splats, name).copy() for name in Gradients.names()}
     return with_values(splats.without_extras(), arrays)

@@ -1,4 +1,4 @@
-"""TrainingViews: the views that a scene is trained in, and what it should look like there."""
+"""Training views: the cameras that a scene is trained in, and the ground truth of each."""
 
 from __future__ import annotations
 
@@ -24,22 +24,24 @@ from .downscaling import downscale_camera, downscale_picture
 F32 = NDArray[np.float32]
 
 MAX_PIXELS: Final = 1 << 18
-"""Most pixels of one picture; larger ones are made smaller. Bounds memory, as `MAX_VIEWS` does."""
+"""Maximum number of pixels per picture; larger pictures are downscaled. Bounds memory."""
 MAX_VIEWS: Final = 96
-"""Most views of those given; each has two copies beside it, and views between it and others."""
+"""Maximum number of given cameras used for training. Bounds memory: views between cameras and
+jittered copies are added to them."""
 
-# Cameras that look most alike, halfway to which a view is put: from 2 where there are as many
-# cameras as may be to 5 where there are few. Of a captured room with 11,715 of its 80,796 splats,
-# 391 views in place of 184 brought 0.07 dB in other views after 1,000 steps, 0.17 in the worst.
-_FEWEST_NEIGHBOURS, _MOST_NEIGHBOURS = 2, 5
-_NEIGHBOURS_IN_ALL: Final = 256
-# One of so many of the views between cameras is kept apart to measure in, of those whose cameras
-# look the same way to this cosine: halfway between others may be inside of something.
-_APART_EVERY: Final = 6
-_ALIKE: Final = 0.8
+# Neighbours per camera that in-between views are interpolated with: from 2 for many cameras to 5
+# for few. Measured on a captured room with 11,715 of its 80,796 splats, after 1,000 steps: 391
+# views in place of 184 gained 0.07 dB in held-out views, and 0.17 dB in the worst of them.
+_MIN_NEIGHBOURS, _MAX_NEIGHBOURS = 2, 5
+# Number of in-between views, counted per end, that the neighbour count aims at.
+_NEIGHBOUR_BUDGET: Final = 256
+# Every n-th in-between view can be held out for measuring. Only pairs of cameras with viewing
+# directions of at least this cosine count: a view halfway between others may lie inside an object.
+_HOLD_OUT_EVERY: Final = 6
+_MIN_COSINE: Final = 0.8
 
-# Views that cover what others do not show are made smaller by this in width and height: they are
-# close-ups, of which every pixel shows something, and losses are summed over pixels.
+# Downscaling of covering views, per axis. They are close-ups that splats fill entirely, and losses
+# are summed over pixels: at full size they would dominate.
 _COVERING_FACTOR: Final = 2
 
 Background = tuple[float, float, float]
@@ -47,38 +49,41 @@ Background = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class TrainingViews:
-    """Views and the pictures that a scene should show in them.
+    """Cameras that a scene is trained in, with the ground-truth picture of each.
 
     Parameters
     ----------
     cameras : sequence of Camera
-        The given ones, those between them, then copies of all these off the capture path, and
-        views that cover what these do not show.
+        Views in this order: given cameras, views between them, jittered copies of both, covering
+        views.
     configs : sequence of RenderConfig
-        How each is drawn, on one thread.
+        Render settings of each view, on one thread.
     pictures : sequence of (H, W, 3) float32
-        0 to 1, in the scene's colour space.
-    given : int
-        How many of the views are given ones.
-    along : int
-        How many are given ones or between these.
-    photos : int
-        How many of the given ones, the first, show photos; all others show renders of the source.
+        Ground truth of each view, 0 to 1, in the scene's colour space.
+    num_given : int
+        Number of given cameras.
+    num_on_path : int
+        Number of views on the capture path: given cameras and views between them.
+    num_photos : int
+        Number of views with a photo as ground truth, the first ones; all other views have a render
+        of the source.
     """
 
     cameras: Sequence[Camera]
     configs: Sequence[RenderConfig]
     pictures: Sequence[F32]
-    given: int
-    along: int
-    photos: int = 0
+    num_given: int
+    num_on_path: int
+    num_photos: int = 0
 
     def __len__(self) -> int:
         return len(self.cameras)
 
 
-def _config(info: SceneInfo, factor: int, background: Background, device: str) -> RenderConfig:
-    """Return how a view is drawn whose picture was made so many times smaller each way."""
+def _render_config(
+    info: SceneInfo, factor: int, background: Background, device: str
+) -> RenderConfig:
+    """Return the render settings of a view whose picture is downscaled by `factor` per axis."""
     return RenderConfig(
         info.kernel_px / (factor * factor),
         info.antialiased,
@@ -88,76 +93,79 @@ def _config(info: SceneInfo, factor: int, background: Background, device: str) -
     )
 
 
-def _factor(camera: Camera, most_pixels: int) -> int:
-    """Return by how much each side of a picture is divided."""
-    factor = math.ceil(math.sqrt(camera.width * camera.height / most_pixels))
+def _downscaling_factor(camera: Camera, max_pixels: int) -> int:
+    """Return the downscaling per axis that leaves at most `max_pixels` pixels."""
+    factor = math.ceil(math.sqrt(camera.width * camera.height / max_pixels))
     return max(1, min(factor, camera.width, camera.height))
 
 
-def _between(cameras: Sequence[Camera]) -> list[Camera]:
-    """Return views halfway between cameras and those that look most alike.
+def _interpolated_cameras(cameras: Sequence[Camera]) -> list[Camera]:
+    """Return a camera halfway between each camera and each of its nearest neighbours.
 
-    Scenes trained in few views learn them by heart, what is rounded in them above all: these are
-    new and as near to the capture path as any.
+    They reduce overfitting: with few training views, errors of the quantisers are hidden in these
+    views alone. Interpolated cameras are new, and as near to the capture path as the given ones.
     """
-    return [_halfway(cameras[one], cameras[other]) for one, other in _pairs(cameras)]
+    return [
+        _interpolate(cameras[one], cameras[other]) for one, other in _neighbouring_cameras(cameras)
+    ]
 
 
-def _pairs(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
-    """Return pairs of cameras that look alike, the smaller number first."""
-    places = np.array([camera.position for camera in cameras])
-    looks = np.array([camera.rotation[2] for camera in cameras])
-    spread = float(np.linalg.norm(places - places.mean(axis=0), axis=1).mean())
-    neighbours = _NEIGHBOURS_IN_ALL // len(cameras)
-    neighbours = min(max(neighbours, _FEWEST_NEIGHBOURS), _MOST_NEIGHBOURS)
+def _neighbouring_cameras(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
+    """Return index pairs of cameras with similar poses, the smaller index first."""
+    positions = np.array([camera.position for camera in cameras])
+    directions = np.array([camera.rotation[2] for camera in cameras])
+    spread = float(np.linalg.norm(positions - positions.mean(axis=0), axis=1).mean())
+    neighbours = _NEIGHBOUR_BUDGET // len(cameras)
+    neighbours = min(max(neighbours, _MIN_NEIGHBOURS), _MAX_NEIGHBOURS)
     pairs = []
     for number in range(len(cameras)):
-        off = np.linalg.norm(places - places[number], axis=1)
-        off += spread * (1.0 - looks @ looks[number])
-        off[number] = np.inf
-        for other in np.argsort(off, kind="stable")[:neighbours].tolist():
+        distances = np.linalg.norm(positions - positions[number], axis=1)
+        distances += spread * (1.0 - directions @ directions[number])
+        distances[number] = np.inf
+        for other in np.argsort(distances, kind="stable")[:neighbours].tolist():
             pair = min(number, other), max(number, other)
-            if math.isfinite(off[other]) and pair not in pairs:
+            if math.isfinite(distances[other]) and pair not in pairs:
                 pairs.append(pair)
     return pairs
 
 
 def held_out_views(cameras: Sequence[Camera]) -> list[Camera]:
-    """Return views to measure in, halfway between cameras, for training_views without them.
+    """Return test views halfway between cameras, which training must leave out.
 
     Parameters
     ----------
     cameras : sequence of Camera
-        In the frame of the means; those that `make_training_views` is given.
+        Cameras in the frame of the means, the same as `make_training_views` gets.
 
     Returns
     -------
     list of Camera
-        For the parameter `apart` of `make_training_views`. Empty where no cameras look alike.
+        Argument `held_out` of `make_training_views`. Empty where no two cameras look the same way.
     """
     given = sample_evenly(cameras, MAX_VIEWS)
-    alike = [
+    similar = [
         (given[one], given[other])
-        for one, other in _pairs(given)
-        if float(given[one].rotation[2] @ given[other].rotation[2]) >= _ALIKE
+        for one, other in _neighbouring_cameras(given)
+        if float(given[one].rotation[2] @ given[other].rotation[2]) >= _MIN_COSINE
     ]
-    return [_halfway(*pair) for pair in alike[::_APART_EVERY]]
+    return [_interpolate(*pair) for pair in similar[::_HOLD_OUT_EVERY]]
 
 
-def _halfway(camera: Camera, other: Camera) -> Camera:
-    """Return a camera as the first one, in the middle of two and turned by half the angle."""
+def _interpolate(camera: Camera, other: Camera) -> Camera:
+    """Return a camera halfway between two poses, with the intrinsics of the first."""
     left, _, right = np.linalg.svd(camera.rotation + other.rotation)
     rotation = left @ np.diag([1.0, 1.0, float(np.linalg.det(left @ right))]) @ right
-    place = (camera.position + other.position) / 2
+    position = (camera.position + other.position) / 2
     return replace(
         camera,
         rotation=rotation,
-        translation=-rotation @ place,
+        translation=-rotation @ position,
         name=f"{camera.name}-{other.name}",
     )
 
 
-def _drawn(view: tuple[Camera, RenderConfig], source: Splats) -> F32:
+def _render_clipped(view: tuple[Camera, RenderConfig], source: Splats) -> F32:
+    """Return the render of a view, clipped to 0 to 1."""
     picture = render(source, *view)
     return np.clip(picture, np.float32(0.0), np.float32(1.0), out=picture)
 
@@ -169,43 +177,46 @@ def make_training_views(
     photos: Sequence[F32] | None = None,
     copies: bool = True,
     covering: Sequence[Camera] = (),
-    apart: Sequence[Camera] = (),
+    held_out: Sequence[Camera] = (),
     background: Background = (0.0, 0.0, 0.0),
-    most_pixels: int = MAX_PIXELS,
+    max_pixels: int = MAX_PIXELS,
     threads: int = 0,
     device: str = "cpu",
     progress: Progress = silent,
 ) -> TrainingViews:
-    """Make the training_views that a scene is trained by: its own renders, or photos.
+    """Make the views that a scene is trained in; their ground truth is renders or photos.
 
     Parameters
     ----------
     source : Splats
-        Drawn with the kernel and anti-aliasing of ``source.info``.
+        Scene that the ground truth is rendered from, with kernel and anti-aliasing of
+        ``source.info``.
     cameras : sequence of Camera
-        In the frame of the means. Of more than `MAX_VIEWS`, evenly spread ones are taken.
+        Cameras in the frame of the means. If there are more than `MAX_VIEWS`, evenly spread ones
+        are used.
     photos : sequence of (H, W, 3) float32, optional
-        0 to 1, one per camera, in its size; without them the source's renders teach.
+        Ground truth of `cameras`, 0 to 1, one photo per camera in its size. Renders of the source
+        by default.
     copies : bool
-        Whether views between cameras, and copies of all that step back or turn
-        (`view_sets.jitter`), are added. They are always taught by the source's renders.
+        Whether to add views between cameras, and jittered copies that step back or turn
+        (`view_sets.jitter`). Their ground truth is always a render.
     covering : sequence of Camera
-        Views of what visitors hardly see (`planner.ViewPlan.covering_views`). They teach as copies
-        do, so that this is not forgotten. As given views, with copies and views between them, a
-        third of what taught a trained figure was its underside, and views from around it had 1 dB
-        less in as many bytes.
-    apart : sequence of Camera
-        From `held_out_views`: views that do not teach.
+        Views of regions that `cameras` hardly show (`planner.ViewPlan.covering_views`), so that
+        training keeps these regions; used like jittered copies. Used like given cameras, they made
+        a third of the views of one figure show its underside, and views around it lost 1 dB at the
+        same size.
+    held_out : sequence of Camera
+        Views from `held_out_views`; training leaves them out.
     background : tuple of float
         RGB behind the splats.
-    most_pixels : int
-        Larger pictures are made smaller by a whole number.
+    max_pixels : int
+        Maximum number of pixels per picture; larger pictures are downscaled by an integer factor.
     threads : int
-        0 for every core this process may use. The pictures do not depend on it.
+        Number of threads; 0 uses all cores. The pictures do not depend on it.
     device : str
-        As `RenderConfig` has it: where these pictures, and those of the training, are drawn.
+        Device of `RenderConfig` for the ground truth and for training.
     progress : Progress
-        Called with ``training views``, views done and views.
+        Receives the stage ``training views``, in views.
 
     Returns
     -------
@@ -214,9 +225,9 @@ def make_training_views(
     Raises
     ------
     DataError
-        ``no-cameras``.
+        ``no-cameras``: `cameras` is empty.
     ValueError
-        Other than one photo per camera.
+        The number of photos differs from the number of cameras.
 
     Examples
     --------
@@ -225,7 +236,7 @@ def make_training_views(
     >>> splats = cogsplat.read("scene.ply")
     >>> cameras = cogsplat.read_cameras("cameras.json")[:2]
     >>> views = make_training_views(splats, cameras)
-    >>> len(views), views.given, views.along, views.pictures[0].shape
+    >>> len(views), views.num_given, views.num_on_path, views.pictures[0].shape
     (8, 2, 3, (48, 64, 3))
     """
     if not cameras:
@@ -234,24 +245,25 @@ def make_training_views(
         raise ValueError(f"{len(photos)} photos for {len(cameras)} cameras")
     chosen = sample_evenly(range(len(cameras)), MAX_VIEWS)
     given = [cameras[number] for number in chosen]
-    between, off = [], []
+    between, off_path = [], []
     if copies:
-        names = {camera.name for camera in apart}
-        between = [camera for camera in _between(given) if camera.name not in names]
-        off = [*jitter(source, given), *jitter(source, between, 1)]
-    off += covering
-    views = [*given, *between, *off]
-    factors = [_factor(camera, most_pixels) for camera in views]
+        names = {camera.name for camera in held_out}
+        between = [camera for camera in _interpolated_cameras(given) if camera.name not in names]
+        off_path = [*jitter(source, given), *jitter(source, between, 1)]
+    off_path += covering
+    views = [*given, *between, *off_path]
+    factors = [_downscaling_factor(camera, max_pixels) for camera in views]
     for number in range(len(views) - len(covering), len(views)):
         factors[number] *= min(_COVERING_FACTOR, views[number].width, views[number].height)
     small = [downscale_camera(*pair) for pair in zip(views, factors, strict=True)]
-    configs = [_config(source.info, factor, background, device) for factor in factors]
-    taught = [] if photos is None else [photos[number] for number in chosen]
-    pictures = [downscale_picture(*pair) for pair in zip(taught, factors, strict=False)]
-    left = list(zip(small, configs, strict=True))[len(pictures) :]
+    configs = [_render_config(source.info, factor, background, device) for factor in factors]
+    chosen_photos = [] if photos is None else [photos[number] for number in chosen]
+    pictures = [downscale_picture(*pair) for pair in zip(chosen_photos, factors, strict=False)]
+    to_render = list(zip(small, configs, strict=True))[len(pictures) :]
     progress("training views", 0, len(views))
-    for picture in ordered_map(partial(_drawn, source=source), left, thread_count(threads)):
+    renders = ordered_map(partial(_render_clipped, source=source), to_render, thread_count(threads))
+    for picture in renders:
         pictures.append(picture)
         progress("training views", len(pictures), len(views))
-    along = len(given) + len(between)
-    return TrainingViews(small, configs, pictures, len(given), along, len(taught))
+    on_path = len(given) + len(between)
+    return TrainingViews(small, configs, pictures, len(given), on_path, len(chosen_photos))

@@ -1,4 +1,4 @@
-"""The configuration of `tuning.tune`."""
+"""Configuration of `tuning.tune`."""
 
 from __future__ import annotations
 
@@ -9,45 +9,46 @@ from cogsplat.codec.encode.presets import PRESETS
 
 from .trainer import TrainConfig
 
-# Profiles whose quantisers a scene can be trained through; `near-lossless` bounds errors instead.
+# Profiles with quantisers to train through; `near-lossless` bounds errors per value instead.
 _PROFILES: Final = ("transform", "vq")
 
 
 @dataclass(frozen=True)
 class TuneConfig:
-    """How a scene is tuned.
+    """Settings of tuning: steps of each phase, loss weights, preset and profile.
 
     Parameters
     ----------
     keep : float or None
-        Share of the splats that is kept; None for what the target allows.
+        Share of the splats to keep; None to derive it from the target.
     round_keep : float
-        Share that one round of leaving out and training keeps.
+        Share of the splats that one pruning round keeps.
     round_steps, recovery_steps, quantised_steps : int
-        Steps of training in each round, after the last of them, and through the quantisers.
-    refresh : int
-        Steps of training through the quantisers between two encodes of the scene.
+        Training steps in each pruning round, after the last round, and through the quantisers.
+    encode_interval : int
+        Training steps between two encodes in quantised training.
     rate_weight : float
-        How much it counts, while the scene trains through the quantisers, in how many bits its
-        values are coded: at 1 a bit is weighed against the error that it would remove elsewhere
-        (`bit_slopes.ERROR_PER_BIT`), at 0 it counts nothing. Of a captured room at 1.59 bytes for
-        each splat of the source, 1, 3 and 8 bring 0.06, 0.11 and 0.01 dB in 0.3, 0.4 and 0.7 %
-        fewer bytes; at 3.8 bytes 1 and 3 bring nothing in 0.3 and 0.6 % fewer.
+        Weight of the rate in the loss of quantised training. At 1, a bit costs the error that it
+        would remove elsewhere (`rate_gradients.ERROR_PER_BIT`); 0 ignores the rate. Measured on a
+        captured room: at 1.59 bytes per splat of the source, weights 1, 3 and 8 gain 0.06, 0.11 and
+        0.01 dB in 0.3, 0.4 and 0.7 % fewer bytes. At 3.8 bytes, weights 1 and 3 gain no PSNR, in
+        0.3 and 0.6 % fewer bytes.
     prefix_weight : float
-        What one per cent less error of prefixes counts, while the scene trains through the
-        quantisers, in per cent less error of the whole. 200 more steps with 0.3 brought a captured
-        room of 170 kB 0.2 dB in its first 64 and 128 KiB and no loss in the whole, with 2 they
-        brought 0.65 and 0.8 dB and took 0.4, with 10 1.1 and 1.15 dB and took 1.5.
+        Weight of the relative error of prefixes against that of the whole scene, in quantised
+        training. Measured on a captured room of 170 kB, in 200 more steps: 0.3 gains 0.2 dB in the
+        first 64 and 128 KiB at no loss of the whole; 2 gains 0.65 and 0.8 dB and loses 0.4 dB; 10
+        gains 1.1 and 1.15 dB and loses 1.5 dB.
     seconds : float or None
-        Time that all this may take. Steps after the last round then become fewer or more, and those
-        of rounds fewer; the result depends on how fast the machine is.
+        Time limit. Steps of rounds are shortened to meet it, steps after them also extended; the
+        result then depends on the speed of the machine.
     preset : str
-        One of `presets.PRESETS`: how the tuned scene is scored, ordered and compensated.
+        Key of `presets.PRESETS`: effort of scoring, ordering and compensation.
     profile : str
-        ``transform`` or ``vq``: what the scene is stored as. Of ``vq`` the codebooks train with the
-        splats, each beginning where the one before ended, and every splat takes the row that is
-        nearest by then (Niedermayr et al. 2024, section 3.3, with the means trained too).
+        ``transform`` or ``vq``. With ``vq``, codebooks train with the splats: each encode starts
+        k-means from the last codebooks and assigns each splat to the nearest row (after Niedermayr
+        et al. 2024, section 3.3, with trained means).
     train : TrainConfig
+        Loss, learning rates, seed and threads.
     """
 
     keep: float | None = None
@@ -55,7 +56,7 @@ class TuneConfig:
     round_steps: int = 100
     recovery_steps: int = 1000
     quantised_steps: int = 600
-    refresh: int = 10
+    encode_interval: int = 10
     rate_weight: float = 3.0
     prefix_weight: float = 0.0
     seconds: float | None = None
@@ -68,7 +69,7 @@ class TuneConfig:
             raise ValueError(f"keep {self.keep}, expected above 0 and at most 1")
         if not 0.0 < self.round_keep < 1.0:
             raise ValueError(f"round_keep {self.round_keep}, expected between 0 and 1")
-        steps = (self.round_steps, self.recovery_steps, self.quantised_steps, self.refresh)
+        steps = (self.round_steps, self.recovery_steps, self.quantised_steps, self.encode_interval)
         if min(steps) < 1:
             raise ValueError(f"steps {steps}, expected at least 1 each")
         if not self.rate_weight >= 0:

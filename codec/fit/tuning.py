@@ -1,4 +1,4 @@
-"""Tuning: fewer splats that show the same, trained through the quantisers that store them."""
+"""Tuning: fewer splats of the same appearance, trained through the quantisers that store them."""
 
 from __future__ import annotations
 
@@ -22,62 +22,60 @@ from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
-from .deletion import deletion_errors
+from .deletion_errors import deletion_errors
 from .differentiable_rendering import Gradients, with_values
 from .quantised_training import QuantisedTraining
-from .splat_budget import (
-    corrected_count,
-    count_after_round,
-    count_after_round_for_psnr,
-    count_for_size,
-)
+from .splat_budget import corrected_count, count_for_size, next_count, next_count_for_psnr
 from .splat_merging import merge_candidates, merge_pairs
 from .time_budget import TimeBudget
 from .trainer import Trainer
 from .training_views import TrainingViews, make_training_views
 from .tune_config import TuneConfig
 
-# Learning rates of rounds, of what follows them, and of training through quantisers: first, last.
+# Factors on the learning rates of rounds and of the recovery after them: first step, last step.
 _ROUND_RATES: Final = (1.0, 0.3)
 _RECOVERY_RATES: Final = (1.0, 0.1)
-# σ of this is 0.9997: capped alphas of 0.99 (3DGS) stay, and gradients reach the logit.
-_LARGEST_LOGIT: Final = 8.0
-# Where the number of splats is not known before, the work is planned for this share of them.
-_USUAL_SHARE: Final = 0.25
-# What a step through the quantisers takes, in steps without them: the scene is encoded in between.
-_STORING_WORK: Final = 1.6
-# Where a PSNR decides how many splats are left, training tells whether they are as many as it asks
-# for: for this share of the steps of a recovery, and so many times at most.
-_PROBING_SHARE: Final = 0.5
-_MOST_RECOVERIES: Final = 3
-# Earlier rounds that are kept to go back to.
-_ROUNDS_KEPT: Final = 2
-# Time that is kept for what follows training through the quantisers: so many times what preparing
-# it took, and so many times what encoding once and training on takes.
-_FINISHING, _SETTLING = 2.0, 8.0
-# The part that tells what parts take: what happens once only is over by then.
-_PARTS_TIMED: Final = 2
-# Parts between two checkpoints.
-_PARTS_KEPT: Final = 5
+# Upper limit of opacity logits: an opacity of 0.9997. Alphas capped at 0.99 (3DGS) do not change,
+# and gradients reach the logit.
+_MAX_LOGIT: Final = 8.0
+# Assumed share of splats kept where the target does not fix their number; sizes the time budget.
+_ASSUMED_SHARE: Final = 0.25
+# Cost of a step through the quantisers, relative to other steps: it includes encoding.
+_QUANTISED_STEP_COST: Final = 1.6
+# Share of the recovery steps after which a target PSNR decides whether the number of splats is
+# right, and the maximum number of such recoveries.
+_TRIAL_RECOVERY_SHARE: Final = 0.5
+_MAX_RECOVERIES: Final = 3
+# Number of earlier rounds that can be restored.
+_MAX_EARLIER_ROUNDS: Final = 2
+# Time reserved for what follows quantised training: a multiple of its setup, and a multiple of one
+# cycle of encoding and training.
+_RESERVED_SETUPS, _RESERVED_CYCLES = 2.0, 8.0
+# Cycle whose duration the number of cycles is planned by; one-off compilation is over by then.
+_TIMED_CYCLE: Final = 2
+# Cycles between two checkpoints.
+_CHECKPOINT_CYCLES: Final = 5
 
-State = Mapping[str, NDArray[np.generic]]
-"""All that going on takes, as arrays by name."""
+CheckpointArrays = Mapping[str, NDArray[np.generic]]
+"""Checkpoint: all arrays needed to resume tuning, by name."""
 
 
 @dataclass(frozen=True)
 class Milestone:
-    """Where the tuning of a scene is.
+    """Progress report of a tuning run.
 
     Parameters
     ----------
     stage : str
-        ``trained``, ``stored``, or ``untuned`` where the source as it is takes fewer bytes.
+        ``trained`` after a round, ``stored`` after an encode, ``untuned`` if the untrained source
+        meets the target in a smaller file.
     splats : int
-        That are left.
+        Current number of splats.
     psnr_db, worst_db : float
-        Mean over the test views and the worst of them, dB; ``trained`` in as many pixels as teach.
+        Mean PSNR of the test views, and the lowest one, dB. In stage ``trained``, pictures are as
+        small as in training.
     size_bytes : int
-        Of the whole file; 0 before the scene is stored.
+        Size of the whole file; 0 in stage ``trained``.
     """
 
     stage: str
@@ -89,15 +87,14 @@ class Milestone:
 
 @dataclass(frozen=True, eq=False)
 class TuneResult:
-    """A tuned scene.
+    """A tuned scene, encoded and as trained splats.
 
     Parameters
     ----------
     encoded : EncodedScene
-        Its report says what was measured against the source.
+        Encoded scene; its report has the PSNR against the source.
     splats : Splats
-        As they were trained before they were stored; those of the source where it is stored as it
-        is.
+        Splats before training through the quantisers; the source where tuning saved nothing.
     """
 
     encoded: EncodedScene
@@ -106,7 +103,7 @@ class TuneResult:
 
 def tune(
     source: Splats,
-    training_views: TrainingViews,
+    views: TrainingViews,
     cameras: Sequence[Camera],
     target: Target,
     config: TuneConfig,
@@ -115,76 +112,77 @@ def tune(
     covering: Sequence[Camera] = (),
     size_of: SizeOf,
     preview: PreviewMaker | None = None,
-    resume: State | None = None,
-    checkpoint: Callable[[State], None] | None = None,
+    resume: CheckpointArrays | None = None,
+    checkpoint: Callable[[CheckpointArrays], None] | None = None,
     notify: Callable[[Milestone], None] | None = None,
     progress: Progress = silent,
 ) -> TuneResult:
-    """Train fewer splats to show what a scene shows, and store them.
+    """Reduce the splats of a scene, train them, and encode them at a target size or PSNR.
 
-    In rounds, the splats whose deletion changes the pictures least are left out and the others
-    trained to make up for them. What is left trains on through the encoder's own quantisers: it is
-    drawn as it will be decoded, and its values move by what the pictures then ask for.
+    Pruning runs in rounds: delete the splats with the smallest deletion errors, then train the
+    rest. The remaining splats are then trained through the encoder's quantisers, with
+    straight-through gradients.
 
-    Where the target is a PSNR, the source is also encoded as it is, without training, and this is
-    the result where it has the PSNR in fewer bytes: small scenes, and targets that need nearly all
-    splats, leave training nothing to save.
+    For a target PSNR, the source is also encoded without training. This encode is the result if it
+    is smaller, as for small scenes and for targets that need nearly all splats.
 
     Parameters
     ----------
     source : Splats
-        Rows must be valid (`Splats.require_valid`).
-    training_views : TrainingViews
-        Of the source (`training_views.make_training_views`).
+        Scene to tune; its rows must be valid (`Splats.require_valid`).
+    views : TrainingViews
+        Training views of the source (`training_views.make_training_views`).
     cameras : sequence of Camera
-        Views to score in, in the frame of the means.
+        Views that the scene is scored in, in the frame of the means.
     target : Target
         PSNR against renders of the source in the test views, or size of the file.
     config : TuneConfig
+        Steps of each phase, preset and profile.
     test_views : sequence of Camera
-        Where quality is measured; some of `cameras` where none are given.
+        Views that PSNR is measured in; some of `cameras` by default.
     covering : sequence of Camera
-        Views of what `cameras` leave out (`contribution.score`).
+        Views of regions that `cameras` do not show (`contribution.score`).
     size_of : callable
-        Bytes of the whole file that an encoded scene makes.
+        Returns the file size of an encoded scene, bytes.
     preview : PreviewMaker, optional
-        Makes first chunks that stand for the source until more of the tuned scene has come.
+        Makes the preview chunks.
     resume : mapping of str to array, optional
-        What `checkpoint` was given last in a run with the same arguments. With
-        `TuneConfig.seconds`, as many steps follow as that run had planned when it was given this,
-        whatever time they take: all runs that go on from one state have the same result.
+        Last argument of `checkpoint` in a run with the same arguments. With `TuneConfig.seconds`,
+        the number of steps is the one planned in that run, whatever time they take: all runs
+        resumed from one checkpoint have the same result.
     checkpoint : callable, optional
-        Called after every round, and now and then while the scene is stored.
+        Called with a checkpoint after every round, and at intervals in quantised training.
     notify : callable, optional
-        Called with what was reached, at the same times.
+        Called with a progress report at the same times.
     progress : Progress
-        Called with ``search``, ``deletions``, ``train``, ``score``, ``train stored``, ``preview``
-        and the stages of the encoder.
+        Receives ``search``, ``deletions``, ``train``, ``score``, ``train stored``, ``preview`` and
+        the stages of the encoder.
 
     Returns
     -------
     TuneResult
-        The same for any number of threads, unless `TuneConfig.seconds` is given.
+        Result; it does not depend on the number of threads, unless `TuneConfig.seconds` is given.
 
     Raises
     ------
     DataError
-        ``invalid-rows``; ``target-out-of-reach``.
+        ``invalid-rows``: the source has invalid rows. ``target-out-of-reach``: the file cannot be
+        as small as the target.
     """
     source.require_valid()
-    measured = training_views
+    measured = views
     if test_views:
         measured = make_training_views(
             source,
             test_views,
             copies=False,
-            background=training_views.configs[0].background,
+            background=views.configs[0].background,
             threads=config.train.threads,
-            device=training_views.configs[0].device,
+            device=views.configs[0].device,
             progress=progress,
         )
-    run = _Run(source, training_views, measured, target, config, checkpoint, notify, progress)
-    storing_of = partial(
+    run = _TuningRun(source, views, measured, target, config, checkpoint, notify, progress)
+    make_quantised = partial(
         QuantisedTraining,
         source,
         cameras=cameras,
@@ -196,285 +194,324 @@ def tune(
         preview=preview,
         progress=progress,
     )
-    # A share that is given is kept, whatever the file takes.
-    compared = target.psnr_db is not None and config.keep is None
-    as_it_is = storing_of(source) if compared else None
-    untuned = None if as_it_is is None else as_it_is.encode_untrained(source)
+    # A given share of splats is kept even where the untuned source is smaller.
+    compare_untuned = target.psnr_db is not None and config.keep is None
+    of_source = make_quantised(source) if compare_untuned else None
+    untuned = None if of_source is None else of_source.encode_untrained(source)
     if resume is not None:
         run.restore(resume)
     if run.base is None:
-        run.leave_out()
+        run.prune()
         run.base = run.trainer.copy()
-    begin = run.budget.now()
-    storing = storing_of(run.base)
+    begin = run.time_budget.now()
+    quantised = make_quantised(run.base)
     if resume is not None:
-        storing.restore_codebooks(resume)
-    encoded = run.through_quantisers(storing, run.budget.now() - begin)
-    if as_it_is is not None and untuned is not None:
-        figures = as_it_is.measure(untuned)
-        if figures[-1] < storing.measure(encoded)[-1]:
+        quantised.restore_codebooks(resume)
+    encoded = run.train_quantised(quantised, run.time_budget.now() - begin)
+    if of_source is not None and untuned is not None:
+        measurement = of_source.measure(untuned)
+        if measurement[-1] < quantised.measure(encoded)[-1]:
             if notify is not None:
-                notify(Milestone("untuned", *figures))
-            return TuneResult(as_it_is.finish(untuned), source)
-    return TuneResult(storing.finish(encoded), run.base)
+                notify(Milestone("untuned", *measurement))
+            return TuneResult(of_source.finish(untuned), source)
+    return TuneResult(quantised.finish(encoded), run.base)
 
 
-class _Run:
-    """The state of one tuning."""
+class _TuningRun:
+    """State of one tuning run: the scene in training, earlier rounds, and the time budget."""
 
     def __init__(
         self,
         source: Splats,
-        training_views: TrainingViews,
+        views: TrainingViews,
         measured: TrainingViews,
         target: Target,
         config: TuneConfig,
-        checkpoint: Callable[[State], None] | None,
+        checkpoint: Callable[[CheckpointArrays], None] | None,
         notify: Callable[[Milestone], None] | None,
         progress: Progress,
     ) -> None:
         self.base: Splats | None = None
-        self._training_views = training_views
+        self._views = views
         self._measured = measured
         self._target = target
         self._config = config
         self._checkpoint = checkpoint
         self._notify = notify
         self._progress = progress
-        self._all = len(source)
-        self.budget = TimeBudget(config.seconds)
-        # States before the last rounds, how often splats were trained for long after them, and the
-        # number that a correction is on its way to; 0 for none.
-        self._kept: list[dict[str, NDArray[np.generic]]] = []
+        self._source_count = len(source)
+        self.time_budget = TimeBudget(config.seconds)
+        # Checkpoint arrays from before the last rounds.
+        self._earlier_rounds: list[dict[str, NDArray[np.generic]]] = []
+        # Recoveries made, and the number of splats that a correction prunes down to; 0 without one.
         self._recoveries = 0
-        self._aim = 0
-        # Steps made through quantisers, all of those planned, and the nominal quality they have.
-        self._stored = (0, 0, 0.0)
-        clipped = np.minimum(source.opacities, np.float32(_LARGEST_LOGIT))
-        self.trainer = Trainer(replace(source, opacities=clipped), training_views, config.train)
+        self._corrected_to = 0
+        # Quantised training steps made, steps planned, and nominal quality, dB.
+        self._quantised = (0, 0, 0.0)
+        clipped = np.minimum(source.opacities, np.float32(_MAX_LOGIT))
+        self.trainer = Trainer(replace(source, opacities=clipped), views, config.train)
+
+    @property
+    def _count(self) -> int:
+        """Current number of splats."""
+        return len(self.trainer.splats)
 
     @property
     def _share(self) -> float:
-        return len(self.trainer.splats) / max(self._all, 1)
+        """Current number of splats over that of the source."""
+        return self._count / max(self._source_count, 1)
 
-    def leave_out(self) -> None:
-        """Leave out splats round by round, as long as the target allows, and train the others."""
+    def prune(self) -> None:
+        """Prune and train in rounds until the target allows no further round."""
         if not self._recoveries:
             while (count := self._next_count()) is not None:
-                self._round(count)
+                self._run_round(count)
             self._recover()
-        while self._aim or self._turns():
+        while self._corrected_to or self._correct_count():
             keep = self._config.round_keep
-            while (
-                fewer := count_after_round(len(self.trainer.splats), self._aim, keep)
-            ) is not None:
-                self._round(fewer)
-            self._aim = 0
+            while (count := next_count(self._count, self._corrected_to, keep)) is not None:
+                self._run_round(count)
+            self._corrected_to = 0
             self._recover()
 
-    def _round(self, count: int) -> None:
-        """Merge splats that look alike, delete others until so many are left, and train these."""
+    def _run_round(self, count: int) -> None:
+        """Merge similar splats, delete others until `count` are left, and train."""
         if self._target.psnr_db is not None and self._config.keep is None:
             state = {name: values.copy() for name, values in self.trainer.state().items()}
-            self._kept = [*self._kept[1 - _ROUNDS_KEPT :], state]
+            self._earlier_rounds = [*self._earlier_rounds[1 - _MAX_EARLIER_ROUNDS :], state]
         errors = self.trainer.deletion_errors()
         if errors is None:
             errors = deletion_errors(
                 self.trainer.splats,
-                self._training_views,
+                self._views,
                 threads=self._config.train.threads,
                 progress=self._progress,
             )
         splats = self.trainer.splats
-        kept, given_up = merge_candidates(splats, errors, len(splats) - count)
-        # What stands for two stays, and what another stands for goes.
+        merge_targets, merged = merge_candidates(splats, errors, len(splats) - count)
+        # Keep merge targets, delete the splats merged into them.
         errors = errors.copy()
-        errors[kept], errors[given_up] = np.inf, -np.inf
-        most = np.argsort(-errors, kind="stable")[:count]
-        self.trainer.keep(np.sort(most), merge_pairs(splats, kept, given_up))
-        self._train(self._config.round_steps, _ROUND_RATES, stretched=False)
-        self._reached()
+        errors[merge_targets], errors[merged] = np.inf, -np.inf
+        kept = np.argsort(-errors, kind="stable")[:count]
+        self.trainer.keep(np.sort(kept), merge_pairs(splats, merge_targets, merged))
+        self._train(self._config.round_steps, _ROUND_RATES, recovery=False)
+        self._report_round()
 
     def _recover(self) -> None:
-        """Train for long, with the learning rates falling."""
+        """Train for the recovery steps, with falling learning rates."""
         steps = self._config.recovery_steps
-        if self._least_count() is None:
-            steps = math.ceil(_PROBING_SHARE * steps)
-        self._train(steps, _RECOVERY_RATES, stretched=True)
+        if self._final_count() is None:
+            steps = math.ceil(_TRIAL_RECOVERY_SHARE * steps)
+        self._train(steps, _RECOVERY_RATES, recovery=True)
         self._recoveries += 1
-        self._reached()
+        self._report_round()
 
-    def _turns(self) -> bool:
-        """Turn to another number of splats where the target asks for it; tell whether it does.
+    def _correct_count(self) -> bool:
+        """Choose another number of splats if the PSNR after training asks for it.
 
-        The way to fewer is by further rounds, to more from an earlier round.
+        More splats are restored from an earlier round. Fewer are left to further rounds.
+
+        Returns
+        -------
+        bool
+            Whether another number was chosen.
         """
-        count = self._corrected_count()
+        count = self._better_count()
         if count is None:
             return False
-        self._aim = count
-        if count < len(self.trainer.splats):
+        self._corrected_to = count
+        if count < self._count:
             return True
-        rows = [len(state["splats.opacities"]) for state in self._kept]
-        # The last round that had as many; where none is kept any more, the one with most.
-        enough = [number for number, kept in enumerate(rows) if kept >= count]
-        self.trainer.restore(self._kept[enough[-1] if enough else int(np.argmax(rows))])
-        # Having been too few once, they are not made fewer again.
-        self._recoveries = _MOST_RECOVERIES - 1
+        counts = [len(state["splats.opacities"]) for state in self._earlier_rounds]
+        # The last round with enough splats, or the round with most.
+        enough = [number for number, kept in enumerate(counts) if kept >= count]
+        number = enough[-1] if enough else int(np.argmax(counts))
+        self.trainer.restore(self._earlier_rounds[number])
+        # This was the last correction: alternating between too few and too many would not end.
+        self._recoveries = _MAX_RECOVERIES - 1
         return True
 
     def _next_count(self) -> int | None:
-        """Return how many splats the next round keeps; None where no more are left out."""
-        count, keep = len(self.trainer.splats), self._config.round_keep
-        least = self._least_count()
-        if least is not None:
-            return count_after_round(count, least, keep)
-        return count_after_round_for_psnr(
-            count, self._measured_db()[0], self._target.psnr_db or 0.0, keep
+        """Return the number of splats after the next round; None after the last round."""
+        keep, final = self._config.round_keep, self._final_count()
+        if final is not None:
+            return next_count(self._count, final, keep)
+        target_db = self._target.psnr_db or 0.0
+        return next_count_for_psnr(self._count, self._measure_psnr()[0], target_db, keep)
+
+    def _better_count(self) -> int | None:
+        """Return a better number of splats for a target PSNR; None to keep the current one."""
+        if self._final_count() is not None or self._recoveries >= _MAX_RECOVERIES:
+            return None
+        counts = [len(state["splats.opacities"]) for state in self._earlier_rounds]
+        target_db = self._target.psnr_db or 0.0
+        return corrected_count(
+            self._count, self._measure_psnr()[0], target_db, max([self._count, *counts])
         )
 
-    def _corrected_count(self) -> int | None:
-        """Return how many splats the target asks for after training; None for those there are."""
-        if self._least_count() is not None or self._recoveries >= _MOST_RECOVERIES:
-            return None
-        count = len(self.trainer.splats)
-        most = max([count, *(len(state["splats.opacities"]) for state in self._kept)])
-        return corrected_count(count, self._measured_db()[0], self._target.psnr_db or 0.0, most)
-
-    def _least_count(self) -> int | None:
-        """Return how many splats are to be left; None where a PSNR decides."""
+    def _final_count(self) -> int | None:
+        """Return the number of splats to prune down to; None if a target PSNR decides."""
         if self._config.keep is not None:
-            return max(1, round(self._config.keep * self._all))
+            return max(1, round(self._config.keep * self._source_count))
         if self._target.size_bytes is None:
             return None
         degree = self.trainer.splats.sh_degree
-        return count_for_size(self._target.size_bytes, degree, self._all)
+        return count_for_size(self._target.size_bytes, degree, self._source_count)
 
-    def _train(self, planned: int, rates: tuple[float, float], *, stretched: bool) -> None:
-        self._plan(planned if stretched else 0)
-        steps = self.budget.steps(planned, stretched=stretched)
-        run = partial(self.trainer.run, steps, *rates, progress=self._progress)
-        self.budget.timed(run, TimeBudget.work(steps, self._share))
-
-    def _plan(self, recovery_steps: int) -> None:
-        """Plan how many steps follow, the steps of a recovery that begins now among them."""
-        config, share = self._config, self._share
-        least = self._least_count()
-        end = _USUAL_SHARE if least is None else least / max(self._all, 1)
-        rounds = 0.0
-        if not recovery_steps and not self._recoveries:
-            while share > end:
-                rounds += TimeBudget.work(config.round_steps, share)
-                share *= config.round_keep
-            recovery_steps = config.recovery_steps
-        stored = _STORING_WORK * config.quantised_steps
-        self.budget.plan(rounds, TimeBudget.work(recovery_steps + stored, min(end, share)))
-
-    def _measured_db(self) -> tuple[float, float]:
-        """Return the mean and the least PSNR in the test views, dB."""
-        training_views = self._measured
-
-        def measure(view: int) -> float:
-            picture = render(
-                self.trainer.splats, training_views.cameras[view], training_views.configs[view]
-            )
-            return float(psnr(training_views.pictures[view], picture))
-
-        threads = thread_count(self._config.train.threads)
-        found = list(ordered_map(measure, range(training_views.given), threads))
-        return float(np.mean(found)), min(found)
-
-    def _reached(self) -> None:
-        if self._notify is not None:
-            self._notify(Milestone("trained", len(self.trainer.splats), *self._measured_db()))
-        if self._checkpoint is not None:
-            self._checkpoint(self.state())
-
-    def through_quantisers(self, storing: QuantisedTraining, seconds: float) -> EncodedScene:
-        """Train the scene as it will be decoded; return it as it is stored in the end.
+    def _train(self, planned: int, rates: tuple[float, float], *, recovery: bool) -> None:
+        """Train for a number of steps scaled by the time budget.
 
         Parameters
         ----------
-        storing : QuantisedTraining
-        seconds : float
-            That making it took.
+        planned : int
+            Steps without a deadline.
+        rates : tuple of float
+            Factors on the learning rates at the first and the last step.
+        recovery : bool
+            Whether this is a recovery, which the time budget may extend, or a round.
         """
-        refresh = self._config.refresh
-        done, planned, quality = self._stored
-        timed = not planned
-        if timed:
-            parts = self.budget.steps(-(-self._config.quantised_steps // refresh), stretched=True)
-            planned = parts * refresh
-            quality = storing.initial_quality(self.trainer.splats)
-        while done < planned:
-            begin = self.budget.now()
-            quality = self._part(storing, done, planned, quality)
-            done += refresh
-            took = self.budget.now() - begin
-            if timed and done == _PARTS_TIMED * refresh:
-                left = self.budget.fitting(
-                    (planned - done) // refresh, took, _FINISHING * seconds + _SETTLING * took
-                )
-                planned = done + left * refresh
-            self._progress("train stored", done, planned)
-            if (done // refresh) % _PARTS_KEPT == 0:
-                self._stored = done, planned, quality
-                self._stored_reached(storing)
-        encoded = storing.reach_target(self.trainer, quality, refresh)
+        self._update_time_budget(planned if recovery else 0)
+        steps = self.time_budget.scaled_steps(planned, extend=recovery)
+        run = partial(self.trainer.run, steps, *rates, progress=self._progress)
+        self.time_budget.run_timed(run, TimeBudget.work(steps, self._share))
+
+    def _update_time_budget(self, recovery_steps: int) -> None:
+        """Fit the remaining training to the deadline.
+
+        Parameters
+        ----------
+        recovery_steps : int
+            Steps of the recovery that starts now; 0 before a round.
+        """
+        config, share = self._config, self._share
+        final = self._final_count()
+        final_share = _ASSUMED_SHARE if final is None else final / max(self._source_count, 1)
+        rounds = 0.0
+        if not recovery_steps and not self._recoveries:
+            while share > final_share:
+                rounds += TimeBudget.work(config.round_steps, share)
+                share *= config.round_keep
+            recovery_steps = config.recovery_steps
+        quantised = _QUANTISED_STEP_COST * config.quantised_steps
+        scalable = TimeBudget.work(recovery_steps + quantised, min(final_share, share))
+        self.time_budget.fit_to_deadline(rounds, scalable)
+
+    def _measure_psnr(self) -> tuple[float, float]:
+        """Return the mean and the lowest PSNR of the test views, dB."""
+        views = self._measured
+
+        def measure(view: int) -> float:
+            picture = render(self.trainer.splats, views.cameras[view], views.configs[view])
+            return float(psnr(views.pictures[view], picture))
+
+        threads = thread_count(self._config.train.threads)
+        values = list(ordered_map(measure, range(views.num_given), threads))
+        return float(np.mean(values)), min(values)
+
+    def _report_round(self) -> None:
+        """Notify the caller after a round or recovery, and hand out a checkpoint."""
         if self._notify is not None:
-            self._notify(Milestone("stored", *storing.measure(encoded)))
+            self._notify(Milestone("trained", self._count, *self._measure_psnr()))
+        if self._checkpoint is not None:
+            self._checkpoint(self.state())
+
+    def train_quantised(self, quantised: QuantisedTraining, setup_seconds: float) -> EncodedScene:
+        """Train the scene through the quantisers; return the encode that meets the target best.
+
+        Parameters
+        ----------
+        quantised : QuantisedTraining
+            Encoder of the scene.
+        setup_seconds : float
+            Duration of the construction of `quantised`; sizes the reserved time.
+        """
+        interval = self._config.encode_interval
+        done, planned, quality_db = self._quantised
+        is_new = not planned
+        if is_new:
+            cycles = -(-self._config.quantised_steps // interval)
+            planned = self.time_budget.scaled_steps(cycles, extend=True) * interval
+            quality_db = quantised.initial_quality(self.trainer.splats)
+        while done < planned:
+            begin = self.time_budget.now()
+            quality_db = self._run_cycle(quantised, done, planned, quality_db)
+            done += interval
+            seconds = self.time_budget.now() - begin
+            if is_new and done == _TIMED_CYCLE * interval:
+                reserved = _RESERVED_SETUPS * setup_seconds + _RESERVED_CYCLES * seconds
+                cycles = self.time_budget.affordable_count(
+                    (planned - done) // interval, seconds, reserved
+                )
+                planned = done + cycles * interval
+            self._progress("train stored", done, planned)
+            if (done // interval) % _CHECKPOINT_CYCLES == 0:
+                self._quantised = done, planned, quality_db
+                self._report_encode(quantised)
+        encoded = quantised.reach_target(self.trainer, quality_db, interval)
+        if self._notify is not None:
+            self._notify(Milestone("stored", *quantised.measure(encoded)))
         return encoded
 
-    def _part(self, storing: QuantisedTraining, done: int, planned: int, quality: float) -> float:
-        """Encode the scene, and train on as it is decoded; return the next nominal quality."""
-        refresh = self._config.refresh
-        # Each part has one set of decoded values.
-        measure = (done // refresh + 1) % _PARTS_KEPT == 0
-        quality, made = storing.encode_towards_target(
-            self.trainer.splats, quality, done / planned, measure
-        )
-        rates = (
-            storing.learning_rate_factor(done / planned),
-            storing.learning_rate_factor((done + refresh) / planned),
-        )
-        storing.train(self.trainer, made, quality, refresh, rates)
-        return quality
+    def _run_cycle(
+        self, quantised: QuantisedTraining, done: int, planned: int, quality_db: float
+    ) -> float:
+        """Encode the scene once and train on its decoded values; return the nominal quality, dB.
 
-    def _stored_reached(self, storing: QuantisedTraining) -> None:
+        Parameters
+        ----------
+        quantised : QuantisedTraining
+            Encoder of the scene.
+        done, planned : int
+            Quantised training steps made and planned.
+        quality_db : float
+            Nominal quality of the last cycle.
+        """
+        interval = self._config.encode_interval
+        measure = (done // interval + 1) % _CHECKPOINT_CYCLES == 0
+        quality_db, made = quantised.encode_towards_target(
+            self.trainer.splats, quality_db, done / planned, measure
+        )
+        first = quantised.learning_rate_factor(done / planned)
+        last = quantised.learning_rate_factor((done + interval) / planned)
+        quantised.train(self.trainer, made, quality_db, interval, (first, last))
+        return quality_db
+
+    def _report_encode(self, quantised: QuantisedTraining) -> None:
+        """Notify the caller in quantised training, and hand out a checkpoint."""
         if self._notify is not None:
-            self._notify(Milestone("stored", *storing.last_measurement))
+            self._notify(Milestone("stored", *quantised.last_measurement))
         if self._checkpoint is not None:
-            self._checkpoint(self.state() | storing.state())
+            self._checkpoint(self.state() | quantised.state())
 
     def state(self) -> dict[str, NDArray[np.generic]]:
-        """Return all that `restore` needs."""
+        """Return the checkpoint arrays of the run by name."""
         arrays = dict(self.trainer.state())
-        arrays["stored"] = np.array(self._stored)
-        arrays["recoveries"] = np.array((self._recoveries, self._aim))
-        arrays["factor"] = np.array(self.budget.factor)
-        for number, kept in enumerate(self._kept):
+        arrays["stored"] = np.array(self._quantised)
+        arrays["recoveries"] = np.array((self._recoveries, self._corrected_to))
+        arrays["factor"] = np.array(self.time_budget.factor)
+        for number, kept in enumerate(self._earlier_rounds):
             arrays |= {f"kept{number}.{name}": values for name, values in kept.items()}
         if self.base is not None:
             for name in Gradients.names():
                 arrays[f"base.{name}"] = getattr(self.base, name)
         return arrays
 
-    def restore(self, state: State) -> None:
-        """Go on from a state of an earlier run with the same arguments."""
+    def restore(self, state: CheckpointArrays) -> None:
+        """Restore the run from the checkpoint of an earlier run with the same arguments."""
         self.trainer.restore(state)
-        done, planned, quality = state["stored"].tolist()
-        self._stored = int(done), int(planned), float(quality)
-        self._recoveries, self._aim = state["recoveries"].tolist()
-        self.budget.hold(float(state["factor"]))
-        self._kept = []
-        for number in range(_ROUNDS_KEPT):
-            first = f"kept{number}."
+        done, planned, quality_db = state["stored"].tolist()
+        self._quantised = int(done), int(planned), float(quality_db)
+        self._recoveries, self._corrected_to = state["recoveries"].tolist()
+        self.time_budget.fix_factor(float(state["factor"]))
+        self._earlier_rounds = []
+        for number in range(_MAX_EARLIER_ROUNDS):
+            prefix = f"kept{number}."
             kept = {
-                name.removeprefix(first): np.array(values)
+                name.removeprefix(prefix): np.array(values)
                 for name, values in state.items()
-                if name.startswith(first)
+                if name.startswith(prefix)
             }
-            self._kept += [kept] if kept else []
+            self._earlier_rounds += [kept] if kept else []
         if "base.means" in state:
             arrays = {
                 name: np.array(state[f"base.{name}"], np.float32) for name in Gradients.names()

@@ -53,7 +53,7 @@ from .tune_checkpoint import fingerprint, read_checkpoint, write_checkpoint
 if TYPE_CHECKING:
     from cogsplat.codec.encode.encoded import EncodedScene
     from cogsplat.codec.encode.rate_control import Target
-    from cogsplat.codec.fit.tuning import Milestone, State
+    from cogsplat.codec.fit.tuning import CheckpointArrays, Milestone
 
 _DEFAULT_DB: Final = 40.0
 # `TuneConfig.prefix_weight` where the first bytes are to be made for with a preview.
@@ -204,14 +204,14 @@ def tune(
             splats = usable_rows(given.splats, scene).without_extras()
             if not len(splats):
                 raise DataError("empty-scene", f"{scene}: 0 splats, expected some to train")
-        planned, apart, covering = views is None, [], []
+        planned, held_out, covering = views is None, [], []
         if views is None:
             plan = planned_views(splats, threads=threads, progress=stages)
             # Quality is not measured where the scene is trained: it is better there.
             views, covering, tests = plan.views, plan.covering_views, plan.test_views
         else:
             assert cameras is not None
-            tests = apart = held_out_views(views)
+            tests = held_out = held_out_views(views)
             if not tests:
                 tests = measured_in(given_cameras(cameras), eval_every)
         photos = None
@@ -223,7 +223,7 @@ def tune(
             views,
             photos=photos,
             covering=covering,
-            apart=apart,
+            held_out=held_out,
             background=background,
             threads=threads,
             device=device,
@@ -257,7 +257,7 @@ def tune(
         if checkpoint is not None and resume and checkpoint.exists():
             state = read_checkpoint(checkpoint, of)
 
-        def keep_state(state: State) -> None:
+        def keep_state(state: CheckpointArrays) -> None:
             if checkpoint is not None:
                 write_checkpoint(checkpoint, of, state)
 

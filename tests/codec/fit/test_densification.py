@@ -56,11 +56,11 @@ def test_those_with_the_largest_mean_gradients_are_cut_and_frozen_ones_are_not()
     scene = synth(20)
     scene.opacities[:] = 2.0
     scene.opacities[[2, 11]] = -9.0
-    growth = Densification(frozen=5, target=18, steps=100, least_opacity=LEAST)
+    growth = Densification(frozen=5, target=18, steps=100, min_opacity=LEAST)
     pulls = np.linspace(1.0, 20.0, 20)
     for seen in (np.arange(20), np.arange(10)):
         # What twice as many pictures show does not ask for more.
-        growth.note(seen, np.stack([pulls[seen], np.zeros(len(seen))], axis=1), 20)
+        growth.accumulate(seen, np.stack([pulls[seen], np.zeros(len(seen))], axis=1), 20)
     grown, adam = growth.densify(scene, SplatAdam(scene), 56)
     # 14 of 15 are seen well enough, and the last time brings all that are aimed at.
     assert len(grown) == 5 + 18
@@ -73,7 +73,7 @@ def test_those_with_the_largest_mean_gradients_are_cut_and_frozen_ones_are_not()
 
 
 def test_it_happens_in_the_first_part_of_training_alone():
-    growth = Densification(frozen=0, target=100, steps=200, least_opacity=LEAST)
+    growth = Densification(frozen=0, target=100, steps=200, min_opacity=LEAST)
     due = [step for step in range(1, 201) if growth.is_due(step)]
     assert len(due) == 8
     assert due[-1] <= 120
@@ -83,6 +83,6 @@ def test_it_happens_in_the_first_part_of_training_alone():
 def test_what_no_picture_shows_is_not_cut():
     scene = synth(10)
     scene.opacities[:] = 2.0
-    growth = Densification(frozen=0, target=100, steps=100, least_opacity=LEAST)
-    growth.note(np.arange(4), np.ones((4, 2)), 10)
+    growth = Densification(frozen=0, target=100, steps=100, min_opacity=LEAST)
+    growth.accumulate(np.arange(4), np.ones((4, 2)), 10)
     assert len(growth.densify(scene, SplatAdam(scene), 56)[0]) == 14

@@ -140,8 +140,8 @@ def test_on_a_device_derivatives_are_the_same_but_for_rounding(monkeypatch, anti
     splats.opacities[::4] = 9.0
     config = RenderConfig(antialiased=antialiased, background=BACKGROUND)
     expected, wanted = render_forward(splats, camera, config), Gradients.zeros(splats)
-    sums = expected.sums(2 * (expected.picture - target))
-    centres = expected.add(sums, wanted)
+    sums = expected.footprint_sums(2 * (expected.picture - target))
+    centres = expected.add_gradients(sums, wanted)
     on_cpu(monkeypatch)
     drawing, found = (
         render_forward(splats, camera, replace(config, device="cuda")),
@@ -150,7 +150,7 @@ def test_on_a_device_derivatives_are_the_same_but_for_rounding(monkeypatch, anti
     np.testing.assert_allclose(drawing.picture, expected.picture, atol=1e-4)
     np.testing.assert_array_equal(drawing.footprints.index, expected.footprints.index)
     by_picture = 2 * (drawing.picture - target)
-    assert_close(drawing.sums(by_picture), sums)
+    assert_close(drawing.footprint_sums(by_picture), sums)
     assert_close(drawing.backward(by_picture, found), centres)
     for name in Gradients.names():
         assert_close(getattr(found, name), getattr(wanted, name))

@@ -67,7 +67,7 @@ def test_every_level_is_near_what_was_given(levels, encoded):
         scene = encoded.decoded.take(np.concatenate(rows))
         scene.opacities[:] = np.concatenate(logits)
         for camera in CAMERAS:
-            assert psnr(render(scene, camera), render(levels.at(level), camera)) > 34
+            assert psnr(render(scene, camera), render(levels.scene(level), camera)) > 34
 
 
 def test_bytes_do_not_depend_on_threads(levels, encoded):

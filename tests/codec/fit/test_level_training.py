@@ -69,7 +69,7 @@ def test_one_model_of_all_scales_is_better_than_an_untrained_one_at_each(scene):
         views = [downscale_camera(camera, scale) for camera in cameras]
         targets = [downscale_picture(render(splats, camera), scale) for camera in cameras]
         trained, untrained = (
-            np.mean([ssim(render(one.at(0), v), t) for v, t in zip(views, targets, strict=True)])
+            np.mean([ssim(render(one.scene(0), v), t) for v, t in zip(views, targets, strict=True)])
             for one in (model, cut)
         )
         assert trained > untrained
@@ -106,7 +106,7 @@ def test_training_pays(scene, loss):
 
     def mean_after(steps):
         config = LevelsConfig(scales=(4,), shares=(0.2,), steps=steps, loss=loss, threads=1)
-        small = train_levels(splats, cameras, config).at(0)
+        small = train_levels(splats, cameras, config).scene(0)
         pairs = zip(views, targets, strict=True)
         return np.mean([measure(render(small, view), target) for view, target in pairs])
 
@@ -163,7 +163,7 @@ def test_levels_grow_out_of_points(scene):
         targets = [downscale_picture(photo, scale) for photo in photos]
         found, begun = (
             np.mean([ssim(render(one, v), t) for v, t in zip(views, targets, strict=True)])
-            for one in (grown.at(level), points)
+            for one in (grown.scene(level), points)
         )
         assert found > begun + 0.1
     alone = grow_levels(points, cameras, photos, 90, LevelsConfig((4,), (1.0,), 120, threads=2))

@@ -4,9 +4,9 @@ import pytest
 
 from cogsplat.codec.fit.splat_budget import (
     corrected_count,
-    count_after_round,
-    count_after_round_for_psnr,
     count_for_size,
+    next_count,
+    next_count_for_psnr,
 )
 
 
@@ -28,17 +28,17 @@ def test_where_more_splats_may_be_kept_each_has_more_bytes():
 
 def test_rounds_end_at_the_number_that_is_aimed_at():
     counts = [1000]
-    while (count := count_after_round(counts[-1], 300, 0.7)) is not None:
+    while (count := next_count(counts[-1], 300, 0.7)) is not None:
         counts.append(count)
     assert counts == [1000, 700, 489, 342, 300]
 
 
 def test_rounds_end_when_training_cannot_make_up_for_more():
-    far = count_after_round_for_psnr(1000, 45.0, 35.0, 0.8)
-    near = count_after_round_for_psnr(1000, 35.5, 35.0, 0.8)
+    far = next_count_for_psnr(1000, 45.0, 35.0, 0.8)
+    near = next_count_for_psnr(1000, 35.5, 35.0, 0.8)
     assert (far, near) == (800, 900)
-    assert count_after_round_for_psnr(1000, 35.0, 35.0, 0.8) is None
-    assert count_after_round_for_psnr(1, 45.0, 35.0, 0.8) is None
+    assert next_count_for_psnr(1000, 35.0, 35.0, 0.8) is None
+    assert next_count_for_psnr(1, 45.0, 35.0, 0.8) is None
 
 
 def test_counts_are_corrected_by_what_half_of_the_splats_cost():

@@ -6,7 +6,7 @@ import pytest
 from numba.core import sigutils
 
 from cogsplat.codec.compiling import kernels_in
-from cogsplat.codec.fit.deletion import deletion_errors
+from cogsplat.codec.fit.deletion_errors import deletion_errors
 from cogsplat.codec.fit.differentiable_rendering import Gradients
 from cogsplat.codec.fit.trainer import TrainConfig, Trainer
 from cogsplat.codec.fit.training_views import make_training_views
@@ -175,13 +175,13 @@ def test_photos_outweigh_the_renders_of_the_source_that_teach_beside_them():
     camera = oracle.camera(0.0)
     photo, plain = (np.clip(render(each, camera), 0, 1) for each in (brighter, source))
     training_views = make_training_views(source, [camera], photos=[photo])
-    assert (training_views.photos, len(training_views)) == (1, 3)
+    assert (training_views.num_photos, len(training_views)) == (1, 3)
     trainer = Trainer(source, training_views, TrainConfig(worst_views=0.0))
     trainer.run(80, 1.0, 0.3)
     drawn = np.clip(render(trainer.splats, camera), 0, 1)
     assert psnr(photo, drawn) > psnr(plain, drawn) + 6.0
     # Where only renders teach, the photo is one view of three.
-    alike = Trainer(source, replace(training_views, photos=0), TrainConfig(worst_views=0.0))
+    alike = Trainer(source, replace(training_views, num_photos=0), TrainConfig(worst_views=0.0))
     alike.run(80, 1.0, 0.3)
     assert psnr(photo, drawn) > psnr(photo, np.clip(render(alike.splats, camera), 0, 1))
     # And what the copies show is not given up.

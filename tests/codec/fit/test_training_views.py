@@ -17,8 +17,8 @@ def test_renders_teach_in_the_cameras_and_their_copies():
     training_views = make_training_views(splats, cameras, background=background, threads=2)
     assert (
         len(training_views),
-        training_views.given,
-        training_views.along,
+        training_views.num_given,
+        training_views.num_on_path,
         len(training_views.pictures),
     ) == (8, 2, 3, 8)
     for camera, config, picture in zip(
@@ -27,7 +27,7 @@ def test_renders_teach_in_the_cameras_and_their_copies():
         assert config == RenderConfig(0.1, True, background=background, threads=1)
         np.testing.assert_array_equal(picture, np.clip(render(splats, camera, config), 0, 1))
     alone = make_training_views(splats, cameras, copies=False)
-    assert len(alone) == alone.given == alone.along == 2
+    assert len(alone) == alone.num_given == alone.num_on_path == 2
 
 
 def test_a_view_between_two_cameras_is_halfway():
@@ -38,7 +38,7 @@ def test_a_view_between_two_cameras_is_halfway():
     np.testing.assert_allclose(between.position, (one.position + other.position) / 2, atol=1e-12)
     # Of three on a path, those at the ends have the one in the middle and each other.
     three = make_training_views(splats, [one, middle, other])
-    assert (three.given, three.along) == (3, 6)
+    assert (three.num_given, three.num_on_path) == (3, 6)
     assert len({camera.name for camera in three.cameras}) == len(three)
 
 
@@ -47,11 +47,11 @@ def test_views_that_are_kept_apart_do_not_teach():
     cameras = [oracle.camera(angle) for angle in np.linspace(0.0, 1.2, 8)]
     apart = held_out_views(cameras)
     assert 1 <= len(apart) < len(cameras)
-    whole, without = (make_training_views(splats, cameras, apart=views) for views in ((), apart))
+    whole, without = (make_training_views(splats, cameras, held_out=views) for views in ((), apart))
     names = {camera.name for camera in without.cameras}
     assert not names & {camera.name for camera in apart}
-    assert {camera.name for camera in whole.cameras[: whole.along]} == {
-        camera.name for camera in [*without.cameras[: without.along], *apart]
+    assert {camera.name for camera in whole.cameras[: whole.num_on_path]} == {
+        camera.name for camera in [*without.cameras[: without.num_on_path], *apart]
     }
     # Of copies of the views that are kept apart there are none either.
     assert len(whole) - len(without) == 2 * len(apart)
@@ -69,7 +69,10 @@ def test_covering_views_teach_once_and_without_copies():
         make_training_views(splats, cameras, covering=views) for views in (below, ())
     )
     assert len(training_views) == len(without) + 1
-    assert (training_views.given, training_views.along) == (without.given, without.along)
+    assert (training_views.num_given, training_views.num_on_path) == (
+        without.num_given,
+        without.num_on_path,
+    )
     last = training_views.cameras[-1]
     assert last.name == "covering-000"
     assert (last.width, last.height) == (below[0].width // 2, below[0].height // 2)
@@ -82,7 +85,7 @@ def test_photos_teach_in_the_cameras_and_renders_in_the_copies():
     photo = np.full((camera.height, camera.width, 3), 0.25, np.float32)
     training_views = make_training_views(splats, [camera], photos=[photo])
     np.testing.assert_array_equal(training_views.pictures[0], photo)
-    assert (training_views.photos, make_training_views(splats, [camera]).photos) == (1, 0)
+    assert (training_views.num_photos, make_training_views(splats, [camera]).num_photos) == (1, 0)
     assert not (training_views.pictures[1] == 0.25).all()
     with pytest.raises(ValueError, match="1 photos for 2 cameras"):
         make_training_views(splats, [camera, camera], photos=[photo])
@@ -92,14 +95,14 @@ def test_large_pictures_become_smaller_and_show_the_same():
     splats = oracle.scene(2, n=30)
     camera = oracle.camera(width=80, height=60, focal=60.0)
     photo = render(splats, camera)
-    training_views = make_training_views(splats, [camera], photos=[photo], most_pixels=1500)
+    training_views = make_training_views(splats, [camera], photos=[photo], max_pixels=1500)
     small = training_views.cameras[0]
     assert (small.width, small.height, small.fx) == (40, 30, 30.0)
     assert training_views.configs[0].kernel_px == 0.3 / 4
     drawn = render(splats, small, training_views.configs[0])
     assert np.abs(drawn - training_views.pictures[0]).mean() < 0.02
     white = np.ones((60, 81, 3), np.float32)
-    odd = make_training_views(splats, [replace(camera, width=81)], photos=[white], most_pixels=1500)
+    odd = make_training_views(splats, [replace(camera, width=81)], photos=[white], max_pixels=1500)
     assert odd.pictures[0].shape == (30, 40, 3)
 
 

@@ -75,7 +75,12 @@ def variants(config: TuneConfig, share: float, *, photos: bool) -> list[Variant]
     train = config.train
     rounds = max(1, math.ceil(math.log(share) / math.log(config.round_keep)))
     untrained = replace(
-        config, round_steps=1, recovery_steps=1, quantised_steps=1, refresh=1, round_keep=0.01
+        config,
+        round_steps=1,
+        recovery_steps=1,
+        quantised_steps=1,
+        encode_interval=1,
+        round_keep=0.01,
     )
     found = [
         Variant("as it is", config),
@@ -87,7 +92,8 @@ def variants(config: TuneConfig, share: float, *, photos: bool) -> list[Variant]
         ),
         Variant("splats left out, nothing trained", untrained),
         Variant(
-            "not trained through the quantisers", replace(config, quantised_steps=1, refresh=1)
+            "not trained through the quantisers",
+            replace(config, quantised_steps=1, encode_interval=1),
         ),
         Variant(
             "through noise in place of the quantisers",

@@ -2,7 +2,7 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.fit.deletion import deletion_errors
+from cogsplat.codec.fit.deletion_errors import deletion_errors
 from cogsplat.codec.fit.training_views import make_training_views
 from cogsplat.codec.render.rasteriser import render
 

@@ -1,4 +1,4 @@
-"""Deletion errors: what pictures lose when a splat is taken out of a scene."""
+"""Deletion errors: how much pictures change when one splat is removed from a scene."""
 
 from __future__ import annotations
 
@@ -22,52 +22,54 @@ F64 = NDArray[np.float64]
 
 
 def _view_errors(
-    view: int, splats: Splats, training_views: TrainingViews
+    number: int, splats: Splats, views: TrainingViews
 ) -> tuple[NDArray[np.int32], F64]:
-    """Return the rows that a view shows, and what its picture changes without each of them."""
-    camera, config = training_views.cameras[view], training_views.configs[view]
+    """Return the rows of the splats that one view shows, and the deletion error of each in it."""
+    camera, config = views.cameras[number], views.configs[number]
     footprints = project(splats, camera, kernel_px=config.kernel_px, antialiased=config.antialiased)
     colours = footprint_colours(splats, camera, footprints)
     picture = render(splats, camera, config)
     present = np.ones(len(footprints), np.bool_)
-    # Against its own picture, what a splat gains is less than nothing: the change, squared.
+    # With the scene's own render as ground truth, the gain of a splat is minus the squared change
+    # that its deletion makes.
     gains, _ = marginal_gains(footprints, colours, present, picture)
     return footprints.index, -gains
 
 
 def deletion_errors(
     splats: Splats,
-    training_views: TrainingViews,
-    views: Sequence[int] | None = None,
+    views: TrainingViews,
+    subset: Sequence[int] | None = None,
     *,
     threads: int = 0,
     progress: Progress = silent,
 ) -> F64:
-    """Measure how much the pictures of a scene change when one splat alone is taken out.
+    """Measure how much the pictures of a scene change when a single splat is removed.
 
-    Of a pixel that a splat covers with weight w and colour c, and behind which lies the colour R,
-    taking it out changes ``w·c - R·α/(1 - α)``.
+    In a pixel where a splat has weight w, alpha α and colour c, and the splats behind it add up to
+    the colour R, its removal changes the colour by ``w·c - R·α/(1 - α)``.
 
     Parameters
     ----------
     splats : Splats
-    training_views : TrainingViews
-        Their pictures are not looked at.
-    views : sequence of int, optional
-        Numbers of the views; all where it is not given.
+        Scene of N splats.
+    views : TrainingViews
+        Cameras to measure in; the ground truth is not used.
+    subset : sequence of int, optional
+        Indices of the views to measure in; all views by default.
     threads : int
-        0 for every core this process may use. The sums do not depend on it.
+        Number of threads; 0 uses all cores. The sums do not depend on it.
     progress : Progress
-        Called with ``deletions``, views done and views.
+        Receives the stage ``deletions``, in views.
 
     Returns
     -------
     (N,) float64
-        Sum over views, pixels and channels of the squared change.
+        Squared colour change by the removal of each splat, summed over views, pixels and channels.
     """
-    numbers = range(len(training_views)) if views is None else views
+    numbers = range(len(views)) if subset is None else subset
     errors = np.zeros(len(splats))
-    measure = partial(_view_errors, splats=splats, training_views=training_views)
+    measure = partial(_view_errors, splats=splats, views=views)
     progress("deletions", 0, len(numbers))
     found = ordered_map(measure, numbers, thread_count(threads))
     for done, (rows, changes) in enumerate(found, start=1):
