@@ -36,7 +36,7 @@ BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 TRANSCRIPT = ("", "text")  # Pictures and dumps: nothing that could run.
 
 # What is added to a command so that the scene it makes is small.
-SMALL = {"synth": ("--splats", "3000"), "demo": ("--splats", "2000")}
+SMALL = {"lab synth": ("--splats", "3000"), "demo": ("--splats", "2000")}
 # What belongs to the large scene in a command, and what stands for it with the small one.
 REPLACED = {"500KiB": "60KiB", "10000": "1500"}
 
@@ -135,7 +135,9 @@ def test_links_between_documents_lead_somewhere(path: Path) -> None:
 
 
 def run_program(arguments: list[str]) -> None:
-    small = [*(REPLACED.get(word, word) for word in arguments), *SMALL.get(arguments[0], ())]
+    command = " ".join(arguments[: 2 if arguments[0] == "lab" else 1])
+    added = SMALL.get(command, ())
+    small = [*(REPLACED.get(word, word) for word in arguments), *added]
     done = CliRunner().invoke(cli, small)
     if done.exception and not isinstance(done.exception, SystemExit):
         raise done.exception
@@ -180,7 +182,7 @@ def test_the_documents_have_blocks() -> None:
 
 
 @pytest.mark.parametrize(
-    "words", [["rm", "-r", "."], ["cogsplat", "synth"], ["python", "-m", "no"]]
+    "words", [["rm", "-r", "."], ["cogsplat", "lab", "synth"], ["python", "-m", "no"]]
 )
 def test_blocks_that_cannot_run_fail(
     words: list[str], workplace: Path, monkeypatch: pytest.MonkeyPatch

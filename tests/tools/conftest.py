@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 from chromium import chromium
 from click.testing import CliRunner, Result
-from running import ROOT, SPLATS, VIEWS, Ran, Run, SmallScene, program
+from running import ROOT, SPLATS, VIEWS, Ran, Run, SmallScene, program, words_of
 from web_package import build_once
 
 import cogsplat
@@ -58,7 +58,7 @@ def run() -> Run:
     """Run a command in this process; faults of the program are raised."""
 
     def invoke(*arguments: object) -> Ran:
-        result: Result = CliRunner().invoke(cli, [str(a) for a in arguments])
+        result: Result = CliRunner().invoke(cli, words_of(arguments))
         if result.exception and not isinstance(result.exception, SystemExit):
             raise result.exception
         assert "Traceback" not in result.output
@@ -73,7 +73,7 @@ def run_apart() -> Run:
 
     def start(*arguments: object, before: str = "") -> Ran:
         done = subprocess.run(
-            program(arguments, before),
+            program(words_of(arguments), before),
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,

@@ -4,7 +4,7 @@ import json
 import shlex
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -90,8 +90,22 @@ def broken_decoder(folder: Path, fault: str) -> str:
     return shlex.join([sys.executable, str(script)])
 
 
+def words_of(arguments: Sequence[object]) -> list[str]:
+    """Return the words of a command line; the first argument may be `lab score`, two words."""
+    return [*(word for a in arguments[:1] for word in str(a).split()), *map(str, arguments[1:])]
+
+
 def all_commands() -> dict[str, click.Command]:
-    """Return the commands by their names, in the order of their use."""
-    context = click.Context(cli)
-    found = {name: cli.get_command(context, name) for name in cli.list_commands(context)}
-    return {name: command for name, command in found.items() if command is not None}
+    """Return all commands by their words, such as `lab score`, in the order of the help."""
+    return dict(_commands(cli, ()))
+
+
+def _commands(group: click.Group, words: tuple[str, ...]) -> Iterator[tuple[str, click.Command]]:
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
+        if isinstance(command, click.Group):
+            yield from _commands(command, (*words, name))
+        else:
+            yield " ".join((*words, name)), command

@@ -21,6 +21,7 @@ from cogsplat.codec.errors import CogsplatError
 from cogsplat.formats.network.object_output import ObjectOutput
 from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.storage.atomic import open_for_read, storage_errors
+from cogsplat.tools.terminal.config_file import settable_options
 from cogsplat.tools.terminal.options import (
     json_option,
     quiet_option,
@@ -29,12 +30,12 @@ from cogsplat.tools.terminal.options import (
 )
 from cogsplat.tools.terminal.output import name_of, note, say, say_json
 from cogsplat.tools.terminal.standard_streams import PATH
+from cogsplat.tools.workflow.batch_manifest import BatchScene, read_manifest
 
-from .batch_manifest import BatchScene, read_manifest
 from .encode import encode
 
-# Those that `batch` itself sets for every scene.
-_OWN: Final = frozenset({"json", "quiet", "threads", "scheduler", "help"})
+# Options of `encode` that `batch` itself sets for every scene.
+_SET_BY_BATCH: Final = frozenset({"quiet", "threads", "scheduler"})
 
 # Exit status where some scenes failed and the others are done.
 _SOME_FAILED: Final = 3
@@ -164,8 +165,10 @@ def batch(
     such as s3://bucket/a.ply may stand for them. A scene that fails does not stop the others; the
     exit status is then 3.
     """
-    names = {name for param in encode.params for name in param.opts if name.startswith("--")}
-    scenes = read_manifest(manifest, frozenset(name[2:] for name in names) - _OWN)
+    options = settable_options(encode)
+    scenes = read_manifest(
+        manifest, {name: options[name] for name in options if name not in _SET_BY_BATCH}
+    )
     log = log or manifest.with_name(f"{manifest.name}.log")
     common = [f"--threads={threads}", *([f"--scheduler={scheduler}"] if scheduler else [])]
     folder = manifest.absolute().parent

@@ -1,9 +1,9 @@
-"""``cogsplat render`` and ``compare``: pictures of scenes, and the PSNR and SSIM between two."""
+"""``cogsplat compare``: PSNR and SSIM of one scene against another."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -20,7 +20,6 @@ from cogsplat.tools.terminal.options import (
     background_option,
     cameras_option,
     compensate_option,
-    device_option,
     eval_every_option,
     force_option,
     json_option,
@@ -29,157 +28,19 @@ from cogsplat.tools.terminal.options import (
     ssim_border_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
-from cogsplat.tools.terminal.output_names import PNG, check_name, format_option
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, table
+from cogsplat.tools.terminal.output_names import PNG, check_name
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
-from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
-from cogsplat.tools.terminal.values import ChunkRange, Colour, picture_size
-
-from .inputs import (
+from cogsplat.tools.terminal.standard_streams import INPUT, PATH
+from cogsplat.tools.terminal.values import ChunkRange, Colour
+from cogsplat.tools.workflow.inputs import (
     LoadedScene,
     Selection,
     evaluation_cameras,
-    given_cameras,
     given_files,
     read_any,
-    virtual_views,
 )
-
-
-@click.command(
-    epilog="\b\nExample:\n"
-    "  cogsplat render scene.cogs whole.png --cameras cameras.json --camera 3\n"
-    "  cogsplat render scene.cogs tenth.png --bytes 10% --size 960x720"
-)
-@click.argument("path", type=INPUT, metavar="IN")
-@click.argument("out", type=OutputPath(".png"), metavar="OUT.png")
-@cameras_option("Without it, the file's first view, else a planned view.")
-@click.option(
-    "--camera",
-    "index",
-    type=click.IntRange(min=0),
-    metavar="INDEX",
-    help="Which camera, from 0; without --cameras, of the planned views.",
-)
-@click.option(
-    "--size",
-    "picture",
-    type=picture_size,
-    metavar="WxH",
-    help="Picture size; nothing of the camera's view is cut off.  [default: the camera's]",
-)
-@format_option(["png"], "Without it, a name that says another format is refused.")
-@background_option
-@part_options
-@compensate_option
-@partial_option
-@limits_option
-@device_option("Where the scene is drawn.")
-@threads_option
-@force_option
-@quiet_option
-@json_option
-def render(
-    path: Path,
-    out: Path,
-    cameras: Path | None,
-    index: int | None,
-    picture: tuple[int, int] | None,
-    format_name: str | None,
-    background: Colour,
-    chunks: ChunkRange | None,
-    least_splats: int | None,
-    size: ByteCount | None,
-    objects: tuple[int, ...] | None,
-    sh_degree: int | None,
-    compensate: bool,
-    device: str,
-    threads: int,
-    force: bool,
-    quiet: bool,
-    as_json: bool,
-) -> None:
-    """Draw a scene, or a part of a COGS file, as a PNG."""
-    from cogsplat.codec.render.rasteriser import RenderConfig
-    from cogsplat.codec.render.rasteriser import render as draw
-    from cogsplat.tools.pictures.png import to_image, write_png
-
-    check_name(out, PNG, insisted=format_name is not None)
-    check_output(out, force=force, inputs=given_files(path, cameras))
-    part = Selection(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
-    with Stages(shown=not (quiet or as_json)) as stages:
-        with stages.stage("read"):
-            scene = read_any(path, part, threads=threads)
-            camera = _camera(scene, cameras, index)
-        if picture:
-            camera = fitted(camera, *picture)
-        info = scene.splats.info
-        config = RenderConfig(
-            kernel_px=info.kernel_px,
-            antialiased=info.antialiased,
-            background=background,
-            threads=threads,
-            device=device,
-        )
-        with stages.stage("render"):
-            image = to_image(draw(scene.splats, camera, config))
-        with stages.stage("write"):
-            written = write_png(image, out, force=force)
-    if as_json:
-        say_json(
-            {
-                "output": name_of(out),
-                "source": name_of(path),
-                "bytes": written,
-                "width": camera.width,
-                "height": camera.height,
-                "camera": camera.name,
-                "splats": len(scene.splats),
-                "source_splats": scene.file_splats,
-                "sh_degree": scene.splats.sh_degree,
-                "seconds": stages.rounded(),
-            }
-        )
-    elif not quiet:
-        say(f"{out}: {camera.width}x{camera.height}, {size_text(written)}")
-        drawn = f"{len(scene.splats):,} of {scene.file_splats:,}"
-        facts(
-            ("camera", camera.name or f"{index or 0}"),
-            ("splats", f"{drawn}, SH degree {scene.splats.sh_degree}"),
-            ("time", stages.line()),
-        )
-
-
-def _camera(scene: LoadedScene, cameras: Path | None, index: int | None) -> Camera:
-    if cameras is None and index is None and scene.first_view is not None:
-        return scene.first_view
-    views = given_cameras(cameras) if cameras else virtual_views(scene.splats)
-    index = index or 0
-    if index >= len(views):
-        raise click.UsageError(f"--camera {index}, expected 0 to {len(views) - 1}")
-    return views[index]
-
-
-def fitted(camera: Camera, width: int, height: int) -> Camera:
-    """Return a camera for another picture size that shows the whole view without distortion.
-
-    Parameters
-    ----------
-    camera : Camera
-    width, height : int
-        Px; where their ratio is another, the picture shows more at two sides.
-    """
-    scale = min(width / camera.width, height / camera.height)
-    return replace(
-        camera,
-        width=width,
-        height=height,
-        fx=camera.fx * scale,
-        fy=camera.fy * scale,
-        cx=0.5 * width + (camera.cx - 0.5 * camera.width) * scale,
-        cy=0.5 * height + (camera.cy - 0.5 * camera.height) * scale,
-    )
 
 
 @click.command(

@@ -1,15 +1,32 @@
-"""``cogsplat convert``: from any format that is read to any that is written."""
+"""``cogsplat convert``: a scene in another format, or a COGS file as a folder and back."""
 
 from __future__ import annotations
 
+import os
+import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import click
 
+import cogsplat
+from cogsplat.codec.cameras import Camera
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.storage.atomic import check_output
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.formats.cogs.folder_map import MANIFEST_NAME, MANIFEST_SUFFIX
+from cogsplat.formats.cogs.folder_source import names_folder
+from cogsplat.formats.cogs.folder_writer import (
+    Unpacked,
+    check_manifest_name,
+    pack_cogs,
+    unpack_cogs,
+)
+from cogsplat.formats.cogs.packing import folder_files
+from cogsplat.formats.network.urls import is_url
+from cogsplat.formats.scenes.registry import is_cogs
+from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
     cameras_option,
     force_option,
@@ -17,15 +34,15 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
-from cogsplat.tools.terminal.partial import partial_option
+from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
-
-from .inputs import LoadedScene, given_files, read_any, scoring_cameras
-from .scene_edits import SceneEdits, edit_options
-from .scene_output import (
+from cogsplat.tools.workflow.inputs import LoadedScene, given_files, read_any, scoring_cameras
+from cogsplat.tools.workflow.scene_edits import SceneEdits, edit_options
+from cogsplat.tools.workflow.scene_output import (
+    COGS_NAME,
     OUTPUT_FORMATS,
     WrittenScene,
     output_format,
@@ -33,17 +50,50 @@ from .scene_output import (
     write_any,
 )
 
+_SEPARATORS: Final = tuple(separator for separator in (os.sep, os.altsep) if separator)
+
+
+class _FileOrFolder(OutputPath):
+    """A file to write, or a folder, for which the path of its manifest stands."""
+
+    def convert(
+        self,
+        value: str | os.PathLike[str],
+        param: click.Parameter | None,
+        ctx: click.Context | None,
+    ) -> Path:
+        """Return the path of a file, or of the manifest of a folder.
+
+        A folder is a name that ends in a separator, a folder that is there, or a manifest in it.
+        """
+        text = os.fspath(value)
+        names_manifest = text.lower().endswith(MANIFEST_SUFFIX)
+        if is_url(value):
+            if names_manifest or text.endswith("/"):
+                self.fail(f"{text}: a folder on a network, expected `cogsplat upload`", param, ctx)
+            return super().convert(value, param, ctx)
+        if text.endswith(_SEPARATORS) or Path(text).is_dir():
+            return Path(text) / MANIFEST_NAME
+        if names_manifest:
+            try:
+                check_manifest_name(Path(text).name)
+            except ValueError as error:
+                self.fail(str(error), param, ctx)
+        return super().convert(value, param, ctx)
+
 
 @click.command(
     epilog="\b\nExample:\n"
     "  cogsplat convert scene.ply scene.spz\n"
-    "  cogsplat convert scene.spz upright.sog --rotate 180,0,0 --sh 1"
+    "  cogsplat convert scene.spz upright.sog --rotate 180,0,0 --sh 1\n"
+    "  cogsplat convert scene.cogs folder/\n"
+    "  cogsplat convert folder/ scene.cogs"
 )
-@click.argument("source", type=INPUT, metavar="A")
-@click.argument("out", type=OutputPath(), metavar="B")
-@writing_options(OUTPUT_FORMATS, "Without it, B's extension says which.")
+@click.argument("source", type=INPUT, metavar="IN")
+@click.argument("out", type=_FileOrFolder(), metavar="OUT")
+@writing_options(OUTPUT_FORMATS, "Without it, OUT's extension names the format.")
 @edit_options
-@cameras_option("For a .cogs only; without it, views are planned around the scene.")
+@cameras_option("For COGS output only. Without it, views are planned around the scene.")
 @partial_option
 @limits_option
 @threads_option
@@ -63,63 +113,188 @@ def convert(
 ) -> None:
     """Convert a scene to another format.
 
-    B's extension names it. COGS files are read and written too; `encode` has all options of
-    writing one. What a format cannot hold is said in a warning.
+    OUT's extension names the format. Values that it cannot hold are named in a warning.
+
+    OUT/ with a slash, a folder that is there, and OUT/NAME.cogsm name a COGS folder: a manifest,
+    and segments named by their content, for hosts without byte ranges. Segments that are there
+    already are kept; manifests in one folder share them.
+
+    From COGS to COGS, without edits and --cameras, segments are copied and not encoded again: a
+    folder becomes the very file that it was made of. `encode` has all options of encoding.
     """
-    name = output_format(out, writing)
+    to_folder = out.name.lower().endswith(MANIFEST_SUFFIX)
+    if to_folder and writing.format_name not in (None, COGS_NAME):
+        raise click.UsageError(f"--format {writing.format_name} with {out}, expected a file")
+    name = COGS_NAME if to_folder else output_format(out, writing)
     require_cogs_for_cameras(cameras, out, name)
-    check_output(out, force=force, inputs=given_files(source, cameras))
+    copied = (
+        name == COGS_NAME
+        and is_cogs(source)
+        and not edits.changes
+        and cameras is None
+        and writing.extras
+    )
+    inputs = given_files(source, cameras)
+    if copied and not to_folder and names_folder(source):
+        inputs = folder_files(source)
+    check_output(out, force=force, inputs=inputs)
     with Stages(shown=not (quiet or as_json)) as stages:
-        with stages.stage("read"):
-            views = scoring_cameras(cameras, 0)
-            given = read_any(source, threads=threads, progress=stages)
-        with stages.stage("edit"):
-            splats = edits.apply(given.splats, source)
+        if copied:
+            done = _copy(source, out, to_folder=to_folder, force=force, stages=stages)
+        else:
+            with stages.stage("read"):
+                views = scoring_cameras(cameras, 0)
+                given = read_any(source, threads=threads, progress=stages)
+            with stages.stage("edit"):
+                splats = edits.apply(given.splats, source)
+            done = _write(
+                given,
+                splats,
+                out,
+                name,
+                to_folder=to_folder,
+                cameras=None if views is None else [edits.camera(view) for view in views],
+                writing=writing,
+                threads=threads,
+                force=force,
+                stages=stages,
+            )
+    if as_json:
+        say_json({**_report(done, source, out), "seconds": stages.rounded()})
+    elif not quiet:
+        _print_summary(done, out, stages)
+
+
+@dataclass(frozen=True)
+class _Conversion:
+    """A scene that was read and what was written of it.
+
+    Parameters
+    ----------
+    written : WrittenScene
+    source_bytes, source_splats : int
+    edited_splats : int
+        Splats after the edits.
+    sh_degree : int
+    unpacked : Unpacked or None
+        Objects that were written into a folder; None for a file.
+    """
+
+    written: WrittenScene
+    source_bytes: int
+    source_splats: int
+    edited_splats: int
+    sh_degree: int
+    unpacked: Unpacked | None = None
+
+
+def _copy(source: Path, out: Path, *, to_folder: bool, force: bool, stages: Stages) -> _Conversion:
+    """Copy the segments of a COGS file or folder into a file or folder."""
+    with cogsplat.open(source, partial=partial_accepted(), limits=current_limits()) as file:
+        unpacked = None
+        if to_folder:
+            unpacked = unpack_cogs(file, out.parent, name=out.name, force=force, progress=stages)
+            size = unpacked.manifest_bytes
+        else:
+            size = pack_cogs(file, out, force=force, progress=stages)
+        splats = file.root.splats
+        return _Conversion(
+            WrittenScene(COGS_NAME, size, splats),
+            file.file_length,
+            splats,
+            splats,
+            file.root.sh_degree,
+            unpacked,
+        )
+
+
+def _write(
+    given: LoadedScene,
+    splats: Splats,
+    out: Path,
+    name: str,
+    *,
+    to_folder: bool,
+    cameras: Sequence[Camera] | None,
+    writing: SceneWriting,
+    threads: int,
+    force: bool,
+    stages: Stages,
+) -> _Conversion:
+    """Write an edited scene as a file, or encode it into a folder."""
+    if not to_folder:
         written = write_any(
             splats,
             out,
             name,
             force=force,
-            cameras=None if views is None else [edits.camera(view) for view in views],
+            cameras=cameras,
             threads=threads,
             stages=stages,
             writing=writing,
         )
-    done = _Done(source, out, given, splats, written)
-    if as_json:
-        say_json({**_report(done), "seconds": stages.rounded()})
-    elif not quiet:
-        _tell(done, stages)
+        return _Conversion(
+            written, given.file_bytes, given.file_splats, len(splats), splats.sh_degree
+        )
+    with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
+        path = Path(folder) / "scene.cogs"
+        encoded = write_any(
+            splats,
+            path,
+            name,
+            force=False,
+            cameras=cameras,
+            threads=threads,
+            stages=stages,
+            writing=writing,
+        )
+        with storage_errors(path), cogsplat.open(path) as file:
+            unpacked = unpack_cogs(file, out.parent, name=out.name, force=force, progress=stages)
+    return _Conversion(
+        WrittenScene(name, unpacked.manifest_bytes, encoded.splats),
+        given.file_bytes,
+        given.file_splats,
+        len(splats),
+        splats.sh_degree,
+        unpacked,
+    )
 
 
-@dataclass(frozen=True)
-class _Done:
-    """Result of a conversion: the scene read, the scene written, and the new file."""
-
-    source: Path
-    out: Path
-    given: LoadedScene
-    splats: Splats
-    written: WrittenScene
-
-
-def _report(done: _Done) -> dict[str, object]:
-    return {
-        **done.written.report(done.out),
-        "source_splats": len(done.given.splats),
-        "splats_edited_out": len(done.given.splats) - len(done.splats),
-        "sh_degree": done.splats.sh_degree,
-        "source": name_of(done.source),
-        "source_bytes": done.given.file_bytes,
+def _report(done: _Conversion, source: Path, out: Path) -> dict[str, object]:
+    """Return the JSON object."""
+    report = {
+        **done.written.report(out),
+        "source_splats": done.source_splats,
+        "splats_edited_out": done.source_splats - done.edited_splats,
+        "sh_degree": done.sh_degree,
+        "source": name_of(source),
+        "source_bytes": done.source_bytes,
     }
+    if done.unpacked is not None:
+        report["segments"] = done.unpacked.segments
+        report["objects_written"] = done.unpacked.written
+        report["object_bytes_written"] = done.unpacked.written_bytes
+        report["objects_shared"] = done.unpacked.shared
+    return report
 
 
-def _tell(done: _Done, stages: Stages) -> None:
-    stored, given = done.written.splats, len(done.given.splats)
-    say(f"{done.written.line(done.out)}, from {size_text(done.given.file_bytes)}")
+def _print_summary(done: _Conversion, out: Path, stages: Stages) -> None:
+    """Print what was written."""
+    stored, given = done.written.splats, done.source_splats
+    say(f"{done.written.line(out)}, from {size_text(done.source_bytes)}")
     count = f"{stored:,}" if stored == given else f"{stored:,} of {given:,}"
+    unpacked = done.unpacked
+    if unpacked is None:
+        count += f", {done.written.size_bytes / max(stored, 1):.2f} B each"
+        objects = ""
+    else:
+        objects = (
+            f"{counted(unpacked.written, 'object')} written ({size_text(unpacked.written_bytes)}), "
+            f"{unpacked.shared:,} there already"
+        )
     facts(
-        ("splats", f"{count}, {done.written.size_bytes / max(stored, 1):.2f} B each"),
-        ("SH degree", str(done.splats.sh_degree)),
+        ("splats", count),
+        ("segments", objects),
+        ("SH degree", str(done.sh_degree)),
         ("time", stages.line()),
     )

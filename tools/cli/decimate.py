@@ -31,9 +31,14 @@ from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
-
-from .inputs import given_files, read_any, scoring_cameras, usable_rows, virtual_views
-from .scene_output import OUTPUT_FORMATS, output_format, write_any
+from cogsplat.tools.workflow.inputs import (
+    given_files,
+    read_any,
+    scoring_cameras,
+    usable_rows,
+    virtual_views,
+)
+from cogsplat.tools.workflow.scene_output import OUTPUT_FORMATS, output_format, write_any
 
 _CONTRIBUTION: Final = "contribution"
 _ANTIMATTER: Final = "antimatter"

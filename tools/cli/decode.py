@@ -32,9 +32,8 @@ from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT_BY_RANGES, OutputPath
 from cogsplat.tools.terminal.values import ChunkRange
-
-from .inputs import LoadedScene, Selection, decode_part, decode_part_by
-from .scene_output import write_any
+from cogsplat.tools.workflow.inputs import LoadedScene, Selection, decode_part, decode_part_by
+from cogsplat.tools.workflow.scene_output import write_any
 
 
 @click.command(

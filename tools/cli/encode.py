@@ -51,10 +51,10 @@ from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import no_extras_option
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
 from cogsplat.tools.terminal.values import Colour, byte_count, number_of_bytes
-
-from .compile_ahead import CompileAhead
-from .info import tell_attributes
-from .inputs import (
+from cogsplat.tools.workflow.byte_table import print_byte_table
+from cogsplat.tools.workflow.compile_ahead import CompileAhead
+from cogsplat.tools.workflow.file_evaluation import FileEvaluation, settings_of
+from cogsplat.tools.workflow.inputs import (
     given_cameras,
     given_files,
     measured_in,
@@ -62,9 +62,8 @@ from .inputs import (
     scoring_cameras,
     virtual_views,
 )
-from .measure import FileEvaluation, settings_of
-from .order_options import OrderChoice, order_options
-from .scene_edits import SceneEdits, edit_options
+from cogsplat.tools.workflow.order_options import OrderChoice, order_options
+from cogsplat.tools.workflow.scene_edits import SceneEdits, edit_options
 
 if TYPE_CHECKING:
     from cogsplat.codec.encode.config import EncodeConfig
@@ -75,7 +74,7 @@ if TYPE_CHECKING:
 # compiler to import; a test compares them.
 
 
-# In the order of the help: what decides between size and quality comes first.
+# In the order of the help. `--help` shows the first group, at most 16 options.
 _GROUPS: Final = {
     "Most used": (
         "--cameras",
@@ -84,6 +83,16 @@ _GROUPS: Final = {
         "--target-size",
         "--profile",
         "--preset",
+        "--cells",
+        "--preview",
+        "--report",
+        "--device",
+        "--threads",
+        "--config",
+        "--force",
+        "--json",
+        "--help-all",
+        "--help",
     ),
     "Order of the splats": (
         "--order",
@@ -99,17 +108,15 @@ _GROUPS: Final = {
         "--object-budgets",
         "--masks",
     ),
-    "Scoring": ("--no-jitter", "--top-k", "--eval-every", "--device"),
+    "Scoring": ("--no-jitter", "--top-k", "--eval-every"),
     "Contents of the file": (
         "--prune",
         "--no-prune",
         "--no-refine",
         "--no-compensation",
-        "--preview",
         "--no-extras",
         "--store-cameras",
         "--chunk-splats",
-        "--cells",
         "--no-view-table",
         "--no-morton",
     ),
@@ -122,7 +129,7 @@ _GROUPS: Final = {
         "--rotate",
         "--translate",
     ),
-    "Measuring the file": ("--measure", "--report", "--images", "--background"),
+    "Measuring the file": ("--measure", "--images", "--background"),
 }
 
 
@@ -322,8 +329,8 @@ def encode(
         raise click.UsageError("--device cuda and --scheduler: expected one of them")
     if memory is not None and (measure or report is not None or images is not None):
         raise click.UsageError(
-            "--memory with --measure, --report or --images, expected `cogsplat eval` afterwards: "
-            "measuring holds two scenes in memory"
+            "--memory with --measure, --report or --images, expected `cogsplat compare` "
+            "afterwards: measuring holds two scenes in memory"
         )
     bound = PruneConfig() if prune is None else PruneConfig(peak=prune)
     chosen = PRESETS[preset]
@@ -458,7 +465,7 @@ def encode(
         ("report", str(report) if report else ""),
     )
     if evaluation is not None:
-        tell_attributes(sizes, file)
+        print_byte_table(sizes, file)
         evaluation.tell(qualities)
 
 

@@ -32,9 +32,8 @@ from cogsplat.tools.terminal.output import counted, name_of, say, say_json, size
 from cogsplat.tools.terminal.output_names import HTML, check_name
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath, is_standard_output
-
-from .inputs import given_files
-from .viewable import viewable
+from cogsplat.tools.workflow.inputs import given_files
+from cogsplat.tools.workflow.viewable import viewable
 
 
 @click.command(

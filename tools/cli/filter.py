@@ -27,10 +27,15 @@ from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Box, box
-
-from .inputs import given_files, read_any, scoring_cameras, usable_rows, virtual_views
-from .scene_edits import inside_box
-from .scene_output import OUTPUT_FORMATS, output_format, write_any
+from cogsplat.tools.workflow.inputs import (
+    given_files,
+    read_any,
+    scoring_cameras,
+    usable_rows,
+    virtual_views,
+)
+from cogsplat.tools.workflow.scene_edits import inside_box
+from cogsplat.tools.workflow.scene_output import OUTPUT_FORMATS, output_format, write_any
 
 Marks = dict[str, NDArray[np.bool_]]
 

@@ -1,4 +1,4 @@
-"""``cogsplat info``: the contents of a file, in numbers."""
+"""``cogsplat info``: what a file holds, and statistics of its values."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from cogsplat.codec.segments.view_table import ViewTable
 from cogsplat.codec.splats import SceneInfo, Splats, sh_coefficients
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.registry import format_of
+from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.byte_inventory import (
     ChunkSizes,
     StoredSize,
@@ -23,14 +24,28 @@ from cogsplat.tools.evaluation.byte_inventory import (
     format_version,
     stored_sizes,
 )
+from cogsplat.tools.evaluation.scene_statistics import statistics as scene_statistics
 from cogsplat.tools.terminal.limits import current_limits, limits_option
-from cogsplat.tools.terminal.options import json_option, quiet_option
+from cogsplat.tools.terminal.options import (
+    json_option,
+    part_options,
+    quiet_option,
+    threads_option,
+)
 from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT_BY_RANGES, url_of
-
-from .inputs import input_source, is_cogs_input, read_any
+from cogsplat.tools.terminal.values import ChunkRange
+from cogsplat.tools.workflow.byte_table import print_byte_table
+from cogsplat.tools.workflow.inputs import (
+    LoadedScene,
+    Selection,
+    input_source,
+    is_cogs_input,
+    read_any,
+)
+from cogsplat.tools.workflow.statistics_table import print_statistics, statistics_report
 
 # A longer table is cut in the middle: most chunks of a large scene look alike.
 _MOST_ROWS: Final = 40
@@ -42,63 +57,103 @@ _ATTRIBUTES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 @click.command(
     epilog="\b\nExample:\n"
     "  cogsplat info scene.cogs\n"
-    "  cogsplat info scene.cogs --json | jq .attributes"
+    "  cogsplat info scene.cogs --json | jq .attributes\n"
+    "  cogsplat info scene.cogs --statistics --bytes 20%"
 )
-@click.argument("path", type=INPUT_BY_RANGES, metavar="IN")
-@click.option("--verify", is_flag=True, help="Check every hash and decode every chunk of it.")
-@click.option("--all", "all_chunks", is_flag=True, help="List every chunk, however many.")
+@click.argument("path", type=INPUT_BY_RANGES, metavar="SCENE")
+@click.option("--all", "all_chunks", is_flag=True, help="List every chunk of a long table.")
+@click.option(
+    "--statistics",
+    is_flag=True,
+    help="Also read the splats and show statistics of their values. The options on parts of a file "
+    "select what is read.",
+)
+@part_options
 @partial_option
 @limits_option
+@threads_option
 @quiet_option
 @json_option
-def info(path: Path, verify: bool, all_chunks: bool, quiet: bool, as_json: bool) -> None:
-    """Show the contents of a file.
+def info(
+    path: Path,
+    all_chunks: bool,
+    statistics: bool,
+    chunks: ChunkRange | None,
+    least_splats: int | None,
+    size: ByteCount | None,
+    objects: tuple[int, ...] | None,
+    sh_degree: int | None,
+    threads: int,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Show what a scene file holds.
 
-    Of a COGS file the root, codebooks, chunks and bytes per attribute; of a scene in another format
-    splats, SH degree and ranges. Of a COGS file given by its URL, the index alone is read, which
-    says how many bytes each kind of segment takes, not each attribute.
+    For COGS: root, codebooks, chunks, bytes per attribute. For a COGS file on a network, only the
+    index is read, which has the bytes per kind of segment. For other formats: splats, SH degree and
+    the range of each attribute.
+
+    --statistics adds, per attribute, the range, mean, deviation, a histogram from the 0.5 % to the
+    99.5 % quantile, and the count of values that are not finite. Scales are natural logarithms and
+    opacities logits; linear scales and unit opacities follow. The fill ratio is the mean number of
+    splats that a ray crosses: their one-sigma areas over the mean face of the box of the centres.
     """
-    if verify and partial_accepted():
-        raise click.UsageError("--verify and --partial: expected one of them")
-    if not is_cogs_input(path):
-        if verify:
-            raise click.UsageError(f"{path}: is no COGS file, expected one with --verify")
-        scene = read_any(path)
-        report = _scene_report(path, scene.splats, scene.file_bytes)
-        if as_json:
-            say_json(report)
-        else:
-            _tell_scene(path, scene.splats, scene.file_bytes)
-        return
-    with (
-        cogsplat.open(
-            input_source(path), partial=partial_accepted(), limits=current_limits()
-        ) as file,
-        Stages(shown=verify and not (quiet or as_json)) as stages,
-    ):
-        if verify:
-            file.verify(stages)
-        # Over a network, the index says enough.
-        sizes = stored_sizes(file, by_stream=verify or url_of(path) is None)
+    part = Selection(chunks, least_splats, size, sh_degree, objects)
+    if part != Selection() and not statistics:
+        raise click.UsageError("a part of the file without --statistics, expected both")
+    with Stages(shown=statistics and not (quiet or as_json)) as stages:
+        is_cogs = is_cogs_input(path)
+        scene = None
+        if statistics or not is_cogs:
+            scene = read_any(path, part, threads=threads, progress=stages)
+            stages("read", 1, 1)
+        report = _cogs_info(path, all_chunks, as_json) if is_cogs else None
+        if report is None:
+            assert scene is not None
+            report = _scene_info(path, scene, as_json)
+        if statistics:
+            assert scene is not None
+            found = scene_statistics(scene.splats, stages)
+            report["statistics"] = statistics_report(found)
+            report["seconds"] = stages.rounded()
+            if not as_json:
+                print_statistics(found, scene.file_splats)
+    if as_json:
+        say_json(report)
+    elif statistics and not quiet:
+        say("")
+        facts(("time", stages.line()))
+
+
+def _cogs_info(path: Path, all_chunks: bool, as_json: bool) -> dict[str, object]:
+    """Return what a COGS file holds as a JSON object; print it unless `as_json`."""
+    with cogsplat.open(
+        input_source(path), partial=partial_accepted(), limits=current_limits()
+    ) as file:
+        # Over a network, the index alone is read; streams are listed inside the segments.
+        sizes = stored_sizes(file, by_stream=url_of(path) is None)
         version = format_version(file)
         row = file.camera_row
         cameras = len(file.cameras()) if row is None or file.is_present(row) else None
         row = file.view_table_row
         table = file.view_table() if row is not None and file.is_present(row) else None
         viewpoints = None if table is None and row is not None else _viewpoints(table)
-    if as_json:
-        report = _cogs_report(path, version, file, sizes, cameras)
-        say_json({**report, "viewpoints": viewpoints, "verified": verify})
-        return
-    _tell_root(path, version, file, cameras)
-    if file.view_table_row is not None:
-        size = size_text(int(file.segments.length[file.view_table_row]))
-        there = "not there" if viewpoints is None else counted(viewpoints, "viewpoint")
-        facts(("view table", f"{there}, {size}"))
-    if verify:
-        facts(("verified", f"{counted(len(file.segments), 'segment')}, all chunks decoded"))
-    _tell_chunks(chunk_sizes(file), all_chunks=all_chunks)
-    tell_attributes(sizes, file)
+    if not as_json:
+        _print_root(path, version, file, cameras)
+        if file.view_table_row is not None:
+            length = size_text(int(file.segments.length[file.view_table_row]))
+            there = "not there" if viewpoints is None else counted(viewpoints, "viewpoint")
+            facts(("view table", f"{there}, {length}"))
+        _print_chunks(chunk_sizes(file), all_chunks=all_chunks)
+        print_byte_table(sizes, file)
+    return {**_cogs_report(path, version, file, sizes, cameras), "viewpoints": viewpoints}
+
+
+def _scene_info(path: Path, scene: LoadedScene, as_json: bool) -> dict[str, object]:
+    """Return what a scene of another format holds as a JSON object; print it unless `as_json`."""
+    if not as_json:
+        _print_scene(path, scene.splats, scene.file_bytes)
+    return _scene_report(path, scene.splats, scene.file_bytes)
 
 
 def _viewpoints(table: ViewTable | None) -> int:
@@ -159,7 +214,7 @@ def _cogs_report(
     }
 
 
-def _tell_root(path: Path, version: str, file: CogsFile, cameras: int | None) -> None:
+def _print_root(path: Path, version: str, file: CogsFile, cameras: int | None) -> None:
     root, view = file.root, file.root.first_view
     say(f"{path}: COGS {version}, {size_text(file.file_length)}, by {root.writer}")
     each = file.file_length / max(root.splats, 1)
@@ -221,7 +276,7 @@ def _kinds(types: Sequence[AttributeType]) -> str:
     )
 
 
-def _tell_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
+def _print_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
     if not chunks:
         return
     rows = [
@@ -272,25 +327,6 @@ def _tell_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
     table([heads[column] for column in columns], shown_rows, left=0)
 
 
-def tell_attributes(sizes: list[StoredSize], file: CogsFile) -> None:
-    """Print the bytes of every kind of stream."""
-    rows = [
-        (
-            size.segment,
-            size.label,
-            f"{size.stored_bytes:,}",
-            f"{size.stored_bytes / file.file_length:.1%}",
-            f"{8 * size.stored_bytes / max(file.root.splats, 1):.2f}",
-        )
-        for size in sizes
-    ]
-    total = sum(size.stored_bytes for size in sizes)
-    each = f"{8 * total / max(file.root.splats, 1):.2f}"
-    rows.append(("", "total", f"{total:,}", f"{total / file.file_length:.1%}", each))
-    say("")
-    table(("segment", "stream", "bytes", "share", "bits/splat"), rows, left=2)
-
-
 def _ranges(splats: Splats) -> dict[str, tuple[float, float, int]]:
     """Return the range of the finite values of each array, and the count of the others."""
     ranges: dict[str, tuple[float, float, int]] = {}
@@ -327,7 +363,7 @@ def _scene_report(path: Path, splats: Splats, file_bytes: int) -> dict[str, obje
     }
 
 
-def _tell_scene(path: Path, splats: Splats, file_bytes: int) -> None:
+def _print_scene(path: Path, splats: Splats, file_bytes: int) -> None:
     name = format_of(path).name
     say(f"{path}: {name}, {counted(len(splats), 'splat')} at SH degree {splats.sh_degree}")
     invalid = int(splats.invalid_rows().sum())

@@ -35,8 +35,13 @@ from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Colour
-
-from .inputs import given_cameras, given_files, read_any, usable_rows, virtual_views
+from cogsplat.tools.workflow.inputs import (
+    given_cameras,
+    given_files,
+    read_any,
+    usable_rows,
+    virtual_views,
+)
 
 if TYPE_CHECKING:
     from cogsplat.codec.cameras import Camera

@@ -30,10 +30,9 @@ from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Vector, vector
-
-from .inputs import given_files, read_any
-from .scene_edits import SceneEdits, scale_factor
-from .scene_output import COGS_NAME, OUTPUT_FORMATS, output_format, write_any
+from cogsplat.tools.workflow.inputs import given_files, read_any
+from cogsplat.tools.workflow.scene_edits import SceneEdits, scale_factor
+from cogsplat.tools.workflow.scene_output import COGS_NAME, OUTPUT_FORMATS, output_format, write_any
 
 Value = TypeVar("Value")
 

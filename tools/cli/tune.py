@@ -38,8 +38,7 @@ from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
 from cogsplat.tools.terminal.values import Colour, byte_count
-
-from .inputs import (
+from cogsplat.tools.workflow.inputs import (
     given_cameras,
     given_files,
     measured_in,
@@ -48,7 +47,7 @@ from .inputs import (
     scoring_cameras,
     usable_rows,
 )
-from .tune_checkpoint import fingerprint, read_checkpoint, write_checkpoint
+from cogsplat.tools.workflow.tune_checkpoint import fingerprint, read_checkpoint, write_checkpoint
 
 if TYPE_CHECKING:
     from cogsplat.codec.encode.encoded import EncodedScene
@@ -60,9 +59,26 @@ _DEFAULT_DB: Final = 40.0
 _PREFIX_WEIGHT: Final = 0.5
 
 _GROUPS: Final = {
-    "Most used": ("--cameras", "--target-psnr", "--target-size", "--minutes", "--images"),
-    "Training": ("--keep", "--profile", "--preset", "--preview", "--seed", "--eval-every"),
-    "More files": ("--ply", "--checkpoint", "--resume"),
+    "Most used": (
+        "--cameras",
+        "--target-psnr",
+        "--target-size",
+        "--minutes",
+        "--images",
+        "--keep",
+        "--preset",
+        "--preview",
+        "--checkpoint",
+        "--resume",
+        "--device",
+        "--config",
+        "--force",
+        "--json",
+        "--help-all",
+        "--help",
+    ),
+    "Training": ("--profile", "--seed", "--eval-every"),
+    "More files": ("--ply",),
 }
 
 

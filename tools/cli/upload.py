@@ -86,7 +86,7 @@ def upload(
         raise click.UsageError("--partial: a scene is uploaded whole, expected it without")
     if not names_folder(folder):
         raise click.UsageError(
-            f"{folder}: is a file, expected a folder, as cogsplat unpack writes one"
+            f"{folder}: is a file, expected a folder: `cogsplat convert {folder} folder/` makes one"
         )
     settings = {"endpoint": endpoint, "region": region}
     target = Bucket(bucket, {name: value for name, value in settings.items() if value})

@@ -15,8 +15,7 @@ from cogsplat.tools.terminal.options import json_option, quiet_option, threads_o
 from cogsplat.tools.terminal.output import counted, name_of, say, say_json, title_of
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.standard_streams import INPUT
-
-from .viewable import drawable
+from cogsplat.tools.workflow.viewable import drawable
 
 _LARGEST_PORT = 65535
 

@@ -13,8 +13,7 @@ from cogsplat.codec.threads import thread_count
 from cogsplat.tools.terminal.options import json_option, quiet_option, threads_option
 from cogsplat.tools.terminal.output import counted, facts, say, say_json
 from cogsplat.tools.terminal.progress import Stages
-
-from .compile_ahead import CompileAhead
+from cogsplat.tools.workflow.compile_ahead import CompileAhead
 
 # What `cogsplat tune` calls beside the kernels of an encode.
 _TRAINING: Final = tuple(

@@ -28,7 +28,7 @@ _SERVERS: Final = (
     ("simplehttp", "http-server"),
 )
 
-_FOLDER: Final = "publish a folder, which needs no ranges: cogsplat unpack scene.cogs scene"
+_FOLDER: Final = "publish a folder, which needs no ranges: cogsplat convert scene.cogs scene/"
 _NO_HEADERS: Final = "headers cannot be set here; another host, or a CDN in front, can set them"
 _CORS_S3: Final = (
     'aws s3api put-bucket-cors --bucket BUCKET --cors-configuration \'{"CORSRules": '

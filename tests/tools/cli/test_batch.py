@@ -10,9 +10,15 @@ import pytest
 from running import Run, SmallScene, program
 
 from cogsplat.codec.errors import CogsplatError
-from cogsplat.tools.cli.batch_manifest import BatchScene, read_manifest
+from cogsplat.tools.cli.encode import encode
+from cogsplat.tools.terminal.config_file import settable_options
+from cogsplat.tools.workflow.batch_manifest import BatchScene, read_manifest
 
-OPTIONS = frozenset({"preset", "quality", "no-jitter", "cameras"})
+OPTIONS = {
+    name: option
+    for name, option in settable_options(encode).items()
+    if name in {"preset", "quality", "no-jitter", "cameras"}
+}
 
 
 TELL_OF_PROCESSES = """

@@ -28,7 +28,7 @@ def test_cells_stand_in_the_chunk_table(run: Run, cells: Path, small: SmallScene
     assert len(set(numbers.tolist())) > 3
     assert (parents(numbers)[1:] >= 0).all()
     assert max(chunk["splats"] for chunk in chunks) <= 64
-    assert run("validate", cells).code == 0
+    assert run("check", cells).code == 0
     assert " cell" in run("info", cells).out
     assert " cell" not in run("info", small.cogs).out
 
@@ -44,7 +44,7 @@ def test_info_tells_of_the_view_table(
     assert "view table" not in run("info", small.cogs).out
     # A table takes half a percent at most: of few splats there is none.
     scene, cameras = tmp_path / "scene.ply", tmp_path / "scene.cameras.json"
-    assert run("synth", scene, "--splats", 4000).code == 0
+    assert run("lab synth", scene, "--splats", 4000).code == 0
     options = ["--cameras", cameras, "--cells", "--chunk-splats", 256, "--no-prune"]
     options += ["--preset", "fast"]
     with_table, without = tmp_path / "with.cogs", tmp_path / "without.cogs"
@@ -54,7 +54,7 @@ def test_info_tells_of_the_view_table(
     assert "viewpoints, " in run("info", with_table).out
     assert run("info", without, "--json").json["viewpoints"] == 0
     assert without.stat().st_size < with_table.stat().st_size
-    assert run("validate", with_table).code == 0
+    assert run("check", with_table).code == 0
 
 
 def test_the_command_writes_the_same_file_of_all_splats(

@@ -14,8 +14,8 @@ from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.geometry.transforms import transform
 from cogsplat.codec.splats import SceneInfo
 from cogsplat.formats.scenes.registry import FORMATS
-from cogsplat.tools.cli.scene_edits import SceneEdits
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
+from cogsplat.tools.workflow.scene_edits import SceneEdits
 
 WRITABLE = [e for f in FORMATS if f.write for e in f.extensions]
 

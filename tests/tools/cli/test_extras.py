@@ -63,9 +63,9 @@ def test_what_holds_them_says_so(
     assert sizes["attributes", "label"] < sizes["attributes", "heat"]
     assert sizes["cameras", "all columns"] > 100 * VIEWS
     assert "heat f8" in run("info", source).out
-    values = run("stats", out, "--json").json["values"]
+    values = run("info", out, "--json", "--statistics").json["statistics"]["values"]
     assert values["extras.label"]["max"] == 8
-    assert "extras.heat" in run("stats", source).out
+    assert "extras.heat" in run("info", source, "--statistics").out
     assert run(*common, "--no-extras").code == 0
     with cogsplat.open(out) as file:
         assert not file.root.attributes

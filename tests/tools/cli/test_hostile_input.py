@@ -4,7 +4,6 @@ import json
 import os
 from pathlib import Path
 
-import click
 import hostile_files as hostile
 import pytest
 from running import Run, SmallScene, all_commands
@@ -22,12 +21,11 @@ def only_shown(text: str) -> bool:
     "arguments",
     [
         ["info"],
-        ["stats"],
         ["decode", "{out}.ply"],
         ["convert", "{out}.spz"],
-        ["score", "{out}.npy"],
-        ["order", "{out}.npy"],
-        ["views", "{out}.json"],
+        ["lab score", "{out}.npy"],
+        ["lab order", "{out}.npy"],
+        ["lab views", "{out}.json"],
         ["render", "{out}.png"],
         ["compare", "{scene}"],
     ],
@@ -53,17 +51,25 @@ def test_every_command_that_reads_takes_limits() -> None:
     without = [
         name
         for name, command in all_commands().items()
-        if not isinstance(command, click.Group)
-        and all("--limits" not in option.opts for option in command.params)
+        if all("--limits" not in option.opts for option in command.params)
     ]
     # The scenes of a batch take limits among their options, a server decodes nothing, the others
     # make what they read.
-    assert without == ["batch", "serve", "synth", "demo", "warm"]
+    assert without == [
+        *("batch", "serve", "demo", "warm", "lab synth"),
+        *("lab conformance run", "lab conformance fuzz"),
+    ]
 
 
 def test_limits_of_cameras(run: Run, small: SmallScene, tmp_path: Path) -> None:
     ran = run(
-        "score", small.ply, tmp_path / "a.npy", "--cameras", small.cameras, "--limits", "cameras=8"
+        "lab score",
+        small.ply,
+        tmp_path / "a.npy",
+        "--cameras",
+        small.cameras,
+        "--limits",
+        "cameras=8",
     )
     assert (ran.code, ran.out) == (5, "")
     assert "[too-many-cameras]" in ran.err
@@ -125,8 +131,8 @@ def test_errors_and_warnings_are_one_line_that_can_be_shown() -> None:
         ("encode", "a.png"),
         ("render", "r.jpg"),
         ("render", "r.cogs"),
-        ("score", "a.json"),
-        ("order", "a.ply"),
+        ("lab score", "a.json"),
+        ("lab order", "a.ply"),
     ],
 )
 def test_names_of_another_format_are_misuse(

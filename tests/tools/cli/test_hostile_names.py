@@ -53,12 +53,12 @@ def test_the_local_server_has_a_title(named: Path) -> None:
 def test_charts_and_tables_are_written(run: Run, small: SmallScene, named: Path) -> None:
     scene, cameras = named / f"{NAME}.ply", ["--cameras", small.cameras]
     told = run(
-        "eval", scene, *cameras, "--orders", "source", "--shares", "10", "--file",
+        "lab evaluate", scene, *cameras, "--orders", "source", "--shares", "10", "--file",
         named / f"{NAME}.cogs", "--sizes", "50%", "--out", named / "eval",
     )  # fmt: skip
     assert told.code == 0, told.err
     formats = ["--profiles", "none", "--formats", "splat", "--out", named / "bench"]
-    told = run("bench", scene, *cameras, *formats)
+    told = run("lab bench", scene, *cameras, *formats)
     assert told.code == 0, told.err
     assert "\x1b" not in told.out + told.err
     charts = [*(named / "eval").glob("*.svg"), *(named / "bench").glob("*.svg")]

@@ -8,14 +8,12 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import click
 import pytest
 from fault_server import FaultServer, serving
 from running import ROOT, Run, SmallScene, all_commands, broken_decoder, program
 
 import cogsplat
 from cogsplat.codec.order.objects import with_labels
-from cogsplat.formats.cogs.folder_writer import unpack_cogs
 from cogsplat.tools.lab.cli import demonstration
 from cogsplat.tools.lab.synthetic import terrace as synthetic
 
@@ -26,7 +24,7 @@ NAMED = {
     "seconds",
     "cpu_seconds",
     "counts",
-    "values",
+    "statistics.values",
     "mean_over_log",
     "mean_over_log.*",
     "left_out",
@@ -47,15 +45,6 @@ def paths(value: object, at: str = "") -> Iterator[str]:
             yield from paths(inner, f"{at}[]")
     else:
         yield at
-
-
-def commands() -> set[str]:
-    """Return every command by its words, those inside groups as ``group command``."""
-    found = set()
-    for name, command in all_commands().items():
-        inner = command.commands if isinstance(command, click.Group) else {}
-        found |= {f"{name} {sub}" for sub in inner} or {name}
-    return found
 
 
 def documented() -> dict[str, set[str]]:
@@ -85,14 +74,6 @@ def labelled(small: SmallScene, tmp_path: Path) -> Path:
     return path
 
 
-def folder_of(small: SmallScene, out: Path) -> Path:
-    """Return a folder of the scene, which `out` does not have yet under that name."""
-    folder = out.parent / f"{out.name}-unpacked"
-    with cogsplat.open(small.cogs) as file:
-        unpack_cogs(file, folder, force=True)
-    return folder
-
-
 def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> list[object]:
     """Return what a command is run with: everything that adds keys."""
     cameras = ["--cameras", small.cameras]
@@ -101,28 +82,23 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
             labelled, out / "a.cogs", *cameras, "--preset", "fast", "--measure", "--eval-every", 4,
         ],
         "decode": [small.cogs, out / "a.ply"],
-        "convert": [small.cogs, out / "a.spz"],
         "merge": [small.ply, small.ply, out / "a.ply"],
         "filter": [small.ply, out / "a.ply", "--min-opacity", 0.1],
         "decimate": [small.ply, out / "a.ply", "--to", "50%", "--by", "antimatter"],
         "export-html": [small.cogs, out / "a.html"],
-        "unpack": [small.cogs, out / "folder"],
-        "pack": [folder_of(small, out), out / "b.cogs"],
-        "info": [small.cogs],
-        "validate": [small.cogs],
-        "stats": [small.cogs],
-        "score": [small.ply, out / "a.npy", *cameras],
-        "order": [labelled, out / "a.npy", "--order", "antimatter", "--objects", *cameras],
-        "views": [small.ply, out / "a.json"],
+        "info": [small.cogs, "--statistics"],
+        "lab score": [small.ply, out / "a.npy", *cameras],
+        "lab order": [labelled, out / "a.npy", "--order", "antimatter", "--objects", *cameras],
+        "lab views": [small.ply, out / "a.json"],
         "render": [small.cogs, out / "a.png", *cameras],
         "compare": [labelled, small.cogs, *cameras, "--by-object", "--difference", out / "a.png"],
-        "eval": [
+        "lab evaluate": [
             labelled, *cameras, "--eval-every", 4, "--orders", "source", "--shares", "10",
             "--sizes", "none", "--codecs", "splat", "--by-object", "all",
         ],
-        "bench": [small.ply, *cameras, "--qualities", "35"],
-        "simulate": [small.cogs, *cameras, "--policy", "file", "--moments", 1, "--wait"],
-        "synth": [out / "a.ply", "--splats", 1000],
+        "lab bench": [small.ply, *cameras, "--qualities", "35"],
+        "lab simulate": [small.cogs, *cameras, "--policy", "file", "--moments", 1, "--wait"],
+        "lab synth": [out / "a.ply", "--splats", 1000],
         "demo": ["--out", out / "demo", "--splats", 1000],
         "warm": [],
         "batch": [out / "scenes.jsonl"],
@@ -139,11 +115,14 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
 
 
 # These do not end by themselves, or take a server or a decoder: they have tests of their own.
-APART = {"view", "serve", "verify", "upload", "conformance run", "conformance fuzz"}
+APART = {
+    *("convert", "view", "serve", "check", "upload"),
+    *("lab conformance run", "lab conformance fuzz"),
+}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", sorted(commands() - APART))
+@pytest.mark.parametrize("command", sorted(all_commands().keys() - APART))
 def test_a_command_has_the_keys_of_the_page(
     run: Run,
     small: SmallScene,
@@ -173,10 +152,18 @@ def test_a_server_says_its_address_first(server: str, small: SmallScene) -> None
     assert keys == documented()[name]
 
 
+def test_a_file_and_a_folder_have_the_keys_of_the_page(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    of_file = set(paths(run("convert", small.ply, tmp_path / "a.spz", "--json").json))
+    of_folder = set(paths(run("convert", small.cogs, f"{tmp_path}/folder/", "--json").json))
+    assert of_file | of_folder == documented()["convert"]
+
+
 def test_a_host_and_a_file_have_the_keys_of_the_page(run: Run, small: SmallScene) -> None:
     with serving(FaultServer(small.cogs.read_bytes())) as server:
-        of_url = set(paths(run("verify", server.url(), "--json").json))
-    assert of_url | set(paths(run("verify", small.cogs, "--json").json)) == documented()["verify"]
+        of_url = set(paths(run("check", server.url(), "--json").json))
+    assert of_url | set(paths(run("check", small.cogs, "--json").json)) == documented()["check"]
 
 
 @pytest.mark.parametrize("command", ["run", "fuzz"])
@@ -185,17 +172,17 @@ def test_a_decoder_with_a_fault_shows_all_keys_of_conformance(
 ) -> None:
     ours = shlex.join([sys.executable, "-m", "cogsplat.tools.lab.conformance.decoder", "numpy"])
     worse = broken_decoder(tmp_path, "answer.update(code='not-cogs') if 'code' in answer else None")
-    words: list[object] = ["conformance", command, "--vectors", few_vectors, "--decoder", worse]
+    words: list[object] = ["lab conformance", command, "--vectors", few_vectors, "--decoder", worse]
     if command == "fuzz":
         words += ["--decoder", ours, "--count", 10]
     told = run(*words, "--json")
     assert told.code == 3, told.out
-    assert set(paths(told.json)) == documented()[f"conformance {command}"]
+    assert set(paths(told.json)) == documented()[f"lab conformance {command}"]
 
 
 def test_every_command_and_key_is_explained_once() -> None:
     explained = documented()
-    assert set(explained) == commands()
+    assert set(explained) == all_commands().keys()
     keys = glossary()
     assert len(keys) == len(set(keys))
     used = {

@@ -38,13 +38,13 @@ def ksplat(small: SmallScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_info_and_stats(run: Run, ksplat: Path) -> None:
+def test_info_and_statistics(run: Run, ksplat: Path) -> None:
     report = run("info", ksplat, "--json").json
     assert (report["format"], report["splats"]) == ("ksplat", SPLATS)
-    report = run("stats", ksplat, "--json").json
+    assert report["bytes"] == ksplat.stat().st_size
+    report = run("info", ksplat, "--json", "--statistics").json["statistics"]
     assert (report["splats"], report["sh_degree"]) == (SPLATS, 0)
     assert report["invalid_splats"] == 0
-    assert report["source_bytes"] == ksplat.stat().st_size
 
 
 def test_compare_and_render(run: Run, small: SmallScene, ksplat: Path, tmp_path: Path) -> None:

@@ -48,4 +48,4 @@ def test_info_tells_levels_and_ends(run, cogs):
 
 
 def test_a_file_with_levels_is_valid(run, cogs):
-    assert run("validate", cogs).code == 0
+    assert run("check", cogs).code == 0

@@ -131,7 +131,7 @@ def test_decimate_keeps_the_largest_contributions(
     common = ["--cameras", small.cameras]
     told = run("decimate", small.ply, out, "--to", "25%", *common, "--json")
     assert (told.code, told.err) == (0, "")
-    assert run("score", small.ply, scores, *common).code == 0
+    assert run("lab score", small.ply, scores, *common).code == 0
     contribution = np.load(scores)
     count = -(-SPLATS // 4)
     rows = np.sort(np.argsort(-contribution, kind="stable")[:count])

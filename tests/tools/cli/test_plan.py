@@ -19,7 +19,7 @@ def test_planned_views_are_cameras_that_other_commands_take(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     out = tmp_path / "views.json"
-    told = run("views", small.ply, out, "--count", 6, "--json")
+    told = run("lab views", small.ply, out, "--count", 6, "--json")
     assert (told.code, told.err) == (0, "")
     expected = plan_views(cogsplat.read(small.ply), ViewPlanConfig(views=6))
     assert told.json["views"] == len(expected)
@@ -29,13 +29,15 @@ def test_planned_views_are_cameras_that_other_commands_take(
         np.testing.assert_array_equal(found.rotation, planned.rotation)
         np.testing.assert_array_equal(found.translation, planned.translation)
         assert found.name == planned.name
-    scored = run("score", small.ply, tmp_path / "a.npy", "--cameras", out, "--no-jitter", "--json")
+    scored = run(
+        "lab score", small.ply, tmp_path / "a.npy", "--cameras", out, "--no-jitter", "--json"
+    )
     assert scored.json["scored_views"] == len(expected)
 
 
 def test_a_contact_sheet_shows_every_view(run: Run, small: SmallScene, tmp_path: Path) -> None:
     out = tmp_path / "views.png"
-    told = run("views", small.ply, out, "--count", 5)
+    told = run("lab views", small.ply, out, "--count", 5)
     assert told.code == 0
     found = re.search(r"contact sheet of (\d) views", told.out)
     assert found is not None
@@ -51,17 +53,17 @@ def test_an_existing_output_stays_unless_forced(
 ) -> None:
     out = tmp_path / "views.json"
     out.write_text("mine")
-    refused = run("views", small.ply, out, "--count", 2)
+    refused = run("lab views", small.ply, out, "--count", 2)
     assert refused.code == 2
     assert "[exists]" in refused.err
     assert out.read_text() == "mine"
-    assert run("views", small.ply, out, "--count", 2, "--force", "--quiet").code == 0
+    assert run("lab views", small.ply, out, "--count", 2, "--force", "--quiet").code == 0
     assert 2 <= len(cogsplat.read_cameras(out)) <= 3
 
 
 @pytest.mark.parametrize("name", ["views.txt", "views", "views.jpeg"])
 def test_other_outputs_are_refused(run: Run, small: SmallScene, tmp_path: Path, name: str) -> None:
-    told = run("views", small.ply, tmp_path / name)
+    told = run("lab views", small.ply, tmp_path / name)
     assert told.code == 2
     assert ".json or .png" in told.err
     assert not (tmp_path / name).exists()
@@ -70,7 +72,7 @@ def test_other_outputs_are_refused(run: Run, small: SmallScene, tmp_path: Path, 
 def test_a_scene_without_splats_has_no_views(run: Run, tmp_path: Path) -> None:
     scene = tmp_path / "scene.ply"
     cogsplat.write(empty(0), scene)
-    told = run("views", scene, tmp_path / "views.json", "--json")
+    told = run("lab views", scene, tmp_path / "views.json", "--json")
     assert told.code == 3
     error = told.json["error"]
     assert isinstance(error, dict)
@@ -79,7 +81,7 @@ def test_a_scene_without_splats_has_no_views(run: Run, tmp_path: Path) -> None:
 
 
 def test_the_help_names_the_default_count(run: Run) -> None:
-    assert f"[default: {ViewPlanConfig().views}]" in run("views", "--help").out
+    assert f"[default: {ViewPlanConfig().views}]" in run("lab views", "--help").out
 
 
 def test_sheets_hold_pictures_of_any_size_unstretched() -> None:

@@ -22,7 +22,7 @@ def test_a_folder_goes_to_a_bucket(
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "key")
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
     folder = tmp_path / "scene"
-    assert run("unpack", small.cogs, folder).code == 0
+    assert run("convert", small.cogs, f"{folder}/").code == 0
     count = len(list((folder / "segments").iterdir()))
     words = ["upload", folder, "s3://bucket/a/scene", "--endpoint", endpoint, "--region", "x"]
     planned = run(*words, "--dry-run", "--json").json
@@ -47,8 +47,8 @@ def test_a_folder_goes_to_a_bucket(
 def test_misuse_is_told(run: Run, small: SmallScene, tmp_path: Path) -> None:
     told = run("upload", small.cogs, "s3://bucket/a")
     assert told.code == 2
-    assert "cogsplat unpack" in told.err
-    assert run("unpack", small.cogs, tmp_path / "scene").code == 0
+    assert "cogsplat convert" in told.err
+    assert run("convert", small.cogs, f"{tmp_path}/scene/").code == 0
     assert run("upload", tmp_path / "scene", "s3://bucket/a", "--partial").code == 2
     told = run("upload", tmp_path / "scene", "https://example.org/a")
     assert (told.code, "[bucket-address]" in told.err) == (4, True)

@@ -36,8 +36,8 @@ def test_decode_reads_what_it_decodes(run, server, tmp_path):
 
 
 def test_other_commands_fetch_the_file(run, server, tmp_path):
-    assert run("validate", server.url()).code == 0
-    assert server.url() in run("stats", server.url()).out
+    assert run("check", server.url()).code == 0
+    assert server.url() in run("info", server.url(), "--statistics").out
     assert run("convert", server.url(), tmp_path / "a.splat").code == 0
     assert run("decode", server.url("scene"), tmp_path / "b.ply").code == 0
     assert (tmp_path / "b.ply").stat().st_size > len(server.data)
@@ -51,10 +51,11 @@ def test_scenes_of_other_formats_by_their_urls(run, tmp_path):
         assert told["source"] == server.url("a.ply")
 
 
-@pytest.mark.parametrize("command", ["info", "validate"])
-def test_refusals_are_told_with_their_address(run, command):
+@pytest.mark.parametrize("command", ["info", "convert"])
+def test_refusals_are_told_with_their_address(run, tmp_path, command):
     with serving(FaultServer(b"", always=status(404))) as server:
-        told = run(command, server.url("scene.cogs?key=secret"), "--json")
+        out = [tmp_path / "a.ply"] if command == "convert" else []
+        told = run(command, server.url("scene.cogs?key=secret"), *out, "--json")
     assert told.code == 4
     error = json.loads(told.out)["error"]
     assert error["code"] == "not-found"

@@ -12,9 +12,9 @@ INVALID = ROOT / "tests" / "vectors" / "invalid"
 
 
 def test_a_good_file_conforms(run: Run, small: SmallScene) -> None:
-    told = run("validate", small.cogs)
+    told = run("check", small.cogs)
     assert (told.code, told.out.splitlines()[-1].split(": ")[-1]) == (0, "conforms to SPEC.md")
-    told = run("validate", small.cogs, "--json")
+    told = run("check", small.cogs, "--json")
     assert told.json["valid"] is True
     assert told.json["findings"] == []
 
@@ -27,14 +27,14 @@ def test_all_broken_segments_are_listed(run: Run, small: SmallScene, tmp_path: P
         data[start + 40] ^= 0x10
     path = tmp_path / "broken.cogs"
     path.write_bytes(data)
-    told = run("validate", path, "--json")
+    told = run("check", path, "--json")
     assert told.code == 3
     findings = told.json["findings"]
     assert isinstance(findings, list)
     assert [(f["code"], f["clause"], f["offset"]) for f in findings] == [
         ("segment-crc", "5.3", start) for start in starts
     ]
-    assert run("validate", path).out.count("segment-crc") == 2
+    assert run("check", path).out.count("segment-crc") == 2
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_all_broken_segments_are_listed(run: Run, small: SmallScene, tmp_path: P
     ],
 )
 def test_findings_have_the_code_of_the_vectors(run: Run, name: str, code: str, clause: str) -> None:
-    told = run("validate", INVALID / f"{name}.cogs", "--json")
+    told = run("check", INVALID / f"{name}.cogs", "--json")
     assert told.code == 3
     findings = told.json["findings"]
     assert isinstance(findings, list)
@@ -58,4 +58,4 @@ def test_findings_have_the_code_of_the_vectors(run: Run, name: str, code: str, c
 
 
 def test_a_file_that_is_not_there(run: Run, tmp_path: Path) -> None:
-    assert run("validate", tmp_path / "none.cogs").code == 4
+    assert run("check", tmp_path / "none.cogs").code == 4

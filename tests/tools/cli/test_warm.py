@@ -11,8 +11,9 @@ from running import Run
 from cogsplat.codec import compiling
 from cogsplat.codec.compiling import DeclaredKernel
 from cogsplat.codec.errors import Cancelled
-from cogsplat.tools.cli import compile_ahead, warm
-from cogsplat.tools.cli.compile_ahead import CompileAhead
+from cogsplat.tools.cli import warm
+from cogsplat.tools.workflow import compile_ahead
+from cogsplat.tools.workflow.compile_ahead import CompileAhead
 
 KERNEL = """
 @called_with("int64")

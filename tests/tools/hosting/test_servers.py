@@ -148,7 +148,7 @@ def test_the_protocol_is_what_the_server_speaks(
     with running(words, base):
         wait_for_certificate(authority, port)
         done = subprocess.run(
-            program(["verify", f"https://127.0.0.1:{port}/scene.cogs", "--json"]),
+            program(["check", f"https://127.0.0.1:{port}/scene.cogs", "--json"]),
             env=os.environ | {"SSL_CERT_FILE": str(authority)},
             capture_output=True,
             text=True,

@@ -11,7 +11,7 @@ from cogsplat.tools.terminal import options
 
 pytest.importorskip("numba", reason="scoring takes the extra `encode`")
 
-COMMANDS = {"encode": "a.cogs", "score": "a.npy", "render": "a.png", "tune": "a.cogs"}
+COMMANDS = {"encode": "a.cogs", "lab score": "a.npy", "render": "a.png", "tune": "a.cogs"}
 
 
 def refused(reason: str):

@@ -65,12 +65,12 @@ def test_a_scene_from_standard_input_is_measured(small: SmallScene, tmp_path: Pa
     ply, runner = small.ply.read_bytes(), CliRunner()
     views = ["--cameras", str(small.cameras), "--out", str(tmp_path)]
     brief = ["--orders", "source", "--shares", "10", "--sizes", "none"]
-    done = runner.invoke(cli, ["eval", "-", *views, *brief], input=ply)
+    done = runner.invoke(cli, ["lab", "evaluate", "-", *views, *brief], input=ply)
     assert done.exit_code == 0, done.output
     assert done.stdout.startswith("standard input: ")
     assert "standard input, held-out" in (tmp_path / "splats-held-out.svg").read_text()
     brief = ["--profiles", "none", "--formats", "splat"]
-    done = runner.invoke(cli, ["bench", "-", *views, *brief], input=ply)
+    done = runner.invoke(cli, ["lab", "bench", "-", *views, *brief], input=ply)
     assert done.exit_code == 0, done.output
     assert done.stdout.startswith("standard input: ")
     assert "warning: splat: .splat cannot hold SH" in done.stderr
@@ -91,12 +91,12 @@ def test_a_page_between_two_pipes(small: SmallScene, tmp_path: Path) -> None:
 
 
 def test_planned_cameras_go_to_standard_output(small: SmallScene) -> None:
-    code, out, err = piped(small.ply.read_bytes(), "views", "-", "-", "--count", "6", "-q")
+    code, out, err = piped(small.ply.read_bytes(), "lab", "views", "-", "-", "--count", "6", "-q")
     assert (code, err) == (0, "")
     assert len(json.loads(out)) >= 6
 
 
-@pytest.mark.parametrize("command", ["info", "stats", "validate"])
+@pytest.mark.parametrize("command", ["info", "check"])
 def test_looking_at_standard_input(small: SmallScene, command: str) -> None:
     done = CliRunner().invoke(cli, [command, "-"], input=small.cogs.read_bytes())
     assert done.exit_code == 0, done.output
@@ -122,8 +122,8 @@ def test_messages_speak_of_the_streams(small: SmallScene) -> None:
         (["view", "-", "--against", "-"], "- for two scenes"),
         (["export-html", "-", "-", "--folder"], "--folder with standard output"),
         (["encode", "-", "-", "--cameras", "-"], "'--cameras': - for a stream"),
-        (["eval", "-", "--out", "-"], "'--out': - for a stream"),
-        (["synth", "-"], "'OUT.ply': - for a stream"),
+        (["lab", "evaluate", "-", "--out", "-"], "'--out': - for a stream"),
+        (["lab", "synth", "-"], "'OUT.ply': - for a stream"),
     ],
 )
 def test_misuse_is_told(small: SmallScene, arguments: list[str], told: str) -> None:

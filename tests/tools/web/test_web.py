@@ -21,7 +21,7 @@ def test_package_passes_its_checks_and_tests(web_package: Path) -> None:
 @pytest.mark.slow
 def test_decoder_of_the_package_passes_the_conformance_suite(web_package: Path) -> None:
     decoder = f"{installed('node')} {web_package / 'scripts' / 'conformance_decoder.mjs'}"
-    command = [sys.executable, "-m", "cogsplat.tools.main", "conformance", "run"]
+    command = [sys.executable, "-m", "cogsplat.tools.main", "lab", "conformance", "run"]
     done = subprocess.run(
         [*command, "--decoder", decoder],
         cwd=ROOT,

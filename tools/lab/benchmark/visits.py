@@ -4,9 +4,9 @@ Run ``python -m cogsplat.tools.lab.benchmark.visits SCENE.cogs --cameras PATH --
 WALK.json`` from a checkout, after ``npm ci && npm run build`` in ``tools/web``.
 
 Headless Chromium visits the scene with the npm package over a slow link; which chunks it has
-decoded at each moment is noted, and drawn afterwards by our renderer, as is what ``cogsplat
-simulate --policy visit`` predicts: the speed of this machine's software WebGL does not count. The
-simulation makes its first request and starts to decode when the browser did.
+decoded at each moment is noted, and drawn afterwards by our renderer, as is what
+``cogsplat lab simulate --policy visit`` predicts: the speed of this machine's software WebGL does
+not count. The simulation makes its first request and starts to decode when the browser did.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``cogsplat bench``: COGS profiles against foreign formats, on one scene."""
+"""``cogsplat lab bench``: COGS profiles against foreign formats, on one scene."""
 
 from __future__ import annotations
 
@@ -21,14 +21,6 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import thread_count
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
-from cogsplat.tools.cli.inputs import (
-    evaluation_cameras,
-    given_files,
-    read_any,
-    scoring_cameras,
-    usable_rows,
-    virtual_views,
-)
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.lab.benchmark import ablation as bench_ablation
 from cogsplat.tools.lab.benchmark import rate_distortion as benches
@@ -50,6 +42,14 @@ from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import Colour
+from cogsplat.tools.workflow.inputs import (
+    evaluation_cameras,
+    given_files,
+    read_any,
+    scoring_cameras,
+    usable_rows,
+    virtual_views,
+)
 
 _PROFILES: Final = ("transform", "vq", "near-lossless")
 
@@ -122,8 +122,8 @@ def decibels(text: str) -> tuple[float, ...]:
 
 @click.command(
     epilog="\b\nExample:\n"
-    "  cogsplat bench scene.ply --cameras cameras.json --out figures\n"
-    "  cogsplat bench scene.ply --cameras cameras.json --ablation --qualities 40"
+    "  cogsplat lab bench scene.ply --cameras cameras.json --out figures\n"
+    "  cogsplat lab bench scene.ply --cameras cameras.json --ablation --qualities 40"
 )
 @click.argument("scene", type=INPUT)
 @cameras_option(

@@ -1,10 +1,11 @@
-"""``cogsplat eval``: quality of prefixes of a scene, for several orders of its splats."""
+"""``cogsplat lab evaluate``: quality of prefixes of a scene, for several orders of its splats."""
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 import click
 import numpy as np
@@ -20,16 +21,6 @@ from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
 from cogsplat.formats.storage.byte_counts import ByteCount
-from cogsplat.tools.cli.inputs import (
-    evaluation_cameras,
-    given_cameras,
-    given_files,
-    read_any,
-    scoring_cameras,
-    usable_rows,
-    virtual_views,
-)
-from cogsplat.tools.cli.order_options import OrderChoice, orders_option
 from cogsplat.tools.evaluation.lpips import read_lpips
 from cogsplat.tools.evaluation.measuring_costs import references_cost
 from cogsplat.tools.evaluation.photos import read_photos
@@ -55,6 +46,7 @@ from cogsplat.tools.lab.evaluation.tables import (
     written_pages,
 )
 from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
     background_option,
     cameras_option,
@@ -74,19 +66,74 @@ from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import Colour
+from cogsplat.tools.workflow.inputs import (
+    evaluation_cameras,
+    given_cameras,
+    given_files,
+    read_any,
+    scoring_cameras,
+    usable_rows,
+    virtual_views,
+)
+from cogsplat.tools.workflow.order_options import OrderChoice, orders_option
 
 from .evaluation_costs import eval_costs
 from .evaluation_options import codecs, objects, shares, sizes
 from .octree_sweep import Curve, curves, octree_depths_option, require_octree
 
+# `--help` shows the first group.
+_GROUPS: Final = {
+    "Most used": (
+        "--cameras",
+        "--eval-every",
+        "--orders",
+        "--file",
+        "--shares",
+        "--sizes",
+        "--codecs",
+        "--by-object",
+        "--quality",
+        "--target-psnr",
+        "--images",
+        "--out",
+        "--config",
+        "--json",
+        "--help-all",
+        "--help",
+    ),
+    "Parameters of the orders": (
+        "--first-view",
+        "--first-view-share",
+        "--first-view-mix",
+        "--frustum-share",
+        "--frustum-margin",
+        "--octree-depths",
+        "--octree-depth",
+        "--octree-capacity",
+        "--seed",
+        "--objects",
+        "--object-budgets",
+        "--masks",
+    ),
+    "Scoring and measuring": (
+        "--no-jitter",
+        "--top-k",
+        "--compensate",
+        "--lpips-weights",
+        "--ssim-border",
+        "--background",
+    ),
+}
+
 
 @click.command(
-    name="eval",
+    cls=GroupedCommand,
+    groups=_GROUPS,
     epilog="\b\nExample:\n"
-    "  cogsplat eval scene.ply --cameras cameras.json --out figures\n"
-    "  cogsplat eval scene.ply --cameras cameras.json --file scene.cogs\n"
-    "  cogsplat eval both.ply --orders antimatter --by-object all --sizes none\n"
-    "  cogsplat eval scene.ply --orders contribution,antimatter --codecs spz,splat",
+    "  cogsplat lab evaluate scene.ply --cameras cameras.json --out figures\n"
+    "  cogsplat lab evaluate scene.ply --cameras cameras.json --file scene.cogs\n"
+    "  cogsplat lab evaluate both.ply --orders antimatter --by-object all --sizes none\n"
+    "  cogsplat lab evaluate scene.ply --orders antimatter --codecs spz,splat",
 )
 @click.argument("scene", type=INPUT)
 @cameras_option(

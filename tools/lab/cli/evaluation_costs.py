@@ -1,4 +1,4 @@
-"""What the stages of ``cogsplat eval`` will cost, for one bar over the whole."""
+"""What the stages of ``cogsplat lab evaluate`` will cost, for one bar over the whole."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values of options of ``cogsplat eval``: shares, lengths of files, codecs, objects."""
+"""Values of options of ``cogsplat lab evaluate``: shares, lengths of files, codecs, objects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Curves of ``cogsplat eval``: one for each order, octree orders at every depth asked for."""
+"""Curves of ``cogsplat lab evaluate``: one for each order, octree orders at each depth."""
 
 from __future__ import annotations
 

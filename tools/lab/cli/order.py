@@ -1,10 +1,11 @@
-"""``cogsplat order``: an order of a scene's splats, written as a permutation."""
+"""``cogsplat lab order``: an order of a scene's splats, written as a permutation."""
 
 from __future__ import annotations
 
 import io
 import warnings
 from pathlib import Path
+from typing import Final
 
 import click
 import numpy as np
@@ -15,15 +16,8 @@ from cogsplat.codec.order import objects
 from cogsplat.codec.order.chunks import DEFAULT_LARGEST
 from cogsplat.codec.order.orders import Unordered, needs_scores, order_rows
 from cogsplat.formats.storage.atomic import atomic_write, check_output
-from cogsplat.tools.cli.inputs import (
-    given_cameras,
-    given_files,
-    read_any,
-    scoring_cameras,
-    virtual_views,
-)
-from cogsplat.tools.cli.order_options import OrderChoice, order_options
 from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
     cameras_option,
     eval_every_option,
@@ -39,12 +33,50 @@ from cogsplat.tools.terminal.output_names import NPY, check_name
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
+from cogsplat.tools.workflow.inputs import (
+    given_cameras,
+    given_files,
+    read_any,
+    scoring_cameras,
+    virtual_views,
+)
+from cogsplat.tools.workflow.order_options import OrderChoice, order_options
+
+# `--help` shows the first group.
+_GROUPS: Final = {
+    "Most used": (
+        "--cameras",
+        "--order",
+        "--first-view",
+        "--objects",
+        "--threads",
+        "--force",
+        "--config",
+        "--json",
+        "--help-all",
+        "--help",
+    ),
+    "Parameters of the orders": (
+        "--first-view-share",
+        "--first-view-mix",
+        "--frustum-share",
+        "--frustum-margin",
+        "--octree-depth",
+        "--octree-capacity",
+        "--seed",
+        "--object-budgets",
+        "--masks",
+    ),
+    "Scoring": ("--no-jitter", "--top-k", "--eval-every"),
+}
 
 
 @click.command(
+    cls=GroupedCommand,
+    groups=_GROUPS,
     epilog="\b\nExample:\n"
-    "  cogsplat order scene.ply rows.npy --cameras cameras.json\n"
-    "  cogsplat order scene.ply rows.npy --cameras cameras.json --first-view 3"
+    "  cogsplat lab order scene.ply rows.npy --cameras cameras.json\n"
+    "  cogsplat lab order scene.ply rows.npy --cameras cameras.json --first-view 3",
 )
 @click.argument("path", type=INPUT, metavar="SCENE")
 @click.argument("out", type=OutputPath(".npy"), metavar="OUT.npy")

@@ -1,4 +1,4 @@
-"""``cogsplat score``: the contribution of each splat to the pictures of its cameras."""
+"""``cogsplat lab score``: the contribution of each splat to the pictures of its cameras."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.formats.storage.atomic import atomic_write, check_output
-from cogsplat.tools.cli.inputs import given_files, read_any, scoring_cameras, virtual_views
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
     cameras_option,
@@ -30,10 +29,11 @@ from cogsplat.tools.terminal.output_names import NPY, check_name
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
+from cogsplat.tools.workflow.inputs import given_files, read_any, scoring_cameras, virtual_views
 
 
 @click.command(
-    epilog="\b\nExample:\n  cogsplat score scene.ply contribution.npy --cameras cameras.json"
+    epilog="\b\nExample:\n  cogsplat lab score scene.ply contribution.npy --cameras cameras.json"
 )
 @click.argument("path", type=INPUT, metavar="SCENE")
 @click.argument("out", type=OutputPath(".npy"), metavar="OUT.npy")

@@ -1,4 +1,4 @@
-"""``cogsplat simulate``: what visitors see while a client chooses what to fetch next."""
+"""``cogsplat lab simulate``: what visitors see while a client chooses what to fetch next."""
 
 from __future__ import annotations
 
@@ -14,14 +14,6 @@ from numpy.typing import NDArray
 import cogsplat
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.storage.atomic import atomic_write, check_output
-from cogsplat.tools.cli.inputs import (
-    given_cameras,
-    given_files,
-    input_source,
-    is_cogs_input,
-    read_any,
-    usable_rows,
-)
 from cogsplat.tools.cli.serve import BitRate
 from cogsplat.tools.lab.streaming.client import Link
 from cogsplat.tools.lab.streaming.comparison import (
@@ -39,6 +31,7 @@ from cogsplat.tools.lab.streaming.traces import Trace, dolly, orbital, recorded
 from cogsplat.tools.lab.streaming.waiting import fetched_by_waiting
 from cogsplat.tools.pictures.png import write_png
 from cogsplat.tools.terminal.limits import current_limits, limits_option
+from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
     force_option,
     json_option,
@@ -50,15 +43,47 @@ from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import number_of_bytes
+from cogsplat.tools.workflow.inputs import (
+    given_cameras,
+    given_files,
+    input_source,
+    is_cogs_input,
+    read_any,
+    usable_rows,
+)
 
 # Moments that a strip shows: as many as fit beside each other on a page.
 _STRIP_PICTURES: Final = 6
 
 
+# `--help` shows the first group.
+_GROUPS: Final = {
+    "Most used": (
+        "--cameras",
+        "--trace",
+        "--bandwidth",
+        "--latency",
+        "--policy",
+        "--moments",
+        "--source",
+        "--goal",
+        "--csv",
+        "--plot",
+        "--force",
+        "--config",
+        "--json",
+        "--help-all",
+        "--help",
+    ),
+}
+
+
 @click.command(
+    cls=GroupedCommand,
+    groups=_GROUPS,
     epilog="\b\nExample:\n"
-    "  cogsplat simulate scene.cogs --cameras scene.cameras.json\n"
-    "  cogsplat simulate house.cogs --cameras views.json --trace house.walk.json"
+    "  cogsplat lab simulate scene.cogs --cameras scene.cameras.json\n"
+    "  cogsplat lab simulate house.cogs --cameras views.json --trace house.walk.json",
 )
 @click.argument("path", type=INPUT, metavar="IN.cogs")
 @click.option("--cameras", type=PATH, required=True, metavar="PATH", help="Views of the scene.")

@@ -1,9 +1,10 @@
-"""``cogsplat synth`` and ``demo``: the synthetic test scene, and a demonstration on it."""
+"""``cogsplat lab synth``: a synthetic test scene and its cameras."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import click
 import numpy as np
@@ -13,37 +14,33 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.order.objects import with_labels
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
-from cogsplat.codec.threads import thread_count
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.atomic import check_output, storage_errors
-from cogsplat.tools.cli.compile_ahead import CompileAhead
 from cogsplat.tools.lab.synthetic.floor_plan import MOST_ROOMS, SPLATS_PER_ROOM
 from cogsplat.tools.terminal.options import (
     force_option,
     json_option,
     quiet_option,
-    threads_option,
 )
-from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
 from cogsplat.tools.terminal.output_names import check_distinct
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import PATH
 
-_SPLATS = 120_000
-# As many as show every object whole, and few enough for half a minute on two cores.
-_DEMO_SPLATS = 60_000
-_MOST_SPLATS = 20_000_000
+_SPLATS: Final = 120_000
+MOST_SPLATS: Final = 20_000_000
+"""Largest scene that the generators make, in splats."""
 
 
 @click.command(
     epilog="\b\nExample:\n"
-    "  cogsplat synth scene.ply\n"
+    "  cogsplat lab synth scene.ply\n"
     "  cogsplat encode scene.ply scene.cogs --cameras scene.cameras.json"
 )
 @click.argument("out", type=PATH, metavar="OUT.ply")
 @click.option(
     "--splats",
-    type=click.IntRange(1, _MOST_SPLATS),
+    type=click.IntRange(1, MOST_SPLATS),
     metavar="N",
     help="Size of the scene; with fewer than about 10,000, or 20,000 a room, its surfaces have "
     f"gaps.  [default: {_SPLATS}, or {SPLATS_PER_ROOM} a room]",
@@ -125,7 +122,7 @@ def synth(
         raise click.UsageError("--objects and --masks are of the scene without --rooms")
     if rooms is None and walk is not None:
         raise click.UsageError("--walk is of a scene with --rooms")
-    splats = splats or (_SPLATS if rooms is None else min(rooms * SPLATS_PER_ROOM, _MOST_SPLATS))
+    splats = splats or (_SPLATS if rooms is None else min(rooms * SPLATS_PER_ROOM, MOST_SPLATS))
     cameras = cameras or out.with_suffix(".cameras.json")
     walked: list[Camera] = []
     if rooms is not None:
@@ -208,101 +205,3 @@ def _write_masks(
 
 def _mask_path(folder: Path, camera: Camera) -> Path:
     return folder / f"{camera.name}.png"
-
-
-@click.command(epilog="\b\nExample:\n  cogsplat demo --out demo --force")
-@click.option(
-    "--out", type=PATH, default="demo", show_default=True, metavar="DIR", help="Where files go."
-)
-@click.option(
-    "--splats",
-    type=click.IntRange(1000, _MOST_SPLATS),
-    default=_DEMO_SPLATS,
-    show_default=True,
-    metavar="N",
-    help="Size of the scene.",
-)
-@threads_option
-@force_option
-@quiet_option
-@json_option
-def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json: bool) -> None:
-    """Encode a synthetic scene and decode prefixes of it.
-
-    Make it, encode it, decode 3, 6, 12, 25 and 100 % of the bytes, compare each with the original,
-    and draw a film-strip of them.
-    """
-    from cogsplat.tools.cli.warm import every_kernel
-
-    from . import demonstration
-
-    with (
-        Stages(shown=not (quiet or as_json)) as stages,
-        CompileAhead(every_kernel(planned=False), thread_count(threads)) as ahead,
-    ):
-        stages.plan(demonstration.stage_costs(splats))
-        made = demonstration.run(
-            out,
-            splats=splats,
-            threads=threads,
-            force=force,
-            before_encoding=ahead.finish,
-            progress=stages,
-        )
-    files = made.files
-    if as_json:
-        say_json(
-            {
-                "splats": made.splats,
-                "scene": name_of(files.scene),
-                "scene_bytes": made.scene_bytes,
-                "cameras": name_of(files.cameras),
-                "cogs": name_of(files.cogs),
-                "cogs_bytes": made.cogs_bytes,
-                "decoded": name_of(files.decoded),
-                "filmstrip": name_of(files.strip),
-                "prefixes": [
-                    {
-                        "share": prefix.share,
-                        "bytes": prefix.size_bytes,
-                        "splats": prefix.splats,
-                        "held_out_db": prefix.held_out_db,
-                        "worst_db": prefix.worst_db,
-                        "roam_db": prefix.roam_db,
-                    }
-                    for prefix in made.prefixes
-                ],
-                "seconds": stages.rounded(),
-                "cpu_seconds": stages.cpu_rounded(),
-            }
-        )
-        return
-    if quiet:
-        return
-    smaller = made.scene_bytes / made.cogs_bytes
-    say(
-        f"{made.splats:,} splats, {size_text(made.scene_bytes)} as PLY, "
-        f"{size_text(made.cogs_bytes)} as COGS: {smaller:.1f} times smaller"
-    )
-    say("")
-    rows = [
-        (
-            f"{prefix.share:.0%}",
-            size_text(prefix.size_bytes),
-            f"{prefix.splats:,}",
-            f"{prefix.held_out_db:.1f}",
-            f"{prefix.worst_db:.1f}",
-            f"{prefix.roam_db:.1f}",
-        )
-        for prefix in made.prefixes
-    ]
-    table(("bytes", "", "splats", "held-out dB", "worst dB", "roam dB"), rows, left=0)
-    say("")
-    facts(
-        ("scene", name_of(files.scene)),
-        ("cameras", name_of(files.cameras)),
-        ("encoded", name_of(files.cogs)),
-        ("decoded", name_of(files.decoded)),
-        ("film-strip", name_of(files.strip)),
-        ("time", stages.line()),
-    )

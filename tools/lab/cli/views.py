@@ -1,4 +1,4 @@
-"""``cogsplat views``: cameras planned for a scene that has none."""
+"""``cogsplat lab views``: cameras planned for a scene that has none."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from cogsplat.codec.progress import Progress
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.atomic import check_output, storage_errors
-from cogsplat.tools.cli.compare import fitted
-from cogsplat.tools.cli.inputs import given_files, read_any
+from cogsplat.tools.cli.render import fitted
 from cogsplat.tools.pictures.contact_sheet import THUMBNAIL, contact_sheet
 from cogsplat.tools.pictures.png import write_png
 from cogsplat.tools.terminal.limits import limits_option
@@ -29,6 +28,7 @@ from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_jso
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
+from cogsplat.tools.workflow.inputs import given_files, read_any
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -39,8 +39,8 @@ _MOST_VIEWS: Final = 1024
 
 @click.command(
     epilog="\b\nExample:\n"
-    "  cogsplat views scene.ply views.png\n"
-    "  cogsplat views scene.ply views.json --count 96\n"
+    "  cogsplat lab views scene.ply views.png\n"
+    "  cogsplat lab views scene.ply views.json --count 96\n"
     "  cogsplat encode scene.ply scene.cogs --cameras views.json"
 )
 @click.argument("path", type=INPUT, metavar="SCENE")

@@ -1,5 +1,5 @@
 // This package behind the protocol of docs/conformance.md:
-// cogsplat conformance run --decoder 'node scripts/conformance_decoder.mjs'
+// cogsplat lab conformance run --decoder 'node scripts/conformance_decoder.mjs'
 import { createHash } from "node:crypto";
 import { existsSync, readFileSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
-from running import SPLATS, Run, SmallScene
+from running import SPLATS, Run, SmallScene, words_of
 
 import cogsplat
 from cogsplat.codec.encode.config import EncodeConfig
@@ -54,9 +54,18 @@ def measured(small: SmallScene, tmp_path_factory: pytest.TempPathFactory) -> Pat
     from cogsplat.tools.main import cli
 
     out = tmp_path_factory.mktemp("bench") / "made" / "here"
-    arguments = ["bench", small.ply, "--cameras", small.cameras, "--eval-every", 4, "--out", out]
+    arguments = [
+        "lab bench",
+        small.ply,
+        "--cameras",
+        small.cameras,
+        "--eval-every",
+        4,
+        "--out",
+        out,
+    ]
     arguments += ["--profiles", "transform", "--qualities", "36,30", "--formats", "ply,spz"]
-    told = CliRunner().invoke(cli, [str(a) for a in [*arguments, "--quiet"]])
+    told = CliRunner().invoke(cli, words_of([*arguments, "--quiet"]))
     assert (told.exit_code, told.stderr) == (0, "")
     assert {path.name for path in out.iterdir()} == {
         "bench.csv",
@@ -133,14 +142,14 @@ def test_charts_show_what_differs(measured: Path) -> None:
 
 
 def test_files_are_not_replaced_unasked(run: Run, small: SmallScene, measured: Path) -> None:
-    told = run("bench", small.ply, "--formats", "ply", "--profiles", "none", "--out", measured)
+    told = run("lab bench", small.ply, "--formats", "ply", "--profiles", "none", "--out", measured)
     assert told.code == 2
     assert "[exists]" in told.err
 
 
 def test_the_terminal_gets_a_table_that_fits(run: Run, small: SmallScene) -> None:
     arguments = ["--profiles", "near-lossless", "--formats", "splat,compressed-ply"]
-    told = run("bench", small.ply, "--cameras", small.cameras, *arguments)
+    told = run("lab bench", small.ply, "--cameras", small.cameras, *arguments)
     assert told.code == 0
     lines = told.out.splitlines()
     assert max(len(line) for line in lines if not line.startswith(str(small.ply.parent))) <= 100
@@ -153,7 +162,7 @@ def test_ablation_tells_every_technique(run: Run, tmp_path: Path) -> None:
     write_cameras_json(synth_cameras(4, 32, 24), tmp_path / "cameras.json")
     arguments = ["--cameras", tmp_path / "cameras.json", "--eval-every", 3, "--qualities", 34]
     arguments += ["--ablation", "--out", tmp_path, "--json"]
-    told = run("bench", tmp_path / "few.ply", *arguments)
+    told = run("lab bench", tmp_path / "few.ply", *arguments)
     rows = told.json["without"]
     assert isinstance(rows, list)
     assert [row["technique"] for row in rows] == ["nothing", *changes(3)]
@@ -176,7 +185,7 @@ def test_ablation_tells_every_technique(run: Run, tmp_path: Path) -> None:
     ],
 )
 def test_misuse_is_told(run: Run, small: SmallScene, arguments: list[str]) -> None:
-    assert run("bench", small.ply, *arguments).code == 2
+    assert run("lab bench", small.ply, *arguments).code == 2
 
 
 def test_names_are_read_by_their_beginnings() -> None:

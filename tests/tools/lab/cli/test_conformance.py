@@ -14,7 +14,7 @@ from cogsplat.tools.lab.conformance.decoder import KINDS
 @pytest.mark.parametrize("kind", KINDS)
 def test_our_decoders_pass_all_vectors(run: Run, kind: str) -> None:
     decoder = shlex.join([sys.executable, "-m", "cogsplat.tools.lab.conformance.decoder", kind])
-    told = run("conformance", "run", "--decoder", decoder, "--json")
+    told = run("lab conformance", "run", "--decoder", decoder, "--json")
     assert told.code == 0, told.out
     assert told.json["failed"] == 0
     passed = told.json["passed"]
@@ -55,13 +55,13 @@ def test_a_broken_decoder_fails_the_clause_that_it_breaks(
     run: Run, tmp_path: Path, few_vectors: Path, fault: str, clause: str
 ) -> None:
     decoder = broken_decoder(tmp_path, fault)
-    told = run("conformance", "run", "--decoder", decoder, "--vectors", few_vectors, "--json")
+    told = run("lab conformance", "run", "--decoder", decoder, "--vectors", few_vectors, "--json")
     assert told.code == 3, told.err
     clauses = told.json["clauses"]
     assert isinstance(clauses, dict)
     broken = {name for name, sums in clauses.items() if sums["passed"] < sums["checks"]}
     assert clause in broken
-    human = run("conformance", "run", "--decoder", decoder, "--vectors", few_vectors)
+    human = run("lab conformance", "run", "--decoder", decoder, "--vectors", few_vectors)
     assert human.code == 3
     assert f"SPEC {clause}" in human.out or f", {clause}" in human.out
 
@@ -69,7 +69,7 @@ def test_a_broken_decoder_fails_the_clause_that_it_breaks(
 def test_a_decoder_that_hangs_fails(run: Run, tmp_path: Path, few_vectors: Path) -> None:
     decoder = broken_decoder(tmp_path, "time.sleep(60) if request.get('partial') else None")
     told = run(
-        "conformance", "run", "--decoder", decoder, "--vectors", few_vectors, "--timeout", "2",
+        "lab conformance", "run", "--decoder", decoder, "--vectors", few_vectors, "--timeout", "2",
         "--json",
     )  # fmt: skip
     assert told.code == 3
@@ -78,10 +78,10 @@ def test_a_decoder_that_hangs_fails(run: Run, tmp_path: Path, few_vectors: Path)
 
 def test_what_is_no_decoder_is_said(run: Run, tmp_path: Path, few_vectors: Path) -> None:
     for decoder in ("/nothing/here", shlex.join([sys.executable, "-c", "print('hello')"])):
-        told = run("conformance", "run", "--decoder", decoder, "--vectors", few_vectors)
+        told = run("lab conformance", "run", "--decoder", decoder, "--vectors", few_vectors)
         assert told.code == 4
         assert "decoder" in told.err
-    told = run("conformance", "run", "--decoder", "true", "--vectors", tmp_path / "none")
+    told = run("lab conformance", "run", "--decoder", "true", "--vectors", tmp_path / "none")
     assert told.code == 4
     assert "manifest.json" in told.err
 
@@ -90,7 +90,7 @@ def test_decoders_are_compared_over_mutants(run: Run, tmp_path: Path, few_vector
     ours = shlex.join([sys.executable, "-m", "cogsplat.tools.lab.conformance.decoder", "numpy"])
     extra = next((few_vectors / "valid").glob("*.cogs"))
     told = run(
-        "conformance", "fuzz", "--decoder", ours, "--decoder", ours, "--vectors", few_vectors,
+        "lab conformance", "fuzz", "--decoder", ours, "--decoder", ours, "--vectors", few_vectors,
         "--count", "30", extra,
     )  # fmt: skip
     assert told.code == 0, told.err
@@ -114,6 +114,6 @@ def test_decoders_are_compared_over_mutants(run: Run, tmp_path: Path, few_vector
 
 
 def test_one_decoder_alone_is_not_compared(run: Run) -> None:
-    told = run("conformance", "fuzz", "--decoder", "true")
+    told = run("lab conformance", "fuzz", "--decoder", "true")
     assert told.code == 2
     assert "two or more" in told.err

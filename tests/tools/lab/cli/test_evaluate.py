@@ -21,9 +21,9 @@ from cogsplat.codec.scoring.contribution import score
 from cogsplat.codec.views.view_sets import hold_out, roam
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.source import FileSource, PrefixSource
-from cogsplat.tools.cli.order_options import order_names
 from cogsplat.tools.lab.cli.evaluation_options import codecs, objects, shares, sizes
 from cogsplat.tools.lab.evaluation.progs_protocol import mean_over_log, sizes_of
+from cogsplat.tools.workflow.order_options import order_names
 
 
 def mean_db(whole, part, cameras):
@@ -35,7 +35,7 @@ def test_orders_are_measured_at_shares_of_the_splats(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     told = run(
-        "eval", small.ply, "--cameras", small.cameras, "--eval-every", 4, "--orders",
+        "lab evaluate", small.ply, "--cameras", small.cameras, "--eval-every", 4, "--orders",
         "contribution,sgss,random+first-view", "--first-view", 5, "--shares", "5,20,100", "--sizes",
         "none", "--out", tmp_path, "--json",
     )  # fmt: skip
@@ -81,7 +81,15 @@ def test_orders_are_measured_at_shares_of_the_splats(
 
 def test_files_are_measured_where_they_are_cut(run: Run, small: SmallScene) -> None:
     size = small.cogs.stat().st_size
-    arguments = ["eval", small.ply, "--cameras", small.cameras, "--shares", "none", "--eval-every"]
+    arguments = [
+        "lab evaluate",
+        small.ply,
+        "--cameras",
+        small.cameras,
+        "--shares",
+        "none",
+        "--eval-every",
+    ]
     told = run(*arguments, 4, "--file", small.cogs, "--sizes", "100,40%,100MB", "--json")
     assert told.code == 0, told.err
     points = told.json["points"]
@@ -101,7 +109,7 @@ def test_orders_are_encoded_to_be_measured_by_bytes(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     told = run(
-        "eval", small.ply, "--cameras", small.cameras, "--orders", "contribution,source",
+        "lab evaluate", small.ply, "--cameras", small.cameras, "--orders", "contribution,source",
         "--shares", "10", "--quality", 30, "--out", tmp_path / "out",
     )  # fmt: skip
     assert told.code == 0, told.err
@@ -114,7 +122,7 @@ def test_orders_are_encoded_to_be_measured_by_bytes(
         assert own == sizes_of(own[-1])
     assert "held out dB, by bytes" in told.out
     assert (tmp_path / "out" / "strips-bytes.png").exists()
-    assert run("eval", small.ply, "--out", tmp_path / "out").code == 2, "is there already"
+    assert run("lab evaluate", small.ply, "--out", tmp_path / "out").code == 2, "is there already"
 
 
 def test_codecs_and_objects_under_several_orders(
@@ -124,7 +132,7 @@ def test_codecs_and_objects_under_several_orders(
     both, out = tmp_path / "both.ply", tmp_path / "out"
     assert run("merge", small.ply, small.ply, both, "--translate", "2:0,0,0.5").code == 0
     told = run(
-        "eval", both, "--cameras", small.cameras, "--eval-every", 4, "--orders",
+        "lab evaluate", both, "--cameras", small.cameras, "--eval-every", 4, "--orders",
         "antimatter,random", "--shares", "10,40", "--sizes", "none", "--codecs", "spz,ply",
         "--by-object", "2", "--out", out, "--json",
     )  # fmt: skip
@@ -166,7 +174,7 @@ def test_codecs_and_objects_that_are_not_there_are_refused(
     given = ["--cameras", small.cameras, "--orders", "antimatter", "--sizes", "none"]
     if "--shares" not in arguments:
         given += ["--shares", "10"]
-    told = run("eval", small.ply, *given, *arguments)
+    told = run("lab evaluate", small.ply, *given, *arguments)
     assert told.code == code
     assert message in told.err
 
@@ -189,8 +197,9 @@ def test_lpips_and_photos_are_measured_where_given(
     renamed = [replace(camera, name=f"{camera.name}.png") for camera in cameras]
     write_cameras_json(renamed, tmp_path / "cameras.json")
     told = run(
-        "eval", small.ply, "--cameras", tmp_path / "cameras.json", "--orders", "contribution",
-        "--shares", "10,100", "--sizes", "none", "--lpips-weights", tmp_path / "weights.npz",
+        "lab evaluate", small.ply, "--cameras", tmp_path / "cameras.json",
+        "--orders", "contribution", "--shares", "10,100", "--sizes", "none",
+        "--lpips-weights", tmp_path / "weights.npz",
         "--images", tmp_path, "--json",
     )  # fmt: skip
     assert told.code == 0, told.err
@@ -213,7 +222,7 @@ def test_lpips_and_photos_are_measured_where_given(
 def test_what_makes_no_sense_is_usage(
     run: Run, small: SmallScene, arguments: list[str], message: str
 ) -> None:
-    told = run("eval", small.ply, "--cameras", small.cameras, *arguments)
+    told = run("lab evaluate", small.ply, "--cameras", small.cameras, *arguments)
     assert told.code == 2
     assert message in told.err
 
@@ -277,8 +286,10 @@ def test_octree_orders_are_swept_over_depths(run: Run, small: SmallScene, tmp_pa
 
 
 def test_depths_need_an_order_that_has_one(run: Run, small: SmallScene) -> None:
-    told = run("eval", small.ply, "--orders", "gain,octree-adaptive", "--octree-depths", "1,2")
+    told = run(
+        "lab evaluate", small.ply, "--orders", "gain,octree-adaptive", "--octree-depths", "1,2"
+    )
     assert told.code == 2
     assert "octree-round-robin or octree-quota among them" in told.err
     for text in ("", "1,-2", "21", "1;2"):
-        assert run("eval", small.ply, "--octree-depths", text).code == 2
+        assert run("lab evaluate", small.ply, "--octree-depths", text).code == 2

@@ -84,7 +84,7 @@ def test_an_ablation_is_one_stage(
 
     few = dict(list(ablation.changes(3).items())[:2])
     monkeypatch.setattr(ablation, "changes", lambda degree: few)
-    told = run("bench", small.ply, "--cameras", small.cameras, "--ablation", "--qualities", 30)
+    told = run("lab bench", small.ply, "--cameras", small.cameras, "--ablation", "--qualities", 30)
     assert told.code == 0, told.err
     assert [cost.stage for cost in watched.planned] == ["score", "ablation"]
     assert watched.planned[1].steps == 3

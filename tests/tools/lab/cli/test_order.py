@@ -11,9 +11,9 @@ import cogsplat
 from cogsplat.codec.order.objects import with_labels
 from cogsplat.codec.order.orders import ORDERS, OrderConfig, Unordered, needs_scores, order_rows
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
-from cogsplat.tools.cli.order_options import budgets, order_name
 from cogsplat.tools.lab.synthetic.object_masks import synth_masks
 from cogsplat.tools.lab.synthetic.terrace import OBJECTS, synth, synth_cameras, synth_objects
+from cogsplat.tools.workflow.order_options import budgets, order_name
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def labelled(small: SmallScene, tmp_path_factory: pytest.TempPathFactory) -> Pat
 )
 def test_order_writes_a_permutation(run: Run, small: SmallScene, tmp_path: Path, name: str) -> None:
     out = tmp_path / "rows.npy"
-    told = run("order", small.ply, out, "--cameras", small.cameras, "--order", name, "--json")
+    told = run("lab order", small.ply, out, "--cameras", small.cameras, "--order", name, "--json")
     assert (told.code, told.err) == (0, "")
     rows = np.load(out)
     assert rows.dtype == np.int64
@@ -38,7 +38,9 @@ def test_order_writes_a_permutation(run: Run, small: SmallScene, tmp_path: Path,
     np.testing.assert_array_equal(rows, order_rows(name, scene))
     assert told.json["order"] == name
     assert told.json["scored_views"] == (3 * VIEWS if needs_scores(name) else 0)
-    assert run("order", small.ply, out, "--cameras", small.cameras).code == 2, "is there already"
+    assert run("lab order", small.ply, out, "--cameras", small.cameras).code == 2, (
+        "is there already"
+    )
 
 
 def test_order_serves_a_first_view(run: Run, small: SmallScene, tmp_path: Path) -> None:
@@ -59,7 +61,7 @@ def test_order_serves_a_first_view(run: Run, small: SmallScene, tmp_path: Path) 
         ),
     ):
         out = tmp_path / f"{name}.npy"
-        told = run("order", small.ply, out, *common, *more)
+        told = run("lab order", small.ply, out, *common, *more)
         assert told.code == 0, told.err
         assert name in told.out
         np.testing.assert_array_equal(np.load(out), order_rows(name, scene, config))
@@ -82,7 +84,7 @@ def test_order_serves_a_first_view(run: Run, small: SmallScene, tmp_path: Path) 
 def test_orders_that_make_no_sense_are_usage(
     run: Run, small: SmallScene, tmp_path: Path, arguments: list[str], message: str
 ) -> None:
-    told = run("order", small.ply, tmp_path / "o.npy", "--cameras", small.cameras, *arguments)
+    told = run("lab order", small.ply, tmp_path / "o.npy", "--cameras", small.cameras, *arguments)
     assert told.code == 2
     assert message in told.err
     assert not list(tmp_path.iterdir())
@@ -146,7 +148,7 @@ def test_each_object_loads_alone(
 def test_order_ranks_objects(run: Run, small: SmallScene, labelled: Path, tmp_path: Path) -> None:
     out = tmp_path / "rows.npy"
     arguments = ["--cameras", small.cameras, "--object-budgets", "100%", "--json"]
-    told = run("order", labelled, out, *arguments)
+    told = run("lab order", labelled, out, *arguments)
     assert told.code == 0, told.err
     ranked = told.json["objects"]
     assert isinstance(ranked, list)
@@ -160,7 +162,7 @@ def test_order_ranks_objects(run: Run, small: SmallScene, labelled: Path, tmp_pa
 
 def test_objects_need_labels(run: Run, small: SmallScene, tmp_path: Path) -> None:
     by_cameras = ["--objects", "--cameras", small.cameras]
-    for command, out in (("encode", "o.cogs"), ("order", "o.npy")):
+    for command, out in (("encode", "o.cogs"), ("lab order", "o.npy")):
         told = run(command, small.ply, tmp_path / out, *by_cameras)
         assert told.code == 3
         assert "[no-objects]" in told.err
@@ -170,7 +172,7 @@ def test_objects_need_labels(run: Run, small: SmallScene, tmp_path: Path) -> Non
 def test_a_budget_for_what_is_not_there_is_refused_before_the_work(
     run: Run, small: SmallScene, labelled: Path, tmp_path: Path
 ) -> None:
-    for command, out in (("encode", "o.cogs"), ("order", "o.npy")):
+    for command, out in (("encode", "o.cogs"), ("lab order", "o.npy")):
         arguments = ["--cameras", small.cameras, "--object-budgets", "9:20%"]
         told = run(command, labelled, tmp_path / out, *arguments)
         assert told.code == 3
@@ -203,12 +205,12 @@ def test_masks_label_what_they_show(run: Run, small: SmallScene, tmp_path: Path)
     assert len(cogsplat.decode(out, objects=[1])) == pytest.approx(
         (synth_objects(SPLATS) == 1).sum(), rel=0.15
     )
-    assert run("order", small.ply, tmp_path / "o.npy", "--masks", masks).code == 2, "no cameras"
+    assert run("lab order", small.ply, tmp_path / "o.npy", "--masks", masks).code == 2, "no cameras"
 
 
 def test_masks_that_fit_no_camera_are_refused(run: Run, small: SmallScene, tmp_path: Path) -> None:
     masks = tmp_path / "masks"
-    arguments = ["order", small.ply, tmp_path / "o.npy", "--cameras", small.cameras]
+    arguments = ["lab order", small.ply, tmp_path / "o.npy", "--cameras", small.cameras]
     assert run(*arguments, "--masks", masks).code == 4
     masks.mkdir()
     told = run(*arguments, "--masks", masks)
@@ -227,7 +229,7 @@ def test_masks_that_fit_no_camera_are_refused(run: Run, small: SmallScene, tmp_p
 
 def test_synth_labels_and_draws_its_objects(run: Run, tmp_path: Path) -> None:
     out, masks = tmp_path / "scene.ply", tmp_path / "masks"
-    told = run("synth", out, "--splats", 600, "--objects", "--masks", masks, "--json")
+    told = run("lab synth", out, "--splats", 600, "--objects", "--masks", masks, "--json")
     assert told.code == 0, told.err
     labels = cogsplat.read(out).extras["object"]
     np.testing.assert_array_equal(labels.ravel(), synth_objects(600))

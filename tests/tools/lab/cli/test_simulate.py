@@ -16,7 +16,9 @@ def test_policies_are_compared_and_moments_written(
 ) -> None:
     out = tmp_path / "moments.csv"
     options = ["--cameras", small.cameras, "--policy", "file", "--policy", "views"]
-    told = run("simulate", small.cogs, *options, "--moments", 3, "--eval-every", 4, "--csv", out)
+    told = run(
+        "lab simulate", small.cogs, *options, "--moments", 3, "--eval-every", 4, "--csv", out
+    )
     assert told.code == 0, told.err
     assert "views" in told.out
     assert "70%" in told.out
@@ -24,7 +26,7 @@ def test_policies_are_compared_and_moments_written(
         rows = list(csv.DictReader(file))
     assert [row["policy"] for row in rows] == ["file"] * 3 + ["views"] * 3
     assert float(rows[2]["psnr_db"]) > float(rows[0]["psnr_db"])
-    again = run("simulate", small.cogs, *options, "--csv", out)
+    again = run("lab simulate", small.cogs, *options, "--csv", out)
     assert (again.code, "[exists]" in again.err) == (2, True)
 
 
@@ -34,7 +36,7 @@ def test_traces_are_those_of_the_paper_or_of_a_file(
 ) -> None:
     path = small.cameras if trace == "file" else trace
     told = run(
-        "simulate", small.cogs, "--cameras", small.cameras, "--trace", path, "--moments", 1,
+        "lab simulate", small.cogs, "--cameras", small.cameras, "--trace", path, "--moments", 1,
         "--policy", "file", "--pose-seconds", 2, "--bandwidth", "5M", "--json",
     )  # fmt: skip
     assert told.code == 0, told.err
@@ -45,7 +47,7 @@ def test_traces_are_those_of_the_paper_or_of_a_file(
 def test_charts_and_strips_are_written(run: Run, small: SmallScene, tmp_path: Path) -> None:
     chart, strip = tmp_path / "chart.svg", tmp_path / "strip.png"
     told = run(
-        "simulate", small.cogs, "--cameras", small.cameras, "--policy", "file", "--moments", 2,
+        "lab simulate", small.cogs, "--cameras", small.cameras, "--policy", "file", "--moments", 2,
         "--policy", "whole", "--plot", chart, "--strip", strip, "--as-stored", "--goal", 30,
         "--bandwidth", "100M", "--as-large-as", "734MB", "--json",
     )  # fmt: skip
@@ -62,7 +64,7 @@ def test_charts_and_strips_are_written(run: Run, small: SmallScene, tmp_path: Pa
 
 def test_what_visitors_fetch_who_wait_is_told(run: Run, small: SmallScene) -> None:
     options = ["--cameras", small.cameras, "--policy", "file", "--policy", "whole", "--wait"]
-    told = run("simulate", small.cogs, *options, "--moments", 2, "--goal", 20, "--json")
+    told = run("lab simulate", small.cogs, *options, "--moments", 2, "--goal", 20, "--json")
     assert told.code == 0, told.err
     file, whole = told.json["policies"]
     assert whole["waited_bytes"] == [told.json["bytes"]] * 2
@@ -70,17 +72,17 @@ def test_what_visitors_fetch_who_wait_is_told(run: Run, small: SmallScene) -> No
     assert file["behind_file"] == 0
     # The first answer takes a latency: at the end of the trace a little of the whole is missing.
     assert whole["behind_file"] == 2
-    told = run("simulate", small.cogs, *options, "--moments", 1)
+    told = run("lab simulate", small.cogs, *options, "--moments", 1)
     assert "waited" in told.out
 
 
 def test_a_size_without_a_bandwidth_is_misuse(run: Run, small: SmallScene) -> None:
-    told = run("simulate", small.cogs, "--cameras", small.cameras, "--as-large-as", "734MB")
+    told = run("lab simulate", small.cogs, "--cameras", small.cameras, "--as-large-as", "734MB")
     assert (told.code, "expected both" in told.err) == (2, True)
 
 
 def test_other_scenes_and_single_cameras_are_misuse(run: Run, small: SmallScene) -> None:
-    told = run("simulate", small.ply, "--cameras", small.cameras)
+    told = run("lab simulate", small.ply, "--cameras", small.cameras)
     assert (told.code, "no COGS file" in told.err) == (2, True)
 
 
@@ -103,7 +105,7 @@ def test_a_client_of_streamed_sog_is_compared_over_the_same_link(
 ) -> None:
     peer = streamed_sog(tmp_path, small.ply)
     told = run(
-        "simulate", small.cogs, "--cameras", small.cameras, "--policy", "file", "--moments", 2,
+        "lab simulate", small.cogs, "--cameras", small.cameras, "--policy", "file", "--moments", 2,
         "--source", small.ply, "--peer", peer, "--bandwidth", "1G", "--plot", tmp_path / "p.svg",
         "--json",
     )  # fmt: skip
@@ -123,5 +125,5 @@ def test_another_file_needs_the_scene_that_both_were_made_of(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     peer = streamed_sog(tmp_path, small.ply)
-    told = run("simulate", small.cogs, "--cameras", small.cameras, "--peer", peer)
+    told = run("lab simulate", small.cogs, "--cameras", small.cameras, "--peer", peer)
     assert (told.code, "--peer without --source" in told.err) == (2, True)

@@ -15,7 +15,7 @@ from cogsplat.codec.render.rasteriser import render as draw
 from cogsplat.codec.scoring.contribution import ScoreConfig
 from cogsplat.codec.scoring.contribution import score as score_splats
 from cogsplat.formats.cameras.inria import write_cameras_json
-from cogsplat.tools.cli.compare import fitted
+from cogsplat.tools.cli.render import fitted
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 
@@ -32,7 +32,7 @@ def test_score_writes_contributions_in_file_order(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     out = tmp_path / "contribution.npy"
-    told = run("score", small.ply, out, "--cameras", small.cameras, "--top-k", 5, "--json")
+    told = run("lab score", small.ply, out, "--cameras", small.cameras, "--top-k", 5, "--json")
     assert (told.code, told.err) == (0, "")
     values = np.load(out)
     expected = score_splats(
@@ -52,7 +52,7 @@ def test_score_writes_contributions_in_file_order(
 def test_score_leaves_held_out_cameras_alone(run: Run, small: SmallScene, tmp_path: Path) -> None:
     out = tmp_path / "contribution.npy"
     arguments = ["--cameras", small.cameras, "--no-jitter", "--eval-every", 3]
-    told = run("score", small.ply, out, *arguments)
+    told = run("lab score", small.ply, out, *arguments)
     assert told.code == 0
     cameras = cogsplat.read_cameras(small.cameras)
     train = [camera for index, camera in enumerate(cameras) if index % 3]
@@ -68,7 +68,9 @@ def test_rows_that_cannot_be_drawn_score_nothing(run: Run, tmp_path: Path) -> No
     cogsplat.write(replace(scene, means=means), tmp_path / "scene.ply")
     write_cameras_json(synth_cameras(3, 64, 48), tmp_path / "cameras.json")
     out = tmp_path / "out.npy"
-    told = run("score", tmp_path / "scene.ply", out, "--cameras", tmp_path / "cameras.json", "-q")
+    told = run(
+        "lab score", tmp_path / "scene.ply", out, "--cameras", tmp_path / "cameras.json", "-q"
+    )
     assert (told.code, told.out) == (0, "")
     assert "1 of 300 splats cannot be drawn" in told.err
     assert np.load(out)[7] == 0.0
@@ -80,7 +82,7 @@ def test_cameras_that_see_nothing_are_refused(run: Run, small: SmallScene, tmp_p
     write_cameras_json([away], cameras)
     for command, first, second in (
         ("encode", small.ply, tmp_path / "out.cogs"),
-        ("score", small.ply, tmp_path / "out.npy"),
+        ("lab score", small.ply, tmp_path / "out.npy"),
         ("compare", small.ply, small.cogs),
     ):
         told = run(command, first, second, "--cameras", cameras)

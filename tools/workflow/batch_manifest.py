@@ -5,9 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+
+import click
 
 from cogsplat.codec.errors import DataError, FormatError
 from cogsplat.formats.network.network_options import MIB
@@ -15,6 +18,7 @@ from cogsplat.formats.network.open_url import open_url
 from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.scenes.registry import is_cogs, scene_files
 from cogsplat.formats.storage.atomic import open_for_read
+from cogsplat.tools.terminal.config_file import option_values
 
 _KEYS: Final = frozenset({"input", "output", "options"})
 _CODE: Final = "bad-manifest"
@@ -71,15 +75,15 @@ def _update_by_url(digest: hashlib._Hash, url: str) -> None:
                 digest.update(source.read(start, min(MIB, source.size - start)))
 
 
-def read_manifest(path: Path, options: frozenset[str]) -> list[BatchScene]:
+def read_manifest(path: Path, options: Mapping[str, click.Option]) -> list[BatchScene]:
     """Read a manifest: JSON lines, or TOML with a table ``[[scene]]`` for each scene.
 
     Parameters
     ----------
     path : Path
         TOML where its name ends in ``.toml``.
-    options : frozenset of str
-        Names of the options that a scene may have, without the leading dashes.
+    options : mapping of str to click.Option
+        Options that a scene may have, by their names without dashes.
 
     Raises
     ------
@@ -112,7 +116,7 @@ def read_manifest(path: Path, options: frozenset[str]) -> list[BatchScene]:
     return scenes
 
 
-def _scene(table: object, where: str, options: frozenset[str]) -> BatchScene:
+def _scene(table: object, where: str, options: Mapping[str, click.Option]) -> BatchScene:
     if not isinstance(table, dict):
         raise FormatError(_CODE, f"{where}: {type(table).__name__}, expected an object")
     unknown = sorted(set(table) - _KEYS)
@@ -126,18 +130,14 @@ def _scene(table: object, where: str, options: frozenset[str]) -> BatchScene:
     given = table.get("options", {})
     if not isinstance(given, dict):
         raise FormatError(_CODE, f"{where}: options {given!r}, expected an object")
+    try:
+        values = option_values(options, given)
+    except ValueError as error:
+        raise FormatError(_CODE, f"{where}: {error}") from None
     words: list[str] = []
-    for name, value in given.items():
-        if name not in options:
-            raise FormatError(
-                _CODE, f"{where}: option {name!r}, expected one of `cogsplat encode`'s"
-            )
+    for name, value in values.items():
         if isinstance(value, bool):
             words += [f"--{name}"] * value
-        elif isinstance(value, str | int | float):
-            words.append(f"--{name}={value}")
         else:
-            raise FormatError(
-                _CODE, f"{where}: option {name} of {value!r}, expected text, a number or true"
-            )
+            words += [f"--{name}={text}" for text in ([value] if isinstance(value, str) else value)]
     return BatchScene(str(paths[0]), str(paths[1]), tuple(words))

@@ -16,7 +16,7 @@ from typing import Final
 from cogsplat.codec.compiling import DeclaredKernel
 from cogsplat.codec.progress import Progress, silent
 
-_PROCESS: Final = "cogsplat.tools.cli.kernel_process"
+_PROCESS: Final = "cogsplat.tools.workflow.kernel_process"
 
 # Kernels that a further process has to spare the others before it is worth starting: it takes half
 # a second to load numba, and a kernel takes a third of one on average.

@@ -1,4 +1,4 @@
-"""stats: the same scene in every format, told as text and as JSON."""
+"""info --statistics: the same scene in every format, as text and as JSON."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,8 +9,8 @@ from running import SPLATS, Run, SmallScene
 
 import cogsplat
 from cogsplat.codec.splats import empty
-from cogsplat.tools.cli.stats import bars
 from cogsplat.tools.lab.synthetic.terrace import synth
+from cogsplat.tools.workflow.statistics_table import bars
 
 
 @pytest.mark.parametrize("extension", [".ply", ".compressed.ply", ".spz", ".splat", ".sog", ".glb"])
@@ -19,11 +19,12 @@ def test_every_format_has_statistics(
 ) -> None:
     out = tmp_path / f"scene{extension}"
     assert run("convert", small.ply, out, "--quiet").code == 0
-    told = run("stats", out, "--json")
+    told = run("info", out, "--json", "--statistics")
     assert (told.code, told.err) == (0, "")
-    source, found = run("stats", small.ply, "--json").json, told.json
+    source, found = run("info", small.ply, "--json", "--statistics").json, told.json
     assert found["splats"] == SPLATS
-    assert found["source_bytes"] == out.stat().st_size
+    assert found["bytes"] == out.stat().st_size
+    source, found = source["statistics"], found["statistics"]
     assert found["fill_ratio"] == pytest.approx(source["fill_ratio"], rel=0.05)
     values, expected = found["values"], source["values"]
     assert isinstance(values, dict)
@@ -39,7 +40,9 @@ BIKER = Path(__file__).parents[4] / "shared" / "data" / "biker"
 @pytest.mark.skipif(not BIKER.is_dir(), reason="needs ../shared/data/biker")
 def test_one_real_scene_in_three_formats(run: Run) -> None:
     names = ("scene.ply", "biker.compressed.ply", "biker.spz")
-    scene, *others = (run("stats", BIKER / name, "--json").json for name in names)
+    scene, *others = (
+        run("info", BIKER / name, "--json", "--statistics").json["statistics"] for name in names
+    )
     expected = scene["values"]
     assert isinstance(expected, dict)
     for other in others:
@@ -53,10 +56,11 @@ def test_one_real_scene_in_three_formats(run: Run) -> None:
 
 
 def test_cogs_and_its_parts_have_statistics(run: Run, small: SmallScene) -> None:
-    whole = run("stats", small.cogs, "--json").json
-    part = run("stats", small.cogs, "--chunks", "0:1", "--sh", 0, "--json").json
+    whole = run("info", small.cogs, "--json", "--statistics").json
+    part = run("info", small.cogs, "--chunks", "0:1", "--sh", 0, "--json", "--statistics").json
     splats = cogsplat.decode(small.cogs, chunks=(0, 1))
-    assert whole["splats"] == whole["source_splats"] == part["source_splats"]
+    assert whole["splats"] == part["splats"] == whole["statistics"]["splats"]
+    part = part["statistics"]
     assert (part["splats"], part["sh_degree"]) == (len(splats), 0)
     values = part["values"]
     assert isinstance(values, dict)
@@ -64,7 +68,7 @@ def test_cogs_and_its_parts_have_statistics(run: Run, small: SmallScene) -> None
 
 
 def test_rows_are_told_with_bars(run: Run, small: SmallScene) -> None:
-    told = run("stats", small.ply)
+    told = run("info", small.ply, "--statistics")
     assert told.code == 0
     assert f"{SPLATS:,} splats at SH degree 3" in told.out
     lines = {line.split()[0]: line for line in told.out.splitlines() if line.strip()}
@@ -79,13 +83,13 @@ def test_what_is_not_finite_is_counted_and_json_stays_json(run: Run, tmp_path: P
     scales[1], opacities[:3] = np.inf, np.nan
     path = tmp_path / "scene.ply"
     cogsplat.write(replace(scene, scales=scales, opacities=opacities), path)
-    report = run("stats", path, "--json").json
+    report = run("info", path, "--json", "--statistics").json["statistics"]
     assert report["invalid_splats"] == 3
     assert report["fill_ratio"] is None
     values = report["values"]
     assert isinstance(values, dict)
     assert (values["opacities"]["nan"], values["scales.2"]["infinite"]) == (3, 1)
-    told = run("stats", path)
+    told = run("info", path, "--statistics")
     assert told.code == 0
     assert "3 splats" in told.out
 
@@ -93,8 +97,8 @@ def test_what_is_not_finite_is_counted_and_json_stays_json(run: Run, tmp_path: P
 def test_empty_scenes_are_told(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "scene.ply"
     cogsplat.write(empty(0), path)
-    assert run("stats", path).code == 0
-    report = run("stats", path, "--json").json
+    assert run("info", path, "--statistics").code == 0
+    report = run("info", path, "--json", "--statistics").json["statistics"]
     assert (report["splats"], report["opaque_share"]) == (0, None)
 
 

@@ -1,0 +1,1 @@
+"""Steps that commands share: reading, editing, ordering, measuring and writing scenes."""
