@@ -137,7 +137,8 @@ def convert(
     inputs = given_files(source, cameras)
     if copied and not to_folder and names_folder(source):
         inputs = folder_files(source)
-    check_output(out, force=force, inputs=inputs)
+    if not to_folder or out.parent.is_dir():
+        check_output(out, force=force, inputs=inputs)
     with Stages(shown=not (quiet or as_json)) as stages:
         if copied:
             done = _copy(source, out, to_folder=to_folder, force=force, stages=stages)

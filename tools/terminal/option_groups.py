@@ -29,7 +29,7 @@ class GroupedCommand(click.Command):
 
     def __init__(self, *args: Any, groups: Mapping[str, Sequence[str]], **settings: Any) -> None:
         super().__init__(*args, **settings)
-        self.params += [config_option(), _help_all_option()]
+        self.params = [*self.params, config_option(), _help_all_option()]
         self._groups = groups
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

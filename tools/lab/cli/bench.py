@@ -123,7 +123,7 @@ def decibels(text: str) -> tuple[float, ...]:
 @click.command(
     epilog="\b\nExample:\n"
     "  cogsplat lab bench scene.ply --cameras cameras.json --out figures\n"
-    "  cogsplat lab bench scene.ply --cameras cameras.json --ablation --qualities 40"
+    "  cogsplat lab bench scene.ply --cameras cameras.json --ablation"
 )
 @click.argument("scene", type=INPUT)
 @cameras_option(

@@ -132,7 +132,7 @@ _GROUPS: Final = {
     epilog="\b\nExample:\n"
     "  cogsplat lab evaluate scene.ply --cameras cameras.json --out figures\n"
     "  cogsplat lab evaluate scene.ply --cameras cameras.json --file scene.cogs\n"
-    "  cogsplat lab evaluate both.ply --orders antimatter --by-object all --sizes none\n"
+    "  cogsplat lab evaluate both.ply --by-object all --sizes none\n"
     "  cogsplat lab evaluate scene.ply --orders antimatter --codecs spz,splat",
 )
 @click.argument("scene", type=INPUT)

@@ -83,7 +83,7 @@ _GROUPS: Final = {
     groups=_GROUPS,
     epilog="\b\nExample:\n"
     "  cogsplat lab simulate scene.cogs --cameras scene.cameras.json\n"
-    "  cogsplat lab simulate house.cogs --cameras views.json --trace house.walk.json",
+    "  cogsplat lab simulate house.cogs --cameras views.json --trace walk.json",
 )
 @click.argument("path", type=INPUT, metavar="IN.cogs")
 @click.option("--cameras", type=PATH, required=True, metavar="PATH", help="Views of the scene.")
