@@ -234,7 +234,7 @@ def test_what_takes_the_extra_says_so(
     assert error["code"] == "needs-extra"
     assert "pip install 'cogsplat[encode]'" in str(error["message"])
     # The tests run from a checkout, where the name alone would ask the package index.
-    assert str(error["hint"]).startswith(f"from this checkout: pip install -e '{target}[encode]' ")
+    assert str(error["hint"]).startswith(f"from this checkout: pip install -e '{target}[encode]'")
     assert list(tmp_path.iterdir()) == []
 
 
