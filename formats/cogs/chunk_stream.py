@@ -14,7 +14,7 @@ from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import Cancel, Source, has_arrived, prefetching
 
 from .fetch_order import codebook_rows, rows_of_chunk
-from .index import AnyIndex
+from .index import Index
 from .layout import CODEBOOK_KINDS
 from .reader import CogsFile
 
@@ -52,7 +52,7 @@ class ChunkStream:
         self,
         file: CogsFile,
         source: Source,
-        index: AnyIndex,
+        index: Index,
         limits: Limits,
         chunks: Sequence[int],
         *,
@@ -221,7 +221,7 @@ class ChunkStream:
 class _ArrivedFile(CogsFile):
     """A file of which the segments that were received are there, and no others."""
 
-    def __init__(self, source: Source, index: AnyIndex, limits: Limits) -> None:
+    def __init__(self, source: Source, index: Index, limits: Limits) -> None:
         super().__init__(_Unread(source.name, source.size), index, limits)
         self.held: dict[int, memoryview] = {}
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from .drawn_chunks import first_level
-from .index import AnyIndex, codebook_kinds
+from .index import Index, codebook_kinds
 
 if TYPE_CHECKING:
     from .root import SegmentTable
@@ -24,7 +24,7 @@ def needed_codebooks(table: SegmentTable, row: int, books: int) -> list[int]:
     return [book for book in range(books) if needs >> book & 1]
 
 
-def opacities_rows(index: AnyIndex, chunk: int, level: int | None) -> list[int]:
+def opacities_rows(index: Index, chunk: int, level: int | None) -> list[int]:
     """Return the segments that a chunk has of opacities up to a level, the last one's at the end.
 
     Without a level those of all levels (SPEC 5.11).
@@ -36,7 +36,7 @@ def opacities_rows(index: AnyIndex, chunk: int, level: int | None) -> list[int]:
 
 
 def rows_of_chunk(
-    index: AnyIndex,
+    index: Index,
     chunk: int,
     *,
     sh_degree: int,
@@ -59,7 +59,7 @@ def rows_of_chunk(
     return [row for row in rows if row >= 0]
 
 
-def codebook_rows(index: AnyIndex, rows: Iterable[int], sh_degree: int) -> list[int]:
+def codebook_rows(index: Index, rows: Iterable[int], sh_degree: int) -> list[int]:
     """Return the rows of the codebooks that segments need up to an SH degree, each once."""
     books = index.root.codebooks
     needed = {book for row in rows for book in needed_codebooks(index.segments, row, len(books))}
@@ -72,7 +72,7 @@ def codebook_rows(index: AnyIndex, rows: Iterable[int], sh_degree: int) -> list[
 
 
 def ranges_to_decode(
-    index: AnyIndex,
+    index: Index,
     chunks: Sequence[int],
     *,
     sh_degree: int,
@@ -85,7 +85,7 @@ def ranges_to_decode(
 
     Parameters
     ----------
-    index : AnyIndex
+    index : Index
     chunks : sequence of int
         In the order in which they are decoded.
     sh_degree : int
@@ -119,7 +119,7 @@ def ranges_to_decode(
     ]
 
 
-def _groups(index: AnyIndex, each: Sequence[Sequence[int]]) -> Iterator[list[int]]:
+def _groups(index: Index, each: Sequence[Sequence[int]]) -> Iterator[list[int]]:
     group: list[int] = []
     size = 0
     for rows in each:

@@ -1,4 +1,4 @@
-"""Segments that a source lacks within its size, as a folder may lack objects (SPEC 3.4)."""
+"""Missing segments within a source's size, such as missing objects of a folder (SPEC 3.4)."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from collections.abc import Iterator
 from cogsplat.codec.errors import TruncatedError
 from cogsplat.formats.storage.source import Source, has_range
 
-from .index import AnyIndex
+from .index import Index
+from .lazy_index import LazyIndex
 
 
-def gap_bytes(source: Source, index: AnyIndex) -> int:
-    """Return the bytes of the segments that a source lacks within its size; 0 for a file."""
-    return sum(int(index.segments.length[row]) for row in _gaps(source, index))
+def gap_bytes(source: Source, index: Index | LazyIndex) -> int:
+    """Return the total size of missing segments within a source's size; 0 for a file."""
+    return sum(int(index.whole().segments.length[row]) for row in _gaps(source, index))
 
 
-def require_all(source: Source, index: AnyIndex) -> None:
-    """Refuse a source that lacks segments within its size.
+def require_all(source: Source, index: Index | LazyIndex) -> None:
+    """Refuse a source with missing segments.
 
     Raises
     ------
@@ -25,17 +26,18 @@ def require_all(source: Source, index: AnyIndex) -> None:
     """
     missing = list(_gaps(source, index))
     if missing:
-        first = _told_of(source, int(index.offsets[missing[0]]))
+        tables = index.whole()
+        first = _describe_gap(source, int(tables.offsets[missing[0]]))
         raise TruncatedError(
             "segment-missing",
-            f"{source.name}: {len(missing)} of {len(index.segments)} segments are not there, "
+            f"{source.name}: {len(missing)} of {len(tables.segments)} segments are missing, "
             f"expected all; the first: {first}",
             clause="3.4",
         )
 
 
-def _told_of(source: Source, offset: int) -> str:
-    """Return what a source says of a byte that it lacks, such as the name of the object."""
+def _describe_gap(source: Source, offset: int) -> str:
+    """Return the source's message about a missing byte, such as the name of its object."""
     try:
         source.read(offset, 1)
     except TruncatedError as error:
@@ -43,10 +45,12 @@ def _told_of(source: Source, offset: int) -> str:
     return f"at byte {offset}"
 
 
-def _gaps(source: Source, index: AnyIndex) -> Iterator[int]:
+def _gaps(source: Source, index: Index | LazyIndex) -> Iterator[int]:
+    """Yield the rows of missing segments; a source without ``holds`` has none."""
     if not hasattr(source, "holds"):
         return
-    ends = zip(index.offsets.tolist(), index.segments.length.tolist(), strict=True)
+    tables = index.whole()
+    ends = zip(tables.offsets.tolist(), tables.segments.length.tolist(), strict=True)
     for row, (offset, length) in enumerate(ends):
         if offset + length <= source.size and not has_range(source, offset, length):
             yield row

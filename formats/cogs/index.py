@@ -8,7 +8,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,76 +77,12 @@ class Index:
 
     @property
     def num_chunks(self) -> int:
-        """Chunks that the tables list."""
+        """Number of chunks in the tables."""
         return len(self.chunks)
 
-
-class AnyIndex(Protocol):
-    """What `Index` has, and `lazy_index.LazyIndex` as well; see there."""
-
-    @property
-    def root(self) -> Root:
-        """See `Index`."""
-
-    @property
-    def file_length(self) -> int:
-        """See `Index`."""
-
-    @property
-    def all_chunks(self) -> int:
-        """See `Index`."""
-
-    @property
-    def num_chunks(self) -> int:
-        """See `Index`."""
-
-    @property
-    def segments(self) -> SegmentTable:
-        """See `Index`."""
-
-    @property
-    def chunks(self) -> ChunkTable:
-        """See `Index`."""
-
-    @property
-    def offsets(self) -> I64:
-        """See `Index`."""
-
-    @property
-    def heads(self) -> I64:
-        """See `Index`."""
-
-    @property
-    def tails(self) -> I64:
-        """See `Index`."""
-
-    @property
-    def refinements(self) -> I64:
-        """See `Index`."""
-
-    @property
-    def opacities(self) -> Mapping[int, Sequence[int]]:
-        """See `Index`."""
-
-    @property
-    def attributes(self) -> I64:
-        """See `Index`."""
-
-    @property
-    def cameras(self) -> int:
-        """See `Index`."""
-
-    @property
-    def layers(self) -> Sequence[int]:
-        """See `Index`."""
-
-    @property
-    def view_table(self) -> int:
-        """See `Index`."""
-
-    @property
-    def codebooks(self) -> Sequence[Mapping[SegmentKind, int]]:
-        """See `Index`."""
+    def whole(self) -> Index:
+        """Return this index; `LazyIndex.whole` reads the missing pages first."""
+        return self
 
 
 def codebook_kinds(attribute: str, degree: int) -> tuple[SegmentKind, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import accumulate
 
 import numpy as np
@@ -23,8 +23,6 @@ from .index import (
     read_page,
     require_end,
 )
-from .layout import SegmentKind
-from .root import ChunkTable, SegmentTable
 
 
 class LazyIndex:
@@ -138,63 +136,3 @@ class LazyIndex:
         """Read the pages that were not read, and return an index of all."""
         with self._lock:
             return self._with(set(range(len(self.root.pages))))
-
-    @property
-    def segments(self) -> SegmentTable:
-        """See `Index`."""
-        return self.whole().segments
-
-    @property
-    def chunks(self) -> ChunkTable:
-        """See `Index`."""
-        return self.whole().chunks
-
-    @property
-    def offsets(self) -> I64:
-        """See `Index`."""
-        return self.whole().offsets
-
-    @property
-    def heads(self) -> I64:
-        """See `Index`."""
-        return self.whole().heads
-
-    @property
-    def tails(self) -> I64:
-        """See `Index`."""
-        return self.whole().tails
-
-    @property
-    def refinements(self) -> I64:
-        """See `Index`."""
-        return self.whole().refinements
-
-    @property
-    def opacities(self) -> Mapping[int, Sequence[int]]:
-        """See `Index`."""
-        return self.whole().opacities
-
-    @property
-    def attributes(self) -> I64:
-        """See `Index`."""
-        return self.whole().attributes
-
-    @property
-    def cameras(self) -> int:
-        """See `Index`."""
-        return self.whole().cameras
-
-    @property
-    def layers(self) -> Sequence[int]:
-        """See `Index`."""
-        return self.whole().layers
-
-    @property
-    def view_table(self) -> int:
-        """See `Index`."""
-        return self.whole().view_table
-
-    @property
-    def codebooks(self) -> Sequence[Mapping[SegmentKind, int]]:
-        """See `Index`."""
-        return self.whole().codebooks

@@ -41,7 +41,7 @@ from .decoded_rows import SCRATCH_ROW_BYTES, allocate, row_bytes, scratch_bytes
 from .drawn_chunks import drawn_chunks
 from .fetch_order import opacities_rows, ranges_to_decode
 from .gaps import require_all
-from .index import AnyIndex, join_pages, read_index, read_root
+from .index import Index, join_pages, read_index, read_root
 from .lazy_index import LazyIndex
 from .stored_file import StoredFile
 
@@ -80,7 +80,7 @@ class CogsFile(StoredFile):
         Bytes that a partial source lacks; 0 for a complete one.
     """
 
-    def __init__(self, source: Source, index: AnyIndex, limits: Limits) -> None:
+    def __init__(self, source: Source, index: Index | LazyIndex, limits: Limits) -> None:
         super().__init__(source, index)
         self._limits = limits
         self._allowed = limits.allowed(stored_bytes(source))
@@ -125,7 +125,7 @@ class CogsFile(StoredFile):
             raise self._not_there("the view table")
         payload = bytes(self.read_segment(row))
         return cogs_view_table.unpack_view_table(
-            payload, f"{self.name}: view table", self._index.all_chunks, self._allowed
+            payload, f"{self.name}: view table", self._pages.all_chunks, self._allowed
         )
 
     def compensation(self) -> Compensation:
@@ -149,7 +149,7 @@ class CogsFile(StoredFile):
             where = f"{self.name}: compensation, layer {number}"
             payload = bytes(self.read_segment(row))
             layer = cogs_compensation.unpack_layer(
-                payload, where, before, splats, self._index.all_chunks, allowed
+                payload, where, before, splats, self._pages.all_chunks, allowed
             )
             if layer is None:
                 break
@@ -247,10 +247,10 @@ class CogsFile(StoredFile):
         self, chunks: Sequence[int], sh_degree: int | None, refine: bool, extras: bool
     ) -> CogsFile:
         """Return the file with as much of its index as chunks take: of a lazy one, not all."""
-        if not isinstance(self._index, LazyIndex):
+        if not isinstance(self._pages, LazyIndex):
             return self
         degree = MAX_SH_DEGREE if sh_degree is None else sh_degree
-        index = self._index.for_chunks(
+        index = self._pages.for_chunks(
             chunks, sh_degree=min(self.root.sh_degree, degree), refine=refine, extras=extras
         )
         file = CogsFile(self._source, index, self._limits)
@@ -398,7 +398,7 @@ class CogsFile(StoredFile):
         return ChunkStream(
             self,
             self._source,
-            self._index.whole() if isinstance(self._index, LazyIndex) else self._index,
+            self._index,
             self._limits,
             chunks,
             in_file_order=priority is None,
@@ -589,7 +589,7 @@ def open_cogs(
         if size_bytes < 0:
             raise ValueError(f"size_bytes {size_bytes}, expected 0 or more")
         source, partial = PrefixSource(source, size_bytes), True
-    index: AnyIndex
+    index: Index | LazyIndex
     if isinstance(source, RemoteSource) and not partial:
         place = read_root(source, partial=False)
         index = LazyIndex(source, place) if place.root.pages else join_pages(source, place, [], {})

@@ -19,8 +19,9 @@ from cogsplat.formats.storage.source import RemoteSource, Source, has_range
 from .fetch_order import needed_codebooks
 from .folder_places import object_name
 from .gaps import gap_bytes
-from .index import I64, AnyIndex, codebook_kinds
+from .index import I64, Index, codebook_kinds
 from .layout import SegmentKind
+from .lazy_index import LazyIndex
 from .object_source import ObjectSource
 from .root import ChunkTable, SegmentTable
 from .selection import select_chunks
@@ -58,9 +59,9 @@ class StoredFile:
         Bytes that a partial source lacks; 0 for a complete one.
     """
 
-    def __init__(self, source: Source, index: AnyIndex) -> None:
+    def __init__(self, source: Source, index: Index | LazyIndex) -> None:
         self._source = source
-        self._index = index
+        self._pages = index
         cache = getattr(source, "cache", None)
         self._cache = cache if isinstance(cache, SegmentCache) else None
         self.root = index.root
@@ -81,6 +82,11 @@ class StoredFile:
     def close(self) -> None:
         """Close the source."""
         self._source.close()
+
+    @property
+    def _index(self) -> Index:
+        """Whole index; missing pages are read."""
+        return self._pages.whole()
 
     @property
     def segments(self) -> SegmentTable:
@@ -105,7 +111,7 @@ class StoredFile:
     @property
     def num_chunks(self) -> int:
         """Chunks the tables list; a partial file may lack the last pages' chunks."""
-        return self._index.num_chunks
+        return self._pages.num_chunks
 
     @property
     def source_bytes(self) -> int:
@@ -303,8 +309,8 @@ class StoredFile:
         return [int(row) for row in np.flatnonzero(mask)]
 
     def _require_chunk(self, chunk: int) -> None:
-        if not 0 <= chunk < self._index.all_chunks:
-            raise ValueError(f"chunk {chunk}, expected 0 to {self._index.all_chunks - 1}")
+        if not 0 <= chunk < self._pages.all_chunks:
+            raise ValueError(f"chunk {chunk}, expected 0 to {self._pages.all_chunks - 1}")
         if chunk >= self.num_chunks:
             raise self._not_there(f"chunk {chunk}: the index page that lists it")
 

@@ -91,8 +91,8 @@ def test_tables_are_those_of_the_whole_index(data):
             for column in fields(theirs):
                 assert np.array_equal(getattr(ours, column.name), getattr(theirs, column.name))
         assert np.array_equal(file.offsets, whole.offsets)
-        index = file._index
-        assert isinstance(index, LazyIndex)
+        assert isinstance(file._pages, LazyIndex)
+        index = file._pages.whole()
         for name in ("heads", "tails", "refinements", "attributes"):
             assert np.array_equal(getattr(index, name), getattr(whole, name))
         assert (index.cameras, list(index.layers)) == (whole.cameras, list(whole.layers))
