@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from cogsplat.codec.streams import compiled
+from cogsplat.codec.streams import decoding_tiers
 
 # The same examples on every run and every machine, none refused for being slow on a busy one, and
 # no folder of failures left in the checkout.
@@ -68,13 +68,13 @@ class SkippedTests:
 def kernels(request: pytest.FixtureRequest) -> Iterator[str]:
     """Decode with numpy alone, then with the compiled kernels: both must do the same."""
     way: str = request.param
-    before = compiled.ready()
+    before = decoding_tiers.is_compiled()
     patch = pytest.MonkeyPatch()
     if way == "numpy":
-        patch.setattr(compiled, "_load", lambda: None)
-    elif not compiled._load():
+        patch.setattr(decoding_tiers, "_load", lambda: None)
+    elif not decoding_tiers._load():
         pytest.skip("needs numba")
-    compiled.use(way == "compiled")
+    decoding_tiers.use_compiled(way == "compiled")
     yield way
-    compiled.use(before)
+    decoding_tiers.use_compiled(before)
     patch.undo()

@@ -29,11 +29,12 @@ def read_band(found: StreamSet, band: int, out: F32, *, escape: bool = False) ->
     """
     attribute = SH_BANDS[band - 1]
     first, last = band * band - 1, (band + 1) * (band + 1) - 1
-    wanted = out.shape[1] >= last
-    values = np.zeros((len(out) if wanted else 0, (last - first) * 3), np.float32)
-    if found.has(attribute, escape=escape):
-        stream = found.take_escape(attribute, len(out)) if escape else found.take(attribute)
-        if wanted:
-            kinds.read(stream, values)
-    if wanted:
-        out[:, first:last] = values.reshape(len(out), last - first, 3)
+    is_needed = out.shape[1] >= last
+    # Not -1 for the columns: there may be no rows.
+    values = out.reshape(len(out), 3 * out.shape[1])[:, 3 * first : 3 * last]
+    if not found.has(attribute, escape=escape):
+        values[:] = 0
+        return
+    stream = found.take_escape(attribute, len(out)) if escape else found.take(attribute)
+    if is_needed:
+        kinds.read(stream, values)

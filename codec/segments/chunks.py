@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.streams import whole_chunk
-from cogsplat.codec.streams.whole_chunk import ChunkArrays
+from cogsplat.codec.streams import decoding_tiers
+from cogsplat.codec.streams.chunk_arrays import ChunkArrays, CodebookRows
 
-from .codebooks import Codebook, ColourCodebook
+from .codebooks import Codebook, ColourCodebook, ShapeCodebook
 from .heads import decode_head
 from .tails import decode_tail
 
@@ -49,9 +49,33 @@ def decode_chunk(
     FormatError, UnsupportedError, LimitError
         As `decode_head` and then `decode_tail`.
     """
+    if not _decode_compiled(head, refinement, tail, codebooks, out, sh_degree):
+        decode_head(head, codebooks[0], out, f"{where} head", refinement)
+        if tail is not None:
+            decode_tail(tail, codebooks[1], out.shN, f"{where} tail", sh_degree=sh_degree)
+    if tail is None:
+        out.shN[:] = 0
+
+
+def _decode_compiled(
+    head: memoryview,
+    refinement: memoryview | None,
+    tail: memoryview | None,
+    codebooks: tuple[Mapping[int, Codebook], Mapping[int, Codebook]],
+    out: Splats,
+    sh_degree: int,
+) -> bool:
+    """Decode a chunk by the compiled pass; return False if numpy must decode it."""
+    read = decoding_tiers.chunk_reader()
+    if read is None:
+        return False
     columns = out.shN.shape[1] * 3
 
-    def basis_of(number: int) -> F32 | None:
+    def shapes(number: int) -> tuple[F32, F32] | None:
+        book = codebooks[0].get(number)
+        return (book.scales, book.quats) if isinstance(book, ShapeCodebook) else None
+
+    def colours(number: int) -> F32 | None:
         book = codebooks[1].get(number)
         if not isinstance(book, ColourCodebook) or 3 * book.shN.shape[1] < columns:
             return None
@@ -65,12 +89,4 @@ def decode_chunk(
         out.sh0,
         out.shN.reshape(len(out), columns),
     )
-    if whole_chunk.read(head, refinement, tail, basis_of, arrays):
-        if tail is None:
-            out.shN[:] = 0
-        return
-    decode_head(head, codebooks[0], out, f"{where} head", refinement)
-    if tail is None:
-        out.shN[:] = 0
-    else:
-        decode_tail(tail, codebooks[1], out.shN, f"{where} tail", sh_degree=sh_degree)
+    return read(head, refinement, tail, CodebookRows(shapes, colours), arrays, sh_degree)

@@ -126,8 +126,8 @@ def gather(codebook: F32, escape: F32 | None, indices: U32, out: F32) -> None:
         Below C + e, as `read_indices` returns them.
     out : (n, d) float32
     """
-    rows = codebook
-    if escape is not None and len(escape):
-        rows = np.concatenate([rows, escape])
     # The indices are in range; only a mode that cannot fail writes into `out` without a copy.
-    np.take(rows, indices, axis=0, out=out, mode="clip")
+    np.take(codebook, indices, axis=0, out=out, mode="clip")
+    if escape is not None and len(escape):
+        escaped = np.flatnonzero(indices >= len(codebook))
+        out[escaped] = escape[indices[escaped] - np.uint32(len(codebook))]

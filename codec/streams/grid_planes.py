@@ -106,20 +106,21 @@ def read_values(
     """
     counts = plane_counts(grid, extra)
     stream.require_planes(first + sum(counts))
-    step = grid.step
+    # Component by component, so that only the copy into `out` strides.
+    values = np.zeros((grid.components, stream.rows), np.float32)
+    limits = [levels + extra for levels in grid.levels.tolist()]
     for component, count in enumerate(counts):
-        column = out[:, component]
-        levels = int(grid.levels[component])
-        if count == 0:
-            # As any other code, which makes +0 of a minimum of -0.
-            column[:] = grid.minimum[component] + np.float32(0)
-            continue
-        codes = _codes(stream, first, counts, component, levels + extra)
-        np.multiply(codes.astype(np.float32), step[component], out=column)
-        column += grid.minimum[component]
-        if extra:
-            column[codes == levels] = np.inf
-            column[codes == levels + 1] = -np.inf
+        if count:
+            values[component] = _codes(stream, first, counts, component, limits[component])
+    codes = values.copy() if extra else values
+    values *= grid.step[:, None]
+    # A minimum of -0 becomes +0 by the sum, as SPEC 6.4 has it.
+    values += grid.minimum[:, None]
+    if extra:
+        levels = grid.levels.astype(np.float32)[:, None]
+        values[codes == levels] = np.inf
+        values[codes == levels + 1] = -np.inf
+    out[:] = values.T
 
 
 def read_codes(stream: StoredStream, grid: Grid) -> U32:

@@ -1,15 +1,12 @@
-"""Compiled reading of a whole chunk: all streams of its head, refinement and tail in two calls.
+"""The compiled pass: all streams of a chunk's head, refinement and tail decoded in two calls.
 
-A decode of stream after stream spends half of its time between the kernels. The streams that the
-encoder usually writes (SPEC 6.5, 6.10 to 6.17) are therefore read together here. Whatever is
-unusual or wrong is left to the readers of single streams, which are asked whenever this one gives
-up, so that refusals come from one place.
+It covers the streams that the profiles `transform` and `vq` write (SPEC 6.5 to 6.7, 6.10 to 6.17).
+It declines every other chunk and every invalid one: numpy then decodes that chunk from the start
+and refuses what is invalid, so that refusals come from one place. The module needs numba.
 """
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -18,418 +15,238 @@ from numpy.typing import NDArray
 from cogsplat.codec.compiling import called_with
 
 from . import swing_twist, zstd_frames
-from .adaptive_step import KNEES, MAX_COEFFICIENT
+from .adaptive_step import KNEES
 from .byte_planes import digit_tables
-from .grid import MAX_LEVELS, MAX_VALUE
-from .kernels_bits import exact, inner_exact
+from .chunk_arrays import ChunkArrays, CodebookRows
+from .kernels_bits import exact, inner_exact, read_floats
 from .kernels_chunk_layout import (
-    MEAN_BITS_SLOT,
-    MEANS_SLOT,
-    MOST_PLANES,
-    OPACITIES_SLOT,
-    OPACITY_DIGITS_SLOT,
-    QUATS_SLOT,
-    SCALE_DIGITS_SLOT,
-    SCALES_SLOT,
-    SH0_DIGITS_SLOT,
-    SH0_SLOT,
-    SHN_SLOT,
-    STREAMS,
+    COMPONENTS_OF,
+    MAX_PLANES,
+    MEAN_BITS,
+    MEANS,
+    NO_STREAM,
+    OPACITIES,
+    OPACITY_DIGITS,
+    QUAT_ESCAPES,
+    QUATS,
+    SCALE_DIGITS,
+    SCALE_ESCAPES,
+    SCALE_FACTOR,
+    SCALES,
+    SH0,
+    SH0_DIGITS,
+    SH1_ESCAPES,
+    SH2_ESCAPES,
+    SH3_ESCAPES,
+    SHAPE,
+    SHN,
+    TRANSFORM_STREAMS,
+    VQ_STREAMS,
     locate,
-    signed,
-    start_of,
-    starts_of,
-    u16,
-    u32,
 )
-from .kernels_grid import accumulate, digit_rows, grid_rows, on_axes
-from .kernels_shn_transform import BASIS_COLUMNS, coefficients, rows_above
-from .kernels_sorted_means import AXES_OF_BITS, means
-from .kernels_sorted_means import plan as plan_means
-from .kernels_swing_twist import GROUPS, rotations
-from .kernels_swing_twist import plan as plan_rotations
-from .refinement_bits import MAX_BITS
-from .refinement_digits import MAX_RADIX
-from .shn_transform import GROUP_STARTS, MAX_BASIS_ROWS, MAX_FACTOR
-from .sorted_means import MAX_CELLS, POWERS
-from .whole_chunk import ChunkArrays
+from .kernels_codebook_index import escape_rows, gather, has_escapes, read_indices
+from .kernels_grid import accumulate, on_axes, read_values
+from .kernels_planes import PARAMS, PRESENT, ChunkPlanes
+from .kernels_quaternion import read_quaternions
+from .kernels_shn_transform import BASIS_COLUMNS, read_coefficients
+from .kernels_sorted_means import AXES_OF_BITS, read_means
+from .kernels_swing_twist import read_rotations
+from .shn_transform import GROUP_STARTS
+from .sorted_means import POWERS
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 U64 = NDArray[np.uint64]
 
-# Bytes of planes for each row, decompressed and taken apart, that are read together: usual chunks
-# have 60. What a file states beyond that is read stream by stream, which takes less memory.
-_ROW_BYTES: Final = 96
-_LEAST_BYTES: Final = 1 << 14
-
-
-@inner_exact
-def _grid(
-    octets: U8, at: int, components: int, limit: int
-) -> tuple[bool, tuple[F32, F32, NDArray[np.uint32]]]:
-    """Return the grid that stands in parameters, and whether it is one (SPEC 6.4)."""
-    bits = np.empty((3, components), np.uint32)
-    for component in range(components):
-        for field in range(3):
-            bits[field, component] = u32(octets, at + 12 * component + 4 * field)
-    low, high = bits[0].view(np.float32), bits[1].view(np.float32)
-    levels = bits[2].copy()
-    right = True
-    for component in range(components):
-        a, b = np.float64(low[component]), np.float64(high[component])
-        if not (a >= -MAX_VALUE and a <= b and b <= MAX_VALUE):
-            right = False
-        if levels[component] < 1 or levels[component] > limit:
-            right = False
-    return right, (low.copy(), high.copy(), levels)
-
-
-@inner_exact
-def _planes_of(levels: NDArray[np.uint32]) -> int:
-    """Return how many planes the codes of a grid take (SPEC 6.4)."""
-    planes = 0
-    for limit in levels:
-        count = 0
-        while signed(limit) - 1 >> 8 * count:
-            count += 1
-        planes += count
-    return planes
-
-
-@inner_exact
-def _floats(octets: U8, at: int, count: int, most: float, out: F32) -> bool:
-    """Read float32 values; return whether none is beyond ±`most`."""
-    bits = np.empty(count, np.uint32)
-    for i in range(count):
-        bits[i] = u32(octets, at + 4 * i)
-    values = bits.view(np.float32)
-    for i in range(count):
-        if not abs(np.float64(values[i])) <= most:
-            return False
-        out[i] = values[i]
-    return True
-
-
-@inner_exact
-def _words(octets: U8, start: int, length: int) -> U64:
-    """Return the bytes of a plane as 64-bit words, with two of zeros behind them."""
-    found = np.zeros((length + 7 >> 3) + 2, np.uint64)
-    own = found.view(np.uint8)
-    for i in range(length):
-        own[i] = octets[start + i]
-    return found
-
-
-@inner_exact
-def _is_padded(octets: U8, start: int, bits: int) -> bool:
-    """Tell whether what follows the bits of a plane in its last byte is zeros."""
-    return not (bits & 7 and signed(octets[start + (bits >> 3)]) >> (bits & 7))
-
-
-@inner_exact
-def _values(
-    octets: U8,
-    work: U8,
-    spans: I64,
-    found: I64,
-    slot: int,
-    digits: int,
-    tables: U8,
-    coarse_out: F32,
-    out: F32,
-) -> bool:
-    """Write the values of a stream on a grid, refined where there are digits (SPEC 6.4, 6.16)."""
-    rows, components = out.shape
-    right, coarse = _grid(octets, found[slot, 1], components, MAX_LEVELS)
-    count = found[slot, 3]
-    if not right or count != _planes_of(coarse[2]):
-        return False
-    starts = np.zeros(count + components, np.int64)
-    if not starts_of(octets, work, spans, found[slot, 2], count, rows, tables, starts, 0):
-        return False
-    if not found[digits, 0]:
-        return grid_rows(octets, starts, coarse, int(np.int64(0)), out)
-    right, fine = _grid(octets, found[digits, 1], components, MAX_LEVELS)
-    radices = np.empty(components, np.int64)
-    finer = 0
-    for component in range(components):
-        radices[component] = octets[found[digits, 1] + 12 * components + component]
-        if radices[component] < 1 or radices[component] > MAX_RADIX:
-            right = False
-        finer += radices[component] > 1
-    if not right or found[digits, 3] != finer:
-        return False
-    if not starts_of(octets, work, spans, found[digits, 2], finer, rows, tables, starts, count):
-        return False
-    return digit_rows(octets, starts, coarse, radices, fine, coarse_out, out)
-
-
-@inner_exact
-def _read_rotations(
-    octets: U8,
-    work: U8,
-    spans: I64,
-    found: I64,
-    tables: U8,
-    knees: F32,
-    steps: F32,
-    scales: F32,
-    out: F32,
-) -> bool:
-    """Write unit quaternions (SPEC 6.11)."""
-    rows = len(out)
-    models = np.empty((2, 6), np.float32)
-    at = found[QUATS_SLOT, 1]
-    right = _floats(octets, at, 6, MAX_COEFFICIENT, models[0])
-    right = right and _floats(octets, at + 24, 6, MAX_COEFFICIENT, models[1])
-    if not right or found[QUATS_SLOT, 3] != 3 * GROUPS:
-        return False
-    extra = np.empty((2, rows), np.uint8)
-    counts = np.empty((2, GROUPS + 1), np.int64)
-    plan_rotations(scales, models, knees, extra, counts)
-    starts = np.zeros(3 * GROUPS, np.int64)
-    for column in range(3):
-        for group in range(1, GROUPS + 1):
-            length = counts[column >> 1, group]
-            if group == GROUPS:
-                length = length + 7 >> 3
-            place = column * GROUPS + group - 1
-            start = start_of(octets, work, spans, found[QUATS_SLOT, 2] + place, length, tables)
-            if start < 0:
-                return False
-            starts[place] = start
-    return rotations(octets, starts, extra, counts, steps, out)
-
-
-@inner_exact
-def _read_means(
-    octets: U8,
-    work: U8,
-    spans: I64,
-    found: I64,
-    tables: U8,
-    knees: F32,
-    powers: F32,
-    axes_of_bits: U64,
-    scales: F32,
-    out: F32,
-) -> bool:
-    """Write means (SPEC 6.5, 6.17)."""
-    rows = len(out)
-    right, grid = _grid(octets, found[MEANS_SLOT, 1], 3, MAX_CELLS)
-    model = np.empty(6, np.float32)
-    right = right and _floats(octets, found[MEANS_SLOT, 1] + 36, 6, MAX_COEFFICIENT, model)
-    first = found[MEANS_SLOT, 2]
-    if not right or found[MEANS_SLOT, 3] != 3:
-        return False
-    start = start_of(octets, work, spans, first, rows, tables)
-    if start < 0:
-        return False
-    classes = octets[start : start + rows]
-    extra = np.empty(rows, np.uint8)
-    bits, low_bits = plan_means(classes, scales, model, knees, extra)
-    if bits < 0:
-        return False
-    differences = start_of(octets, work, spans, first + 1, bits + 7 >> 3, tables)
-    fields = start_of(octets, work, spans, first + 2, low_bits + 7 >> 3, tables)
-    if differences < 0 or fields < 0:
-        return False
-    if not _is_padded(octets, differences, bits) or not _is_padded(octets, fields, low_bits):
-        return False
-    more, more_bits, lower = 0, 0, 0
-    if found[MEAN_BITS_SLOT, 0]:
-        at = found[MEAN_BITS_SLOT, 1]
-        more = signed(octets[at])
-        reserved = octets[at + 1] | octets[at + 2] | octets[at + 3]
-        if more < 1 or more > MAX_BITS or reserved or found[MEAN_BITS_SLOT, 3] != 1:
-            return False
-        more_bits = 3 * more * rows
-        lower = start_of(octets, work, spans, found[MEAN_BITS_SLOT, 2], more_bits + 7 >> 3, tables)
-        if lower < 0 or not _is_padded(octets, lower, more_bits):
-            return False
-    minimum, maximum, counts = grid
-    levels = np.empty(3, np.int64)
-    steps = np.empty((len(powers), 3), np.float32)
-    for axis in range(3):
-        levels[axis] = counts[axis]
-        width = np.float32(0)
-        if counts[axis] > 1:
-            width = (maximum[axis] - minimum[axis]) / (np.float32(counts[axis]) - np.float32(1))
-        for m in range(len(powers)):
-            steps[m, axis] = powers[m] * width
-    return means(
-        classes,
-        _words(octets, differences, bits + 7 >> 3),
-        extra,
-        _words(octets, fields, low_bits + 7 >> 3),
-        axes_of_bits,
-        levels,
-        steps,
-        minimum,
-        more,
-        _words(octets, lower, more_bits + 7 >> 3),
-        out,
-    )
-
-
-@inner_exact
-def _read_coefficients(
-    octets: U8,
-    work: U8,
-    spans: I64,
-    found: I64,
-    tables: U8,
-    group_starts: I64,
-    basis: F32,
-    out: F32,
-) -> bool:
-    """Write shN from coordinates on a basis (SPEC 6.14)."""
-    rows, columns = out.shape
-    at = found[SHN_SLOT, 1]
-    factors = np.empty(2, np.float32)
-    if not _floats(octets, at + 4, 2, MAX_FACTOR, factors):
-        return False
-    step, shrink = factors[0], factors[1]
-    width, reserved = u16(octets, at + 12), u16(octets, at + 14)
-    if width > min(len(basis), MAX_BASIS_ROWS) or reserved:
-        return False
-    if not step > 0 or not shrink >= 0 or not shrink <= np.float32(0.5):
-        return False
-    groups = np.empty(len(group_starts) + 1, np.int64)
-    count = 0
-    for start in group_starts:
-        if start < width:
-            groups[count] = start
-            count += 1
-    groups[count] = width
-    groups = groups[: count + 1]
-    # Here the first column of `found` is the length of the parameters.
-    if found[SHN_SLOT, 0] != 16 + 2 * count:
-        return False
-    sizes = octets[at + 16 : at + 16 + 2 * count]
-    planes = 1
-    for size in sizes:
-        if size > 3:
-            return False
-        planes += signed(size)
-    if found[SHN_SLOT, 3] != planes:
-        return False
-    wide = np.zeros((width, BASIS_COLUMNS), np.float32)
-    for row in range(width):
-        for column in range(columns):
-            if not abs(np.float64(basis[row, column])) <= MAX_FACTOR:
-                return False
-            wide[row, column] = basis[row, column]
-    first = found[SHN_SLOT, 2]
-    start = start_of(octets, work, spans, first, rows, tables)
-    if start < 0:
-        return False
-    ends = octets[start : start + rows]
-    top = 0
-    for row in range(rows):
-        top = max(top, signed(ends[row]))
-    if top > width:
-        return False
-    above = rows_above(ends, width)
-    starts = np.zeros(planes, np.int64)
-    plane = 0
-    for group in range(count):
-        a, b = groups[group], groups[group + 1]
-        inner = 0
-        for column in range(a, b):
-            inner += above[column + 1]
-        for part in range(2):
-            own = signed(sizes[2 * group + part])
-            length = above[a] - above[b] if part else inner
-            if not starts_of(
-                octets, work, spans, first + 1 + plane, own, length, tables, starts, plane
-            ):
-                return False
-            plane += own
-    coefficients(ends, above, groups, sizes, octets, starts, wide, step, shrink, out)
-    return True
+# Limit of decompressed and unpacked planes: a fixed part and bytes per splat. Encoded chunks have
+# about 60 bytes per splat. The pass declines larger ones: numpy needs less memory for them.
+_PLANE_BYTES_PER_SPLAT: Final = 96
+_MIN_PLANE_BYTES: Final = 1 << 14
 
 
 @called_with(
-    "Array(uint8, 1, 'C', True), uint8[::1], int64[:, ::1], int64[:, ::1], "
+    "uint8[::1], int64[:, ::1], int64[:, ::1], "
     "Tuple((uint8[:, :, ::1], float32[::1], float32[::1], float32[::1], uint64[::1], int64[::1])), "
     "float32[:, ::1], Tuple((float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], "
     "float32[:, ::1], float32[:, ::1]))"
 )
 @exact
-def _read(
-    octets: U8,
-    work: U8,
+def _write_transform_chunk(
+    data: U8,
+    records: I64,
     spans: I64,
-    found: I64,
     constants: tuple[U8, F32, F32, F32, U64, I64],
     basis: F32,
     out: tuple[F32, F32, F32, F32, F32, F32],
 ) -> bool:
-    """Write all values of a chunk.
+    """Write all values of a chunk; return False if anything in its streams is invalid.
 
     Parameters
     ----------
-    octets, work : uint8
-        Twice the same bytes: what the payloads hold, what their frames hold, and room for symbols;
-        the second may be written to.
-    spans, found : int64
-        As `locate` writes them.
+    data, records, spans
+        As in `ChunkPlanes`.
     constants : tuple
         Digits of each byte by radix, knees of step models, steps of rotations, powers of means,
         axes of Morton codes, first coordinates of groups.
     basis : (C, d) float32
-        Of the tail.
+        Rows of the colour codebook that the tail names.
     out : tuple
-        Means, scales, quats, opacities, sh0 and shN, two-dimensional; shN without rows where there
+        Means, scales, quats, opacities, sh0 and shN, two-dimensional; shN without rows if there
         is no tail.
-
-    Returns
-    -------
-    bool
-        False where anything is wrong or unusual.
     """
     tables, knees, rotation_steps, powers, axes_of_bits, group_starts = constants
-    own_means, scales, quats, opacities, sh0, shN = out
+    means, scales, quats, opacities, sh0, shN = out
+    planes = ChunkPlanes(data, records, spans, tables)
     rows = len(scales)
     differences = np.empty((rows, 3), np.float32)
-    refined = found[SCALE_DIGITS_SLOT, 0] != 0
-    alone = np.empty((rows if refined else 0, 3), np.float32)
-    if not _values(
-        octets, work, spans, found, SCALES_SLOT, SCALE_DIGITS_SLOT, tables, alone, differences
+    refined = records[SCALE_DIGITS, PRESENT] != 0
+    head_differences = np.empty((rows if refined else 0, 3), np.float32)
+    if not read_values(
+        planes, records[SCALES], records[SCALE_DIGITS], head_differences, differences
     ):
         return False
     accumulate(differences, scales)
     # Steps follow from the scales of the head alone.
-    coarse = scales
+    head_scales = scales
     if refined:
-        coarse = np.empty((rows, 3), np.float32)
-        accumulate(alone, coarse)
-    if not _read_rotations(
-        octets, work, spans, found, tables, knees, rotation_steps, coarse, quats
+        head_scales = np.empty((rows, 3), np.float32)
+        accumulate(head_differences, head_scales)
+    if not read_rotations(planes, records[QUATS], knees, rotation_steps, head_scales, quats):
+        return False
+    if not read_means(
+        planes, records[MEANS], records[MEAN_BITS], knees, powers, axes_of_bits, head_scales, means
     ):
         return False
-    if not _read_means(
-        octets, work, spans, found, tables, knees, powers, axes_of_bits, coarse, own_means
-    ):
-        return False
-    none = alone[:0]
-    if not _values(
-        octets, work, spans, found, OPACITIES_SLOT, OPACITY_DIGITS_SLOT, tables, none, opacities
-    ):
+    no_rows = head_differences[:0]
+    if not read_values(planes, records[OPACITIES], records[OPACITY_DIGITS], no_rows, opacities):
         return False
     axes = np.empty(9, np.float32)
-    if not _floats(octets, found[SH0_SLOT, 1] + 36, 9, 1.0, axes):
+    if not read_floats(data, records[SH0, PARAMS] + 36, 9, 1.0, axes):
         return False
-    if not _values(
-        octets, work, spans, found, SH0_SLOT, SH0_DIGITS_SLOT, tables, none, differences
-    ):
+    if not read_values(planes, records[SH0], records[SH0_DIGITS], no_rows, differences):
         return False
     on_axes(differences, axes.reshape(3, 3), sh0)
-    if found[SHN_SLOT, 0] and len(shN):
-        return _read_coefficients(octets, work, spans, found, tables, group_starts, basis, shN)
+    if records[SHN, PRESENT] and len(shN):
+        return read_coefficients(planes, records[SHN], group_starts, basis, shN)
+    return True
+
+
+@inner_exact
+def _write_shapes(
+    planes: ChunkPlanes, book_scales: F32, book_quats: F32, scales: F32, quats: F32
+) -> bool:
+    """Write scales and rotations from a shape codebook and escape rows (SPEC 6.7, 7.2)."""
+    records = planes.records
+    rows = len(scales)
+    escapes = escape_rows(planes, records[SHAPE])
+    if escapes > rows or not has_escapes(records[SCALE_ESCAPES], escapes):
+        return False
+    if not has_escapes(records[QUAT_ESCAPES], escapes):
+        return False
+    escape_scales = np.empty((escapes, 3), np.float32)
+    escape_quats = np.empty((escapes, 4), np.float32)
+    if escapes:
+        if not read_values(
+            planes, records[SCALE_ESCAPES], records[NO_STREAM], escape_scales[:0], escape_scales
+        ):
+            return False
+        if not read_quaternions(planes, records[QUAT_ESCAPES], escape_quats):
+            return False
+    indices = np.empty(rows, np.uint32)
+    if not read_indices(planes, records[SHAPE], len(book_scales) + escapes, indices):
+        return False
+    gather(book_scales, escape_scales, indices, scales)
+    gather(book_quats, escape_quats, indices, quats)
+    factors = np.empty((rows, 1), np.float32)
+    if not read_values(planes, records[SCALE_FACTOR], records[NO_STREAM], factors[:0], factors):
+        return False
+    for row in range(rows):
+        for axis in range(3):
+            scales[row, axis] = scales[row, axis] + factors[row, 0]
+    return True
+
+
+@inner_exact
+def _write_colours(planes: ChunkPlanes, book: F32, sh_degree: int, out: F32) -> bool:
+    """Write shN from a colour codebook and escape rows, band by band (SPEC 6.7, 7.3).
+
+    Bands above the columns of `out` are skipped; bands above `sh_degree` are invalid.
+    """
+    records = planes.records
+    rows, columns = out.shape
+    escapes = escape_rows(planes, records[SHN])
+    if escapes > rows:
+        return False
+    values = np.zeros((escapes, columns), np.float32)
+    for band in range(1, 4):
+        stream = SH1_ESCAPES if band == 1 else (SH2_ESCAPES if band == 2 else SH3_ESCAPES)
+        if not records[stream, PRESENT]:
+            continue
+        first, last = 3 * (band * band - 1), 3 * ((band + 1) * (band + 1) - 1)
+        if band > sh_degree or not has_escapes(records[stream], escapes):
+            return False
+        if last > columns:
+            continue
+        own = np.empty((escapes, last - first), np.float32)
+        if not read_values(planes, records[stream], records[NO_STREAM], own[:0], own):
+            return False
+        for row in range(escapes):
+            for column in range(last - first):
+                values[row, first + column] = own[row, column]
+    indices = np.empty(rows, np.uint32)
+    if not read_indices(planes, records[SHN], len(book) + escapes, indices):
+        return False
+    gather(book, values, indices, out)
+    return True
+
+
+@called_with(
+    "uint8[::1], int64[:, ::1], int64[:, ::1], "
+    "Tuple((uint8[:, :, ::1], float32[::1], float32[::1], float32[::1], uint64[::1], int64[::1])), "
+    "Tuple((float32[:, ::1], float32[:, ::1], float32[:, ::1])), int64, "
+    "Tuple((float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], "
+    "float32[:, ::1], float32[:, ::1]))"
+)
+@exact
+def _write_vq_chunk(
+    data: U8,
+    records: I64,
+    spans: I64,
+    constants: tuple[U8, F32, F32, F32, U64, I64],
+    books: tuple[F32, F32, F32],
+    sh_degree: int,
+    out: tuple[F32, F32, F32, F32, F32, F32],
+) -> bool:
+    """Write all values of a chunk of the profile `vq`; return False if anything is invalid.
+
+    Parameters
+    ----------
+    data, records, spans
+        As in `ChunkPlanes`.
+    constants, out
+        As in `_write_transform_chunk`.
+    books : tuple
+        (C, 3) log scales and (C, 4) quaternions of the shape codebook, (C, d) rows of the colour
+        codebook.
+    sh_degree : int
+        SH degree of the file.
+    """
+    tables, knees, _, powers, axes_of_bits, _ = constants
+    means, scales, quats, opacities, sh0, shN = out
+    planes = ChunkPlanes(data, records, spans, tables)
+    if not _write_shapes(planes, books[0], books[1], scales, quats):
+        return False
+    if not read_means(
+        planes, records[MEANS], records[NO_STREAM], knees, powers, axes_of_bits, scales, means
+    ):
+        return False
+    if not read_values(planes, records[OPACITIES], records[NO_STREAM], opacities[:0], opacities):
+        return False
+    if not read_values(planes, records[SH0], records[NO_STREAM], sh0[:0], sh0):
+        return False
+    if records[SHN, PRESENT] and len(shN):
+        return _write_colours(planes, books[2], sh_degree, shN)
     return True
 
 
@@ -442,57 +259,36 @@ _CONSTANTS: Final = (
     np.array(GROUP_STARTS, np.int64),
 )
 
-# Where the number of its codebook stands in a tail of one stream: behind the count of streams and
-# the fixed part of the record.
-_CODEBOOK_AT: Final = 14
-_CODEBOOK: Final = struct.Struct("<I")
-
-_NO_BASIS: Final = np.zeros((0, 0), np.float32)
+_NO_BOOK: Final = np.zeros((0, 0), np.float32)
 
 
 def read(
     head: memoryview,
     refinement: memoryview | None,
     tail: memoryview | None,
-    basis_of: Callable[[int], F32 | None],
+    books: CodebookRows,
     out: ChunkArrays,
+    sh_degree: int,
 ) -> bool:
-    """Read as `whole_chunk.read` does; False where something is wrong or unusual."""
+    """Decode a chunk whose streams are those of the profile `transform` or `vq`.
+
+    Parameters
+    ----------
+    head, refinement, tail : memoryview or None
+        Payloads, their CRCs already checked; None if absent or not requested.
+    books : CodebookRows
+    out : ChunkArrays
+    sh_degree : int
+        SH degree of the file.
+
+    Returns
+    -------
+    bool
+        False if the chunk has other streams or is invalid; `out` then holds arbitrary values.
+    """
     payload = b"".join((head, refinement or b"", tail or b""))
-    finer = len(head) + len(refinement or b"")
-    rows = len(out.scales)
-    basis = _NO_BASIS
-    if tail is not None:
-        if len(tail) < _CODEBOOK_AT + _CODEBOOK.size:
-            return False
-        book = basis_of(int(_CODEBOOK.unpack_from(tail, _CODEBOOK_AT)[0]))
-        if book is None or book.shape[1] > BASIS_COLUMNS:
-            return False
-        basis = book
-    found = np.empty((len(STREAMS), 4), np.int64)
-    spans = np.empty((4, MOST_PLANES), np.int64)
-    frames = np.empty((MOST_PLANES, 2), np.uint64)
-    sizes = np.empty(MOST_PLANES, np.uint64)
-    ends = np.array((len(head), finer, len(payload)), np.int64)
-    octets = np.frombuffer(payload, np.uint8)
-    most = _LEAST_BYTES + _ROW_BYTES * rows
-    count, expanded, symbols = locate(
-        octets, ends, rows, STREAMS, most, found, spans, frames, sizes
-    )
-    if count < 0:
-        return False
-    # Two bytes behind the last plane are read with it.
-    work = np.empty(len(payload) + expanded + symbols + 2, np.uint8)
-    work[: len(payload)] = octets
-    if count:
-        located = frames[:count], sizes[:count]
-        raw = zstd_frames.decompress_located(memoryview(payload), *located)
-        if raw is None or len(raw) != expanded:
-            return False
-        work[len(payload) : len(payload) + expanded] = np.frombuffer(raw, np.uint8)
-    # As planes are that readers of single streams read: kernels are compiled for one kind of array.
-    same = work.view()
-    same.flags.writeable = False
+    ends = np.array((len(head), len(head) + len(refinement or b""), len(payload)), np.int64)
+    limit = _MIN_PLANE_BYTES + _PLANE_BYTES_PER_SPLAT * len(out.scales)
     arrays = (
         out.means,
         out.scales,
@@ -501,4 +297,68 @@ def read(
         out.sh0,
         out.shN if tail is not None else out.shN[:0],
     )
-    return _read(same, work, spans, found, _CONSTANTS, basis, arrays)
+    for streams in (TRANSFORM_STREAMS, VQ_STREAMS):
+        found = _locate(payload, ends, streams, limit, len(out.scales))
+        if found is None:
+            continue
+        data, records, spans = found
+        colours = _NO_BOOK
+        if records[SHN, PRESENT]:
+            book = books.colours(_codebook_number(data, records, SHN))
+            if book is None or book.shape[1] > BASIS_COLUMNS:
+                return False
+            colours = book
+        if streams is TRANSFORM_STREAMS:
+            return _write_transform_chunk(data, records, spans, _CONSTANTS, colours, arrays)
+        shapes = books.shapes(_codebook_number(data, records, SHAPE))
+        if shapes is None:
+            return False
+        return _write_vq_chunk(
+            data, records, spans, _CONSTANTS, (*shapes, colours), sh_degree, arrays
+        )
+    return False
+
+
+def _codebook_number(data: U8, records: I64, stream: int) -> int:
+    """Return the number of the codebook with which a stream's parameters begin."""
+    at = int(records[stream, PARAMS])
+    return int.from_bytes(data[at : at + 4].tobytes(), "little")
+
+
+def _locate(
+    payload: bytes, ends: I64, streams: I64, limit: int, rows: int
+) -> tuple[U8, I64, I64] | None:
+    """Return data, records and spans of `ChunkPlanes`; None if the chunk has other streams.
+
+    Parameters
+    ----------
+    payload : bytes
+        Head, refinement and tail end to end.
+    ends : (3,) int64
+        End of each in `payload`.
+    streams : int64
+        `TRANSFORM_STREAMS` or `VQ_STREAMS`.
+    limit : int
+        Limit of all planes together, decompressed and unpacked, bytes.
+    rows : int
+        Splats of the chunk.
+    """
+    records = np.empty((len(streams) + 1, 6), np.int64)
+    spans = np.empty((4, MAX_PLANES), np.int64)
+    frames = np.empty((MAX_PLANES, 2), np.uint64)
+    sizes = np.empty(MAX_PLANES, np.uint64)
+    stored = np.frombuffer(payload, np.uint8)
+    count, expanded, symbols = locate(
+        stored, ends, rows, streams, COMPONENTS_OF, limit, records, spans, frames, sizes
+    )
+    if count < 0:
+        return None
+    # Low bits are read two bytes at a time: two bytes must follow the last plane.
+    data = np.empty(len(payload) + expanded + symbols + 2, np.uint8)
+    data[: len(payload)] = stored
+    if count:
+        raw = zstd_frames.decompress_located(memoryview(payload), frames[:count], sizes[:count])
+        if raw is None or len(raw) != expanded:
+            return None
+        data[len(payload) : len(payload) + expanded] = np.frombuffer(raw, np.uint8)
+    return data, records, spans

@@ -1,18 +1,16 @@
-"""Compiled reading of streams on a grid: scalar, quat, differences, sh0 (SPEC 6.4 and others)."""
+"""Compiled reading of streams on a grid, with and without refinement (SPEC 6.4, 6.12, 6.16)."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.compiling import called_with
-
-from . import grid_planes, quaternion, refinement_digits, scalar, sh0_transform
-from .grid import Grid
-from .inputs import Inputs
-from .kernels_bits import exact, inner_exact
-from .kernels_planes import join, join_run
-from .records import StoredStream
+from .grid import MAX_LEVELS, MAX_VALUE
+from .kernels_bits import inner_exact, signed, u32
+from .kernels_planes import FIRST_PLANE, PARAMS, PLANES, PRESENT, ChunkPlanes, plane_starts
+from .refinement_digits import MAX_RADIX
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
@@ -21,136 +19,150 @@ U8 = NDArray[np.uint8]
 U32 = NDArray[np.uint32]
 
 
-@called_with(
-    "Array(uint8, 1, 'C', True), int64[::1], Tuple((float32[::1], float32[::1], uint32[::1])), "
-    "int64, float32[:, ::1]"
-)
-@exact
-def grid_rows(planes: U8, starts: I64, grid: tuple[F32, F32, U32], extra: int, out: F32) -> bool:
-    """Write (rows, c) values from byte planes (SPEC 6.4).
+class GridArrays(NamedTuple):
+    """Minimum, maximum and number of levels of each component of a grid, (c,) each."""
+
+    minimum: F32
+    maximum: F32
+    levels: U32
+
+
+@inner_exact
+def parse_grid(
+    data: U8, at: int, components: int, max_levels: int, max_value: float
+) -> tuple[bool, GridArrays]:
+    """Return whether the grid at byte `at` is valid, and the grid (SPEC 6.4)."""
+    bits = np.empty((3, components), np.uint32)
+    for component in range(components):
+        for field in range(3):
+            bits[field, component] = u32(data, at + 12 * component + 4 * field)
+    low, high = bits[0].view(np.float32), bits[1].view(np.float32)
+    levels = bits[2].copy()
+    valid = True
+    for component in range(components):
+        a, b = np.float64(low[component]), np.float64(high[component])
+        if not (a >= -max_value and a <= b and b <= max_value):
+            valid = False
+        if levels[component] < 1 or levels[component] > max_levels:
+            valid = False
+    return valid, GridArrays(low.copy(), high.copy(), levels)
+
+
+@inner_exact
+def plane_count(levels: U32) -> int:
+    """Return the number of planes that codes on a grid have (SPEC 6.4)."""
+    planes = 0
+    for limit in levels:
+        count = 0
+        while signed(limit) - 1 >> 8 * count:
+            count += 1
+        planes += count
+    return planes
+
+
+@inner_exact
+def write_values(data: U8, starts: I64, grid: GridArrays, out: F32) -> bool:
+    """Write (rows, c) values from byte planes; return False if a code is out of range (SPEC 6.4).
 
     Parameters
     ----------
-    planes : uint8
+    data : uint8
     starts : int64
-        Where each plane begins.
-    grid : tuple
-        Minimum, maximum and levels of each component.
-    extra : int
-        2 where two codes above the levels stand for infinities, 0 elsewhere.
+        Position of each plane.
+    grid : GridArrays
     out : (rows, c) float32
-
-    Returns
-    -------
-    bool
-        False where a code is out of range.
     """
     rows, components = out.shape
-    minimum, maximum, levels = grid
     plane = 0
     for column in range(components):
-        limit = int(levels[column]) + extra
+        limit = int(grid.levels[column])
         count = 0
         while limit - 1 >> 8 * count:
             count += 1
-        low = minimum[column]
+        low = grid.minimum[column]
         width = np.float32(0)
-        if levels[column] > 1:
-            width = (maximum[column] - low) / (np.float32(levels[column]) - np.float32(1))
+        if limit > 1:
+            width = (grid.maximum[column] - low) / (np.float32(limit) - np.float32(1))
         top = 0
         if count == 1:
             at = starts[plane]
             for row in range(rows):
-                code = int(planes[at + row])
+                code = int(data[at + row])
                 top = max(top, code)
                 out[row, column] = np.float32(code) * width + low
         else:
             for row in range(rows):
                 code = 0
                 for byte in range(count):
-                    code |= int(planes[starts[plane + byte] + row]) << (8 * byte)
+                    code |= int(data[starts[plane + byte] + row]) << (8 * byte)
                 top = max(top, code)
                 out[row, column] = np.float32(code) * width + low
         if top >= limit:
             return False
-        if extra:
-            for row in range(rows):
-                code = 0
-                for byte in range(count):
-                    code |= int(planes[starts[plane + byte] + row]) << (8 * byte)
-                if code == limit - 2:
-                    out[row, column] = np.inf
-                elif code == limit - 1:
-                    out[row, column] = -np.inf
         plane += count
     return True
 
 
 @inner_exact
-def _spread_codes(codes: I32, width: np.float32, low: np.float32, column: int, out: F32) -> None:
-    """Write what codes of a grid are worth into a column."""
-    # Into a run first, then apart: only runs are done several at a time.
-    run = np.empty(len(codes), np.float32)
+def _write_column(codes: I32, width: np.float32, low: np.float32, column: int, out: F32) -> None:
+    """Write the values of codes on a grid into one column of `out`."""
+    # Into a contiguous array first: only that loop is vectorised.
+    values = np.empty(len(codes), np.float32)
     for row in range(len(codes)):
-        run[row] = np.float32(codes[row]) * width + low
+        values[row] = np.float32(codes[row]) * width + low
     for row in range(len(codes)):
-        out[row, column] = run[row]
+        out[row, column] = values[row]
 
 
-@called_with(
-    "Array(uint8, 1, 'C', True), int64[::1], Tuple((float32[::1], float32[::1], uint32[::1])), "
-    "int64[::1], Tuple((float32[::1], float32[::1], uint32[::1])), float32[:, ::1], "
-    "float32[:, ::1]"
-)
-@exact
-def digit_rows(
-    planes: U8,
+@inner_exact
+def _write_refined_values(
+    data: U8,
     starts: I64,
-    coarse: tuple[F32, F32, U32],
+    coarse: GridArrays,
     radices: I64,
-    fine: tuple[F32, F32, U32],
+    fine: GridArrays,
     coarse_out: F32,
     out: F32,
 ) -> bool:
-    """Write (rows, c) values from byte planes and digits (SPEC 6.16).
+    """Write (rows, c) values from codes on a grid and their refining digits (SPEC 6.16).
 
     Parameters
     ----------
-    planes : uint8
+    data : uint8
     starts : int64
-        Where each plane of the codes begins, and then each of the digits.
-    coarse, fine : tuple
-        Minimum, maximum and levels of each component.
+        Position of each plane: those of the codes, then those of the digits.
+    coarse, fine : GridArrays
+        Grids of the head and of the refinement.
     radices : (c,) int64
         Components of radix 1 have no digits.
     coarse_out : (rows, c) float32
-        The values of the codes alone; may have no rows.
+        Receives the values of the head alone; no rows if they are not needed.
     out : (rows, c) float32
 
     Returns
     -------
     bool
-        False where a code or a digit is out of range.
+        False if a code or a digit is out of range.
     """
     rows, components = out.shape
     plane = 0
     digit = 0
     for column in range(components):
-        while int(coarse[2][column]) - 1 >> 8 * (digit - plane):
+        while int(coarse.levels[column]) - 1 >> 8 * (digit - plane):
             digit += 1
         plane = digit
     plane = 0
     codes = np.empty(rows, np.int32)
     for column in range(components):
-        limit = int(coarse[2][column])
+        limit = int(coarse.levels[column])
         count = 0
         while limit - 1 >> 8 * count:
             count += 1
         codes[:] = 0
         for byte in range(count):
-            octets = planes[starts[plane] : starts[plane] + rows]
+            plane_bytes = data[starts[plane] : starts[plane] + rows]
             for row in range(rows):
-                codes[row] |= np.int32(octets[row]) << np.int32(8 * byte)
+                codes[row] |= np.int32(plane_bytes[row]) << np.int32(8 * byte)
             plane += 1
         top = np.int32(0)
         for row in range(rows):
@@ -158,14 +170,14 @@ def digit_rows(
         if top >= limit:
             return False
         if len(coarse_out):
-            low = coarse[0][column]
+            low = coarse.minimum[column]
             width = np.float32(0)
             if limit > 1:
-                width = (coarse[1][column] - low) / (np.float32(limit) - np.float32(1))
-            _spread_codes(codes, width, low, column, coarse_out)
+                width = (coarse.maximum[column] - low) / (np.float32(limit) - np.float32(1))
+            _write_column(codes, width, low, column, coarse_out)
         radix = np.int32(radices[column])
         if radix > 1:
-            digits_of = planes[starts[digit] : starts[digit] + rows]
+            digits_of = data[starts[digit] : starts[digit] + rows]
             digit += 1
             top_digit = np.uint8(0)
             for row in range(rows):
@@ -175,24 +187,68 @@ def digit_rows(
             # Below 2^24 · 16: 28 bits.
             for row in range(rows):
                 codes[row] = codes[row] * radix + np.int32(digits_of[row])
-        fine_limit = int(fine[2][column])
+        fine_limit = int(fine.levels[column])
         top = np.int32(0)
         for row in range(rows):
             top = max(top, codes[row])
         if top >= fine_limit:
             return False
-        low = fine[0][column]
+        low = fine.minimum[column]
         width = np.float32(0)
         if fine_limit > 1:
-            width = (fine[1][column] - low) / (np.float32(fine_limit) - np.float32(1))
-        _spread_codes(codes, width, low, column, out)
+            width = (fine.maximum[column] - low) / (np.float32(fine_limit) - np.float32(1))
+        _write_column(codes, width, low, column, out)
     return True
 
 
-@called_with("float32[:, ::1], float32[:, ::1]")
-@exact
+@inner_exact
+def read_values(planes: ChunkPlanes, stream: I64, digits: I64, coarse_out: F32, out: F32) -> bool:
+    """Write the values of a stream on a grid, refined if the chunk has its digits.
+
+    Parameters
+    ----------
+    planes : ChunkPlanes
+    stream, digits : (6,) int64
+        Rows of `ChunkPlanes.records`: the stream, and the digits that refine it.
+    coarse_out : (rows, c) float32
+        Receives the values without refinement; no rows if they are not needed.
+    out : (rows, c) float32
+
+    Returns
+    -------
+    bool
+        False if anything in the streams is invalid.
+    """
+    data = planes.data
+    rows, components = out.shape
+    valid, coarse = parse_grid(data, stream[PARAMS], components, MAX_LEVELS, MAX_VALUE)
+    count = stream[PLANES]
+    if not valid or count != plane_count(coarse.levels):
+        return False
+    starts = np.zeros(count + components, np.int64)
+    if not plane_starts(planes, stream[FIRST_PLANE], count, rows, starts, 0):
+        return False
+    if not digits[PRESENT]:
+        return write_values(data, starts, coarse, out)
+    at = digits[PARAMS]
+    valid, fine = parse_grid(data, at, components, MAX_LEVELS, MAX_VALUE)
+    radices = np.empty(components, np.int64)
+    finer = 0
+    for component in range(components):
+        radices[component] = data[at + 12 * components + component]
+        if radices[component] < 1 or radices[component] > MAX_RADIX:
+            valid = False
+        finer += radices[component] > 1
+    if not valid or digits[PLANES] != finer:
+        return False
+    if not plane_starts(planes, digits[FIRST_PLANE], finer, rows, starts, count):
+        return False
+    return _write_refined_values(data, starts, coarse, radices, fine, coarse_out, out)
+
+
+@inner_exact
 def accumulate(differences: F32, out: F32) -> None:
-    """Write log scales from their differences (SPEC 6.12)."""
+    """Write (rows, 3) log scales from their differences (SPEC 6.12)."""
     for row in range(len(out)):
         middle = differences[row, 0] - differences[row, 1]
         out[row, 0] = middle
@@ -200,89 +256,10 @@ def accumulate(differences: F32, out: F32) -> None:
         out[row, 2] = differences[row, 0]
 
 
-@called_with("float32[:, ::1], float32[:, ::1], float32[:, ::1]")
-@exact
+@inner_exact
 def on_axes(values: F32, axes: F32, out: F32) -> None:
-    """Write sh0 from coordinates on axes (SPEC 6.13)."""
+    """Write (rows, 3) sh0 from coordinates on the three `axes` (SPEC 6.13)."""
     for row in range(len(out)):
         a, b, c = values[row, 0], values[row, 1], values[row, 2]
         for channel in range(3):
             out[row, channel] = (a * axes[0, channel] + b * axes[1, channel]) + c * axes[2, channel]
-
-
-def _read(stream: StoredStream, grid: Grid, out: F32, *, first: int = 0, extra: int = 0) -> bool:
-    """Write the values of the planes of a grid, as `grid_planes.read_values` does."""
-    count = sum(grid_planes.plane_counts(grid, extra))
-    stream.require_planes(first + count)
-    planes = join_run(stream, first, [stream.rows] * count)
-    starts = np.arange(count) * stream.rows
-    return grid_rows(planes, starts, (grid.minimum, grid.maximum, grid.levels), extra, out)
-
-
-def _read_refined(
-    stream: StoredStream, grid: Grid, digits: StoredStream, out: F32, coarse: F32 | None = None
-) -> bool:
-    """Write the values of a stream and its digits, as `refinement_digits.read` does."""
-    fine, radices = refinement_digits.parse(digits, grid.components)
-    count = sum(grid_planes.plane_counts(grid))
-    stream.require_planes(count)
-    finer = sum(radix > 1 for radix in radices)
-    runs = [(stream, 0, [stream.rows] * count), (digits, 0, [stream.rows] * finer)]
-    return digit_rows(
-        join(runs),
-        np.arange(count + finer) * stream.rows,
-        (grid.minimum, grid.maximum, grid.levels),
-        np.array(radices, np.int64),
-        (fine.minimum, fine.maximum, fine.levels),
-        out[:0] if coarse is None else coarse,
-        out,
-    )
-
-
-def read_scalar(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
-    """Read as `scalar.read` does; False where a code is out of range."""
-    grid = scalar.parse(stream, out.shape[1])
-    if inputs.refinement is None:
-        return _read(stream, grid, out, extra=scalar.extra_codes(stream))
-    return _read_refined(stream, grid, inputs.refinement, out, inputs.coarse)
-
-
-def read_quats(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
-    """Read as `quaternion.read` does; False where a code is out of range."""
-    largest, grid = quaternion.parse(stream)
-    others = np.empty((stream.rows, 3), np.float32)
-    which = quaternion.left_out(stream, largest, grid)
-    if not _read(stream, grid, others, first=0 if which is None else 1):
-        return False
-    quaternion.complete(largest, which, others, out)
-    return True
-
-
-def read_differences(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
-    """Read as `scale_differences.read` does; False where a code is out of range."""
-    grid = scalar.parse(stream, 3)
-    differences = np.empty((stream.rows, 3), np.float32)
-    if inputs.refinement is None:
-        if not _read(stream, grid, differences):
-            return False
-    else:
-        alone = None if inputs.coarse is None else np.empty_like(differences)
-        if not _read_refined(stream, grid, inputs.refinement, differences, alone):
-            return False
-        if inputs.coarse is not None and alone is not None:
-            accumulate(alone, inputs.coarse)
-    accumulate(differences, out)
-    return True
-
-
-def read_sh0(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
-    """Read as `sh0_transform.read` does; False where a code is out of range."""
-    grid, axes = sh0_transform.parse(stream)
-    coordinates = np.empty((stream.rows, 3), np.float32)
-    if inputs.refinement is None:
-        found = _read(stream, grid, coordinates)
-    else:
-        found = _read_refined(stream, grid, inputs.refinement, coordinates)
-    if found:
-        on_axes(coordinates, axes, out)
-    return found

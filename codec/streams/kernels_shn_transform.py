@@ -7,43 +7,48 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.compiling import called_with
-
-from . import shn_transform
-from .inputs import Inputs
-from .kernels_bits import exact, inner_exact
-from .kernels_planes import join_run
-from .records import StoredStream
+from .kernels_bits import inner_exact, read_floats, signed, u16
+from .kernels_planes import (
+    FIRST_PLANE,
+    PARAM_BYTES,
+    PARAMS,
+    PLANES,
+    ChunkPlanes,
+    plane_start,
+    plane_starts,
+)
+from .shn_transform import MAX_BASIS_ROWS, MAX_FACTOR
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 BASIS_COLUMNS: Final = 48
-"""Columns of a basis as the kernel takes it: 45 and zeros, a multiple of the vector width."""
+"""Columns of a basis padded with zeros from 45 to a multiple of the vector width."""
 
 _FULL_COLUMNS: Final = 45
 
 
 @inner_exact
 def _coordinate(symbol: int, step: np.float32, shrink: np.float32) -> np.float32:
+    """Return the coordinate of one symbol (SPEC 6.14)."""
     magnitude = np.float32((symbol + 1) >> 1)
     value = (magnitude - shrink) * step if symbol > 0 else np.float32(0) * step
     return value if symbol & 1 else -value
 
 
 @inner_exact
-def _code(planes: U8, begin: I64, place: int, count: int) -> int:
-    code = 0
+def _symbol(data: U8, begin: I64, place: int, count: int) -> int:
+    """Return the symbol number `place` of `count` byte planes that begin at `begin`."""
+    symbol = 0
     for byte in range(count):
-        code |= int(planes[begin[byte] + place]) << (8 * byte)
-    return code
+        symbol |= int(data[begin[byte] + place]) << (8 * byte)
+    return symbol
 
 
-@called_with("Array(uint8, 1, 'C', True), int64")
-@exact
-def rows_above(ends: U8, width: int) -> I64:
-    """Return how many rows have more coordinates than 0, 1, … `width`, and a 0 behind."""
+@inner_exact
+def _rows_above(ends: U8, width: int) -> I64:
+    """Return the number of rows with more than 0, 1, … `width` coordinates, (width + 2,)."""
     counts = np.zeros(width + 2, np.int64)
     for row in range(len(ends)):
         if ends[row]:
@@ -53,17 +58,13 @@ def rows_above(ends: U8, width: int) -> I64:
     return counts
 
 
-@called_with(
-    "Array(uint8, 1, 'C', True), int64[::1], int64[::1], Array(uint8, 1, 'C', True), "
-    "Array(uint8, 1, 'C', True), int64[::1], float32[:, ::1], float32, float32, float32[:, ::1]"
-)
-@exact
-def coefficients(
+@inner_exact
+def _write_coefficients(
     ends: U8,
-    more: I64,
+    above: I64,
     groups: I64,
     sizes: U8,
-    planes: U8,
+    data: U8,
     starts: I64,
     basis: F32,
     step: np.float32,
@@ -76,23 +77,24 @@ def coefficients(
     ----------
     ends : (n,) uint8
         Coordinates of each row, at most the width.
-    more : (width + 2,) int64
-        As `rows_above` returns it.
+    above : (width + 2,) int64
+        From `_rows_above`.
     groups : (g + 1,) int64
-        First column of each group, and the width.
+        First column of each group, then the width.
     sizes : (2g,) uint8
-        Bytes of a symbol, before the last coordinate and in it, of each group.
-    planes : uint8
+        For each group, bytes of an inner symbol and of a last symbol.
+    data : uint8
     starts : int64
-        Where each plane of symbols begins; their lengths follow from the above.
+        Position of each plane of symbols.
     basis : (width, BASIS_COLUMNS) float32
     step, shrink : float32
+        Distance between coordinates, and the part of a step taken off their magnitude.
     out : (n, at most BASIS_COLUMNS) float32
     """
     width = groups[-1]
-    # A length that is known is a loop without a remainder.
+    # A constant length lets the compiler drop the remainder loop.
     full = out.shape[1] == _FULL_COLUMNS
-    # Where the bytes of each column's symbols start, by part.
+    # Position of each byte of a column's symbols: inner symbols, then last ones.
     begin = np.zeros((2, width + 1, 3), np.int64)
     size = np.zeros((2, width + 1), np.int64)
     plane = 0
@@ -104,17 +106,17 @@ def coefficients(
                 size[part, column] = count
                 for byte in range(count):
                     begin[part, column, byte] = starts[plane + byte] + length
-                inner = more[column + 1]
-                length += more[column] - inner if part else inner
+                inner = above[column + 1]
+                length += above[column] - inner if part else inner
             plane += sizes[2 * group + part]
     table = np.empty((2, 256), np.float32)
     for symbol in range(256):
         table[0, symbol] = _coordinate(symbol, step, shrink)
         table[1, symbol] = _coordinate(symbol + 1, step, shrink)
-    rank = more.copy()
+    rank = above.copy()
     sums = np.empty(BASIS_COLUMNS, np.float32)
-    which = np.empty(width + 1, np.int64)
-    worth = np.empty(width + 1, np.float32)
+    columns = np.empty(width + 1, np.int64)
+    values = np.empty(width + 1, np.float32)
     for row in range(len(ends)):
         end = int(ends[row])
         if end == 0:
@@ -123,35 +125,35 @@ def coefficients(
             continue
         place = rank[end]
         rank[end] += 1
-        # About half of the coordinates are 0 and add nothing: sums start at +0, so that no sign
-        # of a zero is lost either. Gathered first without a branch that could not be predicted.
+        # About half of the coordinates are 0 and add nothing: sums start at +0, so signs of zeros
+        # stay as well. They are collected first, without a branch that cannot be predicted.
         used = 0
         for column in range(end - 1):
             count = size[0, column]
             if count == 1:
-                symbol = int(planes[begin[0, column, 0] + place])
+                symbol = int(data[begin[0, column, 0] + place])
             else:
-                symbol = _code(planes, begin[0, column], place, count)
-            which[used] = column
+                symbol = _symbol(data, begin[0, column], place, count)
+            columns[used] = column
             if symbol < 256:
-                worth[used] = table[0, symbol]
+                values[used] = table[0, symbol]
             else:
-                worth[used] = _coordinate(symbol, step, shrink)
+                values[used] = _coordinate(symbol, step, shrink)
             used += symbol != 0
         for k in range(BASIS_COLUMNS):
             sums[k] = 0
         for i in range(used):
-            value = worth[i]
-            column = which[i]
+            value = values[i]
+            column = columns[i]
             for k in range(BASIS_COLUMNS):
                 sums[k] = sums[k] + value * basis[column, k]
         column = end - 1
         count = size[1, column]
-        place -= more[end]
+        place -= above[end]
         if count == 1:
-            value = table[1, planes[begin[1, column, 0] + place]]
+            value = table[1, data[begin[1, column, 0] + place]]
         else:
-            symbol = _code(planes, begin[1, column], place, count)
+            symbol = _symbol(data, begin[1, column], place, count)
             value = _coordinate(symbol + 1, step, shrink)
         if full:
             for k in range(_FULL_COLUMNS):
@@ -161,31 +163,83 @@ def coefficients(
                 out[row, k] = sums[k] + value * basis[column, k]
 
 
-def read(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
-    """Read as `shn_transform.read` does."""
-    basis = shn_transform.basis_of(inputs)
-    found = shn_transform.parse(stream, basis)
-    ends = shn_transform.read_ends(stream, found.width)
-    groups = shn_transform.groups(found.width)
-    counts = rows_above(ends, found.width)
-    above = counts.tolist()
-    lengths: list[int] = []
-    for number, group in enumerate(groups):
-        inner = sum(above[j + 1] for j in group)
-        last = above[group.start] - above[group.stop]
-        lengths += [inner] * found.sizes[2 * number] + [last] * found.sizes[2 * number + 1]
-    wide = np.zeros((found.width, BASIS_COLUMNS), np.float32)
-    wide[:, : basis.shape[1]] = basis[: found.width]
-    coefficients(
-        ends,
-        counts,
-        np.array([*(group.start for group in groups), found.width], np.int64),
-        np.frombuffer(found.sizes, np.uint8),
-        join_run(stream, 1, lengths),
-        np.cumsum([0, *lengths], dtype=np.int64),
-        wide,
-        np.float32(found.step),
-        np.float32(found.shrink),
-        out,
-    )
+@inner_exact
+def read_coefficients(
+    planes: ChunkPlanes, stream: I64, group_starts: I64, basis: F32, out: F32
+) -> bool:
+    """Write the shN of a chunk; return False if anything in their stream is invalid.
+
+    Parameters
+    ----------
+    planes : ChunkPlanes
+    stream : (6,) int64
+        Row of `ChunkPlanes.records`.
+    group_starts : int64
+        `shn_transform.GROUP_STARTS`.
+    basis : (C, d) float32
+        Rows of the colour codebook.
+    out : (n, d) float32
+        d at most `BASIS_COLUMNS`.
+    """
+    data = planes.data
+    rows, columns = out.shape
+    at = stream[PARAMS]
+    factors = np.empty(2, np.float32)
+    if not read_floats(data, at + 4, 2, MAX_FACTOR, factors):
+        return False
+    step, shrink = factors[0], factors[1]
+    width, reserved = u16(data, at + 12), u16(data, at + 14)
+    if width > min(len(basis), MAX_BASIS_ROWS) or reserved:
+        return False
+    if not step > 0 or not shrink >= 0 or not shrink <= np.float32(0.5):
+        return False
+    groups = np.empty(len(group_starts) + 1, np.int64)
+    count = 0
+    for start in group_starts:
+        if start < width:
+            groups[count] = start
+            count += 1
+    groups[count] = width
+    groups = groups[: count + 1]
+    if stream[PARAM_BYTES] != 16 + 2 * count:
+        return False
+    sizes = data[at + 16 : at + 16 + 2 * count]
+    plane_count = 1
+    for size in sizes:
+        if size > 3:
+            return False
+        plane_count += signed(size)
+    if stream[PLANES] != plane_count:
+        return False
+    padded = np.zeros((width, BASIS_COLUMNS), np.float32)
+    for row in range(width):
+        for column in range(columns):
+            if not abs(np.float64(basis[row, column])) <= MAX_FACTOR:
+                return False
+            padded[row, column] = basis[row, column]
+    first = stream[FIRST_PLANE]
+    start = plane_start(planes, first, rows)
+    if start < 0:
+        return False
+    ends = data[start : start + rows]
+    top = 0
+    for row in range(rows):
+        top = max(top, signed(ends[row]))
+    if top > width:
+        return False
+    above = _rows_above(ends, width)
+    starts = np.zeros(plane_count, np.int64)
+    plane = 0
+    for group in range(count):
+        a, b = groups[group], groups[group + 1]
+        inner = 0
+        for column in range(a, b):
+            inner += above[column + 1]
+        for part in range(2):
+            own = signed(sizes[2 * group + part])
+            length = above[a] - above[b] if part else inner
+            if not plane_starts(planes, first + 1 + plane, own, length, starts, plane):
+                return False
+            plane += own
+    _write_coefficients(ends, above, groups, sizes, data, starts, padded, step, shrink, out)
     return True

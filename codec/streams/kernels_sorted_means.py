@@ -7,15 +7,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry import morton
 
-from . import adaptive_step, refinement_bits, sorted_means
-from .adaptive_step import KNEES, MAX_EXTRA_BITS
-from .inputs import Inputs
+from . import sorted_means
+from .adaptive_step import MAX_COEFFICIENT, MAX_EXTRA_BITS
+from .grid import MAX_VALUE
 from .kernels_adaptive_step import count_extra_bits
-from .kernels_bits import exact, window, words, zeros_behind
-from .records import StoredStream
+from .kernels_bits import inner_exact, is_padded, plane_words, read_floats, signed, window
+from .kernels_grid import parse_grid
+from .kernels_planes import FIRST_PLANE, PARAMS, PLANES, PRESENT, ChunkPlanes, plane_start
+from .refinement_bits import MAX_BITS
+from .sorted_means import MAX_CELLS
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
@@ -25,26 +27,28 @@ U64 = NDArray[np.uint64]
 _AXIS_BITS: Final = 21
 _AXIS_MASK: Final = (1 << _AXIS_BITS) - 1
 _MORTON_BITS: Final = sorted_means.MORTON_BITS
-# Parts of nine bits that a Morton code has.
+# Morton codes are taken apart nine bits at a time, by a lookup table.
 _PARTS: Final = -(-_MORTON_BITS // 9)
 
 
 def _axes_of_bits() -> U64:
+    """Return `AXES_OF_BITS`."""
     axes = morton.deinterleave(np.arange(512, dtype=np.uint64)).astype(np.uint64)
     shifts = np.arange(3, dtype=np.uint64) * np.uint64(_AXIS_BITS)
     return np.asarray(np.bitwise_or.reduce(axes << shifts, axis=1))
 
 
 AXES_OF_BITS: Final = _axes_of_bits()
-"""Three bits of each axis, 21 bits apart, of nine bits of a Morton code."""
+"""Lookup table of nine bits of a Morton code: three bits of each axis, 21 bits apart, (512,)."""
 
 
-@called_with("Array(uint8, 1, 'C', True), float32[:, ::1], float32[::1], float32[::1], uint8[::1]")
-@exact
-def plan(classes: U8, scales: F32, coefficients: F32, knees: F32, extra: U8) -> tuple[int, int]:
-    """Write the extra bits of rows; return the bits of the differences and of the plane below.
+@inner_exact
+def _count_bits(
+    classes: U8, scales: F32, coefficients: F32, knees: F32, extra: U8
+) -> tuple[int, int]:
+    """Write the extra bits of each row; return the bits in the planes of differences and fields.
 
-    The first is -1 where a class is above 51.
+    The first count is -1 if a class is above 51.
     """
     rows = count_extra_bits(scales, coefficients, knees, extra)
     fields = 0
@@ -58,12 +62,8 @@ def plan(classes: U8, scales: F32, coefficients: F32, knees: F32, extra: U8) -> 
     return total if top <= _MORTON_BITS else -1, fields
 
 
-@called_with(
-    "Array(uint8, 1, 'C', True), uint64[::1], uint8[::1], uint64[::1], uint64[::1], "
-    "int64[::1], float32[:, ::1], float32[::1], int64, uint64[::1], float32[:, ::1]"
-)
-@exact
-def means(
+@inner_exact
+def _write_means(
     classes: U8,
     differences: U64,
     extra: U8,
@@ -81,15 +81,17 @@ def means(
     Parameters
     ----------
     classes : (n,) uint8
+        Bit length of each row's Morton difference.
     differences, fields, more_fields : uint64
-        The packed planes, as `words` gives them; the last is the refinement's.
+        Packed planes as words: differences, bits below the cells, and bits of the refinement.
     extra : (n,) uint8
-        Extra bits.
+        Bits below the cell of each row.
     axes_of_bits : (512,) uint64
+        `AXES_OF_BITS`.
     levels : (3,) int64
-        Of the cells.
+        Cells along each axis.
     steps : (bits, 3) float32
-        Distance between levels at each number of bits below the cell.
+        Distance between levels for each number of bits below the cell.
     minimum : (3,) float32
     more : int
         Bits that the refinement adds, 0 without one.
@@ -98,7 +100,7 @@ def means(
     Returns
     -------
     bool
-        False where a code is out of range.
+        False if a code is out of range.
     """
     mask = np.uint64(_AXIS_MASK)
     code = np.uint64(0)
@@ -141,34 +143,89 @@ def means(
     return True
 
 
-def read(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
-    """Read as `sorted_means.read` does; False where something is out of range."""
-    grid, model = sorted_means.parse(stream)
-    classes = stream.plane(0, stream.rows)
-    coefficients = np.array(model.coefficients, np.float32)
-    extra = np.empty(stream.rows, np.uint8)
-    scales = adaptive_step.scales_of(inputs)
-    used = plan(classes, scales, coefficients, KNEES, extra)
-    if used[0] < 0:
+@inner_exact
+def read_means(
+    planes: ChunkPlanes,
+    stream: I64,
+    refinement: I64,
+    knees: F32,
+    powers: F32,
+    axes_of_bits: U64,
+    scales: F32,
+    out: F32,
+) -> bool:
+    """Write the means of a chunk; return False if anything in their streams is invalid.
+
+    Parameters
+    ----------
+    planes : ChunkPlanes
+    stream, refinement : (6,) int64
+        Rows of `ChunkPlanes.records`: the stream, and the bits that refine it.
+    knees : (4,) float32
+        `adaptive_step.KNEES`.
+    powers : (bits,) float32
+        `sorted_means.POWERS`.
+    axes_of_bits : (512,) uint64
+        `AXES_OF_BITS`.
+    scales : (n, 3) float32
+        Log scales of the head alone.
+    out : (n, 3) float32
+    """
+    data = planes.data
+    rows = len(out)
+    at = stream[PARAMS]
+    valid, grid = parse_grid(data, at, 3, MAX_CELLS, MAX_VALUE)
+    model = np.empty(6, np.float32)
+    valid = valid and read_floats(data, at + 36, 6, MAX_COEFFICIENT, model)
+    first = stream[FIRST_PLANE]
+    if not valid or stream[PLANES] != 3:
         return False
-    differences = stream.plane(1, used[0] + 7 >> 3)
-    fields = stream.plane(2, used[1] + 7 >> 3)
-    if not zeros_behind(differences, used[0]) or not zeros_behind(fields, used[1]):
+    start = plane_start(planes, first, rows)
+    if start < 0:
         return False
-    more, below = 0, extra[:0]
-    if inputs.refinement is not None:
-        more = refinement_bits.parse(inputs.refinement)
-        below = refinement_bits.read_plane(inputs.refinement, more)
-    return means(
+    classes = data[start : start + rows]
+    extra = np.empty(rows, np.uint8)
+    bits, low_bits = _count_bits(classes, scales, model, knees, extra)
+    if bits < 0:
+        return False
+    differences = plane_start(planes, first + 1, bits + 7 >> 3)
+    fields = plane_start(planes, first + 2, low_bits + 7 >> 3)
+    if differences < 0 or fields < 0:
+        return False
+    if not is_padded(data, differences, bits) or not is_padded(data, fields, low_bits):
+        return False
+    more, more_bits, lower = 0, 0, 0
+    if refinement[PRESENT]:
+        at = refinement[PARAMS]
+        more = signed(data[at])
+        reserved = data[at + 1] | data[at + 2] | data[at + 3]
+        if more < 1 or more > MAX_BITS or reserved or refinement[PLANES] != 1:
+            return False
+        more_bits = 3 * more * rows
+        lower = plane_start(planes, refinement[FIRST_PLANE], more_bits + 7 >> 3)
+        if lower < 0 or not is_padded(data, lower, more_bits):
+            return False
+    levels = np.empty(3, np.int64)
+    steps = np.empty((len(powers), 3), np.float32)
+    for axis in range(3):
+        count = grid.levels[axis]
+        levels[axis] = count
+        width = np.float32(0)
+        if count > 1:
+            span = grid.maximum[axis] - grid.minimum[axis]
+            width = span / (np.float32(count) - np.float32(1))
+        for m in range(len(powers)):
+            steps[m, axis] = powers[m] * width
+    return _write_means(
         classes,
-        words(differences),
+        plane_words(data, differences, bits + 7 >> 3),
         extra,
-        words(fields),
-        AXES_OF_BITS,
-        grid.levels.astype(np.int64),
-        sorted_means.POWERS[:, None] * grid.step,
+        plane_words(data, fields, low_bits + 7 >> 3),
+        axes_of_bits,
+        levels,
+        steps,
         grid.minimum,
         more,
-        words(below),
+        plane_words(data, lower, more_bits + 7 >> 3),
         out,
     )

@@ -7,38 +7,37 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.compiling import called_with
-
-from . import adaptive_step, swing_twist
-from .adaptive_step import KNEES, MAX_EXTRA_BITS
-from .inputs import Inputs
+from . import swing_twist
+from .adaptive_step import MAX_COEFFICIENT, MAX_EXTRA_BITS
 from .kernels_adaptive_step import count_extra_bits
-from .kernels_bits import exact, inner_exact
-from .kernels_planes import join_run
-from .records import StoredStream
+from .kernels_bits import inner_exact, read_floats
+from .kernels_planes import FIRST_PLANE, PARAMS, PLANES, ChunkPlanes, plane_start
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 GROUPS: Final = swing_twist.SYMBOL_BITS + 1
-"""Rows without extra bits, which have no plane, and those of each plane of symbols."""
+"""Groups of rows by extra bits: those without, which have no plane, and one for each plane of
+symbols."""
 
 
-@called_with("float32[:, ::1], float32[:, ::1], float32[::1], uint8[:, ::1], int64[:, ::1]")
-@exact
-def plan(scales: F32, coefficients: F32, knees: F32, extra: U8, counts: I64) -> None:
-    """Write the extra bits of swing and twist (SPEC 6.10), and what planes follow from them.
+@inner_exact
+def _count_rows(scales: F32, coefficients: F32, knees: F32, extra: U8, counts: I64) -> None:
+    """Write the extra bits of swing and twist (SPEC 6.10) and the sizes of their planes.
 
     Parameters
     ----------
     scales : (n, 3) float32
+        Log scales of the head alone.
     coefficients : (2, 6) float32
+        Step models of swing and twist.
     knees : (4,) float32
+        `adaptive_step.KNEES`.
     extra : (2, n) uint8, out
-        Extra bits.
+        Extra bits of each row.
     counts : (2, GROUPS + 1) int64, out
-        Rows of each group, and the low bits of all rows together.
+        Rows of each group, then the low bits of all rows together.
     """
     counts[:] = 0
     for which in range(2):
@@ -50,49 +49,43 @@ def plan(scales: F32, coefficients: F32, knees: F32, extra: U8, counts: I64) -> 
 
 
 @inner_exact
-def _positions(planes: U8, starts: I64, counts: I64) -> tuple[I64, I64, bool]:
-    """Return where symbols and low bits of each component start, and whether paddings are 0."""
+def _positions(data: U8, starts: I64, counts: I64) -> tuple[I64, I64, bool]:
+    """Return the position of each component's symbols (byte) and low bits (bit).
+
+    The third value is False if bits behind the last low bit are set.
+    """
     symbols = np.zeros((3, GROUPS), np.int64)
     bits = np.zeros(3, np.int64)
-    right = True
+    valid = True
     for column in range(3):
         for group in range(1, GROUPS):
             symbols[column, group] = starts[column * GROUPS + group - 1]
         at = starts[column * GROUPS + GROUPS - 1]
         low = counts[column >> 1, GROUPS]
         bits[column] = 8 * at
-        if low & 7 and int(planes[at + (low >> 3)]) >> (low & 7):
-            right = False
-    return symbols, bits, right
+        if low & 7 and int(data[at + (low >> 3)]) >> (low & 7):
+            valid = False
+    return symbols, bits, valid
 
 
-@called_with(
-    "Array(uint8, 1, 'C', True), int64[::1], uint8[:, ::1], int64[:, ::1], float32[::1], "
-    "float32[:, ::1]"
-)
-@exact
-def rotations(planes: U8, starts: I64, extra: U8, counts: I64, steps: F32, out: F32) -> bool:
-    """Write the unit quaternions of swing, swing and twist (SPEC 6.11).
+@inner_exact
+def _write_rotations(data: U8, starts: I64, extra: U8, counts: I64, steps: F32, out: F32) -> bool:
+    """Write unit quaternions from swing and twist; return False if a code or padding is invalid.
 
     Parameters
     ----------
-    planes : uint8
-        Two bytes stand behind the last.
-    starts : (21,) int64
-        Where each begins.
+    data : uint8
+        At least two bytes follow the last plane.
+    starts : (3 · GROUPS,) int64
+        Position of each plane.
     extra, counts
-        As `plan` writes them.
+        From `_count_rows`.
     steps : (MAX_EXTRA_BITS + 1,) float32
-        Distance between levels at each number of extra bits.
+        Distance between levels for each number of extra bits.
     out : (n, 4) float32
-
-    Returns
-    -------
-    bool
-        False where padding is set or a code is out of range.
     """
-    symbols, bits, right = _positions(planes, starts, counts)
-    if not right:
+    symbols, bits, valid = _positions(data, starts, counts)
+    if not valid:
         return False
     one = np.float32(1)
     components = np.empty(3, np.float32)
@@ -104,11 +97,11 @@ def rotations(planes: U8, starts: I64, extra: U8, counts: I64, steps: F32, out: 
                 continue
             group = min(wide, GROUPS - 1)
             low = wide - group
-            code = int(planes[symbols[column, group]])
+            code = int(data[symbols[column, group]])
             symbols[column, group] += 1
             if low:
                 byte, shift = bits[column] >> 3, bits[column] & 7
-                pair = int(planes[byte]) | int(planes[byte + 1]) << 8
+                pair = int(data[byte]) | int(data[byte + 1]) << 8
                 code = (code << low) | ((pair >> shift) & ((1 << low) - 1))
                 bits[column] += low
             if code > 1 << wide:
@@ -125,16 +118,45 @@ def rotations(planes: U8, starts: I64, extra: U8, counts: I64, steps: F32, out: 
     return True
 
 
-def read(stream: StoredStream, out: F32, inputs: Inputs) -> bool:
-    """Read as `swing_twist.read` does; False where something is out of range."""
-    models = swing_twist.parse(stream)
-    coefficients = np.array([model.coefficients for model in models], np.float32)
-    extra = np.empty((2, stream.rows), np.uint8)
+@inner_exact
+def read_rotations(
+    planes: ChunkPlanes, stream: I64, knees: F32, steps: F32, scales: F32, out: F32
+) -> bool:
+    """Write the rotations of a chunk; return False if anything in their stream is invalid.
+
+    Parameters
+    ----------
+    planes : ChunkPlanes
+    stream : (6,) int64
+        Row of `ChunkPlanes.records`.
+    knees : (4,) float32
+        `adaptive_step.KNEES`.
+    steps : (MAX_EXTRA_BITS + 1,) float32
+        `swing_twist.STEPS`.
+    scales : (n, 3) float32
+        Log scales of the head alone.
+    out : (n, 4) float32
+    """
+    data = planes.data
+    rows = len(out)
+    models = np.empty((2, 6), np.float32)
+    at = stream[PARAMS]
+    valid = read_floats(data, at, 6, MAX_COEFFICIENT, models[0])
+    valid = valid and read_floats(data, at + 24, 6, MAX_COEFFICIENT, models[1])
+    if not valid or stream[PLANES] != 3 * GROUPS:
+        return False
+    extra = np.empty((2, rows), np.uint8)
     counts = np.empty((2, GROUPS + 1), np.int64)
-    scales = adaptive_step.scales_of(inputs)
-    plan(scales, coefficients, KNEES, extra, counts)
-    swing, twist = ([*found[1:-1], found[-1] + 7 >> 3] for found in counts.tolist())
-    lengths = [*swing, *swing, *twist]
-    starts = np.cumsum([0, *lengths[:-1]], dtype=np.int64)
-    planes = join_run(stream, 0, lengths)
-    return rotations(planes, starts, extra, counts, swing_twist.STEPS, out)
+    _count_rows(scales, models, knees, extra, counts)
+    starts = np.zeros(3 * GROUPS, np.int64)
+    for column in range(3):
+        for group in range(1, GROUPS + 1):
+            length = counts[column >> 1, group]
+            if group == GROUPS:
+                length = length + 7 >> 3
+            plane = column * GROUPS + group - 1
+            start = plane_start(planes, stream[FIRST_PLANE] + plane, length)
+            if start < 0:
+                return False
+            starts[plane] = start
+    return _write_rotations(data, starts, extra, counts, steps, out)

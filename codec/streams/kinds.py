@@ -13,7 +13,6 @@ from cogsplat.codec.errors import FormatError
 
 from . import (
     codebook_index,
-    compiled,
     float32,
     opacity_differences,
     quaternion,
@@ -148,7 +147,7 @@ def codebook_use(stream: StoredStream) -> CodebookUse:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs = NO_INPUTS) -> None:
-    """Write the values of a stream, by a compiled kernel where kernels are in use.
+    """Write the values of a stream.
 
     Parameters
     ----------
@@ -156,22 +155,11 @@ def read(stream: StoredStream, out: F32, inputs: Inputs = NO_INPUTS) -> None:
     out : (rows, c) float32
         C-contiguous.
     inputs : Inputs
-        What the stream's kind depends on.
+        Other decoded values that the stream's kind depends on.
 
     Raises
     ------
     FormatError
         The stream breaks its clause of SPEC 6.
     """
-    codec = codec_of(stream)
-    kernel = compiled.reader(stream.attribute, stream.kind)
-    done = False
-    if kernel is not None:
-        try:
-            done = kernel(stream, out, inputs)
-        except FormatError:
-            # A kernel unpacks all planes before it looks at a code, and so may meet another fault
-            # first than the reader in numpy, whose refusal counts.
-            done = False
-    if not done:
-        codec.read(stream, out, inputs)
+    codec_of(stream).read(stream, out, inputs)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from .byte_planes import LENGTH_MASK
 
 I64 = NDArray[np.int64]
-U8 = NDArray[np.uint8]
 U32 = NDArray[np.uint32]
 
 
@@ -22,8 +21,6 @@ class StoredPlanes:
     ----------
     payload : memoryview
         The segment's bytes.
-    octets : (b,) uint8
-        The same as an array, read-only.
     words : (p,) uint32
         Stored length and flags of each plane.
     ends : (p,) int64
@@ -31,7 +28,6 @@ class StoredPlanes:
     """
 
     payload: memoryview
-    octets: U8
     words: U32
     ends: I64
 
@@ -52,8 +48,5 @@ def locate(payload: memoryview, words: U32, start: int) -> StoredPlanes:
         Where the first plane begins. That the last one ends within the payload is for the caller
         to check.
     """
-    octets = np.frombuffer(payload, np.uint8)
-    # Kernels are compiled for one kind of array, whatever the payload was read into.
-    octets.flags.writeable = False
     lengths = (words & np.uint32(LENGTH_MASK)).astype(np.int64)
-    return StoredPlanes(payload, octets, words, start + np.cumsum(lengths))
+    return StoredPlanes(payload, words, start + np.cumsum(lengths))

@@ -23,7 +23,7 @@ from cogsplat.codec.segments.compensation import Compensation, Layer
 from cogsplat.codec.segments.opacities import decode_opacities
 from cogsplat.codec.segments.view_table import ViewTable
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
-from cogsplat.codec.streams import compiled
+from cogsplat.codec.streams import decoding_tiers
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import (
@@ -220,7 +220,7 @@ class CogsFile(StoredFile):
         if compensate and chunks is not None:
             prefixes = self._prefixes_of(wanted)
         file = self if compensate else self._knowing(wanted, sh_degree, refine, extras)
-        compiled.prepare(int(file.chunks.splats[wanted].sum()))
+        decoding_tiers.load_if_worthwhile(int(file.chunks.splats[wanted].sum()))
         shifted = int(self.chunks.splats[wanted].sum()) if compensate else 0
         out = file._decode(
             wanted, sh_degree, refine, extras, level, shifted, threads=threads, progress=progress
@@ -340,7 +340,7 @@ class CogsFile(StoredFile):
         kinds = self.root.attributes if extras else ()
         self._limits.require_splats(sum(counts), self.name)
         self._check_size(sum(counts) * row_bytes(degree, kinds), f"{sum(counts)} splats")
-        compiled.prepare(sum(counts))
+        decoding_tiers.load_if_worthwhile(sum(counts))
         first = 0
         with file._fetching(wanted, degree, refine=refine, extras=bool(kinds)):
             while first < len(wanted):
@@ -602,5 +602,5 @@ def open_cogs(
 
 def _workers(splats: int) -> int:
     """Return how many threads pay."""
-    pays = compiled.ready() and splats >= _WORTH_THREADS
+    pays = decoding_tiers.is_compiled() and splats >= _WORTH_THREADS
     return min(thread_count(0), _MOST_WORKERS) if pays else 1

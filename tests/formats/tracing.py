@@ -2,7 +2,7 @@
 
 import tracemalloc
 
-from cogsplat.codec.streams.compiled import LOADER
+from cogsplat.codec.streams.decoding_tiers import LOADER
 
 
 def start_tracing() -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatError, CogsplatWarning
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.streams import compiled
+from cogsplat.codec.streams import decoding_tiers
 from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.cameras.colmap_points import read_points
 from cogsplat.formats.cogs.reader import open_cogs
@@ -134,8 +134,8 @@ def _mask(path: Path) -> None:
 
 def decoded(data: bytes, *, kernels: bool) -> Splats | CogsplatError:
     """Decode a COGS file and check all of it, with numpy alone or with compiled kernels."""
-    was = compiled.ready()
-    compiled.use(kernels)
+    was = decoding_tiers.is_compiled()
+    decoding_tiers.use_compiled(kernels)
     try:
         with open_cogs(BytesSource(data, "a.cogs"), limits=LIMITS) as file:
             splats = file.decode(threads=1)
@@ -147,7 +147,7 @@ def decoded(data: bytes, *, kernels: bool) -> Splats | CogsplatError:
         check_refusal(error)
         return error
     finally:
-        compiled.use(was)
+        decoding_tiers.use_compiled(was)
 
 
 def same_bits(found: Splats, expected: Splats) -> bool:

@@ -8,7 +8,7 @@ import click
 
 from cogsplat.codec.compiling import DeclaredKernel, kernels_in
 from cogsplat.codec.errors import StorageError
-from cogsplat.codec.streams.compiled import KERNEL_MODULES
+from cogsplat.codec.streams.decoding_tiers import KERNEL_MODULES
 from cogsplat.codec.threads import thread_count
 from cogsplat.tools.terminal.options import json_option, quiet_option, threads_option
 from cogsplat.tools.terminal.output import counted, facts, say, say_json

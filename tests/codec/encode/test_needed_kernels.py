@@ -19,12 +19,12 @@ import cogsplat
 from cogsplat.codec.compiling import kernels_in
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.needed_kernels import needed_kernels
-from cogsplat.codec.streams import compiled
-from cogsplat.codec.streams.compiled import KERNEL_MODULES
+from cogsplat.codec.streams import decoding_tiers
+from cogsplat.codec.streams.decoding_tiers import KERNEL_MODULES
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 # Otherwise numpy decodes until the kernels are loaded behind its work.
-compiled.use(True)
+decoding_tiers.use_compiled(True)
 config = EncodeConfig(chunk_splats=300, threads=1)
 for cameras in (synth_cameras(4, 64, 48), None):
     splats = synth(3000)

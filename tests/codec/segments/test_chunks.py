@@ -1,4 +1,4 @@
-"""Chunks decoded whole by kernels, against the readers of single streams in numpy."""
+"""Chunks decoded by the compiled pass, against numpy."""
 
 import numpy as np
 import pytest
@@ -7,56 +7,80 @@ from encoding import encode, unseen
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.segments.chunks import decode_chunk
-from cogsplat.codec.segments.codebooks import decode_colour_codebook
+from cogsplat.codec.segments.codebooks import decode_colour_codebook, decode_shape_codebook
 from cogsplat.codec.splats import empty
-from cogsplat.codec.streams import compiled, whole_chunk
+from cogsplat.codec.streams import decoding_tiers
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
-MUTANTS = 700
+MUTANTS = 400
+
+
+def decode_codebooks(encoded):
+    """Return the shape and the colour codebooks of an encoded scene by number."""
+    shapes, colours = {}, {}
+    for number, book in enumerate(encoded.codebooks):
+        if book.attribute == "shape":
+            payload = memoryview(book.payloads[0])
+            shapes[number] = decode_shape_codebook(payload, book.rows, "codebook")
+        else:
+            payloads = {band: memoryview(data) for band, data in enumerate(book.payloads, start=1)}
+            colours[number] = decode_colour_codebook(payloads, book.rows, 3, "codebook")
+    return shapes, colours
+
+
+@pytest.fixture(scope="module", params=["transform", "vq"])
+def profile(request):
+    return request.param
 
 
 @pytest.fixture(scope="module")
-def encoded():
+def encoded(profile):
     scene = synth(2500, sh_degree=3)
     scores = score(scene, synth_cameras(6, 96, 72), ScoreConfig(jitter=False))
-    return encode(scene, scores, unseen(prune=None, order="contribution"))
+    config = unseen(profile=profile, prune=None, order="contribution")
+    return encode(scene, scores, config)
 
 
 @pytest.fixture(scope="module")
 def books(encoded):
-    colour = encoded.codebooks[0]
-    payloads = {band: memoryview(data) for band, data in enumerate(colour.payloads, start=1)}
-    return {0: decode_colour_codebook(payloads, colour.rows, 3, "codebook")}
+    return decode_codebooks(encoded)
 
 
 @pytest.fixture
 def switch():
-    before = compiled.ready()
-    yield compiled.use
-    compiled.use(before)
+    before = decoding_tiers.is_compiled()
+    yield decoding_tiers.use_compiled
+    decoding_tiers.use_compiled(before)
 
 
 @pytest.fixture
-def taken(monkeypatch):
-    """Return what the reader of whole chunks has answered."""
-    answers = []
-    real = whole_chunk.read
+def answers(monkeypatch):
+    """Return a list of the answers of the compiled pass, True where it decoded a chunk."""
+    found = []
+    plain = decoding_tiers.chunk_reader
 
-    def read(*arguments):
-        answers.append(real(*arguments))
-        return answers[-1]
+    def chunk_reader():
+        reader = plain()
+        if reader is None:
+            return None
 
-    monkeypatch.setattr(whole_chunk, "read", read)
-    return answers
+        def read(*arguments):
+            found.append(reader(*arguments))
+            return found[-1]
+
+        return read
+
+    monkeypatch.setattr(decoding_tiers, "chunk_reader", chunk_reader)
+    return found
 
 
-def decoded(payloads, rows, books, degree=3):
+def decode(payloads, rows, books, degree=3):
     """Return the bits of a chunk, or the code of its refusal."""
     out = empty(degree, rows)
     views = [None if payload is None else memoryview(payload) for payload in payloads]
     try:
-        decode_chunk(*views, ({}, books), out, "chunk", sh_degree=3)
+        decode_chunk(*views, books, out, "chunk", sh_degree=3)
     except CogsplatError as error:
         return error.code
     return [getattr(out, name).tobytes() for name in ARRAYS]
@@ -66,60 +90,76 @@ def payloads_of(chunk):
     return [chunk.payloads.head, chunk.payloads.refinement, chunk.payloads.tail]
 
 
+def largest_chunk(encoded):
+    """Return a chunk with all segments that its profile writes."""
+    return next(c for c in encoded.chunks if c.payloads.refinement is not None or c.splats > 1000)
+
+
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-@pytest.mark.parametrize("left", [(0, 1, 2), (0, 2), (0, 1), (0,)])
-def test_usual_chunks_are_read_whole_to_the_same_bits(encoded, books, switch, taken, left, degree):
+@pytest.mark.parametrize("segments", [(0, 1, 2), (0, 2), (0, 1), (0,)])
+def test_the_compiled_pass_gives_the_same_bits(
+    profile, encoded, books, switch, answers, segments, degree
+):
     refined = 0
     for chunk in encoded.chunks:
-        parts = [p if n in left else None for n, p in enumerate(payloads_of(chunk))]
+        parts = [p if n in segments else None for n, p in enumerate(payloads_of(chunk))]
         refined += parts[1] is not None
         switch(False)
-        plain = decoded(parts, chunk.splats, books, degree)
+        plain = decode(parts, chunk.splats, books, degree)
         assert switch(True)
-        assert decoded(parts, chunk.splats, books, degree) == plain
-    assert taken == [False, True] * len(encoded.chunks)
-    assert (refined > 0) is (1 in left)
+        assert decode(parts, chunk.splats, books, degree) == plain
+    assert answers == [True] * len(encoded.chunks)
+    assert (refined > 0) is (1 in segments and profile == "transform")
 
 
 @pytest.mark.parametrize("part", [0, 1, 2])
-def test_damaged_chunks_come_to_the_same_end_either_way(encoded, books, switch, taken, part):
+def test_damaged_chunks_decode_or_fail_alike(encoded, books, switch, answers, part):
     rng = np.random.default_rng(part)
-    chunk = next(chunk for chunk in encoded.chunks if chunk.payloads.refinement is not None)
+    chunk = largest_chunk(encoded)
     parts = payloads_of(chunk)
+    if parts[part] is None:
+        pytest.skip("no refinements in this profile")
     outcomes = set()
     for _ in range(MUTANTS):
         damaged = bytearray(parts[part])
-        # Most of them among records, parameters and words, which stand in front.
+        # Most of them among records, parameters and words, which come first.
         at = int(rng.integers(min(len(damaged), 700) if rng.random() < 0.8 else len(damaged)))
         damaged[at] = rng.integers(256)
         mutant = [bytes(damaged) if n == part else p for n, p in enumerate(parts)]
         switch(False)
-        plain = decoded(mutant, chunk.splats, books)
+        plain = decode(mutant, chunk.splats, books)
         assert switch(True)
-        assert decoded(mutant, chunk.splats, books) == plain, at
+        assert decode(mutant, chunk.splats, books) == plain, at
         outcomes.add(plain if isinstance(plain, str) else "decoded")
-    assert any(taken)
+    assert any(answers)
     assert len(outcomes) > 6
 
 
 @pytest.mark.parametrize("part", [0, 1, 2])
-def test_short_and_long_payloads_are_not_read_whole(encoded, books, switch, taken, part):
-    chunk = next(chunk for chunk in encoded.chunks if chunk.payloads.refinement is not None)
+def test_the_pass_declines_short_and_long_payloads(encoded, books, switch, answers, part):
+    chunk = largest_chunk(encoded)
     parts = payloads_of(chunk)
+    if parts[part] is None:
+        pytest.skip("no refinements in this profile")
     switch(True)
     for payload in (parts[part][:-1], parts[part][:13], parts[part][:1], parts[part] + b"\0"):
         changed = [payload if n == part else p for n, p in enumerate(parts)]
-        assert decoded(changed, chunk.splats, books) == "stream-record"
-    assert decoded(parts, chunk.splats, {}) == "codebook-missing"
-    assert decoded(parts, chunk.splats + 1, books) == "stream-rows"
-    assert not any(taken)
+        assert decode(changed, chunk.splats, books) == "stream-record"
+    assert decode(parts, chunk.splats, ({}, {})) == "codebook-missing"
+    assert decode(parts, chunk.splats + 1, books) == "stream-rows"
+    assert not any(answers)
 
 
-def test_other_streams_are_left_to_their_readers(switch, taken):
+def test_the_pass_declines_other_streams(switch, answers):
     switch(True)
-    for profile in ("vq", "near-lossless"):
-        scene = encode(synth(1500, sh_degree=0), None, unseen(profile=profile, prune=None))
-        for chunk in scene.chunks:
-            decoded(payloads_of(chunk), chunk.splats, {}, degree=0)
-    assert taken
-    assert not any(taken)
+    scene = synth(1500, sh_degree=0)
+    encoded = encode(scene, None, unseen(profile="near-lossless", prune=None))
+    for chunk in encoded.chunks:
+        decode(payloads_of(chunk), chunk.splats, ({}, {}), degree=0)
+    assert answers
+    assert not any(answers)
+
+
+def test_numpy_decodes_if_the_pass_is_not_in_use(switch):
+    switch(False)
+    assert decoding_tiers.chunk_reader() is None

@@ -15,8 +15,6 @@ from cogsplat.codec.streams import codebook_index, kinds, quaternion, records, s
 from cogsplat.codec.streams.grid import fit
 from cogsplat.codec.streams.records import COMPONENTS, SH_BANDS, Attribute
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 ROWS = 40
 UNSET = np.float32(-777)
 

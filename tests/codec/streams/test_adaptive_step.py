@@ -15,8 +15,6 @@ from cogsplat.codec.streams.adaptive_step import (
     StepModel,
 )
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 f32 = np.float32
 
 

@@ -17,8 +17,6 @@ from cogsplat.codec.streams.byte_planes import (
 )
 from cogsplat.codec.streams.limits import MAX_PLANE_BYTES, MAX_WINDOW_BYTES
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 MAGIC = bytes.fromhex("28b52ffd")
 
 

@@ -10,8 +10,6 @@ from cogsplat.codec.streams import codebook_index, kinds
 from cogsplat.codec.streams.inputs import Inputs
 from cogsplat.codec.streams.records import Attribute, Kind, Stream
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 checked = settings(derandomize=True, deadline=None, max_examples=100)
 
 

@@ -6,8 +6,6 @@ from streamed import numbers, refused
 from cogsplat.codec.streams import float32
 from cogsplat.codec.streams.records import Attribute
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 checked = settings(derandomize=True, deadline=None, max_examples=100)
 
 

@@ -7,8 +7,6 @@ from cogsplat.codec.streams import grid_planes, quaternion
 from cogsplat.codec.streams.quaternion import PER_ROW
 from cogsplat.codec.streams.records import Attribute, Kind, Stream
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 checked = settings(derandomize=True, deadline=None, max_examples=100)
 
 

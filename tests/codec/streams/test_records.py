@@ -12,8 +12,6 @@ from cogsplat.codec.streams.byte_planes import PACKED_FLAG, ZSTD_FLAG
 from cogsplat.codec.streams.grid import fit
 from cogsplat.codec.streams.records import COMPONENTS, ESCAPE, INFINITIES, Attribute, Kind
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 checked = settings(derandomize=True, deadline=None, max_examples=100)
 
 

@@ -9,8 +9,6 @@ from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.inputs import Inputs
 from cogsplat.codec.streams.records import Attribute, Kind, Stream
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 f32 = np.float32
 ROWS = 200
 RADICES = (1, 3, 16)

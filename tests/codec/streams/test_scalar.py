@@ -1,7 +1,6 @@
 import math
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from streamed import grid_of, numbers, refused
@@ -9,8 +8,6 @@ from streamed import grid_of, numbers, refused
 from cogsplat.codec.streams import grid_planes, scalar
 from cogsplat.codec.streams.grid import MAX_LEVELS
 from cogsplat.codec.streams.records import INFINITIES, Attribute, Kind, Stream
-
-pytestmark = pytest.mark.usefixtures("arithmetic")
 
 checked = settings(derandomize=True, deadline=None, max_examples=100)
 

@@ -11,8 +11,6 @@ from cogsplat.codec.streams import grid_planes, scale_differences
 from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.records import Attribute, Kind, Stream
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 f32 = np.float32
 
 

@@ -11,8 +11,6 @@ from cogsplat.codec.streams import sh0_transform
 from cogsplat.codec.streams.grid import Grid, fit
 from cogsplat.codec.streams.records import Attribute, Stream
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 f32 = np.float32
 
 

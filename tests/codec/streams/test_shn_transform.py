@@ -14,8 +14,6 @@ from cogsplat.codec.streams import records, scalar, shn_transform
 from cogsplat.codec.streams.grid import fit
 from cogsplat.codec.streams.records import Attribute, Kind, Stream
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 f32 = np.float32
 STARTS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 26, 255)
 BOOK = 5

@@ -15,8 +15,6 @@ from cogsplat.codec.streams.adaptive_step import MAX_EXTRA_BITS, StepModel
 from cogsplat.codec.streams.grid import Grid
 from cogsplat.codec.streams.records import Attribute, Kind, Stream
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 f32 = np.float32
 code51 = st.integers(0, 2**51 - 1)
 checked = settings(derandomize=True, deadline=None, max_examples=100)

@@ -14,8 +14,6 @@ from cogsplat.codec.streams import scalar, scale_differences, swing_twist
 from cogsplat.codec.streams.adaptive_step import StepModel
 from cogsplat.codec.streams.records import Attribute, Stream
 
-pytestmark = pytest.mark.usefixtures("arithmetic")
-
 f32 = np.float32
 checked = settings(derandomize=True, deadline=None, max_examples=60)
 

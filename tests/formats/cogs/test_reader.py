@@ -8,7 +8,7 @@ from cogs_samples import assert_same, encoded, file_of
 
 from cogsplat.codec.errors import Cancelled, FormatError, LimitError, TruncatedError
 from cogsplat.codec.splats import concatenate
-from cogsplat.codec.streams import compiled
+from cogsplat.codec.streams import decoding_tiers
 from cogsplat.formats.cogs import scene as cogs
 from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.reader import open_cogs
@@ -413,7 +413,7 @@ def test_a_page_that_is_not_there_hides_its_chunks():
 
 def test_parts_count_once_towards_loading_kernels(monkeypatch):
     counted = []
-    monkeypatch.setattr(compiled, "prepare", counted.append)
+    monkeypatch.setattr(decoding_tiers, "load_if_worthwhile", counted.append)
     with open_cogs(BytesSource(file_of("transform"))) as file:
         assert sum(map(len, file.decode_parts(most_splats=1))) == file.root.splats
         assert counted == [file.root.splats]

@@ -25,7 +25,7 @@ import click
 import numpy as np
 
 import cogsplat
-from cogsplat.codec.streams import compiled
+from cogsplat.codec.streams import decoding_tiers
 from cogsplat.codec.threads import thread_count
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 from cogsplat.tools.terminal.options import json_option, threads_option
@@ -156,13 +156,13 @@ def measure(
     """
     for way in ways:
         # Kernels are loaded, or compiled, before the clock starts.
-        compiled.use(way.kernels)
+        decoding_tiers.use_compiled(way.kernels)
         splats = cogsplat.decode(path, threads=way.threads)
     decode_s: list[list[float]] = [[] for _ in ways]
     copy_s: list[float] = []
     for _ in range(pairs):
         for way, seconds in zip(ways, decode_s, strict=True):
-            compiled.use(way.kernels)
+            decoding_tiers.use_compiled(way.kernels)
             start = time.perf_counter()
             decoded = cogsplat.decode(path, threads=way.threads)
             seconds.append(time.perf_counter() - start)
@@ -297,7 +297,7 @@ def main(
         # As if it were not installed: importing it fails from here on.
         sys.modules["numba"] = None  # type: ignore[assignment]
     ways = [Way(kernels=False, threads=threads)]
-    if compiled.use(True):
+    if decoding_tiers.use_compiled(True):
         # A plain decode, and beside it what each number of threads gives.
         ways += [Way(kernels=True, threads=count) for count in sorted({threads, 1, 2})]
     subjects = [(path, name_of(path)) for path in files]

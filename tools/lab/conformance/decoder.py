@@ -14,7 +14,7 @@ import numpy as np
 
 import cogsplat
 from cogsplat.codec.errors import CogsplatError
-from cogsplat.codec.streams import compiled
+from cogsplat.codec.streams import decoding_tiers
 from cogsplat.formats.cogs.folder_map import MANIFEST_SUFFIX
 from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.cogs.reader import open_cogs
@@ -79,7 +79,7 @@ def main(arguments: list[str]) -> int:
         print(f"expected one of {', '.join(KINDS)}", file=sys.stderr)
         return 2
     (kind,) = arguments
-    if kind == "compiled" and not compiled.use(True):
+    if kind == "compiled" and not decoding_tiers.use_compiled(True):
         print("numba is not installed, expected the extra `encode`", file=sys.stderr)
         return 4
     for line in sys.stdin:

@@ -7,7 +7,7 @@ from cogsplat.codec.segments import stream_set
 from cogsplat.codec.streams import (
     bit_fields,
     byte_planes,
-    compiled,
+    decoding_tiers,
     refinement_bits,
     scalar,
     sorted_means,
@@ -125,15 +125,15 @@ READER = [
 @pytest.fixture
 def in_numpy():
     """Decode without kernels: the mistakes are made in the readers that numpy runs."""
-    before = compiled.ready()
-    compiled.use(False)
+    before = decoding_tiers.is_compiled()
+    decoding_tiers.use_compiled(False)
     yield
-    compiled.use(before)
+    decoding_tiers.use_compiled(before)
 
 
 @pytest.mark.parametrize("mutant", READER, ids=lambda m: m.name)
 def test_mistakes_of_a_reader_show(mutant, in_numpy, monkeypatch):
-    monkeypatch.setattr(compiled, "_load", lambda: None)
+    monkeypatch.setattr(decoding_tiers, "_load", lambda: None)
     files = vectors_of("valid", mutant.clauses) + vectors_of("invalid", mutant.clauses)
     right = [outcome(entry, data) for entry, data in files]
     assert [c for c, (e, _) in zip(right, files, strict=True) if "code" in e] == [

@@ -1,8 +1,7 @@
-"""Loading of compiled kernels on a thread of their own, while numpy decodes.
+"""Loading of compiled kernels on a background thread, while numpy decodes.
 
-Kernels that are in numba's folder of machine code are loaded from there in a fraction of a second,
-others are compiled first. Nobody waits for either: a process that ends or forks does so after the
-kernel that is being loaded, not after all.
+Kernels whose machine code is in numba's cache load in a fraction of a second; others are compiled
+first. Neither delays the process: one that exits or forks waits for a single kernel at most.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from typing import Final
 from cogsplat.codec.compiling import kernels_in
 from cogsplat.codec.errors import CogsplatWarning
 
-# How long a thread keeps the interpreter's lock from others while kernels are loaded, seconds. At
-# Python's own 0.005 a decode beside it waits that long at each of some hundred planes.
+# Interval at which threads yield the interpreter's lock while kernels are loaded, seconds. With
+# Python's default of 0.005 a concurrent decode waits that long at each of some hundred planes.
 _SWITCH_S: Final = 0.0005
 
 
@@ -30,16 +29,16 @@ class KernelLoader:
     Parameters
     ----------
     modules : sequence of str
-        Whose kernels are loaded.
-    finished : callable
-        Is called on that thread when all are there.
+        Names of the modules whose kernels are loaded.
+    on_loaded : callable
+        Called on that thread when all kernels are loaded.
     """
 
-    def __init__(self, modules: Sequence[str], finished: Callable[[], object]) -> None:
+    def __init__(self, modules: Sequence[str], on_loaded: Callable[[], object]) -> None:
         self._modules = modules
-        self._finished = finished
-        # Held for each step, so that nothing forks or ends in the middle of one. A step may fork
-        # itself: numba runs other programs.
+        self._on_loaded = on_loaded
+        # Held during each step, so that the process neither forks nor exits in the middle of one.
+        # Re-entrant because a step may fork itself: numba runs other programs.
         self._step = threading.RLock()
         self._stopped = threading.Event()
         self._ended = False
@@ -48,7 +47,7 @@ class KernelLoader:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Begin to load, where numba is installed; a second call does nothing."""
+        """Start loading if numba is installed; a second call does nothing."""
         if self._thread is not None or self._stopped.is_set():
             return
         if importlib.util.find_spec("numba") is None:
@@ -59,11 +58,12 @@ class KernelLoader:
         self._thread.start()
 
     def join(self) -> None:
-        """Wait until loading has ended, if it has begun."""
+        """Wait until loading has ended, if it was started."""
         if self._thread is not None:
             self._thread.join()
 
     def _register(self) -> None:
+        """Register the handlers of exit and fork, once."""
         if self._registered:
             return
         self._registered = True
@@ -72,16 +72,17 @@ class KernelLoader:
             os.register_at_fork(
                 before=self._step.acquire,
                 after_in_parent=self._step.release,
-                after_in_child=self._forked,
+                after_in_child=self._reset_in_child,
             )
 
     def _load(self) -> None:
+        """Load all kernels; on failure warn and leave decoding to numpy."""
         self._interval_s = sys.getswitchinterval()
         sys.setswitchinterval(min(self._interval_s, _SWITCH_S))
         try:
             self._load_all()
         except Exception as error:
-            # Whatever numba finds in its way, numpy decodes as well; but not silently slower.
+            # numpy decodes as well, but the user should know why decoding is slower.
             warnings.warn(
                 CogsplatWarning(f"decoding stays in numpy, its kernels cannot be loaded: {error}"),
                 stacklevel=1,
@@ -91,7 +92,7 @@ class KernelLoader:
             self._ended = True
 
     def _load_all(self) -> None:
-        """Load one kernel after the other, unless the process is about to end before."""
+        """Load one kernel after the other; stop early if the process exits."""
         for module in self._modules:
             with self._step:
                 if self._stopped.is_set():
@@ -103,16 +104,16 @@ class KernelLoader:
                         return
                     kernel.compile()
         with self._step:
-            self._finished()
+            self._on_loaded()
 
     def _stop(self) -> None:
-        """Let the step under way end, and no other begin."""
+        """Wait for the current step and prevent further ones."""
         self._stopped.set()
         with self._step:
             return
 
-    def _forked(self) -> None:
-        """Be ready to begin anew in a child process, which does not have the thread."""
+    def _reset_in_child(self) -> None:
+        """Allow a new start in a forked child, which does not inherit the thread."""
         self._step.release()
         if self._thread is not None and not self._ended:
             self._thread = None

@@ -10,8 +10,8 @@ import pytest
 
 from cogsplat.codec import compiling
 from cogsplat.codec.errors import CogsplatWarning
-from cogsplat.codec.streams import kernel_loading
-from cogsplat.codec.streams.kernel_loading import KernelLoader
+from cogsplat.codec.streams import kernel_loader
+from cogsplat.codec.streams.kernel_loader import KernelLoader
 
 VECTORS = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 
@@ -104,7 +104,7 @@ def test_kernels_that_cannot_be_loaded_are_told_of(module, monkeypatch):
         raise RuntimeError("no such processor")
 
     monkeypatch.setattr(compiling.DeclaredKernel, "compile", refuse)
-    monkeypatch.setattr(kernel_loading.warnings, "warn", lambda what, **_: found.append(what))
+    monkeypatch.setattr(kernel_loader.warnings, "warn", lambda what, **_: found.append(what))
     loader = KernelLoader([module], lambda: told.append(1))
     loader.start()
     loader.join()
@@ -123,21 +123,21 @@ def test_without_numba_there_is_no_thread(module, monkeypatch):
 SETUP = """
 import sys, cogsplat
 from pathlib import Path
-from cogsplat.codec.streams import compiled
+from cogsplat.codec.streams import decoding_tiers
 vectors = sorted(Path(sys.argv[1]).glob("*.cogs"))
 assert "numba" not in sys.modules
-compiled.WORTH_LOADING_AGAIN = 1
+decoding_tiers.MIN_SPLATS_REPEATED = 1
 plain = [cogsplat.decode(vectors[0]), cogsplat.decode(vectors[0])]
 """
 
 USED = """
-compiled.LOADER.join()
+decoding_tiers.LOADER.join()
 from cogsplat.codec.compiling import kernels_in
-kernels = kernels_in(compiled.KERNEL_MODULES)
-assert compiled.ready()
+kernels = kernels_in(decoding_tiers.KERNEL_MODULES)
+assert decoding_tiers.is_compiled()
 assert (cogsplat.decode(vectors[0]).quats == plain[0].quats).all()
 # What was loaded is what is called: nothing is compiled in the middle of a decode.
-assert len(kernels) > 8
+assert len(kernels) == 3
 assert {len(kernel.function.signatures) for kernel in kernels} == {1}
 for vector in vectors:
     cogsplat.decode(vector)
@@ -145,10 +145,10 @@ assert {len(kernel.function.signatures) for kernel in kernels} == {1}
 """
 
 DECIDED = """
-compiled.use(False)
-compiled.LOADER.join()
+decoding_tiers.use_compiled(False)
+decoding_tiers.LOADER.join()
 cogsplat.decode(vectors[0])
-assert not compiled.ready()
+assert not decoding_tiers.is_compiled()
 """
 
 FORKED = """
@@ -158,8 +158,8 @@ child = os.fork()
 if child == 0:
     assert sys.getswitchinterval() == 0.005
     cogsplat.decode(vectors[0])
-    compiled.LOADER.join()
-    assert compiled.ready()
+    decoding_tiers.LOADER.join()
+    assert decoding_tiers.is_compiled()
     os._exit(7)
 assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
 """

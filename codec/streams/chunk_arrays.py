@@ -1,0 +1,52 @@
+"""Arrays that the compiled pass over a chunk reads and writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class ChunkArrays:
+    """Arrays that receive the values of a chunk, float32, C-contiguous.
+
+    Parameters
+    ----------
+    means, scales, sh0 : (n, 3)
+        Scales are log scales.
+    quats : (n, 4)
+        Unit, wxyz.
+    opacities : (n,)
+        Logits.
+    shN : (n, d)
+        Coefficient by coefficient, R G B inside; d is 0 at SH degree 0.
+    """
+
+    means: F32
+    scales: F32
+    quats: F32
+    opacities: F32
+    sh0: F32
+    shN: F32  # noqa: N815 - the field's name in 3DGS
+
+
+@dataclass(frozen=True)
+class CodebookRows:
+    """Access to the codebooks that a chunk needs, by their numbers.
+
+    Parameters
+    ----------
+    shapes : callable
+        Returns the (C, 3) log scales and (C, 4) quaternions of a shape codebook; None if there is
+        none of this number.
+    colours : callable
+        Returns the (C, d) rows of a colour codebook, d as in `ChunkArrays`; None likewise.
+    """
+
+    shapes: Callable[[int], tuple[F32, F32] | None]
+    colours: Callable[[int], F32 | None]

@@ -1,0 +1,105 @@
+"""The choice between the two ways of decoding: numpy, or the compiled pass over whole chunks.
+
+Both give the same bits. numba is optional and takes 0.5 s to load. numpy therefore decodes until
+the kernels are loaded, on a thread of their own, once a process decodes enough splats.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable
+from typing import Final
+
+from .chunk_arrays import ChunkArrays, CodebookRows
+from .kernel_loader import KernelLoader
+
+ChunkReader = Callable[
+    [memoryview, memoryview | None, memoryview | None, CodebookRows, ChunkArrays, int], bool
+]
+"""The compiled pass, `kernels_chunk.read`: False means that numpy must decode the chunk."""
+
+MIN_SPLATS: Final = 3_000_000
+"""Splats of one decode from which loading numba and the kernels (0.5 s) pays (measured)."""
+
+MIN_SPLATS_REPEATED: Final = 150_000
+"""Splats of several decodes in one process from which loading pays: more are likely to follow."""
+
+KERNEL_MODULES: Final = tuple(f"{__package__}.kernels_{name}" for name in ("chunk_layout", "chunk"))
+"""Modules of the kernels that decoding calls, for `compiling.declared_in`."""
+
+_chunk_reader: ChunkReader | None = None
+
+# Whether `use_compiled` was called; until then kernels are used as soon as they are loaded.
+_decided = False
+
+# Splats of all decodes that this process has begun.
+_splats_begun = 0
+
+
+def is_compiled() -> bool:
+    """Tell whether the compiled pass is in use."""
+    return _chunk_reader is not None
+
+
+def chunk_reader() -> ChunkReader | None:
+    """Return the compiled pass; None if numpy is to decode."""
+    return _chunk_reader
+
+
+def load_if_worthwhile(splats: int) -> None:
+    """Start loading the kernels if a decode is worth it, alone or with those before it.
+
+    Kernels are also loaded if numba is. Returns at once: numpy decodes until loading ends.
+
+    Parameters
+    ----------
+    splats : int
+        Splats of the decode that begins; added to the process's total.
+    """
+    global _splats_begun
+    before, _splats_begun = _splats_begun, _splats_begun + splats
+    if _decided or is_compiled():
+        return
+    loaded = sys.modules.get("numba") is not None
+    repeated = before > 0 and before + splats >= MIN_SPLATS_REPEATED
+    if loaded or repeated or splats >= MIN_SPLATS:
+        LOADER.start()
+
+
+def use_compiled(wanted: bool) -> bool:
+    """Select the compiled pass, loading it now if need be, or numpy alone.
+
+    Returns
+    -------
+    bool
+        Whether the compiled pass is now in use; False if numba is missing.
+    """
+    global _decided, _chunk_reader
+    _decided = True
+    _chunk_reader = _load() if wanted else None
+    return is_compiled()
+
+
+def _use_loaded() -> None:
+    """Select the compiled pass after loading, unless `use_compiled` was called."""
+    global _chunk_reader
+    if not _decided:
+        _chunk_reader = _load()
+
+
+def _load() -> ChunkReader | None:
+    """Return the compiled pass; None if it cannot run here."""
+    # The kernels read packed fields as machine words.
+    if sys.byteorder != "little":
+        return None
+    try:
+        reader: ChunkReader = importlib.import_module(".kernels_chunk", __package__).read
+    except ImportError:
+        # No numba, or one that does not fit this numpy.
+        return None
+    return reader
+
+
+LOADER: Final = KernelLoader(KERNEL_MODULES, _use_loaded)
+"""Loads the kernels in the background."""
