@@ -26,7 +26,7 @@ MIN_SPLATS_REPEATED: Final = 150_000
 """Splats of several decodes in one process from which loading pays: more are likely to follow."""
 
 KERNEL_MODULES: Final = tuple(f"{__package__}.kernels_{name}" for name in ("chunk_layout", "chunk"))
-"""Modules of the kernels that decoding calls, for `compiling.declared_in`."""
+"""Modules of the kernels that decoding calls, for `compiling.kernels_in`."""
 
 _chunk_reader: ChunkReader | None = None
 

@@ -13,10 +13,10 @@ from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import Cancel, Source, has_arrived, prefetching
 
+from .chunk_decoder import ChunkDecoder
 from .fetch_order import codebook_rows, rows_of_chunk
 from .index import Index
 from .layout import CODEBOOK_KINDS
-from .reader import CogsFile
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class ChunkUpdate:
     ----------
     chunk : int
     splats : Splats
-        As `CogsFile.decode` gives them: coarse without the refinement, shN zero without the tail.
+        From `ChunkDecoder.decode`: coarse without the refinement, shN zero without the tail.
     is_refined, has_tail : bool
         Whether the refinement and the tail are in it, or there are none that were asked for.
     is_complete : bool
@@ -42,7 +42,7 @@ class ChunkUpdate:
 
 
 class ChunkStream:
-    """Updates of chunks as their bytes come; see `CogsFile.stream`.
+    """Updates of chunks as their bytes come; see `reader.CogsFile.stream`.
 
     An iterator for ``for`` and for ``async for``, which decodes and waits on another thread. One
     user at a time; `cancel` may be called from any thread.
@@ -50,7 +50,7 @@ class ChunkStream:
 
     def __init__(
         self,
-        file: CogsFile,
+        file: ChunkDecoder,
         source: Source,
         index: Index,
         limits: Limits,
@@ -218,7 +218,7 @@ class ChunkStream:
         return ChunkUpdate(chunk, splats, refined, tail, complete)
 
 
-class _ArrivedFile(CogsFile):
+class _ArrivedFile(ChunkDecoder):
     """A file of which the segments that were received are there, and no others."""
 
     def __init__(self, source: Source, index: Index, limits: Limits) -> None:

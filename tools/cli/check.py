@@ -12,8 +12,8 @@ import click
 from click.shell_completion import CompletionItem
 
 from cogsplat.codec.errors import CogsplatError, StorageError
+from cogsplat.formats.cogs.findings import Finding, finding_of, findings
 from cogsplat.formats.cogs.sources import cogs_source
-from cogsplat.formats.cogs.verification import Finding, finding_of, findings
 from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, scheme_of
 from cogsplat.tools.hosting.doctor import Diagnosis, examine
 from cogsplat.tools.hosting.remedies import HOSTS, host_of, remedies

@@ -8,11 +8,11 @@ from typing import Final
 
 from cogsplat.codec.errors import CogsplatError, StorageError
 from cogsplat.codec.progress import Progress, silent
+from cogsplat.formats.cogs.findings import Finding, finding_of, findings
 from cogsplat.formats.cogs.folder_map import MANIFEST_NAME, FolderMap, is_manifest
 from cogsplat.formats.cogs.layout import PREAMBLE_BYTES, unpack_preamble
 from cogsplat.formats.cogs.open_file import manifest_address, source_of_place
 from cogsplat.formats.cogs.reader import open_cogs
-from cogsplat.formats.cogs.verification import Finding, finding_of, findings
 from cogsplat.formats.storage.limits import Limits
 
 from .probe import Prober, ProbeResult

@@ -12,9 +12,9 @@ from cogs_samples import assert_same, file_of
 
 import cogsplat
 from cogsplat.codec.errors import CogsplatError, FormatError, StorageError, TruncatedError
+from cogsplat.formats.cogs.findings import findings
 from cogsplat.formats.cogs.folder_source import FolderSource, manifest_path, names_folder
 from cogsplat.formats.cogs.reader import open_cogs
-from cogsplat.formats.cogs.verification import findings
 from cogsplat.formats.storage.source import BytesSource, PrefixSource, has_range
 from cogsplat.tools.lab.conformance.folders import unpacked
 

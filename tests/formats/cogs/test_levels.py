@@ -8,9 +8,10 @@ from levelled import STEP, levelled_file, levelled_scene
 
 from cogsplat.codec.segments.compensation import Compensation, Layer
 from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs.findings import findings
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import open_cogs
-from cogsplat.formats.cogs.verification import checks, findings
+from cogsplat.formats.cogs.verification import checks
 from cogsplat.formats.cogs.writer import lay_out
 from cogsplat.formats.storage.source import BytesSource
 

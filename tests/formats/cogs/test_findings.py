@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cogsplat.codec.errors import StorageError
-from cogsplat.formats.cogs.verification import findings
+from cogsplat.formats.cogs.findings import findings
 from cogsplat.formats.storage.source import BytesSource
 
 VECTORS = Path(__file__).resolve().parents[2] / "vectors"
