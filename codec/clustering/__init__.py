@@ -1,1 +1,1 @@
-"""Codebooks by k-means, of vectors and of single values."""
+"""K-means codebooks of vectors and of scalars."""

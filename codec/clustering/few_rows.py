@@ -1,4 +1,4 @@
-"""K-means of few rows over vectors of few dimensions, the same for any number of threads."""
+"""K-means for codebooks of few rows and dimensions, independent of the number of threads."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ I64 = NDArray[np.int64]
 
 _ROUNDS: Final = 12
 
-# Vectors that rows are trained on at most: every so many-th, in the order given.
+# Approximate number of training vectors; larger sets are thinned to every n-th vector.
 _SAMPLE: Final = 4096
 
-# Rows begin at the vector that is further than this share of all from the rows before it. The very
-# furthest are strays.
+# A row starts at the vector at this quantile of the distance from the rows before it. The most
+# distant vectors are outliers.
 _FAR: Final = 0.97
 
 
 def train(vectors: F64, rows: int) -> F64:
-    """Return codebook rows for vectors, each counting the same.
+    """Train a codebook on unweighted vectors.
 
     Parameters
     ----------
     vectors : (n, d) float64
-        At least one.
+        Vectors, at least one.
     rows : int
-        At least one.
+        Number of codebook rows, at least one.
 
     Returns
     -------
     (rows, d) float64
-        The first begins at zero; a row that no vector is nearest to stays where it began.
+        Codebook. The first row starts at zero; a row without vectors keeps its start value.
     """
     sample = vectors[:: max(1, len(vectors) // _SAMPLE)]
-    # Begin with rows far from one another.
+    # Start with distant rows.
     centres = [np.zeros(vectors.shape[1])]
     distance = np.full(len(sample), np.inf)
     for _ in range(rows - 1):
@@ -54,7 +54,7 @@ def train(vectors: F64, rows: int) -> F64:
 
 
 def nearest(vectors: F64, book: F64) -> I64:
-    """Return the number of the nearest row of a codebook for each vector, the first of equals.
+    """Return the number of the nearest codebook row of each vector; ties go to the first row.
 
     Parameters
     ----------

@@ -19,30 +19,30 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-# A cluster that is to have more rows than this is divided again, so that no search inside one takes
-# long: into one part for so many rows, at most `_SPLIT` parts.
+# Rows of a cluster at most, which bounds the search within it. A cluster with more rows is divided
+# into one part per 128 rows, at most 256 parts.
 _LEAF_ROWS: Final = 512
 _SPLIT: Final = 256
 _ROWS_PER_PART: Final = 128
-# Most levels of division. Vectors that hardly divide get fewer rows than asked for.
-_DEEPEST: Final = 4
+# Levels of division at most. Vectors that hardly divide get fewer rows than requested.
+_MAX_DEPTH: Final = 4
 
-# Vectors that coarse clusters are trained on (these need not be good, only small), and vectors that
-# seeds are drawn from: so many per row, and at least so many.
+# Training vectors of coarse clusters, which need to be small rather than good.
 _SPLIT_SAMPLE: Final = 40_000
+# Vectors that seeds are drawn from, per row and at least.
 _SEED_SAMPLE_PER_ROW: Final = 32
-_SMALLEST_SAMPLE: Final = 8192
+_MIN_SEED_SAMPLE: Final = 8192
 
 # Lloyd iterations inside one cluster, and then over all clusters.
 _LOCAL_ITERATIONS: Final = 3
 _ROUNDS: Final = 2
-# About how many pairs of a vector and a row are compared in one iteration over all clusters. The
-# number of neighbouring clusters that a vector is compared with follows from it.
+# Budget of vector-row comparisons in one iteration over all clusters. It determines the number of
+# neighbouring clusters that each vector is compared with, within these limits.
 _ROUND_COMPARISONS: Final = 1 << 31
-_FEWEST_NEIGHBOURS: Final = 4
-_MOST_NEIGHBOURS: Final = 16
+_MIN_NEIGHBOURS: Final = 4
+_MAX_NEIGHBOURS: Final = 16
 
-# Vectors per matrix product with the rows: their distances stay in the cache.
+# Vectors per matrix product with the rows, so that the distances stay in the cache.
 _BLOCK: Final = 1024
 
 
@@ -53,11 +53,11 @@ class _Leaf:
     Parameters
     ----------
     members : (m,) intp
-        Its vectors.
+        Numbers of the cluster's vectors.
     centre : (d,) float32
-        Mean of its first rows.
+        Mean of the rows that were trained first.
     rows : (r, d) float32
-        Rows of the palette that were trained on its vectors.
+        Palette rows trained on the cluster's vectors.
     """
 
     members: Index
@@ -71,18 +71,18 @@ def train_palette(vectors: F32, rows: int, threads: int = 0) -> tuple[F32, NDArr
     Parameters
     ----------
     vectors : (n, d) float32
-        Finite.
+        Finite vectors.
     rows : int
-        Most rows, at least 1.
+        Palette rows at most, at least 1.
     threads : int
-        0 for all cores; the result does not depend on it.
+        Number of threads; 0 for all cores. The result does not depend on it.
 
     Returns
     -------
     palette : (C, d) float32
-        C ≤ `rows`; every row is used. Ordered by first use.
+        Palette of C ≤ `rows` rows in the order of first use; every row is used.
     labels : (n,) uint32
-        Row of each vector: the nearest one for all but a few, a near one for the others.
+        Palette row of each vector: nearly always the nearest row.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def train_palette(vectors: F32, rows: int, threads: int = 0) -> tuple[F32, NDArr
     if not len(vectors):
         return np.empty((0, vectors.shape[1]), np.float32), np.empty(0, np.uint32)
     vectors = np.ascontiguousarray(vectors)
-    # One BLAS thread: the order of its sums depends on their number.
+    # One BLAS thread: the order of BLAS's sums depends on the number of threads.
     with threadpool_limits(limits=1):
         everything = np.arange(len(vectors))
         leaves = list(_leaves(vectors, everything, rows, 0, thread_count(threads)))
@@ -106,7 +106,7 @@ def train_palette(vectors: F32, rows: int, threads: int = 0) -> tuple[F32, NDArr
         for _ in range(_ROUNDS):
             labels = _assign(vectors, leaves, thread_count(threads))
             palette, used = _means(vectors, labels, sum(len(leaf.rows) for leaf in leaves))
-            leaves = _updated(leaves, palette, used)
+            leaves = _update_rows(leaves, palette, used)
             labels = (np.cumsum(used) - 1)[labels]
     _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
     order = np.argsort(first, kind="stable")
@@ -117,35 +117,36 @@ def train_palette(vectors: F32, rows: int, threads: int = 0) -> tuple[F32, NDArr
 
 def _leaves(vectors: F32, members: Index, rows: int, depth: int, threads: int) -> Iterator[_Leaf]:
     """Yield clusters of `members` with at most `_LEAF_ROWS` of the `rows` each."""
-    if rows <= _LEAF_ROWS or depth == _DEEPEST:
-        made = _local(vectors[members], min(rows, _LEAF_ROWS), depth)
-        yield _Leaf(members, made.mean(axis=0), made)
+    if rows <= _LEAF_ROWS or depth == _MAX_DEPTH:
+        trained = _train_local(vectors[members], min(rows, _LEAF_ROWS), depth)
+        yield _Leaf(members, trained.mean(axis=0), trained)
         return
     parts = min(_SPLIT, -(-rows // _ROWS_PER_PART))
     rng = np.random.default_rng([depth, len(members)])
     sample = members
     if len(members) > _SPLIT_SAMPLE:
         sample = members[np.sort(rng.choice(len(members), _SPLIT_SAMPLE, replace=False))]
-    centres = _local(vectors[sample], parts, depth)
+    centres = _train_local(vectors[sample], parts, depth)
     labels, errors = _nearest(vectors, members, centres, threads)
     order = np.argsort(labels, kind="stable")
     counts = np.bincount(labels, minlength=len(centres))
-    shares = _shares(counts, np.bincount(labels, errors, len(centres)).astype(np.float64), rows)
+    part_errors = np.bincount(labels, errors, len(centres)).astype(np.float64)
+    part_rows = _allocate_rows(counts, part_errors, rows)
     groups = np.split(members[order], np.cumsum(counts)[:-1])
-    work = [(group, int(share)) for group, share in zip(groups, shares, strict=True) if len(group)]
+    work = [(group, int(n)) for group, n in zip(groups, part_rows, strict=True) if len(group)]
 
-    def grow(item: tuple[Index, int]) -> list[_Leaf]:
+    def divide(item: tuple[Index, int]) -> list[_Leaf]:
         return list(_leaves(vectors, *item, depth + 1, 1))
 
-    for grown in ordered_map(grow, work, threads):
-        yield from grown
+    for leaves in ordered_map(divide, work, threads):
+        yield from leaves
 
 
-def _shares(counts: Index, errors: F64, rows: int) -> Index:
+def _allocate_rows(counts: Index, errors: F64, rows: int) -> Index:
     """Divide the rows among clusters by √(vectors · squared error), at most one per vector."""
     weights = np.sqrt(counts * errors)
     shares = np.minimum(counts, 1)
-    # Rows that a cluster has too few vectors for are divided among the others, a few times.
+    # Rows in excess of a cluster's vectors are divided among the remaining clusters, repeatedly.
     for _ in range(8):
         left = rows - int(shares.sum())
         open_ = np.where(shares < counts, weights, 0.0)
@@ -158,8 +159,8 @@ def _shares(counts: Index, errors: F64, rows: int) -> Index:
     return shares
 
 
-def _local(vectors: F32, rows: int, seed: int) -> F32:
-    """Return the k-means rows of one cluster, fewer than `rows` where it has fewer vectors."""
+def _train_local(vectors: F32, rows: int, seed: int) -> F32:
+    """Train the rows of one cluster by k-means; fewer than `rows` if it has fewer vectors."""
     centres = _seeds(vectors, rows, seed)
     if len(centres) == len(vectors):
         return centres
@@ -170,9 +171,9 @@ def _local(vectors: F32, rows: int, seed: int) -> F32:
 
 
 def _seeds(vectors: F32, rows: int, seed: int) -> F32:
-    """Choose distinct vectors far from each other (k-means++, Arthur and Vassilvitskii 2007)."""
+    """Choose distinct, distant vectors (k-means++, Arthur and Vassilvitskii 2007)."""
     rng = np.random.default_rng([seed, len(vectors), rows])
-    sample = max(_SEED_SAMPLE_PER_ROW * rows, _SMALLEST_SAMPLE)
+    sample = max(_SEED_SAMPLE_PER_ROW * rows, _MIN_SEED_SAMPLE)
     if len(vectors) > sample:
         vectors = vectors[rng.choice(len(vectors), sample, replace=False)]
     if len(vectors) <= rows:
@@ -184,7 +185,7 @@ def _seeds(vectors: F32, rows: int, seed: int) -> F32:
         last = vectors[chosen[-1]]
         latest = norms - 2 * (vectors @ last) + norms[chosen[-1]]
         np.minimum(distances, latest.clip(0), out=distances)
-        # Exactly 0: a rest that rounding leaves could be drawn again.
+        # Exactly 0: with a rounding error the vector could be drawn again.
         distances[chosen[-1]] = 0
         total = np.cumsum(distances, dtype=np.float64)
         if total[-1] <= 0:
@@ -195,7 +196,7 @@ def _seeds(vectors: F32, rows: int, seed: int) -> F32:
 
 
 def _closest(vectors: F32, rows: F32) -> Index:
-    """Return the index of the nearest row, by comparing with every one."""
+    """Return the index of each vector's nearest row by exhaustive search."""
     half_norms = np.square(rows).sum(axis=1) / 2
     transposed = np.ascontiguousarray(rows.T)
     out = np.empty(len(vectors), np.intp)
@@ -206,7 +207,7 @@ def _closest(vectors: F32, rows: F32) -> Index:
 
 
 def _nearest(vectors: F32, members: Index, rows: F32, threads: int) -> tuple[Index, F64]:
-    """Return the nearest row of each member, and the squared distance."""
+    """Return each member's nearest row and its squared distance."""
 
     def search(start: int) -> tuple[Index, F64]:
         block = vectors[members[start : start + 16 * _BLOCK]]
@@ -218,7 +219,7 @@ def _nearest(vectors: F32, members: Index, rows: F32, threads: int) -> tuple[Ind
 
 
 def _means(vectors: F32, labels: Index, count: int) -> tuple[F32, NDArray[np.bool_]]:
-    """Return the mean vector of each label that is used, and which of `count` labels are."""
+    """Return the mean vector of each used label, and a mask of the used labels of `count`."""
     order = np.argsort(labels, kind="stable")
     counts = np.bincount(labels, minlength=count)
     used = counts > 0
@@ -232,15 +233,15 @@ def _means(vectors: F32, labels: Index, count: int) -> tuple[F32, NDArray[np.boo
 
 
 def _assign(vectors: F32, leaves: list[_Leaf], threads: int) -> Index:
-    """Return the nearest row of each vector among those of the leaves around its own."""
+    """Return each vector's nearest row among the rows of its own and neighbouring leaves."""
     sizes = np.array([len(leaf.rows) for leaf in leaves])
     bases = np.cumsum(sizes) - sizes
     centres = np.stack([leaf.centre for leaf in leaves])
-    # A leaf none of whose rows is used any more is no neighbour.
+    # A leaf without used rows is excluded as a neighbour.
     centres[sizes == 0] = np.inf
     comparisons = len(vectors) * int(sizes.sum()) / len(leaves)
     neighbours = int(_ROUND_COMPARISONS / comparisons)
-    neighbours = min(max(neighbours, _FEWEST_NEIGHBOURS), _MOST_NEIGHBOURS, len(leaves))
+    neighbours = min(max(neighbours, _MIN_NEIGHBOURS), _MAX_NEIGHBOURS, len(leaves))
     labels = np.empty(len(vectors), np.intp)
 
     def search(index: int) -> Index:
@@ -257,8 +258,8 @@ def _assign(vectors: F32, leaves: list[_Leaf], threads: int) -> Index:
     return labels
 
 
-def _updated(leaves: list[_Leaf], palette: F32, used: NDArray[np.bool_]) -> list[_Leaf]:
-    """Return the leaves with the rows of a new palette in place of theirs."""
+def _update_rows(leaves: list[_Leaf], palette: F32, used: NDArray[np.bool_]) -> list[_Leaf]:
+    """Return the leaves with their rows replaced by the rows of a new palette."""
     updated, base, start = [], 0, 0
     for leaf in leaves:
         stop = start + int(used[base : base + len(leaf.rows)].sum())

@@ -1,4 +1,4 @@
-"""Codebooks of vectors by weighted k-means: no unused rows, the same for any number of threads."""
+"""Codebooks of vectors by weighted k-means, independent of the number of threads."""
 
 from __future__ import annotations
 
@@ -19,9 +19,8 @@ U32 = NDArray[np.uint32]
 # stay in the cache; that is 1.7 times as fast as blocks of 2048.
 _BLOCK: Final = 256
 
-# Vectors whose weight is less than this share of the largest one are left out: scikit-learn holds
-# weights in float32, in which they would be 0.
-_LEAST_WEIGHT: Final = 1e-30
+# Relative weight below which vectors are ignored: scikit-learn's float32 weights would be 0.
+_MIN_WEIGHT: Final = 1e-30
 
 
 @dataclass(frozen=True)
@@ -33,9 +32,9 @@ class TrainingConfig:
     iterations : int
         Lloyd iterations at most.
     samples : int
-        Most vectors to train on, drawn by weight, so that the time does not grow with the scene.
+        Training vectors at most, drawn by weight; bounds the time for large scenes.
     seed : int
-        Of all random choices.
+        Seed of all random choices.
     """
 
     iterations: int = 12
@@ -56,27 +55,27 @@ def train(
     Parameters
     ----------
     vectors : (n, d) float32
-        Magnitudes below 1e15: distances are summed in float32.
+        Vectors with magnitudes below 1e15: distances are summed in float32.
     weights : (n,) float64
-        Cost of a squared error of each vector, finite and not negative. Where all are zero, all
-        vectors count the same.
+        Cost of a squared error of each vector, finite and not negative. If all are zero, all
+        vectors count equally.
     rows : int
-        Most rows of the codebook; it has fewer where fewer distinct vectors have weight.
+        Codebook rows at most; fewer if fewer distinct vectors have weight.
     config : TrainingConfig, optional
     start : (c, d) float32, optional
-        Codebook of nearly the same vectors, which training goes on from. Of more than `rows` rows
-        the first are taken; where there are fewer, the others begin at the vectors whose weighted
-        distance to the nearest row is largest.
+        Codebook of similar vectors from which training continues. Only its first `rows` rows are
+        used. Missing rows start at the vectors with the largest weighted distance to their row.
 
     Returns
     -------
     (C, d) float32
-        C ≤ `rows`; each row is the nearest of at least one training vector. Ascending, distinct.
+        Codebook of C ≤ `rows` distinct rows in ascending order. Each row is the nearest of at least
+        one training vector.
 
     Notes
     -----
     scikit-learn's Lloyd iterations, seeded by k-means++ on a sample. They run on one BLAS and
-    OpenMP thread, since the centres would differ with the number of threads.
+    OpenMP thread, because the centres would depend on the number of threads.
 
     Examples
     --------
@@ -86,7 +85,7 @@ def train(
     >>> train(vectors, np.ones(4), rows=2).tolist()
     [[0.0, 0.5], [9.0, 9.0]]
     """
-    # scikit-learn costs a second to import and is needed by encoders only.
+    # Importing scikit-learn takes a second, and only encoders need it.
     from sklearn.cluster import KMeans
     from threadpoolctl import threadpool_limits
 
@@ -99,7 +98,7 @@ def train(
         if start is None or not len(start):
             centres = _seeds(vectors, weights, rows, config.seed, rng)
         else:
-            centres = _completed(start, vectors, weights, rows)
+            centres = _complete(start, vectors, weights, rows)
         model = KMeans(
             len(centres),
             init=np.ascontiguousarray(centres),
@@ -115,11 +114,11 @@ def train(
 
 
 def _seeds(vectors: F32, weights: F64, rows: int, seed: int, rng: np.random.Generator) -> F32:
-    """Return vectors to begin with, chosen by k-means++."""
+    """Return start rows chosen by k-means++."""
     from sklearn.cluster import kmeans_plusplus
 
-    # Seeding takes time in proportion to rows times vectors; a sample of a few times the rows
-    # gives seeds that are as good.
+    # Seeding time is proportional to rows times vectors; a sample of eight times the rows gives
+    # equally good seeds.
     seeds = min(len(vectors), max(8 * rows, 4096))
     chosen = rng.choice(len(vectors), seeds, replace=False, p=weights / weights.sum())
     centres, _ = kmeans_plusplus(
@@ -129,8 +128,8 @@ def _seeds(vectors: F32, weights: F64, rows: int, seed: int, rng: np.random.Gene
     return found
 
 
-def _completed(start: F32, vectors: F32, weights: F64, rows: int) -> F32:
-    """Return an earlier codebook with as many rows as asked for."""
+def _complete(start: F32, vectors: F32, weights: F64, rows: int) -> F32:
+    """Cut an earlier codebook to `rows` rows, or extend it by the worst-matched vectors."""
     _, errors = nearest(vectors, start, 1)
     missing = max(rows - len(start), 0)
     worst = np.argsort(-(weights * errors), kind="stable")[:missing]
@@ -138,7 +137,7 @@ def _completed(start: F32, vectors: F32, weights: F64, rows: int) -> F32:
 
 
 def _without_warnings(work: Callable[[], object]) -> None:
-    """Run `work` without the warning that rows coincide: `train` drops such rows itself."""
+    """Run `work` without the warning that rows coincide: `train` drops duplicate rows itself."""
     import warnings
 
     from sklearn.exceptions import ConvergenceWarning
@@ -149,13 +148,13 @@ def _without_warnings(work: Callable[[], object]) -> None:
 
 
 def _sample(vectors: F32, weights: F64, samples: int, rng: np.random.Generator) -> tuple[F32, F64]:
-    """Draw at most `samples` vectors; return them and weights that make up for the choice."""
+    """Return a random sample of at most `samples` vectors, with weights that keep sums unbiased."""
     top = float(weights.max(initial=0.0))
     weights = weights / top if top > 0 else np.ones(len(vectors))
-    keep = np.flatnonzero(weights >= _LEAST_WEIGHT)
+    keep = np.flatnonzero(weights >= _MIN_WEIGHT)
     if len(keep) <= samples:
         return vectors[keep], weights[keep]
-    # Half by weight, half evenly: heavy vectors shape most rows, light ones still get a few.
+    # Half by weight, half uniformly: heavy vectors shape most rows, light vectors still get a few.
     share = weights[keep] / weights[keep].sum()
     probability = 0.5 * share + 0.5 / len(keep)
     chosen = np.sort(rng.choice(len(keep), samples, replace=False, p=probability))
@@ -164,19 +163,22 @@ def _sample(vectors: F32, weights: F64, samples: int, rng: np.random.Generator) 
 
 
 def nearest(vectors: F32, rows: F32, threads: int = 0) -> tuple[U32, F64]:
-    """Return the index of and the squared distance to the nearest row of each vector.
+    """Return each vector's nearest row and its squared distance.
 
     Parameters
     ----------
     vectors : (n, d) float32
     rows : (C, d) float32
+        Codebook.
     threads : int
-        0 for all cores; the result does not depend on it.
+        Number of threads; 0 for all cores. The result does not depend on it.
 
     Returns
     -------
     indices : (n,) uint32
+        Number of the nearest row.
     errors : (n,) float64
+        Squared distance to that row.
     """
     from threadpoolctl import threadpool_limits
 
@@ -190,7 +192,7 @@ def nearest(vectors: F32, rows: F32, threads: int = 0) -> tuple[U32, F64]:
         block = vectors[start : start + _BLOCK]
         best = (norms - 2 * (block @ transposed)).argmin(axis=1)
         indices[start : start + _BLOCK] = best
-        # The distance itself, not the expanded square, which cancels.
+        # The expanded square used above suffers from cancellation.
         difference = block.astype(np.float64) - rows[best]
         errors[start : start + _BLOCK] = np.square(difference).sum(axis=1)
 

@@ -1,4 +1,4 @@
-"""Codebooks of single values by k-means: near the optimum, found by dynamic programming."""
+"""Codebooks of scalars by k-means, near the optimum found by dynamic programming."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from numpy.typing import NDArray
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-# A cell is a run of sorted values that one codebook value stands for. Dynamic programming merges
-# this many times as many fine cells as it leaves, at most `_WIDEST` of them into one.
-_FINER: Final = 4
-_WIDEST: Final = 64
+# A cell is a run of sorted values represented by one codebook value. Dynamic programming merges 4
+# times the final number of cells, at most 64 cells into one.
+_FINE_CELL_FACTOR: Final = 4
+_MAX_MERGED: Final = 64
 
-# Lloyd iterations at most, and bins of the histogram that the first cells come from.
+# Lloyd iterations at most, and bins of the histogram that gives the first cells.
 _ITERATIONS: Final = 200
 _BINS: Final = 4096
 
 
 def train_scalars(values: F32, levels: int) -> F32:
-    """Train the codebook of single values that gives little squared error.
+    """Train a scalar codebook with low squared error.
 
     Parameters
     ----------
     values : (n,) float32
-        Finite, in any order.
+        Finite values in any order.
     levels : int
-        Most values in the codebook, at least 1.
+        Codebook values at most, at least 1.
 
     Returns
     -------
     (C,) float32
-        Ascending and distinct; the distinct `values` themselves where they are no more than
-        `levels`.
+        Distinct codebook values, ascending. If `values` has at most `levels` distinct values, the
+        codebook is these values.
 
     Examples
     --------
@@ -51,7 +51,7 @@ def train_scalars(values: F32, levels: int) -> F32:
     if len(distinct) <= levels:
         return distinct
     sample = _Sorted(ordered)
-    cells = sample.split(sample.start(levels), _FINER * levels)
+    cells = sample.split(sample.first_cells(levels), _FINE_CELL_FACTOR * levels)
     cells = sample.lloyd(sample.merge(cells, levels), _ITERATIONS)
     return np.unique(sample.centres(cells).astype(np.float32))
 
@@ -63,37 +63,37 @@ def nearest_scalars(values: F32, codebook: F32) -> NDArray[np.intp]:
     ----------
     values : any shape, float32
     codebook : (C,) float32
-        Ascending.
+        Codebook values, ascending.
 
     Returns
     -------
-    intp, of the shape of `values`
-        Of two values equally near the lower one.
+    intp, shape of `values`
+        Indices; ties go to the lower codebook value.
     """
     between = (codebook[:-1].astype(np.float64) + codebook[1:]) / 2
     return np.searchsorted(between, values)
 
 
 class _Sorted:
-    """Sorted values with the sums of any run of them.
+    """Sorted values with prefix sums, for the sum and squared error of any run.
 
-    Cells are given by their edges: C + 1 ascending places in the values, where the cells begin, and
-    the end.
+    C cells are given by C + 1 ascending positions in the values: the start of each cell, and the
+    end.
     """
 
     def __init__(self, ordered: F32) -> None:
         self.values = ordered.astype(np.float64)
-        # Around the mean, so that squares do not cancel.
+        # Centred on the mean, against cancellation of squares.
         self.middle = float(self.values.mean())
         moved = self.values - self.middle
         self.sums = np.concatenate([[0.0], np.cumsum(moved)])
         self.squares = np.concatenate([[0.0], np.cumsum(np.square(moved))])
 
-    def start(self, levels: int) -> NDArray[np.intp]:
-        """Return cells whose centres are as dense as the cube root of the values' density.
+    def first_cells(self, levels: int) -> NDArray[np.intp]:
+        """Return `levels` cells whose density is the cube root of the values' density.
 
-        That is the optimum for many levels: Panter and Dite, "Quantization distortion in
-        pulse-count modulation with nonuniform spacing of levels" (1951).
+        This is optimal for many levels: Panter and Dite, "Quantization distortion in pulse-count
+        modulation with nonuniform spacing of levels" (1951).
         """
         counts, edges = np.histogram(self.values, _BINS)
         shares = np.concatenate([[0.0], np.cumsum(np.cbrt(counts))])
@@ -101,12 +101,12 @@ class _Sorted:
         return self._cut(np.interp(places, shares, edges))
 
     def centres(self, cells: NDArray[np.intp]) -> F64:
-        """Return the mean of each cell, none of them empty."""
+        """Return the mean of each cell; no cell may be empty."""
         means: F64 = np.diff(self.sums[cells]) / np.diff(cells) + self.middle
         return means
 
     def lloyd(self, cells: NDArray[np.intp], iterations: int) -> NDArray[np.intp]:
-        """Return cells after Lloyd iterations: until no value is nearer to another cell's mean."""
+        """Return the cells after Lloyd iterations, until convergence or `iterations`."""
         for _ in range(iterations):
             better = self._cut(self.centres(cells))
             if np.array_equal(better, cells):
@@ -115,21 +115,21 @@ class _Sorted:
         return cells
 
     def split(self, cells: NDArray[np.intp], levels: int) -> NDArray[np.intp]:
-        """Return `levels` cells, by cutting those of the largest error at their means.
+        """Return `levels` cells by cutting the cells with the largest error at their means.
 
-        Fewer, where all cells hold equal values.
+        There are fewer cells if every cell holds equal values.
         """
         while len(cells) - 1 < levels:
             sums, counts = np.diff(self.sums[cells]), np.diff(cells)
             errors = np.diff(self.squares[cells]) - sums**2 / counts
             errors[self.values[cells[:-1]] == self.values[cells[1:] - 1]] = 0
-            # A third of the cells at a time, so that new cells are soon compared with the others.
+            # A third of the cells at a time, so that new cells soon compete with the rest.
             most = min(levels - len(counts), len(counts) // 3 + 1)
             worst = np.argsort(-errors, kind="stable")[:most]
             worst = worst[errors[worst] > 0]
             middles = sums[worst] / counts[worst] + self.middle
             cuts = np.searchsorted(self.values, middles, side="right")
-            # A mean that is rounded up to the cell's last value would cut nothing off.
+            # A mean rounded up to the cell's last value would leave the cell uncut.
             cuts = np.minimum(cuts, np.searchsorted(self.values, self.values[cells[worst + 1] - 1]))
             finer = np.union1d(cells, cuts)
             if len(finer) == len(cells):
@@ -138,15 +138,15 @@ class _Sorted:
         return cells
 
     def merge(self, cells: NDArray[np.intp], levels: int) -> NDArray[np.intp]:
-        """Return the `levels` cells of least squared error that unions of given ones make.
+        """Merge neighbouring cells into `levels` cells of minimum squared error.
 
-        By dynamic programming over the edges (Bruce, 1965).
+        This is dynamic programming over the edges (Bruce, 1965).
         """
         fine = len(cells) - 1
         if fine <= levels:
             return cells
-        width = min(_WIDEST, fine)
-        # cost[j, t]: the squared error of one cell that joins the fine cells j - 1 - t to j - 1.
+        width = min(_MAX_MERGED, fine)
+        # cost[j, t]: squared error of the fine cells j - 1 - t to j - 1 merged into one.
         ends = np.arange(fine + 1)[:, None]
         begins = ends - 1 - np.arange(width)
         legal = begins >= 0

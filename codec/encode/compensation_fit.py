@@ -144,7 +144,7 @@ def fit(
         prefixes = [splats.take(slice(0, int(ends[chunks - 1]))) for chunks in layers]
     if inflations is None:
         sizes = [int(ends[chunks - 1]) for chunks in layers]
-        inflations = [prefix_inflation.typical(size / effective_splats) for size in sizes]
+        inflations = [prefix_inflation.typical_inflation(size / effective_splats) for size in sizes]
     optimiser = ShiftOptimiser(
         prefixes, chunk_splats, layers, inflations, effective_splats, config, executor
     )
@@ -230,7 +230,7 @@ def _beginning(encoded: EncodedScene, chunks: int, effective_splats: int) -> Inf
     if any(chunk.until > chunks for chunk in own):
         return Inflation(0.0, 0.0)
     size = sum(chunk.splats for chunk in own if not chunk.until)
-    return prefix_inflation.typical(size / effective_splats)
+    return prefix_inflation.typical_inflation(size / effective_splats)
 
 
 def usual_errors(
@@ -283,7 +283,7 @@ def usual(chunk_splats: Sequence[int], effective_splats: int) -> Compensation:
     ends = np.cumsum(chunk_splats)
     found = []
     for chunks in layers:
-        typical = prefix_inflation.typical(int(ends[chunks - 1]) / effective_splats)
+        typical = prefix_inflation.typical_inflation(int(ends[chunks - 1]) / effective_splats)
         scales = np.full(chunks, round(typical.scales / SCALE_STEP), np.int8)
         opacities = np.full(chunks, round(typical.opacities / OPACITY_STEP), np.int8)
         found.append(replace(_unchanged(chunks), scales=scales, opacities=opacities))

@@ -7,7 +7,7 @@ from typing import Final
 
 from cogsplat.codec.clustering.kmeans import TrainingConfig
 from cogsplat.codec.encode.profiles.near_lossless import NearLosslessBounds
-from cogsplat.codec.order import chunks as chunking
+from cogsplat.codec.order import chunk_plan
 from cogsplat.codec.order.orders import OrderConfig, require_order
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.streams import limits
@@ -82,7 +82,7 @@ class EncodeConfig:
         Most splats in a chunk.
     cells : bool
         Whether chunks are cut by cells of space as well, finer from layer to layer, so that a
-        client can fetch what it looks at; `partition.nested_cells.DEFAULT_LARGEST` splats in a
+        client can fetch what it looks at; `partition.nested_cells.DEFAULT_CELL_SPLATS` splats in a
         chunk cost hardly more bytes than chunks that are not cut.
     view_table : bool
         Whether scenes that are cut into cells get a table of what the pictures of some viewpoints
@@ -111,7 +111,7 @@ class EncodeConfig:
     quality_db: float = 40.0
     order: str = "gain"
     ordering: OrderConfig = field(default_factory=OrderConfig)
-    chunk_splats: int = chunking.DEFAULT_LARGEST
+    chunk_splats: int = chunk_plan.DEFAULT_CHUNK_SPLATS
     cells: bool = False
     view_table: bool = True
     morton: bool = True

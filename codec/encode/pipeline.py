@@ -143,7 +143,7 @@ def encode(
     timed = TimedProgress(progress)
     splats.require_valid()
     if config.ordering.by_object:
-        objects.require(splats, config.ordering.object_budgets)
+        objects.require_objects(splats, config.ordering.object_budgets)
     settings = score_config or preset.score_config(config.profile, threads=config.threads)
     views, covering, tests = list(cameras or ()), list[Camera](), list(test_views)
     report = EncodeReport(views="given" if views else "none")

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.executor import Executor
-from cogsplat.codec.order import chunks as chunking
-from cogsplat.codec.order import objects
+from cogsplat.codec.order import chunk_plan, objects
 from cogsplat.codec.order.gain_effort import GainEffort
-from cogsplat.codec.order.orders import Unordered, order_rows
+from cogsplat.codec.order.orders import OrderInputs, order_rows
 from cogsplat.codec.partition.nested_cells import NestedCells, nested_cells
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.rate import allocation
@@ -171,7 +170,7 @@ def prepare(
     _require_storable(splats)
     _require_scores(scores, len(splats))
     kept = keep_mask(splats, scores, config.dropping(), 0.0)
-    scene = Unordered(
+    scene = OrderInputs(
         splats,
         scores,
         views,
@@ -194,16 +193,16 @@ def _lay_out(prepared: PreparedScene, rows: NDArray[np.int64]) -> LaidOutScene:
         # The order was sorted before splats were pruned, and pruning moved those behind them
         # into other chunks. Not where a pose is served first: its splats would lose their
         # places. Cells are cut from layers: what is sorted does not become shorter with them.
-        largest = chunking.DEFAULT_LARGEST if config.cells else config.chunk_splats
-        rows = chunking.sort_runs(rows, scores.contribution, largest)
+        largest = chunk_plan.DEFAULT_CHUNK_SPLATS if config.cells else config.chunk_splats
+        rows = chunk_plan.sort_runs(rows, scores.contribution, largest)
     cells: NDArray[np.uint32] | None = None
     if config.cells:
         nested = _nested(prepared, rows)
         cells = nested.cells.astype(np.uint32)
         unlabelled = np.zeros(len(cells), np.uint32)
-        arranged = objects.Arrangement(rows[nested.order], nested.slices, unlabelled)
+        arranged = objects.ChunkedOrder(rows[nested.order], nested.slices, unlabelled)
     elif config.ordering.by_object:
-        arranged = objects.arrange(
+        arranged = objects.chunk_by_object(
             rows,
             objects.labels_of(splats),
             scores.contribution,
@@ -211,8 +210,8 @@ def _lay_out(prepared: PreparedScene, rows: NDArray[np.int64]) -> LaidOutScene:
             config.ordering.object_budgets,
         )
     else:
-        slices = chunking.plan_chunks(len(rows), config.chunk_splats)
-        arranged = objects.Arrangement(rows, slices, np.zeros(len(slices), np.uint32))
+        slices = chunk_plan.plan_chunks(len(rows), config.chunk_splats)
+        arranged = objects.ChunkedOrder(rows, slices, np.zeros(len(slices), np.uint32))
     return LaidOutScene(
         source=splats,
         rows=arranged.rows,
@@ -229,16 +228,16 @@ def _lay_out(prepared: PreparedScene, rows: NDArray[np.int64]) -> LaidOutScene:
 def _nested(prepared: PreparedScene, rows: NDArray[np.int64]) -> NestedCells:
     """Cut rows in their order into layers of cells."""
     most = prepared.config.chunk_splats
-    first = min(chunking.FIRST_SPLATS, most)
+    first = min(chunk_plan.FIRST_SPLATS, most)
     means = prepared.workspace.gather(prepared.source.means, rows).astype(np.float64)
     weights = prepared.workspace.gather(prepared.scores.contribution, rows)
     return nested_cells(
         means,
         weights,
         first=first,
-        growth=chunking.GROWTH,
-        least=min(first, max(most // _LEAST_SHARE, 1)),
-        most=most,
+        growth=chunk_plan.GROWTH,
+        smallest=min(first, max(most // _LEAST_SHARE, 1)),
+        largest=most,
     )
 
 

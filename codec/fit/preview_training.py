@@ -15,7 +15,7 @@ from cogsplat.codec.encode.prepared import PreparedScene, prepare
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.preview_chunks import prepend_preview
 from cogsplat.codec.order import prefix_inflation
-from cogsplat.codec.order.chunks import plan_chunks
+from cogsplat.codec.order.chunk_plan import plan_chunks
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring.contribution import score

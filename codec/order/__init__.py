@@ -1,1 +1,1 @@
-"""Orders: which splats come first in a file, and how an order is cut into chunks."""
+"""Orders of the splats in a file, and the chunks that an order is cut into."""

@@ -1,4 +1,4 @@
-"""Baseline orders of other programs and papers, from a splat's own values, to compare with.
+"""Baseline orders of other programs and papers, computed from a splat's own values.
 
 Each function returns priorities, (N,) float64: splats of higher priority come first.
 """
@@ -16,26 +16,26 @@ F64 = NDArray[np.float64]
 _SGSS_POWER = 0.1
 
 
-def descending(priority: NDArray[np.floating]) -> NDArray[np.int64]:
+def sort_descending(priority: NDArray[np.floating]) -> NDArray[np.int64]:
     """Return rows by descending priority: (N,) int64, ties in file order, NaN last."""
     return np.argsort(-priority, kind="stable").astype(np.int64)
 
 
 def antimatter(splats: Splats) -> F64:
-    """Return the logarithm of volume times opacity, exp(Σs)·σ(o), as antimatter15/splat sorts."""
+    """Return the priority of antimatter15/splat: ln of volume times opacity, exp(Σs)·σ(o)."""
     return scale(splats) + _log_opacity(splats)
 
 
 def sgss(splats: Splats) -> F64:
-    """Return the logarithm of SGSS' importance, σ(o)·(Πexp(s) / S₉₀)^0.1 (Zhu et al. 2025).
+    """Return the priority of SGSS: ln of σ(o)·(Πexp(s) / S₉₀)^0.1 (Zhu et al. 2025).
 
-    S₉₀, the scene's 90th percentile of the volume, is the same for all and left out.
+    S₉₀, the scene's 90th percentile of the volume, is a constant factor and omitted.
     """
     return _log_opacity(splats) + _SGSS_POWER * scale(splats)
 
 
 def opacity(splats: Splats) -> F64:
-    """Return the opacity, as a logit."""
+    """Return the opacity logits."""
     return splats.opacities.astype(np.float64)
 
 

@@ -1,4 +1,4 @@
-"""Orders for a known first view: what its camera sees moves to the front of another order."""
+"""Orders for a known first view: the splats that its camera sees move to the front."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def lead(
+def bring_forward(
     rows: NDArray[np.int64], ahead: NDArray[np.int64], share: float, mix: float = 1.0
 ) -> NDArray[np.int64]:
-    """Return an order with the first rows of another one mixed into its beginning.
+    """Return an order with the first rows of a view's order mixed into its beginning.
 
     Parameters
     ----------
     rows : (N,) int64
-        The order of all rows.
+        Order of all rows.
     ahead : (M,) int64
-        The order of the first view: some of the rows, none twice.
+        Order of the first view: distinct rows, not necessarily all.
     share : float
-        Most rows that are taken from `ahead`, as a share of all rows, 0 to 1.
+        Limit of the rows taken from `ahead`, as a share of all rows, 0 to 1.
     mix : float
-        Share of every prefix that is taken from `ahead`, until these rows are used up, 0 to 1.
+        Share of every prefix taken from `ahead` until that limit, 0 to 1.
 
     Returns
     -------
     (N,) int64
-        Every prefix of n rows holds the first ``mix · n`` rows of `ahead`, up to `share`, and the
-        first ``(1 - mix) · n`` of `rows`; a row that is among both counts for both. The other rows
-        follow as they stand in `rows`.
+        Order in which every prefix of n rows holds the first ``mix · n`` rows of `ahead`, up to the
+        limit, and the first ``(1 - mix) · n`` of `rows`; a row in both counts for both. The
+        remaining rows keep the order of `rows`.
     """
     first = ahead[: math.ceil(share * len(rows))]
     rank = np.empty(len(rows), np.int64)
@@ -44,27 +44,27 @@ def lead(
 def keep_share(
     rows: NDArray[np.int64], inside: NDArray[np.bool_], share: float
 ) -> NDArray[np.int64]:
-    """Return an order of whose prefixes at least a share lies inside, such as inside a frustum.
+    """Return an order in which every prefix has at least a share of its rows inside a frustum.
 
     Parameters
     ----------
     rows : (N,) int64
-        The order of all rows.
+        Order of all rows.
     inside : (N,) bool
-        Of the scene's rows.
+        Mask of the scene's rows inside the frustum.
     share : float
-        0 to 1. Where the order itself has a larger share inside, it stays as it is.
+        Minimum share inside, 0 to 1. Prefixes of `rows` with a larger share stay unchanged.
 
     Returns
     -------
     (N,) int64
-        The rows inside and the rows outside each as they stand in `rows`. A row outside waits until
-        the share is kept with it, or no row inside is left.
+        Order that keeps the relative order of rows inside, and of rows outside. A row outside moves
+        back until the share holds or no row inside is left.
     """
     marks = inside[rows]
     within, without = rows[marks], rows[~marks]
-    # Before the k-th row outside come at least k · share / (1 - share) rows inside, or as many as
-    # stand before it in the order, if those are more.
+    # At least k · share / (1 - share) rows inside come before the k-th row outside. If more come
+    # before it in `rows`, that number stays.
     numbers = np.arange(1, len(without) + 1)
     natural = np.cumsum(marks)[~marks]
     with np.errstate(divide="ignore"):
@@ -72,24 +72,24 @@ def keep_share(
     before = np.minimum(np.maximum(natural, needed), len(within)).astype(np.int64)
     out = np.empty(len(rows), np.int64)
     places = before + np.arange(len(without))
-    taken = np.zeros(len(rows), np.bool_)
-    taken[places] = True
+    is_outside = np.zeros(len(rows), np.bool_)
+    is_outside[places] = True
     out[places] = without
-    out[~taken] = within
+    out[~is_outside] = within
     return out
 
 
-def halved_outside(inside: NDArray[np.bool_]) -> float:
-    """Return the share for `keep_share` that halves what lies outside of the average prefix.
+def default_share(inside: NDArray[np.bool_]) -> float:
+    """Return the default share of `keep_share`, which halves the rows outside in a mean prefix.
 
     Parameters
     ----------
     inside : (N,) bool
-        Of the scene's rows.
+        Mask of the scene's rows inside the frustum.
 
     Returns
     -------
     float
-        0.5 to 1.
+        Share, 0.5 to 1.
     """
     return 1.0 - 0.5 * float(np.count_nonzero(~inside)) / max(len(inside), 1)

@@ -1,4 +1,4 @@
-"""How much work goes into the order by marginal gain: how far it reaches, and in what steps."""
+"""Effort of the order by marginal gain: its share of the scene, stages and views."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class GainEffort:
-    """How far the order by marginal gain goes, and how many renders it takes.
+    """Share of the scene ordered by marginal gain, and size and views of each stage.
 
     Parameters
     ----------
     until : float
-        Share of the scene that is ordered by gain, above 0 to 1; the rest follows by contribution.
-        Behind 0.6 gains no longer differ. An order by contribution takes fewer bytes, for its
-        chunks hold splats that are more alike: the less is ordered by gain, the smaller the file.
+        Share of the scene ordered by gain, above 0 to 1; the rest is ordered by contribution.
+        Beyond 0.6 gains hardly differ. A smaller share gives a smaller file, because chunks of an
+        order by contribution hold more similar splats.
     growth : float
-        Growth of the prefix in one stage, above 0. The fewer splats join at once, the less
-        redundant they are among themselves; the time rises in proportion to the stages.
+        Growth of the prefix in one stage, above 0. Small stages add fewer redundant splats; the run
+        time is proportional to the number of stages.
     views : int
-        Views that gains are measured in, in each stage; each stage samples others.
+        Number of views in which each stage measures gains; the sample changes with the stage.
 
     Notes
     -----
-    The defaults are from a sweep on a captured room. Finer stages than 0.16 give 0.2 dB more there
-    and take time in proportion.
+    The defaults are from a sweep on a captured room. Stages finer than 0.16 gain 0.2 dB there, at
+    proportionally more time.
     """
 
     until: float = 0.6

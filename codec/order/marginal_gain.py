@@ -1,4 +1,4 @@
-"""The order by marginal gain: each stage adds the splats that lower the prefix's error most."""
+"""Order by marginal gain: each stage adds the splats that lower the prefix's error most."""
 
 from __future__ import annotations
 
@@ -24,30 +24,28 @@ from cogsplat.codec.threads import thread_count
 from . import prefix_inflation
 from .gain_effort import GainEffort
 
-# First size of the prefix as a share of the scene.
+# Size of the first stage as a share of the scene, and at most.
 _FIRST: Final = 1 / 8000
-_MOST_FIRST: Final = 16
-# Least growth in one stage once the prefix holds this share of the scene: what is still missing
-# there is spread over the picture, and splats that join together are rarely redundant.
+_MAX_FIRST: Final = 16
+# Minimum growth of a stage once the prefix holds this share of the scene. Missing splats are then
+# spread over the picture, and splats that join together are rarely redundant.
 _LATE: Final = 0.25
 _LATE_GROWTH: Final = 0.3
-# Views in which gains are measured in one such stage, at most.
+# Views at most in which such a late stage measures gains.
 _LATE_VIEWS: Final = 12
-# Candidates of a stage, in multiples of the prefix, and at least so many: the best by contribution,
-# or by contribution times a power of the volume. Splats further down gain too little to be measured
-# yet.
+# Number of candidates of a stage relative to the prefix, and at least: the best by contribution,
+# and by contribution times a power of the volume. Splats further down gain too little for now.
 _POOL: Final = 8
-_LEAST_POOL: Final = 4000
-# Splats that are picked in one stage because the same part of the picture is missing are redundant.
-# A stage therefore picks from a random share of the candidates only, so that it takes fewer for
-# each such part, and the next stage measures what is still missing. This gives 0.5 dB at 10 to 20 %
-# of a scene, and costs as much where nearly all splats are needed: it begins after so many stages
-# and ends at this share of the scene.
+_MIN_POOL: Final = 4000
+# Splats that one stage picks for the same missing part of the picture are redundant. A stage
+# therefore picks from a random share of the candidates, and the next stage measures what is still
+# missing. This gains 0.5 dB at 10 to 20 % of a scene and loses as much at both ends, so it starts
+# after this number of stages and stops at this share of the scene.
 _RANDOM_SHARE: Final = 0.45
 _RANDOM_FROM: Final = 4
 _RANDOM_UNTIL: Final = 0.25
-# Exponent of the volume in the second choice of candidates, which favours large splats as the
-# orders antimatter and sgss do.
+# Exponent of the volume in the second ranking of candidates, which favours large splats like the
+# orders antimatter and sgss.
 _VOLUME: Final = 0.2
 
 
@@ -58,14 +56,15 @@ class GainConfig:
     Parameters
     ----------
     inflated : bool
-        Whether gains are measured with prefixes inflated as compensation will draw them
-        (`prefix_inflation.typical`), which shows far more with few splats, or as they are.
+        Whether prefixes are inflated as compensation will draw them
+        (`prefix_inflation.typical_inflation`) when gains are measured. Inflated prefixes show far
+        more with few splats.
     jitter : bool
-        Also measure gains in jittered copies of the cameras (`view_sets.jitter`).
+        Whether to measure gains in jittered copies of the cameras too (`view_sets.jitter`).
     threads : int
-        0 for every core this process may use. The order does not depend on it.
+        Number of threads; 0 for every core this process may use. The order does not depend on it.
     effort : GainEffort
-        How much of the scene is ordered by gain, in what stages and views.
+        Share of the scene ordered by gain, and size and views of each stage.
     """
 
     inflated: bool = True
@@ -79,16 +78,18 @@ class GainConfig:
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """Rows of a scene as they are drawn while gains are measured, without a copy of their colours.
+    """Splats of one stage, drawn together: the prefix and its candidates.
+
+    Colours are read from the scene, so that the pool holds no copy of them.
 
     Parameters
     ----------
     scene : Splats
-        Anti-aliased where its `info` says so.
+        Whole scene.
     rows : (n,) int32
-        Ascending.
+        Rows of the pool's splats in the scene, ascending.
     shapes : Splats
-        Those rows, inflated where asked for, without higher SH coefficients and extra attributes.
+        Splats of the pool, possibly inflated, without higher SH coefficients and extra attributes.
     """
 
     scene: Splats
@@ -96,12 +97,12 @@ class Pool:
     shapes: Splats
 
 
-def pool_of(
-    scene: Splats, rows: NDArray[np.integer], by: prefix_inflation.Inflation | None = None
+def make_pool(
+    scene: Splats, rows: NDArray[np.integer], inflation: prefix_inflation.Inflation | None = None
 ) -> Pool:
-    """Return some rows of a scene, ascending, inflated where `by` is given."""
+    """Return the pool of ascending rows of a scene, inflated if `inflation` is given."""
     shapes = scene.without_extras().with_sh_degree(0).take(rows)
-    inflated = shapes if by is None else prefix_inflation.inflate(shapes, by)
+    inflated = shapes if inflation is None else prefix_inflation.inflate(shapes, inflation)
     return Pool(scene, rows.astype(np.int32), inflated)
 
 
@@ -119,25 +120,26 @@ def view_gains(
     Parameters
     ----------
     pool : Pool
-        n splats.
+        Pool of n splats.
     present : (n,) bool
-        Those in the picture.
+        Mask of the pool's splats that are in the picture.
     camera : Camera
-        In the frame of the means.
+        Camera in the frame of the means.
     target : (H, W, 3) float32
-        What the picture should be, over black, in the scene's colour space.
+        Picture of the whole scene over black, in the scene's colour space.
     kernel_px : float
         Variance added to projected covariances, px².
     near_plane : float
-        Means at or before this camera-space depth are not drawn, scene units.
+        Camera-space depth up to which nothing is drawn, scene units.
 
     Returns
     -------
     rows : (M,) int32
-        Places in the pool of splats whose footprint reaches the image.
+        Positions in the pool of the splats whose footprint reaches the image.
     gains : (M,) float64
+        Marginal gains of these splats; see `marginal_gains`.
     error : float
-        As `marginal_gains` returns them.
+        Squared error of the picture; see `marginal_gains`.
     """
     footprints = project(
         pool.shapes,
@@ -151,45 +153,45 @@ def view_gains(
     return footprints.index, found, error
 
 
-def _places(priority: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return each row's place in the order of descending priority, ties in file order: (N,)."""
-    places = np.empty(len(priority), np.int64)
-    places[np.argsort(-priority, kind="stable")] = np.arange(len(priority))
-    return places
+def _ranks(priority: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return each row's rank by descending priority, ties in file order: (N,)."""
+    ranks = np.empty(len(priority), np.int64)
+    ranks[np.argsort(-priority, kind="stable")] = np.arange(len(priority))
+    return ranks
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What the gains of one stage are measured of.
+    """Prefix and candidates of one stage, as sent to the workers that measure gains.
 
     Parameters
     ----------
     rows : (n,) int32
-        Of the scene, ascending.
+        Rows of the prefix and the candidates in the scene, ascending.
     present : (n,) bool
-        Those in the prefix.
-    by : Inflation or None
-        How they are inflated.
+        Mask of the rows in the prefix.
+    inflation : Inflation or None
+        Inflation of all rows.
     """
 
     rows: NDArray[np.int32]
     present: NDArray[np.bool_]
-    by: prefix_inflation.Inflation | None = None
-    # Made where gains are measured, when it is first asked for: it is far larger than the rows.
-    _made: dict[str, Pool] = field(default_factory=dict, init=False, repr=False)
+    inflation: prefix_inflation.Inflation | None = None
+    # Built by each worker on first use: the pool is far larger than the rows.
+    _cache: dict[str, Pool] = field(default_factory=dict, init=False, repr=False)
 
     def pool(self, splats: Splats) -> Pool:
-        """Return the pool of its rows; the same object every time."""
-        made = self._made.get("pool")
-        if made is None:
-            made = self._made.setdefault("pool", pool_of(splats, self.rows, self.by))
-        return made
+        """Return the pool of this stage's rows; it is built once."""
+        pool = self._cache.get("pool")
+        if pool is None:
+            pool = self._cache.setdefault("pool", make_pool(splats, self.rows, self.inflation))
+        return pool
 
 
 def _view_gains(
     view: int, splats: Splats, references: ReferenceViews, stage: Stage
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], float]:
-    """Measure the gains of a stage in the reference view of a number."""
+    """Measure the gains of a stage in reference view number `view`."""
     return view_gains(
         stage.pool(splats),
         stage.present,
@@ -207,18 +209,19 @@ def gains(
     views: Sequence[int],
     executor: Executor,
 ) -> NDArray[np.float64]:
-    """Return the marginal gain of every splat of a stage: by how much it lowers the squared error.
+    """Return the marginal gain of every splat of a stage: the drop of squared error that it gives.
 
     Parameters
     ----------
     splats : Splats
+        Whole scene.
     references : ReferenceViews
     stage : Stage
-        n splats.
+        Stage with n splats.
     views : sequence of int
         Numbers of the reference views to measure in.
     executor : Executor
-        What measures in single views. The gains do not depend on it.
+        Executor of the work on single views. Gains do not depend on it.
 
     Returns
     -------
@@ -249,68 +252,68 @@ def gain_rows(
     ----------
     splats : Splats
     scores : Scores
-        Of these splats.
+        Scores of these splats.
     references : ReferenceViews
     config : GainConfig, optional
     executor : Executor, optional
-        What runs the work of single views; threads of this process where it is not given.
+        Executor of the work on single views; by default threads of this process.
     progress : Progress
-        Called with ``("gain", splats placed, splats to place)``.
+        Called with ``("gain", splats ordered, splats to order)``.
 
     Returns
     -------
     (N,) int64
-        Rows of the scene, first to last; the same for any number of threads.
+        Rows of the scene, first to last; independent of the number of threads.
 
     Notes
     -----
-    The prefix grows in stages. In each, the gain of every candidate is measured in a few views
-    (`gains`), and the best of a random share of the candidates join. Contribution (PRoGS, section
-    3.1) measures how much a splat weighs in a render of the *full* scene. In a prefix most of the
-    splats that hide or overlap it are missing, so that it may matter more, or less.
+    The prefix grows in stages. Each stage measures the gain of every candidate in a few views
+    (`gains`), and the best of a random share of the candidates join the prefix. Contribution
+    (PRoGS, section 3.1) measures the weight of a splat in a render of the *full* scene. In a prefix
+    most splats that hide or overlap it are missing, so its effect may be larger or smaller.
     """
     config = config or GainConfig()
     executor = executor or LocalThreads(config.threads)
     count = len(splats)
     volume = np.exp(_VOLUME * splats.scales.astype(np.float64).sum(axis=1))
-    by_contribution = _places(scores.contribution)
-    place = np.minimum(by_contribution, _places(scores.contribution * volume))
+    by_contribution = _ranks(scores.contribution)
+    best_rank = np.minimum(by_contribution, _ranks(scores.contribution * volume))
     chosen = np.zeros(count, np.bool_)
     stages: list[NDArray[np.int64]] = []
     placed = 0
     effective_splats = prefix_inflation.effective_splats(scores.contribution)
     effort = config.effort
     until = int(effort.until * count)
-    first = min(max(1, round(_FIRST * count)), _MOST_FIRST)
+    first = min(max(1, round(_FIRST * count)), _MAX_FIRST)
     rng = np.random.default_rng(0)
     progress("gain", 0, until)
     while placed < until:
         late = placed >= _LATE * count
         growth = max(effort.growth, _LATE_GROWTH) if late else effort.growth
-        wanted = min(max(first, int(placed * growth)), until - placed)
-        candidates = ~chosen & (place < max(_POOL * (placed + wanted), _LEAST_POOL))
-        if len(stages) >= _RANDOM_FROM and placed + wanted < _RANDOM_UNTIL * count:
+        size = min(max(first, int(placed * growth)), until - placed)
+        candidates = ~chosen & (best_rank < max(_POOL * (placed + size), _MIN_POOL))
+        if len(stages) >= _RANDOM_FROM and placed + size < _RANDOM_UNTIL * count:
             part = candidates & (rng.random(count) < _RANDOM_SHARE)
-            if part.sum() >= wanted:
+            if part.sum() >= size:
                 candidates = part
-        # In file order: that is how memory is read fastest.
+        # In file order, which reads memory fastest.
         rows = np.flatnonzero(chosen | candidates)
         present = chosen[rows]
-        by = (
-            prefix_inflation.typical((placed + wanted) / effective_splats)
+        inflation = (
+            prefix_inflation.typical_inflation((placed + size) / effective_splats)
             if config.inflated
             else None
         )
-        most_views = min(effort.views, _LATE_VIEWS) if late else effort.views
-        views = references.sample(most_views, len(stages))
-        stage = Stage(rows.astype(np.int32), present, by)
+        num_views = min(effort.views, _LATE_VIEWS) if late else effort.views
+        views = references.sample(num_views, len(stages))
+        stage = Stage(rows.astype(np.int32), present, inflation)
         gain = gains(splats, references, stage, views, executor)
         gain[present] = -np.inf
-        # Ties, such as splats that these views do not show, come by contribution.
-        picked = rows[np.lexsort((by_contribution[rows], -gain))[:wanted]]
+        # Ties, such as splats outside the sampled views, are ordered by contribution.
+        picked = rows[np.lexsort((by_contribution[rows], -gain))[:size]]
         stages.append(picked)
         chosen[picked] = True
-        placed += wanted
+        placed += size
         progress("gain", placed, until)
     rest = np.flatnonzero(~chosen)
     rest = rest[np.argsort(by_contribution[rest])]
@@ -327,17 +330,16 @@ def gain_order(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> NDArray[np.int64]:
-    """Order a scene by marginal gain in the views of some cameras.
+    """Order a scene by marginal gain in the views of given cameras.
 
     Parameters
     ----------
     splats, scores, config, executor, progress
-        As in `gain_rows`; progress also that of `reference_views.render_references`.
+        See `gain_rows`; `reference_views.render_references` also reports to `progress`.
     cameras : sequence of Camera
-        In the frame of the means. Without any, or without splats, the order is by contribution.
+        Cameras in the frame of the means. Without cameras the order is by contribution.
     references : ReferenceViews, optional
-        Reference views of these cameras, if they have been rendered already; then
-        `GainConfig.jitter` has no effect.
+        Reference views of these cameras if already rendered; `GainConfig.jitter` is then ignored.
 
     Returns
     -------

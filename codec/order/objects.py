@@ -13,32 +13,32 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.splats import Splats
 
-from . import chunks as chunking
+from .chunk_plan import plan_chunks
 
 ATTRIBUTE: Final = "object"
 """Name of the extra attribute with labels: one integer per splat, 0 for splats of no object."""
 
-_MOST_LABEL: Final = (1 << 32) - 1
+_MAX_LABEL: Final = (1 << 32) - 1
 
-# Of attributes and of labels that a message lists.
-_MOST_NAMED: Final = 16
+# Attributes or labels at most that an error message lists.
+_MAX_LISTED: Final = 16
 
 Budgets = Sequence[tuple[int | None, float]]
-"""Label, or None for all objects that are not named, and a share of that object's splats."""
+"""Pairs of label and share of the object's splats; label None stands for all other objects."""
 
 
 @dataclass(frozen=True, eq=False)
-class Arrangement:
-    """An order cut into chunks of one object each.
+class ChunkedOrder:
+    """Order of a scene cut into chunks, with an object label per chunk.
 
     Parameters
     ----------
     rows : (n,) int64
         Rows of the scene, first to last.
     slices : sequence of slice
-        The chunks, consecutive runs of `rows`.
+        Consecutive ranges of `rows`, one per chunk.
     objects : (chunks,) uint32
-        Label of the object that each chunk holds.
+        Label of each chunk's object; 0 if chunks are not cut by object.
     """
 
     rows: NDArray[np.int64]
@@ -47,7 +47,7 @@ class Arrangement:
 
 
 def labels_of(splats: Splats) -> NDArray[np.uint32]:
-    """Return the labels of a scene, from its attribute ``object``.
+    """Return the object labels of a scene, from its attribute ``object``.
 
     Returns
     -------
@@ -56,11 +56,11 @@ def labels_of(splats: Splats) -> NDArray[np.uint32]:
     Raises
     ------
     DataError
-        ``no-objects``: the scene has no such attribute. ``bad-objects``: the attribute is not one
-        integer from 0 to 2³² - 1 per splat.
+        ``no-objects``: the attribute is missing. ``bad-objects``: the attribute is not one integer
+        from 0 to 2³² - 1 per splat.
     """
     if ATTRIBUTE not in splats.extras:
-        names = ", ".join(map(repr, sorted(splats.extras)[:_MOST_NAMED])) or "no extra attributes"
+        names = ", ".join(map(repr, sorted(splats.extras)[:_MAX_LISTED])) or "no extra attributes"
         raise DataError(
             "no-objects",
             f"the scene has {names}, expected labels of objects as the attribute {ATTRIBUTE!r}",
@@ -71,34 +71,34 @@ def labels_of(splats: Splats) -> NDArray[np.uint32]:
         raise DataError(
             "bad-objects", f"{ATTRIBUTE!r} of shape {labels.shape}, expected one label per splat"
         )
-    # Text formats and some programs store labels as floats; whole numbers are taken.
+    # Text formats and some programs store labels as floats; whole numbers are accepted.
     if len(labels) and not (
         np.isfinite(labels).all()
         and (labels == np.floor(labels)).all()
         and labels.min() >= 0
-        and labels.max() <= _MOST_LABEL
+        and labels.max() <= _MAX_LABEL
     ):
         raise DataError(
             "bad-objects",
             f"{ATTRIBUTE!r} from {labels.min()} to {labels.max()}, "
-            f"expected whole numbers from 0 to {_MOST_LABEL}",
+            f"expected whole numbers from 0 to {_MAX_LABEL}",
         )
     return labels.astype(np.uint32)
 
 
 def with_labels(splats: Splats, labels: NDArray[np.integer]) -> Splats:
-    """Return a scene with labels as its attribute ``object``, in the smallest type that holds them.
+    """Return splats with object labels as their attribute ``object``, in the smallest fitting type.
 
     Parameters
     ----------
     splats : Splats
     labels : (N,) integer
-        0 to 2³² - 1.
+        Labels from 0 to 2³² - 1.
 
     Returns
     -------
     Splats
-        Shares its other arrays with `splats`.
+        Splats that share all other arrays with `splats`.
 
     Examples
     --------
@@ -113,21 +113,22 @@ def with_labels(splats: Splats, labels: NDArray[np.integer]) -> Splats:
     return replace(splats, extras={**splats.extras, ATTRIBUTE: narrow})
 
 
-def ranked(
+def rank_objects(
     labels: NDArray[np.uint32], contribution: NDArray[np.float64]
 ) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
-    """Return the labels of the objects by descending contribution, and these contributions.
+    """Return the objects by descending contribution, with the contribution of each.
 
     Parameters
     ----------
     labels : (N,) uint32
+        Object label of each splat.
     contribution : (N,) float64
-        Of the splats.
+        Contribution of each splat.
 
     Returns
     -------
     objects : (n,) uint32
-        Each label once, ties by label.
+        Distinct labels; ties by label.
     total : (n,) float64
         Sum of the contributions of each object's splats.
     """
@@ -137,67 +138,69 @@ def ranked(
     return objects[rank], total[rank]
 
 
-def require(splats: Splats, budgets: Budgets = ()) -> None:
-    """Refuse a scene that `arrange` would refuse, before its splats are scored.
+def require_objects(splats: Splats, budgets: Budgets = ()) -> None:
+    """Check labels and budgets of a scene, before its splats are scored.
 
     Parameters
     ----------
     splats : Splats
     budgets : sequence of (int, float)
-        As `arrange` takes them.
+        Budgets for `chunk_by_object`.
 
     Raises
     ------
     DataError
-        ``no-objects``, ``bad-objects`` as `labels_of`; ``object-missing`` as `arrange`.
+        ``no-objects`` or ``bad-objects`` (see `labels_of`); ``object-missing`` (see
+        `chunk_by_object`).
     """
     _require_budgeted(labels_of(splats), budgets)
 
 
 def _require_budgeted(labels: NDArray[np.uint32], budgets: Budgets) -> None:
+    """Raise ``object-missing`` if a budget names an object that the scene lacks."""
     known = sorted(set(np.unique(labels).tolist()))
     absent = sorted(label for label, _ in budgets if label is not None and label not in known)
     if absent:
         raise DataError(
             "object-missing",
-            f"a budget for object {absent[0]}, expected one of {known[:_MOST_NAMED]}",
+            f"a budget for object {absent[0]}, expected one of {known[:_MAX_LISTED]}",
         )
 
 
-def arrange(
+def chunk_by_object(
     rows: NDArray[np.int64],
     labels: NDArray[np.uint32],
     contribution: NDArray[np.float64],
     largest: int,
     budgets: Budgets = (),
-) -> Arrangement:
+) -> ChunkedOrder:
     """Cut an order into chunks of one object each.
 
     Parameters
     ----------
     rows : (n,) int64
-        The order over all objects; it is kept inside each object.
+        Order of the splats of all objects; kept within each object.
     labels : (N,) uint32
-        Of the scene.
+        Object label of each row of the scene.
     contribution : (N,) float64
-        Of the scene; ranks the objects.
+        Contribution of each row of the scene, which ranks the objects.
     largest : int
-        Most splats in a chunk.
+        Splats of a chunk at most.
     budgets : sequence of (int, float)
-        Label, and the share of that object's splats that comes before all splats beyond budgets;
-        None stands for all objects that are not named.
+        Objects that come first: label, and the share of the object's splats within its budget.
+        Label None stands for all other objects.
 
     Returns
     -------
-    Arrangement
-        First the splats within budgets, object by object in the order of `ranked`. Then the other
-        chunks by the mean place of their splats in `rows`, so that the rest of the scene sharpens
-        as without budgets.
+    ChunkedOrder
+        Splats within budgets come first, object by object in the order of `rank_objects`. The
+        other chunks follow by the mean position of their splats in `rows`, so that the rest of the
+        scene sharpens as it would without budgets.
 
     Raises
     ------
     DataError
-        ``object-missing``: a budget for an object that the scene does not have.
+        ``object-missing``: a budget names an object that the scene lacks.
     """
     _require_budgeted(labels, budgets)
     shares = dict(budgets)
@@ -206,17 +209,17 @@ def arrange(
     of_rows = labels[rows]
     first: list[NDArray[np.int64]] = []
     rest: list[tuple[float, int, NDArray[np.int64]]] = []
-    for rank, label in enumerate(ranked(of_rows, contribution[rows])[0].tolist()):
+    for rank, label in enumerate(rank_objects(of_rows, contribution[rows])[0].tolist()):
         own = places[of_rows == label]
         count = math.ceil(shares.get(label, others) * len(own))
-        first += [own[run] for run in chunking.plan_chunks(count, largest)]
+        first += [own[run] for run in plan_chunks(count, largest)]
         own = own[count:]
-        runs = [own[run] for run in chunking.plan_chunks(len(own), largest)]
+        runs = [own[run] for run in plan_chunks(len(own), largest)]
         rest += [(float(run.mean()), rank, run) for run in runs]
     rest.sort(key=lambda entry: entry[:2])
     chunks = first + [run for _, _, run in rest]
     stops = np.cumsum([len(run) for run in chunks]).tolist()
     slices = [slice(stop - len(run), stop) for run, stop in zip(chunks, stops, strict=True)]
     order = np.concatenate(chunks) if chunks else places
-    held = np.array([of_rows[run[0]] for run in chunks], np.uint32)
-    return Arrangement(rows[order], slices, held)
+    chunk_labels = np.array([of_rows[run[0]] for run in chunks], np.uint32)
+    return ChunkedOrder(rows[order], slices, chunk_labels)

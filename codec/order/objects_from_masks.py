@@ -1,4 +1,4 @@
-"""Object labels from masks: each splat gets the label of the pixels in which it weighs most."""
+"""Object labels from masks: each splat gets the label under most of its blending weight."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from cogsplat.codec.render.label_votes import label_votes
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
-# Most splats times labels: each pair takes a float64.
-_MOST_VOTES: Final = 1 << 30
+# Limit of splats times labels: each pair takes a float64.
+_MAX_VOTES: Final = 1 << 30
 
-# Splats that are seen in no mask take the commonest label of so many nearest splats that are.
+# Number of nearest seen splats that vote on the label of a splat seen in no mask.
 _NEIGHBOURS: Final = 5
 
 
-def assign(
+def labels_from_masks(
     splats: Splats,
     cameras: Sequence[Camera],
     masks: Sequence[NDArray[np.integer]],
@@ -30,34 +30,34 @@ def assign(
     threads: int = 0,
     progress: Progress = silent,
 ) -> NDArray[np.uint32]:
-    """Give every splat the label in whose pixels its weights sum to most (PRoGS, section 3.4).
+    """Label every splat by the mask label whose pixels it weighs most in (PRoGS, section 3.4).
 
     Parameters
     ----------
     splats : Splats
     cameras : sequence of Camera
-        In the frame of the means, at least one.
+        Cameras of the masks in the frame of the means, at least one.
     masks : sequence of (H, W) integer
-        One for each camera, of its image size: labels from 0 to 2³² - 1, 0 for pixels of no object.
+        Mask of each camera, at its image size: labels from 0 to 2³² - 1, 0 for pixels of no object.
     threads : int
-        0 for all cores; the labels do not depend on it.
+        Number of threads; 0 for all cores. Labels do not depend on it.
     progress : Progress
         Called with ``("masks", views done, views)``.
 
     Returns
     -------
     (N,) uint32
-        Of equal sums the smallest label. A splat that is seen in no pixel takes the commonest label
-        of the five nearest splats that are; of equally common ones that of the nearest.
+        Label of each splat; ties go to the smallest label. A splat that no pixel shows gets the
+        most common label of the five nearest splats that are seen; ties go to the nearest.
 
     Raises
     ------
     DataError
-        ``no-cameras``: no camera. ``cameras-see-nothing``: no splat is seen in any pixel.
+        ``no-cameras``: there is no camera. ``cameras-see-nothing``: no splat is seen in any pixel.
     LimitError
-        ``mask-labels``: more than 2³⁰ splats times labels.
+        ``mask-labels``: splats times labels exceed 2³⁰.
     ValueError
-        Masks of another number or size than the cameras.
+        Number or sizes of masks and cameras differ.
     """
     if not cameras:
         raise DataError("no-cameras", "0 cameras with masks, expected at least 1")
@@ -65,10 +65,10 @@ def assign(
     if [mask.shape for mask in masks] != sizes:
         raise ValueError(f"masks of {[mask.shape for mask in masks]}, expected {sizes}")
     known = np.unique(np.concatenate([np.unique(mask) for mask in masks]))
-    if len(known) * len(splats) > _MOST_VOTES:
+    if len(known) * len(splats) > _MAX_VOTES:
         raise LimitError(
             "mask-labels",
-            f"{len(known)} labels for {len(splats)} splats, expected at most {_MOST_VOTES} of "
+            f"{len(known)} labels for {len(splats)} splats, expected at most {_MAX_VOTES} of "
             "both multiplied",
         )
     votes = np.zeros((len(splats), len(known)), np.float64)
@@ -106,7 +106,7 @@ def _from_neighbours(
     seen: NDArray[np.bool_],
     count: int,
 ) -> NDArray[np.intp]:
-    """Return, for each splat not seen, the commonest label of its nearest splats that are seen."""
+    """Return, for each unseen splat, the most common label of the nearest seen splats."""
     from scipy.spatial import KDTree
 
     finite = np.nan_to_num(means.astype(np.float64), posinf=0.0, neginf=0.0)
@@ -115,7 +115,7 @@ def _from_neighbours(
     around = winners[seen][found]
     tally = np.zeros((len(around), count), np.float64)
     for rank in range(nearest):
-        # The nearest counts half a vote more, which decides ties and nothing else.
+        # Half an extra vote for the nearest splat decides ties only.
         weight = 1.5 if rank == 0 else 1.0
         tally[np.arange(len(around)), around[:, rank]] += weight
     chosen: NDArray[np.intp] = tally.argmax(axis=1)

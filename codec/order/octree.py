@@ -1,8 +1,8 @@
 """Octree orders: every part of space gets its share of the first splats (PRoGS, section 3.2).
 
-The paper sorts by contribution inside each leaf of the octree. It leaves open how the leaves are
-merged into one order, for which there are two functions here (`round_robin` and `quota`), and how
-deep the octree is where splats are dense (`leaves` and `adaptive_leaves`).
+The paper sorts by contribution inside each leaf of the octree. It does not specify how the leaves
+are merged into one order (here `round_robin` and `quota`), nor how the depth depends on density
+(here `leaves` and `adaptive_leaves`).
 """
 
 from __future__ import annotations
@@ -13,29 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_DEPTH: Final = 20
-"""Deepest octree: three coordinates of so many bits fit an int64."""
+"""Maximum depth of an octree: three coordinates of 20 bits fit an int64."""
 
 
 def leaves(means: NDArray[np.float32], depth: int) -> NDArray[np.int64]:
-    """Return the octree leaf that each mean lies in.
+    """Return the number of the octree leaf that holds each mean.
 
     Parameters
     ----------
     means : (N, 3) float32
-        Scene units; those that are not finite are put into the first leaf.
+        Means, scene units; non-finite means go to the first leaf.
     depth : int
-        How often the bounding box of the means is halved along each axis, 0 to `MAX_DEPTH`. Leaves
-        have the proportions of that box.
+        Number of times the bounding box of the means is halved along each axis, 0 to `MAX_DEPTH`.
+        Leaves have the proportions of that box.
 
     Returns
     -------
     (N,) int64
-        A number of its own for each leaf.
+        Leaf numbers, not consecutive.
 
     Raises
     ------
     ValueError
-        `depth` out of range.
+        `depth` is out of range.
     """
     if not 0 <= depth <= MAX_DEPTH:
         raise ValueError(f"octree depth {depth}, expected 0 to {MAX_DEPTH}")
@@ -54,27 +54,27 @@ def leaves(means: NDArray[np.float32], depth: int) -> NDArray[np.int64]:
 
 
 def adaptive_leaves(means: NDArray[np.float32], capacity: int) -> NDArray[np.int64]:
-    """Return the leaf that each mean lies in, in an octree that is deeper where splats are dense.
+    """Return the number of each mean's leaf in an octree that is deeper where splats are dense.
 
     PRoGS (section 3.2) subdivides "based on the density of splats": a node with more than
-    `capacity` means has eight children, others are leaves.
+    `capacity` means is split into eight children.
 
     Parameters
     ----------
     means : (N, 3) float32
-        Scene units; those that are not finite are put into the first leaf.
+        Means, scene units; non-finite means go to the first leaf.
     capacity : int
-        Most means in a leaf, 1 or more; a leaf at depth `MAX_DEPTH` may hold more.
+        Means of a leaf at most, 1 or more; a leaf at depth `MAX_DEPTH` may hold more.
 
     Returns
     -------
     (N,) int64
-        A number of its own for each leaf.
+        Leaf numbers, not consecutive.
 
     Raises
     ------
     ValueError
-        A capacity below 1.
+        `capacity` is below 1.
 
     Examples
     --------
@@ -105,20 +105,22 @@ def adaptive_leaves(means: NDArray[np.float32], capacity: int) -> NDArray[np.int
 
 
 def round_robin(leaf: NDArray[np.int64], contribution: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return an order that takes the best splat of every leaf, then the second best, and so on.
+    """Return an order of the best splat of every leaf, then the second best of every leaf, etc.
 
     Parameters
     ----------
     leaf : (N,) int64
+        Leaf number of each splat.
     contribution : (N,) float64
-        Ranks the splats of a leaf (ties in file order) and, summed, the leaves.
+        Contribution of each splat. It ranks the splats of a leaf (ties in file order); its sum
+        ranks the leaves.
 
     Returns
     -------
     (N,) int64
         Rows, first to last.
     """
-    rank, _, total = _ranked(leaf, contribution)
+    rank, _, total = _rank_in_leaves(leaf, contribution)
     return np.lexsort((leaf, -total, rank)).astype(np.int64)
 
 
@@ -128,19 +130,20 @@ def quota(leaf: NDArray[np.int64], contribution: NDArray[np.float64]) -> NDArray
     Parameters
     ----------
     leaf : (N,) int64
+        Leaf number of each splat.
     contribution : (N,) float64
-        Ranks the splats of a leaf, ties in file order.
+        Contribution of each splat, which ranks the splats of a leaf; ties in file order.
 
     Returns
     -------
     (N,) int64
         Rows by ascending (rank in the leaf + ½) / (splats in the leaf), ties by contribution.
     """
-    rank, size, _ = _ranked(leaf, contribution)
+    rank, size, _ = _rank_in_leaves(leaf, contribution)
     return np.lexsort((-contribution, (rank + 0.5) / size)).astype(np.int64)
 
 
-def _ranked(
+def _rank_in_leaves(
     leaf: NDArray[np.int64], contribution: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Return each row's rank in its leaf, the leaf's size, and its total contribution."""

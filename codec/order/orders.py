@@ -17,7 +17,7 @@ from cogsplat.codec.geometry import frustum
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 
-from . import baselines, chunks, octree
+from . import baselines, chunk_plan, octree
 from . import first_view as view_rules
 from .gain_effort import GainEffort
 
@@ -28,56 +28,54 @@ if TYPE_CHECKING:
 FIRST_VIEW: Final = "first-view"
 FRUSTUM: Final = "frustum"
 POSE_RULES: Final = (FIRST_VIEW, FRUSTUM)
-"""Rules that may follow an order's name after a ``+``: the same order, one view's splats first."""
+"""Suffixes of an order's name, after a ``+``, that bring the splats of a first view forward."""
 
 # PRoGS, section 3.2 (Zoomers et al. 2024): leaves at depth 3.
 _OCTREE_DEPTH: Final = 3
-# The paper gives no capacity. At a thousand splats a leaf, a captured room of 80,796 splats has
-# about as many leaves as a grid of depth 3.
+# The paper gives no capacity. At 1000 splats per leaf, a captured room of 80,796 splats has about
+# the number of leaves of a grid of depth 3.
 _OCTREE_CAPACITY: Final = 1000
 # PRoGS, section 3.3: image bounds increased by 30 %, as 3DGS does: ±1.3 in normalised device
 # coordinates, 15 % of the image's size at each side.
 _FRUSTUM_MARGIN: Final = 0.15
-# On a captured room, 10 % of the splats by one view cost the other views 0.2 to 0.4 dB at 20 % of
-# the splats, and 15 % would cost them 1 dB. Not mixed, they would lose 4 dB at 10 %.
+# On a captured room, taking 10 % of the splats by one view costs other views 0.2 to 0.4 dB in a
+# prefix of 20 %; taking 15 % would cost 1 dB. Without mixing, other views lose 4 dB at 10 %.
 _FIRST_VIEW_SHARE: Final = 0.1
 _FIRST_VIEW_MIX: Final = 0.8
 
 
 @dataclass(frozen=True)
 class OrderConfig:
-    """Settings of the orders that have some.
+    """Settings of the orders.
 
     Parameters
     ----------
     octree_depth : int
-        How often ``octree-round-robin`` and ``octree-quota`` halve the scene's box along each axis,
-        0 to 20.
+        Depth of the octree of ``octree-round-robin`` and ``octree-quota``, 0 to 20.
     octree_capacity : int
-        Most splats in a leaf of ``octree-adaptive``.
+        Splats of a leaf of ``octree-adaptive`` at most.
     first_view : Camera or None
-        The view whose splats ``+first-view`` and ``+frustum`` bring forward, in the frame of the
-        means.
+        First view for ``+first-view`` and ``+frustum``, in the frame of the means.
     first_view_share : float
-        Share of all splats that ``+first-view`` takes in the order of that view, 0 to 1.
+        Share of all splats that ``+first-view`` orders by that view, 0 to 1.
     first_view_mix : float
-        Share of every prefix that consists of these splats until they are used up, 0 to 1; the
-        other splats of the prefix come in the order of the whole scene.
+        Share of those splats in every prefix until all are included, 0 to 1; the rest of the prefix
+        follows the order of the whole scene.
     frustum_share : float or None
-        Share of every prefix that ``+frustum`` keeps inside the frustum, 0 to 1; None for the share
-        that halves what lies outside (the paper states none).
+        Share of every prefix that ``+frustum`` keeps inside the frustum, 0 to 1. None for the share
+        that halves the splats outside (the paper states no value).
     frustum_margin : float
-        By how much the frustum is wider than the image at each side, as a share of its size; 0.15
+        Extension of the frustum beyond the image at each side, as a share of the image size; 0.15
         is ±1.3 in normalised device coordinates.
     seed : int
-        Of ``random``.
+        Seed of ``random``.
     inflated : bool
-        Whether ``gain`` measures prefixes inflated as compensation will draw them, or as they are.
+        Whether ``gain`` inflates prefixes as compensation will draw them when it measures gains.
     by_object : bool
-        Whether chunks hold one object each (`objects`); needs the attribute ``object``.
+        Whether each chunk holds a single object (`objects`); needs the attribute ``object``.
     object_budgets : tuple of (int, float)
-        Objects that come before the rest: label, and the share of the object's splats that does.
-        None as label stands for all objects that are not named. Only with `by_object`.
+        Objects that come first: label, and the share of the object's splats within its budget.
+        Label None stands for all other objects. Only with `by_object`.
     """
 
     octree_depth: int = _OCTREE_DEPTH
@@ -113,27 +111,28 @@ class OrderConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class Unordered:
-    """A scene that is to be ordered, and what is known about it.
+class OrderInputs:
+    """Scene to order, with its scores and views.
 
     Parameters
     ----------
     splats : Splats
+        Splats to order.
     scores : Scores
-        Of these splats, row by row; zeros where nothing was scored.
+        Scores of these splats; zeros if no view was scored.
     views : sequence of Camera
-        The cameras that were scored, without jittered copies; empty where they are not known.
+        Scored cameras without jittered copies; empty if not known.
     threads : int
-        0 for all cores; no order depends on it.
+        Number of threads; 0 for all cores. No order depends on it.
     progress : Progress
     jitter : bool
-        Whether orders that render also use jittered copies of the views.
+        Whether orders that render views use jittered copies too.
     references : ReferenceViews or None
-        Reference views of these cameras; None where they have not been rendered.
+        Reference views of these cameras; None if not rendered yet.
     executor : Executor or None
-        What runs the work of single views; None for threads of this process.
+        Executor of the work on single views; None for threads of this process.
     effort : GainEffort
-        How much work goes into ``gain``.
+        Effort of ``gain``.
     """
 
     splats: Splats
@@ -147,33 +146,33 @@ class Unordered:
     effort: GainEffort = field(default_factory=GainEffort)
 
 
-Order = Callable[[Unordered, OrderConfig], NDArray[np.int64]]
+Order = Callable[[OrderInputs, OrderConfig], NDArray[np.int64]]
 
 
-def by_contribution(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+def by_contribution(scene: OrderInputs, config: OrderConfig) -> NDArray[np.int64]:
     """Return rows by descending contribution, ties in file order (PRoGS, section 3.1)."""
-    return baselines.descending(scene.scores.contribution)
+    return baselines.sort_descending(scene.scores.contribution)
 
 
-def _octree_round_robin(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+def _octree_round_robin(scene: OrderInputs, config: OrderConfig) -> NDArray[np.int64]:
     """Return rows by `octree.round_robin`."""
     leaves = octree.leaves(scene.splats.means, config.octree_depth)
     return octree.round_robin(leaves, scene.scores.contribution)
 
 
-def _octree_quota(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+def _octree_quota(scene: OrderInputs, config: OrderConfig) -> NDArray[np.int64]:
     """Return rows by `octree.quota`."""
     leaves = octree.leaves(scene.splats.means, config.octree_depth)
     return octree.quota(leaves, scene.scores.contribution)
 
 
-def _octree_adaptive(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+def _octree_adaptive(scene: OrderInputs, config: OrderConfig) -> NDArray[np.int64]:
     """Return rows by `octree.round_robin` over leaves of bounded size."""
     leaves = octree.adaptive_leaves(scene.splats.means, config.octree_capacity)
     return octree.round_robin(leaves, scene.scores.contribution)
 
 
-def _by_gain(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+def _by_gain(scene: OrderInputs, config: OrderConfig) -> NDArray[np.int64]:
     """Return rows by marginal gain, sorted by contribution in runs of chunks."""
     from .marginal_gain import GainConfig, gain_order
 
@@ -191,26 +190,25 @@ def _by_gain(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
         executor=scene.executor,
         progress=scene.progress,
     )
-    return chunks.sort_runs(rows, scene.scores.contribution)
+    return chunk_plan.sort_runs(rows, scene.scores.contribution)
 
 
 def _baseline(priority: Callable[[Splats], NDArray[np.float64]]) -> Order:
-    """Return the order by descending priority."""
-    return lambda scene, config: baselines.descending(priority(scene.splats))
+    """Return the order by descending `priority`."""
+    return lambda scene, config: baselines.sort_descending(priority(scene.splats))
 
 
-def _source(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+def _source(scene: OrderInputs, config: OrderConfig) -> NDArray[np.int64]:
     """Return rows in file order."""
     return np.arange(len(scene.splats), dtype=np.int64)
 
 
-def _random(scene: Unordered, config: OrderConfig) -> NDArray[np.int64]:
+def _random(scene: OrderInputs, config: OrderConfig) -> NDArray[np.int64]:
     """Return a random permutation of the rows."""
     return np.random.default_rng(config.seed).permutation(len(scene.splats)).astype(np.int64)
 
 
-# Orders that render live in modules of their own, which are imported when they are asked for: this
-# module must not need numba.
+# Orders that render import their modules when called: importing this module must not need numba.
 _ORDERS: Final[Mapping[str, Order]] = {
     "contribution": by_contribution,
     "gain": _by_gain,
@@ -237,19 +235,15 @@ ORDERS: Final = tuple(_ORDERS)
 def split_name(name: str) -> tuple[str, str]:
     """Split a name such as ``contribution+frustum`` into the order and the rule for a first view.
 
-    Parameters
-    ----------
-    name : str
-
     Returns
     -------
     order, rule : str
-        `rule` is empty where the name has none.
+        Name of the order, and one of `POSE_RULES` or an empty string.
 
     Raises
     ------
     ValueError
-        An unknown order or rule.
+        The order or rule is unknown.
     """
     base, plus, rule = name.partition("+")
     if base not in _ORDERS or (plus and rule not in POSE_RULES):
@@ -261,12 +255,12 @@ def split_name(name: str) -> tuple[str, str]:
 
 
 def needs_scores(name: str) -> bool:
-    """Tell whether an order depends on scores; the others need neither cameras nor a renderer.
+    """Return whether an order depends on scores, and so on cameras and a renderer.
 
     Parameters
     ----------
     name : str
-        As `order_rows` takes it.
+        Name of the order; see `order_rows`.
 
     Returns
     -------
@@ -275,7 +269,7 @@ def needs_scores(name: str) -> bool:
     Raises
     ------
     ValueError
-        As `split_name`.
+        The name is unknown.
 
     Examples
     --------
@@ -286,57 +280,59 @@ def needs_scores(name: str) -> bool:
 
 
 def require_order(name: str, config: OrderConfig) -> None:
-    """Check that an order is known and has the settings that it needs.
+    """Check that an order is known and has its required settings.
 
     Raises
     ------
     ValueError
-        An unknown name, or a rule for a first view without `OrderConfig.first_view`.
+        The name is unknown, or has a rule for a first view without `OrderConfig.first_view`.
     """
     rule = split_name(name)[1]
     if rule and config.first_view is None:
         raise ValueError(f"order {name!r} without a first view, expected one")
 
 
-def order_rows(name: str, scene: Unordered, config: OrderConfig | None = None) -> NDArray[np.int64]:
+def order_rows(
+    name: str, scene: OrderInputs, config: OrderConfig | None = None
+) -> NDArray[np.int64]:
     """Return the permutation of an order: rows of the scene, first to last.
 
     Parameters
     ----------
     name : str
         ``contribution``: descending contribution, ties in file order (PRoGS, section 3.1).
-        ``gain``: by marginal gain (`marginal_gain`), or by contribution where no views are known.
+        ``gain``: by marginal gain (`marginal_gain`), or by contribution without views.
         ``octree-round-robin``, ``octree-quota``, ``octree-adaptive``: every leaf of an octree gets
         its share early (`octree`).
-        ``antimatter``, ``sgss``, ``opacity``, ``scale``, ``distance``: the baselines of other
-        programs and papers (`baselines`).
-        ``source``: as in the file. ``random``: a random permutation.
-        Any of them may be followed by ``+first-view`` or ``+frustum`` (`first_view`): the same
-        order with the splats of one view brought forward.
-    scene : Unordered
+        ``antimatter``, ``sgss``, ``opacity``, ``scale``, ``distance``: baselines of other programs
+        and papers (`baselines`).
+        ``source``: file order. ``random``: a random permutation.
+        The suffix ``+first-view`` or ``+frustum`` brings the splats of a first view forward
+        (`first_view`).
+    scene : OrderInputs
     config : OrderConfig, optional
 
     Returns
     -------
     (N,) int64
-        The same for any number of threads.
+        Order, independent of the number of threads.
 
     Raises
     ------
     DataError
         ``cameras-see-nothing``: the first view shows no splat.
     ValueError
-        As `require_order`.
+        See `require_order`.
 
     Examples
     --------
     >>> import numpy as np
-    >>> from cogsplat.codec.order.orders import Unordered, order_rows
+    >>> from cogsplat.codec.order.orders import OrderInputs, order_rows
     >>> from cogsplat.codec.scoring.contribution import zero_scores
     >>> from cogsplat.codec.splats import empty
     >>> splats = empty(0, 3)
     >>> splats.opacities[:] = [0.5, 2.0, -1.0]
-    >>> order_rows("opacity", Unordered(splats, zero_scores(3))).tolist()
+    >>> order_rows("opacity", OrderInputs(splats, zero_scores(3))).tolist()
     [1, 0, 2]
     """
     config = config or OrderConfig()
@@ -349,7 +345,7 @@ def order_rows(name: str, scene: Unordered, config: OrderConfig | None = None) -
         inside = frustum.in_frustum(scene.splats, config.first_view, config.frustum_margin)
         share = config.frustum_share
         if share is None:
-            share = view_rules.halved_outside(inside)
+            share = view_rules.default_share(inside)
         brought_forward = view_rules.keep_share(rows, inside, share)
         if np.array_equal(brought_forward, rows):
             warnings.warn(
@@ -359,18 +355,18 @@ def order_rows(name: str, scene: Unordered, config: OrderConfig | None = None) -
                 stacklevel=2,
             )
         return brought_forward
-    in_view = _seen_from(scene, config.first_view)
+    in_view = _score_in_view(scene, config.first_view)
     ahead = _ORDERS[base](in_view, config)
     ahead = ahead[in_view.scores.contribution[ahead] > 0]
-    return view_rules.lead(rows, ahead, config.first_view_share, config.first_view_mix)
+    return view_rules.bring_forward(rows, ahead, config.first_view_share, config.first_view_mix)
 
 
-def _seen_from(scene: Unordered, camera: Camera) -> Unordered:
-    """Return the scene scored from one camera alone."""
+def _score_in_view(scene: OrderInputs, camera: Camera) -> OrderInputs:
+    """Return the inputs with scores from a single camera."""
     from cogsplat.codec.scoring.contribution import ScoreConfig, score
 
-    # All weights count, not a pixel's K largest alone: a splat that others cover has no other view
-    # to make up for it, and in a short prefix these others are missing.
+    # No top K: a splat covered in this view has no other view to count in, and in a short prefix
+    # the splats that cover it are missing.
     config = ScoreConfig(top_k=0, jitter=False, threads=scene.threads)
     scores = score(scene.splats, [camera], config, executor=scene.executor)
     return replace(scene, scores=scores, views=[camera], references=None)

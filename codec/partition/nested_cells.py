@@ -1,8 +1,8 @@
-"""Cells in layers: an order cut into chunks that each lie in one box, finer from layer to layer.
+"""Nested cells: an order cut into layers, and each layer into chunks of one box each.
 
-The first layer is one chunk of the whole scene. Each further layer has more splats, and its cells
-are those of the layer before, halved where they hold too many. So a client can fetch the beginning
-of everything, and more of what it looks at (as COPC's octree of points).
+The first layer is one chunk of the whole scene. Each further layer has more splats. Its cells are
+those of the layer before, halved if they hold too many splats. A client can thus fetch a coarse
+version of the whole scene, and details of visible cells only (as in COPC's octree of points).
 """
 
 from __future__ import annotations
@@ -16,43 +16,43 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-DEFAULT_LARGEST: Final = 8192
-"""Most splats of a chunk unless asked: bytes against selectivity, see below."""
-# Bytes of heads, refinements, tails and codebooks over those of chunks that are not cut by cell, at
-# a nominal 40 dB; PSNR in dB of the whole in held-out views, and of the first 35, 50 and 70 % of
-# the splats, uncompensated:
+DEFAULT_CELL_SPLATS: Final = 8192
+"""Default of the largest number of splats in a chunk: a trade of bytes for selectivity."""
+# Growth of the bytes of heads, refinements, tails and codebooks relative to chunks without cells,
+# at a nominal 40 dB; PSNR in held-out views, dB, of the whole scene and of the first 35, 50 and
+# 70 % of the splats, uncompensated:
 #                                       captured room              house of 6 rooms
 #   not cut                               39.77 27.6 31.5 35.0         30.20 20.5 23.1 25.6
 #   most 16,384, layers grow by 1.5 +0.5% 39.79 27.6 31.6 34.7   +1.4% 30.29 20.9 23.2 25.5
 #   most 8,192, layers grow by 1.5  +1.5% 39.77 27.9 31.2 34.8   +2.8% 30.31 20.8 22.7 24.9
 #   most 4,096, layers grow by 1.5                               +5.7% 30.29 20.8 22.9 24.8
 #   most 8,192, layers grow by 2    +5.9% 39.74 27.2 30.9 32.4
-# Layers that double hold splats too different for one chunk's steps, and while the last layer
-# arrives, half of the picture is coarse. Layers of a sixth of the splats at most were tried in the
-# room: 0.5 % fewer bytes at equal PSNR, and 384 KiB show 0.3 dB more, but who chooses by the views
-# nearest to a pose sees 0.9 dB less with half of the bytes (and 0.3 dB more with 70 %), as fewer
-# chunks of the middle layers are cut.
+# If layers double, the splats of a chunk are too different for common steps, and half of the
+# picture is coarse while the last layer arrives. Layers of at most a sixth of the splats were tried
+# in the room: 0.5 % fewer bytes at equal PSNR, and 0.3 dB more in 384 KiB. A client that fetches by
+# the views nearest to its pose then has 0.9 dB less at half of the bytes (and 0.3 dB more at 70 %),
+# because fewer chunks of the middle layers are cut.
 
 WHOLE: Final = 1
-"""Number of the cell that is the whole scene; the halves of cell c are 2c and 2c + 1 (SPEC 5.4)."""
+"""Number of the cell of the whole scene; the halves of cell c are 2c and 2c + 1 (SPEC 5.4)."""
 
-# A cell is not halved where the numbers of its halves would leave the 32 bits of the chunk table.
-_MOST_HALVED: Final = (1 << 31) - 1
-# Share of the splats, at each end of each axis, that do not count in how long a cell is: floaters
-# far outside would have it cut across the wrong axis.
-_OUTSIDE: Final = 0.02
+# Largest cell number whose halves have numbers of 32 bits, as the chunk table requires.
+_MAX_HALVED: Final = (1 << 31) - 1
+# Share of the splats ignored at each end of an axis when a cell's length is measured: distant
+# floaters would make it cut across the wrong axis.
+_OUTLIERS: Final = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class NestedCells:
-    """An order that is cut into chunks by layers and cells.
+    """Order cut into chunks by layers and cells.
 
     Parameters
     ----------
     order : (n,) int64
-        Places of the order that was cut, in the order of the chunks.
+        Positions in the original order, chunk by chunk, ascending within a chunk.
     slices : list of slice
-        The chunks: consecutive runs of `order`, inside each by their places.
+        Consecutive ranges of `order`, one per chunk.
     layers : (c,) int64
         Layer of each chunk, ascending.
     cells : (c,) int64
@@ -66,17 +66,17 @@ class NestedCells:
 
 
 def parents(cells: NDArray[np.integer]) -> I64:
-    """Return the chunk that each chunk adds detail to (SPEC 5.4).
+    """Return each chunk's parent: the chunk that it adds detail to (SPEC 5.4).
 
     Parameters
     ----------
     cells : (c,) integer
-        Number of each chunk's cell, in the order of the chunks; 0 where chunks are not cut by cell.
+        Cell number of each chunk, in the order of the chunks; 0 if chunks are not cut by cell.
 
     Returns
     -------
     (c,) int64
-        -1 for a chunk that has no parent.
+        Number of the parent chunk; -1 for a chunk without parent.
 
     Examples
     --------
@@ -95,10 +95,14 @@ def parents(cells: NDArray[np.integer]) -> I64:
 
 @dataclass(eq=False)
 class _Cell:
-    """A cell while layers are cut: its plane once it was halved, else what waits for a chunk."""
+    """Node of the binary tree of cells: a halved cell has a plane, a leaf has pending splats.
+
+    `pending` holds positions of splats that are not in a chunk yet; `last_chunk` is the number of
+    the leaf's latest chunk, or -1.
+    """
 
     number: int
-    waiting: list[I64] = field(default_factory=list)
+    pending: list[I64] = field(default_factory=list)
     last_chunk: int = -1
     axis: int = -1
     plane: float = 0.0
@@ -107,54 +111,56 @@ class _Cell:
 
 @dataclass(eq=False)
 class _Chunk:
+    """Layer, cell number and splat positions of one chunk."""
+
     layer: int
     cell: int
     places: I64
 
 
 def nested_cells(
-    means: F64, weights: F64, *, first: int, growth: float, least: int, most: int
+    means: F64, weights: F64, *, first: int, growth: float, smallest: int, largest: int
 ) -> NestedCells:
-    """Cut an order into layers that grow, and each layer into cells.
+    """Cut an order into growing layers, and each layer into cells.
 
     Parameters
     ----------
     means : (n, 3) float64
-        Of the splats in their order, scene units.
+        Means of the splats in their order, scene units.
     weights : (n,) float64
-        What splats contribute: inside a layer, chunks that contribute more for their splats come
-        first.
+        Contribution of each splat. Within a layer, chunks are sorted by mean contribution.
     first : int
         Splats of the first layer.
     growth : float
-        How many times larger each layer is than the one before, above 1.
-    least, most : int
-        Splats of a chunk, but for scenes of fewer than `least`. `least` is at most `first` and at
-        most half of `most`, and `first` at most `most`.
+        Ratio of a layer's size to the layer before, above 1.
+    smallest, largest : int
+        Limits of the splats of a chunk, with ``smallest ≤ first ≤ largest`` and
+        ``2 · smallest ≤ largest``. A scene of fewer than `smallest` splats is one chunk.
 
     Returns
     -------
     NestedCells
-        A cell's splats of a layer that are fewer than `least` wait for the next layer.
+        Chunks. If a cell has fewer than `smallest` splats of a layer, they move to the next layer.
 
     Raises
     ------
     ValueError
-        Numbers of splats that do not go together.
+        The sizes or the growth contradict each other.
     """
-    if not 1 <= least <= first <= most or 2 * least > most or not growth > 1.0:
+    if not 1 <= smallest <= first <= largest or 2 * smallest > largest or not growth > 1.0:
         raise ValueError(
-            f"chunks of {least} to {most} splats, {first} in the first layer, growing by {growth}: "
-            "expected the first layer between least and most, most at least twice least, growth"
+            f"chunks of {smallest} to {largest} splats, {first} in the first layer, growing by "
+            f"{growth}: expected the first layer between these, the largest at least twice the "
+            "smallest, and growth above 1"
         )
     root = _Cell(WHOLE)
     chunks: list[_Chunk] = []
     for layer, run in enumerate(_layers(len(means), first, growth)):
-        _share_out(root, np.arange(run.start, run.stop), means)
+        _distribute(root, np.arange(run.start, run.stop), means)
         for leaf in _leaves(root):
-            _cut(leaf, layer, means, least, most, chunks)
+            _cut(leaf, layer, means, smallest, largest, chunks)
     for leaf in _leaves(root):
-        _finish(leaf, most, chunks)
+        _chunk_pending(leaf, largest, chunks)
     for chunk in chunks:
         chunk.places.sort()
     chunks.sort(key=lambda chunk: (chunk.layer, -float(weights[chunk.places].mean()), chunk.cell))
@@ -168,7 +174,7 @@ def nested_cells(
 
 
 def _layers(splats: int, first: int, growth: float) -> list[slice]:
-    """Return runs that grow; a rest of less than half of the next run joins the last one."""
+    """Return growing ranges of splats; a rest below half of the next range joins the last range."""
     runs: list[slice] = []
     start, size = 0, first
     while start < splats:
@@ -181,70 +187,73 @@ def _layers(splats: int, first: int, growth: float) -> list[slice]:
 
 
 def _leaves(cell: _Cell) -> list[_Cell]:
+    """Return the leaves below a cell."""
     if cell.halves is None:
         return [cell]
     return _leaves(cell.halves[0]) + _leaves(cell.halves[1])
 
 
-def _share_out(cell: _Cell, places: I64, means: F64) -> None:
-    """Give splats to the leaves that they lie in."""
+def _distribute(cell: _Cell, places: I64, means: F64) -> None:
+    """Add splats to the pending splats of the leaves that they lie in."""
     if cell.halves is None:
-        cell.waiting.append(places)
+        cell.pending.append(places)
         return
     is_low = means[places, cell.axis] < cell.plane
-    _share_out(cell.halves[0], places[is_low], means)
-    _share_out(cell.halves[1], places[~is_low], means)
+    _distribute(cell.halves[0], places[is_low], means)
+    _distribute(cell.halves[1], places[~is_low], means)
 
 
-def _cut(cell: _Cell, layer: int, means: F64, least: int, most: int, chunks: list[_Chunk]) -> None:
-    """Make chunks of what waits in a leaf, and halve it where that is more than a chunk holds."""
-    places = np.concatenate(cell.waiting)
-    if len(places) < least:
-        cell.waiting = [places]
+def _cut(
+    cell: _Cell, layer: int, means: F64, smallest: int, largest: int, chunks: list[_Chunk]
+) -> None:
+    """Append chunks of a leaf's pending splats, halving the leaf if they exceed one chunk."""
+    places = np.concatenate(cell.pending)
+    if len(places) < smallest:
+        cell.pending = [places]
         return
-    cell.waiting = []
-    if len(places) > most:
-        plane = _plane(means[places], least, most) if cell.number <= _MOST_HALVED else None
+    cell.pending = []
+    if len(places) > largest:
+        plane = _plane(means[places], smallest, largest) if cell.number <= _MAX_HALVED else None
         if plane is not None:
             cell.axis, cell.plane = plane
             cell.halves = (_Cell(2 * cell.number), _Cell(2 * cell.number + 1))
-            _share_out(cell, places, means)
+            _distribute(cell, places, means)
             for half in cell.halves:
-                _cut(half, layer, means, least, most, chunks)
+                _cut(half, layer, means, smallest, largest, chunks)
             return
-    # Splats in one place cannot be told apart by planes: several chunks of one cell hold them.
-    count = -(-len(places) // most)
+    # No plane separates coincident splats: they go to several chunks of one cell.
+    count = -(-len(places) // largest)
     for part in np.array_split(places, count):
         cell.last_chunk = len(chunks)
         chunks.append(_Chunk(layer, cell.number, part))
 
 
-def _plane(means: F64, least: int, most: int) -> tuple[int, float] | None:
-    """Return an axis and where to cut it, or None where no plane leaves enough on both sides."""
-    parts = -(-len(means) // most)
+def _plane(means: F64, smallest: int, largest: int) -> tuple[int, float] | None:
+    """Return axis and position of a plane with at least `smallest` splats on each side, or None."""
+    parts = -(-len(means) // largest)
     wanted = len(means) * (parts // 2) // parts
-    low, high = np.quantile(means, [_OUTSIDE, 1.0 - _OUTSIDE], axis=0)
+    low, high = np.quantile(means, [_OUTLIERS, 1.0 - _OUTLIERS], axis=0)
     for axis in np.argsort(low - high, kind="stable").tolist():
         values = np.sort(means[:, axis])
         plane = float(values[wanted])
         below = int(np.searchsorted(values, plane, side="left"))
-        if min(below, len(means) - below) >= least:
+        if min(below, len(means) - below) >= smallest:
             return axis, plane
     return None
 
 
-def _finish(cell: _Cell, most: int, chunks: list[_Chunk]) -> None:
-    """Add what still waits in a leaf to its last chunk, or share both between two chunks."""
-    left = np.concatenate([np.zeros(0, np.int64), *cell.waiting])
+def _chunk_pending(cell: _Cell, largest: int, chunks: list[_Chunk]) -> None:
+    """Add a leaf's pending splats to its last chunk, or split both evenly into two chunks."""
+    left = np.concatenate([np.zeros(0, np.int64), *cell.pending])
     if not len(left):
         return
     if cell.last_chunk < 0:
-        # Leaves have a chunk since they were made; this is a scene of fewer than `least`.
+        # Only the root of a scene with fewer splats than `smallest` has no chunk yet.
         chunks.append(_Chunk(0, cell.number, left))
         return
     last = chunks[cell.last_chunk]
     places = np.sort(np.concatenate([last.places, left]))
-    if len(places) <= most:
+    if len(places) <= largest:
         last.places = places
         return
     middle = len(places) // 2

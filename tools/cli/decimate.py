@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import CogsplatWarning
-from cogsplat.codec.order.baselines import antimatter, descending
+from cogsplat.codec.order.baselines import antimatter, sort_descending
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits import limits_option
@@ -187,7 +187,7 @@ def _most(splats: Splats, priority: NDArray[np.float64], count: int) -> Splats:
     """Return the rows of highest priority, in the order of the file."""
     if count == len(splats):
         return splats
-    return splats.take(np.sort(descending(priority)[:count]))
+    return splats.take(np.sort(sort_descending(priority)[:count]))
 
 
 def _share(priority: NDArray[np.float64], count: int, by: str) -> float | None:

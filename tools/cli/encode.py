@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 import click
 
 import cogsplat
-from cogsplat.codec.order.chunks import DEFAULT_LARGEST
-from cogsplat.codec.partition.nested_cells import DEFAULT_LARGEST as CELL_LARGEST
+from cogsplat.codec.order.chunk_plan import DEFAULT_CHUNK_SPLATS
+from cogsplat.codec.partition.nested_cells import DEFAULT_CELL_SPLATS
 from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
 from cogsplat.codec.threads import thread_count
 from cogsplat.formats.storage.atomic import check_output
@@ -178,7 +178,8 @@ _GROUPS: Final = {
     "--chunk-splats",
     type=click.IntRange(1, MAX_CHUNK_SPLATS),
     metavar="N",
-    help=f"Most splats in a chunk.  [default: {DEFAULT_LARGEST}, with --cells {CELL_LARGEST}]",
+    help="Most splats in a chunk.  "
+    f"[default: {DEFAULT_CHUNK_SPLATS}, with --cells {DEFAULT_CELL_SPLATS}]",
 )
 @click.option(
     "--cells",
@@ -338,7 +339,7 @@ def encode(
         profile=profile,
         quality_db=quality,
         order=choice.base,
-        chunk_splats=chunk_splats or (CELL_LARGEST if cells else DEFAULT_LARGEST),
+        chunk_splats=chunk_splats or (DEFAULT_CELL_SPLATS if cells else DEFAULT_CHUNK_SPLATS),
         cells=cells,
         view_table=not no_view_table,
         morton=not no_morton,

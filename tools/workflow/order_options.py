@@ -130,17 +130,17 @@ class OrderChoice:
         """
         if self.masks is None:
             if self.by_object:
-                objects.require(splats, self.budgets)
+                objects.require_objects(splats, self.budgets)
             return splats
         if cameras is None:
             raise click.UsageError("--masks without --cameras, expected those the masks belong to")
-        from cogsplat.codec.order.objects_from_masks import assign
+        from cogsplat.codec.order.objects_from_masks import labels_from_masks
         from cogsplat.tools.pictures.mask_images import read_masks
 
         views, pictures = read_masks(self.masks, given_cameras(cameras))
-        labels = assign(splats, views, pictures, threads=threads, progress=progress)
+        labels = labels_from_masks(splats, views, pictures, threads=threads, progress=progress)
         labelled = objects.with_labels(splats, labels)
-        objects.require(labelled, self.budgets)
+        objects.require_objects(labelled, self.budgets)
         return labelled
 
 

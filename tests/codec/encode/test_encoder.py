@@ -12,7 +12,7 @@ from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.profiles.near_lossless import NearLosslessBounds
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.geometry import bounds as extent
-from cogsplat.codec.order import chunks
+from cogsplat.codec.order import chunk_plan
 from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.rate.allocation import lagrangian
 from cogsplat.codec.rate.pruning import PruneConfig
@@ -169,7 +169,7 @@ def test_chunks_follow_the_order_and_say_what_they_hold(profile, morton):
         np.testing.assert_array_equal(chunk.box[3:], np.maximum(fine, coarse)[3:])
         start += chunk.splats
     assert start == n
-    runs = chunks.plan_chunks(n, 700)
+    runs = chunk_plan.plan_chunks(n, 700)
     assert [chunk.splats for chunk in encoded.chunks] == [run.stop - run.start for run in runs]
     boxes = np.array([chunk.box for chunk in encoded.chunks])
     whole = np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from cogsplat.codec.metrics import psnr
-from cogsplat.codec.order.orders import OrderConfig, Unordered, order_rows
+from cogsplat.codec.order.orders import OrderConfig, OrderInputs, order_rows
 from cogsplat.codec.render.rasteriser import RenderConfig, render_views
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.views.view_sets import hold_out
@@ -68,7 +68,7 @@ def test_renders_match_the_photos_as_in_training(fox):
 def scored(fox):
     splats, cameras = fox
     train, _ = hold_out(cameras, 8)
-    return Unordered(splats, score(splats, train, ScoreConfig(jitter=False)), train)
+    return OrderInputs(splats, score(splats, train, ScoreConfig(jitter=False)), train)
 
 
 def mean_db(splats, rows, share, cameras, full):

@@ -5,7 +5,7 @@ import oracle
 from encoding import unseen
 
 from cogsplat.codec.encode.prepared import prepare
-from cogsplat.codec.order.chunks import plan_chunks
+from cogsplat.codec.order.chunk_plan import plan_chunks
 from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.scoring.contribution import zero_scores

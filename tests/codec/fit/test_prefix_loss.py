@@ -50,13 +50,13 @@ def test_prefixes_are_those_of_the_layers_with_their_usual_inflation():
     prefixes = PrefixLoss.for_layers(chunks, 300, 1.0)
     ends = plan_layers([40, 60, 200], 300)
     assert [len(rows) for rows in prefixes.rows] == [[40, 100][end - 1] for end in ends]
-    assert prefixes.inflations[0] == prefix_inflation.typical(40 / 300)
+    assert prefixes.inflations[0] == prefix_inflation.typical_inflation(40 / 300)
 
 
 def test_gradients_are_those_of_the_prefix_and_touch_no_other_splat(scene):
     splats, training_views = scene
     rows = np.arange(0, 600, 2)
-    prefixes = PrefixLoss([rows], [prefix_inflation.typical(0.5)], 1.0)
+    prefixes = PrefixLoss([rows], [prefix_inflation.typical_inflation(0.5)], 1.0)
     pixels = training_views.pictures[0].size
     # As large as the prefix's own error: the weight that is left is that of the class, 1.
     error = squared_error(splats, prefixes, 0, training_views, 0) * 2 / pixels
@@ -82,7 +82,7 @@ def test_no_prefix_asks_for_nothing(scene):
 
 def test_prefixes_that_are_taught_show_more(scene):
     splats, training_views = scene
-    prefixes = PrefixLoss([np.arange(200)], [prefix_inflation.typical(1 / 3)], 3.0)
+    prefixes = PrefixLoss([np.arange(200)], [prefix_inflation.typical_inflation(1 / 3)], 3.0)
 
     off = np.random.default_rng(1).normal(0.0, 0.3, splats.sh0.shape).astype(np.float32)
     begin = replace(splats, sh0=splats.sh0 + off)

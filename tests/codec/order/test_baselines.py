@@ -10,7 +10,7 @@ from cogsplat.codec.order import baselines
 
 def test_rows_come_by_descending_priority():
     priority = np.array([1.0, np.nan, 3.0, 1.0, -np.inf, 3.0])
-    assert baselines.descending(priority).tolist() == [2, 5, 0, 3, 4, 1]
+    assert baselines.sort_descending(priority).tolist() == [2, 5, 0, 3, 4, 1]
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -33,5 +33,5 @@ def test_opaque_and_invisible_splats_have_their_place():
     splats = oracle.scene(0, n=3)
     splats.scales[:] = 0.0
     splats.opacities[:] = [-np.inf, np.inf, 0.0]
-    assert baselines.descending(baselines.antimatter(splats)).tolist() == [1, 2, 0]
-    assert baselines.descending(baselines.sgss(splats)).tolist() == [1, 2, 0]
+    assert baselines.sort_descending(baselines.antimatter(splats)).tolist() == [1, 2, 0]
+    assert baselines.sort_descending(baselines.sgss(splats)).tolist() == [1, 2, 0]

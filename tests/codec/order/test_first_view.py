@@ -47,7 +47,7 @@ def test_every_prefix_holds_the_share_while_it_lasts():
 @pytest.mark.parametrize(("share", "count"), [(0.0, 0), (0.01, 1), (0.3, 3), (1.0, 4)])
 def test_lead_takes_the_first_of_another_order(share, count):
     rows, ahead = np.array([5, 3, 1, 0, 2, 4, 9, 8, 7, 6]), np.array([9, 5, 6, 0])
-    found = first_view.lead(rows, ahead, share).tolist()
+    found = first_view.bring_forward(rows, ahead, share).tolist()
     assert found[:count] == ahead[:count].tolist()
     assert found[count:] == [row for row in rows.tolist() if row not in found[:count]]
 
@@ -63,7 +63,7 @@ def test_both_orders_have_their_part_of_any_beginning(count, share, mix, random)
     random.shuffle(rows)
     random.shuffle(ahead)
     ahead = ahead[: random.randint(0, count)]
-    found = first_view.lead(np.array(rows), np.array(ahead, np.int64), share, mix).tolist()
+    found = first_view.bring_forward(np.array(rows), np.array(ahead, np.int64), share, mix).tolist()
     assert sorted(found) == list(range(count))
     first = ahead[: int(np.ceil(share * count))]
     for length in range(count + 1):

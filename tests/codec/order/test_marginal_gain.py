@@ -5,7 +5,7 @@ import pytest
 from cogsplat.codec.errors import Cancelled
 from cogsplat.codec.executor import LocalThreads
 from cogsplat.codec.metrics import psnr
-from cogsplat.codec.order import chunks, prefix_inflation
+from cogsplat.codec.order import chunk_plan, prefix_inflation
 from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.order.marginal_gain import (
     GainConfig,
@@ -13,10 +13,10 @@ from cogsplat.codec.order.marginal_gain import (
     gain_order,
     gain_rows,
     gains,
-    pool_of,
+    make_pool,
     view_gains,
 )
-from cogsplat.codec.order.orders import Unordered, order_rows
+from cogsplat.codec.order.orders import OrderInputs, order_rows
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
 from cogsplat.codec.scoring.reference_views import render_references
@@ -60,7 +60,7 @@ def test_short_prefixes_show_more_than_those_by_contribution(scene, inflated):
         if inflated:
             effective_splats = prefix_inflation.effective_splats(scores.contribution)
             prefix = prefix_inflation.inflate(
-                prefix, prefix_inflation.typical(len(prefix) / effective_splats)
+                prefix, prefix_inflation.typical_inflation(len(prefix) / effective_splats)
             )
         return np.mean([psnr(render(splats, view), render(prefix, view)) for view in cameras])
 
@@ -109,9 +109,9 @@ def test_a_scene_without_splats_has_an_empty_order(scene):
 def test_the_order_by_name_sorts_runs_of_chunks(several_chunks):
     splats, cameras, scores = several_chunks
     plain = gain_order(splats, scores, cameras)
-    expected = chunks.sort_runs(plain, scores.contribution)
+    expected = chunk_plan.sort_runs(plain, scores.contribution)
     assert (expected != plain).any()
-    found = order_rows("gain", Unordered(splats, scores, cameras))
+    found = order_rows("gain", OrderInputs(splats, scores, cameras))
     np.testing.assert_array_equal(found, expected)
 
 
@@ -119,7 +119,7 @@ def test_gains_weigh_the_views(scene):
     splats, cameras, _ = scene
     references = render_references(splats, cameras, jittered=False)
     present = np.arange(len(splats)) % 2 == 0
-    pool = pool_of(splats, np.arange(len(splats)))
+    pool = make_pool(splats, np.arange(len(splats)))
     stage = Stage(np.arange(len(splats), dtype=np.int32), present)
     total = gains(splats, references, stage, [0, 2], LocalThreads(1))
     expected = np.zeros(len(splats))
@@ -154,12 +154,12 @@ def test_reference_views_at_hand_are_not_drawn_again(several_chunks, monkeypatch
         raise AssertionError
 
     monkeypatch.setattr("cogsplat.codec.order.marginal_gain.render_references", refuse)
-    given = Unordered(splats, scores, cameras, references=references)
+    given = OrderInputs(splats, scores, cameras, references=references)
     np.testing.assert_array_equal(
         gain_order(splats, scores, cameras, references=references), expected
     )
     np.testing.assert_array_equal(
-        order_rows("gain", given), chunks.sort_runs(expected, scores.contribution)
+        order_rows("gain", given), chunk_plan.sort_runs(expected, scores.contribution)
     )
 
 
@@ -167,14 +167,14 @@ def test_without_jitter_only_the_given_views_are_looked_at(several_chunks):
     splats, cameras, scores = several_chunks
     without = gain_order(splats, scores, cameras, GainConfig(jitter=False))
     assert (without != gain_order(splats, scores, cameras)).any()
-    found = order_rows("gain", Unordered(splats, scores, cameras, jitter=False))
-    np.testing.assert_array_equal(found, chunks.sort_runs(without, scores.contribution))
+    found = order_rows("gain", OrderInputs(splats, scores, cameras, jitter=False))
+    np.testing.assert_array_equal(found, chunk_plan.sort_runs(without, scores.contribution))
 
 
 def test_pools_copy_no_colours(scene):
     splats, _, _ = scene
     rows = np.arange(0, len(splats), 2)
-    pool = pool_of(splats, rows, prefix_inflation.Inflation(0.25, 1.5))
+    pool = make_pool(splats, rows, prefix_inflation.Inflation(0.25, 1.5))
     assert pool.scene is splats
     assert pool.shapes.sh_degree == 0
     np.testing.assert_array_equal(pool.shapes.means, splats.means[rows])

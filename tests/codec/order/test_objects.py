@@ -6,7 +6,7 @@ import pytest
 from encoding import encode, unseen
 
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.order import chunks, objects
+from cogsplat.codec.order import chunk_plan, objects
 from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.scoring.contribution import zero_scores
 
@@ -61,7 +61,7 @@ def test_labels_are_kept_in_the_smallest_type():
 def test_objects_rank_by_their_whole_contribution():
     labels = np.array([4, 1, 4, 9, 1, 0], np.uint32)
     values = np.array([1.0, 5.0, 2.0, 3.0, 4.0, 3.0])
-    found, total = objects.ranked(labels, values)
+    found, total = objects.rank_objects(labels, values)
     assert found.tolist() == [1, 0, 4, 9]
     assert total.tolist() == [9.0, 3.0, 3.0, 3.0]
 
@@ -73,7 +73,7 @@ def mixed(n=3000, seed=2):
 
 def test_chunks_hold_one_object_each_in_its_order():
     rows, labels, values = mixed()
-    found = objects.arrange(rows, labels, values, 500)
+    found = objects.chunk_by_object(rows, labels, values, 500)
     assert sorted(found.rows.tolist()) == list(range(3000))
     assert [run.start for run in found.slices[1:]] == [run.stop for run in found.slices[:-1]]
     for run, label in zip(found.slices, found.objects, strict=True):
@@ -85,13 +85,13 @@ def test_chunks_hold_one_object_each_in_its_order():
         sizes = [
             r.stop - r.start for r, o in zip(found.slices, found.objects, strict=True) if o == label
         ]
-        plan = chunks.plan_chunks(len(own), 500)
+        plan = chunk_plan.plan_chunks(len(own), 500)
         assert sizes == [run.stop - run.start for run in plan]
 
 
 def test_whole_scene_sharpens_as_without_objects():
     rows, labels, values = mixed()
-    found = objects.arrange(rows, labels, values, 500)
+    found = objects.chunk_by_object(rows, labels, values, 500)
     place = np.empty(3000)
     place[rows] = np.arange(3000)
     means = [place[found.rows[run]].mean() for run in found.slices]
@@ -100,8 +100,8 @@ def test_whole_scene_sharpens_as_without_objects():
 
 def test_budgets_come_first_object_by_object():
     rows, labels, values = mixed()
-    found = objects.arrange(rows, labels, values, 500, [(None, 0.25), (2, 0.5), (3, 0.0)])
-    ranks = [label for label in objects.ranked(labels, values)[0].tolist() if label != 3]
+    found = objects.chunk_by_object(rows, labels, values, 500, [(None, 0.25), (2, 0.5), (3, 0.0)])
+    ranks = [label for label in objects.rank_objects(labels, values)[0].tolist() if label != 3]
     start = 0
     for label in ranks:
         count = int(np.ceil((0.5 if label == 2 else 0.25) * (labels == label).sum()))
@@ -114,13 +114,13 @@ def test_budgets_come_first_object_by_object():
 def test_a_budget_for_an_object_that_is_not_there_is_refused():
     rows, labels, values = mixed()
     with pytest.raises(DataError, match="a budget for object 77, expected one of") as caught:
-        objects.arrange(rows, labels, values, 500, [(None, 0.25), (77, 0.5)])
+        objects.chunk_by_object(rows, labels, values, 500, [(None, 0.25), (77, 0.5)])
     assert caught.value.code == "object-missing"
 
 
 def test_no_rows_make_no_chunks():
     nothing = np.zeros(0, np.int64)
-    found = objects.arrange(nothing, np.zeros(5, np.uint32), np.zeros(5), 10)
+    found = objects.chunk_by_object(nothing, np.zeros(5, np.uint32), np.zeros(5), 10)
     assert len(found.rows) == len(found.slices) == len(found.objects) == 0
 
 
@@ -139,12 +139,12 @@ def test_encoded_chunks_name_their_object():
 
 def test_what_would_be_refused_is_refused_before_splats_are_scored():
     scene = labelled([0, 2, 2], np.uint8)
-    objects.require(scene, ((None, 0.5), (2, 0.1)))
+    objects.require_objects(scene, ((None, 0.5), (2, 0.1)))
     with pytest.raises(
         DataError, match=r"a budget for object 1, expected one of \[0, 2\]"
     ) as caught:
-        objects.require(scene, ((1, 0.1),))
+        objects.require_objects(scene, ((1, 0.1),))
     assert caught.value.code == "object-missing"
     with pytest.raises(DataError) as caught:
-        objects.require(oracle.scene(1, n=3))
+        objects.require_objects(oracle.scene(1, n=3))
     assert caught.value.code == "no-objects"

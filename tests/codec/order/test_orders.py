@@ -12,7 +12,7 @@ from cogsplat.codec.order.orders import (
     ORDERS,
     POSE_RULES,
     OrderConfig,
-    Unordered,
+    OrderInputs,
     needs_scores,
     order_rows,
     split_name,
@@ -23,7 +23,7 @@ from cogsplat.codec.scoring.contribution import zero_scores
 def scored(contribution, seed=1):
     contribution = np.array(contribution, np.float64)
     scores = replace(zero_scores(len(contribution)), contribution=contribution)
-    return Unordered(oracle.scene(seed, n=len(contribution), degree=0), scores)
+    return OrderInputs(oracle.scene(seed, n=len(contribution), degree=0), scores)
 
 
 # Of few splats a frustum may hold all.

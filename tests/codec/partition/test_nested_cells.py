@@ -8,7 +8,7 @@ from cogsplat.codec.partition.nested_cells import NestedCells, nested_cells, par
 
 def cut(means: np.ndarray, first: int = 64, least: int = 16, most: int = 128) -> NestedCells:
     weights = np.linspace(1.0, 0.0, len(means))
-    return nested_cells(means, weights, first=first, growth=1.5, least=least, most=most)
+    return nested_cells(means, weights, first=first, growth=1.5, smallest=least, largest=most)
 
 
 def scattered(splats: int, seed: int = 0) -> np.ndarray:
@@ -85,7 +85,7 @@ def test_early_splats_stay_in_early_layers() -> None:
 def test_inside_a_layer_the_chunks_that_contribute_most_come_first() -> None:
     means = scattered(4000)
     weights = np.random.default_rng(1).random(4000) * (1.0 + (means[:, 0] > 0.0))
-    found = nested_cells(means, weights, first=64, growth=1.5, least=16, most=128)
+    found = nested_cells(means, weights, first=64, growth=1.5, smallest=16, largest=128)
     for layer in np.unique(found.layers):
         of_layer = [
             weights[found.order[run]].mean()
@@ -110,5 +110,5 @@ def test_sizes_that_do_not_go_together_are_misuse(
 ) -> None:
     with pytest.raises(ValueError, match="expected"):
         nested_cells(
-            np.zeros((9, 3)), np.zeros(9), first=first, growth=growth, least=least, most=most
+            np.zeros((9, 3)), np.zeros(9), first=first, growth=growth, smallest=least, largest=most
         )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError, printable
-from cogsplat.codec.order.orders import OrderConfig, Unordered, order_rows
+from cogsplat.codec.order.orders import OrderConfig, OrderInputs, order_rows
 from cogsplat.codec.progress import StageCost
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
@@ -305,7 +305,7 @@ def evaluate(
             threads=threads,
             stages=stages,
         )
-        unordered = Unordered(
+        unordered = OrderInputs(
             given.splats,
             given.scores,
             given.scored_on,

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.order import objects
-from cogsplat.codec.order.chunks import DEFAULT_LARGEST
-from cogsplat.codec.order.orders import Unordered, needs_scores, order_rows
+from cogsplat.codec.order.chunk_plan import DEFAULT_CHUNK_SPLATS
+from cogsplat.codec.order.orders import OrderInputs, needs_scores, order_rows
 from cogsplat.formats.storage.atomic import atomic_write, check_output
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.option_groups import GroupedCommand
@@ -128,13 +128,13 @@ def order(
             settings = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads)
             scores = score(splats, views or (), settings, progress=stages)
         with stages.stage("order"):
-            scene = Unordered(splats, scores, views or (), threads, stages, jitter=not no_jitter)
+            scene = OrderInputs(splats, scores, views or (), threads, stages, jitter=not no_jitter)
             rows = order_rows(choice.name, scene, config)
             labels: NDArray[np.uint32] | None = None
             if choice.by_object:
                 labels = objects.labels_of(splats)
-                rows = objects.arrange(
-                    rows, labels, scores.contribution, DEFAULT_LARGEST, config.object_budgets
+                rows = objects.chunk_by_object(
+                    rows, labels, scores.contribution, DEFAULT_CHUNK_SPLATS, config.object_budgets
                 ).rows
         write_rows(rows, out, force=force)
         stages("write", 1, 1)
@@ -193,7 +193,7 @@ def _objects(
     labels: NDArray[np.uint32], contribution: NDArray[np.float64]
 ) -> list[tuple[int, int, float]]:
     """Return label, splats and share of all contribution of every object, as they rank."""
-    found, total = objects.ranked(labels, contribution)
+    found, total = objects.rank_objects(labels, contribution)
     whole = float(total.sum()) or 1.0
     counts = dict(
         zip(*(part.tolist() for part in np.unique(labels, return_counts=True)), strict=True)

@@ -67,7 +67,7 @@ def by_antimatter(splats: Splats, size_bytes: int, opening_bytes: int) -> RowCli
     opening_bytes : int
         Before the first piece.
     """
-    rows = _pieces(baselines.descending(baselines.antimatter(splats)))
+    rows = _pieces(baselines.sort_descending(baselines.antimatter(splats)))
     order: F64 = 1.0 / (1.0 + np.arange(len(rows), dtype=np.float64))
     return RowClient(_units(rows, size_bytes, opening_bytes), rows, lambda _: order)
 
@@ -94,7 +94,7 @@ def by_sgss_cells(
     grid = basic_cuboids(splats.means.astype(np.float64), cameras, _CUBOIDS)
     boxes = cut_costs(box_costs(grid)).partition()
     cells = _cells(grid, boxes, splats.means.astype(np.float64))
-    order = baselines.descending(baselines.sgss(splats))
+    order = baselines.sort_descending(baselines.sgss(splats))
     rows: list[I64] = []
     cell_of: list[int] = []
     part_of: list[float] = []

@@ -15,7 +15,7 @@ from running import SPLATS, Run, SmallScene
 import cogsplat
 from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
 from cogsplat.codec.metrics import psnr
-from cogsplat.codec.order.orders import ORDERS, Unordered, order_rows
+from cogsplat.codec.order.orders import ORDERS, OrderInputs, order_rows
 from cogsplat.codec.render.rasteriser import render_views
 from cogsplat.codec.scoring.contribution import score
 from cogsplat.codec.views.view_sets import hold_out, roam
@@ -46,7 +46,7 @@ def test_orders_are_measured_at_shares_of_the_splats(
     splats, cameras = cogsplat.read(small.ply), cogsplat.read_cameras(small.cameras)
     train, held = hold_out(cameras, 4)
     scores = score(splats, train, PRESETS[DEFAULT_PRESET].score_config("transform", top_k=20))
-    rows = order_rows("sgss", Unordered(splats, scores, train))
+    rows = order_rows("sgss", OrderInputs(splats, scores, train))
     point = points[4]
     assert (point["name"], point["by"], point["splats"]) == ("sgss", "splats", SPLATS // 5)
     part = splats.take(rows[: SPLATS // 5])

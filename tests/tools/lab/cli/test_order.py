@@ -9,7 +9,7 @@ from running import SPLATS, VIEWS, Run, SmallScene
 
 import cogsplat
 from cogsplat.codec.order.objects import with_labels
-from cogsplat.codec.order.orders import ORDERS, OrderConfig, Unordered, needs_scores, order_rows
+from cogsplat.codec.order.orders import ORDERS, OrderConfig, OrderInputs, needs_scores, order_rows
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.tools.lab.synthetic.object_masks import synth_masks
 from cogsplat.tools.lab.synthetic.terrace import OBJECTS, synth, synth_cameras, synth_objects
@@ -34,7 +34,7 @@ def test_order_writes_a_permutation(run: Run, small: SmallScene, tmp_path: Path,
     rows = np.load(out)
     assert rows.dtype == np.int64
     splats, cameras = cogsplat.read(small.ply), cogsplat.read_cameras(small.cameras)
-    scene = Unordered(splats, score(splats, cameras), cameras)
+    scene = OrderInputs(splats, score(splats, cameras), cameras)
     np.testing.assert_array_equal(rows, order_rows(name, scene))
     assert told.json["order"] == name
     assert told.json["scored_views"] == (3 * VIEWS if needs_scores(name) else 0)
@@ -46,7 +46,7 @@ def test_order_writes_a_permutation(run: Run, small: SmallScene, tmp_path: Path,
 def test_order_serves_a_first_view(run: Run, small: SmallScene, tmp_path: Path) -> None:
     splats, cameras = cogsplat.read(small.ply), cogsplat.read_cameras(small.cameras)
     train = [camera for index, camera in enumerate(cameras) if index % 3]
-    scene = Unordered(splats, score(splats, train, ScoreConfig(jitter=False)), train)
+    scene = OrderInputs(splats, score(splats, train, ScoreConfig(jitter=False)), train)
     common = ["--cameras", small.cameras, "--no-jitter", "--eval-every", 3, "--first-view", 3]
     for more, name, config in (
         (

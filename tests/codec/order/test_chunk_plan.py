@@ -5,7 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cogsplat.codec.order.chunks import DEFAULT_LARGEST, FIRST_SPLATS, plan_chunks, sort_runs
+from cogsplat.codec.order.chunk_plan import (
+    DEFAULT_CHUNK_SPLATS,
+    FIRST_SPLATS,
+    plan_chunks,
+    sort_runs,
+)
 from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
 
 
@@ -66,7 +71,7 @@ def test_the_largest_is_kept_and_no_run_is_tiny():
 def test_limits_out_of_range_are_refused(largest):
     with pytest.raises(ValueError, match="expected 1 to"):
         plan_chunks(10, largest)
-    assert DEFAULT_LARGEST <= MAX_CHUNK_SPLATS
+    assert DEFAULT_CHUNK_SPLATS <= MAX_CHUNK_SPLATS
 
 
 def test_runs_of_three_chunks_are_sorted_behind_the_first():
