@@ -27,6 +27,7 @@ class _Render(torch.autograd.Function):  # type: ignore[misc]
     def forward(
         ctx: Any, camera: Camera, config: RenderConfig, *tensors: torch.Tensor
     ) -> torch.Tensor:
+        """Render the tensors of a scene; return the (H, W, 3) picture."""
         ctx.save_for_backward(*tensors)
         values: dict[str, Any] = dict(zip(Gradients.names(), map(_array, tensors), strict=True))
         ctx.forward_pass = render_forward(Splats(**values), camera, config)
@@ -34,6 +35,7 @@ class _Render(torch.autograd.Function):  # type: ignore[misc]
 
     @staticmethod
     def backward(ctx: Any, *by_outputs: torch.Tensor) -> tuple[Any, ...]:
+        """Return the gradients of the six tensors, given the gradient of the picture."""
         # PyTorch raises here if a tensor was changed since the forward pass.
         means = ctx.saved_tensors[0]
         gradients = Gradients.zeros(ctx.forward_pass.splats)

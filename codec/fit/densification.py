@@ -75,7 +75,7 @@ class Densification:
     Parameters
     ----------
     frozen : int
-        Number of leading splats that are neither split nor pruned.
+        Number of leading splats that stay as they are.
     target : int
         Maximum number of other splats at the end.
     steps : int
@@ -113,7 +113,7 @@ class Densification:
         self._view_counts[rows] += 1
 
     def is_due(self, steps: int) -> bool:
-        """Tell whether splats are to be split after a number of steps."""
+        """Return whether splats are to be split after a number of steps."""
         return steps in self._due_steps
 
     def densify(self, scene: Splats, adam: SplatAdam, steps: int) -> tuple[Splats, SplatAdam]:

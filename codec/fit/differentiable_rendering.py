@@ -29,7 +29,7 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Gradients:
-    """Gradients of a loss by all values of a scene, in arrays like those of `Splats`.
+    """Gradients of a loss by all values of a scene, in arrays named as in `Splats`.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class Gradients:
 
 
 def with_values(splats: Splats, values: Mapping[str, F32]) -> Splats:
-    """Return a scene with some arrays replaced, by name."""
+    """Return a copy of a scene with some arrays replaced, by array name."""
     arrays: dict[str, Any] = dict(values)
     return replace(splats, **arrays)
 
@@ -186,7 +186,7 @@ class ForwardPass:
     def add_gradients(self, sums: F64, gradients: Gradients) -> F64:
         """Run the per-splat half of the backward pass.
 
-        Views must be added in a fixed order for results that do not depend on threads.
+        Call it for views in a fixed order: sums then do not depend on the number of threads.
 
         Parameters
         ----------

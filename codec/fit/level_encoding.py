@@ -128,12 +128,12 @@ def _scores(
 
 
 def _empty_scores(scores: Scores, count: int) -> Scores:
-    """Return scores of `count` splats with the arrays of other scores, to be filled."""
+    """Return placeholder scores of `count` splats, whose values are overwritten later."""
     return scores.take(np.zeros(count, np.int64)) if len(scores.contribution) else scores
 
 
 def _fill_scores(merged: Scores, scores: Scores, rows: I64, level_rows: I64) -> Scores:
-    """Return merged scores with those of some splats replaced.
+    """Return merged scores, with the scores of some splats replaced.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ class LevelsConfig:
 
 @dataclass(frozen=True, eq=False)
 class LevelledSplats:
-    """A scene with L levels: its splats, and the levels that draw each of them.
+    """A scene with L levels: all splats, and the range of levels that draws each splat.
 
     Parameters
     ----------
@@ -193,8 +193,8 @@ def grow_levels(
 ) -> LevelledSplats:
     """Train a scene with levels from photos and structure-from-motion points.
 
-    Each level starts with splats at a random half of its number of points, and densifies its own
-    splats while it is trained (`densification.Densification`).
+    Each level starts with splats at randomly chosen points, half as many as it may add. While it is
+    trained, they are split until it has all (`densification.Densification`).
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ class _LevelBuilder:
         scene : Splats
             Trained scene of the level.
         frozen : int
-            Number of its first rows that belong to the levels below. Only their opacities are
+            Number of leading rows that belong to the levels below; only their opacities are
             recorded.
         """
         level, before = self._level, self.count
@@ -402,7 +402,7 @@ def _train_level(
     scene : Splats
         Initial scene of the level.
     frozen : int
-        Number of its first rows of which only opacities are trained.
+        Number of leading rows that are frozen, except for their opacities.
     views : sequence of Camera
         Training views at the resolution of the level.
     pictures : sequence of (H, W, 3) float32
@@ -412,7 +412,7 @@ def _train_level(
     level : int
         Index of the level; seeds the order of views and names the progress stage.
     progress : Progress
-        Receives ``level`` with the index, in steps.
+        Receives the stage ``level 0``, ``level 1`` … of this level, in steps.
     densification : Densification, optional
         Splits splats; also selects the learning rates of levels that start from points.
     """
@@ -448,7 +448,7 @@ def _train_level(
 
 
 def _middle_axes(scene: Splats) -> F32:
-    """Return the (N,) middle standard deviation of each splat, scene units."""
+    """Return the middle of the three standard deviations of each splat, (N,), scene units."""
     axes: F32 = np.exp(np.median(scene.scales, axis=1)) if len(scene) else np.ones(0, np.float32)
     return axes
 
@@ -461,11 +461,11 @@ def _learning_rates(axes: F32, frozen: int, factor: float, *, from_points: bool)
     axes : (N,) float32
         Middle standard deviations, the unit of the learning rate of means.
     frozen : int
-        Number of first rows whose learning rates are 0, except for opacities.
+        Number of leading rows whose learning rates are 0, except for opacities.
     factor : float
         Factor on all rates.
     from_points : bool
-        Whether the level starts from points, which has higher rates.
+        Whether the level starts from points; selects higher rates.
     """
     rates = {}
     for name, rate in ({**RATES, **_RATES_FROM_POINTS} if from_points else RATES).items():

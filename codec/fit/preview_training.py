@@ -171,7 +171,7 @@ class TrainedPreview:
         return prepend_preview(encoded, preview, until)
 
     def reserve(self, encoded: EncodedScene) -> EncodedScene:
-        """Return a scene with dummy preview chunks of the largest size that `add` can give them."""
+        """Return a scene with dummy preview chunks, of the largest size that `add` can make."""
         size = self._head_budget(encoded)
         count = min(int(size / _BYTES_PER_SPLAT), encoded.splats)
         if count < 1:
@@ -205,7 +205,7 @@ class TrainedPreview:
     def _train(
         self, encoded: EncodedScene, views: TrainingViews, count: int, progress: Progress
     ) -> Trainer:
-        """Prune the first splats of a scene down to `count` and train them; return the trainer."""
+        """Prune the first splats of a scene down to `count`; return the trainer of the preview."""
         config = self._config
         first = min(round(_ROUNDS[0] * count), encoded.splats)
         initial = encoded.decoded.with_sh_degree(0).take(np.arange(first))
@@ -291,7 +291,7 @@ class TrainedPreview:
 
 
 def _quantised_rate(done: float) -> float:
-    """Return the factor on the learning rates once a share of the quantised steps is made."""
+    """Return the learning-rate factor after a share, 0 to 1, of the quantised steps."""
     first, last = _QUANTISED_RATES
     return float(first * (last / first) ** done)
 
@@ -315,7 +315,7 @@ def _quality_for_size(prepared: PreparedScene, size: int) -> float:
 
 
 def _as_training_views(references: ReferenceViews, splats: Splats) -> TrainingViews:
-    """Return reference views as training views, rendered with the anti-aliasing of a scene."""
+    """Return reference views as training views, with the anti-aliasing setting of a scene."""
     configs = [
         RenderConfig(kernel, splats.info.antialiased, near_plane=references.near_plane, threads=1)
         for kernel in references.kernels
@@ -325,7 +325,7 @@ def _as_training_views(references: ReferenceViews, splats: Splats) -> TrainingVi
 
 
 def _mean_error(splats: Splats, references: ReferenceViews) -> float:
-    """Return the weighted mean squared error of a scene in a sample of the reference views."""
+    """Return the mean squared error of a scene in a sample of the reference views, weighted."""
     sample = references.sample(_MEASURED_VIEWS, 0)
     views = _as_training_views(references, splats)
     weights = references.weights[sample] / references.weights[sample].sum()

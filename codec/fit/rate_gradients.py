@@ -107,7 +107,7 @@ class _Streams:
         return cls({s.attribute: s for s in main}, {s.attribute: s for s in refinements})
 
     def of_kind(self, attribute: Attribute, kind: Kind) -> StoredStream | None:
-        """Return the stream of an attribute; None if there is none or it has another kind."""
+        """Return the stream of an attribute if it has a given kind, else None."""
         stream = self.main.get(attribute)
         return stream if stream is not None and stream.kind is kind else None
 
@@ -156,59 +156,59 @@ def rate_gradients(encoded: EncodedScene, splats: Splats, rows: Sequence[I64]) -
     }
     for chunk, chunk_rows in zip(encoded.chunks, rows, strict=True):
         streams = _Streams.of(chunk.payloads, chunk.splats)
-        gradients.opacities[chunk_rows] = _by_opacities(streams, splats.opacities[chunk_rows])
-        gradients.scales[chunk_rows] = _by_scales(streams, splats.scales[chunk_rows])
-        gradients.sh0[chunk_rows] = _by_sh0(streams, splats.sh0[chunk_rows])
+        gradients.opacities[chunk_rows] = _opacity_gradients(streams, splats.opacities[chunk_rows])
+        gradients.scales[chunk_rows] = _scale_gradients(streams, splats.scales[chunk_rows])
+        gradients.sh0[chunk_rows] = _sh0_gradients(streams, splats.sh0[chunk_rows])
         tail = streams.of_kind(Attribute.SHN, Kind.BASIS)
         if tail is not None:
             book = bases[shn_transform.codebook_use(tail).number]
             if isinstance(book, ColourCodebook):
                 basis = book.shN.reshape(len(book), -1)
-                gradients.shN[chunk_rows] = _by_sh_n(tail, basis, splats.shN[chunk_rows])
+                gradients.shN[chunk_rows] = _shn_gradients(tail, basis, splats.shN[chunk_rows])
     return gradients
 
 
-def _by_opacities(streams: _Streams, logits: F32) -> F32 | float:
-    """Return the bits of a chunk per unit of each opacity logit."""
+def _opacity_gradients(streams: _Streams, logits: F32) -> F32 | float:
+    """Return the gradient of a chunk's size by opacity logits, (n,), bits."""
     stream = streams.of_kind(Attribute.OPACITIES, Kind.SCALAR)
     if stream is None or stream.flags & INFINITIES:
         return 0.0
     grid = streams.finest(Attribute.OPACITIES, scalar.parse(stream, 1))
-    return _bits_per_unit(logits[:, None], grid)[:, 0]
+    return _grid_gradients(logits[:, None], grid)[:, 0]
 
 
-def _by_scales(streams: _Streams, scales: F32) -> F32 | float:
-    """Return the bits of a chunk per unit of each log scale, through differences of scales."""
+def _scale_gradients(streams: _Streams, scales: F32) -> F32 | float:
+    """Return the gradient of a chunk's size by log scales, (n, 3), bits."""
     stream = streams.of_kind(Attribute.SCALES, Kind.DIFFERENCES)
     if stream is None:
         return 0.0
     grid = streams.finest(Attribute.SCALES, scalar.parse(stream, 3))
     order = np.argsort(scales, axis=1, kind="stable")[:, [1, 0, 2]]
     sorted_scales = np.take_along_axis(scales, order, axis=1)
-    by = _bits_per_unit(scale_differences.differences_of(sorted_scales), grid)
+    by = _grid_gradients(scale_differences.differences_of(sorted_scales), grid)
     by_sorted = np.stack([by[:, 2] - by[:, 1], -by[:, 2], by[:, 0] + by[:, 1]], axis=1)
     gradients = np.empty_like(scales)
     np.put_along_axis(gradients, order, by_sorted, axis=1)
     return gradients
 
 
-def _by_sh0(streams: _Streams, values: F32) -> F32 | float:
-    """Return the bits of a chunk per unit of each DC coefficient."""
+def _sh0_gradients(streams: _Streams, values: F32) -> F32 | float:
+    """Return the gradient of a chunk's size by DC coefficients, (n, 3), bits."""
     plain = streams.of_kind(Attribute.SH0, Kind.SCALAR)
     if plain is not None:
-        return _bits_per_unit(values, streams.finest(Attribute.SH0, scalar.parse(plain, 3)))
+        return _grid_gradients(values, streams.finest(Attribute.SH0, scalar.parse(plain, 3)))
     stream = streams.of_kind(Attribute.SH0, Kind.BASIS)
     if stream is None:
         return 0.0
     grid, axes = sh0_transform.parse(stream)
     # Values are coordinates times axes, so coordinates are values times the inverse.
     inverse = np.linalg.pinv(axes.astype(np.float64)).astype(np.float32)
-    by_coordinates = _bits_per_unit(values @ inverse, streams.finest(Attribute.SH0, grid))
+    by_coordinates = _grid_gradients(values @ inverse, streams.finest(Attribute.SH0, grid))
     return by_coordinates @ inverse.T
 
 
-def _by_sh_n(stream: StoredStream, basis: F32, values: F32) -> F32:
-    """Return the bits of a chunk per unit of each higher SH coefficient."""
+def _shn_gradients(stream: StoredStream, basis: F32, values: F32) -> F32:
+    """Return the gradient of a chunk's size by higher SH coefficients, (n, K-1, 3), bits."""
     found = shn_transform.parse(stream, basis)
     rows = basis[: found.width].astype(np.float64)
     # The pseudo-inverse weighs all directions equally; the encoder weighs them by visibility.
@@ -219,8 +219,8 @@ def _by_sh_n(stream: StoredStream, basis: F32, values: F32) -> F32:
     return gradients
 
 
-def _bits_per_unit(values: F32, grid: Grid) -> F32:
-    """Return the additional bits of (n, c) values per unit, on a quantiser grid."""
+def _grid_gradients(values: F32, grid: Grid) -> F32:
+    """Return the gradient of the size of (n, c) values that are coded on a grid, bits per unit."""
     step = np.where(grid.step > 0, grid.step, np.float32(1)).astype(np.float64)
     positions = (values.astype(np.float64) - grid.minimum) / step
     slopes = np.where(grid.step > 0, bits_per_step(positions) / step, 0.0)

@@ -27,8 +27,8 @@ class RoundTrip:
     Parameters
     ----------
     decoded : Splats
-        Decoded values in the row order of the scene in training. Quaternions and scales name the
-        axes of each splat in the same order as there. Pruned splats have a logit of -inf.
+        Decoded values in the row order of the scene in training. The axes of each splat are
+        permuted to match its quaternion in training. Pruned splats have a logit of -inf.
     encoded : EncodedScene
         Encoded scene, without compensation and predicted quality.
     rows : sequence of (n,) int64
@@ -86,6 +86,10 @@ def round_trip(
         Nominal quality, dB.
     codebooks : sequence of EncodedCodebook
         Codebooks of the last encode, from which k-means of the profile ``vq`` starts.
+
+    Returns
+    -------
+    RoundTrip
     """
     now = replace(prepared, source=splats, codebooks=codebooks)
     layout = now.laid_out(quality_db)

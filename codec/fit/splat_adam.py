@@ -118,7 +118,7 @@ class SplatAdam:
                 pass
 
     def select(self, rows: NDArray[np.int64]) -> SplatAdam:
-        """Return the optimiser of a scene that has only some rows of this one."""
+        """Return the optimiser of a scene that is reduced to some rows."""
         selected = SplatAdam.__new__(SplatAdam)
         selected._steps = self._steps
         for part in ("_means", "_squares"):

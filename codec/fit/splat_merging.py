@@ -101,7 +101,7 @@ def merge_candidates(splats: Splats, errors: F64, max_pairs: int) -> tuple[I64, 
 
 
 def _bhattacharyya(means: F32, covariance: F64, rows: I64, others: I64) -> F64:
-    """Return the (n,) Bhattacharyya distances between splats and as many other splats."""
+    """Return the (n,) Bhattacharyya distances between splats, by pairs of rows."""
     one, other = _regularise(covariance[rows]), _regularise(covariance[others])
     average = (one + other) / 2
     offsets = (means[rows] - means[others]).astype(np.float64)

@@ -53,9 +53,9 @@ class TimeBudget:
         Parameters
         ----------
         fixed_work : float
-            Remaining work that is never extended.
+            Remaining work that is never extended, in steps with all splats.
         scalable_work : float
-            Remaining work that is extended to fill the time, above 0.
+            Remaining work that is extended to fill the time, above 0, in the same unit.
         """
         if self._deadline is None or not self._measured_work:
             return
@@ -67,7 +67,7 @@ class TimeBudget:
         self.factor = min(max(factor, _MIN_FACTOR), _MAX_FACTOR)
 
     def scaled_steps(self, planned: int, *, extend: bool) -> int:
-        """Return a number of planned steps times the factor, at least 1.
+        """Multiply a planned number of steps by the factor; return at least 1.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class TimeBudget:
         return max(1, round(planned * factor))
 
     def affordable_count(self, planned: int, seconds: float, reserved_seconds: float) -> int:
-        """Return how often a piece of work can be repeated before the deadline, at least once.
+        """Return the number of repetitions of some work that fit before the deadline, at least 1.
 
         Parameters
         ----------
@@ -103,7 +103,7 @@ class TimeBudget:
         return self._clock()
 
     def run_timed(self, function: Callable[[], object], work: float) -> None:
-        """Call a function, and record its duration for an amount of work (`work`)."""
+        """Call a function that does an amount of work (`work`), and record its duration."""
         begin = self._clock()
         function()
         self._measured_seconds += self._clock() - begin

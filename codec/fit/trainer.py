@@ -195,7 +195,7 @@ class Trainer:
         return _writable_copy(self.splats)
 
     def keep(self, rows: NDArray[np.int64], changed: Splats | None = None) -> None:
-        """Delete all splats but some, which keep their optimiser state.
+        """Keep some splats, with their optimiser state, and delete the others.
 
         Parameters
         ----------
@@ -215,9 +215,10 @@ class Trainer:
         Returns
         -------
         (N,) float64 or None
-            Sum like that of `deletion_errors.deletion_errors`, over the views rendered since splats
-            were last deleted, weighted as in training. The values changed meanwhile, but the sum
-            costs next to nothing. None where too few views were rendered since.
+            Squared colour change by the removal of each splat (`deletion_errors.deletion_errors`),
+            over the views rendered since the last deletion, with their weights in training. Values
+            changed between these views, but the sums cost next to nothing. None where too few views
+            were rendered.
         """
         on_path, total = self._views.num_on_path, len(self._views)
         needed = min(max(on_path, total - on_path), _DELETION_STEPS)
@@ -245,6 +246,7 @@ class Trainer:
         self._deletion_steps = int(state["deleted_steps"])
 
     def _reset_deletion_errors(self) -> None:
+        """Start accumulating deletion errors anew."""
         self._deletion_errors = np.zeros(len(self.splats))
         self._deletion_steps = 0
 

@@ -102,8 +102,8 @@ def _downscaling_factor(camera: Camera, max_pixels: int) -> int:
 def _interpolated_cameras(cameras: Sequence[Camera]) -> list[Camera]:
     """Return a camera halfway between each camera and each of its nearest neighbours.
 
-    They reduce overfitting: with few training views, errors of the quantisers are hidden in these
-    views alone. Interpolated cameras are new, and as near to the capture path as the given ones.
+    They reduce overfitting: with few training views, training compensates quantisation errors in
+    these views alone. Interpolated cameras are as near to the capture path as the given ones.
     """
     return [
         _interpolate(cameras[one], cameras[other]) for one, other in _neighbouring_cameras(cameras)
@@ -130,12 +130,12 @@ def _neighbouring_cameras(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
 
 
 def held_out_views(cameras: Sequence[Camera]) -> list[Camera]:
-    """Return test views halfway between cameras, which training must leave out.
+    """Return test views halfway between cameras, to be held out of training.
 
     Parameters
     ----------
     cameras : sequence of Camera
-        Cameras in the frame of the means, the same as `make_training_views` gets.
+        Cameras in the frame of the means. Pass the same cameras to `make_training_views`.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Tuning: fewer splats of the same appearance, trained through the quantisers that store them."""
+"""Tuning: prune a scene and train it through the quantisers, for a target size or PSNR."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ _TRIAL_RECOVERY_SHARE: Final = 0.5
 _MAX_RECOVERIES: Final = 3
 # Number of earlier rounds that can be restored.
 _MAX_EARLIER_ROUNDS: Final = 2
-# Time reserved for what follows quantised training: a multiple of its setup, and a multiple of one
-# cycle of encoding and training.
+# Time reserved for the end of the encode, in durations of the setup of quantised training, plus
+# durations of one cycle of encoding and training.
 _RESERVED_SETUPS, _RESERVED_CYCLES = 2.0, 8.0
 # Cycle whose duration the number of cycles is planned by; one-off compilation is over by then.
 _TIMED_CYCLE: Final = 2
@@ -117,7 +117,7 @@ def tune(
     notify: Callable[[Milestone], None] | None = None,
     progress: Progress = silent,
 ) -> TuneResult:
-    """Reduce the splats of a scene, train them, and encode them at a target size or PSNR.
+    """Prune and train a scene, and encode it at a target size or PSNR.
 
     Pruning runs in rounds: delete the splats with the smallest deletion errors, then train the
     rest. The remaining splats are then trained through the encoder's quantisers, with
@@ -258,7 +258,7 @@ class _TuningRun:
 
     @property
     def _share(self) -> float:
-        """Current number of splats over that of the source."""
+        """Current number of splats, relative to the source."""
         return self._count / max(self._source_count, 1)
 
     def prune(self) -> None:
@@ -275,7 +275,7 @@ class _TuningRun:
             self._recover()
 
     def _run_round(self, count: int) -> None:
-        """Merge similar splats, delete others until `count` are left, and train."""
+        """Merge similar splats, prune down to `count` splats, and train."""
         if self._target.psnr_db is not None and self._config.keep is None:
             state = {name: values.copy() for name, values in self.trainer.state().items()}
             self._earlier_rounds = [*self._earlier_rounds[1 - _MAX_EARLIER_ROUNDS :], state]
@@ -409,7 +409,7 @@ class _TuningRun:
         return float(np.mean(values)), min(values)
 
     def _report_round(self) -> None:
-        """Notify the caller after a round or recovery, and hand out a checkpoint."""
+        """Pass the current PSNR and a checkpoint to the caller, after a round or recovery."""
         if self._notify is not None:
             self._notify(Milestone("trained", self._count, *self._measure_psnr()))
         if self._checkpoint is not None:
@@ -477,7 +477,7 @@ class _TuningRun:
         return quality_db
 
     def _report_encode(self, quantised: QuantisedTraining) -> None:
-        """Notify the caller in quantised training, and hand out a checkpoint."""
+        """Pass the last measurement and a checkpoint to the caller, during quantised training."""
         if self._notify is not None:
             self._notify(Milestone("stored", *quantised.last_measurement))
         if self._checkpoint is not None:
