@@ -105,7 +105,7 @@ class OverallProgress:
     ----------
     costs : sequence of StageCost
         Stages in their order. Reports of other stages do not change the share. A stage that never
-        reports counts as complete once a later stage begins.
+        reports counts as complete once a later stage begins. `plan` replaces them.
     progress : Progress
         Callback that every report is forwarded to.
     overall : callable, optional
@@ -115,21 +115,37 @@ class OverallProgress:
 
     def __init__(
         self,
-        costs: Sequence[StageCost],
+        costs: Sequence[StageCost] = (),
         progress: Progress = silent,
         overall: Callable[[float], None] | None = None,
     ) -> None:
+        self._progress = progress
+        self._overall = overall
+        self.plan(costs)
+
+    def plan(self, costs: Sequence[StageCost]) -> None:
+        """Set the expected stages and restart at a share of 0.
+
+        Parameters
+        ----------
+        costs : sequence of StageCost
+            Stages in their order.
+        """
         self._costs = {cost.stage: cost for cost in costs}
         self._outer = {cost.inner: cost.stage for cost in costs if cost.inner}
         self._weights = {cost.stage: cost.total() for cost in costs}
         self._done = dict.fromkeys(self._costs, 0.0)
         self._trials = 0
         self._steps: _NestedSteps | None = None
-        self._progress = progress
-        self._overall = overall
         # Share and cost completed when the expected costs last changed.
         self._completed = (0.0, 0.0)
         self.share = 0.0
+
+    def finish(self) -> None:
+        """Report a share of 1."""
+        self.share = 1.0
+        if self._overall is not None:
+            self._overall(self.share)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Report that `done` of `total` steps of a stage are complete."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from importlib import import_module
@@ -29,8 +29,7 @@ from .codec.errors import (
     TruncatedError,
     UnsupportedError,
 )
-from .codec.executor import Executor
-from .codec.progress import OverallProgress, Progress, TimedProgress, silent
+from .codec.progress import Progress, TimedProgress, OverallProgress, silent
 from .codec.splats import SceneInfo, Splats
 from .formats.cogs.between_levels import decode_between
 from .formats.cogs.folder_writer import Unpacked
@@ -43,11 +42,10 @@ from .formats.storage.source import Readable
 
 if TYPE_CHECKING:
     from .codec.encode.config import EncodeConfig as EncodeConfig
-    from .codec.encode.encoded import EncodedScene
+    from .codec.encode.config import Target as Target
     from .codec.encode.encoded import EncodeReport as EncodeReport
     from .codec.encode.preview_chunks import PreviewMaker
-    from .codec.encode.rate_control import Target as Target
-    from .codec.scoring.contribution import ScoreConfig, Scores
+    from .codec.encode.request import EncodeRequest as EncodeRequest
     from .codec.workspace import Workspace
 
 __all__ = [
@@ -58,6 +56,7 @@ __all__ = [
     "DataError",
     "EncodeConfig",
     "EncodeReport",
+    "EncodeRequest",
     "FormatError",
     "LimitError",
     "Limits",
@@ -69,6 +68,7 @@ __all__ = [
     "TruncatedError",
     "Unpacked",
     "UnsupportedError",
+    "OverallProgress",
     "decode",
     "encode",
     "open",
@@ -84,11 +84,14 @@ try:
 except PackageNotFoundError:  # a bare checkout on the path, never installed
     __version__ = "0+unknown"
 
-# What only encoding needs is imported when it is asked for: decoding takes the core alone.
+_WRITER = f"cogsplat {__version__}"
+
+# Names that only encoding needs are imported on first use: decoding needs the core alone.
 _LATE = {
     "EncodeConfig": ".codec.encode.config",
     "EncodeReport": ".codec.encode.encoded",
-    "Target": ".codec.encode.rate_control",
+    "EncodeRequest": ".codec.encode.request",
+    "Target": ".codec.encode.config",
 }
 
 
@@ -287,84 +290,48 @@ def encode(
     path: _Path,
     *,
     cameras: Sequence[Camera] | _Path | None = None,
-    scores: Scores | None = None,
-    config: EncodeConfig | None = None,
-    score_config: ScoreConfig | None = None,
     quality: float | None = None,
-    target_psnr: float | None = None,
-    target_size: int | str | None = None,
-    target: Target | None = None,
-    preset: str = "balanced",
-    preview: float | None = None,
-    stored_cameras: Sequence[Camera] = (),
-    test_views: Sequence[Camera] | None = None,
-    memory: int | str | None = None,
-    workspace: Workspace | None = None,
+    target: Target | int | str | None = None,
+    preset: str | None = None,
+    config: EncodeConfig | None = None,
+    request: EncodeRequest | None = None,
     force: bool = False,
-    executor: Executor | None = None,
     progress: Progress = silent,
-    whole: Callable[[float], None] | None = None,
 ) -> EncodeReport:
     """Encode a scene into a COGS file.
 
     Parameters
     ----------
     scene : Splats or path
-        A path is read in whatever format it has.
+        Scene in memory, or a file of any known format.
     path : path
-        The file to write; it appears once it is complete.
+        Output file; it appears once it is complete.
     cameras : sequence of Camera or path, optional
-        Views to score in: cameras, or what `read_cameras` reads. Without them views are planned
-        around the splats.
-    scores : Scores, optional
-        Of an earlier `score` in these cameras; then no views are scored.
-    config : EncodeConfig, optional
-    score_config : ScoreConfig, optional
-        In place of the preset's.
+        Views to score in, or a file for `read_cameras`. Without them views are planned around the
+        splats.
     quality : float, optional
-        Nominal PSNR, dB, in place of `EncodeConfig.quality_db`.
-    target_psnr : float, optional
-        Search for the nominal quality that gives this PSNR, dB, in the test views.
-    target_size : int or str, optional
-        Search for the best quality in a file of at most so many bytes; as text such as
-        ``"500KiB"``, ``"12MB"`` or ``"20%"`` of the file, or of the arrays, that is encoded.
-    target : Target, optional
-        Either of these as one value.
-    preset : str
-        One of `codec.encode.presets.PRESETS`: how many views are looked at, and how much work goes
-        into the order by marginal gain and into compensation.
-    preview : float, optional
-        Share of the file, such as 0.02, spent on preview splats: few trained splats at the front
-        that show the whole scene until more of it has loaded (`codec.fit.preview_training`).
-    stored_cameras : sequence of Camera
-        Stored in the file for its readers; nothing else depends on them.
-    test_views : sequence of Camera, optional
-        Views that a target is measured and quality is predicted in. By default some of the
-        cameras, spread evenly, or test views planned with the others.
-    memory : int or str, optional
-        Most memory that the process may take, in bytes or as text such as ``"8GiB"``. Where the
-        arrays would take more, they are kept in files beside the output, which are mapped into
-        memory piece by piece: for a `scene` that is the path of a PLY, and any profile but ``vq``.
-        The bytes do not depend on it.
-    workspace : Workspace, optional
-        Where arrays are kept, in place of what follows from `memory`.
+        Nominal PSNR, dB; it replaces `EncodeConfig.quality_db`.
+    target : Target, int or str, optional
+        File size to fill, as bytes or as text such as ``"500KiB"``, ``"12MB"`` or ``"20%"`` of the
+        scene's bytes; or mean PSNR in the test views, such as ``"38dB"``.
+    preset : str, optional
+        ``fast``, ``balanced`` (the default) or ``best``: numbers of views, effort of ordering and
+        of compensation.
+    config : EncodeConfig, optional
+        Contents of the file: profile, order, chunks, preview splats, threads and more.
+    request : EncodeRequest, optional
+        Inputs that are needed rarely: scores, test views, stored cameras, memory limit, executor.
+        The other arguments replace its fields.
     force : bool
         Replace an existing file.
-    executor : Executor, optional
-        What runs the work of single views and chunks, such as `codec.executor.LocalThreads` or
-        `tools.cluster.dask_executor.DaskExecutor`; threads of this process where it is not given.
     progress : Progress
-        Called with a stage, the steps of it that are done, and all its steps. Raising `Cancelled`
-        from it stops the work and leaves no file.
-    whole : callable, optional
-        Called after every such report with the share of the whole work that is done, 0 to 1, which
-        never falls. It may raise as well.
+        Called with a stage, its finished steps and all its steps. A `OverallProgress` is told the
+        expected cost of the stages first. Raising `Cancelled` stops the work and leaves no file.
 
     Returns
     -------
     EncodeReport
-        `EncodeReport.size_bytes` are the bytes written; `EncodeReport.seconds` and
-        `EncodeReport.cpu_seconds` the time of every stage, by the clock and of processors.
+        Size of the file, time of every stage, views, and predicted quality.
 
     Raises
     ------
@@ -372,10 +339,7 @@ def encode(
         The scene or the cameras cannot be used, the target is out of reach, or the file cannot be
         written.
     ValueError
-        An unknown preset; more than one of quality, PSNR and size; a target for the profile
-        `near-lossless`; a PSNR as target with no views
-        to measure it in; `scores` without cameras for an order that renders; a preview that
-        nothing is compensated with, or with cells, objects or `memory`.
+        Arguments that contradict each other: see `EncodeRequest` and `EncodeConfig`.
 
     Examples
     --------
@@ -385,90 +349,57 @@ def encode(
     True
     """
     from .codec.encode import pipeline
-    from .codec.encode.config import EncodeConfig
-    from .codec.encode.presets import PRESETS
+    from .codec.encode.request import EncodeRequest
     from .codec.encode.stage_costs import stage_costs
-    from .formats.cogs import scene as cogs
     from .formats.cogs.cameras import check_cameras
+    from .formats.cogs.metadata import FileMetadata
     from .formats.scenes.memory_cap import working_memory
     from .formats.scenes.registry import is_cogs, read_scene
     from .formats.storage.atomic import check_output
 
-    if preset not in PRESETS:
-        raise ValueError(f"preset {preset!r}, expected one of {tuple(PRESETS)}")
-    if sum(x is not None for x in (quality, target_psnr, target_size, target)) > 1:
-        raise ValueError("more than one of quality, target_psnr, target_size and target")
     if not isinstance(scene, Splats | str | os.PathLike):
         raise TypeError(f"a {type(scene).__name__}, expected Splats or the path of a scene")
-    chosen = PRESETS[preset]
-    config = config or EncodeConfig()
-    if quality is not None:
-        config = replace(config, quality_db=quality)
+    if quality is not None and target is not None:
+        raise ValueError("more than one of quality and target, expected one of them")
+    request = request or EncodeRequest()
+    config = config or request.config
+    request = replace(
+        request,
+        cameras=request.cameras if cameras is None else _views(cameras),
+        target=request.target if target is None else _target(target, scene),
+        preset=preset or request.preset,
+        config=config if quality is None else replace(config, quality_db=quality),
+    )
     # Before minutes of work, not after.
-    given = [x for x in (scene, cameras) if isinstance(x, str | os.PathLike)]
-    check_output(path, force=force, inputs=given)
-    if stored_cameras:
-        check_cameras(stored_cameras)
-    kept: AbstractContextManager[Workspace]
-    if workspace is not None:
-        kept = nullcontext(workspace)
-    else:
-        kept = working_memory(scene, config, _byte_count(memory), Path(path).absolute().parent)
-    views = read_cameras(cameras) if isinstance(cameras, str | os.PathLike) else cameras
-    writer = f"cogsplat {__version__}"
-    first_view = config.ordering.first_view or (views[0] if views else None)
-
-    def size_of(encoded: EncodedScene) -> int:
-        return cogs.size_bytes(
-            encoded, writer=writer, first_view=first_view, cameras=stored_cameras
-        )
-
-    aim = target or _target(target_psnr, target_size, scene)
-    with kept as workspace:
-        splats = scene
-        if not isinstance(splats, Splats):
-            splats = (
-                decode(splats) if is_cogs(splats) else read_scene(splats, zeros=workspace.zeros)
-            )
-        if whole is not None:
-            costs = stage_costs(
-                len(splats),
-                config,
-                chosen,
-                cameras=views,
-                jitter=score_config is None or score_config.jitter,
-                scored=scores is not None,
-                target=aim,
-                preview=preview is not None,
-            )
-            progress = OverallProgress(costs, progress, whole)
+    inputs = [given for given in (scene, cameras) if isinstance(given, str | os.PathLike)]
+    check_output(path, force=force, inputs=inputs)
+    if request.stored_cameras:
+        check_cameras(request.stored_cameras)
+    metadata = FileMetadata(_WRITER, request.first_view, request.stored_cameras)
+    memory: AbstractContextManager[Workspace] = nullcontext(request.workspace)
+    if request.memory_bytes is not None:
+        folder = Path(path).absolute().parent
+        memory = working_memory(scene, request.config, request.memory_bytes, folder)
+    with memory as workspace:
+        request = replace(request, workspace=workspace)
+        if isinstance(scene, Splats):
+            splats = scene
+        else:
+            splats = decode(scene) if is_cogs(scene) else read_scene(scene, zeros=workspace.zeros)
+        if isinstance(progress, OverallProgress):
+            progress.plan(stage_costs(len(splats), request))
         encoded = pipeline.encode(
             splats,
-            config,
-            cameras=views,
-            scores=scores,
-            score_config=score_config,
-            preset=chosen,
-            target=aim,
-            test_views=test_views or (),
-            size_of=size_of,
-            preview=_preview(preview, config.threads),
-            workspace=workspace,
-            executor=executor,
+            request,
+            size_of=metadata.file_bytes,
+            preview=_preview_maker(request.config),
             progress=progress,
         )
         writing = TimedProgress()
-        size_bytes = cogs.save(
-            encoded,
-            Path(path),
-            writer=writer,
-            first_view=first_view,
-            cameras=stored_cameras,
-            force=force,
-        )
+        size_bytes = metadata.save(encoded, Path(path), force=force)
     writing("write", 1, 1)
-    if whole is not None:
-        whole(1.0)
+    if isinstance(progress, OverallProgress):
+        progress.finish()
     report = encoded.report
     return replace(
         report,
@@ -478,31 +409,35 @@ def encode(
     )
 
 
-def _preview(share: float | None, threads: int) -> PreviewMaker | None:
-    """Return what makes a preview of a share of the file; None where none is asked for."""
-    if share is None:
+def _views(cameras: Sequence[Camera] | _Path) -> Sequence[Camera]:
+    """Return cameras, read from their file where a path is given."""
+    return read_cameras(cameras) if isinstance(cameras, str | os.PathLike) else cameras
+
+
+def _preview_maker(config: EncodeConfig) -> PreviewMaker | None:
+    """Return the trainer of preview splats, where a configuration has a preview."""
+    if config.preview is None:
         return None
     from .codec.fit.preview_training import PreviewConfig, TrainedPreview
 
-    return TrainedPreview(PreviewConfig(share=share, threads=threads))
+    return TrainedPreview(PreviewConfig(share=config.preview, threads=config.threads))
 
 
-def _byte_count(memory: int | str | None) -> int | None:
-    """Return a memory cap in bytes."""
-    from .formats.storage.byte_counts import parse_bytes
-
-    return None if memory is None else parse_bytes(str(memory))
-
-
-def _target(psnr_db: float | None, size: int | str | None, scene: Splats | _Path) -> Target | None:
-    from .codec.encode.rate_control import Target
+def _target(target: Target | int | str, scene: Splats | _Path) -> Target:
+    """Return a target given as bytes, or as text of bytes, a share or a PSNR."""
+    from .codec.encode.config import Target
     from .formats.scenes.registry import scene_bytes
     from .formats.storage.byte_counts import parse_byte_count
 
-    if isinstance(size, str):
-        whole = scene.nbytes if isinstance(scene, Splats) else scene_bytes(scene)
-        size = parse_byte_count(size).uncapped(whole)
-    return None if psnr_db is None and size is None else Target(psnr_db, size)
+    if isinstance(target, Target):
+        return target
+    if isinstance(target, int):
+        return Target(size_bytes=target)
+    number = target.strip().lower().removesuffix("db")
+    if number != target.strip().lower():
+        return Target(psnr_db=float(number))
+    source_bytes = scene.nbytes if isinstance(scene, Splats) else scene_bytes(scene)
+    return Target(size_bytes=parse_byte_count(target).uncapped(source_bytes))
 
 
 def read(path: _Path, *, limits: Limits | None = None) -> Splats:

@@ -14,6 +14,7 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.config import PROFILE_NAMES, EncodeConfig
 from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import Cancelled, DataError, FormatError, StorageError, TruncatedError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import Splats, empty
@@ -41,6 +42,11 @@ def scene(n=300, degree=3, seed=1) -> Splats:
     )
 
 
+def scored(scores):
+    """Return a request of scores that are there already."""
+    return EncodeRequest(scores=scores, config=SCORED)
+
+
 def ring(count=4, distance=5.0) -> list[Camera]:
     cameras = []
     for angle in np.linspace(0, 2 * math.pi, count, endpoint=False):
@@ -61,7 +67,7 @@ def made(tmp_path_factory):
     path = tmp_path_factory.mktemp("facade") / "scene.cogs"
     splats = scene()
     scores = score(splats, ring(), ScoreConfig(threads=1))
-    report = cogsplat.encode(splats, path, scores=scores, config=SCORED)
+    report = cogsplat.encode(splats, path, request=scored(scores))
     assert report.size_bytes == path.stat().st_size
     return path, splats, scores
 
@@ -103,8 +109,9 @@ def test_the_share_of_the_whole_rises_to_one(tmp_path):
         scene(200),
         tmp_path / "out.cogs",
         cameras=ring(),
-        progress=lambda *call: stages.append(call),
-        whole=shares.append,
+        progress=cogsplat.OverallProgress(
+            progress=lambda *call: stages.append(call), overall=shares.append
+        ),
     )
     assert shares == sorted(shares)
     assert 0.0 <= shares[0] < 0.5
@@ -116,8 +123,9 @@ def test_raising_from_the_share_leaves_no_file(tmp_path):
     def stop(share):
         raise Cancelled("enough")
 
+    progress = cogsplat.OverallProgress(overall=stop)
     with pytest.raises(Cancelled):
-        cogsplat.encode(scene(200), tmp_path / "out.cogs", cameras=ring(), whole=stop)
+        cogsplat.encode(scene(200), tmp_path / "out.cogs", cameras=ring(), progress=progress)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -126,7 +134,7 @@ def test_given_scores_are_not_measured_again(tmp_path, made):
     stages = set()
     again = tmp_path / "again.cogs"
     cogsplat.encode(
-        splats, again, scores=scores, config=SCORED, progress=lambda *call: stages.add(call[0])
+        splats, again, request=scored(scores), progress=lambda *call: stages.add(call[0])
     )
     assert "score" not in stages
     assert again.read_bytes() == path.read_bytes()
@@ -162,10 +170,10 @@ def test_an_existing_file_is_refused_before_any_work(tmp_path, made):
     assert (caught.value.code, caught.value.exit_code) == ("exists", 2)
     assert stages == []
     assert target.read_bytes() == b"mine"
-    cogsplat.encode(splats, target, scores=scores, config=SCORED, force=True)
+    cogsplat.encode(splats, target, request=scored(scores), force=True)
     assert target.read_bytes() == path.read_bytes()
     with pytest.raises(StorageError) as caught:
-        cogsplat.encode(splats, tmp_path / "no" / "such.cogs", scores=scores, config=SCORED)
+        cogsplat.encode(splats, tmp_path / "no" / "such.cogs", request=scored(scores))
     assert caught.value.code == "not-found"
 
 
@@ -236,7 +244,7 @@ def test_scores_of_another_scene_are_refused(tmp_path, made):
     _, splats, scores = made
     few = splats.take(slice(0, 20))
     with pytest.raises(DataError) as caught:
-        cogsplat.encode(few, tmp_path / "out.cogs", scores=scores, config=SCORED)
+        cogsplat.encode(few, tmp_path / "out.cogs", request=scored(scores))
     assert caught.value.code == "scores-mismatch"
     assert list(tmp_path.iterdir()) == []
 
@@ -248,12 +256,13 @@ sys.path.insert(0, "tests")
 from test_facade import ring, scene
 import cogsplat
 from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.scoring.contribution import ScoreConfig
 threads = int(sys.argv[2])
 for profile in ("transform", "vq"):
     config = EncodeConfig(profile=profile, chunk_splats=200, threads=threads)
     cogsplat.encode(scene(2500), f"{sys.argv[1]}-{profile}.cogs", cameras=ring(), config=config,
-                    score_config=ScoreConfig(threads=threads))
+                    request=EncodeRequest(score_config=ScoreConfig(threads=threads)))
 """
 
 
@@ -463,9 +472,9 @@ def test_quality_and_targets_are_plain_keywords(tmp_path):
     for name, options in (
         ("low", {"quality": 25.0}),
         ("high", {"quality": 45.0}),
-        ("size", {"target_size": "9KiB"}),
-        ("share", {"target_size": "20%"}),
-        ("bytes", {"target_size": 9216}),
+        ("size", {"target": "9KiB"}),
+        ("share", {"target": "20%"}),
+        ("bytes", {"target": 9216}),
     ):
         path = tmp_path / f"{name}.cogs"
         report = cogsplat.encode(splats, path, cameras=ring(), preset="fast", **options)
@@ -475,7 +484,7 @@ def test_quality_and_targets_are_plain_keywords(tmp_path):
     assert sizes["size"] == sizes["bytes"] <= 9216
     assert sizes["share"] <= splats.nbytes // 5
     with pytest.raises(ValueError, match="more than one of quality"):
-        cogsplat.encode(splats, tmp_path / "x.cogs", quality=40, target_psnr=30)
+        cogsplat.encode(splats, tmp_path / "x.cogs", quality=40, target="30dB")
     with pytest.raises(TypeError, match="a dict, expected Splats or the path of a scene"):
         cogsplat.encode({}, tmp_path / "x.cogs")
 

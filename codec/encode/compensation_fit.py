@@ -169,7 +169,7 @@ def fit(
     return Compensation(tuple(found), counts)
 
 
-def compensated(
+def compensate_prefixes(
     encoded: EncodedScene,
     references: ReferenceViews,
     contribution: NDArray[np.float64],
@@ -359,7 +359,7 @@ def errors(
     return np.concatenate([[error(0)], np.square(interpolated(counts, measured, roots))])
 
 
-def blank(
+def placeholder_compensation(
     chunk_splats: Sequence[int], effective_splats: int, config: FitConfig | None = None
 ) -> Compensation:
     """Return a compensation that adds nothing and takes the same room as a fitted one.

@@ -1,4 +1,4 @@
-"""The configuration of the encoder, and what can be switched off in it for measuring."""
+"""Encoder configuration: profile, quality, order and contents of a file, without numba."""
 
 from __future__ import annotations
 
@@ -18,38 +18,38 @@ PROFILE_NAMES: Final = ("transform", "vq", "near-lossless")
 
 MIN_QUALITY_DB: Final = 10.0
 MAX_QUALITY_DB: Final = 90.0
+MIN_PSNR_DB: Final = 5.0
+"""Lowest target PSNR; the highest is `MAX_QUALITY_DB`."""
 
 
 @dataclass(frozen=True)
 class Ablation:
-    """Techniques of the `transform` profile, each of which can be switched off for measuring.
+    """Techniques of the `transform` profile, each of which can be switched off for an ablation.
 
-    Files of any combination are valid and decode as all others do; only their size and their
-    quality differ. The other profiles use none of these techniques.
+    Every combination gives a valid file that decodes as usual; only size and quality differ. The
+    other profiles use none of these techniques.
 
     Parameters
     ----------
     sensitivities : bool
-        What errors of positions, shapes and opacities cost comes from the scoring pass; otherwise
-        it is guessed from each splat's energy alone.
+        Measure the cost of position, shape and opacity errors in the scoring pass; otherwise
+        estimate it from each splat's energy.
     chunk_steps : bool
-        Every chunk has steps of its own, by what errors cost there; otherwise one step of each
-        attribute serves all chunks.
+        Choose quantiser steps per chunk from its error costs; otherwise one step per attribute.
     fine_means : bool
-        Means are quantised as finely as each splat is small; otherwise with one step a chunk.
+        Quantise each mean in proportion to its splat's size; otherwise one step per chunk.
     fine_rotations : bool
-        Rotations are quantised as finely as each shape asks; otherwise with one step a chunk.
+        Quantise each rotation by the anisotropy of its splat; otherwise one step per chunk.
     areas : bool
-        The longest axis and the opacity make up for areas that coarse scales change.
+        Correct the longest axis and the opacity for the area change of coarse scales.
     colour_basis : bool
-        shN is stored by its principal axes; otherwise by its own coefficients.
+        Store shN in its principal axes; otherwise store its own coefficients.
     view_metric : bool
-        Errors of shN are weighed by the directions that it is seen from; otherwise all directions
-        count alike.
+        Weigh shN errors by the directions of the scoring views; otherwise all directions equally.
     sh0_makes_up : bool
-        sh0 makes up for what shN loses, as its views see it on average.
+        Add the mean shN error over the scoring views to sh0.
     digits : bool
-        Planes of few symbols put several of them into a byte before zstd.
+        Pack several symbols of a small alphabet into one byte before zstd.
     """
 
     sensitivities: bool = True
@@ -64,47 +64,74 @@ class Ablation:
 
 
 @dataclass(frozen=True)
+class Target:
+    """Target of an encode: a PSNR or a file size.
+
+    Parameters
+    ----------
+    psnr_db : float or None
+        Mean PSNR against renders of the source in the test views, dB, 5 to 90.
+    size_bytes : int or None
+        File size in bytes, never exceeded.
+    """
+
+    psnr_db: float | None = None
+    size_bytes: int | None = None
+
+    def __post_init__(self) -> None:
+        if (self.psnr_db is None) == (self.size_bytes is None):
+            raise ValueError(f"{self}, expected either a PSNR or a size")
+        if self.psnr_db is not None and not MIN_PSNR_DB <= self.psnr_db <= MAX_QUALITY_DB:
+            raise ValueError(
+                f"a PSNR of {self.psnr_db} dB, expected {MIN_PSNR_DB:g} to {MAX_QUALITY_DB:g}"
+            )
+        if self.size_bytes is not None and self.size_bytes < 1:
+            raise ValueError(f"a size of {self.size_bytes}, expected at least 1 byte")
+
+
+@dataclass(frozen=True)
 class EncodeConfig:
-    """How a scene is encoded.
+    """Encoder settings that decide what a file contains.
 
     Parameters
     ----------
     profile : str
         One of `PROFILE_NAMES`.
     quality_db : float
-        Nominal PSNR, dB, of the profiles for viewing: sets all their steps. Where views are
-        planned, the steps are corrected to what is measured in planned test views.
+        Nominal PSNR, dB, of the profiles for viewing; sets all quantiser steps. With planned views
+        the steps are corrected to the PSNR measured in planned test views.
     order : str
         One of `orders.ORDERS`, alone or with one of `orders.POSE_RULES`.
     ordering : OrderConfig
-        Parameters of the order, and whether chunks hold one object each.
+        Parameters of the order; also whether each chunk holds a single object.
     chunk_splats : int
-        Most splats in a chunk.
+        Splats per chunk at most.
     cells : bool
-        Whether chunks are cut by cells of space as well, finer from layer to layer, so that a
-        client can fetch what it looks at; `partition.nested_cells.DEFAULT_CELL_SPLATS` splats in a
-        chunk cost hardly more bytes than chunks that are not cut.
+        Cut chunks by nested cells of space, finer from layer to layer, so that a client can fetch
+        the cells in view. Chunks of `partition.nested_cells.DEFAULT_CELL_SPLATS` splats cost hardly
+        more bytes than chunks without cells.
     view_table : bool
-        Whether scenes that are cut into cells get a table of what the pictures of some viewpoints
-        show of each chunk (SPEC 5.12), where they have cameras, given or planned.
+        With `cells`: store a table of each chunk's contribution to some viewpoints (SPEC 5.12).
     morton : bool
-        Whether to sort by Morton code inside the chunk.
+        Sort the splats of each chunk by Morton code.
     refine : bool
-        Whether the heads of the `transform` profile are coarse and refinements bring the rest
-        later.
+        Profile `transform`: write coarse heads, and refinements later in the file.
     prune : PruneConfig or None
-        What may be dropped; None keeps every splat, as `near-lossless` always does.
+        Bound below which splats are dropped; None keeps all, as `near-lossless` always does.
     near_lossless : NearLosslessBounds
-        Error bounds of the `near-lossless` profile.
+        Error bounds of the profile `near-lossless`.
     compensate : bool
-        Whether the order is made for prefixes that are drawn with compensation, and compensation
-        is fitted to the scene's own pictures; the `near-lossless` profile has none.
+        Fit prefix compensation to renders of the source, and order for compensated prefixes. The
+        profile `near-lossless` has no compensation.
+    preview : float or None
+        Share of the file, above 0 and below 1, spent on preview splats: few trained splats at the
+        front that show the whole scene until more of it has loaded. None for no preview.
     training : TrainingConfig
-        How the codebooks of the `vq` profile are trained.
+        Codebook training of the profile `vq`.
     threads : int
-        0 uses all cores; the bytes do not depend on it.
+        Number of threads, 0 for all cores; the bytes do not depend on it.
     ablation : Ablation
-        Techniques of the `transform` profile that are switched off.
+        Techniques of the profile `transform` that are switched off.
     """
 
     profile: str = "transform"
@@ -119,6 +146,7 @@ class EncodeConfig:
     prune: PruneConfig | None = field(default_factory=PruneConfig)
     near_lossless: NearLosslessBounds = field(default_factory=NearLosslessBounds)
     compensate: bool = True
+    preview: float | None = None
     training: TrainingConfig = field(default_factory=TrainingConfig)
     threads: int = 0
     ablation: Ablation = field(default_factory=Ablation)
@@ -135,16 +163,37 @@ class EncodeConfig:
             raise ValueError("cells with chunks of 1 splat, expected at least 2")
         if self.cells and self.ordering.by_object:
             raise ValueError("chunks by cell and by object, expected one of them")
+        if self.preview is not None:
+            if not 0.0 < self.preview < 1.0:
+                raise ValueError(f"preview {self.preview}, expected above 0 and below 1")
+            if not self.compensates:
+                raise ValueError(
+                    "a preview without compensation, expected a profile that compensates"
+                )
+            if self.cells or self.ordering.by_object:
+                raise ValueError("a preview with cells or objects, expected one of them")
         thread_count(self.threads)
         require_quality(self.quality_db)
 
-    def dropping(self) -> PruneConfig | None:
-        """Return what may be dropped; `near-lossless` keeps every splat, for it bounds errors."""
+    @property
+    def compensates(self) -> bool:
+        """Whether prefix compensation is fitted where the scene has views."""
+        return self.compensate and self.profile != "near-lossless"
+
+    @property
+    def pruning(self) -> PruneConfig | None:
+        """Bound below which splats are dropped; None for `near-lossless`, which bounds errors."""
         return None if self.profile == "near-lossless" else self.prune
 
 
 def require_quality(quality_db: float) -> None:
-    """Refuse a nominal quality outside what the profiles can reach."""
+    """Refuse a nominal quality outside the range of the profiles.
+
+    Parameters
+    ----------
+    quality_db : float
+        Nominal PSNR, dB.
+    """
     if not MIN_QUALITY_DB <= quality_db <= MAX_QUALITY_DB:
         raise ValueError(
             f"quality {quality_db} dB, expected {MIN_QUALITY_DB:g} to {MAX_QUALITY_DB:g}"

@@ -38,11 +38,10 @@ def needed_kernels(config: EncodeConfig, *, planned: bool) -> list[DeclaredKerne
     them another need not compile as well.
     """
     near_lossless = config.profile == "near-lossless"
-    fits = config.compensate and not near_lossless
     modules = [
         *(_GAIN if split_name(config.order)[0] == "gain" else ()),
         *(_BLENDING[1:] if near_lossless else _BLENDING),
-        *(_FIT if fits else ()),
+        *(_FIT if config.compensates else ()),
         *(_PLANNING if planned else ()),
         *_OTHERS,
     ]

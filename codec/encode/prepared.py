@@ -114,7 +114,7 @@ class PreparedScene:
     def laid_out(self, quality_db: float) -> LaidOutScene:
         """Return the chunks of the splats that are worth their bytes at a nominal quality."""
         lagrangian = allocation.lagrangian(self.scores, quality_db)
-        kept = keep_mask(self.source, self.scores, self.config.dropping(), lagrangian)
+        kept = keep_mask(self.source, self.scores, self.config.pruning, lagrangian)
         rows = self.rows[kept[self.rows]]
         made = self._made.get("last")
         if made is None or not np.array_equal(made[0], rows):
@@ -169,7 +169,7 @@ def prepare(
     splats.require_valid()
     _require_storable(splats)
     _require_scores(scores, len(splats))
-    kept = keep_mask(splats, scores, config.dropping(), 0.0)
+    kept = keep_mask(splats, scores, config.pruning, 0.0)
     scene = OrderInputs(
         splats,
         scores,

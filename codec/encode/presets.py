@@ -1,60 +1,60 @@
-"""Presets: how many views a scene is scored and measured in before it is encoded."""
+"""Presets of the encoder: numbers of views, effort of ordering and of compensation."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.order.gain_effort import GainEffort
-from cogsplat.codec.scoring.contribution import LEAST_WEIGHT, ScoreConfig
-from cogsplat.codec.scoring.reference_views import PICTURE_PIXELS
-from cogsplat.codec.views.planner import ViewPlanConfig
 from cogsplat.codec.views.view_sets import sample_evenly
 
-from .shift_optimiser import FitConfig
+if TYPE_CHECKING:
+    from cogsplat.codec.scoring.contribution import ScoreConfig
+    from cogsplat.codec.views.planner import ViewPlanConfig
+
+    from .shift_optimiser import FitConfig
 
 
 @dataclass(frozen=True)
 class Preset:
-    """How many views are planned, scored and predicted in, and the defaults of what renders.
+    """Numbers of views to plan, score and predict in, and the effort of each rendering stage.
 
     Parameters
     ----------
     planned_views : int
-        Views of a scene that comes without cameras.
+        Views planned for a scene without cameras.
     planned_jitter : bool
-        Whether their jittered copies are scored as well. Where less time is to be spent, it is
-        these that are left out, not places: what no view shows, nothing makes up for.
+        Score jittered copies of planned views as well. A fast preset drops copies rather than
+        places: nothing else shows the surfaces of a dropped place.
     views_every : int
-        One of so many of the given views is scored, with its jittered copies.
+        Score every n-th given view, with its jittered copies.
     most_views : int
-        And so many at most: what one more view tells falls with their number, what it costs does
-        not.
+        Scored given views at most; each further view adds less information at the same cost.
     jitter_copies : int
         `ScoreConfig.jitter_copies`.
     sensitivity_every : int
-        `ScoreConfig.sensitivity_every` of the profile that uses sensitivities.
+        `ScoreConfig.sensitivity_every` of the profile `transform`.
     prediction_views : int
-        Views that the quality of prefixes is predicted in, at most.
+        Views at most in which the quality of prefixes is predicted.
     test_views : int
-        Views that the quality of the whole is predicted in, and a nominal quality corrected, at
-        most: a mean over few depends on which they are.
+        Views at most in which the whole scene is measured and the nominal quality corrected. A mean
+        over few views depends on the choice of views.
     reference_views : int
-        Cameras that reference views are drawn of, at most; never more than
-        `reference_views.MAX_VIEWS`.
-    reference_pixels : int
-        Most pixels of a reference view, which gains and compensation are measured in.
+        Cameras at most whose pictures the order by gain and compensation compare with; never more
+        than `reference_views.MAX_VIEWS`.
+    reference_share : float
+        Pixels of a reference view at most, as a share of `reference_views.PICTURE_PIXELS`.
     reference_jitter : bool
-        Whether there are reference views from the jittered copies of the cameras as well.
+        Also draw reference views from jittered copies of the cameras.
     gain : GainEffort
-        How far the order by marginal gain goes, and in what steps.
+        Extent and step size of the order by marginal gain.
     fit_iterations : int
-        Steps that compensation is fitted in, for each of its layers.
+        Iterations per compensation layer.
     fit_views : int
-        Views that each of them renders.
+        Views rendered in each iteration.
     fit_coded_share : float
         `FitConfig.coded_share`.
     """
@@ -68,24 +68,53 @@ class Preset:
     prediction_views: int
     test_views: int = 32
     reference_views: int = 1024
-    reference_pixels: int = PICTURE_PIXELS
+    reference_share: float = 1.0
     reference_jitter: bool = True
     gain: GainEffort = field(default_factory=GainEffort)
     fit_iterations: int = 16
     fit_views: int = 4
     fit_coded_share: float = 0.65
 
+    @property
+    def reference_pixels(self) -> int:
+        """Pixels of a reference view at most."""
+        from cogsplat.codec.scoring.reference_views import PICTURE_PIXELS
+
+        return round(self.reference_share * PICTURE_PIXELS)
+
     def views(self, cameras: Sequence[Camera]) -> list[Camera]:
-        """Return the given views to score on, evenly spread; of a few views, all."""
+        """Return the given views to score, evenly spread; all of them where they are few.
+
+        Parameters
+        ----------
+        cameras : sequence of Camera
+            Given views.
+        """
         every = min(self.views_every, max(len(cameras) // FEWEST_VIEWS, 1))
         return sample_evenly(cameras, min(-(-len(cameras) // every), self.most_views))
 
     def plan_config(self, threads: int = 0) -> ViewPlanConfig:
-        """Return how to plan the views of a scene that comes without cameras."""
+        """Return the view planning settings for a scene without cameras.
+
+        Parameters
+        ----------
+        threads : int
+            Number of threads, 0 for all cores.
+        """
+        from cogsplat.codec.views.planner import ViewPlanConfig
+
         return ViewPlanConfig(views=self.planned_views, threads=threads)
 
     def fit_config(self, threads: int = 0) -> FitConfig:
-        """Return how to fit compensation."""
+        """Return the settings of the compensation fit.
+
+        Parameters
+        ----------
+        threads : int
+            Number of threads, 0 for all cores.
+        """
+        from .shift_optimiser import FitConfig
+
         return FitConfig(
             iterations=self.fit_iterations,
             views=self.fit_views,
@@ -102,17 +131,23 @@ class Preset:
         threads: int = 0,
         colour_sensitivity: bool = False,
     ) -> ScoreConfig:
-        """Return how to score for a profile.
+        """Return the scoring settings for a profile.
 
         Parameters
         ----------
         profile : str
-            One of `config.PROFILE_NAMES`; only ``transform`` uses sensitivities.
+            One of `config.PROFILE_NAMES`; only `transform` uses sensitivities.
         top_k : int or None
-            As `ScoreConfig` has it; None for all weights of at least `LEAST_WEIGHT`.
-        jitter, threads, colour_sensitivity
-            As `ScoreConfig` has them; no profile of ours uses the last.
+            `ScoreConfig.top_k`; None for all weights of at least `LEAST_WEIGHT`.
+        jitter : bool
+            `ScoreConfig.jitter`.
+        threads : int
+            Number of threads, 0 for all cores.
+        colour_sensitivity : bool
+            `ScoreConfig.colour_sensitivity`; unused by the profiles.
         """
+        from cogsplat.codec.scoring.contribution import LEAST_WEIGHT, ScoreConfig
+
         every = self.sensitivity_every if profile == "transform" else 0
         return ScoreConfig(
             top_k=top_k or 0,
@@ -126,17 +161,17 @@ class Preset:
 
 
 FEWEST_VIEWS: Final = 12
-"""Fewer given views than this are never thinned out further."""
+"""Smallest number of given views that is thinned out."""
 
 DEFAULT_PRESET: Final = "balanced"
 
 PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
     {
-        # Ordered and compensated as the others are, it would take three times as long. On a
-        # captured room the order of a tenth, in pictures of a quarter of the pixels, shows nearly
-        # as much in the first 64 KiB (23.9 dB, the others 24.1) for a tenth of the time, and 1 to
-        # 2 dB less from 128 KiB on. With codes for a fifth of the effective splats in place of two
-        # thirds, the file is 0.7 % smaller.
+        # The ordering and compensation of `balanced` would triple the time of `fast`. Measured on a
+        # captured room: ordering a tenth of the splats in pictures of a quarter of the pixels takes
+        # a tenth of the time, gives 23.9 dB instead of 24.1 dB in the first 64 KiB, and loses 1 to
+        # 2 dB from 128 KiB on. Codes for a fifth of the effective splats instead of two thirds
+        # make the file 0.7 % smaller.
         "fast": Preset(
             planned_views=64,
             planned_jitter=False,
@@ -147,7 +182,7 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             prediction_views=4,
             test_views=20,
             reference_views=24,
-            reference_pixels=PICTURE_PIXELS // 4,
+            reference_share=0.25,
             reference_jitter=False,
             gain=GainEffort(until=0.1, growth=0.3, views=8),
             fit_iterations=8,

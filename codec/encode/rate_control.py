@@ -43,8 +43,8 @@ _NEAR_DB: Final = 0.1
 _NOMINAL_DB: Final = 0.0
 _START_DB: Final = 35.5
 _START_BYTES: Final = 6.0
-_PSNR_PER_DB: Final = 0.8
-_LOG2_BYTES_PER_DB: Final = 0.085
+PSNR_PER_DB: Final = 0.8
+LOG2_BYTES_PER_DB: Final = 0.085
 
 # No step beyond what was tried is longer, dB: the curves flatten at their ends.
 _LONGEST_DB: Final = 15.0
@@ -52,30 +52,6 @@ _LONGEST_DB: Final = 15.0
 _SHORTEST_DB: Final = 1e-3
 # A trial between two others keeps this share of their distance from both.
 _MARGIN: Final = 0.03
-
-
-@dataclass(frozen=True)
-class Target:
-    """What an encode aims at: a PSNR or a file size.
-
-    Parameters
-    ----------
-    psnr_db : float or None
-        Mean PSNR against pictures of the source, dB, in views that the encoder has; 5 to 90.
-    size_bytes : int or None
-        Bytes of the whole file, never exceeded.
-    """
-
-    psnr_db: float | None = None
-    size_bytes: int | None = None
-
-    def __post_init__(self) -> None:
-        if (self.psnr_db is None) == (self.size_bytes is None):
-            raise ValueError(f"{self}, expected either a PSNR or a size")
-        if self.psnr_db is not None and not 5 <= self.psnr_db <= 90:
-            raise ValueError(f"a PSNR of {self.psnr_db} dB, expected 5 to 90")
-        if self.size_bytes is not None and self.size_bytes < 1:
-            raise ValueError(f"a size of {self.size_bytes}, expected at least 1 byte")
 
 
 EncodeAt = Callable[[float], EncodedScene]
@@ -211,9 +187,9 @@ def to_size(
     goal = _Goal(
         # A little below the size, so that a guess that is off by a little is not too large.
         value=float(np.log2(size_bytes * (1 - SIZE_TOLERANCE / 2))),
-        rise=_LOG2_BYTES_PER_DB,
+        rise=LOG2_BYTES_PER_DB,
         start_db=_START_DB
-        + float(np.log2(size_bytes / max(splats, 1) / _START_BYTES)) / _LOG2_BYTES_PER_DB,
+        + float(np.log2(size_bytes / max(splats, 1) / _START_BYTES)) / LOG2_BYTES_PER_DB,
         is_enough=lambda value: bool(1 - SIZE_TOLERANCE <= np.exp2(value) / size_bytes <= 1.0),
         is_better=is_better,
     )
@@ -315,7 +291,7 @@ def _psnr_goal(psnr_db: float, tolerance_db: float) -> _Goal:
 
     return _Goal(
         value=psnr_db,
-        rise=_PSNR_PER_DB,
+        rise=PSNR_PER_DB,
         start_db=psnr_db + _NOMINAL_DB,
         is_enough=lambda value: miss(value) <= tolerance_db,
         is_better=lambda trial, best: miss(trial.value) < miss(best.value),

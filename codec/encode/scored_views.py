@@ -1,52 +1,156 @@
-"""Score a scene in as many of the given views as it takes to see what they show."""
+"""Scoring views of an encode: given cameras, thinned by the preset, or planned views."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import DataError
 from cogsplat.codec.executor import Executor
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.scoring.contribution import ScoreConfig, Scores, score
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.planner import ViewPlan, plan
 from cogsplat.codec.views.view_sets import sample_evenly
 from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
+from .encoded import EncodeReport
 from .presets import Preset
+from .request import EncodeRequest
 
-_MOST_SEEN_ONCE: Final = 0.02
-"""Share of what views show that may be shown by one of them alone, before more views are scored.
+_SINGLE_CAMERA_LIMIT: Final = 0.02
+"""Share of contribution visible to a single camera above which more views are scored.
 
-A house of six rooms has 0.17 of it in 14 of 42 views: splats in rooms of the others were taken for
-worthless, and pictures from there came to 13 dB. A million splats on a terrace have 0.012 in 20 of
-100 views, and a captured room less than 0.00005 in 15 of 43.
+In a house of six rooms it is 0.17 for 14 of 42 views: splats in the other rooms were pruned as
+worthless, and pictures there fell to 13 dB. It is 0.012 for a million splats on a terrace in 20 of
+100 views, and below 0.00005 for a captured room in 15 of 43.
 """
 
-_MORE: Final = 4
-"""How many times as many are scored then. What was scored before is a quarter of it at most."""
+_RETRY_FACTOR: Final = 4
+"""Growth of the number of scored views per retry; earlier passes then cost a quarter at most."""
 
 
-def seen_once(scores: Scores, config: ScoreConfig) -> float:
-    """Return which share of all contribution comes from splats that one camera alone shows.
+@dataclass(frozen=True, eq=False)
+class ScoredViews:
+    """Scores of a scene, the views behind them, and the test views.
 
-    That is the mean over the cameras of how much of a picture would be missing if splats that the
-    other cameras do not show were dropped, and so about how much is missing in a further one
-    (leaving one out; Good 1953, "The population frequencies of species").
+    Parameters
+    ----------
+    scores : Scores or None
+        Scores of the splats; None where no view was scored.
+    views : sequence of Camera
+        Scoring views; empty where there are none.
+    test_views : sequence of Camera
+        Views to measure quality in; empty for some of `views`.
+    jitter : bool
+        Whether jittered copies of the views were scored as well.
+    report : EncodeReport
+        Origin of the views, origin of the test views, and coverage.
+    """
+
+    scores: Scores | None
+    views: Sequence[Camera]
+    test_views: Sequence[Camera]
+    jitter: bool
+    report: EncodeReport
+
+
+def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> ScoredViews:
+    """Score a scene in the views of a request, or in views that are planned around it.
+
+    Parameters
+    ----------
+    splats : Splats
+        Valid splats.
+    request : EncodeRequest
+        Given scores are returned as they are; without cameras, views are planned.
+    progress : Progress
+        Called with ``plan views`` and ``score``.
+
+    Raises
+    ------
+    DataError
+        ``no-cameras``, ``cameras-see-nothing``, ``empty-scene``.
+    """
+    if request.cameras is None and request.scores is None and len(splats):
+        return _score_planned(splats, request, progress)
+    views, scores = list(request.cameras or ()), request.scores
+    if scores is None and len(splats):
+        # An empty list of cameras is refused here; only None plans views.
+        views, scores = score_given(
+            splats,
+            views,
+            request.effort,
+            request.scoring,
+            workspace=request.workspace,
+            executor=request.executor,
+            progress=progress,
+        )
+    report = EncodeReport(
+        views="given" if views else "none",
+        test_views="given" if request.test_views or views else "none",
+    )
+    if views and scores is not None and len(splats):
+        report = replace(report, coverage=float((scores.covered > 0).mean()))
+    return ScoredViews(scores, views, request.test_views, request.scoring.jitter, report)
+
+
+def _score_planned(splats: Splats, request: EncodeRequest, progress: Progress) -> ScoredViews:
+    """Plan views around a scene and score it in them."""
+    planned = _plan_views(splats, request, progress)
+    settings = request.scoring
+    settings = replace(settings, jitter=settings.jitter and request.effort.planned_jitter)
+    tests, origin = request.test_views, "given" if request.test_views else "none"
+    if planned.test_views and not tests:
+        tests, origin = planned.test_views, "planned"
+    if not planned.views:
+        return ScoredViews(None, (), tests, settings.jitter, EncodeReport(test_views=origin))
+    scores = score(
+        splats,
+        planned.views,
+        settings,
+        covering=planned.covering_views,
+        workspace=request.workspace,
+        executor=request.executor,
+        progress=progress,
+    )
+    report = EncodeReport(views="planned", test_views=origin, coverage=planned.coverage)
+    return ScoredViews(scores, planned.views, tests, settings.jitter, report)
+
+
+def _plan_views(splats: Splats, request: EncodeRequest, progress: Progress) -> ViewPlan:
+    """Return planned scoring and test views; none for a lossless archive that shows nothing."""
+    try:
+        settings = request.effort.plan_config(request.config.threads)
+        return plan(splats, settings, executor=request.executor, progress=progress)
+    except DataError as error:
+        if error.code != "empty-scene" or request.config.profile != "near-lossless":
+            raise
+        return ViewPlan([], [], [], 1.0)
+
+
+def single_camera_share(scores: Scores, config: ScoreConfig) -> float:
+    """Return the share of all contribution from splats that a single camera shows.
+
+    It estimates the part of a picture from a further camera that the scored cameras do not show
+    (leave-one-out; Good 1953, "The population frequencies of species").
 
     Parameters
     ----------
     scores : Scores
+        Scores in the cameras.
     config : ScoreConfig
-        What they were scored with. A splat that is seen as often as one camera and its jittered
-        copies can show it counts as shown by one, though two may have shown it.
+        Settings of the scoring pass. A splat counts as shown by one camera if it was seen at most
+        as often as one camera and its jittered copies can see it.
 
     Returns
     -------
     float
-        0 to 1; 0 where nothing is shown at all.
+        0 to 1; 0 for a scene without any contribution.
 
     Examples
     --------
@@ -54,7 +158,7 @@ def seen_once(scores: Scores, config: ScoreConfig) -> float:
     >>> splats = cogsplat.read("scene.ply")
     >>> cameras = cogsplat.read_cameras("cameras.json")[:8]
     >>> config = ScoreConfig()
-    >>> seen_once(score(splats, cameras, config), config) < 0.05
+    >>> single_camera_share(score(splats, cameras, config), config) < 0.05
     True
     """
     total = float(scores.contribution.sum())
@@ -74,36 +178,46 @@ def score_given(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> tuple[list[Camera], Scores]:
-    """Score a scene in the views that a preset takes of the given ones, or in more.
+    """Score a scene in the preset's share of the given views, or in more where they overlap little.
 
-    Where much is shown by one camera alone, as in rooms with walls between them, four times as many
-    are taken, until little is or there are no more.
+    Where single cameras show much that no other shows, as in rooms with walls between them, the
+    number of views is multiplied by four until they overlap or all are scored.
 
     Parameters
     ----------
     splats : Splats
+        Scene to score.
     cameras : sequence of Camera
-        All that were given.
+        All given views.
     preset : Preset
+        Number of views to begin with.
     config : ScoreConfig
-    workspace, executor, progress
-        As `score` has them.
+        Scoring settings.
+    workspace : Workspace
+        Allocator of the scores.
+    executor : Executor, optional
+        Runs the work of single views; None for threads of this process.
+    progress : Progress
+        Called with ``score``.
 
     Returns
     -------
     (list of Camera, Scores)
-        The views, evenly spread over the given ones, and the scores in them.
+        Scored views, evenly spread over the given ones, and the scores in them.
 
     Raises
     ------
-    CogsplatError
-        As `score`.
+    DataError
+        ``no-cameras``, ``cameras-see-nothing``.
     """
     views = preset.views(cameras)
     while True:
         scores = score(
             splats, views, config, workspace=workspace, executor=executor, progress=progress
         )
-        if len(views) == len(cameras) or seen_once(scores, config) <= _MOST_SEEN_ONCE:
+        if (
+            len(views) == len(cameras)
+            or single_camera_share(scores, config) <= _SINGLE_CAMERA_LIMIT
+        ):
             return views, scores
-        views = sample_evenly(cameras, min(_MORE * len(views), len(cameras)))
+        views = sample_evenly(cameras, min(_RETRY_FACTOR * len(views), len(cameras)))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.compiling import called_with
 from cogsplat.codec.render.jit import kernel
 
-from .adam import LEAST_SIZE, MEMORY, SQUARE_MEMORY
+from .shift_adam import LEAST_SIZE, MEMORY, SQUARE_MEMORY
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

@@ -24,7 +24,7 @@ from cogsplat.codec.segments.compensation import (
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import thread_count
 
-from .adam import Adam
+from .shift_adam import Adam
 from .shift_kernels import add_gradient, choose_rows, draw_shifts, move_shifts
 
 F64 = NDArray[np.float64]

@@ -19,12 +19,10 @@ from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.progress import StageCost
 from cogsplat.codec.scoring.chunk_contributions import MAX_PIXELS
-from cogsplat.codec.scoring.reference_views import PICTURE_PIXELS
 
-from .config import EncodeConfig
 from .presets import DEFAULT_PRESET, PRESETS, Preset
-from .rate_control import Target
-from .view_tables import MOST_CAMERAS
+from .request import EncodeRequest
+from .view_table_builder import MOST_CAMERAS
 
 # Planned views have this size, and planning adds some to those that a preset asks for.
 _PLANNED_PIXELS: Final = 480 * 360
@@ -59,43 +57,30 @@ _NOMINAL_TRIALS: Final = 2
 _ONE_RENDER: Final = 0.33
 
 
-def stage_costs(
-    splats: int,
-    config: EncodeConfig,
-    preset: Preset,
-    *,
-    cameras: Sequence[Camera] | None = None,
-    jitter: bool = True,
-    scored: bool = False,
-    target: Target | None = None,
-    preview: bool = False,
-) -> list[StageCost]:
-    """Return what the stages of an encode will cost, in their order.
+def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) -> list[StageCost]:
+    """Return the expected cost of each stage of an encode, in the order of the stages.
 
     Parameters
     ----------
     splats : int
-        Of the source.
-    config : EncodeConfig
-    preset : Preset
-    cameras : sequence of Camera, optional
-        Views to score in; None where views will be planned.
-    jitter : bool
-        Whether given cameras are scored in jittered copies as well.
+        Number of splats of the source.
+    request : EncodeRequest
+        Inputs of the encode.
     scored : bool
-        Whether scores are there already.
-    target : Target, optional
-        What is searched for.
-    preview : bool
-        Whether a preview is trained.
+        Whether the request will have scores by the time it is encoded.
 
     Returns
     -------
     list of StageCost
-        The last is ``write``, which is the caller's stage.
+        The last is ``write``, which the caller reports.
     """
-    fits = config.compensate and config.profile != "near-lossless"
+    config, preset, cameras, target = (
+        request.config, request.effort, request.cameras, request.target,
+    )  # fmt: skip
+    scored = scored or request.scores is not None
+    fits = config.compensates
     planned = cameras is None and not scored
+    jitter = request.jitters
     if cameras:
         views, pixels = len(preset.views(cameras)), _mean_pixels(cameras)
     else:
@@ -109,7 +94,7 @@ def stage_costs(
     if not scored:
         costs.append(_scored(splats, views, pixels, preset, jitter=jitter))
     if seen and (fits or order == "gain"):
-        share = preset.reference_pixels / PICTURE_PIXELS
+        share = preset.reference_share
         drawn = 1.0 if preset.reference_jitter else _WITHOUT_COPIES
         costs.append(_referred(splats, min(views, preset.reference_views), share * pixels, drawn))
     if order == "gain":
@@ -132,8 +117,8 @@ def stage_costs(
     if seen and config.cells and config.view_table:
         drawn = min(views, MOST_CAMERAS)
         costs.append(StageCost("view table", _of_view(_VIEW_TABLE, MAX_PIXELS, splats), drawn))
-    if seen and fits and preview:
-        costs.append(StageCost("preview", _PREVIEW * preset.reference_pixels / PICTURE_PIXELS))
+    if seen and fits and config.preview is not None:
+        costs.append(StageCost("preview", _PREVIEW * preset.reference_share))
     if seen and fits:
         costs.append(_fitted(splats, preset))
     if seen:
@@ -205,7 +190,7 @@ def _referred(splats: int, views: int, pixels: float, drawn: float = 1.0) -> Sta
 def _gained(splats: int, preset: Preset) -> StageCost:
     work = _draws(preset.gain) / _draws(GainEffort())
     fixed, each = _GAIN
-    fixed *= preset.reference_pixels / PICTURE_PIXELS
+    fixed *= preset.reference_share
     return StageCost("gain", work * _of_scene((fixed, each), splats))
 
 
@@ -218,7 +203,7 @@ def _fitted(splats: int, preset: Preset) -> StageCost:
     usual = PRESETS[DEFAULT_PRESET]
     work = preset.fit_iterations * preset.fit_views / (usual.fit_iterations * usual.fit_views)
     fixed, each = _COMPENSATE
-    fixed *= preset.reference_pixels / PICTURE_PIXELS
+    fixed *= preset.reference_share
     return StageCost("compensate", work * _of_scene((fixed, each), splats))
 
 

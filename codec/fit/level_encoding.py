@@ -14,6 +14,7 @@ from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedChunk, EncodedLevel, EncodedScene
 from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.order.objects import ATTRIBUTE
 from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.progress import Progress, silent
@@ -102,8 +103,7 @@ def encode_levels(
     }
     encoded = pipeline.encode(
         replace(splats, extras=extras),
-        config,
-        scores=_scores(levels, cameras, config, progress),
+        EncodeRequest(config=config, scores=_scores(levels, cameras, config, progress)),
         progress=progress,
     )
     return _order_by_level(encoded, levels, encoding.opacity_step)

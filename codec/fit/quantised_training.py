@@ -10,15 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.encode.compensation_fit import blank, compensated
-from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig
+from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig, Target
 from cogsplat.codec.encode.encoded import EncodedCodebook, EncodedScene
-from cogsplat.codec.encode.pipeline import SizeOf
-from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, predicted
+from cogsplat.codec.encode.finishing import Finisher, SizeOf
 from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.preview_chunks import PreviewMaker
-from cogsplat.codec.encode.rate_control import Target, to_psnr
+from cogsplat.codec.encode.rate_control import LOG2_BYTES_PER_DB, PSNR_PER_DB, to_psnr
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.order.prefix_inflation import effective_splats
 from cogsplat.codec.progress import Progress
@@ -39,9 +37,6 @@ _LEARNING_RATE_FACTORS: Final = (0.4, 0.04)
 # Share of the steps in which the nominal quality follows the target. Afterwards the quantiser steps
 # are fixed, so that values converge to the quantisation grid.
 _RATE_CONTROL_SHARE: Final = 0.6
-# Slopes of PSNR, dB per dB, and of log2 bytes, 1 per dB, over the nominal quality (`rate_control`).
-_PSNR_PER_DB: Final = 0.8
-_LOG2_BYTES_PER_DB: Final = 0.085
 # First guess of the nominal quality: the PSNR aimed at plus this offset, dB.
 _QUALITY_OFFSET_DB: Final = -0.5
 # Share of the target size that the search aims at; the size still changes while values converge.
@@ -57,7 +52,7 @@ _ENCODES_PER_CORRECTION: Final = 3
 _MAX_QUALITY_STEP_DB: Final = 4.0
 # Shares of a size error that one step corrects, during training and at the end. Values that have
 # converged to one grid take more bytes on any other, so that bytes change twice as fast as the
-# slope above says, and full steps oscillate.
+# `LOG2_BYTES_PER_DB` says, and full steps oscillate.
 _GAIN, _FINAL_GAIN = 0.4, 0.6
 # Maximum number of views that the scene is scored in.
 _MAX_SCORED_VIEWS: Final = 64
@@ -110,20 +105,18 @@ class QuantisedTraining:
         self._rate_weight = config.rate_weight
         self._prefix_weight = config.prefix_weight
         self._size_of = size_of
-        self._preview = preview
-        self._preset = PRESETS[config.preset]
         self._progress = progress
+        preset = PRESETS[config.preset]
         threads, profile = config.train.threads, config.profile
-        self._fit = self._preset.fit_config(threads)
         views = sample_evenly(cameras, _MAX_SCORED_VIEWS)
-        settings = self._preset.score_config(profile, threads=threads)
+        settings = preset.score_config(profile, threads=threads)
         scores = score(base, views, settings, covering=covering, progress=progress)
         # The source is the ground truth of prefixes, not the trained scene.
-        self._references = render_references(
+        references = render_references(
             source,
             views,
-            jittered=self._preset.reference_jitter,
-            pixels=self._preset.reference_pixels,
+            jittered=preset.reference_jitter,
+            pixels=preset.reference_pixels,
             threads=threads,
             progress=progress,
         )
@@ -132,12 +125,19 @@ class QuantisedTraining:
             scores,
             EncodeConfig(profile=profile, threads=threads),
             views=views,
-            references=self._references,
-            effort=self._preset.gain,
+            references=references,
+            effort=preset.gain,
             progress=progress,
         )
-        self._evaluator = PrefixEvaluator(
-            source, sample_evenly(test_views or cameras, self._preset.test_views), threads
+        self._finisher = Finisher(
+            self._prepared,
+            source,
+            preset,
+            references=references,
+            test_views=test_views or cameras,
+            preview=preview,
+            size_of=size_of,
+            progress=progress,
         )
         self._scored_views = len(views)
         # Codebooks of the last encode: k-means of the profile `vq` starts from them next time.
@@ -201,7 +201,7 @@ class QuantisedTraining:
             hit = to_psnr(
                 lambda quality_db: round_trip(self._prepared, splats, quality_db).encoded,
                 self._target.psnr_db or 0.0,
-                lambda encoded: self._evaluator.psnr_db(encoded.decoded),
+                lambda encoded: self._finisher.evaluator.psnr_db(encoded.decoded),
                 progress=self._progress,
             )
         except DataError as error:
@@ -284,8 +284,13 @@ class QuantisedTraining:
 
     def measure(self, encoded: EncodedScene) -> tuple[int, float, float, int]:
         """Return splat count, mean and worst PSNR of the test views, dB, and file size, bytes."""
-        values = self._evaluator.views_db(encoded.decoded)
-        return encoded.splats, float(np.mean(values)), min(values), self._final_bytes(encoded)
+        values = self._finisher.evaluator.views_db(encoded.decoded)
+        return (
+            encoded.splats,
+            float(np.mean(values)),
+            min(values),
+            self._finisher.file_bytes(encoded),
+        )
 
     def reach_target(self, trainer: Trainer, quality_db: float, refresh: int) -> EncodedScene:
         """Alternate corrections of the nominal quality with training; return the best encode.
@@ -327,33 +332,17 @@ class QuantisedTraining:
                 last = _LEARNING_RATE_FACTORS[1]
                 self.train(trainer, made, quality_db, refresh, (last, last))
         if best is None:
+            size = self._finisher.file_bytes(encoded)
             raise DataError(
                 "target-out-of-reach",
                 f"a size of {self._target.size_bytes:,} bytes for {encoded.splats:,} splats: the "
-                f"last encode has {self._final_bytes(encoded):,} bytes, expected a larger target",
+                f"last encode has {size:,} bytes, expected a larger target",
             )
         return best
 
     def finish(self, encoded: EncodedScene) -> EncodedScene:
         """Add preview chunks, compensation and the estimated PSNR of prefixes to a scene."""
-        contribution = self._prepared.scores.contribution
-        if self._preview is not None:
-            encoded = self._preview.add(
-                encoded, self._references, effective_splats(contribution), progress=self._progress
-            )
-        encoded = compensated(
-            encoded,
-            self._references,
-            contribution,
-            self._fit,
-            progress=self._progress,
-        )
-        encoded = predicted(
-            encoded,
-            self._evaluator,
-            most_views=self._preset.prediction_views,
-            progress=self._progress,
-        )
+        encoded = self._finisher.finish(encoded)
         report = replace(
             encoded.report,
             views="given",
@@ -375,32 +364,24 @@ class QuantisedTraining:
         self._codebooks = made.encoded.codebooks
         return made
 
-    def _final_bytes(self, encoded: EncodedScene) -> int:
-        """Return the file size after `finish`, bytes, with dummies in place of what it adds."""
-        if self._preview is not None:
-            encoded = self._preview.reserve(encoded)
-        counts = [chunk.splats for chunk in encoded.chunks]
-        effective = effective_splats(self._prepared.scores.contribution)
-        encoded = replace(encoded, compensation=blank(counts, effective, self._fit))
-        chunks = [replace(chunk, quality_db=1.0) for chunk in encoded.chunks]
-        return self._size_of(replace(encoded, chunks=chunks))
-
     def _fits(self, encoded: EncodedScene) -> bool:
         """Tell whether the file is at most as large as the target size, if there is one."""
         size = self._target.size_bytes
-        return size is None or self._final_bytes(encoded) <= size
+        return size is None or self._finisher.file_bytes(encoded) <= size
 
     def _quality_error_db(self, encoded: EncodedScene) -> float:
         """Return the estimated change of nominal quality that meets the target, dB; 0 if met."""
         size = self._target.size_bytes
         if size is not None:
-            found = self._final_bytes(encoded) / size
+            found = self._finisher.file_bytes(encoded) / size
             low, high = _SIZE_MARGIN - _SIZE_TOLERANCE / 2, 1.0 + _SIZE_TOLERANCE / 2
             if low <= found / _SIZE_MARGIN <= high and found <= 1.0:
                 return 0.0
-            return float(np.log2(_SIZE_MARGIN / found)) / _LOG2_BYTES_PER_DB
-        change_db = (self._target.psnr_db or 0.0) - self._evaluator.psnr_db(encoded.decoded)
-        return 0.0 if abs(change_db) <= _PSNR_TOLERANCE_DB else change_db / _PSNR_PER_DB
+            return float(np.log2(_SIZE_MARGIN / found)) / LOG2_BYTES_PER_DB
+        change_db = (self._target.psnr_db or 0.0) - self._finisher.evaluator.psnr_db(
+            encoded.decoded
+        )
+        return 0.0 if abs(change_db) <= _PSNR_TOLERANCE_DB else change_db / PSNR_PER_DB
 
     def _quality_step_db(self, encoded: EncodedScene, gain: float) -> float:
         """Return the next change of nominal quality, dB; `gain` scales size corrections."""
@@ -409,7 +390,7 @@ class QuantisedTraining:
 
     def _is_better(self, encoded: EncodedScene, best: EncodedScene) -> bool:
         """Tell whether one of two scenes that fit is nearer to the target; by PSNR for a size."""
-        quality, other = (self._evaluator.psnr_db(x.decoded) for x in (encoded, best))
+        quality, other = (self._finisher.evaluator.psnr_db(x.decoded) for x in (encoded, best))
         if self._target.psnr_db is None:
             return quality > other
         return abs(quality - self._target.psnr_db) < abs(other - self._target.psnr_db)

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.config import Target
 from cogsplat.codec.encode.encoded import EncodedScene
-from cogsplat.codec.encode.pipeline import SizeOf
+from cogsplat.codec.encode.finishing import SizeOf
 from cogsplat.codec.encode.preview_chunks import PreviewMaker
-from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import render

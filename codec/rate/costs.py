@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.geometry.sh import C0
-from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.splats import Splats
+
+if TYPE_CHECKING:
+    from cogsplat.codec.scoring.contribution import Scores
 
 F64 = NDArray[np.float64]
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.splats import Splats
 
 from .costs import robust_energy
+
+if TYPE_CHECKING:
+    from cogsplat.codec.scoring.contribution import Scores
 
 WORTH: Final = 6.0
 """Energy over λ below which a splat is not worth its bytes.

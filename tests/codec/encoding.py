@@ -5,6 +5,7 @@ from dataclasses import replace
 from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedScene
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.scoring.contribution import zero_scores
 
 # Orders by gain draw the scene; compensation is fitted to pictures of it.
@@ -19,4 +20,6 @@ def unseen(**changes) -> EncodeConfig:
 def encode(splats, scores=None, config=UNSEEN, **options) -> EncodedScene:
     """Encode a scene whose splats count what `scores` says, or all the same."""
     known = zero_scores(len(splats)) if scores is None else scores
-    return pipeline.encode(splats, config, scores=known, **options)
+    hooks = {name: options.pop(name) for name in ("size_of", "progress") if name in options}
+    request = EncodeRequest(scores=known, config=config, **options)
+    return pipeline.encode(splats, request, **hooks)

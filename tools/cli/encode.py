@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.config import PROFILE_NAMES, EncodeConfig, Target
+from cogsplat.codec.encode.needed_kernels import needed_kernels
+from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.order.chunk_plan import DEFAULT_CHUNK_SPLATS
+from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.partition.nested_cells import DEFAULT_CELL_SPLATS
+from cogsplat.codec.progress import Progress
+from cogsplat.codec.rate.pruning import PruneConfig
+from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
 from cogsplat.codec.threads import thread_count
+from cogsplat.codec.workspace import Workspace
+from cogsplat.formats.scenes.memory_cap import working_memory
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.cluster.dask_executor import connected
@@ -50,11 +62,13 @@ from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import no_extras_option
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
+from cogsplat.tools.terminal.usage import usage_errors
 from cogsplat.tools.terminal.values import Colour, byte_count, number_of_bytes
 from cogsplat.tools.workflow.byte_table import print_byte_table
 from cogsplat.tools.workflow.compile_ahead import CompileAhead
 from cogsplat.tools.workflow.file_evaluation import FileEvaluation, settings_of
 from cogsplat.tools.workflow.inputs import (
+    LoadedScene,
     given_cameras,
     given_files,
     measured_in,
@@ -66,13 +80,10 @@ from cogsplat.tools.workflow.order_options import OrderChoice, order_options
 from cogsplat.tools.workflow.scene_edits import SceneEdits, edit_options
 
 if TYPE_CHECKING:
-    from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.encoded import EncodeReport
     from cogsplat.formats.cogs.reader import CogsFile
 
-# The choices and defaults below are those of `EncodeConfig` and `PruneConfig`, which take a
-# compiler to import; a test compares them.
-
+_DEFAULTS: Final = EncodeConfig()
 
 # In the order of the help. `--help` shows the first group, at most 16 options.
 _GROUPS: Final = {
@@ -144,8 +155,8 @@ _GROUPS: Final = {
 @cameras_option("Without it, views are planned around the scene.")
 @click.option(
     "--profile",
-    type=click.Choice(["transform", "vq", "near-lossless"]),
-    default="transform",
+    type=click.Choice(PROFILE_NAMES),
+    default=_DEFAULTS.profile,
     show_default=True,
     help="transform, vq: for viewing, by a shared transform or by codebooks. near-lossless: every "
     "attribute within a bound, for archives.",
@@ -166,8 +177,8 @@ _GROUPS: Final = {
 )
 @click.option(
     "--preset",
-    type=click.Choice(["fast", "balanced", "best"]),
-    default="balanced",
+    type=click.Choice(list(PRESETS)),
+    default=DEFAULT_PRESET,
     show_default=True,
     help="fast scores one given view in three, at most 20, or plans fewer views, and orders only a "
     "tenth of the splats by gain, in small pictures; best plans most views, measures every one in "
@@ -204,7 +215,7 @@ _GROUPS: Final = {
 @click.option(
     "--prune",
     type=click.FloatRange(0, 1, max_open=True),
-    show_default="0.06",
+    show_default=str(PruneConfig().peak),
     metavar="PEAK",
     help="Drop splats that are not worth their bytes, of those whose weight stays below PEAK in "
     "every pixel of every view.",
@@ -252,198 +263,282 @@ _GROUPS: Final = {
 @force_option
 @quiet_option
 @json_option
-def encode(
-    scene: Path,
-    out: Path,
-    cameras: Path | None,
-    profile: str,
-    quality: float,
-    target_psnr: float | None,
-    target_size: ByteCount | None,
-    preset: str,
-    choice: OrderChoice,
-    chunk_splats: int | None,
-    cells: bool,
-    no_view_table: bool,
-    no_morton: bool,
-    no_refine: bool,
-    no_compensation: bool,
-    preview: float | None,
-    prune: float | None,
-    no_prune: bool,
-    no_extras: bool,
-    store_cameras: bool,
-    no_jitter: bool,
-    top_k: int | None,
-    eval_every: int,
-    measure: bool,
-    report: Path | None,
-    images: Path | None,
-    memory: int | None,
-    format_name: str | None,
-    background: Colour,
-    edits: SceneEdits,
-    device: str,
-    threads: int,
-    scheduler: str | None,
-    force: bool,
-    quiet: bool,
-    as_json: bool,
-) -> None:
+def encode(**options: Any) -> None:
     """Encode SCENE into a progressive COGS file.
 
     Splats are scored from the cameras, put in the order of what they contribute, pruned, cut into
     chunks and compressed. The bytes do not depend on the number of threads.
     """
-    from cogsplat.codec.encode.config import EncodeConfig
-    from cogsplat.codec.encode.needed_kernels import needed_kernels
-    from cogsplat.codec.encode.presets import PRESETS
-    from cogsplat.codec.encode.rate_control import Target
-    from cogsplat.codec.encode.stage_costs import stage_costs
-    from cogsplat.codec.rate.pruning import PruneConfig
-    from cogsplat.formats.scenes.memory_cap import working_memory
+    _encode(EncodeOptions(**options))
 
-    if prune is not None and no_prune:
-        raise click.UsageError("--prune and --no-prune: expected one of them")
-    if no_extras and choice.by_object:
-        raise click.UsageError("--no-extras and --objects: expected one of them")
-    if cells and chunk_splats == 1:
-        raise click.UsageError("--cells with chunks of 1 splat, expected at least 2")
-    if cells and choice.by_object:
-        raise click.UsageError("--cells and --objects: expected one of them")
-    if preview is not None:
-        _require_preview_possible(
-            {
-                "--no-compensation": no_compensation,
-                "--profile near-lossless": profile == "near-lossless",
-                "--cells": cells,
-                "--objects": choice.by_object,
-                "--memory": memory is not None,
-            }
-        )
-    if store_cameras and cameras is None:
-        raise click.UsageError("--store-cameras without --cameras, expected cameras to store")
-    _require_one_aim(profile, target_psnr, target_size)
-    if scheduler is not None and memory is not None:
-        raise click.UsageError("--memory and --scheduler: expected one of them")
-    if scheduler is not None and device == "cuda":
-        raise click.UsageError("--device cuda and --scheduler: expected one of them")
-    if memory is not None and (measure or report is not None or images is not None):
-        raise click.UsageError(
-            "--memory with --measure, --report or --images, expected `cogsplat compare` "
-            "afterwards: measuring holds two scenes in memory"
-        )
-    bound = PruneConfig() if prune is None else PruneConfig(peak=prune)
-    chosen = PRESETS[preset]
-    config = EncodeConfig(
-        profile=profile,
-        quality_db=quality,
-        order=choice.base,
-        chunk_splats=chunk_splats or (DEFAULT_CELL_SPLATS if cells else DEFAULT_CHUNK_SPLATS),
-        cells=cells,
-        view_table=not no_view_table,
-        morton=not no_morton,
-        refine=not no_refine,
-        compensate=not no_compensation,
-        prune=None if no_prune else bound,
-        threads=threads,
-    )
-    check_name(out, COGS, insisted=format_name is not None)
-    check_output(out, force=force, inputs=given_files(scene, cameras, images, choice.masks))
-    if report is not None:
-        check_name(report, HTML)
-        check_distinct(out, report)
-        inputs = given_files(scene, cameras, images, choice.masks)
-        check_output(report, force=force, inputs=inputs)
+
+@dataclass(frozen=True)
+class EncodeOptions:
+    """Options of the command, named as click names them."""
+
+    scene: Path
+    out: Path
+    cameras: Path | None
+    profile: str
+    quality: float
+    target_psnr: float | None
+    target_size: ByteCount | None
+    preset: str
+    choice: OrderChoice
+    chunk_splats: int | None
+    cells: bool
+    no_view_table: bool
+    no_morton: bool
+    no_refine: bool
+    no_compensation: bool
+    preview: float | None
+    prune: float | None
+    no_prune: bool
+    no_extras: bool
+    store_cameras: bool
+    no_jitter: bool
+    top_k: int | None
+    eval_every: int
+    measure: bool
+    report: Path | None
+    images: Path | None
+    memory: int | None
+    format_name: str | None
+    background: Colour
+    edits: SceneEdits
+    device: str
+    threads: int
+    scheduler: str | None
+    force: bool
+    quiet: bool
+    as_json: bool
+
+    @property
+    def measures(self) -> bool:
+        """Whether the new file is measured."""
+        return self.measure or self.report is not None or self.images is not None
+
+    @property
+    def inputs(self) -> list[Path]:
+        """Files that are read."""
+        return list(given_files(self.scene, self.cameras, self.images, self.choice.masks))
+
+    def require_consistent(self) -> None:
+        """Refuse options that contradict each other, and outputs that cannot be written.
+
+        What an encode itself refuses stands in `EncodeConfig` and `EncodeRequest`.
+        """
+        _require_one_aim(self.profile, self.target_psnr, self.target_size)
+        if self.prune is not None and self.no_prune:
+            raise click.UsageError("--prune and --no-prune: expected one of them")
+        if self.no_extras and self.choice.by_object:
+            raise click.UsageError("--no-extras and --objects: expected one of them")
+        if self.store_cameras and self.cameras is None:
+            raise click.UsageError("--store-cameras without --cameras, expected cameras to store")
+        if self.scheduler is not None and self.memory is not None:
+            raise click.UsageError("--memory and --scheduler: expected one of them")
+        if self.scheduler is not None and self.device == "cuda":
+            raise click.UsageError("--device cuda and --scheduler: expected one of them")
+        if self.memory is not None and self.measures:
+            raise click.UsageError(
+                "--memory with --measure, --report or --images, expected `cogsplat compare` "
+                "afterwards: measuring holds two scenes in memory"
+            )
+        check_name(self.out, COGS, insisted=self.format_name is not None)
+        check_output(self.out, force=self.force, inputs=self.inputs)
+        if self.report is not None:
+            check_name(self.report, HTML)
+            check_distinct(self.out, self.report)
+            check_output(self.report, force=self.force, inputs=self.inputs)
+
+    def request(self) -> EncodeRequest:
+        """Return the request without what only the scene and its cameras decide."""
+        bound = PruneConfig() if self.prune is None else PruneConfig(peak=self.prune)
+        with usage_errors():
+            config = EncodeConfig(
+                profile=self.profile,
+                quality_db=self.quality,
+                order=self.choice.base,
+                ordering=OrderConfig(by_object=self.choice.by_object),
+                chunk_splats=self.chunk_splats or (DEFAULT_CELL_SPLATS if self.cells else DEFAULT_CHUNK_SPLATS),
+                cells=self.cells,
+                view_table=not self.no_view_table,
+                morton=not self.no_morton,
+                refine=not self.no_refine,
+                compensate=not self.no_compensation,
+                preview=self.preview,
+                prune=None if self.no_prune else bound,
+                threads=self.threads,
+            )
+            target = None if self.target_psnr is None else Target(psnr_db=self.target_psnr)
+            return EncodeRequest(
+                config=config, preset=self.preset, target=target, memory_bytes=self.memory
+            )
+
+    def complete(
+        self,
+        request: EncodeRequest,
+        views: Sequence[Camera] | None,
+        file_bytes: int,
+        workspace: Workspace,
+    ) -> EncodeRequest:
+        """Return the request with views, scoring settings and target size.
+
+        Parameters
+        ----------
+        request : EncodeRequest
+            Result of `request`.
+        views : sequence of Camera or None
+            Cameras to score in, edited as the scene is.
+        file_bytes : int
+            Size of the scene's file, for a target size in per cent.
+        workspace : Workspace
+            Allocator that the scene was read with.
+        """
+        numbered = list(views or [])
+        if self.cameras is not None:
+            numbered = [self.edits.camera(view) for view in given_cameras(self.cameras)]
+        given = numbered if self.cameras is not None else []
+        target = request.target
+        with usage_errors():
+            if self.target_size is not None:
+                target = Target(size_bytes=self.target_size.uncapped(file_bytes))
+            ordering = self.choice.config(numbered)
+            config = replace(request.config, order=self.choice.name, ordering=ordering)
+            scoring = request.effort.score_config(
+                self.profile, top_k=self.top_k, jitter=not self.no_jitter, threads=self.threads
+            )
+            return replace(
+                request,
+                cameras=views,
+                config=config,
+                score_config=replace(scoring, device=self.device),
+                target=target,
+                test_views=measured_in(given, self.eval_every) if given else (),
+                stored_cameras=given if self.store_cameras else (),
+                workspace=workspace,
+                memory_bytes=None,
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class _NewFile:
+    """An encoded file, with what the command reports of it."""
+
+    options: EncodeOptions
+    request: EncodeRequest
+    made: EncodeReport
+    given: LoadedScene
+    splats: int
+    evaluation: FileEvaluation | None
+    qualities: Sequence[PrefixQuality]
+    stages: Stages
+
+
+def _encode(options: EncodeOptions) -> None:
+    """Run the command."""
+    from cogsplat.codec.encode.stage_costs import stage_costs
+
+    options.require_consistent()
+    request = options.request()
     # Edits and labels by masks work on a copy in memory.
-    copied = edits.changes or choice.masks is not None
-    working = working_memory(scene, config, memory, out.absolute().parent, copied=copied)
-    kernels = needed_kernels(config, planned=cameras is None)
+    copied = options.edits.changes or options.choice.masks is not None
+    folder = options.out.absolute().parent
+    working = working_memory(options.scene, request.config, options.memory, folder, copied=copied)
+    kernels = needed_kernels(request.config, planned=options.cameras is None)
     with (
-        Stages(shown=not (quiet or as_json)) as stages,
+        Stages(shown=not (options.quiet or options.as_json)) as stages,
         working as workspace,
-        CompileAhead(kernels, thread_count(threads)) as ahead,
+        CompileAhead(kernels, thread_count(options.threads)) as ahead,
         ExitStack() as stack,
     ):
         with stages.stage("read"):
-            views = scoring_cameras(cameras, eval_every)
-            given = read_any(scene, threads=threads, zeros=workspace.zeros)
-            labelled = choice.labelled(given.splats, cameras, threads=threads, progress=stages)
-            splats = edits.apply(labelled, scene)
-            if no_extras:
-                splats = splats.without_extras()
+            views = scoring_cameras(options.cameras, options.eval_every)
+            given = read_any(options.scene, threads=options.threads, zeros=workspace.zeros)
+            splats = _edited(options, given.splats, stages)
             if views is not None:
-                views = [edits.camera(view) for view in views]
-            evaluation = None
-            if len(splats) and (measure or report is not None or images is not None):
-                evaluation = FileEvaluation.gather(
-                    scene, splats, cameras, eval_every, edits, images, background, threads=threads
-                )
+                views = [options.edits.camera(view) for view in views]
+            evaluation = _evaluation(options, splats)
         ahead.finish(stages)
-        if choice.first_view is not None and cameras is None:
-            views = virtual_views(splats, threads=threads, progress=stages)
-        numbered = [edits.camera(view) for view in given_cameras(cameras)] if cameras else views
-        config = replace(config, order=choice.name, ordering=choice.config(numbered or []))
-        score_config = replace(
-            chosen.score_config(profile, top_k=top_k, jitter=not no_jitter, threads=threads),
-            device=device,
-        )
-        aimed = None if target_size is None else target_size.uncapped(given.file_bytes)
-        if aimed == 0:
-            raise click.UsageError("--target-size of 0 bytes, expected at least 1")
-        target = None if target_psnr is None and aimed is None else Target(target_psnr, aimed)
-        costs = stage_costs(
-            len(splats), config, chosen, cameras=views, jitter=not no_jitter, target=target,
-            preview=preview is not None,
-        )  # fmt: skip
-        if evaluation is not None:
-            costs += evaluation.stage_costs()
-        stages.plan(costs)
-        executor = None
-        if scheduler is not None:
-            executor = stack.enter_context(connected(scheduler, workers=threads))
+        if options.choice.first_view is not None and options.cameras is None:
+            views = virtual_views(splats, threads=options.threads, progress=stages)
+        request = options.complete(request, views, given.file_bytes, workspace)
+        later = [] if evaluation is None else evaluation.stage_costs()
+        stages.plan([*stage_costs(len(splats), request), *later])
+        if options.scheduler is not None:
+            executor = stack.enter_context(connected(options.scheduler, workers=options.threads))
             stages("connect", 1, 1)
+            request = replace(request, executor=executor)
         made = cogsplat.encode(
-            splats,
-            out,
-            cameras=views,
-            config=config,
-            score_config=score_config,
-            target=target,
-            preset=preset,
-            preview=preview,
-            stored_cameras=list(numbered or []) if store_cameras else [],
-            test_views=measured_in(numbered, eval_every) if cameras and numbered else None,
-            workspace=workspace,
-            force=force,
-            executor=executor,
-            progress=stages,
+            splats, options.out, request=request, force=options.force, progress=stages
         )
         stages("write", 1, 1)
-        qualities: list[PrefixQuality] = []
-        if evaluation is not None:
-            settings = settings_of(
-                click.get_current_context(), made.scored_views, stages.total_seconds
-            )
-            qualities = evaluation.measure(out, threads=threads, progress=stages)
-            if report is not None:
-                shown = evaluation.report_input(scene, given.file_bytes, out, qualities, settings)
-                write_report(shown, report, force=force, progress=stages)
-    if quiet and not as_json:
-        return
-    with cogsplat.open(out) as file:
-        told = _report(file, made, config, stages)
-        sizes = stored_sizes(file) if qualities else []
+        qualities = _measure(options, evaluation, given, made, stages)
+    if options.as_json or not options.quiet:
+        _tell(_NewFile(options, request, made, given, len(splats), evaluation, qualities, stages))
+
+
+def _edited(options: EncodeOptions, splats: Splats, progress: Progress) -> Splats:
+    """Return the scene with labels from masks, edited, and without extra attributes if asked."""
+    labelled = options.choice.labelled(
+        splats, options.cameras, threads=options.threads, progress=progress
+    )
+    edited = options.edits.apply(labelled, options.scene)
+    return edited.without_extras() if options.no_extras else edited
+
+
+def _evaluation(options: EncodeOptions, splats: Splats) -> FileEvaluation | None:
+    """Return the pictures to measure the new file against, where it is measured."""
+    if not (len(splats) and options.measures):
+        return None
+    return FileEvaluation.gather(
+        options.scene,
+        splats,
+        options.cameras,
+        options.eval_every,
+        options.edits,
+        options.images,
+        options.background,
+        threads=options.threads,
+    )
+
+
+def _measure(
+    options: EncodeOptions,
+    evaluation: FileEvaluation | None,
+    given: LoadedScene,
+    made: EncodeReport,
+    stages: Stages,
+) -> list[PrefixQuality]:
+    """Measure the new file and write its report, where asked; return figures of its prefixes."""
+    if evaluation is None:
+        return []
+    settings = settings_of(click.get_current_context(), made.scored_views, stages.total_seconds)
+    qualities = evaluation.measure(options.out, threads=options.threads, progress=stages)
+    if options.report is not None:
+        shown = evaluation.report_input(
+            options.scene, given.file_bytes, options.out, qualities, settings
+        )
+        write_report(shown, options.report, force=options.force, progress=stages)
+    return qualities
+
+
+def _tell(new: _NewFile) -> None:
+    """Print what the new file holds, or say it as JSON."""
+    options, made, given, stages = new.options, new.made, new.given, new.stages
+    with cogsplat.open(options.out) as file:
+        told = _report(file, made, new.request.config, stages)
+        sizes = stored_sizes(file) if new.qualities else []
     size = made.size_bytes
     rows_in, kept = given.file_splats, int(file.root.splats)
-    dropped, pruned = rows_in - len(splats), len(splats) - kept
-    if as_json:
+    dropped, pruned = rows_in - new.splats, new.splats - kept
+    if options.as_json:
         say_json(
             {
-                "output": name_of(out),
-                "source": name_of(scene),
+                "output": name_of(options.out),
+                "source": name_of(options.scene),
                 **told,
-                "prefixes": [quality.report() for quality in qualities],
+                "prefixes": [quality.report() for quality in new.qualities],
                 "attributes": [stored.report() for stored in sizes],
                 "source_bytes": given.file_bytes,
                 "ratio": round(given.file_bytes / size, 3),
@@ -453,7 +548,8 @@ def encode(
             }
         )
         return
-    say(f"{out}: {size_text(size)}, {given.file_bytes / size:.1f} times smaller than {scene}")
+    ratio = given.file_bytes / size
+    say(f"{options.out}: {size_text(size)}, {ratio:.1f} times smaller than {options.scene}")
     gone = f"{pruned:,} pruned" + (f", {dropped:,} left out" if dropped else "")
     books = [f"{book.attribute} {book.rows:,}" for book in file.root.codebooks]
     facts(
@@ -463,18 +559,11 @@ def encode(
         ("predicted", _predicted(made)),
         ("scored", _scored(made)),
         ("time", stages.line()),
-        ("report", str(report) if report else ""),
+        ("report", str(options.report) if options.report else ""),
     )
-    if evaluation is not None:
+    if new.evaluation is not None:
         print_byte_table(sizes, file)
-        evaluation.tell(qualities)
-
-
-def _require_preview_possible(others: dict[str, bool]) -> None:
-    """Refuse options that a preview cannot be made with."""
-    for option, given in others.items():
-        if given:
-            raise click.UsageError(f"--preview and {option}: expected one of them")
+        new.evaluation.tell(new.qualities)
 
 
 def _require_one_aim(

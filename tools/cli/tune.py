@@ -50,8 +50,8 @@ from cogsplat.tools.workflow.inputs import (
 from cogsplat.tools.workflow.tune_checkpoint import fingerprint, read_checkpoint, write_checkpoint
 
 if TYPE_CHECKING:
+    from cogsplat.codec.encode.config import Target
     from cogsplat.codec.encode.encoded import EncodedScene
-    from cogsplat.codec.encode.rate_control import Target
     from cogsplat.codec.fit.tuning import CheckpointArrays, Milestone
 
 _DEFAULT_DB: Final = 40.0
@@ -304,7 +304,7 @@ def tune(
 
 def _target(psnr_db: float | None, size: ByteCount | None, file_bytes: int) -> Target:
     """Return what is aimed at: a size, or a PSNR, 40 dB where none is given."""
-    from cogsplat.codec.encode.rate_control import Target
+    from cogsplat.codec.encode.config import Target
 
     if size is None:
         return Target(psnr_db=_DEFAULT_DB if psnr_db is None else psnr_db)

@@ -7,6 +7,12 @@ from typing import Final, TypeVar
 
 import click
 
+from cogsplat.codec.encode.config import (
+    MAX_QUALITY_DB,
+    MIN_PSNR_DB,
+    MIN_QUALITY_DB,
+    EncodeConfig,
+)
 from cogsplat.codec.metrics import SSIM_BORDERS
 from cogsplat.codec.render.cuda_device import DEVICES, cuda_device
 from cogsplat.codec.splats import MAX_SH_DEGREE
@@ -133,15 +139,11 @@ def background_option(command: Command) -> Command:
 
 
 def quality_option(what: str) -> Callable[[Command], Command]:
-    """Add ``--quality``; `what` is the help text.
-
-    The range and the default are those of `EncodeConfig`, which takes a compiler to import; a test
-    compares them.
-    """
+    """Add ``--quality``; `what` is the help text."""
     return click.option(
         "--quality",
-        type=click.FloatRange(10, 90),
-        default=40.0,
+        type=click.FloatRange(MIN_QUALITY_DB, MAX_QUALITY_DB),
+        default=EncodeConfig().quality_db,
         show_default=True,
         metavar="DB",
         help=what,
@@ -150,7 +152,12 @@ def quality_option(what: str) -> Callable[[Command], Command]:
 
 def target_psnr_option(what: str) -> Callable[[Command], Command]:
     """Add ``--target-psnr``; `what` is the help text."""
-    return click.option("--target-psnr", type=click.FloatRange(5, 90), metavar="DB", help=what)
+    return click.option(
+        "--target-psnr",
+        type=click.FloatRange(MIN_PSNR_DB, MAX_QUALITY_DB),
+        metavar="DB",
+        help=what,
+    )
 
 
 def taught_by_option(command: Command) -> Command:

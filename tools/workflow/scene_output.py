@@ -129,20 +129,14 @@ def write_any(
         splats = splats.without_extras()
     if name == COGS_NAME:
         from cogsplat.codec.encode.config import EncodeConfig
-        from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+        from cogsplat.codec.encode.request import EncodeRequest
         from cogsplat.codec.encode.stage_costs import stage_costs
         from cogsplat.codec.order.orders import OrderConfig
 
         config = EncodeConfig(ordering=OrderConfig(by_object=by_object), threads=threads)
-        stages.plan(stage_costs(len(splats), config, PRESETS[DEFAULT_PRESET], cameras=cameras))
-        cogsplat.encode(
-            splats,
-            out,
-            cameras=cameras,
-            config=config,
-            force=force,
-            progress=stages,
-        )
+        request = EncodeRequest(cameras=cameras, config=config)
+        stages.plan(stage_costs(len(splats), request))
+        cogsplat.encode(splats, out, request=request, force=force, progress=stages)
         stages("write", 1, 1)
         with cogsplat.open(out) as file:
             stored = int(file.root.splats)

@@ -64,13 +64,12 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
             with stages.stage("read"):
                 found = usable_rows(read_any(scene, threads=threads).splats, scene)
             from cogsplat.codec.encode.config import EncodeConfig
-            from cogsplat.codec.encode.presets import PRESETS
+            from cogsplat.codec.encode.request import EncodeRequest
             from cogsplat.codec.encode.stage_costs import stage_costs
 
-            preset = PRESETS[PRESET]
-            config = EncodeConfig(threads=threads)
-            stages.plan(stage_costs(len(found), config, preset))
-            cogsplat.encode(found, path, preset=PRESET, config=config, progress=stages)
+            request = EncodeRequest(config=EncodeConfig(threads=threads), preset=PRESET)
+            stages.plan(stage_costs(len(found), request))
+            cogsplat.encode(found, path, request=request, progress=stages)
             stages("write", 1, 1)
         yield Viewable(path, _splats_of(path), encoded=True)
 

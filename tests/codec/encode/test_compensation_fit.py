@@ -5,7 +5,12 @@ import oracle
 import pytest
 
 from cogsplat.codec.encode import compensation_fit
-from cogsplat.codec.encode.compensation_fit import blank, errors, fit, plan_layers
+from cogsplat.codec.encode.compensation_fit import (
+    errors,
+    fit,
+    placeholder_compensation,
+    plan_layers,
+)
 from cogsplat.codec.encode.measured_prefixes import measured_prefixes
 from cogsplat.codec.encode.shift_optimiser import FitConfig
 from cogsplat.codec.errors import Cancelled
@@ -71,7 +76,7 @@ def test_a_blank_takes_the_same_room(scene):
     splats, _, references, effective_splats = scene
     config = FitConfig(iterations=3)
     found = fit(splats, _COUNTS, references, effective_splats, config)
-    empty = blank(_COUNTS, effective_splats, config)
+    empty = placeholder_compensation(_COUNTS, effective_splats, config)
     for a, b in zip(found.layers, empty.layers, strict=True):
         for name in ("scales", "opacities", "strengths", "book", "codes"):
             assert getattr(a, name).shape == getattr(b, name).shape

@@ -6,9 +6,9 @@ import pytest
 from encoding import UNSEEN, encode, unseen
 
 from cogsplat.codec.encode import pipeline
-from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.config import EncodeConfig, Target
 from cogsplat.codec.encode.presets import PRESETS
-from cogsplat.codec.encode.rate_control import Target
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
 
@@ -36,7 +36,9 @@ def payload_bytes(encoded):
 
 
 def encoded(scene, views, config=LITTLE, **options):
-    return pipeline.encode(scene, config, cameras=views, score_config=ONCE, **options)
+    hooks = {name: options.pop(name) for name in ("size_of", "progress") if name in options}
+    request = EncodeRequest(cameras=views, config=config, score_config=ONCE, **options)
+    return pipeline.encode(scene, request, **hooks)
 
 
 def test_a_scene_with_cameras_is_compensated_and_predicted(scene, views):
@@ -73,7 +75,9 @@ def test_the_report_says_whose_views_were_scored_and_predicted_in(scene, views):
     assert (report.views, report.test_views) == ("given", "given")
     assert report.coverage == (score(scene, views, ONCE).covered > 0).mean()
     assert len(report.test_psnr_db) == len(views)
-    report = pipeline.encode(scene, config, score_config=ONCE, preset=FAST).report
+    report = pipeline.encode(
+        scene, EncodeRequest(config=config, score_config=ONCE, preset="fast")
+    ).report
     assert (report.views, report.test_views) == ("planned", "planned")
     assert 0.9 <= report.coverage <= 1.0
     assert len(report.test_psnr_db) == FAST.test_views
@@ -105,7 +109,7 @@ def test_an_order_that_renders_takes_cameras(scene, order, cameras):
     ordering = replace(LITTLE.ordering, first_view=oracle.camera(0.0))
     config = EncodeConfig(order=order, ordering=ordering)
     with pytest.raises(ValueError, match="expected the cameras"):
-        pipeline.encode(scene, config, cameras=cameras, scores=zero_scores(len(scene)))
+        EncodeRequest(config=config, cameras=cameras, scores=zero_scores(len(scene)))
 
 
 def test_scores_of_the_cameras_are_not_measured_again(scene, views):
@@ -119,10 +123,12 @@ def test_scores_of_the_cameras_are_not_measured_again(scene, views):
 
 def test_scenes_that_show_nothing_are_archived_and_else_refused(scene):
     hidden = replace(scene, opacities=np.full(len(scene), -20, np.float32))
-    archived = pipeline.encode(hidden, EncodeConfig(profile="near-lossless"), preset=FAST)
+    archived = pipeline.encode(
+        hidden, EncodeRequest(config=EncodeConfig(profile="near-lossless"), preset="fast")
+    )
     assert archived.splats == len(scene)
     with pytest.raises(DataError) as caught:
-        pipeline.encode(hidden, EncodeConfig(), preset=FAST)
+        pipeline.encode(hidden, EncodeRequest(preset="fast"))
     assert caught.value.code == "empty-scene"
 
 

@@ -10,10 +10,9 @@ from encoding import encode, unseen
 from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.arriving_prefixes import arriving
 from cogsplat.codec.encode.compensation_fit import usual_errors
-from cogsplat.codec.encode.config import EncodeConfig
-from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.config import EncodeConfig, Target
 from cogsplat.codec.encode.preview_chunks import prepend_preview
-from cogsplat.codec.encode.rate_control import Target
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.rate.segment_order import OrderedKind
 from cogsplat.codec.scoring.contribution import score, zero_scores
@@ -111,10 +110,20 @@ def test_the_other_segments_keep_their_order(parts, cameras):
         ({"ordering": OrderConfig(by_object=True)}, "cells or objects"),
     ],
 )
-def test_what_it_cannot_stand_in_is_refused(cameras, settings, said):
-    config = EncodeConfig(**settings)
+def test_what_a_preview_contradicts_is_refused(settings, said):
     with pytest.raises(ValueError, match=said):
-        pipeline.encode(oracle.scene(4, n=50), config, cameras=cameras, preview=Doubled())
+        EncodeConfig(preview=0.02, **settings)
+
+
+def test_a_preview_takes_views_and_memory(cameras):
+    request = EncodeRequest(config=EncodeConfig(order="contribution", preview=0.02))
+    scene = oracle.scene(4, n=50)
+    with pytest.raises(ValueError, match="without its maker"):
+        pipeline.encode(scene, replace(request, cameras=cameras))
+    with pytest.raises(ValueError, match="no views to compensate in"):
+        pipeline.encode(scene, replace(request, scores=zero_scores(50)), preview=Doubled())
+    with pytest.raises(ValueError, match="memory limit"):
+        replace(request, memory_bytes=1 << 30)
 
 
 class Doubled:
@@ -139,9 +148,10 @@ class Doubled:
 def test_the_encoder_compensates_and_predicts_with_it(cameras):
     splats = oracle.scene(4, n=600)
     config = EncodeConfig(chunk_splats=40, threads=1)
-    preset = PRESETS["fast"]
-    plain = pipeline.encode(splats, config, cameras=cameras, preset=preset)
-    made = pipeline.encode(splats, config, cameras=cameras, preset=preset, preview=Doubled())
+    plain_request = EncodeRequest(cameras=cameras, config=config, preset="fast")
+    request = replace(plain_request, config=replace(config, preview=0.02))
+    plain = pipeline.encode(splats, plain_request)
+    made = pipeline.encode(splats, request, preview=Doubled())
     assert [chunk.until for chunk in made.chunks[:2]] == [3, 0]
     assert len(made.compensation.chunk_splats) == len(plain.chunks) + 1
     # The whole file shows what it shows without a preview.
@@ -158,7 +168,6 @@ def test_the_encoder_compensates_and_predicts_with_it(cameras):
 
     target = Target(size_bytes=9000)
     sized = pipeline.encode(
-        splats, config, cameras=cameras, preset=preset, target=target, size_of=size_of,
-        preview=Doubled(),
-    )  # fmt: skip
+        splats, replace(request, target=target), size_of=size_of, preview=Doubled()
+    )
     assert 0.9 * 9000 < size_of(sized) <= 9000

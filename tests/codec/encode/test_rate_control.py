@@ -6,16 +6,15 @@ import oracle
 import pytest
 
 from cogsplat.codec.encode import config
-from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.config import EncodeConfig, Target
 from cogsplat.codec.encode.encoder import encode_chunks
-from cogsplat.codec.encode.prefix_quality import PrefixEvaluator
 from cogsplat.codec.encode.prepared import prepare
+from cogsplat.codec.encode.quality_prediction import PrefixEvaluator
 from cogsplat.codec.encode.rate_control import (
     MAX_ROUNDS,
     MAX_TRIALS,
     NOMINAL_TOLERANCE_DB,
     NOMINAL_TRIALS,
-    Target,
     to_finished_size,
     to_nominal,
     to_psnr,

@@ -10,7 +10,8 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.pipeline import encode
 from cogsplat.codec.encode.presets import PRESETS
-from cogsplat.codec.encode.scored_views import score_given, seen_once
+from cogsplat.codec.encode.request import EncodeRequest
+from cogsplat.codec.encode.scored_views import score_given, single_camera_share
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import Splats
@@ -46,7 +47,7 @@ def by_leaving_out(splats: Splats, cameras: Sequence[Camera]) -> float:
 
 def test_what_one_camera_alone_shows_is_what_is_missing_without_it() -> None:
     splats, cameras = synth(400, sh_degree=0), synth_cameras(3, 40, 30)
-    found = seen_once(score(splats, cameras, PLAIN), PLAIN)
+    found = single_camera_share(score(splats, cameras, PLAIN), PLAIN)
     assert 0.0 < found < 1.0
     assert found == pytest.approx(by_leaving_out(splats, cameras), rel=1e-6)
 
@@ -56,8 +57,8 @@ def test_jittered_copies_count_as_their_camera() -> None:
     config = ScoreConfig(jitter_copies=1)
     scores = score(splats, cameras, config)
     assert scores.seen.max() == 2
-    assert seen_once(scores, config) == 1.0
-    assert seen_once(scores, PLAIN) < 1.0
+    assert single_camera_share(scores, config) == 1.0
+    assert single_camera_share(scores, PLAIN) < 1.0
 
 
 def test_views_of_one_place_are_thinned_out() -> None:
@@ -81,7 +82,8 @@ def test_all_views_are_scored_where_each_shows_a_place_of_its_own(
 def test_an_encode_scores_all_rooms(rooms: tuple[Splats, list[Camera]]) -> None:
     splats, cameras = rooms
     config = EncodeConfig(order="contribution", compensate=False, threads=1)
-    scene = encode(splats, config, cameras=cameras, preset=FAST, score_config=PLAIN)
+    request = EncodeRequest(cameras=cameras, config=config, preset="fast", score_config=PLAIN)
+    scene = encode(splats, request)
     assert scene.report.scored_views == len(cameras)
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.clustering import few_rows
-from cogsplat.codec.encode.adam import Adam
+from cogsplat.codec.encode.shift_adam import Adam
 from cogsplat.codec.encode.shift_kernels import (
     add_gradient,
     choose_rows,

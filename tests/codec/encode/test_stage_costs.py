@@ -4,12 +4,13 @@ import oracle
 import pytest
 
 from cogsplat.codec.encode import pipeline
-from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.config import EncodeConfig, Target
 from cogsplat.codec.encode.presets import PRESETS
-from cogsplat.codec.encode.rate_control import Target
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.encode.stage_costs import order_costs, render_cost, score_cost, stage_costs
 from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
 from cogsplat.codec.progress import OverallProgress
+from cogsplat.codec.scoring.contribution import zero_scores
 
 SHORT = PreviewConfig(share=0.1, round_steps=2, quantised_steps=2, threads=1)
 
@@ -31,24 +32,23 @@ def views(count):
 )
 def test_the_stages_are_those_that_an_encode_reports(preset, given, target, profile, preview):
     splats = oracle.scene(5, n=300)
-    chosen = PRESETS[preset]
-    config = EncodeConfig(
-        profile=profile,
-        chunk_splats=32,
-        threads=1,
+    request = EncodeRequest(
+        cameras=views(4) if given else None,
+        config=EncodeConfig(
+            profile=profile,
+            chunk_splats=32,
+            preview=None if preview is None else SHORT.share,
+            threads=1,
+        ),
+        preset=preset,
+        target=target,
     )
-    cameras = views(4) if given else None
-    costs = stage_costs(
-        len(splats), config, chosen, cameras=cameras, target=target, preview=preview is not None
-    )
+    costs = stage_costs(len(splats), request)
     shares, stages = [], []
     whole = OverallProgress(costs, lambda stage, *_: stages.append(stage), shares.append)
     pipeline.encode(
         splats,
-        config,
-        cameras=cameras,
-        preset=chosen,
-        target=target,
+        request,
         size_of=lambda encoded: 20 * encoded.splats,
         preview=preview,
         progress=whole,
@@ -64,10 +64,9 @@ def test_the_stages_are_those_that_an_encode_reports(preset, given, target, prof
 
 
 def test_costs_grow_with_splats_views_and_pixels():
-    config, preset = EncodeConfig(), PRESETS["balanced"]
-
     def total(splats, cameras):
-        return sum(cost.total() for cost in stage_costs(splats, config, preset, cameras=cameras))
+        costs = stage_costs(splats, EncodeRequest(cameras=cameras))
+        return sum(cost.whole() for cost in costs)
 
     small = total(1000, views(8))
     assert total(100_000, views(8)) > small
@@ -78,15 +77,16 @@ def test_costs_grow_with_splats_views_and_pixels():
 
 
 def test_scores_that_are_there_cost_nothing():
-    costs = stage_costs(100, EncodeConfig(), PRESETS["fast"], cameras=views(3), scored=True)
+    costs = stage_costs(100, EncodeRequest(cameras=views(3), preset="fast"), scored=True)
     assert "score" not in [cost.stage for cost in costs]
-    alone = stage_costs(100, EncodeConfig(order="contribution"), PRESETS["fast"], scored=True)
+    config = EncodeConfig(order="contribution")
+    alone = stage_costs(100, EncodeRequest(config=config, scores=zero_scores(100), preset="fast"))
     assert [cost.stage for cost in alone] == ["order", "quantisers", "chunks", "write"]
 
 
 def test_scoring_and_sorting_alone_cost_what_they_cost_in_an_encode():
     preset, cameras = PRESETS["balanced"], views(20)
-    whole = {c.stage: c for c in stage_costs(900, EncodeConfig(), preset, cameras=cameras)}
+    whole = {c.stage: c for c in stage_costs(900, EncodeRequest(cameras=cameras))}
     assert score_cost(900, preset, cameras) == whole["score"]
     assert order_costs(900, "gain", cameras) == [whole["reference views"], whole["gain"]]
     assert order_costs(900, "contribution", cameras) == []

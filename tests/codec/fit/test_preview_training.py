@@ -7,7 +7,7 @@ import pytest
 
 from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
-from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
@@ -25,8 +25,10 @@ def scene():
 
 def encoded(scene, preview=None, threads=1):
     splats, cameras = scene
-    config = EncodeConfig(chunk_splats=512, threads=threads)
-    return pipeline.encode(splats, config, cameras=cameras, preset=PRESETS["fast"], preview=preview)
+    share = None if preview is None else CONFIG.share
+    config = EncodeConfig(chunk_splats=512, preview=share, threads=threads)
+    request = EncodeRequest(cameras=cameras, config=config, preset="fast")
+    return pipeline.encode(splats, request, preview=preview)
 
 
 @pytest.fixture(scope="module")
@@ -90,9 +92,9 @@ def test_a_scene_that_is_too_small_has_none(scene):
     splats, cameras = scene
     tiny = splats.take(slice(0, 20)), cameras
     assert not any(chunk.until for chunk in encoded(tiny, TrainedPreview(CONFIG)).chunks)
-    nothing = pipeline.encode(
-        empty(0, 0), EncodeConfig(order="source"), scores=zero_scores(0), preview=TrainedPreview()
-    )
+    config = EncodeConfig(order="source", preview=0.02)
+    request = EncodeRequest(config=config, scores=zero_scores(0))
+    nothing = pipeline.encode(empty(0, 0), request, preview=TrainedPreview())
     assert nothing.chunks == []
 
 

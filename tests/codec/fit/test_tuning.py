@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.config import EncodeConfig, Target
 from cogsplat.codec.encode.pipeline import encode
-from cogsplat.codec.encode.presets import PRESETS
-from cogsplat.codec.encode.rate_control import Target
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.fit.differentiable_rendering import Gradients
 from cogsplat.codec.fit.quantised_training import QuantisedTraining
@@ -57,15 +56,8 @@ def test_a_psnr_is_met_with_fewer_splats_in_fewer_bytes(scene):
     told = []
     made = tuned(scene, Target(psnr_db=31.0), notify=told.append)
     assert np.mean(made.encoded.report.test_psnr_db) == pytest.approx(31.0, abs=0.5)
-    preset = PRESETS["fast"]
-    plain = encode(
-        splats,
-        EncodeConfig(),
-        cameras=cameras,
-        preset=preset,
-        target=Target(psnr_db=31.0),
-        size_of=size_of,
-    )
+    request = EncodeRequest(cameras=cameras, preset="fast", target=Target(psnr_db=31.0))
+    plain = encode(splats, request, size_of=size_of)
     assert size_of(made.encoded) < 0.9 * size_of(plain)
     assert made.encoded.splats < len(splats)
     assert made.encoded.splats == told[-1].splats <= len(made.splats)
@@ -84,13 +76,13 @@ def test_a_psnr_never_takes_more_bytes_than_the_scene_untuned(scene, profile):
     )
     told = []
     made = tuned(scene, Target(psnr_db=33.0), config, size_of_all, notify=told.append)
-    plain = encode(
-        splats,
-        EncodeConfig(profile=profile),
+    request = EncodeRequest(
         cameras=cameras,
-        preset=PRESETS["fast"],
+        config=EncodeConfig(profile=profile),
+        preset="fast",
         target=Target(psnr_db=33.0),
     )
+    plain = encode(splats, request)
     assert size_of_all(made.encoded) == size_of_all(plain)
     assert made.splats is splats
     stored, last = told[-2:]
@@ -149,9 +141,11 @@ def test_codebooks_train_with_the_splats(scene):
     assert [book.attribute for book in made.encoded.codebooks] == ["shape", "colour"]
     untrained = encode(
         made.splats,
-        EncodeConfig(profile="vq", order="contribution", compensate=False, prune=None),
-        cameras=cameras,
-        target=Target(size_bytes=9000),
+        EncodeRequest(
+            cameras=cameras,
+            config=EncodeConfig(profile="vq", order="contribution", compensate=False, prune=None),
+            target=Target(size_bytes=9000),
+        ),
         size_of=size_of_all,
     )
     views = synth_cameras(6, 64, 48)

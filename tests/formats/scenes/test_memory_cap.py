@@ -8,6 +8,7 @@ import pytest
 import cogsplat
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.memory import memory_need
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import LimitError, UnsupportedError
 from cogsplat.codec.workspace import IN_MEMORY
 from cogsplat.formats.scenes.memory_cap import working_memory
@@ -22,7 +23,8 @@ CAPPED = """
 import sys, cogsplat
 from pathlib import Path
 source, out, cameras, preset, cap = sys.argv[1:]
-cogsplat.encode(source, out, cameras=cameras, preset=preset, memory=int(cap))
+request = cogsplat.EncodeRequest(preset=preset, memory_bytes=int(cap))
+cogsplat.encode(source, out, cameras=cameras, request=request)
 status = Path("/proc/self/status").read_text()
 print(next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")))
 """
@@ -59,15 +61,18 @@ def test_a_capped_encode_stays_below_its_cap_and_gives_the_same_bytes(folder, pr
     assert int(done.stdout) * 1024 <= cap
 
 
+def encode_capped(folder, memory_bytes, config=CONFIG):
+    request = EncodeRequest(config=config, preset="fast", memory_bytes=memory_bytes)
+    cogsplat.encode(folder / "scene.ply", folder / "no.cogs", request=request)
+
+
 def test_a_cap_that_is_too_small_is_refused_before_anything_is_read(folder):
     with pytest.raises(LimitError, match="expected at least") as refused:
-        cogsplat.encode(folder / "scene.ply", folder / "no.cogs", preset="fast", memory="100MB")
+        encode_capped(folder, 100_000_000)
     assert refused.value.code == "memory-cap"
     config = replace(CONFIG, profile="vq")
     with pytest.raises(LimitError, match="profile vq"):
-        cogsplat.encode(folder / "scene.ply", folder / "no.cogs", config=config, memory="300MB")
-    with pytest.raises(ValueError, match="expected bytes"):
-        cogsplat.encode(folder / "scene.ply", folder / "no.cogs", memory="20%")
+        encode_capped(folder, 300_000_000, config)
     assert not (folder / "no.cogs").exists()
 
 
@@ -112,7 +117,7 @@ def test_extras_are_mapped_as_well(tmp_path):
                 tmp_path / name,
                 cameras=views,
                 config=config,
-                workspace=kept if workspace else None,
+                request=EncodeRequest(workspace=kept if workspace else IN_MEMORY),
             )
     assert (tmp_path / "a.cogs").read_bytes() == (tmp_path / "b.cogs").read_bytes()
     np.testing.assert_array_equal(

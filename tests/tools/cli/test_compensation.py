@@ -10,7 +10,7 @@ from running import Run, SmallScene
 import cogsplat
 from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
-from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.formats.cogs import scene as cogs
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.storage.source import FileSource, PrefixSource
@@ -140,9 +140,11 @@ def test_a_part_is_compensated_where_its_preview_has_ended(
     out, part = tmp_path / "ending.cogs", tmp_path / "part.ply"
     encoded = pipeline.encode(
         cogsplat.read(small.ply),
-        EncodeConfig(chunk_splats=400),
-        cameras=cogsplat.read_cameras(small.cameras),
-        preset=PRESETS["fast"],
+        EncodeRequest(
+            cameras=cogsplat.read_cameras(small.cameras),
+            config=EncodeConfig(chunk_splats=400),
+            preset="fast",
+        ),
     )
     first = replace(encoded.chunks[0], until=3)
     cogs.save(replace(encoded, chunks=[first, *encoded.chunks[1:]]), out, writer="a test")

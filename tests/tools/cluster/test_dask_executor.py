@@ -18,6 +18,7 @@ from running import Run, SmallScene
 import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import Cancelled, DataError, MissingExtraError, StorageError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
@@ -59,7 +60,12 @@ def encoded(
 ) -> bytes:
     path = folder / "b.cogs"
     cogsplat.encode(
-        scene[0], path, cameras=scene[1], config=CONFIG, executor=executor, progress=progress
+        scene[0],
+        path,
+        cameras=scene[1],
+        config=CONFIG,
+        request=EncodeRequest(executor=executor),
+        progress=progress,
     )
     return path.read_bytes()
 
@@ -157,10 +163,11 @@ def test_bytes_are_those_of_a_local_encode(
 def test_views_are_planned_and_targets_met_alike(
     scene: tuple[Splats, list[Camera]], tmp_path: Path
 ) -> None:
-    options = {"config": CONFIG, "preset": "fast", "target_size": 30_000}
+    options = {"config": CONFIG, "preset": "fast", "target": 30_000}
     cogsplat.encode(scene[0], tmp_path / "a.cogs", **options)
     with connected("local", workers=2) as executor:
-        cogsplat.encode(scene[0], tmp_path / "b.cogs", executor=executor, **options)
+        request = EncodeRequest(executor=executor)
+        cogsplat.encode(scene[0], tmp_path / "b.cogs", request=request, **options)
     assert (tmp_path / "a.cogs").read_bytes() == (tmp_path / "b.cogs").read_bytes()
 
 

@@ -15,6 +15,7 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.fit.downscaling import downscale_camera
 from cogsplat.codec.fit.level_encoding import LevelEncoding, encode_levels
 from cogsplat.codec.fit.level_training import LevelledSplats
@@ -140,7 +141,9 @@ def ending(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Splats of the first seconds, larger ones in other colours, that end with the fifth chunk."""
     splats = synth(4000)
     config = EncodeConfig(chunk_splats=500, prune=None, compensate=False, order="contribution")
-    encoded = pipeline.encode(splats, config, cameras=synth_cameras(6, 160, 120))
+    encoded = pipeline.encode(
+        splats, EncodeRequest(cameras=synth_cameras(6, 160, 120), config=config)
+    )
     chunks = [
         replace(chunk, until=5) if number == 0 else chunk
         for number, chunk in enumerate(encoded.chunks)

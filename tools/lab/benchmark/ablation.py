@@ -17,8 +17,8 @@ from cogsplat.codec.views.view_sets import roam
 
 if TYPE_CHECKING:
     from cogsplat.codec.encode.config import EncodeConfig
-    from cogsplat.codec.encode.prefix_quality import PrefixEvaluator
     from cogsplat.codec.encode.prepared import PreparedScene
+    from cogsplat.codec.encode.quality_prediction import PrefixEvaluator
 
     from .rate_distortion import BenchInput
 
@@ -130,11 +130,11 @@ def stage_cost(splats: int, sh_degree: int, cameras: Sequence[Camera]) -> StageC
         Test views; at least one.
     """
     from cogsplat.codec.encode.config import EncodeConfig
-    from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+    from cogsplat.codec.encode.request import EncodeRequest
     from cogsplat.codec.encode.stage_costs import render_cost, stage_costs
 
     config = EncodeConfig(compensate=False, order="contribution")
-    encode = stage_costs(splats, config, PRESETS[DEFAULT_PRESET], scored=True)
+    encode = stage_costs(splats, EncodeRequest(config=config), scored=True)
     # Test views, and two of each away from the path.
     once = sum(cost.total() for cost in encode) + 3 * render_cost(splats, cameras)
     return StageCost("ablation", len(_BEYOND_DB) * once, len(changes(sh_degree)) + 1)
@@ -162,8 +162,8 @@ def run(given: BenchInput, *, quality_db: float, progress: Progress = silent) ->
         ``no-cameras``.
     """
     from cogsplat.codec.encode.config import EncodeConfig
-    from cogsplat.codec.encode.prefix_quality import PrefixEvaluator
     from cogsplat.codec.encode.prepared import prepare
+    from cogsplat.codec.encode.quality_prediction import PrefixEvaluator
 
     whole = EncodeConfig(profile="transform", quality_db=quality_db, threads=given.threads)
     named = changes(given.splats.sh_degree)

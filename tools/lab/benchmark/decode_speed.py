@@ -229,6 +229,7 @@ def encode_synth(path: Path, splats: int, sh_degree: int, views: int) -> None:
         Of the scene's own cameras; nothing is pruned, so that the decoder has all splats to do.
     """
     from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.request import EncodeRequest
     from cogsplat.codec.scoring.contribution import ScoreConfig
 
     cogsplat.encode(
@@ -236,7 +237,7 @@ def encode_synth(path: Path, splats: int, sh_degree: int, views: int) -> None:
         path,
         cameras=synth_cameras(views, 240, 180),
         config=EncodeConfig(prune=None),
-        score_config=ScoreConfig(jitter=False),
+        request=EncodeRequest(score_config=ScoreConfig(jitter=False)),
     )
 
 

@@ -173,14 +173,14 @@ def _encode(
     scene: Path, out: Path, views: int, preset: str, memory: int | None, threads: int
 ) -> None:
     from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.request import EncodeRequest
 
     cogsplat.encode(
         scene,
         out,
         cameras=synth_cameras(views, 200, 150),
-        config=EncodeConfig(threads=threads),
         preset=preset,
-        memory=memory,
+        request=EncodeRequest(config=EncodeConfig(threads=threads), memory_bytes=memory),
         force=True,
     )
 

@@ -257,16 +257,14 @@ def stage_cost(
         As in `run`.
     """
     from cogsplat.codec.encode.config import EncodeConfig
-    from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+    from cogsplat.codec.encode.request import EncodeRequest
     from cogsplat.codec.encode.stage_costs import stage_costs
 
     compared = comparison_costs(splats, cameras)
     files: list[tuple[StageCost, ...]] = []
     for profile in profiles:
-        config = EncodeConfig(profile=profile)
-        encode = stage_costs(
-            splats, config, PRESETS[DEFAULT_PRESET], cameras=scored_on, scored=True
-        )
+        request = EncodeRequest(config=EncodeConfig(profile=profile), cameras=scored_on)
+        encode = stage_costs(splats, request, scored=True)
         steps = _steps(profile, qualities)
         for index in range(len(steps)):
             cut = _is_cut(profile, index, len(steps))
@@ -371,13 +369,14 @@ def _ours(
 def _encoder(
     given: BenchInput, config: EncodeConfig, progress: Progress
 ) -> Callable[[Path], EncodeReport]:
+    from cogsplat.codec.encode.request import EncodeRequest
+
     def write(path: Path) -> EncodeReport:
         return cogsplat.encode(
             given.splats,
             path,
-            cameras=given.scored_on,
-            scores=given.scores,
             config=config,
+            request=EncodeRequest(cameras=given.scored_on, scores=given.scores),
             force=True,
             progress=progress,
         )

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.config import Target
 from cogsplat.codec.encode.encoded import EncodedScene
-from cogsplat.codec.encode.rate_control import Target
 from cogsplat.codec.fit.splat_budget import count_for_size
 from cogsplat.codec.fit.training_views import make_training_views
 from cogsplat.codec.fit.tune_config import TuneConfig

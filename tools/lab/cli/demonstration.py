@@ -113,11 +113,10 @@ class Demo:
 def stage_costs(splats: int) -> list[StageCost]:
     """Return what the stages of `run` will cost, in their order."""
     from cogsplat.codec.encode import stage_costs as encoding
-    from cogsplat.codec.encode.config import EncodeConfig
-    from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+    from cogsplat.codec.encode.request import EncodeRequest
 
     train, held = hold_out(synth_cameras(), EVERY)
-    encoded = encoding.stage_costs(splats, EncodeConfig(), PRESETS[DEFAULT_PRESET], cameras=train)
+    encoded = encoding.stage_costs(splats, EncodeRequest(cameras=train))
     compared = len(SHARES) * _RENDERS * encoding.render_cost(splats, held)
     made, decoded = (seconds * splats for seconds in _SECONDS_A_SPLAT)
     return [
@@ -164,7 +163,7 @@ def run(
         A file cannot be written, or is there already and `force` is not set.
     """
     from cogsplat.codec.encode.config import EncodeConfig
-    from cogsplat.codec.encode.prefix_quality import PrefixEvaluator
+    from cogsplat.codec.encode.quality_prediction import PrefixEvaluator
     from cogsplat.tools.evaluation.prefix_quality import decode_prefix
     from cogsplat.tools.pictures.filmstrip import filmstrip
     from cogsplat.tools.pictures.png import write_png

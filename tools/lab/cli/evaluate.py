@@ -473,18 +473,20 @@ def _encode(
     threads: int,
     stages: Stages,
 ) -> None:
-    from cogsplat.codec.encode.config import EncodeConfig
-    from cogsplat.codec.encode.rate_control import Target
+    from cogsplat.codec.encode.config import EncodeConfig, Target
+    from cogsplat.codec.encode.request import EncodeRequest
 
     cogsplat.encode(
         given.splats.without_extras() if not curve.config.by_object else given.splats,
         path,
-        cameras=given.scored_on,
-        scores=given.scores,
-        config=EncodeConfig(
-            order=curve.order, ordering=curve.config, quality_db=quality, threads=threads
+        request=EncodeRequest(
+            cameras=given.scored_on,
+            scores=given.scores,
+            config=EncodeConfig(
+                order=curve.order, ordering=curve.config, quality_db=quality, threads=threads
+            ),
+            target=None if target_psnr is None else Target(psnr_db=target_psnr),
         ),
-        target=None if target_psnr is None else Target(psnr_db=target_psnr),
         progress=stages,
     )
 

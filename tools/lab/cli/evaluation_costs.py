@@ -9,6 +9,7 @@ import numpy as np
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.order.objects import ATTRIBUTE
+from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.progress import StageCost
 from cogsplat.codec.splats import Splats
 from cogsplat.tools.evaluation.measuring_costs import objects_cost, versions_cost
@@ -64,9 +65,8 @@ def eval_costs(
     target_psnr : float or None
         Of the same.
     """
-    from cogsplat.codec.encode.config import EncodeConfig
-    from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
-    from cogsplat.codec.encode.rate_control import Target
+    from cogsplat.codec.encode.config import EncodeConfig, Target
+    from cogsplat.codec.encode.request import EncodeRequest
     from cogsplat.codec.encode.stage_costs import order_costs, stage_costs
 
     count = len(splats)
@@ -89,11 +89,12 @@ def eval_costs(
         encodes = [
             stage_costs(
                 count,
-                EncodeConfig(order=order, quality_db=quality_db),
-                PRESETS[DEFAULT_PRESET],
-                cameras=scored_on,
+                EncodeRequest(
+                    cameras=scored_on,
+                    config=EncodeConfig(order=split_name(order)[0], quality_db=quality_db),
+                    target=target,
+                ),
                 scored=True,
-                target=target,
             )
             for order in orders
         ]

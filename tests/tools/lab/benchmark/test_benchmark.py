@@ -18,6 +18,7 @@ from running import SPLATS, Run, SmallScene, words_of
 import cogsplat
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import CogsplatError, DataError
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring.contribution import ScoreConfig, Scores, score
@@ -91,9 +92,11 @@ def test_figures_are_those_of_files_made_apart(
     assert [row["quality_db"] for row in told["methods"]] == [30, 36, None, None]
     scores = score(source, train, PRESETS[DEFAULT_PRESET].score_config("transform"))
     cogsplat.encode(
-        source, tmp_path / "a.cogs", cameras=train, scores=scores,
+        source,
+        tmp_path / "a.cogs",
         config=EncodeConfig(profile="transform", quality_db=36),
-    )  # fmt: skip
+        request=EncodeRequest(cameras=train, scores=scores),
+    )
     cogsplat.write(source, tmp_path / "a.spz")
     for name, row in (("a.cogs", told["methods"][1]), ("a.spz", told["methods"][3])):
         found = view_quality.compare(source, cogsplat.read(tmp_path / name), held)

@@ -63,7 +63,7 @@ def num_views(encoded: EncodedScene, cameras: int) -> int:
     return most if most >= _LEAST_VIEWS else 0
 
 
-def with_view_table(
+def add_view_table(
     encoded: EncodedScene,
     cameras: Sequence[Camera],
     *,
@@ -113,7 +113,7 @@ def with_view_table(
     return replace(encoded, view_table=table)
 
 
-def foreseen(encoded: EncodedScene, cameras: int) -> EncodedScene:
+def reserve_view_table(encoded: EncodedScene, cameras: int) -> EncodedScene:
     """Return a scene with a view table of as many bytes as its own may take at most."""
     views = num_views(encoded, min(cameras, MOST_CAMERAS))
     if not views:

@@ -6,8 +6,8 @@ import oracle
 import pytest
 from encoding import encode, unseen
 
-from cogsplat.codec.encode.prefix_quality import PrefixEvaluator, predicted, whole_measured
 from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.encode.quality_prediction import PrefixEvaluator, measure_whole, predict_quality
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import RenderConfig, render
@@ -79,7 +79,7 @@ def test_no_views_are_refused():
 
 def test_every_chunk_says_what_the_scene_up_to_it_shows():
     encoded = encoded_in(5)
-    found = predicted(encoded, PrefixEvaluator(scene(), views(3)))
+    found = predict_quality(encoded, PrefixEvaluator(scene(), views(3)))
     evaluator, whole = PrefixEvaluator(scene(), views(3)), encoded.decoded
     ends = np.cumsum([chunk.splats for chunk in encoded.chunks])
     for chunk, end in zip(found.chunks, ends, strict=True):
@@ -90,7 +90,7 @@ def test_every_chunk_says_what_the_scene_up_to_it_shows():
 
 def test_the_whole_is_measured_in_more_views_than_prefixes():
     encoded = encoded_in(5)
-    found = predicted(encoded, PrefixEvaluator(scene(), views(6)), most_views=2)
+    found = predict_quality(encoded, PrefixEvaluator(scene(), views(6)), most_views=2)
     each = PrefixEvaluator(scene(), views(6)).views_db(encoded.decoded)
     assert sorted(found.report.test_psnr_db) == pytest.approx(sorted(each))
     assert found.chunks[-1].quality_db == pytest.approx(np.mean(each))
@@ -105,7 +105,7 @@ def test_a_prefix_of_less_than_is_taken_away_predicts_nothing():
     # Prefixes are measured in the first and the last view, where the whole is far better.
     whole = (100.0, 1.0, 1.0, 100.0)
     encoded = replace(encoded, report=replace(encoded.report, test_psnr_db=whole))
-    found = predicted(encoded, PrefixEvaluator(scene(), views(4)), most_views=2)
+    found = predict_quality(encoded, PrefixEvaluator(scene(), views(4)), most_views=2)
     assert found.chunks[0].quality_db == 0.0
     assert found.chunks[-1].quality_db == pytest.approx(50.5)
 
@@ -132,7 +132,7 @@ def test_a_whole_that_is_known_is_not_measured_again():
 def test_a_whole_that_was_measured_for_a_target_is_not_drawn_again(monkeypatch):
     encoded = encoded_in(5)
     evaluator = PrefixEvaluator(scene(), views(4))
-    once = whole_measured(encoded, evaluator)
+    once = measure_whole(encoded, evaluator)
     assert once.report.test_psnr_db == tuple(evaluator.views_db(encoded.decoded))
     drawn = []
     draw = evaluator.views_db
@@ -142,7 +142,7 @@ def test_a_whole_that_was_measured_for_a_target_is_not_drawn_again(monkeypatch):
         return draw(splats, views, size=size)
 
     monkeypatch.setattr(evaluator, "views_db", counted)
-    found = predicted(once, evaluator)
+    found = predict_quality(once, evaluator)
     assert drawn == [120, 240, 360, 480]
     assert found.chunks[-1].quality_db == pytest.approx(np.mean(once.report.test_psnr_db))
 

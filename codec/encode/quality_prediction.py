@@ -161,13 +161,13 @@ class PrefixEvaluator:
         return [float(x) for x in interpolated(counts, measured, np.array(values))]
 
 
-def whole_measured(encoded: EncodedScene, evaluator: PrefixEvaluator) -> EncodedScene:
+def measure_whole(encoded: EncodedScene, evaluator: PrefixEvaluator) -> EncodedScene:
     """Return an encoded scene whose report has the PSNR of the whole in each view."""
     values = tuple(evaluator.views_db(encoded.drawn(len(encoded.chunks))))
     return replace(encoded, report=replace(encoded.report, test_psnr_db=values))
 
 
-def predicted(
+def predict_quality(
     encoded: EncodedScene,
     evaluator: PrefixEvaluator,
     *,
@@ -179,7 +179,7 @@ def predicted(
     Parameters
     ----------
     encoded : EncodedScene
-        Where its report has the PSNR of the whole in each view (`whole_measured`), the whole is not
+        Where its report has the PSNR of the whole in each view (`measure_whole`), the whole is not
         drawn again.
     evaluator : PrefixEvaluator
         Of what it was encoded from.
@@ -201,7 +201,7 @@ def predicted(
     nothing predicted (SPEC 5.4).
     """
     if not encoded.report.test_psnr_db:
-        encoded = whole_measured(encoded, evaluator)
+        encoded = measure_whole(encoded, evaluator)
     whole = encoded.report.test_psnr_db
     some = sample_evenly(range(len(whole)), most_views)
     there = float(np.mean([whole[number] for number in some]))

@@ -1,24 +1,27 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from cogsplat.codec.encode import pipeline, view_tables
-from cogsplat.codec.encode.config import EncodeConfig
-from cogsplat.codec.encode.rate_control import Target
+from cogsplat.codec.encode import pipeline, view_table_builder
+from cogsplat.codec.encode.config import EncodeConfig, Target
+from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.formats.cogs.scene import size_bytes
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 CONFIG = EncodeConfig(order="contribution", cells=True, chunk_splats=256, compensate=False)
+REQUEST = EncodeRequest(cameras=synth_cameras(10), config=CONFIG)
 
 
 @pytest.fixture(scope="module")
 def encoded():
-    return pipeline.encode(synth(4000), CONFIG, cameras=synth_cameras(10))
+    return pipeline.encode(synth(4000), REQUEST)
 
 
 def test_a_scene_of_cells_says_what_views_show_of_its_chunks(encoded):
     table = encoded.view_table
     views, chunks = table.codes.shape
-    assert views == view_tables.num_views(encoded, 10)
+    assert views == view_table_builder.num_views(encoded, 10)
     assert chunks == len(encoded.chunks) > 12
     # Nearly all of each picture is filled by some chunk, and none is filled twice.
     assert (table.shares.sum(axis=1) > 0.3).all()
@@ -30,11 +33,7 @@ def test_a_scene_of_cells_says_what_views_show_of_its_chunks(encoded):
 
 def test_the_table_takes_half_a_percent_at_most(encoded):
     without = size_bytes(
-        pipeline.encode(
-            synth(4000),
-            EncodeConfig(**{**vars(CONFIG), "view_table": False}),
-            cameras=synth_cameras(10),
-        ),
+        pipeline.encode(synth(4000), replace(REQUEST, config=replace(CONFIG, view_table=False))),
         writer="test",
     )
     # Of the segments; the table of segments has a row more as well.
@@ -43,23 +42,21 @@ def test_the_table_takes_half_a_percent_at_most(encoded):
 
 def test_scenes_without_cells_have_none():
     config = EncodeConfig(order="contribution", compensate=False)
-    made = pipeline.encode(synth(500), config, cameras=synth_cameras(4))
+    made = pipeline.encode(synth(500), EncodeRequest(config=config, cameras=synth_cameras(4)))
     assert made.view_table is None
-    assert view_tables.num_views(made, 3) == 0
-    assert view_tables.with_view_table(made, synth_cameras(2)) is made
-    assert view_tables.foreseen(made, 3) is made
+    assert view_table_builder.num_views(made, 3) == 0
+    assert view_table_builder.add_view_table(made, synth_cameras(2)) is made
+    assert view_table_builder.reserve_view_table(made, 3) is made
 
 
 def test_a_search_for_a_size_knows_what_the_table_takes(encoded):
-    foreseen = view_tables.foreseen(encoded, 10)
-    assert size_bytes(foreseen, writer="test") >= size_bytes(encoded, writer="test")
+    reserved = view_table_builder.reserve_view_table(encoded, 10)
+    assert size_bytes(reserved, writer="test") >= size_bytes(encoded, writer="test")
 
     def size_of(scene):
         return size_bytes(scene, writer="test")
 
     aim = size_of(encoded) * 3 // 4
-    hit = pipeline.encode(
-        synth(4000), CONFIG, cameras=synth_cameras(10), target=Target(None, aim), size_of=size_of
-    )
+    hit = pipeline.encode(synth(4000), replace(REQUEST, target=Target(None, aim)), size_of=size_of)
     assert hit.view_table is not None
     assert 0.95 * aim < size_of(hit) <= aim

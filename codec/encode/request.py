@@ -1,0 +1,124 @@
+"""Request of an encode: views, configuration, target and resources, validated once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.executor import Executor, LocalThreads
+from cogsplat.codec.order.orders import split_name
+from cogsplat.codec.workspace import IN_MEMORY, Workspace
+
+from .config import EncodeConfig, Target
+from .presets import DEFAULT_PRESET, PRESETS, Preset
+
+if TYPE_CHECKING:
+    from cogsplat.codec.scoring.contribution import ScoreConfig, Scores
+
+
+@dataclass(frozen=True, eq=False)
+class EncodeRequest:
+    """All inputs of an encode except the scene.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera, optional
+        Views to score in, in the frame of the means. None plans views around the splats.
+    scores : Scores, optional
+        Scores of an earlier `score` in `cameras`; they replace the scoring pass. Without `cameras`
+        no compensation is fitted.
+    test_views : sequence of Camera
+        Views in which PSNR is measured and predicted. Empty for planned test views, or for some of
+        `cameras`.
+    stored_cameras : sequence of Camera
+        Cameras stored in the file for its readers; they change nothing else.
+    config : EncodeConfig
+        Contents of the file. With planned views, its nominal quality is the PSNR in the planned
+        test views, to about 1 dB (`rate_control.to_nominal`).
+    score_config : ScoreConfig, optional
+        Scoring settings in place of the preset's.
+    preset : str
+        One of `presets.PRESETS`: numbers of views, effort of ordering and compensation.
+    target : Target, optional
+        PSNR or file size to search for; it replaces `EncodeConfig.quality_db`.
+    memory_bytes : int, optional
+        Resident-memory limit of the process. Larger arrays are kept in mapped files next to the
+        output: for a scene given as the path of a PLY, with any profile but `vq`.
+    workspace : Workspace
+        Allocator of the arrays as long as the scene; `memory_bytes` chooses one by itself.
+    executor : Executor, optional
+        Runs the work of single views and chunks. None for threads of this process.
+
+    Raises
+    ------
+    ValueError
+        An unknown preset; an order by gain with scores and no cameras; a target for the profile
+        `near-lossless`; an executor or a preview together with a memory limit.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.encode.config import EncodeConfig, Target
+    >>> request = EncodeRequest(config=EncodeConfig(profile="vq"), target=Target(psnr_db=35.0))
+    >>> request.effort.planned_views
+    96
+    """
+
+    cameras: Sequence[Camera] | None = None
+    scores: Scores | None = None
+    test_views: Sequence[Camera] = ()
+    stored_cameras: Sequence[Camera] = ()
+    config: EncodeConfig = field(default_factory=EncodeConfig)
+    score_config: ScoreConfig | None = None
+    preset: str = DEFAULT_PRESET
+    target: Target | None = None
+    memory_bytes: int | None = None
+    workspace: Workspace = IN_MEMORY
+    executor: Executor | None = None
+
+    def __post_init__(self) -> None:
+        if self.preset not in PRESETS:
+            raise ValueError(f"preset {self.preset!r}, expected one of {tuple(PRESETS)}")
+        gain = split_name(self.config.order)[0] == "gain"
+        if self.scores is not None and not self.cameras and gain:
+            raise ValueError(
+                f"order {self.config.order!r} with scores and no cameras, expected the cameras "
+                "that were scored, or an order that does not render, such as 'contribution'"
+            )
+        if self.target is not None and self.config.profile == "near-lossless":
+            raise ValueError(
+                "a target for the profile 'near-lossless', expected a profile for viewing"
+            )
+        if self.memory_bytes is not None or self.workspace.in_files:
+            if self.executor is not None:
+                raise ValueError("an executor and a memory limit, expected one of them")
+            if self.config.preview is not None:
+                raise ValueError("a preview and a memory limit, expected one of them")
+
+    @property
+    def effort(self) -> Preset:
+        """The preset itself."""
+        return PRESETS[self.preset]
+
+    @property
+    def scoring(self) -> ScoreConfig:
+        """Scoring settings: the given ones, or those of the preset for the profile."""
+        if self.score_config is not None:
+            return self.score_config
+        return self.effort.score_config(self.config.profile, threads=self.config.threads)
+
+    @property
+    def jitters(self) -> bool:
+        """Whether given cameras are scored with jittered copies."""
+        return self.score_config is None or self.score_config.jitter
+
+    @property
+    def first_view(self) -> Camera | None:
+        """Camera where a viewer starts: that of the order, else the first given one."""
+        return self.config.ordering.first_view or (self.cameras[0] if self.cameras else None)
+
+    @property
+    def view_executor(self) -> Executor | None:
+        """Executor of single views; one thread for mapped arrays, to save memory."""
+        return LocalThreads(1) if self.workspace.in_files else self.executor

@@ -1,0 +1,71 @@
+"""Metadata of a COGS file that does not come from its splats: writer, first view, cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.encoded import EncodedScene
+
+from . import scene as cogs
+
+
+@dataclass(frozen=True, eq=False)
+class FileMetadata:
+    """Writer, first view and cameras that a file stores next to its scene.
+
+    Parameters
+    ----------
+    writer : str
+        Name and version of the program.
+    first_view : Camera or None
+        Camera where a viewer starts.
+    cameras : sequence of Camera
+        Cameras stored for readers of the file.
+    """
+
+    writer: str
+    first_view: Camera | None = None
+    cameras: Sequence[Camera] = ()
+
+    def file_bytes(self, scene: EncodedScene) -> int:
+        """Return the size of the file that `save` would write, bytes.
+
+        Parameters
+        ----------
+        scene : EncodedScene
+            Scene to store.
+        """
+        return cogs.size_bytes(
+            scene, writer=self.writer, first_view=self.first_view, cameras=self.cameras
+        )
+
+    def save(self, scene: EncodedScene, path: Path, *, force: bool = False) -> int:
+        """Write an encoded scene as a COGS file and return its size, bytes.
+
+        Parameters
+        ----------
+        scene : EncodedScene
+            Scene to store.
+        path : Path
+            Output file.
+        force : bool
+            Replace an existing file.
+
+        Raises
+        ------
+        StorageError
+            ``exists``, ``disk-full``, ``permission``, ``not-found`` or ``io``.
+        DataError
+            ``root-size``, ``bad-scene-info``, ``too-many-cameras`` or ``bad-camera``.
+        """
+        return cogs.save(
+            scene,
+            path,
+            writer=self.writer,
+            first_view=self.first_view,
+            cameras=self.cameras,
+            force=force,
+        )
