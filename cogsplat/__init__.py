@@ -29,7 +29,7 @@ from .codec.errors import (
     TruncatedError,
     UnsupportedError,
 )
-from .codec.progress import Progress, TimedProgress, OverallProgress, silent
+from .codec.progress import OverallProgress, Progress, TimedProgress, silent
 from .codec.splats import SceneInfo, Splats
 from .formats.cogs.between_levels import decode_between
 from .formats.cogs.folder_writer import Unpacked
@@ -61,6 +61,7 @@ __all__ = [
     "LimitError",
     "Limits",
     "NetworkOptions",
+    "OverallProgress",
     "SceneInfo",
     "Splats",
     "StorageError",
@@ -68,7 +69,6 @@ __all__ = [
     "TruncatedError",
     "Unpacked",
     "UnsupportedError",
-    "OverallProgress",
     "decode",
     "encode",
     "open",

@@ -66,7 +66,7 @@ def test_the_stages_are_those_that_an_encode_reports(preset, given, target, prof
 def test_costs_grow_with_splats_views_and_pixels():
     def total(splats, cameras):
         costs = stage_costs(splats, EncodeRequest(cameras=cameras))
-        return sum(cost.whole() for cost in costs)
+        return sum(cost.total() for cost in costs)
 
     small = total(1000, views(8))
     assert total(100_000, views(8)) > small
