@@ -360,7 +360,8 @@ class EncodeOptions:
                 quality_db=self.quality,
                 order=self.choice.base,
                 ordering=OrderConfig(by_object=self.choice.by_object),
-                chunk_splats=self.chunk_splats or (DEFAULT_CELL_SPLATS if self.cells else DEFAULT_CHUNK_SPLATS),
+                chunk_splats=self.chunk_splats
+                or (DEFAULT_CELL_SPLATS if self.cells else DEFAULT_CHUNK_SPLATS),
                 cells=self.cells,
                 view_table=not self.no_view_table,
                 morton=not self.no_morton,
