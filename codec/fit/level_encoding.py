@@ -96,7 +96,7 @@ def encode_levels(
         threads=encoding.threads,
     )
     # The object label of a splat is its pair of first and last level: no chunk mixes pairs.
-    labels = levels.first * len(levels.scales) + levels.last
+    labels = levels.first_level * len(levels.scales) + levels.last_level
     extras = {
         ATTRIBUTE: labels.astype(np.uint32),
         _ROW_ATTRIBUTE: np.arange(count, dtype=np.uint32),
@@ -121,7 +121,7 @@ def _scores(
         scores = score(levels.scene(level), cameras, settings, progress=progress)
         if merged is None:
             merged = _empty_scores(scores, count)
-        ending = levels.last[rows] == level
+        ending = levels.last_level[rows] == level
         merged = _fill_scores(merged, scores, rows[ending], np.flatnonzero(ending))
     assert merged is not None
     return merged

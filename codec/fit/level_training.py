@@ -106,7 +106,7 @@ class LevelledSplats:
         are those of that level.
     scales : tuple of int
         Downscaling of the pictures of each level, per axis.
-    first, last : (N,) int64
+    first_level, last_level : (N,) int64
         First and last level that draws each splat.
     opacities : (L, N) float32
         Opacity logits at each level; undefined at levels that do not draw the splat.
@@ -114,13 +114,13 @@ class LevelledSplats:
 
     splats: Splats
     scales: tuple[int, ...]
-    first: I64
-    last: I64
+    first_level: I64
+    last_level: I64
     opacities: F32
 
     def rows(self, level: int) -> I64:
         """Return the (n,) int64 rows of the splats that a level draws."""
-        return np.flatnonzero((self.first <= level) & (level <= self.last))
+        return np.flatnonzero((self.first_level <= level) & (level <= self.last_level))
 
     def scene(self, level: int) -> Splats:
         """Return the splats that a level draws, with their opacities at this level."""

@@ -15,20 +15,20 @@ def tensors(splats):
     return [torch.from_numpy(getattr(splats, name)).requires_grad_() for name in Gradients.names()]
 
 
-def test_torch_has_the_picture_and_the_derivatives_of_a_drawing():
+def test_picture_and_gradients_match_the_numpy_interface():
     splats, camera = oracle.scene(1, n=40), oracle.camera()
-    drawing = render_forward(splats, camera)
+    forward = render_forward(splats, camera)
     wanted = Gradients.zeros(splats)
-    drawing.backward(2 * drawing.picture, wanted)
+    forward.backward(2 * forward.picture, wanted)
     values = tensors(splats)
     picture = render(*values, camera)
-    np.testing.assert_array_equal(picture.detach().numpy(), drawing.picture)
+    np.testing.assert_array_equal(picture.detach().numpy(), forward.picture)
     picture.square().sum().backward()
     for name, value in zip(Gradients.names(), values, strict=True):
         np.testing.assert_array_equal(value.grad.numpy(), getattr(wanted, name), err_msg=name)
 
 
-def test_an_optimiser_of_torch_descends():
+def test_a_pytorch_optimiser_reduces_the_error():
     splats, camera = oracle.scene(2, n=40), oracle.camera()
     target = torch.full((camera.height, camera.width, 3), 0.4)
     values = tensors(splats)
@@ -43,7 +43,7 @@ def test_an_optimiser_of_torch_descends():
     assert errors[-1] < 0.5 * errors[0]
 
 
-def test_values_that_changed_after_they_were_drawn_are_refused():
+def test_tensors_changed_after_the_forward_pass_are_refused():
     values = tensors(oracle.scene(3, n=20))
     loss = render(*values, oracle.camera()).sum()
     with torch.no_grad():
@@ -58,7 +58,7 @@ def test_tensors_of_other_types_are_refused():
         render(values[0].double(), *values[1:], oracle.camera())
 
 
-def test_a_device_draws_what_is_differentiated(monkeypatch):
+def test_cuda_gradients_match_those_of_the_cpu(monkeypatch):
     splats, camera = oracle.scene(1, n=30), oracle.camera(width=30, height=20)
     gradients = []
     for device in ("cpu", "cuda"):

@@ -1,4 +1,4 @@
-"""Pictures are those of the rasteriser, and their derivatives those of an oracle in float64."""
+"""Pictures equal those of the rasteriser; gradients match a float64 oracle in PyTorch."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ BACKGROUND = (0.613, 0.01, 0.398)
 
 
 def derivatives(splats: Splats, camera, target, **settings):
-    """Return the oracle's derivatives of a squared error by every stored value."""
+    """Return the picture and the gradients of a squared error from the oracle."""
     values = {
         name: torch.from_numpy(getattr(splats, name).astype(np.float64)).requires_grad_()
         for name in Gradients.names()
@@ -39,32 +39,32 @@ def small_scene(seed: int, degree: int, opacity: float = 1.5):
 
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize(("seed", "degree"), [(0, 0), (1, 1), (2, 2), (3, 3), (4, 3)])
-def test_derivatives_are_those_of_the_oracle(seed, degree, antialiased):
+def test_gradients_match_the_oracle(seed, degree, antialiased):
     splats, camera, target = small_scene(seed, degree)
     config = RenderConfig(kernel_px=0.3, antialiased=antialiased, background=BACKGROUND)
-    drawing = render_forward(splats, camera, config)
+    forward = render_forward(splats, camera, config)
     seen, expected = derivatives(
         splats, camera, target, kernel_px=0.3, antialiased=antialiased, background=BACKGROUND
     )
     # A pixel at which alpha is within rounding of 1/255 may fall to either side.
-    same = np.abs(drawing.picture - seen) < 1e-4
+    same = np.abs(forward.picture - seen) < 1e-4
     assert same.mean() > 0.999
     found = Gradients.zeros(splats)
-    drawing.backward(2 * (drawing.picture - target), found)
+    forward.backward(2 * (forward.picture - target), found)
     for name, wanted in expected.items():
         size = np.abs(wanted).max(initial=1e-9)
         off = np.abs(getattr(found, name) - wanted)
         assert np.sum(off > 2e-3 * size) <= 0.01 * off.size, f"{name}: {off.max(initial=0):.2g} off"
 
 
-def test_derivatives_of_one_splat_are_its_finite_differences():
+def test_gradients_of_one_splat_are_finite_differences():
     splats = oracle.scene(5, n=1, degree=3)
     splats.means[:] = [[0.1, -0.1, 0.2]]
     splats.scales[:] = [[-0.9, -1.4, -1.1]]
     splats.opacities[:] = 1.0
     camera = oracle.camera(angle=0.4, width=40, height=30, focal=26.0)
     weights = np.random.default_rng(5).normal(size=(30, 40, 3))
-    # Only where the splat is well above the cut at 1/255, so that no pixel comes or goes.
+    # Only pixels well above the alpha threshold of 1/255, which none may cross.
     weights[render_forward(splats, camera).picture.max(axis=2) < 0.02] = 0.0
     found = Gradients.zeros(splats)
     render_forward(splats, camera).backward(weights.astype(np.float32), found)
@@ -81,16 +81,16 @@ def test_derivatives_of_one_splat_are_its_finite_differences():
             assert getattr(found, name)[place] == pytest.approx(wanted, rel=0.01, abs=0.01), name
 
 
-def test_picture_is_that_of_the_rasteriser_whatever_the_threads():
+def test_pictures_equal_those_of_the_rasteriser_for_any_threads():
     splats = oracle.scene(6, n=300)
     camera = oracle.camera(width=90, height=70, focal=70.0)
     found = []
     for threads in (1, 3):
         config = RenderConfig(background=BACKGROUND, threads=threads)
-        drawing = render_forward(splats, camera, config)
-        np.testing.assert_array_equal(drawing.picture, render(splats, camera, config))
+        forward = render_forward(splats, camera, config)
+        np.testing.assert_array_equal(forward.picture, render(splats, camera, config))
         gradients = Gradients.zeros(splats)
-        drawing.backward(drawing.picture - 0.5, gradients)
+        forward.backward(forward.picture - 0.5, gradients)
         found.append(gradients)
     for name in Gradients.names():
         one, three = (getattr(gradients, name) for gradients in found)
@@ -100,42 +100,42 @@ def test_picture_is_that_of_the_rasteriser_whatever_the_threads():
 
 def test_gradients_of_two_pictures_add_up_and_clear():
     splats, camera, target = small_scene(7, 2)
-    drawing = render_forward(splats, camera)
+    forward = render_forward(splats, camera)
     once, twice = Gradients.zeros(splats), Gradients.zeros(splats)
-    centres = drawing.backward(drawing.picture - target, once)
+    centres = forward.backward(forward.picture - target, once)
     for _ in range(2):
-        drawing.backward(drawing.picture - target, twice)
+        forward.backward(forward.picture - target, twice)
     for name in Gradients.names():
         np.testing.assert_allclose(getattr(twice, name), 2 * getattr(once, name), rtol=1e-6)
-    assert centres.shape == (len(drawing.footprints), 2)
+    assert centres.shape == (len(forward.footprints), 2)
     assert np.abs(centres).max() > 0
     twice.clear()
     assert not any(getattr(twice, name).any() for name in Gradients.names())
 
 
-def test_degrees_that_are_not_drawn_have_no_derivatives():
+def test_sh_degrees_that_are_not_rendered_have_no_gradients():
     splats, camera, target = small_scene(8, 3)
-    drawing = render_forward(splats, camera, RenderConfig(sh_degree=1))
+    forward = render_forward(splats, camera, RenderConfig(sh_degree=1))
     found = Gradients.zeros(splats)
-    drawing.backward(drawing.picture - target, found)
+    forward.backward(forward.picture - target, found)
     assert np.abs(found.shN[:, :3]).max() > 0
     assert not found.shN[:, 3:].any()
 
 
-def test_opacities_that_are_infinite_and_splats_out_of_sight_do_not_move():
+def test_infinite_opacities_and_invisible_splats_have_no_gradients():
     splats, camera, target = small_scene(9, 1)
     splats.opacities[:2] = [np.inf, -np.inf]
     splats.means[2] = camera.position - 5.0 * camera.rotation[2]
     found = Gradients.zeros(splats)
-    drawing = render_forward(splats, camera)
-    drawing.backward(drawing.picture - target, found)
+    forward = render_forward(splats, camera)
+    forward.backward(forward.picture - target, found)
     assert not found.opacities[:2].any()
     assert not any(getattr(found, name)[2].any() for name in Gradients.names())
     assert all(np.isfinite(getattr(found, name)).all() for name in Gradients.names())
 
 
 @pytest.mark.parametrize("antialiased", [False, True])
-def test_on_a_device_derivatives_are_the_same_but_for_rounding(monkeypatch, antialiased):
+def test_cuda_gradients_match_up_to_rounding(monkeypatch, antialiased):
     splats, camera, target = small_scene(3, 2)
     splats.opacities[::4] = 9.0
     config = RenderConfig(antialiased=antialiased, background=BACKGROUND)
@@ -143,15 +143,15 @@ def test_on_a_device_derivatives_are_the_same_but_for_rounding(monkeypatch, anti
     sums = expected.footprint_sums(2 * (expected.picture - target))
     centres = expected.add_gradients(sums, wanted)
     on_cpu(monkeypatch)
-    drawing, found = (
+    forward, found = (
         render_forward(splats, camera, replace(config, device="cuda")),
         Gradients.zeros(splats),
     )
-    np.testing.assert_allclose(drawing.picture, expected.picture, atol=1e-4)
-    np.testing.assert_array_equal(drawing.footprints.index, expected.footprints.index)
-    by_picture = 2 * (drawing.picture - target)
-    assert_close(drawing.footprint_sums(by_picture), sums)
-    assert_close(drawing.backward(by_picture, found), centres)
+    np.testing.assert_allclose(forward.picture, expected.picture, atol=1e-4)
+    np.testing.assert_array_equal(forward.footprints.index, expected.footprints.index)
+    by_picture = 2 * (forward.picture - target)
+    assert_close(forward.footprint_sums(by_picture), sums)
+    assert_close(forward.backward(by_picture, found), centres)
     for name in Gradients.names():
         assert_close(getattr(found, name), getattr(wanted, name))
 

@@ -1,4 +1,4 @@
-"""Smaller pictures: what a camera of fewer pixels sees."""
+"""Downscaled pictures and cameras."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
 from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 
-def test_averaged_pictures_are_what_scaled_cameras_see():
+def test_downscaled_pictures_match_downscaled_cameras():
     picture = np.arange(7 * 9 * 3, dtype=np.float32).reshape(7, 9, 3)
     small = downscale_picture(picture, 2)
     assert small.shape == (3, 4, 3)

@@ -16,8 +16,8 @@ def pictures(seed, height=23, width=17):
 
 
 def l1_and_ssim(picture, target, ssim_share=0.2):
-    unlike = picture.size * (1 - ssim(picture, target, border="zero"))
-    return (1 - ssim_share) * np.abs(picture - target).sum() + ssim_share * unlike
+    dissimilarity = picture.size * (1 - ssim(picture, target, border="zero"))
+    return (1 - ssim_share) * np.abs(picture - target).sum() + ssim_share * dissimilarity
 
 
 VALUES = {
@@ -28,13 +28,13 @@ VALUES = {
 
 
 @pytest.mark.parametrize("name", list(LOSSES))
-def test_derivatives_are_finite_differences(name):
+def test_gradients_are_finite_differences(name):
     picture, target = pictures(1)
     _, found = LOSSES[name](picture, target)
     rng = np.random.default_rng(2)
     for _ in range(5):
         direction = np.sign(rng.normal(size=picture.shape))
-        # Small enough that no difference to the target changes its sign.
+        # No pixel difference may change its sign within the step.
         direction *= np.abs(picture - target) > 2e-4
         step = 1e-4 * direction
         wide = picture.astype(np.float64)
@@ -46,14 +46,14 @@ def test_derivatives_are_finite_differences(name):
 
 
 @pytest.mark.parametrize("name", list(LOSSES))
-def test_the_error_is_that_of_what_is_shown(name):
+def test_the_error_is_that_of_the_clipped_picture(name):
     picture, target = pictures(3)
     picture[:4] += 2.0
     error, _ = LOSSES[name](picture, target)
     assert -10 * np.log10(error) == pytest.approx(psnr(picture, target), abs=1e-3)
 
 
-def test_what_a_screen_clips_alike_does_not_count():
+def test_pixels_clipped_to_the_ground_truth_have_no_gradient():
     target = np.array([[[1.0, 0.0, 0.5]]], np.float32)
     error, found = LOSSES["squared"](np.array([[[1.5, -0.5, 0.75]]], np.float32), target)
     np.testing.assert_array_equal(found, [[[0.0, 0.0, 0.25]]])

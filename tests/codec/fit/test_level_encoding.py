@@ -1,4 +1,4 @@
-"""Scenes with levels as chunks."""
+"""Encoding of scenes with levels."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def encoded(levels):
     return encode_levels(levels, CAMERAS, LevelEncoding(quality_db=45.0, threads=1))
 
 
-def test_chunks_stand_level_by_level_and_end_with_a_level(levels, encoded):
+def test_chunks_are_ordered_by_level_and_end_with_a_level(levels, encoded):
     ends = [level.chunks for level in encoded.levels]
     assert [level.scale for level in encoded.levels] == [4.0, 2.0, 1.0]
     assert ends[-1] == len(encoded.chunks)
@@ -46,7 +46,7 @@ def test_chunks_stand_level_by_level_and_end_with_a_level(levels, encoded):
     assert all(c.attributes is None and c.object == 0 for c in encoded.chunks)
 
 
-def test_every_level_is_near_what_was_given(levels, encoded):
+def test_every_level_decodes_to_nearly_the_given_splats(levels, encoded):
     """Chunks are decoded as a reader does, with the opacities of the level."""
     starts = np.cumsum([0, *(chunk.splats for chunk in encoded.chunks)])
     first_level = np.searchsorted(
@@ -77,13 +77,15 @@ def test_bytes_do_not_depend_on_threads(levels, encoded):
         assert (found.opacities, found.until) == (expected.opacities, expected.until)
 
 
-def test_a_level_that_adds_nothing_is_left_out(levels):
-    first = np.where(levels.first == 1, 0, levels.first)
-    merged = LevelledSplats(levels.splats, levels.scales, first, levels.last, levels.opacities)
+def test_levels_without_chunks_are_left_out(levels):
+    first = np.where(levels.first_level == 1, 0, levels.first_level)
+    merged = LevelledSplats(
+        levels.splats, levels.scales, first, levels.last_level, levels.opacities
+    )
     made = encode_levels(merged, CAMERAS, LevelEncoding(threads=1))
     assert [level.scale for level in made.levels] == [4.0, 1.0]
 
 
-def test_steps_that_mean_nothing_are_misuse():
+def test_an_invalid_opacity_step_is_refused():
     with pytest.raises(ValueError, match="opacity step"):
         LevelEncoding(opacity_step=0.0)

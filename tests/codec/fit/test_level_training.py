@@ -1,4 +1,4 @@
-"""Levels of a scene: trained one after the other, on pictures of their own size."""
+"""Level training: each level on pictures of its own resolution."""
 
 import numpy as np
 import pytest
@@ -29,21 +29,21 @@ def levels(scene):
     return train_levels(*scene, CONFIG)
 
 
-def unit(logits):
+def opacity(logits):
     return 1 / (1 + np.exp(-logits.astype(np.float64)))
 
 
-def test_levels_have_the_shares_that_were_asked_for(levels):
-    counts = np.bincount(levels.first, minlength=3)
-    assert counts.sum() == len(levels.splats) == len(levels.last)
-    # Less those that became invisible in training.
+def test_levels_have_the_given_shares(levels):
+    counts = np.bincount(levels.first_level, minlength=3)
+    assert counts.sum() == len(levels.splats) == len(levels.last_level)
+    # Some became invisible in training.
     for count, share in zip(np.cumsum(counts), CONFIG.shares, strict=True):
         assert 0.9 * share * 600 <= count <= share * 600
-    assert (np.diff(levels.first) >= 0).all()
+    assert (np.diff(levels.first_level) >= 0).all()
 
 
-def test_lower_levels_keep_all_but_opacities(scene):
-    """Trained again with fewer levels, those that there are come out alike."""
+def test_lower_levels_are_frozen_except_for_opacities(scene):
+    """Training fewer levels gives the same lower levels."""
     fewer = LevelsConfig(scales=(4, 2), shares=(0.2, 0.5), steps=30, threads=1)
     first, both = train_levels(*scene, fewer), train_levels(*scene, CONFIG)
     count = len(first.splats)
@@ -57,7 +57,7 @@ def test_lower_levels_keep_all_but_opacities(scene):
     assert (both.opacities[2, later] != both.opacities[1, later]).mean() > 0.5
 
 
-def test_one_model_of_all_scales_is_better_than_an_untrained_one_at_each(scene):
+def test_joint_training_improves_every_scale(scene):
     splats, cameras = scene
     short = LevelsConfig(scales=(4, 1), shares=(0.2, 0.5), steps=40, threads=1)
     model = train_jointly(splats, cameras, short)
@@ -77,28 +77,28 @@ def test_one_model_of_all_scales_is_better_than_an_untrained_one_at_each(scene):
         train_jointly(splats, [], short)
 
 
-def test_added_splats_move_and_keep_their_sh(scene, levels):
-    """Not as in the code that was released with the paper."""
+def test_added_splats_are_trained_with_their_sh(scene, levels):
+    """The released code of the paper differs."""
     splats, _ = scene
     source = {tuple(mean) for mean in splats.means.tolist()}
-    added = np.flatnonzero(levels.first == 2)
+    added = np.flatnonzero(levels.first_level == 2)
     moved = [tuple(mean) not in source for mean in levels.splats.means[added].tolist()]
     assert np.mean(moved) > 0.5
     assert np.abs(levels.splats.shN[added]).max() > 0
 
 
-def test_splats_that_no_level_shows_are_left_out_for_good(levels):
+def test_levels_leave_out_transparent_splats_for_good(levels):
     for level in range(3):
         rows = levels.rows(level)
-        assert (unit(levels.opacities[level][rows]) >= MIN_OPACITY).all()
-    assert (levels.first <= levels.last).all()
+        assert (opacity(levels.opacities[level][rows]) >= MIN_OPACITY).all()
+    assert (levels.first_level <= levels.last_level).all()
     for level in range(2):
-        ended = np.flatnonzero(levels.last == level)
-        assert (unit(levels.opacities[level + 1][ended]) < MIN_OPACITY).all()
+        ended = np.flatnonzero(levels.last_level == level)
+        assert (opacity(levels.opacities[level + 1][ended]) < MIN_OPACITY).all()
 
 
 @pytest.mark.parametrize("loss", ["squared", "structure"])
-def test_training_pays(scene, loss):
+def test_training_improves_a_level(scene, loss):
     splats, cameras = scene
     views = [downscale_camera(camera, 4) for camera in cameras]
     targets = [downscale_picture(render(splats, camera), 4) for camera in cameras]
@@ -133,12 +133,12 @@ def test_the_result_does_not_depend_on_threads(scene, levels):
         {"seed": -1},
     ],
 )
-def test_configurations_that_mean_nothing_are_misuse(wrong):
+def test_invalid_configurations_are_refused(wrong):
     with pytest.raises(ValueError, match="expected"):
         LevelsConfig(**wrong)
 
 
-def test_cameras_and_pictures_must_fit(scene):
+def test_cameras_and_pictures_must_match(scene):
     splats, cameras = scene
     with pytest.raises(ValueError, match="cameras"):
         train_levels(splats, [], CONFIG)
@@ -146,8 +146,8 @@ def test_cameras_and_pictures_must_fit(scene):
         train_levels(splats, cameras, CONFIG, pictures=[np.zeros((4, 4, 3), np.float32)])
 
 
-def test_levels_grow_out_of_points(scene):
-    """From points on, every level comes nearer to its photos, and keeps what lower levels have."""
+def test_levels_are_trained_from_points(scene):
+    """Every level improves over its points, and keeps the splats of lower levels."""
     splats, cameras = scene
     photos = [np.clip(render(splats, camera), 0, 1) for camera in cameras]
     rows = np.random.default_rng(5).permutation(600)[:80]
@@ -155,24 +155,24 @@ def test_levels_grow_out_of_points(scene):
     points = splats_from_points(splats.means[rows].astype(np.float64), colours)
     config = LevelsConfig(scales=(4, 2), shares=(0.3, 1.0), steps=120, threads=1)
     grown = grow_levels(points, cameras, photos, 300, config)
-    counts = np.bincount(grown.first, minlength=2)
+    counts = np.bincount(grown.first_level, minlength=2)
     assert 80 < counts[0] <= 90
     assert 80 < counts[1] <= 210
     for level, scale in enumerate(config.scales):
         views = [downscale_camera(camera, scale) for camera in cameras]
         targets = [downscale_picture(photo, scale) for photo in photos]
-        found, begun = (
+        trained, initial = (
             np.mean([ssim(render(one, v), t) for v, t in zip(views, targets, strict=True)])
             for one in (grown.scene(level), points)
         )
-        assert found > begun + 0.1
+        assert trained > initial + 0.1
     alone = grow_levels(points, cameras, photos, 90, LevelsConfig((4,), (1.0,), 120, threads=2))
     kept = len(alone.splats)
     np.testing.assert_array_equal(grown.splats.means[:kept], alone.splats.means)
     np.testing.assert_array_equal(grown.opacities[:1, :kept], alone.opacities)
 
 
-def test_growth_needs_points(scene):
+def test_training_from_points_needs_points(scene):
     splats, cameras = scene
     with pytest.raises(ValueError, match="expected at least 1"):
         grow_levels(splats.take(np.zeros(0, np.int64)), cameras, [], 10)

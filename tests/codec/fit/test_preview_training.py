@@ -1,4 +1,4 @@
-"""Trained previews: the first bytes show the whole scene, and the whole stays as it is."""
+"""Preview training: the first bytes show the whole scene, and the rest of it is unchanged."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def plain(scene):
 
 
 @pytest.fixture(scope="module")
-def opened(scene):
+def with_preview(scene):
     return encoded(scene, TrainedPreview(CONFIG))
 
 
@@ -56,39 +56,40 @@ def shown_db(scene, splats):
     return np.mean([psnr(render(source, view), render(splats, view)) for view in cameras])
 
 
-def test_the_first_bytes_show_more_and_the_whole_is_as_before(scene, plain, opened):
-    own = [chunk for chunk in opened.chunks if chunk.until]
+def test_the_first_bytes_show_more_and_the_whole_is_unchanged(scene, plain, with_preview):
+    own = [chunk for chunk in with_preview.chunks if chunk.until]
     books = sum(len(payload) for book in plain.codebooks for payload in book.payloads)
     assert 0 < heads(own) <= 0.05 * (payloads(plain.chunks) + books)
-    assert opened.chunks[len(own) :][0].payloads.head == plain.chunks[0].payloads.head
-    first = opened.compensation.apply(opened.drawn(len(own)), len(own))
-    # As many bytes of the file without a preview, and more.
+    assert with_preview.chunks[len(own) :][0].payloads.head == plain.chunks[0].payloads.head
+    first = with_preview.compensation.apply(with_preview.drawn(len(own)), len(own))
+    # A prefix without preview of at least the same size.
     chunks = 1
     while heads(plain.chunks[:chunks]) < heads(own):
         chunks += 1
-    usual = plain.compensation.apply(plain.drawn(chunks), chunks)
-    assert shown_db(scene, first) > shown_db(scene, usual) + 0.3
+    without = plain.compensation.apply(plain.drawn(chunks), chunks)
+    assert shown_db(scene, first) > shown_db(scene, without) + 0.3
     for name in ("means", "scales", "quats", "opacities", "sh0", "shN"):
         np.testing.assert_array_equal(
-            getattr(opened.drawn(len(opened.chunks)), name), getattr(plain.decoded, name)
+            getattr(with_preview.drawn(len(with_preview.chunks)), name),
+            getattr(plain.decoded, name),
         )
 
 
-def test_it_ends_where_a_layer_of_the_compensation_does(opened):
-    (until,) = {chunk.until for chunk in opened.chunks if chunk.until}
-    layers = [layer.chunks for layer in opened.compensation.layers]
-    assert until in {*layers, len(opened.chunks)}
+def test_the_preview_ends_at_a_compensation_layer(with_preview):
+    (until,) = {chunk.until for chunk in with_preview.chunks if chunk.until}
+    layers = [layer.chunks for layer in with_preview.compensation.layers]
+    assert until in {*layers, len(with_preview.chunks)}
 
 
 @pytest.mark.slow
-def test_it_is_the_same_for_any_number_of_threads(scene, opened):
+def test_the_preview_does_not_depend_on_threads(scene, with_preview):
     again = encoded(scene, TrainedPreview(replace(CONFIG, threads=3)), threads=2)
     assert [chunk.payloads.head for chunk in again.chunks] == [
-        chunk.payloads.head for chunk in opened.chunks
+        chunk.payloads.head for chunk in with_preview.chunks
     ]
 
 
-def test_a_scene_that_is_too_small_has_none(scene):
+def test_small_and_empty_scenes_get_no_preview(scene):
     splats, cameras = scene
     tiny = splats.take(slice(0, 20)), cameras
     assert not any(chunk.until for chunk in encoded(tiny, TrainedPreview(CONFIG)).chunks)
@@ -108,6 +109,6 @@ def test_a_scene_that_is_too_small_has_none(scene):
         ({"threads": -1}, "-1 threads"),
     ],
 )
-def test_settings_that_mean_nothing_are_refused(settings, said):
+def test_invalid_settings_are_refused(settings, said):
     with pytest.raises(ValueError, match=said):
         PreviewConfig(**settings)

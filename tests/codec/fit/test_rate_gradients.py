@@ -36,58 +36,58 @@ def prepared():
     return prepared_as("transform")
 
 
-def test_a_step_costs_what_the_shares_of_two_codes_differ_by():
-    # 90 values at 0 and 10 at 1, each counted with a half.
+def test_a_step_costs_the_log_ratio_of_code_frequencies():
+    # 90 values with code 0 and 10 with code 1, plus the prior count of a half.
     values = np.concatenate([np.full(90, 0.3), np.full(10, 0.8)])[:, None]
-    slopes = bits_per_step(values)
-    np.testing.assert_allclose(slopes, np.log2(90.5 / 10.5))
-    # All 100 are rounded to 0 now; for -1, which none has, a half is counted.
+    gradients = bits_per_step(values)
+    np.testing.assert_allclose(gradients, np.log2(90.5 / 10.5))
+    # All 100 values have code 0 now; the unused code -1 has the prior count.
     below = bits_per_step(values - 0.4)
     np.testing.assert_allclose(below[:90], -np.log2(100.5 / 0.5))
 
 
-def test_values_of_a_bell_are_dear_away_from_its_middle():
+def test_gradients_of_normal_values_follow_their_density():
     rng = np.random.default_rng(0)
     values = rng.normal(0.0, 20.0, (20_000, 2))
-    slopes = bits_per_step(values)
+    gradients = bits_per_step(values)
     # -log2 of a normal density has the slope x / (σ² ln 2).
     expected = values / (20.0**2 * np.log(2.0))
     inner = np.abs(values) < 40.0
-    assert np.corrcoef(slopes[inner], expected[inner])[0, 1] > 0.9
-    assert np.polyfit(expected[inner], slopes[inner], 1)[0] == pytest.approx(1.0, abs=0.15)
+    assert np.corrcoef(gradients[inner], expected[inner])[0, 1] > 0.9
+    assert np.polyfit(expected[inner], gradients[inner], 1)[0] == pytest.approx(1.0, abs=0.15)
 
 
 @pytest.mark.parametrize("name", ["opacities", "scales", "sh0", "shN"])
-def test_a_scene_whose_values_move_down_the_slopes_takes_fewer_bytes(prepared, name):
+def test_moving_against_the_gradients_reduces_the_size(prepared, name):
     splats = prepared.source
     made = round_trip(prepared, splats, QUALITY)
-    slopes = getattr(rate_gradients(made.encoded, splats, made.rows), name)
+    gradients = getattr(rate_gradients(made.encoded, splats, made.rows), name)
     values = getattr(splats, name)
-    # As far, in the mean, as a tenth of what the values are spread over.
-    step = np.float32(0.1 * values.std() / np.abs(slopes).mean())
+    # The mean move is a tenth of the standard deviation.
+    step = np.float32(0.1 * values.std() / np.abs(gradients).mean())
     down, up = (
         round_trip(
-            prepared, replace(splats, **{name: values + sign * step * slopes}), QUALITY
+            prepared, replace(splats, **{name: values + sign * step * gradients}), QUALITY
         ).encoded
         for sign in (-1, 1)
     )
     assert size_of(down) < size_of(made.encoded) < size_of(up)
 
 
-def test_what_is_not_coded_on_a_grid_has_no_slope(prepared):
+def test_means_and_rotations_have_no_gradient(prepared):
     splats = prepared.source
     made = round_trip(prepared, splats, QUALITY)
-    slopes = rate_gradients(made.encoded, splats, made.rows)
-    assert not slopes.means.any()
-    assert not slopes.quats.any()
+    gradients = rate_gradients(made.encoded, splats, made.rows)
+    assert not gradients.means.any()
+    assert not gradients.quats.any()
 
 
-def test_of_the_profile_vq_opacities_and_colours_have_slopes():
+def test_opacities_and_colours_have_gradients_in_profile_vq():
     prepared = prepared_as("vq")
     splats = prepared.source
     made = round_trip(prepared, splats, QUALITY)
-    slopes = rate_gradients(made.encoded, splats, made.rows)
-    assert slopes.opacities.any()
-    assert slopes.sh0.any()
-    assert not slopes.shN.any()
-    assert all(np.isfinite(getattr(slopes, each)).all() for each in Gradients.names())
+    gradients = rate_gradients(made.encoded, splats, made.rows)
+    assert gradients.opacities.any()
+    assert gradients.sh0.any()
+    assert not gradients.shN.any()
+    assert all(np.isfinite(getattr(gradients, each)).all() for each in Gradients.names())

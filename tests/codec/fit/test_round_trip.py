@@ -29,7 +29,7 @@ def covariances(splats):
     return spread @ spread.transpose(0, 2, 1)
 
 
-def test_what_is_stored_is_what_is_decoded_row_by_row(prepared):
+def test_decoded_values_are_in_the_rows_of_the_source(prepared):
     source = prepared.source
     made = round_trip(prepared, source, QUALITY)
     found, encoded = made.decoded, made.encoded
@@ -39,7 +39,7 @@ def test_what_is_stored_is_what_is_decoded_row_by_row(prepared):
     ]
     left = np.isfinite(found.opacities)
     assert left.sum() == encoded.splats
-    # Every decoded splat stands somewhere, with all its values.
+    # Every decoded splat has a row with all its values.
     key = np.lexsort(found.means[left].T)
     other = np.lexsort(encoded.decoded.means.T)
     for name in ("means", "opacities", "sh0", "shN"):
@@ -52,13 +52,13 @@ def test_what_is_stored_is_what_is_decoded_row_by_row(prepared):
         rtol=1e-3,
         atol=2e-6 * np.abs(covariances(encoded.decoded)).max(),
     )
-    # And it stands where its source does.
+    # It is the row of its source.
     assert np.abs(found.means - source.means)[left].max() < 0.05 * np.abs(source.means).max()
     camera = oracle.camera(distance=6.0)
     assert psnr(render(found, camera), render(encoded.decoded, camera)) > 60.0
 
 
-def test_axes_are_turned_as_the_source_has_them(prepared):
+def test_axes_are_permuted_to_match_the_source(prepared):
     source = prepared.source
     found = round_trip(prepared, source, 60.0).decoded
     left = np.isfinite(found.opacities)
@@ -69,7 +69,7 @@ def test_axes_are_turned_as_the_source_has_them(prepared):
     assert np.median(np.abs(found.scales - source.scales)[left]) < 0.05
 
 
-def test_the_steps_stay_while_the_values_move(prepared):
+def test_order_and_count_do_not_follow_the_values(prepared):
     source = prepared.source
     before = round_trip(prepared, source, QUALITY).encoded
     moved = source.take(slice(0, len(source)))
@@ -80,10 +80,10 @@ def test_the_steps_stay_while_the_values_move(prepared):
         np.testing.assert_array_equal(one.payloads.order, other.payloads.order)
 
 
-def test_the_basis_of_sh_follows_the_values(prepared):
+def test_the_sh_basis_follows_the_values(prepared):
     source = prepared.source
     rng = np.random.default_rng(5)
-    # All that changes with the direction now changes along one random axis.
+    # All view-dependent colour now lies along one random axis.
     axis = rng.normal(size=source.shN.shape[1:])
     along = rng.normal(0.0, 0.3, len(source))[:, None, None] * axis / np.linalg.norm(axis)
     moved = replace(source, shN=along.astype(np.float32))
@@ -96,7 +96,7 @@ def test_the_basis_of_sh_follows_the_values(prepared):
     assert abs(first @ axis.ravel()) / np.linalg.norm(axis) > 0.99
 
 
-def test_codebooks_go_on_from_those_of_the_encode_before():
+def test_codebooks_start_from_those_of_the_last_encode():
     splats, cameras = synth(1500, seed=3), synth_cameras(6, 64, 48)
     config = EncodeConfig(
         profile="vq", order="contribution", compensate=False, prune=None, threads=1
@@ -112,7 +112,7 @@ def test_codebooks_go_on_from_those_of_the_encode_before():
         return encoded.codebooks[0].decoded(splats.sh_degree)
 
     def moved(encoded):
-        """Return how far the scales of each row are from the nearest of the first codebook."""
+        """Return the distance of each row's scales to the nearest row of the first codebook."""
         far = rows(encoded).scales[:, None] - rows(first).scales[None]
         return np.linalg.norm(far, axis=2).min(axis=1)
 
@@ -120,7 +120,7 @@ def test_codebooks_go_on_from_those_of_the_encode_before():
     assert anew.codebooks[0].payloads == first.codebooks[0].payloads
     assert again.codebooks[0].payloads != first.codebooks[0].payloads
     assert np.median(moved(again)) < 0.1
-    # What is decoded is nearer to the scene than with codebooks that were trained once.
+    # Training the codebooks further does not reduce PSNR.
     cameras = synth_cameras(3, 64, 48)
     decibels = [
         np.mean([psnr(render(splats, view), render(each.decoded, view)) for view in cameras])

@@ -29,7 +29,7 @@ def rates_of(splats):
     }
 
 
-def test_steps_are_those_of_torch():
+def test_steps_match_pytorch():
     splats = oracle.scene(0, n=12, degree=1)
     values = torch.from_numpy(splats.scales.copy()).requires_grad_()
     other = torch.optim.Adam([values], lr=0.01, betas=(0.9, 0.999), eps=1e-15)
@@ -43,7 +43,7 @@ def test_steps_are_those_of_torch():
     np.testing.assert_array_equal(moved.means, splats.means)
 
 
-def test_threads_change_nothing():
+def test_the_result_does_not_depend_on_threads():
     splats = oracle.scene(1, n=50)
     found = []
     for threads in (1, 3):
@@ -55,7 +55,7 @@ def test_threads_change_nothing():
         np.testing.assert_array_equal(*(getattr(moved, name) for moved in found), err_msg=name)
 
 
-def test_moments_go_on_for_rows_that_are_kept_and_after_a_restart():
+def test_moments_survive_selection_and_checkpoints():
     splats = oracle.scene(2, n=20)
     rows = np.array([3, 4, 11])
     adam, moved = SplatAdam(splats), copy(splats)
@@ -70,7 +70,7 @@ def test_moments_go_on_for_rows_that_are_kept_and_after_a_restart():
         np.testing.assert_array_equal(getattr(fewer, name), getattr(moved, name)[rows])
 
 
-def test_scenes_without_higher_bands_move():
+def test_scenes_of_sh_degree_0_are_updated():
     splats = oracle.scene(3, n=5, degree=0)
     moved = copy(splats)
     SplatAdam(splats).step(moved, random_gradients(splats, 0), rates_of(splats))

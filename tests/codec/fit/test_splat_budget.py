@@ -11,13 +11,13 @@ from cogsplat.codec.fit.splat_budget import (
 
 
 @pytest.mark.parametrize(("degree", "count"), [(0, 153), (1, 125), (2, 105), (3, 90)])
-def test_a_size_asks_for_fewer_splats_where_these_hold_more(degree, count):
+def test_a_higher_sh_degree_gives_fewer_splats_for_a_size(degree, count):
     assert count_for_size(1000, degree, 10_000) == count
     assert count_for_size(10_000, degree, 50) == 50
     assert count_for_size(1, degree, 50) == 1
 
 
-def test_where_more_splats_may_be_kept_each_has_more_bytes():
+def test_larger_files_spend_more_bytes_per_splat():
     # Of 80,796 splats of degree 3.
     assert count_for_size(129_270, 3, 80_796) == pytest.approx(11_750, abs=20)
     assert count_for_size(307_000, 3, 80_796) == pytest.approx(23_300, rel=0.03)
@@ -26,14 +26,14 @@ def test_where_more_splats_may_be_kept_each_has_more_bytes():
     assert counts[-1] == 10_000
 
 
-def test_rounds_end_at_the_number_that_is_aimed_at():
+def test_rounds_end_at_the_final_count():
     counts = [1000]
     while (count := next_count(counts[-1], 300, 0.7)) is not None:
         counts.append(count)
     assert counts == [1000, 700, 489, 342, 300]
 
 
-def test_rounds_end_when_training_cannot_make_up_for_more():
+def test_rounds_end_when_the_psnr_allows_no_more():
     far = next_count_for_psnr(1000, 45.0, 35.0, 0.8)
     near = next_count_for_psnr(1000, 35.5, 35.0, 0.8)
     assert (far, near) == (800, 900)
@@ -41,12 +41,12 @@ def test_rounds_end_when_training_cannot_make_up_for_more():
     assert next_count_for_psnr(1, 45.0, 35.0, 0.8) is None
 
 
-def test_counts_are_corrected_by_what_half_of_the_splats_cost():
-    # 2 dB are lost when splats are stored; 4 dB more than that are half of the splats.
+def test_counts_are_corrected_by_the_psnr_per_halving():
+    # Storing costs 2 dB; 4 dB beyond that correspond to half of the splats.
     assert corrected_count(1000, 41.0, 35.0, 5000) == 500
     assert corrected_count(1000, 33.0, 35.0, 5000) == 2000
     assert corrected_count(1000, 33.0, 35.0, 1500) == 1500
     assert corrected_count(1000, 37.0, 35.0, 5000) is None
-    # Somewhat too few may stay; there is nothing to take back either.
+    # A small deficit is accepted, and so is the maximum count.
     assert corrected_count(1000, 36.0, 35.0, 5000) is None
     assert corrected_count(1000, 33.0, 35.0, 1000) is None

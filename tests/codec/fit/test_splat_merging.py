@@ -24,7 +24,7 @@ def two_of(splats, row, apart=0.0):
     return replace(both, means=means)
 
 
-def test_the_moments_of_a_pair_are_those_of_samples_of_both():
+def test_merged_moments_are_those_of_samples_of_both():
     rng = np.random.default_rng(0)
     splats = oracle.scene(4, n=2)
     found = merge_pairs(splats, *ROWS).take(ROWS[0])
@@ -47,50 +47,50 @@ def test_the_moments_of_a_pair_are_those_of_samples_of_both():
     )
 
 
-def test_halves_of_a_splat_are_merged_into_what_it_was():
+def test_two_equal_splats_merge_into_one_of_twice_the_opacity():
     splats = oracle.scene(5, n=1)
     halves = two_of(splats, 0)
-    # Two of half the alpha in one place are one of all of it, but for what they hide of each other.
+    # The opacity doubles; occlusion between the two is neglected.
     alpha = 0.3
     halves = replace(halves, opacities=np.full(2, np.log(alpha / (1 - alpha)), np.float32))
     found = merge_pairs(halves, *ROWS)
     assert found.opacities[0] == pytest.approx(np.log(0.6 / 0.4), abs=1e-4)
     np.testing.assert_allclose(covariances(found)[0], covariances(splats)[0], rtol=1e-4, atol=1e-9)
-    # What was given up is as it was, and so is the scene.
+    # The removed splat and the given scene are unchanged.
     assert found.opacities[1] == halves.opacities[1]
     assert halves.opacities[0] == halves.opacities[1]
 
 
-def test_only_what_looks_alike_makes_a_pair():
+def test_only_similar_splats_are_candidates():
     splats = oracle.scene(6, n=1)
     near, far = two_of(splats, 0, 0.5), two_of(splats, 0, 8.0)
     other = replace(near, sh0=near.sh0 + np.array([[0], [4]], np.float32))
     errors = np.array([1.0, 2.0])
-    kept, given_up = merge_candidates(near, errors, 5)
-    assert (kept.tolist(), given_up.tolist()) == ([1], [0])
+    kept, removed = merge_candidates(near, errors, 5)
+    assert (kept.tolist(), removed.tolist()) == ([1], [0])
     for unlike in (far, other):
         assert not len(merge_candidates(unlike, errors, 5)[0])
     assert not len(merge_candidates(near, errors, 0)[0])
     assert not len(merge_candidates(near.take(slice(0, 1)), errors[:1], 5)[0])
 
 
-def test_every_splat_stands_in_one_pair_and_the_worse_half_is_given_up():
+def test_pairs_are_disjoint_and_remove_splats_of_small_error():
     splats = synth(800, seed=6)
     errors = np.random.default_rng(1).random(800)
-    kept, given_up = merge_candidates(splats, errors, 60)
-    rows = np.concatenate([kept, given_up])
+    kept, removed = merge_candidates(splats, errors, 60)
+    rows = np.concatenate([kept, removed])
     assert 20 < len(kept) <= 60
     assert len(np.unique(rows)) == len(rows)
-    assert errors[given_up].max() <= np.median(errors)
+    assert errors[removed].max() <= np.median(errors)
 
 
-def test_pictures_keep_more_of_merged_splats_than_of_deleted_ones():
+def test_merging_loses_less_than_deletion():
     splats, cameras = synth(2500, seed=7), synth_cameras(4, 96, 72)
     errors = np.exp(splats.scales.sum(axis=1, dtype=np.float64))
-    kept, given_up = merge_candidates(splats, errors, 300)
+    kept, removed = merge_candidates(splats, errors, 300)
     assert len(kept) > 100
-    left = np.setdiff1d(np.arange(len(splats)), given_up)
-    both = [splats.take(left), merge_pairs(splats, kept, given_up).take(left)]
+    left = np.setdiff1d(np.arange(len(splats)), removed)
+    both = [splats.take(left), merge_pairs(splats, kept, removed).take(left)]
     deleted, together = (
         np.mean([psnr(render(splats, view), render(each, view)) for view in cameras])
         for each in both
@@ -98,11 +98,11 @@ def test_pictures_keep_more_of_merged_splats_than_of_deleted_ones():
     assert together > deleted + 1.0
 
 
-def test_splats_without_any_size_do_no_harm():
+def test_splats_of_size_0_give_finite_values():
     splats = synth(50, seed=8)
     splats.scales[:25] = -1000.0
     splats.means[:10] = splats.means[0]
-    kept, given_up = merge_candidates(splats, np.ones(50), 50)
-    found = merge_pairs(splats, kept, given_up)
+    kept, removed = merge_candidates(splats, np.ones(50), 50)
+    found = merge_pairs(splats, kept, removed)
     assert np.isfinite(found.scales).all()
     assert np.isfinite(found.opacities).all()

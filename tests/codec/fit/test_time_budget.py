@@ -13,7 +13,7 @@ class Clock:
         self.now += seconds
 
 
-def test_without_a_limit_the_plan_stays():
+def test_without_a_deadline_plans_do_not_change():
     budget = TimeBudget(None, Clock())
     budget.run_timed(lambda: None, 10.0)
     budget.fit_to_deadline(5.0, 1e9)
@@ -21,23 +21,23 @@ def test_without_a_limit_the_plan_stays():
     assert budget.affordable_count(40, 1e9, 1e9) == 40
 
 
-def test_before_anything_was_timed_the_plan_stays():
+def test_before_any_measurement_plans_do_not_change():
     budget = TimeBudget(10.0, Clock())
     budget.fit_to_deadline(1e9, 1e9)
     assert budget.factor == 1.0
 
 
-def test_steps_become_fewer_until_the_time_is_over():
+def test_steps_are_reduced_to_meet_the_deadline():
     clock = Clock()
     budget = TimeBudget(100.0, clock)
-    # Two seconds for one of work: 60 seconds are left for work that would take 160.
+    # 2 s per unit of work: 60 s remain for work of 160 s.
     budget.run_timed(lambda: clock.spend(40.0), 20.0)
     budget.fit_to_deadline(40.0, 40.0)
     assert budget.factor == pytest.approx(60 / 160)
     assert budget.scaled_steps(40, extend=True) == budget.scaled_steps(40, extend=False) == 15
 
 
-def test_time_that_is_left_goes_to_what_may_be_stretched():
+def test_spare_time_extends_scalable_work_only():
     clock = Clock()
     budget = TimeBudget(1000.0, clock)
     budget.run_timed(lambda: clock.spend(100.0), 100.0)
@@ -47,7 +47,7 @@ def test_time_that_is_left_goes_to_what_may_be_stretched():
     assert budget.scaled_steps(50, extend=False) == 50
 
 
-def test_there_is_always_a_step_and_never_many_times_the_plan():
+def test_the_factor_has_bounds():
     clock = Clock()
     budget = TimeBudget(10.0, clock)
     budget.run_timed(lambda: clock.spend(1.0), 1000.0)
@@ -62,7 +62,7 @@ def test_there_is_always_a_step_and_never_many_times_the_plan():
     assert budget.affordable_count(3, 1.0, 0.0) == 1
 
 
-def test_as_many_parts_follow_as_fit_before_the_time_that_is_kept():
+def test_repetitions_leave_the_reserved_time():
     clock = Clock()
     budget = TimeBudget(100.0, clock)
     begin = budget.now()
@@ -71,7 +71,7 @@ def test_as_many_parts_follow_as_fit_before_the_time_that_is_kept():
     assert budget.affordable_count(20, 2.0, 30.0) == 25
 
 
-def test_a_factor_that_is_held_does_not_look_at_the_clock():
+def test_a_fixed_factor_ignores_the_clock():
     clock = Clock()
     budget = TimeBudget(10.0, clock)
     budget.fix_factor(2.5)
@@ -81,6 +81,6 @@ def test_a_factor_that_is_held_does_not_look_at_the_clock():
     assert budget.affordable_count(7, 100.0, 100.0) == 7
 
 
-def test_a_step_costs_less_with_fewer_splats_but_never_nothing():
+def test_a_step_has_a_fixed_cost_and_one_per_splat():
     assert TimeBudget.work(10, 1.0) == pytest.approx(10.0)
     assert 0.5 < TimeBudget.work(10, 0.0) < TimeBudget.work(10, 0.5) < 6.0

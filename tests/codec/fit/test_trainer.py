@@ -15,11 +15,9 @@ from cogsplat.codec.render.rasteriser import render
 
 
 @pytest.fixture(scope="module")
-def taught():
+def scenes():
     source = oracle.scene(0, n=60)
-    training_views = make_training_views(
-        source, [oracle.camera(angle) for angle in (0.0, 0.4, 0.8)]
-    )
+    views = make_training_views(source, [oracle.camera(angle) for angle in (0.0, 0.4, 0.8)])
     rng = np.random.default_rng(1)
     noisy = replace(
         source,
@@ -29,37 +27,39 @@ def taught():
             for values in [getattr(source, name)]
         },
     )
-    return source, training_views, noisy
+    return source, views, noisy
 
 
-def mean_db(splats, training_views):
-    views = zip(
-        training_views.cameras, training_views.configs, training_views.pictures, strict=True
-    )
+def mean_db(splats, views):
     return np.mean(
-        [psnr(picture, render(splats, camera, config)) for camera, config, picture in views]
+        [
+            psnr(picture, render(splats, camera, config))
+            for camera, config, picture in zip(
+                views.cameras, views.configs, views.pictures, strict=True
+            )
+        ]
     )
 
 
 @pytest.mark.parametrize("loss", ["squared", "photo"])
-def test_training_brings_a_scene_near_to_its_lessons(taught, loss):
-    _, training_views, noisy = taught
-    trainer = Trainer(noisy, training_views, TrainConfig(loss=loss, worst_views=0.5))
-    before = mean_db(noisy, training_views)
+def test_training_reduces_the_error_of_renders(scenes, loss):
+    _, views, noisy = scenes
+    trainer = Trainer(noisy, views, TrainConfig(loss=loss, worst_views=0.5))
+    before = mean_db(noisy, views)
     seen = trainer.run(60, 1.0, 0.1)
-    after = mean_db(trainer.splats, training_views)
+    after = mean_db(trainer.splats, views)
     assert after > before + 2.0
     assert before < seen < after
     assert trainer.steps == 60
-    # The scene that was given is a copy's original.
-    assert mean_db(noisy, training_views) == before
+    # The given scene was copied.
+    assert mean_db(noisy, views) == before
 
 
-def test_the_result_depends_on_the_seed_and_not_on_the_threads(taught):
-    _, training_views, noisy = taught
+def test_the_result_depends_on_the_seed_but_not_on_threads(scenes):
+    _, views, noisy = scenes
     found = []
     for seed, threads in ((0, 1), (0, 3), (1, 1)):
-        trainer = Trainer(noisy, training_views, TrainConfig(seed=seed, threads=threads))
+        trainer = Trainer(noisy, views, TrainConfig(seed=seed, threads=threads))
         trainer.run(5, 1.0, 1.0)
         found.append(trainer.splats)
     for name in Gradients.names():
@@ -68,15 +68,15 @@ def test_the_result_depends_on_the_seed_and_not_on_the_threads(taught):
         assert not np.array_equal(one, other), name
 
 
-def test_a_restored_trainer_goes_on_as_it_would_have(taught):
-    _, training_views, noisy = taught
+def test_a_restored_trainer_gives_the_same_result(scenes):
+    _, views, noisy = scenes
     config = TrainConfig(seed=3, worst_views=1.0)
-    whole = Trainer(noisy, training_views, config)
+    whole = Trainer(noisy, views, config)
     whole.run(6, 1.0, 1.0)
     whole.keep(np.arange(0, 60, 2))
     state = {name: np.array(values) for name, values in whole.state().items()}
     whole.run(4, 0.5, 0.5)
-    resumed = Trainer(noisy, training_views, config)
+    resumed = Trainer(noisy, views, config)
     resumed.restore(state)
     resumed.run(4, 0.5, 0.5)
     assert len(resumed.splats) == 30
@@ -84,20 +84,20 @@ def test_a_restored_trainer_goes_on_as_it_would_have(taught):
         np.testing.assert_array_equal(getattr(resumed.splats, name), getattr(whole.splats, name))
 
 
-def test_what_is_drawn_in_place_of_the_values_decides_how_they_move(taught):
-    source, training_views, noisy = taught
-    # Drawn as the source itself, nothing is wrong, whatever the values are.
-    trainer = Trainer(noisy, training_views, TrainConfig())
+def test_gradients_are_those_at_the_decoded_values(scenes):
+    source, views, noisy = scenes
+    # With the source as decoded scene, renders equal the ground truth.
+    trainer = Trainer(noisy, views, TrainConfig())
     assert trainer.run(1, 1.0, 1.0, decoded=source) > 90.0
-    straight = Trainer(noisy, training_views, TrainConfig())
+    straight = Trainer(noisy, views, TrainConfig())
     straight.run(30, 1.0, 0.3, decoded=replace(noisy, sh0=noisy.sh0 + np.float32(0.2)))
     shown = replace(straight.splats, sh0=straight.splats.sh0 + np.float32(0.2))
-    assert mean_db(shown, training_views) > mean_db(straight.splats, training_views)
+    assert mean_db(shown, views) > mean_db(straight.splats, views)
 
 
-def test_kernels_are_called_with_the_types_that_are_declared(taught):
-    _, training_views, noisy = taught
-    Trainer(noisy, training_views, TrainConfig(loss="photo")).run(1, 1.0, 1.0)
+def test_kernels_are_called_with_their_declared_types(scenes):
+    _, views, noisy = scenes
+    Trainer(noisy, views, TrainConfig(loss="photo")).run(1, 1.0, 1.0)
     modules = ("tile_kernels", "splat_kernels", "splat_adam", "image_losses")
     kernels = kernels_in(f"cogsplat.codec.fit.{name}" for name in modules)
     assert len(kernels) == 6
@@ -107,28 +107,28 @@ def test_kernels_are_called_with_the_types_that_are_declared(taught):
         assert called == [types], f"{kernel.name}: called with {called}, declared {types}"
 
 
-def test_steps_measure_what_pictures_would_lose_without_each_splat(taught):
-    _, _, noisy = taught
-    training_views = make_training_views(noisy, [oracle.camera()])
-    assert len(training_views) == 3
-    trainer = Trainer(noisy, training_views, TrainConfig(worst_views=0.0, rates={}))
+def test_steps_accumulate_deletion_errors(scenes):
+    _, _, noisy = scenes
+    views = make_training_views(noisy, [oracle.camera()])
+    assert len(views) == 3
+    trainer = Trainer(noisy, views, TrainConfig(worst_views=0.0, rates={}))
     trainer.run(1, 1.0, 1.0)
-    # One of the two copies has not been drawn.
+    # One of the two jittered copies was not rendered yet.
     assert trainer.deletion_errors() is None
     trainer.run(1, 1.0, 1.0)
-    # The camera itself was drawn in both steps.
-    expected = deletion_errors(noisy, training_views) + deletion_errors(noisy, training_views, [0])
+    # The given camera was rendered in both steps.
+    expected = deletion_errors(noisy, views) + deletion_errors(noisy, views, [0])
     np.testing.assert_allclose(trainer.deletion_errors(), expected, rtol=0.02, atol=1e-3)
-    resumed = Trainer(noisy, training_views, TrainConfig())
+    resumed = Trainer(noisy, views, TrainConfig())
     resumed.restore(trainer.state())
     np.testing.assert_array_equal(resumed.deletion_errors(), trainer.deletion_errors())
     trainer.keep(np.arange(30))
     assert trainer.deletion_errors() is None
 
 
-def test_arrays_without_a_rate_stay(taught):
-    _, training_views, noisy = taught
-    trainer = Trainer(noisy, training_views, TrainConfig(rates={"sh0": 0.01}))
+def test_arrays_without_a_learning_rate_do_not_change(scenes):
+    _, views, noisy = scenes
+    trainer = Trainer(noisy, views, TrainConfig(rates={"sh0": 0.01}))
     trainer.run(3, 1.0, 1.0)
     for name in Gradients.names():
         same = np.array_equal(getattr(trainer.splats, name), getattr(noisy, name))
@@ -145,46 +145,46 @@ def test_arrays_without_a_rate_stay(taught):
         ({"threads": -1}, "-1 threads"),
     ],
 )
-def test_settings_that_mean_nothing_are_refused(settings, said):
+def test_invalid_settings_are_refused(settings, said):
     with pytest.raises(ValueError, match=said):
         TrainConfig(**settings)
 
 
-def test_slopes_are_weighed_against_the_error_of_the_pictures(taught):
-    source, training_views, _ = taught
-    # The training_views are met: nothing but the slopes moves anything, and one way.
-    slopes = Gradients.zeros(source)
-    slopes.sh0[:, 0] = 1.0
-    trainer = Trainer(source, training_views, TrainConfig())
-    trainer.run(3, 1.0, 1.0, extra_gradients=slopes)
+def test_extra_gradients_are_added_to_those_of_pictures(scenes):
+    source, views, _ = scenes
+    # Renders of the source have no error: only the extra gradients move values.
+    extra = Gradients.zeros(source)
+    extra.sh0[:, 0] = 1.0
+    trainer = Trainer(source, views, TrainConfig())
+    trainer.run(3, 1.0, 1.0, extra_gradients=extra)
     assert (trainer.splats.sh0[:, 0] < source.sh0[:, 0]).all()
-    # Pictures that are wrong outweigh slopes that are small beside their error, and not others.
+    # Picture errors outweigh small extra gradients, and not large ones.
     off = replace(source, sh0=source.sh0 + np.float32(0.1))
     moved = []
     for factor in (0.0, -1e-7, -1.0):
-        trainer = Trainer(off, training_views, TrainConfig(worst_views=0.0))
-        trainer.run(20, 1.0, 1.0, extra_gradients=slopes.times(factor))
+        trainer = Trainer(off, views, TrainConfig(worst_views=0.0))
+        trainer.run(20, 1.0, 1.0, extra_gradients=extra.times(factor))
         moved.append(np.median(trainer.splats.sh0[:, 0] - off.sh0[:, 0]))
     assert moved[0] == pytest.approx(moved[1], abs=0.01)
     assert moved[0] < 0.0 < moved[2]
 
 
-def test_photos_outweigh_the_renders_of_the_source_that_teach_beside_them():
+def test_photos_outweigh_renders_of_the_source():
     source = oracle.scene(0, n=60)
     brighter = replace(source, sh0=source.sh0 + np.float32(0.6))
     camera = oracle.camera(0.0)
     photo, plain = (np.clip(render(each, camera), 0, 1) for each in (brighter, source))
-    training_views = make_training_views(source, [camera], photos=[photo])
-    assert (training_views.num_photos, len(training_views)) == (1, 3)
-    trainer = Trainer(source, training_views, TrainConfig(worst_views=0.0))
+    views = make_training_views(source, [camera], photos=[photo])
+    assert (views.num_photos, len(views)) == (1, 3)
+    trainer = Trainer(source, views, TrainConfig(worst_views=0.0))
     trainer.run(80, 1.0, 0.3)
     drawn = np.clip(render(trainer.splats, camera), 0, 1)
     assert psnr(photo, drawn) > psnr(plain, drawn) + 6.0
-    # Where only renders teach, the photo is one view of three.
-    alike = Trainer(source, replace(training_views, num_photos=0), TrainConfig(worst_views=0.0))
+    # Without photos in the set, the first view counts as one of three.
+    alike = Trainer(source, replace(views, num_photos=0), TrainConfig(worst_views=0.0))
     alike.run(80, 1.0, 0.3)
     assert psnr(photo, drawn) > psnr(photo, np.clip(render(alike.splats, camera), 0, 1))
-    # And what the copies show is not given up.
-    off = [psnr(training_views.pictures[view], render(trainer.splats, training_views.cameras[view]))
+    # Jittered copies still have an acceptable error.
+    off = [psnr(views.pictures[view], render(trainer.splats, views.cameras[view]))
            for view in (1, 2)]  # fmt: skip
     assert min(off) > 12.0

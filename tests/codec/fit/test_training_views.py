@@ -10,7 +10,7 @@ from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import SceneInfo
 
 
-def test_renders_teach_in_the_cameras_and_their_copies():
+def test_renders_are_the_ground_truth_of_cameras_and_copies():
     splats = oracle.scene(0, info=SceneInfo(antialiased=True, kernel_px=0.1))
     cameras = [oracle.camera(angle) for angle in (0.1, 0.6)]
     background = (0.2, 0.0, 1.0)
@@ -30,38 +30,40 @@ def test_renders_teach_in_the_cameras_and_their_copies():
     assert len(alone) == alone.num_given == alone.num_on_path == 2
 
 
-def test_a_view_between_two_cameras_is_halfway():
+def test_interpolated_cameras_are_halfway():
     splats = oracle.scene(4)
     one, other, middle = (oracle.camera(angle) for angle in (0.2, 1.0, 0.6))
     between = make_training_views(splats, [one, other]).cameras[2]
     np.testing.assert_allclose(between.rotation, middle.rotation, atol=1e-12)
     np.testing.assert_allclose(between.position, (one.position + other.position) / 2, atol=1e-12)
-    # Of three on a path, those at the ends have the one in the middle and each other.
+    # Of three cameras on a path, each pair is interpolated.
     three = make_training_views(splats, [one, middle, other])
     assert (three.num_given, three.num_on_path) == (3, 6)
     assert len({camera.name for camera in three.cameras}) == len(three)
 
 
-def test_views_that_are_kept_apart_do_not_teach():
+def test_held_out_views_are_not_trained_on():
     splats = oracle.scene(5)
     cameras = [oracle.camera(angle) for angle in np.linspace(0.0, 1.2, 8)]
-    apart = held_out_views(cameras)
-    assert 1 <= len(apart) < len(cameras)
-    whole, without = (make_training_views(splats, cameras, held_out=views) for views in ((), apart))
+    held_out = held_out_views(cameras)
+    assert 1 <= len(held_out) < len(cameras)
+    whole, without = (
+        make_training_views(splats, cameras, held_out=views) for views in ((), held_out)
+    )
     names = {camera.name for camera in without.cameras}
-    assert not names & {camera.name for camera in apart}
+    assert not names & {camera.name for camera in held_out}
     assert {camera.name for camera in whole.cameras[: whole.num_on_path]} == {
-        camera.name for camera in [*without.cameras[: without.num_on_path], *apart]
+        camera.name for camera in [*without.cameras[: without.num_on_path], *held_out]
     }
-    # Of copies of the views that are kept apart there are none either.
-    assert len(whole) - len(without) == 2 * len(apart)
-    # Halfway between cameras that look at each other may be anything.
+    # Held-out views have no jittered copies either.
+    assert len(whole) - len(without) == 2 * len(held_out)
+    # Cameras that face each other are not interpolated.
     assert held_out_views([oracle.camera(0.0), oracle.camera(np.pi)]) == []
     assert held_out_views([oracle.camera()]) == []
     assert len(held_out_views([oracle.camera(x) for x in np.linspace(0, 3, 200)])) <= MAX_VIEWS
 
 
-def test_covering_views_teach_once_and_without_copies():
+def test_covering_views_have_no_copies():
     splats = oracle.scene(6)
     cameras = [oracle.camera(angle) for angle in (0.1, 0.6)]
     below = [replace(oracle.camera(2.0), name="covering-000")]
@@ -80,7 +82,7 @@ def test_covering_views_teach_once_and_without_copies():
     assert training_views.configs[-1].kernel_px == training_views.configs[0].kernel_px / 4
 
 
-def test_photos_teach_in_the_cameras_and_renders_in_the_copies():
+def test_photos_are_the_ground_truth_of_cameras_only():
     splats, camera = oracle.scene(1), oracle.camera()
     photo = np.full((camera.height, camera.width, 3), 0.25, np.float32)
     training_views = make_training_views(splats, [camera], photos=[photo])
@@ -91,7 +93,7 @@ def test_photos_teach_in_the_cameras_and_renders_in_the_copies():
         make_training_views(splats, [camera, camera], photos=[photo])
 
 
-def test_large_pictures_become_smaller_and_show_the_same():
+def test_large_pictures_are_downscaled():
     splats = oracle.scene(2, n=30)
     camera = oracle.camera(width=80, height=60, focal=60.0)
     photo = render(splats, camera)

@@ -15,6 +15,6 @@ from cogsplat.codec.fit.tune_config import TuneConfig
         ({"profile": "near-lossless"}, "profile 'near-lossless'"),
     ],
 )
-def test_settings_that_mean_nothing_are_refused(settings, said):
+def test_invalid_settings_are_refused(settings, said):
     with pytest.raises(ValueError, match=said):
         TuneConfig(**settings)

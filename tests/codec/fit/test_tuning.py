@@ -1,4 +1,4 @@
-"""Tuning of a small scene: fewer splats in fewer bytes that show the same, whatever the threads."""
+"""Tuning of a small scene: targets, smaller files, checkpoints, time limits and threads."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def size_of(encoded):
 
 
 def size_of_all(encoded):
-    """Return the bytes of the payloads, codebooks with them."""
+    """Return the bytes of all payloads and codebooks."""
     return size_of(encoded) + sum(
         len(payload) for book in encoded.codebooks for payload in book.payloads
     )
@@ -45,37 +45,37 @@ def scene():
     return splats, cameras, make_training_views(splats, cameras)
 
 
-def tuned(scene, target, config=SHORT, size_of=size_of, **given):
-    splats, cameras, training_views = scene
-    return tune(splats, training_views, cameras, target, config, size_of=size_of, **given)
+def run_tune(scene, target, config=SHORT, size_of=size_of, **arguments):
+    splats, cameras, views = scene
+    return tune(splats, views, cameras, target, config, size_of=size_of, **arguments)
 
 
 @pytest.mark.slow
-def test_a_psnr_is_met_with_fewer_splats_in_fewer_bytes(scene):
+def test_a_target_psnr_is_met_in_fewer_bytes(scene):
     splats, cameras, _ = scene
-    told = []
-    made = tuned(scene, Target(psnr_db=31.0), notify=told.append)
+    milestones = []
+    made = run_tune(scene, Target(psnr_db=31.0), notify=milestones.append)
     assert np.mean(made.encoded.report.test_psnr_db) == pytest.approx(31.0, abs=0.5)
     request = EncodeRequest(cameras=cameras, preset="fast", target=Target(psnr_db=31.0))
     plain = encode(splats, request, size_of=size_of)
     assert size_of(made.encoded) < 0.9 * size_of(plain)
     assert made.encoded.splats < len(splats)
-    assert made.encoded.splats == told[-1].splats <= len(made.splats)
-    assert {milestone.stage for milestone in told} == {"trained", "stored"}
-    assert all(milestone.worst_db <= milestone.psnr_db for milestone in told)
+    assert made.encoded.splats == milestones[-1].splats <= len(made.splats)
+    assert {each.stage for each in milestones} == {"trained", "stored"}
+    assert all(milestone.worst_db <= milestone.psnr_db for milestone in milestones)
     assert made.encoded.chunks[-1].quality_db > 28.0
 
 
 @pytest.mark.parametrize("profile", ["transform", "vq"])
-def test_a_psnr_never_takes_more_bytes_than_the_scene_untuned(scene, profile):
+def test_a_target_psnr_never_takes_more_bytes_than_without_tuning(scene, profile):
     splats, cameras, _ = scene
-    # Such steps tear the scene apart, so that no quantiser is fine enough.
+    # This learning rate ruins the scene: no quantiser is fine enough for the target.
     train = TrainConfig(rates={"means": 20.0})
     config = TuneConfig(
         round_steps=1, recovery_steps=1, quantised_steps=10, profile=profile, train=train
     )
-    told = []
-    made = tuned(scene, Target(psnr_db=33.0), config, size_of_all, notify=told.append)
+    milestones = []
+    made = run_tune(scene, Target(psnr_db=33.0), config, size_of_all, notify=milestones.append)
     request = EncodeRequest(
         cameras=cameras,
         config=EncodeConfig(profile=profile),
@@ -85,40 +85,40 @@ def test_a_psnr_never_takes_more_bytes_than_the_scene_untuned(scene, profile):
     plain = encode(splats, request)
     assert size_of_all(made.encoded) == size_of_all(plain)
     assert made.splats is splats
-    stored, last = told[-2:]
+    stored, last = milestones[-2:]
     assert (stored.stage, last.stage) == ("stored", "untuned")
     assert last.size_bytes < stored.size_bytes
     assert last.psnr_db == pytest.approx(np.mean(plain.report.test_psnr_db))
 
 
-def test_a_psnr_that_only_training_reaches_has_no_untuned_scene(scene):
+def test_a_psnr_out_of_reach_has_no_untrained_encode(scene):
     splats, cameras, _ = scene
     target, config = Target(psnr_db=90.0), replace(SHORT, profile="vq")
-    storing = QuantisedTraining(
+    training = QuantisedTraining(
         splats, splats, cameras, (), target, config, (), size_of, None, silent
     )
-    assert storing.encode_untrained(splats) is None
+    assert training.encode_untrained(splats) is None
 
 
 @pytest.mark.slow
-def test_a_size_is_never_exceeded_and_nearly_used(scene):
-    made = tuned(scene, Target(size_bytes=6000))
+def test_a_target_size_is_nearly_used_and_never_exceeded(scene):
+    made = run_tune(scene, Target(size_bytes=6000))
     assert 0.95 * 6000 < size_of(made.encoded) <= 6000
 
 
 @pytest.mark.slow
-def test_the_result_is_the_same_for_any_threads_and_after_a_restart(scene):
+def test_the_result_does_not_depend_on_threads_or_on_resuming(scene):
     states = []
     target = Target(size_bytes=5000)
 
     def keep(state):
         states.append({name: np.array(values) for name, values in state.items()})
 
-    whole = tuned(scene, target, checkpoint=keep)
+    whole = run_tune(scene, target, checkpoint=keep)
     config = replace(SHORT, train=TrainConfig(threads=3))
-    # From before the first round that follows, and from the middle of storing.
+    # Checkpoints before a pruning round, and in the middle of quantised training.
     for state in (states[0], states[-1]):
-        again = tuned(scene, target, config, resume=state)
+        again = run_tune(scene, target, config, resume=state)
         assert [chunk.payloads.head for chunk in again.encoded.chunks] == [
             chunk.payloads.head for chunk in whole.encoded.chunks
         ]
@@ -130,14 +130,14 @@ def test_the_result_is_the_same_for_any_threads_and_after_a_restart(scene):
 @pytest.mark.slow
 def test_codebooks_train_with_the_splats(scene):
     splats, cameras, _ = scene
-    # Little training before the quantisers, so that it is what follows that tells.
+    # Little training before the quantisers: the gain comes from quantised training.
     config = replace(SHORT, profile="vq", keep=0.7, recovery_steps=30, quantised_steps=100)
     states = []
 
     def keep(state):
         states.append({name: np.array(values) for name, values in state.items()})
 
-    made = tuned(scene, Target(size_bytes=9000), config, size_of_all, checkpoint=keep)
+    made = run_tune(scene, Target(size_bytes=9000), config, size_of_all, checkpoint=keep)
     assert [book.attribute for book in made.encoded.codebooks] == ["shape", "colour"]
     untrained = encode(
         made.splats,
@@ -154,8 +154,8 @@ def test_codebooks_train_with_the_splats(scene):
         for one in (made.encoded, untrained)
     )
     assert trained_db > untrained_db + 1.0
-    # The codebooks are part of what a restart goes on from.
-    again = tuned(scene, Target(size_bytes=9000), config, size_of_all, resume=states[-1])
+    # Checkpoints include the codebooks.
+    again = run_tune(scene, Target(size_bytes=9000), config, size_of_all, resume=states[-1])
     assert again.encoded.codebooks == made.encoded.codebooks
     assert [chunk.payloads.head for chunk in again.encoded.chunks] == [
         chunk.payloads.head for chunk in made.encoded.chunks
@@ -163,7 +163,7 @@ def test_codebooks_train_with_the_splats(scene):
 
 
 @pytest.mark.slow
-def test_a_run_that_goes_on_makes_the_steps_that_were_planned_whatever_the_time(scene):
+def test_a_resumed_run_makes_the_planned_steps_whatever_their_duration(scene):
     states = []
     target = Target(size_bytes=5000)
 
@@ -171,21 +171,21 @@ def test_a_run_that_goes_on_makes_the_steps_that_were_planned_whatever_the_time(
         states.append({name: np.array(values) for name, values in state.items()})
 
     config = replace(SHORT, seconds=3.0)
-    tuned(scene, target, config, checkpoint=keep)
-    # From before the long training that follows the rounds, and from the middle of storing.
+    run_tune(scene, target, config, checkpoint=keep)
+    # Checkpoints before the recovery, and in the middle of quantised training.
     for state in (states[0], states[-1]):
-        first, second = (tuned(scene, target, config, resume=state) for _ in range(2))
+        first, second = (run_tune(scene, target, config, resume=state) for _ in range(2))
         assert [chunk.payloads.head for chunk in first.encoded.chunks] == [
             chunk.payloads.head for chunk in second.encoded.chunks
         ]
 
 
 @pytest.mark.slow
-def test_splats_come_back_where_too_many_were_left_out(scene):
-    told = []
+def test_an_earlier_round_is_restored_if_too_many_splats_were_pruned(scene):
+    milestones = []
     config = replace(SHORT, round_keep=0.25)
-    made = tuned(scene, Target(psnr_db=35.0), config, notify=told.append)
-    counts = [milestone.splats for milestone in told if milestone.stage == "trained"]
+    made = run_tune(scene, Target(psnr_db=35.0), config, notify=milestones.append)
+    counts = [milestone.splats for milestone in milestones if milestone.stage == "trained"]
     fewest = counts.index(min(counts))
     assert counts[0] == 175
     assert counts[-1] > counts[fewest]
@@ -193,17 +193,17 @@ def test_splats_come_back_where_too_many_were_left_out(scene):
 
 
 @pytest.mark.slow
-def test_the_share_that_is_kept_can_be_given(scene):
+def test_a_given_share_of_splats_is_kept(scene):
     config = replace(SHORT, keep=0.5, preset="balanced")
-    made = tuned(scene, Target(psnr_db=30.0), config)
+    made = run_tune(scene, Target(psnr_db=30.0), config)
     assert len(made.splats) == 350
     assert np.mean(made.encoded.report.test_psnr_db) == pytest.approx(30.0, abs=0.5)
 
 
-def test_time_that_is_short_makes_steps_fewer(scene):
+def test_a_short_time_limit_reduces_steps(scene):
     config = replace(SHORT, seconds=0.01)
     done = []
-    tuned(scene, Target(size_bytes=6000), config, progress=lambda *step: done.append(step))
+    run_tune(scene, Target(size_bytes=6000), config, progress=lambda *step: done.append(step))
     totals = [total for stage, step, total in done if stage == "train" and step == 0]
     assert totals[0] == SHORT.round_steps
     assert totals[-1] == 0.05 * SHORT.recovery_steps
@@ -213,5 +213,5 @@ def test_time_that_is_short_makes_steps_fewer(scene):
 def test_a_size_out_of_reach_is_refused(scene):
     config = replace(SHORT, keep=0.9, round_steps=1, recovery_steps=1, quantised_steps=10)
     with pytest.raises(DataError, match="expected a larger target") as caught:
-        tuned(scene, Target(size_bytes=300), config)
+        run_tune(scene, Target(size_bytes=300), config)
     assert caught.value.code == "target-out-of-reach"
