@@ -1,4 +1,4 @@
-"""Training through the quantisers: encode, decode, measure the target and train, in turns."""
+"""Quantised training: encode, decode, steer towards a target and train, in cycles."""
 
 from __future__ import annotations
 
@@ -37,39 +37,38 @@ _LEARNING_RATE_FACTORS: Final = (0.4, 0.04)
 # Share of the steps in which the nominal quality follows the target. Afterwards the quantiser steps
 # are fixed, so that values converge to the quantisation grid.
 _RATE_CONTROL_SHARE: Final = 0.6
-# First guess of the nominal quality: the PSNR aimed at plus this offset, dB.
+# First guess of the nominal quality for a target PSNR, relative to it, dB.
 _QUALITY_OFFSET_DB: Final = -0.5
 # Share of the target size that the search aims at; the size still changes while values converge.
 _SIZE_MARGIN: Final = 0.997
-# Tolerances: sizes within this share of the target, and PSNRs within this distance, dB, meet it.
+# Tolerances of the target: share of a size, and PSNR difference, dB.
 _SIZE_TOLERANCE: Final = 0.006
 _PSNR_TOLERANCE_DB: Final = 0.05
-# Maximum number of final corrections of the nominal quality, and the encodes with training, at the
-# last learning rate, that follow each.
+# Maximum number of corrections of the nominal quality at the end, and the number of cycles of
+# encoding and training after each, at the last learning rate.
 _MAX_CORRECTIONS: Final = 6
-_ENCODES_PER_CORRECTION: Final = 3
+_CYCLES_PER_CORRECTION: Final = 3
 # Maximum step of the nominal quality during training, dB.
 _MAX_QUALITY_STEP_DB: Final = 4.0
-# Shares of a size error that one step corrects, during training and at the end. Values that have
-# converged to one grid take more bytes on any other, so that bytes change twice as fast as the
-# `LOG2_BYTES_PER_DB` says, and full steps oscillate.
-_GAIN, _FINAL_GAIN = 0.4, 0.6
-# Maximum number of views that the scene is scored in.
+# Damping of size corrections, during training and at the end. Values that have converged to one
+# grid take more bytes on any other. Bytes then change twice as fast as by `LOG2_BYTES_PER_DB`, and
+# undamped corrections oscillate.
+_DAMPING, _FINAL_DAMPING = 0.4, 0.6
+# Maximum number of views for scoring.
 _MAX_SCORED_VIEWS: Final = 64
 
 
 class QuantisedTraining:
     """Training of a scene through the quantisers that store it, towards a target.
 
-    The scene is scored and ordered once, when this is made. Each encode after that keeps the order
-    and takes the current values.
+    The constructor scores and orders the scene once. All later encodes keep this order.
 
     Parameters
     ----------
     source : Splats
         Ground truth: quality is measured against its renders.
     base : Splats
-        Scene that scores and order are computed from.
+        Scene at the start of quantised training, which is scored and ordered.
     cameras : sequence of Camera
         Views that the scene is scored in.
     covering : sequence of Camera
@@ -77,6 +76,7 @@ class QuantisedTraining:
     target : Target
         PSNR, or size of the file.
     config : TuneConfig
+        Preset, profile, loss weights and threads.
     test_views : sequence of Camera
         Views that PSNR is measured in; a subset of `cameras` where none are given.
     size_of : callable
@@ -153,7 +153,7 @@ class QuantisedTraining:
         return arrays
 
     def restore_codebooks(self, state: Mapping[str, NDArray[np.generic]]) -> None:
-        """Restore the codebooks of the last encode from a checkpoint; ignore its other arrays."""
+        """Restore the codebooks of the last encode from the arrays of a checkpoint."""
         parts: dict[tuple[str, ...], list[bytes]] = {}
         for name in sorted(name for name in state if name.startswith("codebook.")):
             _, *of, _ = name.split(".")
@@ -165,20 +165,18 @@ class QuantisedTraining:
 
     @staticmethod
     def learning_rate_factor(done: float) -> float:
-        """Return the factor on the learning rates once a share `done` of the steps is made."""
-        return float(
-            _LEARNING_RATE_FACTORS[0]
-            * (_LEARNING_RATE_FACTORS[1] / _LEARNING_RATE_FACTORS[0]) ** done
-        )
+        """Return the learning-rate factor after a share `done`, 0 to 1, of the training steps."""
+        first, last = _LEARNING_RATE_FACTORS
+        return float(first * (last / first) ** done)
 
     def initial_quality(self, splats: Splats) -> float:
-        """Return the nominal quality, dB, that the first encode of a scene uses."""
+        """Return the nominal quality of the first encode, dB, estimated for the target."""
         if self._target.psnr_db is not None:
             return _clamp_quality(self._target.psnr_db + _QUALITY_OFFSET_DB)
         quality = 36.0
         for _ in range(4):
             encoded = self._encode(splats, quality).encoded
-            moved = _clamp_quality(quality + self._quality_error_db(encoded))
+            moved = _clamp_quality(quality + self._quality_change_db(encoded))
             if abs(moved - quality) < 0.1:
                 break
             quality = moved
@@ -214,14 +212,16 @@ class QuantisedTraining:
     def encode_towards_target(
         self, splats: Splats, quality_db: float, done: float, measure: bool
     ) -> tuple[float, RoundTrip]:
-        """Encode the scene; correct the nominal quality towards the target in the early steps.
+        """Encode the scene, and again if its size or PSNR asks for another nominal quality.
+
+        The nominal quality changes in the first 60 % of the steps alone.
 
         Parameters
         ----------
         splats : Splats
             Scene in training.
         quality_db : float
-            Nominal quality of the encode before, dB.
+            Nominal quality of the last encode, dB.
         done : float
             Share of the quantised training steps already made, 0 to 1.
         measure : bool
@@ -238,7 +238,7 @@ class QuantisedTraining:
         if measure:
             self.last_measurement = self.measure(made.encoded)
         if done < _RATE_CONTROL_SHARE:
-            change_db = self._quality_step_db(made.encoded, _GAIN)
+            change_db = self._damped_quality_change_db(made.encoded, _DAMPING)
             quality_db = _clamp_quality(
                 quality_db + min(max(change_db, -_MAX_QUALITY_STEP_DB), _MAX_QUALITY_STEP_DB)
             )
@@ -254,7 +254,7 @@ class QuantisedTraining:
         steps: int,
         rates: tuple[float, float],
     ) -> None:
-        """Train on the decoded values of a scene; the loss includes rate and prefix terms.
+        """Train a scene on its decoded values; the loss includes rate and prefix terms.
 
         Parameters
         ----------
@@ -292,7 +292,7 @@ class QuantisedTraining:
             self._finisher.file_bytes(encoded),
         )
 
-    def reach_target(self, trainer: Trainer, quality_db: float, refresh: int) -> EncodedScene:
+    def reach_target(self, trainer: Trainer, quality_db: float, interval: int) -> EncodedScene:
         """Alternate corrections of the nominal quality with training; return the best encode.
 
         Parameters
@@ -301,14 +301,14 @@ class QuantisedTraining:
             Holds the scene in training, which is trained further.
         quality_db : float
             Nominal quality to start from, dB.
-        refresh : int
-            Training steps per encode.
+        interval : int
+            Training steps between two encodes.
 
         Returns
         -------
         EncodedScene
-            Scene that meets the target. After six corrections, the nearest one: its size is at most
-            the target, but a target PSNR may be change_db.
+            Encode that meets the target. If none does after six corrections: the nearest one, which
+            never exceeds a target size, but may miss a target PSNR.
 
         Raises
         ------
@@ -318,19 +318,19 @@ class QuantisedTraining:
         best: EncodedScene | None = None
         for trial in range(_MAX_CORRECTIONS + 1):
             encoded = self._encode(trainer.splats, quality_db).encoded
-            change_db = self._quality_error_db(encoded)
+            change_db = self._quality_change_db(encoded)
             fits = self._fits(encoded)
             if fits and (best is None or self._is_better(encoded, best)):
                 best = encoded
             if trial == _MAX_CORRECTIONS or (not change_db and fits):
                 break
             quality_db = _clamp_quality(
-                quality_db + (self._quality_step_db(encoded, _FINAL_GAIN) or -0.05)
+                quality_db + (self._damped_quality_change_db(encoded, _FINAL_DAMPING) or -0.05)
             )
-            for _ in range(_ENCODES_PER_CORRECTION):
+            for _ in range(_CYCLES_PER_CORRECTION):
                 made = self._encode(trainer.splats, quality_db)
                 last = _LEARNING_RATE_FACTORS[1]
-                self.train(trainer, made, quality_db, refresh, (last, last))
+                self.train(trainer, made, quality_db, interval, (last, last))
         if best is None:
             size = self._finisher.file_bytes(encoded)
             raise DataError(
@@ -365,12 +365,12 @@ class QuantisedTraining:
         return made
 
     def _fits(self, encoded: EncodedScene) -> bool:
-        """Tell whether the file is at most as large as the target size, if there is one."""
+        """Return whether the file is at most as large as the target size; True for a PSNR."""
         size = self._target.size_bytes
         return size is None or self._finisher.file_bytes(encoded) <= size
 
-    def _quality_error_db(self, encoded: EncodedScene) -> float:
-        """Return the estimated change of nominal quality that meets the target, dB; 0 if met."""
+    def _quality_change_db(self, encoded: EncodedScene) -> float:
+        """Estimate the change of nominal quality that meets the target, dB; 0 if it is met."""
         size = self._target.size_bytes
         if size is not None:
             found = self._finisher.file_bytes(encoded) / size
@@ -383,13 +383,13 @@ class QuantisedTraining:
         )
         return 0.0 if abs(change_db) <= _PSNR_TOLERANCE_DB else change_db / PSNR_PER_DB
 
-    def _quality_step_db(self, encoded: EncodedScene, gain: float) -> float:
-        """Return the next change of nominal quality, dB; `gain` scales size corrections."""
-        change_db = self._quality_error_db(encoded)
-        return change_db if self._target.size_bytes is None else gain * change_db
+    def _damped_quality_change_db(self, encoded: EncodedScene, damping: float) -> float:
+        """Return the next change of nominal quality, dB; `damping` scales size corrections."""
+        change_db = self._quality_change_db(encoded)
+        return change_db if self._target.size_bytes is None else damping * change_db
 
     def _is_better(self, encoded: EncodedScene, best: EncodedScene) -> bool:
-        """Tell whether one of two scenes that fit is nearer to the target; by PSNR for a size."""
+        """Return whether a scene beats another: nearer to the target PSNR, or of higher PSNR."""
         quality, other = (self._finisher.evaluator.psnr_db(x.decoded) for x in (encoded, best))
         if self._target.psnr_db is None:
             return quality > other

@@ -195,7 +195,7 @@ class Trainer:
         return _writable_copy(self.splats)
 
     def keep(self, rows: NDArray[np.int64], changed: Splats | None = None) -> None:
-        """Keep some splats, with their optimiser state, and delete the others.
+        """Delete all splats except for some rows, which keep their optimiser state.
 
         Parameters
         ----------
