@@ -33,7 +33,7 @@ from .codec.progress import OverallProgress, Progress, TimedProgress, silent
 from .codec.splats import SceneInfo, Splats
 from .formats.cogs.between_levels import decode_between
 from .formats.cogs.folder_writer import Unpacked
-from .formats.cogs.open_file import open_place, with_place
+from .formats.cogs.open_file import open_scene, with_open_scene
 from .formats.cogs.packing import pack, unpack
 from .formats.cogs.reader import CogsFile
 from .formats.network.network_options import NetworkOptions
@@ -154,7 +154,7 @@ def open(
     True
     """
     _show_in_notebooks()
-    return open_place(path, partial=partial, size_bytes=size_bytes, limits=limits, network=network)
+    return open_scene(path, partial=partial, size_bytes=size_bytes, limits=limits, network=network)
 
 
 def _show_in_notebooks() -> None:
@@ -275,7 +275,7 @@ def decode(
 
     # Of a file on a network all is asked for before its root says where what is.
     parts = (chunks, splats, size_bytes, objects, sh_degree, level)
-    return with_place(
+    return with_open_scene(
         whole,
         path,
         size_bytes=size_bytes,
@@ -351,7 +351,7 @@ def encode(
     from .codec.encode import pipeline
     from .codec.encode.request import EncodeRequest
     from .codec.encode.stage_costs import stage_costs
-    from .formats.cogs.cameras import check_cameras
+    from .formats.cogs.camera_segment import check_cameras
     from .formats.cogs.metadata import FileMetadata
     from .formats.scenes.memory_cap import working_memory
     from .formats.scenes.registry import is_cogs, read_scene

@@ -23,7 +23,14 @@ from cogsplat.codec.streams import (
     sorted_means,
 )
 from cogsplat.codec.streams.kinds import KINDS
-from cogsplat.formats.cogs import cameras, canonical_msgpack, decoded_rows, layout, reader, root
+from cogsplat.formats.cogs import (
+    camera_segment,
+    canonical_msgpack,
+    decoded_rows,
+    layout,
+    reader,
+    root,
+)
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.tools.lab import make_vectors
 from cogsplat.tools.lab.conformance import tolerance, valid
@@ -224,11 +231,11 @@ def test_keys_are_those_the_code_writes():
         ]
 
     blank = root.no_segments()
-    assert keys("5.3 ") == list(root.segments_value(blank))
+    assert keys("5.3 ") == list(root.segment_columns(blank))
     source = (ROOT / "formats" / "cogs" / "root.py").read_text(encoding="utf-8")
     for clause in ("4.2 ", "4.4 ", "5.4 ", "5.5 ", "5.6 ", "5.7 ", "5.11 "):
         assert [key for key in keys(clause) if f'"{key}"' not in source] == []
-    source = (ROOT / "formats" / "cogs" / "cameras.py").read_text(encoding="utf-8")
+    source = (ROOT / "formats" / "cogs" / "camera_segment.py").read_text(encoding="utf-8")
     assert [key for key in keys("5.8 ") if f'"{key}"' not in source] == []
     source = (ROOT / "formats" / "cogs" / "compensation.py").read_text(encoding="utf-8")
     assert [key for key in keys("5.9 ") if f'"{key}"' not in source] == []
@@ -301,7 +308,7 @@ def test_decoded_bytes_are_counted_as_stated():
         canonical_msgpack.VALUE_BYTES,
     ):
         assert re.search(rf"(?<![\d,]){number}(?![\d,])", text), number
-    assert f"{cameras._CAMERA_BYTES:,} bytes each" in text
+    assert f"{camera_segment._CAMERA_BYTES:,} bytes each" in text
 
 
 def test_version_is_the_code_s():

@@ -8,8 +8,8 @@ from pathlib import Path
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import FormatError
 from cogsplat.formats.cogs.folder_map import MANIFEST_NAME
+from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.cogs.reader import open_cogs
-from cogsplat.formats.cogs.sources import cogs_source
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.magic import COGS_MAGIC, MANIFEST_MAGIC
@@ -87,7 +87,7 @@ def read_cameras(path: StrPath, *, limits: Limits | None = None) -> list[Camera]
 
 def _stored_cameras(path: StrPath, limits: Limits) -> list[Camera]:
     """Return the cameras stored in a COGS file or folder."""
-    source = cogs_source(path)
+    source = open_source(path)
     try:
         with open_cogs(source, limits=limits) as file:
             cameras = file.cameras()

@@ -74,7 +74,7 @@ def decode_between(
     )
     counts = file.chunks.splats[chunks]
     inside = [np.repeat([chunk in own for chunk in chunks], counts) for own in drawn]
-    logits = blended_logits(
+    logits = interpolate_logits(
         np.where(inside[0], lower.opacities, -np.inf).astype(np.float32),
         np.where(inside[1], upper.opacities, -np.inf).astype(np.float32),
         level - below,
@@ -86,7 +86,7 @@ def _expected(levels: int) -> str:
     return f"expected 0 to {levels - 1}" if levels else "expected none: the file has no levels"
 
 
-def blended_logits(lower: F32, upper: F32, part: float) -> F32:
+def interpolate_logits(lower: F32, upper: F32, part: float) -> F32:
     """Return the logits of opacities on the line between those of two levels.
 
     Parameters
@@ -103,7 +103,7 @@ def blended_logits(lower: F32, upper: F32, part: float) -> F32:
     Examples
     --------
     >>> import numpy as np
-    >>> half = blended_logits(np.float32([0, 0]), np.float32([0, -np.inf]), 0.5)
+    >>> half = interpolate_logits(np.float32([0, 0]), np.float32([0, -np.inf]), 0.5)
     >>> (1 / (1 + np.exp(-half))).tolist()
     [0.5, 0.25]
     """

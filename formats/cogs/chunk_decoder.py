@@ -33,12 +33,10 @@ from cogsplat.formats.storage.source import (
     stored_bytes,
 )
 
-from . import cameras as cogs_cameras
-from . import compensation as cogs_compensation
-from . import view_table as cogs_view_table
+from . import camera_segment, compensation_segment, view_table_segment
 from .decoded_rows import SCRATCH_ROW_BYTES, allocate, row_bytes, scratch_bytes
 from .drawn_chunks import drawn_chunks
-from .fetch_order import opacities_rows, ranges_to_decode
+from .fetch_order import opacity_rows, ranges_to_decode
 from .index import Index
 from .lazy_index import LazyIndex
 from .stored_file import StoredFile
@@ -99,7 +97,7 @@ class ChunkDecoder(StoredFile):
         if not self.is_present(row):
             raise self._not_there("the segment of cameras")
         payload = bytes(self.read_segment(row))
-        return cogs_cameras.unpack_cameras(payload, f"{self.name}: cameras", self._allowed)
+        return camera_segment.unpack_cameras(payload, f"{self.name}: cameras", self._allowed)
 
     def view_table(self) -> ViewTable | None:
         """Return what each chunk adds to the pictures of some viewpoints; None where it is absent.
@@ -119,7 +117,7 @@ class ChunkDecoder(StoredFile):
         if not self.is_present(row):
             raise self._not_there("the view table")
         payload = bytes(self.read_segment(row))
-        return cogs_view_table.unpack_view_table(
+        return view_table_segment.unpack_view_table(
             payload, f"{self.name}: view table", self._pages.all_chunks, self._allowed
         )
 
@@ -143,7 +141,7 @@ class ChunkDecoder(StoredFile):
             before = layers[-1].chunks if layers else 0
             where = f"{self.name}: compensation, layer {number}"
             payload = bytes(self.read_segment(row))
-            layer = cogs_compensation.unpack_layer(
+            layer = compensation_segment.unpack_layer(
                 payload, where, before, splats, self._pages.all_chunks, allowed
             )
             if layer is None:
@@ -454,7 +452,7 @@ class ChunkDecoder(StoredFile):
         payload = self.read_segment(head)
         row = int(self._index.refinements[chunk])
         finer = self.read_segment(row) if refine and row >= 0 and self.is_present(row) else None
-        later = opacities_rows(self._index, chunk, level)
+        later = opacity_rows(self._index, chunk, level)
         if level is None:
             later = [row for row in later if self.is_present(row)]
         logits = self.read_segment(later[-1]) if later else None

@@ -24,7 +24,7 @@ def needed_codebooks(table: SegmentTable, row: int, books: int) -> list[int]:
     return [book for book in range(books) if needs >> book & 1]
 
 
-def opacities_rows(index: Index, chunk: int, level: int | None) -> list[int]:
+def opacity_rows(index: Index, chunk: int, level: int | None) -> list[int]:
     """Return the segments that a chunk has of opacities up to a level, the last one's at the end.
 
     Without a level those of all levels (SPEC 5.11).
@@ -51,7 +51,7 @@ def rows_of_chunk(
     rows = [int(index.heads[chunk])]
     if refine:
         rows.append(int(index.refinements[chunk]))
-    rows += opacities_rows(index, chunk, level)[-1:]
+    rows += opacity_rows(index, chunk, level)[-1:]
     if sh_degree:
         rows.append(int(index.tails[chunk]))
     if extras:

@@ -30,7 +30,7 @@ MANIFEST_SUFFIX: Final = ".cogsm"
 
 
 @dataclass(frozen=True)
-class Piece:
+class ObjectRange:
     """A run of bytes of a file, within one object of its folder.
 
     Parameters
@@ -301,7 +301,7 @@ class FolderMap:
             for key, size in zip(found.objects, found.sizes, strict=True)
         }
 
-    def pieces(self, offset: int, length: int) -> list[Piece]:
+    def object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
         """Return where the bytes of a range of the file lie, in order.
 
         The first 64 bytes of the file are `preamble`, not what the manifest begins with.
@@ -313,7 +313,7 @@ class FolderMap:
 
         Returns
         -------
-        list of Piece
+        list of ObjectRange
             Their lengths sum to `length`.
 
         Raises
@@ -321,7 +321,7 @@ class FolderMap:
         FormatError
             ``segments-length``: the segments end before the file does.
         """
-        found: list[Piece] = []
+        found: list[ObjectRange] = []
         end = offset + length
         if end > self._places[-1].end:
             raise FormatError(
@@ -334,10 +334,10 @@ class FolderMap:
             first, last = max(offset, place.start), min(end, place.segments)
             if first < last:
                 at = first - place.start + (self._page_offsets[number - 1] if number else 0)
-                found.append(Piece("", at, last - first, self.manifest_bytes))
+                found.append(ObjectRange("", at, last - first, self.manifest_bytes))
             first, last = max(offset, place.segments), min(end, place.end)
             if first < last:
-                found += self._tables[number].pieces(first, last)
+                found += self._tables[number].object_ranges(first, last)
         return found
 
     def _short(self, size: int, expected: int) -> TruncatedError:
@@ -368,7 +368,7 @@ class _Segments:
         self._lengths: NDArray[np.int64] = table.length.astype(np.int64)
         self._ends: NDArray[np.int64] = start + np.cumsum(self._lengths)
 
-    def pieces(self, first: int, last: int) -> list[Piece]:
+    def object_ranges(self, first: int, last: int) -> list[ObjectRange]:
         """Return the parts of segments between two bytes of the file."""
         found = []
         row = int(np.searchsorted(self._ends, first, side="right"))
@@ -377,6 +377,6 @@ class _Segments:
             stop = min(int(self._ends[row]), last)
             offset = int(self.places.offsets[row]) + first - start
             name = object_name(self.places.objects[row].tobytes())
-            found.append(Piece(name, offset, stop - first, int(self.places.sizes[row])))
+            found.append(ObjectRange(name, offset, stop - first, int(self.places.sizes[row])))
             first, row = stop, row + 1
         return found

@@ -14,7 +14,7 @@ from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_erro
 from cogsplat.formats.storage.source import FileSource, require_within
 
 from . import layout
-from .folder_map import MANIFEST_NAME, FolderMap, Piece, is_manifest
+from .folder_map import MANIFEST_NAME, FolderMap, ObjectRange, is_manifest
 from .folder_places import SEGMENT_FOLDER
 from .object_source import ObjectSource
 
@@ -104,13 +104,14 @@ class FolderSource(ObjectSource):
             ``permission`` or ``io``.
         """
         require_within(self, offset, length)
-        parts = [self._bytes_of(piece) for piece in self._pieces(offset, length)]
+        parts = [self._bytes_of(piece) for piece in self._object_ranges(offset, length)]
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def holds(self, offset: int, length: int) -> bool:
         """Whether the objects of a range were there when this was first asked."""
         return all(
-            not piece.name or piece.name in self._objects for piece in self._pieces(offset, length)
+            not piece.name or piece.name in self._objects
+            for piece in self._object_ranges(offset, length)
         )
 
     def close(self) -> None:
@@ -131,13 +132,13 @@ class FolderSource(ObjectSource):
                 for entry in entries
             }
 
-    def _pieces(self, offset: int, length: int) -> list[Piece]:
+    def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
         with self._lock:
             for page in self._map.pages_for(offset, length):
                 self._map.add_page(page.page, self._manifest.read(page.offset, page.length))
-            return self._map.pieces(offset, length)
+            return self._map.object_ranges(offset, length)
 
-    def _bytes_of(self, piece: Piece) -> bytes:
+    def _bytes_of(self, piece: ObjectRange) -> bytes:
         if piece.name:
             return self._object_bytes(piece)
         data = self._manifest.read(piece.offset, piece.length)
@@ -147,7 +148,7 @@ class FolderSource(ObjectSource):
             data = own + data[len(own) :]
         return data
 
-    def _object_bytes(self, piece: Piece) -> bytes:
+    def _object_bytes(self, piece: ObjectRange) -> bytes:
         path = self._folder / piece.name
         if path.parent.is_symlink():
             raise self._refused(piece, "is behind a link")
@@ -173,7 +174,7 @@ class FolderSource(ObjectSource):
             raise self._refused(piece, "became shorter while it was read")
         return data
 
-    def _refused(self, piece: Piece, what: str) -> FormatError:
+    def _refused(self, piece: ObjectRange, what: str) -> FormatError:
         return FormatError(
             "segment-object",
             f"{self.name}: {piece.name} {what}, expected a file of {piece.object_bytes} bytes",

@@ -12,7 +12,7 @@ from cogsplat.codec.errors import FormatError, StorageError, TruncatedError
 from cogsplat.formats.network.backoff import TransientError
 from cogsplat.formats.network.range_responses import RangeResponse, ResponseHead, SiblingTransport
 
-from .folder_map import FolderMap, Piece
+from .folder_map import FolderMap, ObjectRange
 
 # Objects, of at most 2^32 bytes, lie so far apart that no request joins ranges of two.
 _SPACE_BITS: Final = 33
@@ -61,7 +61,7 @@ class FolderTransport:
         self._turns: dict[int, asyncio.Lock] = {}
         self.requests = self.received_bytes = 0
 
-    def number_of(self, piece: Piece) -> int:
+    def number_of(self, piece: ObjectRange) -> int:
         """Return the number of an object; the same for the same name."""
         with self._guard:
             number = self._numbers.setdefault(piece.name, len(self._numbers))

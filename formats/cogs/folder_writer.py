@@ -17,7 +17,7 @@ from cogsplat.formats.storage.magic import MANIFEST_MAGIC
 from . import layout
 from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX, places, with_magic
 from .folder_places import SEGMENT_FOLDER, Places, key_of, object_name, pack_places
-from .joined_segments import Place, StoredSegments, is_stored, joined
+from .object_groups import SegmentPlace, StoredSegments, group_segments, has_object
 from .reader import CogsFile
 from .root import HASH_BYTES
 from .verification import read_verified
@@ -50,13 +50,13 @@ class Unpacked:
     shared: int
 
 
-def manifest_of(file: CogsFile, found: Sequence[Place]) -> bytes:
+def build_manifest(file: CogsFile, found: Sequence[SegmentPlace]) -> bytes:
     """Return the manifest of a file: preamble, root and pages, and where the segments lie.
 
     Parameters
     ----------
     file : CogsFile
-    found : sequence of Place
+    found : sequence of SegmentPlace
         Of each segment, in the order of the file.
 
     Raises
@@ -136,18 +136,18 @@ def unpack_cogs(
     check_output(folder / name, force=force)
     # What is missing of a part lies in an object of its own, wherever that is.
     found = [
-        Place(key.tobytes(), int(length), 0)
+        SegmentPlace(key.tobytes(), int(length), 0)
         for key, length in zip(file.segments.hash, file.segments.length, strict=True)
     ]
     # Refused before anything is written where pages are not there.
-    manifest_of(file, found)
+    build_manifest(file, found)
     stored = StoredSegments(folder)
     present = [row for row in range(len(found)) if file.is_present(row)]
     there = set(present)
     written: dict[bytes, int] = {}
     used: set[bytes] = set()
     done = 0
-    for rows in joined(file.segments):
+    for rows in group_segments(file.segments):
         group = [row for row in rows if row in there]
         new = []
         for row in group:
@@ -161,9 +161,9 @@ def unpack_cogs(
             data = b"".join(bytes(read_verified(file, row)) for row in part)
             key, offset = key_of(data), 0
             for row in part:
-                found[row] = Place(key, len(data), offset)
+                found[row] = SegmentPlace(key, len(data), offset)
                 offset += int(file.segments.length[row])
-            if key not in used and not is_stored(folder, key, len(data)):
+            if key not in used and not has_object(folder, key, len(data)):
                 _write_object(folder / object_name(key), data)
                 written[key] = len(data)
             used.add(key)
@@ -171,7 +171,7 @@ def unpack_cogs(
         if group:
             progress("unpack", done, len(present))
     sync_all([folder / object_name(key) for key in written])
-    manifest = manifest_of(file, found)
+    manifest = build_manifest(file, found)
     # Last, so that no manifest names what is not there.
     with atomic_write(folder / name, force=force) as out:
         out.write(manifest)

@@ -91,7 +91,7 @@ def codebook_kinds(attribute: str, degree: int) -> tuple[SegmentKind, ...]:
 
 
 @dataclass(frozen=True)
-class RootPlace:
+class RootExtent:
     """The root of a file, and where it and the file end, bytes."""
 
     root: Root
@@ -127,7 +127,7 @@ def read_index(source: Source, *, partial: bool) -> Index:
     return join_pages(source, place, positions, pages)
 
 
-def read_root(source: Source, *, partial: bool) -> RootPlace:
+def read_root(source: Source, *, partial: bool) -> RootExtent:
     """Read preamble and root; raises as `reader.open_cogs` says."""
     name = source.name
     first = source.read(0, first_request_bytes(source, layout.FIRST_READ))
@@ -172,10 +172,10 @@ def read_root(source: Source, *, partial: bool) -> RootPlace:
         )
     _check_levels(source, root, _all_chunks(root))
     _check_own_heads(root.segments, root.chunks, f"{name}: root")
-    return RootPlace(root, root_end, preamble.file_length)
+    return RootExtent(root, root_end, preamble.file_length)
 
 
-def page_positions(place: RootPlace) -> list[int]:
+def page_positions(place: RootExtent) -> list[int]:
     """Return the byte offset of each index page as the root states it (SPEC 5.6)."""
     position = _root_segments_end(place)
     positions = []
@@ -185,7 +185,7 @@ def page_positions(place: RootPlace) -> list[int]:
     return positions
 
 
-def require_end(source: Source, place: RootPlace, positions: Sequence[int]) -> None:
+def require_end(source: Source, place: RootExtent, positions: Sequence[int]) -> None:
     """Refuse a root whose pages and segments do not end where the file does.
 
     Raises
@@ -201,12 +201,12 @@ def require_end(source: Source, place: RootPlace, positions: Sequence[int]) -> N
         raise _leaves(source, end, place.file_length)
 
 
-def _root_segments_end(place: RootPlace) -> int:
+def _root_segments_end(place: RootExtent) -> int:
     return place.root_end + int(place.root.segments.length.sum(dtype=np.uint64))
 
 
 def page_ranges(
-    place: RootPlace, positions: Sequence[int], pages: Iterable[int]
+    place: RootExtent, positions: Sequence[int], pages: Iterable[int]
 ) -> list[tuple[int, int]]:
     """Return offset and length of index pages."""
     return [(positions[number], place.root.pages[number].length) for number in pages]
@@ -253,7 +253,7 @@ _UNREAD_KIND: Final = 255
 
 def join_pages(
     source: Source,
-    place: RootPlace,
+    place: RootExtent,
     positions: Sequence[int],
     pages: Mapping[int, Page],
     *,
@@ -265,7 +265,7 @@ def join_pages(
     ----------
     source : Source
         Names the file.
-    place : RootPlace
+    place : RootExtent
     positions : sequence of int
         Of all pages.
     pages : mapping of int to Page

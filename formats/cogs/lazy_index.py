@@ -15,7 +15,7 @@ from .index import (
     I64,
     Index,
     Page,
-    RootPlace,
+    RootExtent,
     codebook_kinds,
     join_pages,
     page_positions,
@@ -34,7 +34,7 @@ class LazyIndex:
     ----------
     source : Source
         Complete.
-    place : RootPlace
+    place : RootExtent
 
     Raises
     ------
@@ -42,7 +42,7 @@ class LazyIndex:
         ``segments-length``: the pages do not end where the file does.
     """
 
-    def __init__(self, source: Source, place: RootPlace) -> None:
+    def __init__(self, source: Source, place: RootExtent) -> None:
         self.root = place.root
         self.file_length = place.file_length
         self.all_chunks = len(place.root.chunks) + sum(page.chunks for page in place.root.pages)

@@ -16,7 +16,7 @@ from cogsplat.formats.network.urls import redacted
 from cogsplat.formats.storage.source import Cancel, require_within
 
 from . import layout
-from .folder_map import FolderMap, Piece
+from .folder_map import FolderMap, ObjectRange
 from .folder_transport import FolderTransport, address_of
 from .object_source import ObjectSource
 
@@ -115,7 +115,7 @@ class NetworkFolder(ObjectSource):
         StorageError
             As `RangeSource.read`.
         """
-        pieces = self._pieces(offset, length)
+        pieces = self._object_ranges(offset, length)
         ahead = (
             self._ranges.prefetch([self._range_of(x) for x in pieces if not self._is_here(x)])
             if len(pieces) > 1
@@ -129,7 +129,7 @@ class NetworkFolder(ObjectSource):
         """Whether bytes that are fetched ahead are here."""
         return all(
             self._is_here(piece) or self._ranges.arrived(*self._range_of(piece))
-            for piece in self._pieces(offset, length)
+            for piece in self._object_ranges(offset, length)
         )
 
     def reread(self, offset: int, length: int) -> bytes:
@@ -137,7 +137,7 @@ class NetworkFolder(ObjectSource):
 
         Raises as `read`, and ValueError where there are other bytes among them.
         """
-        pieces = self._pieces(offset, length)
+        pieces = self._object_ranges(offset, length)
         if not all(piece.name for piece in pieces):
             raise ValueError(f"{length} bytes from byte {offset}, expected those of segments")
         return b"".join(self._ranges.reread(*self._range_of(piece)) for piece in pieces)
@@ -153,7 +153,7 @@ class NetworkFolder(ObjectSource):
             piece
             for offset, length in ranges
             if offset + length <= self.size
-            for piece in self._pieces(offset, length)
+            for piece in self._object_ranges(offset, length)
             if not self._is_here(piece)
         ]
         if any_order:
@@ -167,7 +167,7 @@ class NetworkFolder(ObjectSource):
         """End all requests; reading is over."""
         self._ranges.close()
 
-    def _pieces(self, offset: int, length: int) -> list[Piece]:
+    def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
         require_within(self, offset, length)
         with self._lock:
             pages = self._map.pages_for(offset, length)
@@ -175,16 +175,16 @@ class NetworkFolder(ObjectSource):
                 with self._ranges.prefetch([(page.offset, page.length) for page in pages]):
                     for page in pages:
                         self._page(page.page)
-            return self._map.pieces(offset, length)
+            return self._map.object_ranges(offset, length)
 
-    def _is_here(self, piece: Piece) -> bool:
+    def _is_here(self, piece: ObjectRange) -> bool:
         """Whether bytes of the manifest came with its first, or with a page."""
         if piece.name:
             return False
         page = self._map.page_at(piece.offset)
         return piece.offset + piece.length <= len(self._head) or page in self._pages
 
-    def _bytes_of(self, piece: Piece) -> bytes:
+    def _bytes_of(self, piece: ObjectRange) -> bytes:
         if piece.name:
             return self._object_bytes(piece)
         page = self._map.page_at(piece.offset)
@@ -196,7 +196,7 @@ class NetworkFolder(ObjectSource):
             start = piece.offset - self._map.page_range(page).offset
             return self._page(page)[start : start + piece.length]
 
-    def _object_bytes(self, piece: Piece) -> bytes:
+    def _object_bytes(self, piece: ObjectRange) -> bytes:
         return self._ranges.read(*self._range_of(piece))
 
     def _page(self, page: int) -> bytes:
@@ -212,7 +212,7 @@ class NetworkFolder(ObjectSource):
                 del self._pages[next(iter(self._pages))]
         return data
 
-    def _range_of(self, piece: Piece) -> tuple[int, int]:
+    def _range_of(self, piece: ObjectRange) -> tuple[int, int]:
         """Return the address and length by which a piece is asked for; of a page, all."""
         page = None if piece.name else self._map.page_at(piece.offset)
         if page is not None:

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
 
-from .folder_map import FolderMap, Piece
+from .folder_map import FolderMap, ObjectRange
 from .folder_places import Places
 from .root import SegmentTable
 
@@ -35,7 +35,7 @@ class ObjectSource(ABC):
 
     def tables(self) -> list[tuple[SegmentTable, Places]]:
         """Return segments and their places, of the root and of each page; raises as `read`."""
-        self._pieces(0, self.size)
+        self._object_ranges(0, self.size)
         return self._map.tables()
 
     def objects(self) -> Mapping[str, int]:
@@ -45,17 +45,17 @@ class ObjectSource(ABC):
     def read_object(self, name: str) -> bytes:
         """Return the bytes of an object, as `objects` names it; raises as `read`."""
         size = self._named[name]
-        return self._object_bytes(Piece(name, 0, size, size))
+        return self._object_bytes(ObjectRange(name, 0, size, size))
 
     @cached_property
     def _named(self) -> dict[str, int]:
-        self._pieces(0, self.size)
+        self._object_ranges(0, self.size)
         return self._map.objects()
 
     @abstractmethod
-    def _pieces(self, offset: int, length: int) -> list[Piece]:
+    def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
         """Return where bytes of the file lie; pages that say so are read."""
 
     @abstractmethod
-    def _object_bytes(self, piece: Piece) -> bytes:
+    def _object_bytes(self, piece: ObjectRange) -> bytes:
         """Return bytes of an object."""

@@ -1,8 +1,10 @@
-"""Open a COGS file wherever it is: on disk, in memory, on a network."""
+"""Open a COGS file on disk, in memory or on a network."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 from urllib.parse import urlsplit, urlunsplit
 
@@ -11,55 +13,67 @@ from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.open_url import open_url
 from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.formats.storage.source import Readable, Source
+from cogsplat.formats.storage.source import FileSource, Readable, Source, as_source
 
 from .folder_map import MANIFEST_NAME, is_manifest
+from .folder_source import FolderSource, names_folder
 from .layout import FIRST_READ, PREAMBLE_BYTES
 from .network_folder import NetworkFolder
 from .reader import CogsFile, open_cogs
-from .sources import cogs_source
 
 Result = TypeVar("Result")
 
 
-def source_of_place(
-    place: Readable,
+def open_source(
+    location: Readable,
     network: NetworkOptions | None = None,
     *,
     fresh: bool = False,
     whole: bool = False,
 ) -> Source:
-    """Return what reads ranges of a file, by its path or its URL, or of what `cogs_source` takes.
+    """Return a source for a COGS file, or for a folder as the file that it stands for.
 
     Parameters
     ----------
-    place : Readable
-        A text with a scheme that `formats.network.urls` knows is a URL, of a file, of a manifest,
-        or of a folder where it ends in a slash; every other is a path.
+    location : str, path, bytes, binary file object or Source
+        Path or URL of a file, a folder or a manifest; the URL of a folder ends in a slash. Bytes
+        and file objects hold a file.
     network : NetworkOptions, optional
+        Timeouts, retries, request sizes and cache for a URL.
     fresh : bool
-        Go around caches of the network.
+        Whether to bypass HTTP caches.
     whole : bool
-        Whether all of it will be read: then all is asked for at once, where it is one file on a
-        network and no segment of it can be on disk.
+        Whether the whole file will be read. A file at a URL is then requested at once, unless a
+        disk cache may hold some of its segments.
 
     Raises
     ------
     StorageError
-        It cannot be opened.
+        The file cannot be opened.
+    FormatError, TruncatedError, UnsupportedError
+        The manifest of a folder breaks SPEC 3.4, or its root SPEC 4 and 5.
     MissingExtraError
-        The extra is not installed that the URL takes.
+        The extra for the URL's scheme is not installed.
     TypeError
-        It is nothing that can be read.
+        `location` has another type.
+
+    Examples
+    --------
+    >>> open_source(b"scene").size
+    5
     """
-    if isinstance(place, str) and is_url(place):
-        return _network_source(place, network, fresh=fresh, whole=whole)
-    return cogs_source(place)
+    if isinstance(location, str) and is_url(location):
+        return _open_network_source(location, network, fresh=fresh, whole=whole)
+    if isinstance(location, str | os.PathLike):
+        path = Path(location)
+        return FolderSource(path) if names_folder(path) else FileSource(path)
+    return as_source(location)
 
 
-def _network_source(
+def _open_network_source(
     url: str, network: NetworkOptions | None, *, fresh: bool, whole: bool
 ) -> Source:
+    """Return a source for a URL: of a file, or of a folder if a manifest is found there."""
     address = manifest_address(url)
     source = open_url(address, network, fresh=fresh)
     try:
@@ -73,13 +87,13 @@ def _network_source(
     except BaseException:
         source.close()
         raise
-    # Objects are asked for by another event loop, and so over another connection.
+    # NetworkFolder has its own event loop, and so its own connections.
     source.close()
     return NetworkFolder(address, head, network, fresh=fresh, manifest_bytes=size)
 
 
 def manifest_address(url: str) -> str:
-    """Return the address of a folder's manifest where a URL ends in a slash; else the URL.
+    """Return the URL of the manifest for a folder's URL, which ends in a slash; else the URL.
 
     Examples
     --------
@@ -92,29 +106,37 @@ def manifest_address(url: str) -> str:
     return urlunsplit(parts._replace(path=parts.path + MANIFEST_NAME))
 
 
-def open_place(
-    place: Readable,
+def open_scene(
+    location: Readable,
     *,
     partial: bool = False,
     size_bytes: int | None = None,
     limits: Limits | None = None,
     network: NetworkOptions | None = None,
 ) -> CogsFile:
-    """Open a COGS file by its path or URL; see `source_of_place` and `reader.open_cogs`.
+    """Open a COGS file at a path or URL.
 
-    Over a network, a file whose index is wrong, or that changes meanwhile, is fetched once more,
-    around caches, which may have mixed two versions of it (SPEC 8.8).
+    A file at a URL with a broken index, or one that changes meanwhile, is fetched again around
+    HTTP caches, which may have mixed two versions of the file (SPEC 8.8).
+
+    Parameters
+    ----------
+    location, network
+        As in `open_source`.
+    partial, size_bytes, limits
+        As in `reader.open_cogs`.
 
     Raises
     ------
     CogsplatError
-        As `source_of_place` and `reader.open_cogs`; ``source-changed`` where it changed twice.
+        The errors of `open_source` and `reader.open_cogs`; ``source-changed``: the file changed
+        twice.
     ValueError
-        A negative size.
+        `size_bytes` is negative.
     """
-    return with_place(
+    return with_open_scene(
         lambda file: file,
-        place,
+        location,
         partial=partial,
         size_bytes=size_bytes,
         limits=limits,
@@ -123,9 +145,9 @@ def open_place(
     )
 
 
-def with_place(
+def with_open_scene(
     work: Callable[[CogsFile], Result],
-    place: Readable,
+    location: Readable,
     *,
     partial: bool = False,
     size_bytes: int | None = None,
@@ -134,22 +156,27 @@ def with_place(
     close: bool = True,
     whole: bool = False,
 ) -> Result:
-    """Open a COGS file, do something with it and close it; begin anew, once, where it changed.
+    """Call a function with an open COGS file, and again with a fresh copy if the file changed.
 
     Parameters
     ----------
     work : callable
-        Of the open file.
+        Function of the open `CogsFile`, whose result is returned.
+    location, network, whole
+        As in `open_source`.
+    partial, size_bytes, limits
+        As in `reader.open_cogs`.
     close : bool
-        Whether the file is closed where the work succeeds.
-    whole : bool
-        As in `source_of_place`.
+        Whether to close the file after `work` returns.
 
-    Other parameters are those of `open_place`, which says what is raised.
+    Raises
+    ------
+    CogsplatError
+        The errors of `open_scene` and of `work`.
     """
 
-    def once(*, fresh: bool) -> Result:
-        source = source_of_place(place, network, fresh=fresh, whole=whole)
+    def attempt(*, fresh: bool) -> Result:
+        source = open_source(location, network, fresh=fresh, whole=whole)
         try:
             file = open_cogs(source, partial=partial, size_bytes=size_bytes, limits=limits)
             result = work(file)
@@ -161,9 +188,9 @@ def with_place(
         return result
 
     try:
-        return once(fresh=False)
+        return attempt(fresh=False)
     except (FormatError, StorageError) as error:
         changed = isinstance(error, FormatError) or error.code == "source-changed"
-        if not (is_url(place) and changed):
+        if not (is_url(location) and changed):
             raise
-    return once(fresh=True)
+    return attempt(fresh=True)

@@ -15,7 +15,7 @@ from cogsplat.formats.storage.source import Readable
 from .folder_map import MANIFEST_NAME
 from .folder_places import SEGMENT_FOLDER
 from .folder_writer import Unpacked, pack_cogs, unpack_cogs
-from .open_file import with_place
+from .open_file import with_open_scene
 
 
 def unpack(
@@ -66,7 +66,7 @@ def unpack(
     >>> done.manifest.name, done.shared
     ('manifest.cogsm', 0)
     """
-    return with_place(
+    return with_open_scene(
         lambda file: unpack_cogs(file, Path(folder), name=name, force=force, progress=progress),
         path,
         partial=partial,
@@ -124,7 +124,7 @@ def pack(
     True
     """
     check_output(path, force=force, inputs=folder_files(folder))
-    return with_place(
+    return with_open_scene(
         lambda file: pack_cogs(file, Path(path), force=force, progress=progress),
         folder,
         partial=partial,

@@ -12,9 +12,9 @@ from cogsplat.formats.storage.source import PrefixSource, RemoteSource, Source
 from .chunk_decoder import ChunkDecoder
 from .chunk_stream import ChunkStream
 from .drawn_chunks import drawn_chunks
-from .gaps import require_all
 from .index import Index, join_pages, read_index, read_root
 from .lazy_index import LazyIndex
+from .missing_segments import require_all_segments
 from .verification import checks
 
 
@@ -133,5 +133,5 @@ def open_cogs(
     else:
         index = read_index(source, partial=partial)
     if not partial:
-        require_all(source, index)
+        require_all_segments(source, index)
     return CogsFile(source, index, limits or Limits())

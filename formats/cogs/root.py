@@ -198,7 +198,7 @@ def _column(values: NDArray[np.generic], dtype: str) -> bytes:
     return np.ascontiguousarray(values).astype(dtype).tobytes()
 
 
-def segments_value(table: SegmentTable) -> dict[str, Value]:
+def segment_columns(table: SegmentTable) -> dict[str, Value]:
     """Return a segment table as msgpack columns."""
     return {
         "kind": _column(table.kind, "u1"),
@@ -210,7 +210,7 @@ def segments_value(table: SegmentTable) -> dict[str, Value]:
     }
 
 
-def chunks_value(table: ChunkTable) -> dict[str, Value]:
+def chunk_columns(table: ChunkTable) -> dict[str, Value]:
     """Return a chunk table as msgpack columns; columns of zeros are left out."""
     value: dict[str, Value] = {
         "splats": _column(table.splats, "<u4"),
@@ -228,7 +228,7 @@ def chunks_value(table: ChunkTable) -> dict[str, Value]:
     return value
 
 
-def root_value(root: Root) -> dict[str, Value]:
+def root_map(root: Root) -> dict[str, Value]:
     """Return the root as a msgpack map (SPEC 4.2)."""
     info = root.info
     value: dict[str, Value] = {
@@ -242,8 +242,8 @@ def root_value(root: Root) -> dict[str, Value]:
         "antialiased": info.antialiased,
         "box": [float(x) for x in root.box],
         "codebooks": [{"attribute": c.attribute, "rows": c.rows} for c in root.codebooks],
-        "segments": segments_value(root.segments),
-        "chunks": chunks_value(root.chunks),
+        "segments": segment_columns(root.segments),
+        "chunks": chunk_columns(root.chunks),
     }
     if root.first_view is not None:
         value["first_view"] = _camera_value(root.first_view)

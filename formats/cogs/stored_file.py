@@ -18,10 +18,10 @@ from cogsplat.formats.storage.source import RemoteSource, Source, has_range
 
 from .fetch_order import needed_codebooks
 from .folder_places import object_name
-from .gaps import gap_bytes
 from .index import I64, Index, codebook_kinds
 from .layout import SegmentKind
 from .lazy_index import LazyIndex
+from .missing_segments import missing_segment_bytes
 from .object_source import ObjectSource
 from .root import ChunkTable, SegmentTable
 from .selection import select_chunks
@@ -66,7 +66,9 @@ class StoredFile:
         self._cache = cache if isinstance(cache, SegmentCache) else None
         self.root = index.root
         self.file_length = index.file_length
-        self.missing_bytes = max(0, index.file_length - source.size) + gap_bytes(source, index)
+        self.missing_bytes = max(0, index.file_length - source.size) + missing_segment_bytes(
+            source, index
+        )
 
     def __enter__(self) -> Self:
         return self

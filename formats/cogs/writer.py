@@ -95,8 +95,8 @@ def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
     page_bytes: list[bytes] = []
     for group in groups[1:]:
         value: dict[str, canonical_msgpack.Value] = {
-            "segments": cogs_root.segments_value(_rows(rows, group.segments)),
-            "chunks": cogs_root.chunks_value(_chunk_rows(root.chunks, group.chunks)),
+            "segments": cogs_root.segment_columns(_rows(rows, group.segments)),
+            "chunks": cogs_root.chunk_columns(_chunk_rows(root.chunks, group.chunks)),
         }
         data = canonical_msgpack.pack(value)
         span = sum(len(s.payload) for s in segments[group.segments])
@@ -110,7 +110,7 @@ def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
         chunks=_chunk_rows(root.chunks, first.chunks),
         pages=pages,
     )
-    root_bytes = canonical_msgpack.pack(cogs_root.root_value(whole))
+    root_bytes = canonical_msgpack.pack(cogs_root.root_map(whole))
     try:
         cogs_root.parse_root(canonical_msgpack.unpack(root_bytes, "root"), "root")
     except (FormatError, UnsupportedError) as error:
@@ -196,7 +196,7 @@ def _split(root: Root, segments: Sequence[Segment]) -> list[_Group]:
         chunks=_chunk_rows(root.chunks, slice(0)),
         pages=[],
     )
-    fixed = layout.PREAMBLE_BYTES + len(canonical_msgpack.pack(cogs_root.root_value(empty)))
+    fixed = layout.PREAMBLE_BYTES + len(canonical_msgpack.pack(cogs_root.root_map(empty)))
     room = layout.MAX_ROOT_END - fixed - _TABLE_OVERHEAD
     chunk_row = _CHUNK_ROW + (_UNTIL if root.chunks.until.any() else 0)
     weights = [_SEGMENT_ROW + (chunk_row if s.kind == SegmentKind.HEAD else 0) for s in segments]

@@ -12,8 +12,8 @@ from cogsplat.codec.encode.memory import memory_need
 from cogsplat.codec.errors import UnsupportedError
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.workspace import IN_MEMORY, Workspace
+from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.cogs.reader import open_cogs
-from cogsplat.formats.cogs.sources import cogs_source
 from cogsplat.formats.scenes.ply.header import is_ply
 from cogsplat.formats.scenes.ply.ply_scene import ply_size
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
@@ -100,7 +100,7 @@ def _scene_size(scene: Splats | StrPath) -> _SceneSize:
         extra_bytes = sum(values.nbytes for values in scene.extras.values()) // max(len(scene), 1)
         return _SceneSize(len(scene), scene.sh_degree, extra_bytes, in_memory=True)
     if is_cogs(scene):
-        with open_cogs(cogs_source(scene)) as file:
+        with open_cogs(open_source(scene)) as file:
             extra_bytes = sum(attribute.row_bytes for attribute in file.root.attributes)
             return _SceneSize(file.root.splats, file.root.sh_degree, extra_bytes, in_memory=True)
     with storage_errors(scene), open_for_read(scene) as file:

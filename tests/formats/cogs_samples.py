@@ -6,7 +6,7 @@ import numpy as np
 from encoding import encode, unseen
 
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.cogs.writer import lay_out
 
 ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")

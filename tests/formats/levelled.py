@@ -9,7 +9,7 @@ from cogs_samples import encoded
 
 from cogsplat.codec.encode.encoded import EncodedLevel
 from cogsplat.codec.segments.opacities import pack_opacities
-from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.cogs.writer import lay_out
 
 STEP = 0.02

@@ -19,7 +19,7 @@ from value_mutations import with_other_values
 
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.cogs.scene import save
+from cogsplat.formats.cogs.scene_writer import save
 from cogsplat.formats.scenes.registry import FORMATS, WRITABLE, write_scene
 
 EXAMPLES = max(10, int(os.environ.get("COGSPLAT_FUZZ", "40")) // 4)

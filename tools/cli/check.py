@@ -13,7 +13,7 @@ from click.shell_completion import CompletionItem
 
 from cogsplat.codec.errors import CogsplatError, StorageError
 from cogsplat.formats.cogs.findings import Finding, finding_of, findings
-from cogsplat.formats.cogs.sources import cogs_source
+from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, scheme_of
 from cogsplat.tools.hosting.doctor import Diagnosis, examine
 from cogsplat.tools.hosting.remedies import HOSTS, host_of, remedies
@@ -138,7 +138,7 @@ def _file_findings(path: Path, stages: Stages) -> list[Finding]:
         The file cannot be read.
     """
     try:
-        source = cogs_source(path)
+        source = open_source(path)
     except StorageError:
         raise
     except CogsplatError as error:

@@ -13,7 +13,7 @@ import cogsplat
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.colmap_points import find_points, read_points
-from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.terminal.limits import current_limits, limits_option

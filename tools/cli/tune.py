@@ -12,7 +12,7 @@ import numpy as np
 
 import cogsplat
 from cogsplat.codec.errors import DataError
-from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.photos import read_photos

@@ -11,7 +11,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.formats.cogs.findings import Finding, finding_of, findings
 from cogsplat.formats.cogs.folder_map import MANIFEST_NAME, FolderMap, is_manifest
 from cogsplat.formats.cogs.layout import PREAMBLE_BYTES, unpack_preamble
-from cogsplat.formats.cogs.open_file import manifest_address, source_of_place
+from cogsplat.formats.cogs.open_file import manifest_address, open_source
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.limits import Limits
 
@@ -144,7 +144,7 @@ def _length_and_object_findings(
     found = list(length_findings(probed, manifest.manifest_bytes))
     start = manifest.root_end
     if start < manifest.file_length and not manifest.pages_for(start, 1):
-        for piece in manifest.pieces(start, 1)[:_CHECKED_OBJECTS]:
+        for piece in manifest.object_ranges(start, 1)[:_CHECKED_OBJECTS]:
             if piece.name:
                 size = piece.object_bytes
                 response = prober.fetch_object(probed.first.url, piece.name, size + 1)
@@ -156,7 +156,7 @@ def _first_chunk_seconds(url: str, limits: Limits | None) -> float | None:
     """Return the seconds from connecting to the first decoded chunk; None if decoding fails."""
     start = time.perf_counter()
     try:
-        source = source_of_place(url)
+        source = open_source(url)
         try:
             file = open_cogs(source, limits=limits)
             if not file.num_chunks:
@@ -173,7 +173,7 @@ def _first_chunk_seconds(url: str, limits: Limits | None) -> float | None:
 def _content_findings(url: str, limits: Limits | None, progress: Progress) -> list[Finding]:
     """Fetch the whole scene and return the violated rules of SPEC, or a network error."""
     try:
-        source = source_of_place(url)
+        source = open_source(url)
     except StorageError as error:
         return [Finding(error.code, "network", "", None, error.message)]
     except CogsplatError as error:

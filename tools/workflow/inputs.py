@@ -18,9 +18,8 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
 from cogsplat.formats.cogs.between_levels import decode_between
-from cogsplat.formats.cogs.open_file import source_of_place
+from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.formats.cogs.sources import cogs_source
 from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes, scene_files
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.formats.storage.source import Source
@@ -154,7 +153,7 @@ def input_source(path: Path) -> Source:
         It cannot be read.
     """
     url = url_of(path)
-    return cogs_source(path) if url is None else source_of_place(url)
+    return open_source(path if url is None else url)
 
 
 def read_any(

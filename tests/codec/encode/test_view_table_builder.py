@@ -6,7 +6,7 @@ import pytest
 from cogsplat.codec.encode import pipeline, view_table_builder
 from cogsplat.codec.encode.config import EncodeConfig, Target
 from cogsplat.codec.encode.request import EncodeRequest
-from cogsplat.formats.cogs.scene import size_bytes
+from cogsplat.formats.cogs.scene_writer import size_bytes
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 CONFIG = EncodeConfig(order="contribution", cells=True, chunk_splats=256, compensate=False)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from levelled import levelled_file, unit
 
-from cogsplat.formats.cogs.between_levels import blended_logits, decode_between
+from cogsplat.formats.cogs.between_levels import decode_between, interpolate_logits
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
 
@@ -48,5 +48,5 @@ def test_levels_that_are_not_there_are_refused(file):
 def test_opacities_of_nothing_and_of_everything_keep_their_ends():
     lower = np.array([-np.inf, np.inf, -np.inf, np.inf], np.float32)
     upper = np.array([-np.inf, np.inf, np.inf, -np.inf], np.float32)
-    found = blended_logits(lower, upper, 0.5)
+    found = interpolate_logits(lower, upper, 0.5)
     np.testing.assert_array_equal(found, np.array([-np.inf, np.inf, 0, 0], np.float32))

@@ -13,8 +13,8 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.config import PROFILE_NAMES
 from cogsplat.codec.errors import CogsplatError, DataError, LimitError, TruncatedError
 from cogsplat.codec.splats import EXTRA_DTYPES
-from cogsplat.formats.cogs import scene as cogs
-from cogsplat.formats.cogs.cameras import pack_cameras, unpack_cameras
+from cogsplat.formats.cogs import scene_writer as cogs
+from cogsplat.formats.cogs.camera_segment import pack_cameras, unpack_cameras
 from cogsplat.formats.cogs.decoded_rows import scratch_bytes
 from cogsplat.formats.cogs.layout import MAX_CAMERAS, SegmentKind
 from cogsplat.formats.cogs.reader import open_cogs

@@ -8,7 +8,7 @@ import pytest
 from cogsplat.codec.errors import FormatError
 from cogsplat.formats.cogs.folder_map import (
     FolderMap,
-    Piece,
+    ObjectRange,
     file_preamble,
     is_manifest,
 )
@@ -33,7 +33,7 @@ def read(folder: FolderMap, objects: dict[str, bytes], offset: int, length: int)
         folder.add_page(page.page, manifest[page.offset : page.offset + page.length])
     assert folder.pages_for(offset, length) == []
     parts = []
-    for piece in folder.pieces(offset, length):
+    for piece in folder.object_ranges(offset, length):
         content = objects[piece.name] if piece.name else manifest
         assert len(content) == piece.object_bytes
         parts.append(content[piece.offset : piece.offset + piece.length])
@@ -74,7 +74,9 @@ def test_only_the_pages_of_a_range_are_asked_for() -> None:
 def test_pieces_name_objects_and_what_lies_in_them() -> None:
     data, objects, folder = mapped("one-splat")
     (name,) = (name for name in objects if name != MANIFEST)
-    assert folder.pieces(folder.root_end + 3, 5) == [Piece(name, 3, 5, len(objects[name]))]
+    assert folder.object_ranges(folder.root_end + 3, 5) == [
+        ObjectRange(name, 3, 5, len(objects[name]))
+    ]
     assert folder.objects() == {name: len(objects[name])}
     assert is_manifest(objects[MANIFEST])
     assert not is_manifest(data)
@@ -85,7 +87,7 @@ def test_pieces_name_objects_and_what_lies_in_them() -> None:
 def test_a_range_behind_the_last_segment_is_refused() -> None:
     folder = mapped("one-splat")[2]
     with pytest.raises(FormatError, match="segments end") as refused:
-        folder.pieces(folder.file_length, 1)
+        folder.object_ranges(folder.file_length, 1)
     assert refused.value.code == "segments-length"
     pages = mapped("pages")[2]
     with pytest.raises(FormatError, match="CRC") as refused:

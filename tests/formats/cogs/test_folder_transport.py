@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from cogsplat.codec.errors import CogsplatError, FormatError, StorageError, TruncatedError
-from cogsplat.formats.cogs.folder_map import FolderMap, Piece
+from cogsplat.formats.cogs.folder_map import FolderMap, ObjectRange
 from cogsplat.formats.cogs.folder_transport import FolderTransport, address_of
 from cogsplat.formats.network.backoff import TransientError
 from cogsplat.formats.network.range_responses import RangeResponse, ResponseHead
 from cogsplat.tools.lab.conformance.folders import MANIFEST, unpacked
 
 PAGED = Path(__file__).resolve().parents[2] / "vectors" / "valid" / "pages.cogs"
-OBJECT = Piece("segments/a.bin", 100, 200, 1000)
+OBJECT = ObjectRange("segments/a.bin", 100, 200, 1000)
 CONTENT = bytes(range(250)) * 4
 
 
@@ -108,7 +108,7 @@ def test_ranges_of_objects_are_got(
 def test_what_is_not_as_stated_is_refused(
     folder: FolderMap, samples: dict[str, bytes], ranges: bool
 ) -> None:
-    def refused(objects: dict[str, bytes], piece: Piece) -> CogsplatError:
+    def refused(objects: dict[str, bytes], piece: ObjectRange) -> CogsplatError:
         transport = FolderTransport(Memory(objects, ranges=ranges), folder, b"")
         first = address_of(transport.number_of(piece), piece.offset)
         with pytest.raises(CogsplatError) as error:
@@ -121,7 +121,7 @@ def test_what_is_not_as_stated_is_refused(
     longer = refused({OBJECT.name: CONTENT + b"x"}, OBJECT)
     assert isinstance(longer, FormatError)
     assert (longer.code, OBJECT.name in longer.message) == ("segment-object", True)
-    manifest = Piece("", 0, 64, folder.manifest_bytes)
+    manifest = ObjectRange("", 0, 64, folder.manifest_bytes)
     assert refused({}, manifest).code == "not-found"
     assert refused({MANIFEST: samples[MANIFEST][:-1]}, manifest).code == "file-truncated"
 

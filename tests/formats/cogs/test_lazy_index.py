@@ -10,7 +10,7 @@ from fault_server import FaultServer, serving
 
 import cogsplat
 from cogsplat.codec.errors import FormatError
-from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.lazy_index import LazyIndex

@@ -7,7 +7,7 @@ import pytest
 from levelled import STEP, levelled_file, levelled_scene
 
 from cogsplat.codec.segments.compensation import Compensation, Layer
-from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.cogs.findings import findings
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import open_cogs

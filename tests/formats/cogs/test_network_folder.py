@@ -20,7 +20,7 @@ from cogsplat.codec.errors import CogsplatError, FormatError, TruncatedError
 from cogsplat.formats.cogs.folder_map import FolderMap
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.network_folder import NetworkFolder
-from cogsplat.formats.cogs.open_file import source_of_place
+from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.tools.lab.conformance.folders import MANIFEST, unpacked
 
@@ -52,7 +52,7 @@ def test_a_folder_reads_as_its_file(data: bytes, answered: Fault) -> None:
     objects = unpacked(data)
     with serving(FaultServer(b"", always=of_folder(objects, answered))) as server:
         for url in (server.url("scene/"), server.url(f"scene/{MANIFEST}")):
-            source = source_of_place(url)
+            source = open_source(url)
             assert isinstance(source, NetworkFolder)
             assert source.read(0, source.size) == data
             assert source.read(1000, 70_000) == data[1000:71_000]
@@ -132,7 +132,7 @@ def test_an_object_that_is_missing_spoils_no_other(data: bytes) -> None:
         rows = [whole.rows_of(9).head, whole.rows_of(10).head]
         places = [(int(whole.offsets[row]), int(whole.segments.length[row])) for row in rows]
         found = FolderMap(objects[MANIFEST], "whole")
-        gone, wrong = (found.pieces(*place)[0].name for place in places)
+        gone, wrong = (found.object_ranges(*place)[0].name for place in places)
         expected = whole.decode([8, 11])
     broken = {name: x for name, x in objects.items() if name != gone}
     broken[wrong] += b"\0"

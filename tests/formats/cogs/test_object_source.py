@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from cogsplat.formats.cogs.folder_map import FolderMap, Piece
+from cogsplat.formats.cogs.folder_map import FolderMap, ObjectRange
 from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.cogs.network_folder import NetworkFolder
 from cogsplat.formats.cogs.object_source import ObjectSource
@@ -20,13 +20,13 @@ class Objects(ObjectSource):
         super().__init__(FolderMap(objects[MANIFEST], "objects"))
         self._content = objects
 
-    def _pieces(self, offset: int, length: int) -> list[Piece]:
+    def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
         for page in self._map.pages_for(offset, length):
             data = self._content[MANIFEST][page.offset : page.offset + page.length]
             self._map.add_page(page.page, data)
-        return self._map.pieces(offset, length)
+        return self._map.object_ranges(offset, length)
 
-    def _object_bytes(self, piece: Piece) -> bytes:
+    def _object_bytes(self, piece: ObjectRange) -> bytes:
         return self._content[piece.name][piece.offset : piece.offset + piece.length]
 
 

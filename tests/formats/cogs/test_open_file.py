@@ -1,12 +1,17 @@
+import io
+from pathlib import Path
+
 import pytest
 from cogs_samples import assert_same, file_of
 from fault_server import FaultServer, right, serving
 
 import cogsplat
 from cogsplat.codec.errors import FormatError, StorageError
-from cogsplat.formats.cogs.open_file import open_place, source_of_place, with_place
+from cogsplat.formats.cogs.folder_source import FolderSource
+from cogsplat.formats.cogs.folder_writer import unpack_cogs
+from cogsplat.formats.cogs.open_file import open_scene, open_source, with_open_scene
 from cogsplat.formats.network.range_source import RangeSource
-from cogsplat.formats.storage.source import FileSource
+from cogsplat.formats.storage.source import BytesSource, FileSource
 
 
 @pytest.fixture(scope="module")
@@ -16,11 +21,11 @@ def data():
 
 def test_paths_and_urls(data, tmp_path):
     (tmp_path / "a.cogs").write_bytes(data)
-    source = source_of_place(tmp_path / "a.cogs")
+    source = open_source(tmp_path / "a.cogs")
     assert isinstance(source, FileSource)
     source.close()
     with serving(FaultServer(data)) as server:
-        source = source_of_place(server.url())
+        source = open_source(server.url())
         assert isinstance(source, RangeSource)
         source.close()
 
@@ -56,12 +61,12 @@ def test_an_index_that_came_damaged_is_fetched_once_more(data):
         exchange.server.data = kept
 
     with serving(FaultServer(data, [damaged])) as server:
-        with open_place(server.url()) as file:
+        with open_scene(server.url()) as file:
             assert file.root.splats == 6000
         assert "cache-control" not in server.asked[0].headers
         assert server.asked[1].headers["cache-control"] == "no-cache"
     with serving(FaultServer(data, always=damaged)) as server, pytest.raises(FormatError) as caught:
-        open_place(server.url())
+        open_scene(server.url())
     assert caught.value.code == "root-crc"
     assert len(server.asked) == 2
 
@@ -96,8 +101,39 @@ def test_what_is_done_with_a_place_is_done_twice_at_most(data):
         raise StorageError("source-changed", "again")
 
     with serving(FaultServer(data)) as server, pytest.raises(StorageError):
-        with_place(work, server.url())
+        with_open_scene(work, server.url())
     assert len(done) == 2
     with pytest.raises(StorageError):
-        with_place(work, data)
+        with_open_scene(work, data)
     assert len(done) == 3
+
+
+def test_paths_are_files_folders_or_manifests(tmp_path: Path) -> None:
+    data = file_of("vq")
+    path, folder = tmp_path / "a.cogs", tmp_path / "a"
+    path.write_bytes(data)
+    with cogsplat.open(path) as file:
+        unpack_cogs(file, folder)
+    for given, kind in {
+        path: FileSource,
+        folder: FolderSource,
+        folder / "manifest.cogsm": FolderSource,
+    }.items():
+        for form in (given, str(given)):
+            source = open_source(form)
+            assert isinstance(source, kind)
+            assert source.size == len(data)
+            source.close()
+    own = BytesSource(data)
+    assert open_source(own) is own
+    assert open_source(io.BytesIO(data)).read(0, 8) == data[:8]
+
+
+def test_folders_without_a_manifest_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(StorageError) as refused:
+        open_source(tmp_path)
+    assert refused.value.code == "not-found"
+    (tmp_path / "manifest.cogsm").write_bytes(b"ply" + bytes(100))
+    with pytest.raises(FormatError, match="a PLY file") as broken:
+        open_source(tmp_path)
+    assert broken.value.code == "not-cogs"

@@ -9,7 +9,7 @@ from cogs_samples import assert_same, encoded, file_of
 from cogsplat.codec.errors import Cancelled, FormatError, LimitError, TruncatedError
 from cogsplat.codec.splats import concatenate
 from cogsplat.codec.streams import decoding_tiers
-from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.writer import lay_out

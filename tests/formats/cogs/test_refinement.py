@@ -11,7 +11,7 @@ from encoding import encode, unseen
 from cogsplat.codec.encode.arriving_prefixes import arriving
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.scoring.contribution import zero_scores
-from cogsplat.formats.cogs import scene
+from cogsplat.formats.cogs import scene_writer
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.writer import lay_out
@@ -37,8 +37,8 @@ def encoded(refine=True):
 @cache
 def file_of(refine=True):
     made = encoded(refine)
-    root = scene.build_root(made, "samples")
-    return b"".join(lay_out(root, scene.segments(made)))
+    root = scene_writer.build_root(made, "samples")
+    return b"".join(lay_out(root, scene_writer.segments(made)))
 
 
 def rows_of(splats, start, stop):
@@ -135,7 +135,9 @@ def test_boxes_hold_coarse_splats_too():
     assert (coarse.min(axis=0) < low).any() or (coarse.max(axis=0) > high).any()
     shrunk[0] = replace(shrunk[0], box=np.concatenate([low, high]).astype(np.float64))
     wrong = replace(made, chunks=shrunk)
-    data = b"".join(lay_out(scene.build_root(wrong, "samples"), scene.segments(wrong)))
+    data = b"".join(
+        lay_out(scene_writer.build_root(wrong, "samples"), scene_writer.segments(wrong))
+    )
     with open_cogs(BytesSource(data)) as file, pytest.raises(FormatError) as caught:
         file.verify()
     assert caught.value.code == "chunk-box"
@@ -143,7 +145,7 @@ def test_boxes_hold_coarse_splats_too():
 
 def test_prefixes_as_they_arrive_are_those_of_a_file_cut_between_two_heads():
     made, data = encoded(), file_of()
-    segments = scene.segments(made)
+    segments = scene_writer.segments(made)
     sizes = [len(segment.payload) for segment in segments]
     ends = len(data) - sum(sizes) + np.cumsum(sizes)
     heads = [row for row, part in enumerate(segments) if part.kind == SegmentKind.HEAD]

@@ -53,7 +53,7 @@ def root(**changes):
 
 
 def again(value):
-    return cogs_root.parse_root(unpack(pack(cogs_root.root_value(value)), "root"), "root")
+    return cogs_root.parse_root(unpack(pack(cogs_root.root_map(value)), "root"), "root")
 
 
 def assert_tables(actual, expected):
@@ -79,7 +79,7 @@ def test_roots_come_back():
 
 
 def test_what_is_not_there_stays_away():
-    value = cogs_root.root_value(root(first_view=None, pages=[], chunks=chunks(3)))
+    value = cogs_root.root_map(root(first_view=None, pages=[], chunks=chunks(3)))
     assert {"first_view", "pages"} & value.keys() == set()
     assert list(value["chunks"]) == ["splats", "box", "contribution"]
     actual = again(root(first_view=None, pages=[], chunks=chunks(3)))
@@ -97,8 +97,8 @@ def test_tables_of_no_rows():
 def test_pages_are_checked_against_their_entry():
     lengths = segments(4).length
     value = {
-        "segments": cogs_root.segments_value(segments(4)),
-        "chunks": cogs_root.chunks_value(chunks(2)),
+        "segments": cogs_root.segment_columns(segments(4)),
+        "chunks": cogs_root.chunk_columns(chunks(2)),
     }
     span = int(lengths.sum(dtype=np.uint64))
     entry = PageEntry(1, 0, 4, 2, span)
@@ -117,7 +117,7 @@ TYPES = [None, True, 0, -1, 1 << 40, 0.5, "x", b"xyz", [], [0.0] * 3, {}, {"a!":
 @settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_any_value_in_any_place_is_read_or_refused(data):
-    value = cogs_root.root_value(root())
+    value = cogs_root.root_map(root())
     place = value
     while True:
         key = data.draw(st.sampled_from(sorted(place)))

@@ -20,7 +20,7 @@ from fault_server import (
 
 import cogsplat
 from cogsplat.codec.errors import Cancelled, CogsplatError, CogsplatWarning
-from cogsplat.formats.cogs.open_file import source_of_place
+from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.network.network_options import NetworkOptions
 
 DOCS = Path(__file__).resolve().parents[3] / "docs/network.md"
@@ -143,7 +143,7 @@ def test_closing_ends_the_connections(data: bytes) -> None:
         file = cogsplat.open(server.url())
         updates = file.stream()
         next(updates)
-        source = source_of_place(server.url())
+        source = open_source(server.url())
         file.close()
         source.close()
         for _ in range(200):

@@ -11,7 +11,7 @@ import cogsplat
 from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.request import EncodeRequest
-from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.storage.source import FileSource, PrefixSource
 

@@ -21,7 +21,7 @@ from cogsplat.codec.fit.level_encoding import LevelEncoding, encode_levels
 from cogsplat.codec.fit.level_training import LevelledSplats
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.tools.delivery.slow_server import running
 from cogsplat.tools.delivery.viewer_pages import linked_page
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras

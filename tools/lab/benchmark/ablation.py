@@ -212,13 +212,13 @@ def _measurer(
     prepare_s: float,
 ) -> Callable[[float], _Point]:
     from cogsplat.codec.encode.encoder import encode_chunks
-    from cogsplat.formats.cogs import scene
+    from cogsplat.formats.cogs import scene_writer
 
     def measure(quality_db: float) -> _Point:
         start = time.perf_counter()
         encoded = encode_chunks(prepared, quality_db)
         encode_s = prepare_s + time.perf_counter() - start
-        size = scene.size_bytes(encoded, writer=f"cogsplat {cogsplat.__version__}")
+        size = scene_writer.size_bytes(encoded, writer=f"cogsplat {cogsplat.__version__}")
         held_out_db, roam_db = (evaluator.psnr_db(encoded.decoded) for evaluator in evaluators)
         return _Point(held_out_db, roam_db, size, encode_s)
 

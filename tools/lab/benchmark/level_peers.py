@@ -30,7 +30,7 @@ from cogsplat.codec.fit.level_training import (
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
-from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.tools.evaluation.level_figures import PictureFigures, compared, level_sizes
 from cogsplat.tools.evaluation.lpips import Lpips, read_lpips
 from cogsplat.tools.pictures.svg_charts import Series, line_chart

@@ -30,7 +30,7 @@ from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out, roam, sample_evenly
-from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.storage.byte_counts import parse_bytes
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras

@@ -7,7 +7,7 @@ from cogsplat.codec.errors import FormatError, LimitError, TruncatedError
 from cogsplat.codec.segments.view_table import ViewTable
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.verification import checks
-from cogsplat.formats.cogs.view_table import pack_view_table, unpack_view_table
+from cogsplat.formats.cogs.view_table_segment import pack_view_table, unpack_view_table
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 

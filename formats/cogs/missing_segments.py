@@ -11,12 +11,12 @@ from .index import Index
 from .lazy_index import LazyIndex
 
 
-def gap_bytes(source: Source, index: Index | LazyIndex) -> int:
+def missing_segment_bytes(source: Source, index: Index | LazyIndex) -> int:
     """Return the total size of missing segments within a source's size; 0 for a file."""
     return sum(int(index.whole().segments.length[row]) for row in _gaps(source, index))
 
 
-def require_all(source: Source, index: Index | LazyIndex) -> None:
+def require_all_segments(source: Source, index: Index | LazyIndex) -> None:
     """Refuse a source with missing segments.
 
     Raises

@@ -8,14 +8,14 @@ from cogs_samples import file_of
 import cogsplat
 from cogsplat.formats.cogs.folder_places import key_of, object_name
 from cogsplat.formats.cogs.folder_writer import unpack_cogs
-from cogsplat.formats.cogs.joined_segments import StoredSegments, is_stored, joined
 from cogsplat.formats.cogs.layout import CODEBOOK_KINDS
+from cogsplat.formats.cogs.object_groups import StoredSegments, group_segments, has_object
 
 
 @pytest.mark.parametrize("profile", ["vq", "transform"])
 def test_a_chunk_is_one_object_and_so_are_codebooks(profile: str) -> None:
     with cogsplat.open(file_of(profile, 6000, 3, 500)) as file:
-        groups = joined(file.segments)
+        groups = group_segments(file.segments)
         assert sorted(row for rows in groups for row in rows) == [*range(len(file.segments))]
         assert all(rows == sorted(rows) for rows in groups)
         of_row = {row: number for number, rows in enumerate(groups) for row in rows}
@@ -41,9 +41,9 @@ def test_only_whole_objects_are_shared(tmp_path: Path) -> None:
     data = path.read_bytes()
     assert data[place.offset : place.offset + length] == content
     assert len(data) == place.size
-    assert is_stored(tmp_path, place.key, place.size)
-    assert not is_stored(tmp_path, place.key, place.size + 1)
-    assert not is_stored(tmp_path, key_of(b"nothing"), 7)
+    assert has_object(tmp_path, place.key, place.size)
+    assert not has_object(tmp_path, place.key, place.size + 1)
+    assert not has_object(tmp_path, key_of(b"nothing"), 7)
     path.write_bytes(bytes(len(data)))
     assert StoredSegments(tmp_path).place_of(key) is None
     assert StoredSegments(tmp_path).place_of(bytes(16)) is None

@@ -11,7 +11,7 @@ from tracing import start_tracing
 
 from cogsplat.codec.errors import CogsplatError, FormatError, LimitError
 from cogsplat.codec.segments.compensation import Layer, pack_codes, unpack_codes
-from cogsplat.formats.cogs.compensation import pack_layer, unpack_layer
+from cogsplat.formats.cogs.compensation_segment import pack_layer, unpack_layer
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import FileSource
 

@@ -4,8 +4,8 @@ import pytest
 from cogs_samples import file_of
 
 from cogsplat.codec.errors import TruncatedError
-from cogsplat.formats.cogs.gaps import gap_bytes, require_all
 from cogsplat.formats.cogs.index import read_index
+from cogsplat.formats.cogs.missing_segments import missing_segment_bytes, require_all_segments
 from cogsplat.formats.storage.source import BytesSource
 
 
@@ -24,12 +24,12 @@ def test_gaps_are_counted_and_refused() -> None:
     data = file_of("vq")
     plain = BytesSource(data)
     index = read_index(plain, partial=False)
-    assert gap_bytes(plain, index) == 0
-    require_all(plain, index)
+    assert missing_segment_bytes(plain, index) == 0
+    require_all_segments(plain, index)
     source = Holed(data, {int(index.offsets[2]), int(index.offsets[5])})
-    assert gap_bytes(source, index) == index.segments.length[[2, 5]].sum()
+    assert missing_segment_bytes(source, index) == index.segments.length[[2, 5]].sum()
     with pytest.raises(TruncatedError, match=f"2 of {len(index.segments)}") as refused:
-        require_all(source, index)
+        require_all_segments(source, index)
     assert refused.value.message.startswith(f"bytes: 2 of {len(index.segments)} segments")
     assert f"at byte {index.offsets[2]}" in refused.value.message
     assert refused.value.code == "segment-missing"

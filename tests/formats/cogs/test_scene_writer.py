@@ -6,7 +6,7 @@ from encoding import encode, unseen
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import StorageError
 from cogsplat.codec.geometry.bounds import box
-from cogsplat.formats.cogs import scene as cogs
+from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.cogs.layout import COLOUR_BANDS, SegmentKind
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.writer import lay_out

@@ -27,7 +27,7 @@ _CHUNK_KINDS: Final = (
 
 
 @dataclass(frozen=True)
-class Place:
+class SegmentPlace:
     """Where a segment lies.
 
     Parameters
@@ -45,7 +45,7 @@ class Place:
     offset: int
 
 
-def joined(table: SegmentTable) -> list[list[int]]:
+def group_segments(table: SegmentTable) -> list[list[int]]:
     """Return the rows of the segments of each object, in the order of the file.
 
     The segments of a chunk are one object, and those of all codebooks another, so that a chunk
@@ -85,14 +85,14 @@ class StoredSegments:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._places: dict[bytes, Place] = {}
+        self._places: dict[bytes, SegmentPlace] = {}
         self._intact: dict[str, bool] = {}
         with storage_errors(folder):
             manifests = sorted(folder.glob(f"*{MANIFEST_SUFFIX}"))
         for manifest in manifests:
             self._add(manifest)
 
-    def place_of(self, key: bytes) -> Place | None:
+    def place_of(self, key: bytes) -> SegmentPlace | None:
         """Return where a segment lies, by its hash, in an object that is whole."""
         place = self._places.get(key)
         return place if place is not None and self._is_intact(place) else None
@@ -113,19 +113,19 @@ class StoredSegments:
             return
         for table, places in tables:
             for row in range(len(places)):
-                place = Place(
+                place = SegmentPlace(
                     places.objects[row].tobytes(), int(places.sizes[row]), int(places.offsets[row])
                 )
                 self._places.setdefault(table.hash[row].tobytes(), place)
 
-    def _is_intact(self, place: Place) -> bool:
+    def _is_intact(self, place: SegmentPlace) -> bool:
         name = place.key.hex()
         if name not in self._intact:
-            self._intact[name] = is_stored(self._folder, place.key, place.size)
+            self._intact[name] = has_object(self._folder, place.key, place.size)
         return self._intact[name]
 
 
-def is_stored(folder: Path, key: bytes, size: int) -> bool:
+def has_object(folder: Path, key: bytes, size: int) -> bool:
     """Whether a folder has the object of a key, of so many bytes, and it is not damaged."""
     path = folder / object_name(key)
     with storage_errors(path):

@@ -16,11 +16,11 @@ from cogsplat.codec.segments.attributes import types_of
 from cogsplat.codec.segments.payloads import Payloads
 
 from . import layout
-from .cameras import pack_cameras
-from .compensation import pack_layer
+from .camera_segment import pack_cameras
+from .compensation_segment import pack_layer
 from .layout import SegmentKind
 from .root import ChunkTable, CodebookEntry, Level, Root, no_segments
-from .view_table import pack_view_table
+from .view_table_segment import pack_view_table
 from .writer import Segment, lay_out, write_cogs
 
 
