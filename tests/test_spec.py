@@ -237,7 +237,7 @@ def test_keys_are_those_the_code_writes():
         assert [key for key in keys(clause) if f'"{key}"' not in source] == []
     source = (ROOT / "formats" / "cogs" / "camera_segment.py").read_text(encoding="utf-8")
     assert [key for key in keys("5.8 ") if f'"{key}"' not in source] == []
-    source = (ROOT / "formats" / "cogs" / "compensation.py").read_text(encoding="utf-8")
+    source = (ROOT / "formats" / "cogs" / "compensation_segment.py").read_text(encoding="utf-8")
     assert [key for key in keys("5.9 ") if f'"{key}"' not in source] == []
 
 
