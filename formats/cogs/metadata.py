@@ -9,7 +9,7 @@ from pathlib import Path
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.encoded import EncodedScene
 
-from . import scene as cogs
+from . import scene_writer as cogs
 
 
 @dataclass(frozen=True, eq=False)
