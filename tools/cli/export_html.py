@@ -19,7 +19,7 @@ from cogsplat.tools.delivery.viewer_pages import (
     PAGE_NAME,
     SCENE_NAME,
     linked_page,
-    write_lone_page,
+    write_standalone_page,
 )
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import (
@@ -96,7 +96,7 @@ def export_html(
         else:
             target = outputs.enter_context(atomic_write(out, force=force))
             with storage_errors(given.path):
-                write_lone_page(title, source, target)
+                write_standalone_page(title, source, target)
             written, page = target.tell(), out
     if as_json:
         say_json(

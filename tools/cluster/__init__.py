@@ -1,1 +1,1 @@
-"""Work on other processes and other machines: executors beside the threads of `codec`."""
+"""Executors of the encoder on processes and machines, instead of the threads of `codec`."""

@@ -1,4 +1,4 @@
-"""Run the encoder's work on Dask: on processes of this machine, or on a cluster."""
+"""Executor of the encoder on Dask: on local processes, or on a cluster."""
 
 from __future__ import annotations
 
@@ -22,36 +22,36 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 LOCAL: Final = "local"
-"""In place of an address: processes of this machine."""
+"""Name that stands for local processes, instead of a scheduler's address."""
 
-# How long a scheduler and its first worker are waited for, seconds.
-_PATIENCE_S: Final = 20.0
+# Timeout for a scheduler and its first worker, seconds.
+_TIMEOUT_S: Final = 20.0
 
-# How long until a scheduler without workers is asked again, seconds.
-_AGAIN_S: Final = 0.05
+# Interval between queries of a scheduler without workers, seconds.
+_POLL_S: Final = 0.05
 
-# Tasks that wait for each thread of the workers, so that none is idle while results are taken.
-_AHEAD: Final = 2
+# Queued tasks per worker thread, so that no thread is idle while the client reads results.
+_QUEUED_TASKS: Final = 2
 
-# A map of few items over a small scene is one of many, as in a stage of the order by gain or a step
-# of the fit. There a task's way through the scheduler costs more than a thread gains by taking the
-# next item alone, so up to so many items go together: with two workers the client and the scheduler
-# took 7.4 s of processor time in place of 13.3. Of large scenes each result takes much memory.
-_FEW: Final = 32
-_TOGETHER: Final = 4
+# A short map over small arrays is usually one of many, e.g. in the order by gain or in training.
+# There the scheduler's cost per task exceeds the gain of balancing single items, so a task gets up
+# to `_BATCH_ITEMS` items. With two workers this cut the processor time of client and scheduler from
+# 13.3 s to 7.4 s. Larger arrays give larger results, of which a batch would take too much memory.
+_SHORT_MAP_ITEMS: Final = 32
+_BATCH_ITEMS: Final = 4
 _SMALL_BYTES: Final = 1 << 26
 
 
 class DaskExecutor:
     """An `Executor` on the workers of a Dask scheduler.
 
-    What calls share is brought to the workers once, and stays there for as long as the object
-    lives. A task whose worker ends is run again on another one. The scheduler keeps a copy, packed.
+    Shared arguments are sent to the workers once and stay there while the local object exists. The
+    scheduler keeps a pickled copy. If a worker dies, its tasks run again on another worker.
 
     Parameters
     ----------
     client : distributed.Client
-        Connected; whoever made it closes it.
+        Connected client; the caller closes it.
 
     Examples
     --------
@@ -66,61 +66,75 @@ class DaskExecutor:
 
     def __init__(self, client: Client) -> None:
         self._client = client
-        # What the workers hold, by the identity of the object here.
-        self._brought: dict[int, tuple[weakref.ref[object], Future]] = {}
+        # Futures of the shared arguments, by the identity of the local object.
+        self._shared: dict[int, tuple[weakref.ref[object], Future]] = {}
 
     def map(
         self, function: Callable[..., Result], items: Iterable[Item], *shared: object
     ) -> Iterator[Result]:
-        """As `codec.executor.Executor.map`.
+        """Call a function for each item on the workers, like `codec.executor.Executor.map`.
+
+        Parameters
+        ----------
+        function : callable
+            Function of an item and the shared arguments.
+        items : iterable
+            Items.
+        *shared : object
+            Arguments common to all calls, sent to the workers once.
+
+        Yields
+        ------
+        Result
+            Results in the order of the items.
 
         Raises
         ------
         StorageError
-            ``scheduler-lost`` where the scheduler does not answer any more; ``worker-lost`` where
-            one task ended several workers.
+            ``scheduler-lost``: the scheduler no longer responds; ``worker-lost``: one task killed
+            several workers.
         """
-        waiting: deque[Future] = deque()
+        pending: deque[Future] = deque()
         small = sum(getattr(value, "nbytes", 0) for value in shared) <= _SMALL_BYTES
-        given = list(items) if small and isinstance(items, Sized) else items
+        sized = list(items) if small and isinstance(items, Sized) else items
         try:
-            # By turns: left to itself, the scheduler gives most tasks to the worker that has the
-            # scene already.
-            turns = self._threads()
-            for turn, batch in enumerate(_batches(given, len(turns))):
-                with self._told():
-                    held = [self._bring(value) for value in shared]
+            # Assign workers round-robin: the scheduler itself would prefer the worker that already
+            # has the scene.
+            workers = self._worker_of_threads()
+            for number, batch in enumerate(_batches(sized, len(workers))):
+                with self._connection_errors():
+                    arguments = [self._share(value) for value in shared]
                     future = self._client.submit(
                         _call_all,
                         function,
                         batch,
-                        *held,
+                        *arguments,
                         pure=False,
-                        workers=turns[turn % len(turns)],
-                        # Should that one end.
+                        workers=workers[number % len(workers)],
+                        # If the assigned worker dies.
                         allow_other_workers=True,
                     )
-                waiting.append(future)
-                if len(waiting) > _AHEAD * len(turns):
-                    yield from self._results(waiting.popleft())
-            while waiting:
-                yield from self._results(waiting.popleft())
+                pending.append(future)
+                if len(pending) > _QUEUED_TASKS * len(workers):
+                    yield from self._results(pending.popleft())
+            while pending:
+                yield from self._results(pending.popleft())
         finally:
-            self._cancel(list(waiting))
+            self._cancel(list(pending))
 
-    def _threads(self) -> list[str]:
-        """Return the address of the worker of every thread, workers by turns.
+    def _worker_of_threads(self) -> list[str]:
+        """Return one worker address per thread, in round-robin order over the workers.
 
         Raises
         ------
         StorageError
-            ``worker-lost``: none is left for as long as a scheduler is waited for.
+            ``worker-lost``: the scheduler has had no worker for `_TIMEOUT_S`.
         """
-        # Asked of the scheduler itself: what a local cluster knows of its workers may be old, and a
-        # worker that ended is gone from the list before another has taken its place.
-        deadline = time.monotonic() + _PATIENCE_S
+        # Query the scheduler, because a local cluster's list of workers may be outdated. The list
+        # may be empty while a dead worker is replaced.
+        deadline = time.monotonic() + _TIMEOUT_S
         while True:
-            with self._told():
+            with self._connection_errors():
                 threads: Mapping[str, int] = self._client.nthreads()
             if threads:
                 break
@@ -128,39 +142,41 @@ class DaskExecutor:
                 raise StorageError(
                     "worker-lost", "the scheduler has no workers left, expected at least 1"
                 )
-            time.sleep(_AGAIN_S)
+            time.sleep(_POLL_S)
         most = max(threads.values())
         return [address for turn in range(most) for address in threads if threads[address] > turn]
 
-    def _bring(self, value: object) -> object:
-        """Return the future of the workers' copy of a value; bring it there the first time.
+    def _share(self, value: object) -> object:
+        """Return the future of a shared argument, which the first call sends to the workers.
 
-        Numbers and other values that cannot be referred to weakly go along with each task.
+        Numbers and other values without weak references are returned as they are, and so are sent
+        with each task.
         """
         if type(value).__weakrefoffset__ == 0:
             return value
         import cloudpickle
 
-        known = self._brought.get(id(value))
+        known = self._shared.get(id(value))
         if known is not None and known[0]() is value:
             return known[1]
-        # As a task that unpacks it: should every worker that has a copy end, the scheduler runs the
-        # task again. Scattered values would be lost.
+        # A task that unpickles the value, because the scheduler reruns tasks if all workers with a
+        # copy die. `Client.scatter` would lose the value.
         future = self._client.submit(pickle.loads, cloudpickle.dumps(value), pure=False)
         key = id(value)
-        # Dropping the future lets go of the copies.
-        gone = weakref.ref(value, lambda _: self._brought.pop(key, None))
-        self._brought[key] = gone, future
+        # Dropping the future frees the workers' copies.
+        reference = weakref.ref(value, lambda _: self._shared.pop(key, None))
+        self._shared[key] = reference, future
         return future
 
     def _results(self, future: Future) -> Iterator[Any]:
-        """Yield what a task gave for its items, up to the one that it failed at."""
+        """Yield a task's results, then raise the error of the item that failed, if any."""
         results, error = self._result(future)
         yield from results
         if error is not None:
             raise error
 
     def _result(self, future: Future) -> Any:
+        """Wait for a task and return its value; turn Dask's exceptions into `StorageError`."""
         from distributed import KilledWorker
         from distributed.client import FutureCancelledError
         from distributed.comm import CommClosedError
@@ -170,19 +186,19 @@ class DaskExecutor:
         except KilledWorker as error:
             raise StorageError(
                 "worker-lost",
-                "a task ended every worker that began it, perhaps for want of memory, "
+                "every worker that ran a task died, perhaps out of memory, "
                 f"expected one to finish it: {error}",
             ) from None
         except (FutureCancelledError, CommClosedError, ConnectionError) as error:
-            # Nobody else cancels: the scheduler is gone, or another one is in its place.
+            # Only a lost or restarted scheduler cancels tasks.
             raise _scheduler_lost() from error
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
-        """Turn the errors of a connection that ended into ours."""
+    def _connection_errors(self) -> Iterator[None]:
+        """Turn exceptions of a closed connection into ``scheduler-lost``, as a context manager."""
         from distributed.client import ClosedClientError
 
-        # The client closes when a scheduler has not answered for a while.
+        # The client closes after a scheduler has not responded for some time.
         if self._client.status in ("closing", "closed"):
             raise _scheduler_lost()
         try:
@@ -191,22 +207,22 @@ class DaskExecutor:
             raise _scheduler_lost() from error
 
     def _cancel(self, futures: list[Future]) -> None:
-        """Drop tasks that nobody waits for."""
+        """Cancel tasks whose results are not needed."""
         if not futures or self._client.status != "running":
             return
-        # Without a scheduler there is nothing to cancel, and what is raised already says so.
+        # Ignore connection errors here: the caller already raises one.
         with suppress(OSError, TimeoutError):
             self._client.cancel(futures)
 
 
 def _batches(items: Iterable[Item], threads: int) -> Iterator[list[Item]]:
-    """Give items in the runs that one task works through: of many items each alone."""
-    if not isinstance(items, list) or len(items) > _FEW:
+    """Split items into the batches of single tasks; a long map has batches of one item."""
+    if not isinstance(items, list) or len(items) > _SHORT_MAP_ITEMS:
         for item in items:
             yield [item]
         return
-    # As many for each thread, so that none waits for another.
-    count = min(threads * -(-len(items) // (threads * _TOGETHER)), len(items))
+    # A multiple of the number of threads, so that all threads get equal numbers of batches.
+    count = min(threads * -(-len(items) // (threads * _BATCH_ITEMS)), len(items))
     bounds = [len(items) * number // max(count, 1) for number in range(count + 1)]
     for first, last in pairwise(bounds):
         yield items[first:last]
@@ -215,20 +231,29 @@ def _batches(items: Iterable[Item], threads: int) -> Iterator[list[Item]]:
 def _call_all(
     function: Callable[..., Result], items: Iterable[Item], *shared: object
 ) -> tuple[list[Result], CogsplatError | None]:
-    """Return what a function gives for each item, on a worker, and what ended that early."""
+    """Call a function for each item, on a worker; return the results up to the first error.
+
+    Returns
+    -------
+    results : list
+        Results of the items before the error.
+    error : CogsplatError or None
+        The error, if any.
+    """
     results: list[Result] = []
     try:
         for item in items:
-            results.append(function(item, *shared))  # noqa: PERF401 - those before an error count
+            results.append(function(item, *shared))  # noqa: PERF401 - keep results before an error
     except CogsplatError as error:
         return results, error
     return results, None
 
 
 def _scheduler_lost() -> StorageError:
+    """Return the error about a scheduler that no longer responds."""
     return StorageError(
         "scheduler-lost",
-        "the Dask scheduler does not answer any more, expected it to stay until the work is done",
+        "the Dask scheduler no longer responds, expected it to run until the end of the work",
     )
 
 
@@ -239,21 +264,21 @@ def connected(scheduler: str, *, workers: int = 0) -> Iterator[DaskExecutor]:
     Parameters
     ----------
     scheduler : str
-        An address such as ``tcp://10.0.0.1:8786``, or ``local``.
+        Address such as ``tcp://10.0.0.1:8786``, or ``local``.
     workers : int
-        Processes of ``local``, of one thread each; 0 for one a core.
+        Number of ``local`` processes, with one thread each; 0 for one per core.
 
     Yields
     ------
     DaskExecutor
-        What was brought to the workers is let go of at the end, and ``local`` is shut down.
+        Executor. On exit, shared arguments are freed and ``local`` processes end.
 
     Raises
     ------
     MissingExtraError
         ``needs-extra``: Dask is not installed.
     StorageError
-        ``scheduler-unreachable``: no scheduler, or one without workers.
+        ``scheduler-unreachable``: there is no scheduler at the address, or it has no workers.
     """
     try:
         import dask
@@ -264,14 +289,14 @@ def connected(scheduler: str, *, workers: int = 0) -> Iterator[DaskExecutor]:
             "this takes Dask, which is not installed; it needs the extra: "
             "pip install 'cogsplat[dask]'",
         ) from error
-    # Scenes go along with tasks that unpack them; by default Dask warns of tasks so large.
+    # Tasks that unpickle a scene contain it; raise the size from which Dask warns.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"}):
         if scheduler == LOCAL:
             with (
                 LocalCluster(
                     n_workers=thread_count(workers),
                     threads_per_worker=1,
-                    # The machine's memory is theirs together, as it is that of threads.
+                    # No limit per process: the processes share the machine's memory.
                     memory_limit=0,
                     dashboard_address="127.0.0.1:0",
                     silence_logs=logging.CRITICAL,
@@ -281,19 +306,20 @@ def connected(scheduler: str, *, workers: int = 0) -> Iterator[DaskExecutor]:
                 yield DaskExecutor(client)
             return
         try:
-            client = Client(scheduler, timeout=_PATIENCE_S, set_as_default=False)
+            client = Client(scheduler, timeout=_TIMEOUT_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
-            raise _unreachable(scheduler, "no answer") from error
+            raise _unreachable(scheduler, "no response") from error
         with client:
             try:
-                client.wait_for_workers(1, timeout=_PATIENCE_S)
+                client.wait_for_workers(1, timeout=_TIMEOUT_S)
             except TimeoutError as error:
                 raise _unreachable(scheduler, "no workers") from error
             yield DaskExecutor(client)
 
 
 def _unreachable(scheduler: str, found: str) -> StorageError:
+    """Return the error about a scheduler that did not respond or has no workers."""
     return StorageError(
         "scheduler-unreachable",
-        f"{scheduler}: {found} within {_PATIENCE_S:g} s, expected a Dask scheduler with a worker",
+        f"{scheduler}: {found} within {_TIMEOUT_S:g} s, expected a Dask scheduler with a worker",
     )

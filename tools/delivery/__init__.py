@@ -1,1 +1,1 @@
-"""How a scene gets to a browser: pages that hold it or lie beside it, and a server for one file."""
+"""Delivery of scenes to browsers: viewer pages, notebook widgets, local web servers."""

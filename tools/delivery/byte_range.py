@@ -1,39 +1,38 @@
-"""The ``Range`` header of a request (RFC 9110, 14)."""
+"""Parser of the ``Range`` header of a request (RFC 9110, 14)."""
 
 from __future__ import annotations
 
 import re
 from typing import Final
 
-# No file has a length of more digits than 19; Python refuses numbers of thousands.
+# At most 19 digits, because Python rejects integers with thousands of digits.
 _ONE_RANGE: Final = re.compile(r"bytes\s*=\s*(\d{0,19})\s*-\s*(\d{0,19})", re.ASCII | re.IGNORECASE)
 
 
 class RangeNotSatisfiableError(ValueError):
-    """A range begins behind the end of the file; the answer is status 416."""
+    """A range begins behind the end of the file; the response is status 416."""
 
 
 def parse_range(header: str | None, size: int) -> tuple[int, int] | None:
-    """Return the bytes that a ``Range`` header asks for.
+    """Return the byte range requested by a ``Range`` header.
 
     Parameters
     ----------
     header : str or None
-        Its value.
+        Value of the header.
     size : int
-        Of the file, bytes.
+        Size of the file, bytes.
 
     Returns
     -------
     tuple of int, or None
-        First byte and the end behind the last one. None where the whole file is to be sent: without
-        a header, with one that is malformed or has another unit, and with several ranges, all of
-        which RFC 9110 lets a server ignore.
+        First byte, and one past the last byte. None means the whole file: there is no header, or
+        RFC 9110 lets a server ignore it (malformed, another unit, several ranges).
 
     Raises
     ------
     RangeNotSatisfiableError
-        No byte of the file is in the range.
+        The range contains no byte of the file.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""An ASGI application that gives out files as scenes want it: ranges, CORS, types, validators."""
+"""ASGI application that serves scenes' files with ranges, CORS, media types and ETags."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ TYPES: Final = {
     ".png": "image/png",
     ".svg": "image/svg+xml",
 }
-"""Media types by extension; everything else is application/octet-stream, scenes among it."""
+"""Media types by extension; all other files, e.g. scenes, are application/octet-stream."""
 
 _IMMUTABLE: Final = "public, max-age=31536000, immutable, no-transform"
 _REVALIDATED: Final = "no-cache, no-transform"
 
-# The folder of segments that are named by their content (SPEC 3.4): what has a name never changes.
-_BY_CONTENT: Final = "segments"
+# Folder of the objects named by the hash of their content (SPEC 3.4), which never change.
+_OBJECT_FOLDER: Final = "segments"
 
-# Pages of any origin may read what is served, and see of it what a reader checks.
+# Pages of any origin may read files, and the headers that a reader checks.
 _CORS: Final = {
     "Access-Control-Allow-Origin": "*",
     "Access-Control-Expose-Headers": (
@@ -60,12 +60,12 @@ _PREFLIGHT: Final = {
 
 
 class ConnectionLostError(ConnectionError):
-    """An answer breaks off in the middle, as on a bad link; the server closes the connection."""
+    """A response breaks off, as on a bad link; the server then closes the connection."""
 
 
 @dataclass(frozen=True)
 class _Content:
-    """What an answer is taken from: an open file, its length in bytes and its strong ETag."""
+    """The content of a response: an open file, its size in bytes, and its strong ETag."""
 
     file: BinaryIO
     size: int
@@ -73,16 +73,17 @@ class _Content:
 
 
 class FileApp:
-    """Answers requests for the files of a folder, or for one file.
+    """ASGI application for the files of a folder, or for one file.
 
     Parameters
     ----------
     root : Path
-        A folder, or a file, which is served under its own name. Files whose names begin with a dot,
-        and links that lead out of the folder, are not served.
+        A folder, or a file, which is served under its own name. Files whose names begin with a dot
+        and links to targets outside the folder are not served.
     link : ShapedLink
+        Simulated link of all responses.
     pages : mapping of str to bytes
-        Further files, by name; ``/`` gives ``index.html``.
+        Further files in memory, by name; ``/`` serves ``index.html``.
 
     Examples
     --------
@@ -100,13 +101,14 @@ class FileApp:
         self._pages = dict(pages or {})
 
     async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
-        """Answer one request, or take part in starting and stopping."""
+        """Handle one HTTP request, or the ASGI lifespan protocol."""
         if scope["type"] == "lifespan":
             await _lifespan(receive, send)
         elif scope["type"] == "http":
-            await self._answer(scope, send)
+            await self._handle(scope, send)
 
-    async def _answer(self, scope: Message, send: Send) -> None:
+    async def _handle(self, scope: Message, send: Send) -> None:
+        """Handle one HTTP request."""
         if await self._link.begin():
             await _refuse(send, HTTPStatus.SERVICE_UNAVAILABLE, {"Retry-After": "0"})
             return
@@ -131,7 +133,7 @@ class FileApp:
             await self._send(name, content, headers, send, with_body=method == "GET")
 
     def _open(self, name: str) -> _Content | None:
-        """Open what stands under a name, None where nothing does."""
+        """Open the page or file of a name; None if there is none."""
         page = self._pages.get(name)
         if page is not None:
             return _Content(BytesIO(page), len(page), f'"{hashlib.sha256(page).hexdigest()[:32]}"')
@@ -147,6 +149,7 @@ class FileApp:
         return _Content(file, status.st_size, etag)
 
     def _path(self, name: str) -> Path | None:
+        """Return the path of a served file; None for a name that must not be served."""
         if self._root.is_file():
             return self._root if name == self._root.name else None
         parts = PurePosixPath(name).parts
@@ -160,31 +163,33 @@ class FileApp:
         self,
         name: str,
         content: _Content,
-        asked: Mapping[str, str],
+        request_headers: Mapping[str, str],
         send: Send,
         *,
         with_body: bool,
     ) -> None:
-        kind = TYPES.get(PurePosixPath(name).suffix.lower(), "application/octet-stream")
-        immutable = _BY_CONTENT in PurePosixPath(name).parts[:-1]
+        """Send a file, or a range of it, after checking the request's conditions."""
+        media_type = TYPES.get(PurePosixPath(name).suffix.lower(), "application/octet-stream")
+        immutable = _OBJECT_FOLDER in PurePosixPath(name).parts[:-1]
         headers = {
             "ETag": content.etag,
             "Accept-Ranges": "bytes",
             "Cache-Control": _IMMUTABLE if immutable else _REVALIDATED,
-            "Content-Type": kind,
+            "Content-Type": media_type,
         }
-        if content.etag in _tags(asked.get("if-none-match", "")):
+        if content.etag in _tags(request_headers.get("if-none-match", "")):
             await _begin(send, HTTPStatus.NOT_MODIFIED, headers)
             await send({"type": "http.response.body", "body": b""})
             return
-        wanted_tags = _tags(asked.get("if-match", ""))
-        if wanted_tags and content.etag not in wanted_tags and "*" not in wanted_tags:
+        match_tags = _tags(request_headers.get("if-match", ""))
+        if match_tags and content.etag not in match_tags and "*" not in match_tags:
             await _refuse(send, HTTPStatus.PRECONDITION_FAILED, {"ETag": content.etag})
             return
-        # Ranges are for GET alone (RFC 9110, 14.2); If-Range asks for the whole of another file.
-        same = asked.get("if-range", content.etag) == content.etag
+        # Ranges apply to GET only (RFC 9110, 14.2). If-Range with an old ETag means the whole file.
+        unchanged = request_headers.get("if-range", content.etag) == content.etag
+        stated = request_headers.get("range") if with_body and unchanged else None
         try:
-            part = parse_range(asked.get("range") if with_body and same else None, content.size)
+            part = parse_range(stated, content.size)
         except RangeNotSatisfiableError:
             missing = {"Content-Range": f"bytes */{content.size}", "ETag": content.etag}
             await _refuse(send, HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, missing)
@@ -204,7 +209,7 @@ class FileApp:
         Raises
         ------
         ConnectionLostError
-            The link breaks, or the file was cut while it was sent.
+            The link breaks, or the file was truncated during the response.
         """
         stop = self._link.breaks_at(end - first)
         file.seek(first)
@@ -214,18 +219,19 @@ class FileApp:
             if stop is not None and sent + len(block) > stop:
                 raise ConnectionLostError("the link breaks")
             if not block:
-                raise ConnectionLostError("the file was cut while it was sent")
+                raise ConnectionLostError("the file was truncated while it was sent")
             await self._link.wait(len(block))
             await send({"type": "http.response.body", "body": block, "more_body": True})
             sent += len(block)
 
 
 def _tags(header: str) -> list[str]:
+    """Split a header of ETags."""
     return [tag.strip() for tag in header.split(",") if tag.strip()]
 
 
 async def _lifespan(receive: Receive, send: Send) -> None:
-    """Say that starting and stopping take nothing."""
+    """Acknowledge the messages of the ASGI lifespan protocol."""
     while True:
         kind = (await receive())["type"]
         await send({"type": f"{kind}.complete"})
@@ -234,6 +240,7 @@ async def _lifespan(receive: Receive, send: Send) -> None:
 
 
 async def _begin(send: Send, status: HTTPStatus, headers: Mapping[str, str]) -> None:
+    """Send the status and headers of a response, with the CORS headers."""
     pairs = [
         (key.lower().encode("latin-1"), value.encode("latin-1"))
         for key, value in {**headers, **_CORS}.items()
@@ -242,6 +249,7 @@ async def _begin(send: Send, status: HTTPStatus, headers: Mapping[str, str]) -> 
 
 
 async def _refuse(send: Send, status: HTTPStatus, headers: Mapping[str, str]) -> None:
+    """Send an error response with its status as text."""
     text = f"{status.value} {status.phrase}\n".encode()
     own = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(text))}
     await _begin(send, status, {**headers, **own, "Cache-Control": "no-store"})

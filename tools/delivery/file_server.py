@@ -1,4 +1,4 @@
-"""Serve files over HTTP/1.1, and over HTTP/2 where there is a certificate, with hypercorn."""
+"""Web server for files: HTTP/1.1, or HTTP/2 with a certificate, by hypercorn."""
 
 from __future__ import annotations
 
@@ -26,31 +26,32 @@ _STOP_SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP")
 
 @dataclass(frozen=True)
 class Certificate:
-    """Files of a certificate and of its key, PEM; browsers speak HTTP/2 with one alone."""
+    """PEM files of a TLS certificate and its key; browsers require TLS for HTTP/2."""
 
     certificate: Path
     key: Path
 
 
 class FileServer:
-    """Listens on a port and answers requests with an application.
+    """Web server that passes the requests of a port to an application.
 
     Parameters
     ----------
     app : FileApp
+        Application.
     port : int
-        0 takes a free one.
+        TCP port; 0 chooses a free one.
     host : str
-        The address to listen on; by default no other machine reaches it.
+        Address to listen on; by default only this machine can connect.
     certificate : Certificate, optional
-        For ``https://``, with HTTP/2.
+        Certificate for ``https://`` and HTTP/2.
 
     Raises
     ------
     MissingExtraError
         ``needs-serve``: hypercorn is not installed.
     StorageError
-        ``io`` or ``permission``: the port cannot be listened on.
+        ``io`` or ``permission``: listening on the port failed.
 
     Examples
     --------
@@ -86,11 +87,11 @@ class FileServer:
         self.url = f"{scheme}://{shown}:{self.port}/"
 
     def serve_forever(self) -> None:
-        """Answer requests until `stop`."""
+        """Serve requests until `stop` is called."""
         asyncio.run(self._serve())
 
     def stop(self) -> None:
-        """End `serve_forever`, from any thread."""
+        """End `serve_forever`; may be called from any thread."""
         self._stopping.set()
         if self._loop is not None:
             self._loop.call_soon_threadsafe(self._stop.set)
@@ -100,17 +101,18 @@ class FileServer:
         self._socket.close()
 
     async def _serve(self) -> None:
+        """Run hypercorn until a stop event or a signal."""
         loop = self._loop = asyncio.get_running_loop()
         if self._stopping.is_set():
             return
-        loop.set_exception_handler(_told_unless_cancelled)
+        loop.set_exception_handler(_report_unless_cancelled)
         if threading.current_thread() is threading.main_thread():
             for name in _STOP_SIGNALS:
-                # Not on Windows, where Ctrl-C ends the loop itself.
+                # Unsupported on Windows, where Ctrl-C ends the loop itself.
                 with suppress(NotImplementedError, AttributeError):
                     loop.add_signal_handler(getattr(signal, name), self._stop.set)
         config = self._hypercorn.config.Config()
-        # hypercorn closes the descriptor that it is given.
+        # A duplicate descriptor, because hypercorn closes its own.
         config.bind = [f"fd://{self._socket.dup().detach()}"]
         config.include_server_header = False
         config.keep_alive_timeout = _IDLE_SECONDS
@@ -125,7 +127,7 @@ class FileServer:
 
 @contextmanager
 def running(server: FileServer) -> Iterator[FileServer]:
-    """Answer requests in a thread as long as the block lasts."""
+    """Run a server in a thread for the duration of a with block."""
     thread = threading.Thread(target=server.serve_forever)
     thread.start()
     try:
@@ -136,13 +138,14 @@ def running(server: FileServer) -> Iterator[FileServer]:
         server.close()
 
 
-def _told_unless_cancelled(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Report a fault of the loop; connections that are cut when the server ends are none."""
+def _report_unless_cancelled(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Report errors of the event loop, except connections cancelled when the server stops."""
     if not isinstance(context.get("exception"), asyncio.CancelledError):
         loop.default_exception_handler(context)
 
 
 def _hypercorn() -> ModuleType:
+    """Import hypercorn, or raise ``needs-serve``."""
     try:
         import hypercorn.asyncio
         import hypercorn.config

@@ -1,4 +1,4 @@
-"""A web server for a scene and its viewer, for browsers of this machine."""
+"""Web server for a scene and its viewer page, reachable from this machine only."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from .byte_range import RangeNotSatisfiableError, parse_range
 from .viewer_pages import PAGE_NAME, linked_page
 
 HOST: Final = "127.0.0.1"
-"""The address that is listened on: no other machine reaches it."""
+"""Loopback address to listen on, so that no other machine can connect."""
 
-# Names under which browsers know this machine, with any port, because ports are forwarded. A page
-# of another site whose name was made to lead here (DNS rebinding) comes with that site's name.
+# Accepted Host headers: names of this machine with any port, because ports may be forwarded. Other
+# names are rejected against DNS rebinding, where a foreign site's name resolves to this machine.
 _OWN_HOST: Final = re.compile(r"(127\.0\.0\.1|localhost)(:\d{1,5})?", re.ASCII | re.IGNORECASE)
 
 _METHODS: Final = ("GET", "HEAD")
@@ -43,7 +43,7 @@ _IDLE_SECONDS: Final = 60
 
 @dataclass(frozen=True)
 class _Content:
-    """What an answer is taken from: an open file, its length in bytes and its strong ETag."""
+    """The content of a response: an open file, its size in bytes, and its strong ETag."""
 
     file: BinaryIO
     size: int
@@ -51,28 +51,28 @@ class _Content:
 
 
 class SceneServer(ThreadingHTTPServer):
-    """Serves a viewer page at ``/`` and a scene or two beside it, to this machine alone.
+    """Web server for a viewer page at ``/`` and one or two scenes, for this machine only.
 
-    Requests for anything else get 404, those that name another host 403 and other methods than GET
-    and HEAD 405. The scene is answered by byte ranges, with an ETag that changes with the file.
+    Scenes support byte ranges and have an ETag that changes with the file. Error responses are 404
+    for other paths, 403 for foreign Host headers, and 405 for methods other than GET and HEAD.
 
     Parameters
     ----------
     scene : Path
-        A ``.cogs`` file or the PLY of 3DGS training. It is opened for each request.
+        A ``.cogs`` file or a PLY of 3DGS training; opened for each request.
     title : str
-        Of the page.
+        Title of the page.
     port : int
-        0 takes a free one.
+        TCP port; 0 chooses a free one.
     against : Path, optional
-        A second one, which the page compares with the scene.
+        Second scene, which the page compares with the first.
     against_title : str, optional
-        What the page calls it.
+        Label of the second scene on the page.
 
     Raises
     ------
     StorageError
-        ``io`` or ``permission``: the port cannot be listened on.
+        ``io`` or ``permission``: listening on the port failed.
 
     Examples
     --------
@@ -83,7 +83,7 @@ class SceneServer(ThreadingHTTPServer):
     http://127.0.0.1:.../
     """
 
-    # On Windows the option would let another process take the port over.
+    # On Windows the option would let another process listen on the same port.
     allow_reuse_address = os.name == "posix"
 
     def __init__(
@@ -95,7 +95,7 @@ class SceneServer(ThreadingHTTPServer):
         against: Path | None = None,
         against_title: str | None = None,
     ) -> None:
-        # Their own names stay here: they may say more than the page needs to know.
+        # Scenes get neutral names, because the page need not expose the files' names.
         named = {"scene": scene, "against": against}
         self._scenes = {
             f"{name}{'.cogs' if is_cogs(path) else '.ply'}": path
@@ -111,7 +111,7 @@ class SceneServer(ThreadingHTTPServer):
             super().__init__((HOST, port), _Handler)
 
     def server_bind(self) -> None:
-        """Bind, without asking for the machine's name as `HTTPServer` does, which can take long."""
+        """Bind without the reverse DNS lookup of `HTTPServer`, which can be slow."""
         socketserver.TCPServer.server_bind(self)
         self.server_name, self.server_port = HOST, int(self.server_address[1])
 
@@ -121,17 +121,17 @@ class SceneServer(ThreadingHTTPServer):
         return f"http://{HOST}:{self.server_port}/"
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Report a fault; a browser that goes away in the middle of an answer is none."""
+        """Report errors, except connections that the browser closed during a response."""
         if not isinstance(sys.exception(), ConnectionError | TimeoutError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
     def open_content(self, name: str) -> _Content | None:
-        """Open what stands under a name of the folder, None where nothing does.
+        """Open the page or scene of a name; None if there is none.
 
         Raises
         ------
         StorageError
-            The scene's file cannot be opened any more.
+            The scene's file can no longer be opened.
         """
         if name in self._scenes:
             file = open_for_read(self._scenes[name])
@@ -146,7 +146,7 @@ class SceneServer(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers the requests of one connection."""
+    """Handler of one connection's requests."""
 
     protocol_version = "HTTP/1.1"
     server_version = "cogsplat"
@@ -155,7 +155,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: SceneServer
 
     def parse_request(self) -> bool:
-        """Refuse requests of other methods and for other hosts."""
+        """Parse a request; reject unsupported methods and foreign Host headers."""
         if not super().parse_request():
             return False
         if self.command not in _METHODS:
@@ -171,42 +171,43 @@ class _Handler(BaseHTTPRequestHandler):
         return True
 
     def do_GET(self) -> None:
-        """Answer with a page, or with a range of the scene."""
-        # Names are compared as they are sent: there is no path that could lead out of a folder.
+        """Respond with a page, a scene, or a range of a scene."""
+        # Raw names are looked up in a dictionary, so that no path can leave a folder.
         path = self.path.partition("?")[0]
         name = PAGE_NAME if path == "/" else path.removeprefix("/")
         try:
             content = self.server.open_content(name) if path.startswith("/") else None
         except StorageError:
-            # The scene was there at the start and is gone: the page says so by the status.
+            # The scene was deleted since the start: the page shows the status.
             content = None
         if content is None:
             self._refuse(HTTPStatus.NOT_FOUND)
             return
         with content.file:
-            self._answer(name, content)
+            self._respond(name, content)
 
     def do_HEAD(self) -> None:
-        """Answer as to GET, without the bytes."""
+        """Respond like GET, without a body."""
         self.do_GET()
 
-    def _answer(self, name: str, content: _Content) -> None:
+    def _respond(self, name: str, content: _Content) -> None:
+        """Respond with content or a range of it, after checking the request's conditions."""
         headers = {
             "ETag": content.etag,
             "Accept-Ranges": "bytes",
-            # Kept, but asked for again, so that a file that was written anew is seen.
+            # The browser may cache, but must revalidate, so that it sees a rewritten file.
             "Cache-Control": "no-cache",
         }
-        given = self.headers.get("If-None-Match")
-        if given is not None and content.etag in [tag.strip() for tag in given.split(",")]:
+        tags = self.headers.get("If-None-Match")
+        if tags is not None and content.etag in [tag.strip() for tag in tags.split(",")]:
             self._begin(HTTPStatus.NOT_MODIFIED, headers)
             return
-        # Ranges are for GET alone (RFC 9110, 14.2); If-Range asks for the whole of another file.
-        wanted = self.headers.get("Range") if self.command == "GET" else None
+        # Ranges apply to GET only (RFC 9110, 14.2). If-Range with an old ETag means the whole file.
+        stated = self.headers.get("Range") if self.command == "GET" else None
         if self.headers.get("If-Range", content.etag) != content.etag:
-            wanted = None
+            stated = None
         try:
-            part = parse_range(wanted, content.size)
+            part = parse_range(stated, content.size)
         except RangeNotSatisfiableError:
             self._refuse(
                 HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE,
@@ -224,25 +225,28 @@ class _Handler(BaseHTTPRequestHandler):
             self._copy(content.file, end - first)
 
     def _copy(self, file: BinaryIO, count: int) -> None:
+        """Send the next `count` bytes of a file."""
         while count:
             block = file.read(min(count, _COPY_BYTES))
             if not block:
-                # The file was cut while it was sent: an answer that ends early tells the browser.
+                # The file was truncated: closing early lets the browser detect it.
                 self.close_connection = True
                 return
             self.wfile.write(block)
             count -= len(block)
 
     def _begin(self, status: HTTPStatus, headers: Mapping[str, str]) -> None:
+        """Send the status and headers of a response."""
         self.send_response(status)
         for name, value in headers.items():
             self.send_header(name, value)
         self.send_header("X-Content-Type-Options", "nosniff")
-        # Pages of other sites can neither read the scene nor draw it.
+        # Pages of other sites cannot read or embed the scene.
         self.send_header("Cross-Origin-Resource-Policy", "same-origin")
         self.end_headers()
 
     def _refuse(self, status: HTTPStatus, **headers: str) -> None:
+        """Send an error response with its status as text, and close the connection."""
         text = f"{status.value} {status.phrase}\n".encode()
         self.close_connection = True
         headers |= {
@@ -255,4 +259,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(text)
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-        """Write nothing: the terminal is the user's."""
+        """Suppress the request log, which would fill the user's terminal."""

@@ -1,4 +1,4 @@
-"""Scenes in Jupyter: the viewer of ``tools/web`` as a widget that reads from an open file."""
+"""Jupyter widget with the viewer of ``tools/web``, which reads from an open file."""
 
 from __future__ import annotations
 
@@ -9,22 +9,23 @@ from typing import Any, Final
 from cogsplat.codec.errors import CogsplatError, MissingExtraError
 from cogsplat.formats.cogs.reader import CogsFile
 
-_PROGRAMS: Final = ("worker.js", "viewer_worker.js")
-# The longest range that a reader asks for in one request is 4 MiB (SPEC 8.8).
-_MOST_BYTES: Final = 16 << 20
+_WORKER_SCRIPTS: Final = ("worker.js", "viewer_worker.js")
+# Limit on one read, bytes; the viewer requests at most 4 MiB at a time (SPEC 8.8).
+_MAX_READ_BYTES: Final = 16 << 20
 
 
 def show(file: CogsFile) -> Any:
-    """Return a widget that shows a scene and fetches it from the kernel by ranges.
+    """Return a widget that shows a scene and fetches byte ranges from the kernel.
 
     Parameters
     ----------
     file : CogsFile
-        Stays open for as long as the widget is to read from it.
+        Open file of the scene; it must stay open while the widget is in use.
 
     Returns
     -------
     anywidget.AnyWidget
+        The widget.
 
     Raises
     ------
@@ -34,9 +35,9 @@ def show(file: CogsFile) -> Any:
     Examples
     --------
     >>> import cogsplat
-    >>> from cogsplat.tools.delivery.notebook import answer
+    >>> from cogsplat.tools.delivery.notebook import respond
     >>> with cogsplat.open("scene.cogs") as file:
-    ...     content, buffers = answer(file, {"type": "read", "id": 1, "offset": 0, "length": 4})
+    ...     content, buffers = respond(file, {"type": "read", "id": 1, "offset": 0, "length": 4})
     >>> buffers[0][1:]
     b'COG'
     """
@@ -48,48 +49,52 @@ def show(file: CogsFile) -> Any:
             "notebooks show scenes with anywidget (pip install 'cogsplat[notebook]')",
         ) from error
 
-    widget: Any = anywidget.AnyWidget(_esm=_program("viewer.js"))
+    widget: Any = anywidget.AnyWidget(_esm=_script("viewer.js"))
 
-    def received(_widget: object, message: object, _buffers: object) -> None:
-        content, buffers = answer(file, message)
+    def on_message(_widget: object, message: object, _buffers: object) -> None:
+        content, buffers = respond(file, message)
         widget.send(content, buffers)
 
-    widget.on_msg(received)
+    widget.on_msg(on_message)
     return widget
 
 
 def bundle(file: CogsFile) -> Any:
-    """Return what a notebook shows of an open file; without the extra, its name and its size."""
+    """Return the MIME bundle of an open file for a notebook: the widget, or text without anywidget.
+
+    The text has the file's name and size. Jupyter calls this through ``_repr_mimebundle_``.
+    """
     text = (
         f"{file.name}: {file.root.splats:,} splats, SH degree {file.root.sh_degree}, "
         f"{file.file_length:,} bytes"
     )
     try:
-        shown = show(file)
+        widget = show(file)
     except MissingExtraError as error:
         return {"text/plain": f"{text}\n{error}"}
-    made = shown._repr_mimebundle_()
-    data, metadata = made if isinstance(made, tuple) else (made, {})
+    found = widget._repr_mimebundle_()
+    data, metadata = found if isinstance(found, tuple) else (found, {})
     return {**data, "text/plain": text}, metadata
 
 
-def answer(file: CogsFile, message: object) -> tuple[dict[str, object], list[bytes]]:
-    """Answer a message of the widget in the browser (``tools/web/src/viewer/notebook.ts``).
+def respond(file: CogsFile, message: object) -> tuple[dict[str, object], list[bytes]]:
+    """Return the response to a message of the browser (``tools/web/src/viewer/notebook.ts``).
 
     Parameters
     ----------
     file : CogsFile
+        Open file of the scene.
     message : object
-        ``{"type": "open"}`` asks for the scene's name, its length and the programs of its workers,
-        ``{"type": "read", "id", "offset", "length"}`` for bytes. Others are told that they are
-        not understood: a page can send anything.
+        Request. ``{"type": "open"}`` requests the scene's name and length, and the worker scripts;
+        ``{"type": "read", "id", "offset", "length"}`` requests bytes. Any other value gets a
+        response of type ``"failed"``.
 
     Returns
     -------
     content : dict
-        The answer, under the ``id`` that was asked with.
+        The response as JSON, with the ``id`` of the request.
     buffers : list of bytes
-        What is too long for it.
+        The requested bytes.
     """
     match message:
         case {"type": "open"}:
@@ -97,20 +102,21 @@ def answer(file: CogsFile, message: object) -> tuple[dict[str, object], list[byt
                 "type": "scene",
                 "name": PurePath(file.name).name,
                 "length": file.source_bytes,
-                "programs": [_program(name) for name in _PROGRAMS],
+                "programs": [_script(name) for name in _WORKER_SCRIPTS],
             }, []
         case {"type": "read", "id": int(key), "offset": int(offset), "length": int(length)}:
-            if not (offset >= 0 and 0 <= length <= _MOST_BYTES):
-                return {"type": "failed", "id": key, "message": f"{length} bytes asked for"}, []
+            if not (offset >= 0 and 0 <= length <= _MAX_READ_BYTES):
+                return {"type": "failed", "id": key, "message": f"{length} bytes requested"}, []
             try:
                 part = file.read_bytes(offset, length)
             except (CogsplatError, ValueError) as error:
-                # A file that was closed meanwhile raises ValueError.
+                # Reading from a closed file raises ValueError.
                 return {"type": "failed", "id": key, "message": str(error)}, []
             return {"type": "bytes", "id": key}, [part]
         case _:
-            return {"type": "failed", "id": -1, "message": "not understood"}, []
+            return {"type": "failed", "id": -1, "message": "unknown message"}, []
 
 
-def _program(name: str) -> str:
+def _script(name: str) -> str:
+    """Return a script of the built viewer."""
     return files("cogsplat.tools").joinpath("web", "dist", name).read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""A link as slow and as bad as asked for, which all answers of a server share."""
+"""Simulated network link with limited bandwidth, latency and failures, for a server."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ import time
 from dataclasses import dataclass
 from typing import Final
 
-# A block takes this long on the link: short beside what is measured, long beside a task's turn.
+# Transfer time of a block: short relative to measured times, long relative to a task switch.
 _BLOCK_SECONDS: Final = 0.006
 _LARGEST_BLOCK: Final = 1 << 16
 
 
 @dataclass(frozen=True)
 class LinkQuality:
-    """How slow and how bad a link is.
+    """Parameters of a simulated link.
 
     Parameters
     ----------
     bits_per_second : float or None
-        Of all answers together; None for as fast as the machine is.
+        Bandwidth, shared by all responses; None for no limit.
     latency_seconds : float
-        From a request to the first byte of its answer.
+        Time from a request to the first byte of its response.
     loss : float
-        Share of the answers whose connection breaks in the middle, 0 to 1.
+        Fraction of responses whose connection breaks, 0 to 1.
     fail_rate : float
-        Share of the requests that are answered with status 503, 0 to 1.
+        Fraction of requests that get status 503, 0 to 1.
     seed : int
-        Of what is left to chance.
+        Seed of the random failures.
     """
 
     bits_per_second: float | None = None
@@ -39,13 +39,12 @@ class LinkQuality:
 
 
 class ShapedLink:
-    """Holds answers back so that together they take what a link of some quality has.
-
-    Used in one event loop.
+    """A simulated link that delays the responses of a server in one event loop.
 
     Parameters
     ----------
     quality : LinkQuality
+        Bandwidth, latency and failure rates.
     """
 
     def __init__(self, quality: LinkQuality) -> None:
@@ -54,19 +53,19 @@ class ShapedLink:
         self._free_at = 0.0
 
     async def begin(self) -> bool:
-        """Wait as long as a request travels; return whether it fails."""
+        """Wait for the latency of a request; return whether the request fails."""
         if self._quality.latency_seconds:
             await asyncio.sleep(self._quality.latency_seconds)
         return self._random.random() < self._quality.fail_rate
 
     def breaks_at(self, size_bytes: int) -> int | None:
-        """Return after how many bytes the answer's connection breaks, None where it does not."""
+        """Draw the number of bytes after which a response breaks; None if it does not break."""
         if self._random.random() >= self._quality.loss:
             return None
         return self._random.randrange(max(1, size_bytes))
 
     async def wait(self, size_bytes: int) -> None:
-        """Wait until bytes have passed; those that came before, of any answer, go first."""
+        """Wait until bytes have passed the link, behind earlier bytes of all responses."""
         rate = self._quality.bits_per_second
         if rate is None:
             return
@@ -76,7 +75,7 @@ class ShapedLink:
 
     @property
     def block_bytes(self) -> int:
-        """Bytes to send at a time."""
+        """Size of a block to send at once, bytes."""
         rate = self._quality.bits_per_second
         if rate is None:
             return _LARGEST_BLOCK

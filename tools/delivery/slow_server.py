@@ -1,4 +1,4 @@
-"""A web server whose link is as slow as asked for, to see and measure how scenes arrive."""
+"""Web server with a simulated slow link, to measure progressive loading."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ _TYPES: Final = {
     ".wasm": "application/wasm",
 }
 _IDLE_SECONDS: Final = 60
-# A block takes this long on the link: short beside what is measured, long beside a thread's turn.
+# Transfer time of a block: short relative to measured times, long relative to a thread switch.
 _BLOCK_SECONDS: Final = 0.006
 _LARGEST_BLOCK: Final = 1 << 18
 
 
 @dataclass
 class Link:
-    """A link that all connections of a server share.
+    """A simulated link, shared by all connections of a server.
 
     Parameters
     ----------
     bits_per_second : float or None
-        None for as fast as the machine is.
+        Bandwidth; None for no limit.
     latency_seconds : float
-        From a request to the first byte of its answer.
+        Time from a request to the first byte of its response.
     """
 
     bits_per_second: float | None = None
@@ -50,19 +50,21 @@ class Link:
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False, repr=False)
 
     def wait(self, size_bytes: int, ready: float | None = None) -> float:
-        """Wait until bytes have passed; those that came before, of any connection, go first.
+        """Wait until bytes have passed the link, behind earlier bytes of all connections.
 
         Parameters
         ----------
         size_bytes : int
+            Number of bytes.
         ready : float, optional
-            When they could be sent, by `time.monotonic`; now by default. Behind other bytes of one
-            answer, when those had passed: a thread that woke late does not slow the link down.
+            Time (`time.monotonic`) from which the bytes can be sent; now by default. Within a
+            response, pass the time that the previous block returned, so that a thread that wakes
+            late does not slow down the link.
 
         Returns
         -------
         float
-            When they had passed.
+            Time (`time.monotonic`) at which the bytes had passed.
         """
         now = time.monotonic()
         if self.bits_per_second is None:
@@ -75,7 +77,7 @@ class Link:
 
     @property
     def block_bytes(self) -> int:
-        """Bytes to send at a time."""
+        """Size of a block to send at once, bytes."""
         if self.bits_per_second is None:
             return _LARGEST_BLOCK
         return max(1, min(_LARGEST_BLOCK, int(self.bits_per_second * _BLOCK_SECONDS / 8)))
@@ -83,15 +85,16 @@ class Link:
 
 @dataclass(frozen=True)
 class Reply:
-    """What a request is answered with.
+    """The response to a request.
 
     Parameters
     ----------
     status : HTTPStatus
+        Status code.
     headers : mapping of str to str
-        Content-Length among them, where the connection is to be used again.
+        Headers; without Content-Length the connection cannot be reused.
     body : iterable of bytes
-        Sent as it comes. An `OSError` that it raises closes the connection at once.
+        Consecutive parts of the body. An `OSError` of the iterable closes the connection.
     """
 
     status: HTTPStatus
@@ -101,32 +104,32 @@ class Reply:
 
 @dataclass
 class Traffic:
-    """What a server has sent: one row a block, in the order in which it was sent.
+    """Log of the bytes that a server has sent, one row per block.
 
     Attributes
     ----------
     rows : list of (float, str, int)
-        Seconds of `time.monotonic`, name of the file, bytes of its body.
+        Time (`time.monotonic`), name of the file, and size of the block in bytes.
     """
 
     rows: list[tuple[float, str, int]] = field(default_factory=list)
 
     def size_bytes(self, name: str, until: float = float("inf")) -> int:
-        """Return how many bytes of a file were sent up to a time."""
+        """Return the number of bytes of a file that were sent up to a time."""
         return sum(size for at, sent, size in self.rows if sent == name and at <= until)
 
 
 class SlowServer(ThreadingHTTPServer):
-    """Serves files to this machine over a link of limited bandwidth and some latency.
+    """Web server for files in memory over a simulated link, for this machine only.
 
     Parameters
     ----------
     files : mapping of str to bytes
-        Contents by path, without the leading slash. ``/`` is ``index.html``.
+        Contents by path, without the leading slash. ``/`` serves ``index.html``.
     link : Link or None
-        None for none that slows anything.
-    kept : collection of str
-        Files that browsers may keep; all others are fetched anew each time.
+        Simulated link; None for no limits.
+    cached : collection of str
+        Files that browsers may cache; all others are fetched each time.
 
     Examples
     --------
@@ -140,16 +143,16 @@ class SlowServer(ThreadingHTTPServer):
     allow_reuse_address = os.name == "posix"
 
     def __init__(
-        self, files: Mapping[str, bytes], link: Link | None = None, kept: Collection[str] = ()
+        self, files: Mapping[str, bytes], link: Link | None = None, cached: Collection[str] = ()
     ) -> None:
         self.files = dict(files)
-        self.kept = frozenset(kept)
+        self.cached = frozenset(cached)
         self.link = link or Link()
         self.traffic = Traffic()
         super().__init__((HOST, 0), _Handler)
 
     def server_bind(self) -> None:
-        """Bind, without asking for the machine's name as `HTTPServer` does, which can take long."""
+        """Bind without the reverse DNS lookup of `HTTPServer`, which can be slow."""
         socketserver.TCPServer.server_bind(self)
         self.server_name, self.server_port = HOST, int(self.server_address[1])
 
@@ -159,25 +162,25 @@ class SlowServer(ThreadingHTTPServer):
         return f"http://{HOST}:{self.server_port}/"
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Report a fault; a browser that goes away in the middle of an answer is none."""
+        """Report errors, except connections that the browser closed during a response."""
         if not isinstance(sys.exception(), ConnectionError | TimeoutError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
-    def reply(self, name: str, wanted: str | None) -> Reply:
-        """Say what a request is answered with.
+    def reply(self, name: str, range_header: str | None) -> Reply:
+        """Return the response to a request.
 
         Parameters
         ----------
         name : str
             Path of the file.
-        wanted : str or None
-            The request's ``Range``.
+        range_header : str or None
+            The request's ``Range`` header.
         """
         content = self.files.get(name)
         if content is None:
             return text_reply(HTTPStatus.NOT_FOUND)
         try:
-            part = parse_range(wanted, len(content))
+            part = parse_range(range_header, len(content))
         except RangeNotSatisfiableError:
             refusal = text_reply(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE)
             return Reply(
@@ -190,7 +193,7 @@ class SlowServer(ThreadingHTTPServer):
             "Content-Type": _TYPES.get(PurePosixPath(name).suffix, "application/octet-stream"),
             "Content-Length": str(end - first),
             "Accept-Ranges": "bytes",
-            "Cache-Control": "max-age=3600" if name in self.kept else "no-store",
+            "Cache-Control": "max-age=3600" if name in self.cached else "no-store",
         }
         if part is not None:
             headers["Content-Range"] = f"bytes {first}-{end - 1}/{len(content)}"
@@ -199,7 +202,7 @@ class SlowServer(ThreadingHTTPServer):
 
 
 def text_reply(status: HTTPStatus) -> Reply:
-    """Answer with a status and its name as the text."""
+    """Return a response with a status and its name as text."""
     text = f"{status.value} {status.phrase}\n".encode()
     headers = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(text))}
     return Reply(status, headers, [text])
@@ -207,7 +210,7 @@ def text_reply(status: HTTPStatus) -> Reply:
 
 @contextmanager
 def running(server: SlowServer) -> Iterator[SlowServer]:
-    """Answer requests in a thread as long as the block lasts."""
+    """Run a server in a thread for the duration of a with block."""
     thread = threading.Thread(target=server.serve_forever, args=[0.01])
     with server:
         thread.start()
@@ -219,16 +222,16 @@ def running(server: SlowServer) -> Iterator[SlowServer]:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers the requests of one connection."""
+    """Handler of one connection's requests."""
 
     protocol_version = "HTTP/1.1"
     timeout = _IDLE_SECONDS
-    # Blocks leave when they are due, not when a buffer is full.
+    # Send each block at once: Nagle's algorithm would delay small ones.
     disable_nagle_algorithm = True
     server: SlowServer
 
     def do_GET(self) -> None:
-        """Answer with a file or a range of it, at the speed of the link."""
+        """Respond with a file or a range of it, at the speed of the link."""
         name = self.path.partition("?")[0].removeprefix("/") or "index.html"
         server = self.server
         reply = server.reply(name, self.headers.get("Range"))
@@ -241,10 +244,11 @@ class _Handler(BaseHTTPRequestHandler):
             for part in reply.body:
                 self._send(name, part)
         except OSError:
-            # A body that breaks off, or a browser that went away.
+            # The body broke off, or the browser closed the connection.
             self.close_connection = True
 
     def _send(self, name: str, part: bytes) -> None:
+        """Send a part of a body block by block, and log the traffic."""
         server, size = self.server, self.server.link.block_bytes
         passed: float | None = None
         for first in range(0, len(part), size):
@@ -254,4 +258,4 @@ class _Handler(BaseHTTPRequestHandler):
             server.traffic.rows.append((time.monotonic(), name, len(block)))
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-        """Write nothing: the terminal is the user's."""
+        """Suppress the request log, which would fill the user's terminal."""

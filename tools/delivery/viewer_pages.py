@@ -1,4 +1,4 @@
-"""Pages that show a scene: the viewer of ``tools/web``, with the scene beside it or inside it."""
+"""HTML pages with the viewer of ``tools/web``, which fetch a scene or embed it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import BinaryIO, Final
 from cogsplat.codec.errors import printable
 
 SCENE_NAME: Final = "scene.cogs"
-"""Name of the scene's file beside a page."""
+"""Name of the scene's file in the folder of a page."""
 
 PAGE_NAME: Final = "index.html"
-"""Name of the page that web servers answer with for its folder."""
+"""Name of the page, which web servers use for its folder."""
 
-# What viewer.html is made of: each stands in it once, which a test checks.
+# Parts of viewer.html to replace; a test checks that each occurs once.
 _VIEWER_TAG: Final = '<cogsplat-viewer id="page">'
 _TITLE: Final = "<title>COGS viewer</title>"
 _STYLE_TAG: Final = '<link rel="stylesheet" href="viewer.css" />'
@@ -27,12 +27,12 @@ _POLICY: Final = (
     "worker-src 'self'; connect-src 'self' https:"
 )
 
-# What the viewer's page needs beside itself, the programs of its workers last.
+# Files that viewer.html loads; worker scripts last.
 _WORKERS: Final = ("worker.js", "viewer_worker.js")
-_OTHERS: Final = ("viewer.css", "viewer.js", *_WORKERS)
+_LINKED_FILES: Final = ("viewer.css", "viewer.js", *_WORKERS)
 
-# Browsers limit the length of one text to half a GiB, so a scene is cut into blocks. A multiple of
-# 3 bytes, so that the base64 of each but the last ends without padding.
+# An embedded scene is split into blocks, because browsers limit a text node to half a GiB. The size
+# is a multiple of 3 bytes, so that only the last block's base64 has padding.
 _BLOCK_BYTES: Final = 3 << 20
 
 
@@ -42,25 +42,24 @@ def linked_page(
     against: str | None = None,
     against_title: str | None = None,
 ) -> dict[str, bytes]:
-    """Return the files of a page that fetches the scene beside it, by name.
-
-    The scene is not among them; the first is the page, `PAGE_NAME`.
+    """Return the files of a viewer page that fetches a scene from its own folder.
 
     Parameters
     ----------
     title : str
-        What the browser writes above the page, and what the scene is called.
+        Title of the page, and label of the scene.
     scene : str
-        Name of the scene's file, a ``.cogs`` or the PLY of 3DGS training, beside the page.
+        Name of the scene's file in the page's folder: a ``.cogs``, or a PLY of 3DGS training.
     against : str, optional
-        Name of a second one, which the page compares with the scene.
+        Name of a second scene's file, which the page compares with the first.
     against_title : str, optional
-        What the second one is called; its file's name by default.
+        Label of the second scene; by default its file's name.
 
     Returns
     -------
     dict of str to bytes
-        They refer to each other by relative names and need no server but one that gives files.
+        Contents by file name, without the scene; the page, `PAGE_NAME`, is first. Links are
+        relative, so that any static web server can serve the files.
 
     Examples
     --------
@@ -72,23 +71,25 @@ def linked_page(
     if against_title is not None:
         second += f' against-label="{html.escape(printable(against_title))}"'
     page = _titled(title, f' src="{html.escape(scene)}"{second}')
-    return {PAGE_NAME: page.encode(), **{name: _part(name) for name in _OTHERS}}
+    return {PAGE_NAME: page.encode(), **{name: _viewer_file(name) for name in _LINKED_FILES}}
 
 
-def write_lone_page(title: str, scene: BinaryIO, out: BinaryIO) -> None:
-    """Write one page that holds the viewer and the scene, and works without a server.
+def write_standalone_page(title: str, scene: BinaryIO, out: BinaryIO) -> None:
+    """Write one HTML page with the viewer and the scene embedded, which needs no server.
+
+    The page's content security policy allows its own script and style, by their hashes, and its
+    embedded workers. It allows no connections.
 
     Parameters
     ----------
     title : str
-        What the browser writes above the page.
+        Title of the page.
     scene : binary file
-        Read to its end from where it stands. Memory is needed for a block of it, not for all.
+        The scene, read in blocks from the current position to the end.
     out : binary file
-        Receives UTF-8. The page's policy allows its own script and style, by their hashes, workers
-        that it makes of texts in itself, and no connection to anywhere.
+        The output, UTF-8.
     """
-    style, script = _part("viewer.css").decode(), _part("viewer.js").decode()
+    style, script = _viewer_file("viewer.css").decode(), _viewer_file("viewer.js").decode()
     policy = (
         f"default-src 'none'; script-src '{_hash(script)}' 'wasm-unsafe-eval'; "
         f"style-src '{_hash(style)}'; worker-src blob:"
@@ -98,9 +99,9 @@ def write_lone_page(title: str, scene: BinaryIO, out: BinaryIO) -> None:
     before, after = page.split(_SCRIPT_TAG)
     out.write(before.encode())
     for name in _WORKERS:
-        text = _part(name)
+        text = _viewer_file(name)
         if b"</script" in text.lower() or b"<!--" in text:
-            raise RuntimeError(f"{name} cannot stand in a page: it holds an end of a script")
+            raise RuntimeError(f"{name} holds an end of a script, expected none to embed it")
         out.write(b'<script type="application/x-cogs-worker">' + text + b"</script>\n    ")
     for block in _blocks(scene):
         out.write(b'<script type="application/x-cogs-base64">')
@@ -110,29 +111,33 @@ def write_lone_page(title: str, scene: BinaryIO, out: BinaryIO) -> None:
 
 
 def _blocks(scene: BinaryIO) -> Iterator[bytes]:
+    """Yield the rest of a file in blocks."""
     while block := scene.read(_BLOCK_BYTES):
         yield block
 
 
 def _titled(title: str, attributes: str = "") -> str:
-    page = _part("viewer.html").decode()
-    # Names of files may hold what no page may, halves of characters among it.
+    """Return viewer.html with a title, and with attributes of the viewer element."""
+    page = _viewer_file("viewer.html").decode()
+    # File names may contain characters that HTML forbids, e.g. lone surrogates.
     text = html.escape(printable(title))
     page = _replaced(page, _TITLE, f"<title>{text}</title>")
     tag = f'<cogsplat-viewer id="page" label="{text}"{attributes}>'
     return _replaced(page, _VIEWER_TAG, tag)
 
 
-def _part(name: str) -> bytes:
+def _viewer_file(name: str) -> bytes:
+    """Return a file of the built viewer."""
     return files("cogsplat.tools").joinpath("web", "dist", name).read_bytes()
 
 
 def _replaced(page: str, old: str, new: str) -> str:
+    """Return a page with one text replaced, which must occur once."""
     if page.count(old) != 1:
         raise RuntimeError(f"viewer.html holds {old!r} {page.count(old)} times, expected once")
     return page.replace(old, new)
 
 
 def _hash(text: str) -> str:
-    """Return the hash by which a policy allows an inline script or style (CSP 3, 2.3.1)."""
+    """Return the hash that allows an inline script or style in a CSP (CSP 3, 2.3.1)."""
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"

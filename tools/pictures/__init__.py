@@ -1,1 +1,1 @@
-"""Picture files: PNG, SVG charts, film-strips, contact sheets, object masks."""
+"""Image files: PNG, SVG charts, film-strips, contact sheets, object masks."""

@@ -1,4 +1,4 @@
-"""Contact sheets: many small pictures in a grid, each with its caption."""
+"""Contact sheets: thumbnails in a grid, each with a caption."""
 
 from __future__ import annotations
 
@@ -15,58 +15,59 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 THUMBNAIL: Final = (240, 180)
-"""Width and height of the room for a picture, px."""
+"""Largest width and height of a thumbnail, px."""
 
-# A neutral dark grey: next to it neither bright nor dark pictures look tinted.
+# A neutral dark grey, so that bright and dark images look untinted.
 _BACKGROUND: Final = (24, 25, 27)
 _CAPTION_COLOUR: Final = (190, 194, 198)
 _FONT_PX: Final = 12
 _CAPTION_PX: Final = 18
 _GAP: Final = 8
-# Width to height of a sheet, about that of the screens it is looked at on.
+# Ratio of a sheet's width to its height, near that of screens.
 _ASPECT: Final = 1.5
 
 
 def contact_sheet(images: Sequence[NDArray[np.floating]], captions: Sequence[str]) -> Image:
-    """Lay pictures out in a grid, row by row, each with its caption below.
+    """Arrange images in a grid, row by row, with a caption below each.
 
     Parameters
     ----------
     images : sequence of (H, W, 3) float
-        Display colours in [0, 1], clipped to it; at least one, of any sizes. Those larger than
-        `THUMBNAIL` are scaled down into it.
+        Display colours, clipped to [0, 1]; at least one image, of any sizes. Images larger than
+        `THUMBNAIL` are scaled down.
     captions : sequence of str
-        One line each, in Latin-1, which is what Pillow's own font draws; cut where it is too long.
+        One line per image, cut to the image's width. Characters are limited to Latin-1, the range
+        of Pillow's built-in font.
 
     Returns
     -------
     PIL.Image.Image
-        Mode RGB.
+        The sheet, mode RGB.
 
     Raises
     ------
     ValueError
-        If there are no pictures, or not as many captions.
+        There are no images, or the number of captions differs.
     """
     from PIL import Image, ImageDraw, ImageFont
 
     if not images or len(images) != len(captions):
-        raise ValueError(f"{len(images)} images and {len(captions)} captions, expected as many")
-    room_width, room_height = THUMBNAIL
-    step_x, step_y = room_width + _GAP, room_height + _CAPTION_PX + _GAP
+        raise ValueError(f"{len(images)} images and {len(captions)} captions, expected one each")
+    cell_width, cell_height = THUMBNAIL
+    step_x, step_y = cell_width + _GAP, cell_height + _CAPTION_PX + _GAP
     columns = min(len(images), math.ceil(math.sqrt(_ASPECT * len(images) * step_y / step_x)))
     rows = math.ceil(len(images) / columns)
     sheet = Image.new("RGB", (columns * step_x + _GAP, rows * step_y + _GAP), _BACKGROUND)
     draw = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(size=_FONT_PX)
-    for place, (image, caption) in enumerate(zip(images, captions, strict=True)):
-        left, top = _GAP + place % columns * step_x, _GAP + place // columns * step_y
+    for index, (image, caption) in enumerate(zip(images, captions, strict=True)):
+        left, top = _GAP + index % columns * step_x, _GAP + index // columns * step_y
         small = to_image(image)
         small.thumbnail(THUMBNAIL)
         sheet.paste(
-            small, (left + (room_width - small.width) // 2, top + (room_height - small.height) // 2)
+            small, (left + (cell_width - small.width) // 2, top + (cell_height - small.height) // 2)
         )
-        while caption and font.getlength(caption) > room_width:
+        while caption and font.getlength(caption) > cell_width:
             caption = caption[:-1]
-        draw.text((left, top + room_height + 2), caption, font=font, fill=_CAPTION_COLOUR)
+        draw.text((left, top + cell_height + 2), caption, font=font, fill=_CAPTION_COLOUR)
     return sheet

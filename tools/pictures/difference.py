@@ -1,4 +1,4 @@
-"""Difference images: two pictures side by side, and how far apart they are."""
+"""Difference images: two images side by side, and their amplified difference."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 GAIN: Final = 4.0
-"""What differences are multiplied by: one of 1/4 of full scale is white."""
+"""Factor on differences: a difference of 1/4 of full scale is white."""
 
 
 def difference_image(first: NDArray[np.floating], second: NDArray[np.floating]) -> Image:
-    """Lay two pictures and their absolute difference side by side.
+    """Arrange two images and their amplified difference side by side.
 
     Parameters
     ----------
@@ -27,16 +27,15 @@ def difference_image(first: NDArray[np.floating], second: NDArray[np.floating]) 
     Returns
     -------
     PIL.Image.Image
-        Mode RGB, three times as wide: the pictures, then the difference of each channel times
-        `GAIN`, clipped.
+        Image of mode RGB and triple width: both images, then their `scaled_difference`, clipped.
 
     Raises
     ------
     ValueError
-        Pictures of different shapes.
+        The shapes differ.
     """
     if first.shape != second.shape:
-        raise ValueError(f"pictures of shape {first.shape} and {second.shape}, expected two alike")
+        raise ValueError(f"images of shape {first.shape} and {second.shape}, expected equal shapes")
     a, b = (np.clip(picture, 0.0, 1.0) for picture in (first, second))
     return to_image(np.concatenate([a, b, scaled_difference(a, b)], axis=1))
 
@@ -44,13 +43,13 @@ def difference_image(first: NDArray[np.floating], second: NDArray[np.floating]) 
 def scaled_difference(
     first: NDArray[np.floating], second: NDArray[np.floating]
 ) -> NDArray[np.float32]:
-    """Return the absolute difference of two pictures, each channel times `GAIN`.
+    """Return `GAIN` times the absolute difference of two images, per channel.
 
     Parameters
     ----------
     first, second : (H, W, 3) float
-        Display colours, clipped to [0, 1] before.
+        Display colours, clipped to [0, 1] first.
     """
     a, b = (np.clip(picture, 0.0, 1.0) for picture in (first, second))
-    apart: NDArray[np.float32] = (GAIN * np.abs(a - b)).astype(np.float32)
-    return apart
+    difference: NDArray[np.float32] = (GAIN * np.abs(a - b)).astype(np.float32)
+    return difference

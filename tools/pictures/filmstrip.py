@@ -1,4 +1,4 @@
-"""Film-strips: pictures side by side with captions below, such as prefixes of a scene."""
+"""Film-strips: images in a row with captions, e.g. renders of prefixes of a scene."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from PIL.Image import Image
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
-# A neutral dark grey: next to it neither bright nor dark pictures look tinted.
+# A neutral dark grey, so that bright and dark images look untinted.
 BACKGROUND = (24, 25, 27)
 _TITLE_COLOUR = (236, 237, 238)
 _FIRST_LINE_COLOUR = (236, 237, 238)
 _LINE_COLOUR = (160, 164, 168)
 
-# Shares of a picture's width, so that strips of any size look alike.
+# Sizes relative to an image's width, so that strips of any size look alike.
 _MARGIN, _GAP = 0.06, 0.03
 _TITLE_SIZE, _FIRST_LINE_SIZE, _LINE_SIZE = 0.065, 0.060, 0.050
 _SMALLEST_FONT_PX = 9
@@ -30,36 +30,36 @@ def filmstrip(
     captions: Sequence[Sequence[str]],
     title: str = "",
 ) -> Image:
-    """Lay pictures out in a row, each with its caption.
+    """Arrange images in a row, with a caption below each.
 
     Parameters
     ----------
     images : sequence of (H, W, 3) float
-        Display colours in [0, 1], clipped to it; all of one size, at least one.
+        Display colours, clipped to [0, 1]; at least one image, all of one size.
     captions : sequence of sequence of str
-        Lines under each picture, the first one brighter and larger. A line too long for its
-        picture is set smaller.
+        Lines below each image; the first line is brighter and larger. A long line is set in a
+        smaller font.
     title : str
-        One line above the row; none if empty.
+        Line above the row; empty for none.
 
     Returns
     -------
     PIL.Image.Image
-        Mode RGB.
+        The strip, mode RGB.
 
     Raises
     ------
     ValueError
-        If there are no pictures, or their sizes or the number of captions do not fit.
+        There are no images, their sizes differ, or the number of captions differs.
 
     Notes
     -----
-    Pillow's own font draws Latin-1; a dash wider than a hyphen shows as a box.
+    Pillow's built-in font has Latin-1 only; e.g. an en dash shows as a box.
     """
     from PIL import Image, ImageDraw
 
     if not images or len(images) != len(captions):
-        raise ValueError(f"{len(images)} images and {len(captions)} captions, expected as many")
+        raise ValueError(f"{len(images)} images and {len(captions)} captions, expected one each")
     shape = images[0].shape
     if len(shape) != 3 or shape[2] != 3 or any(image.shape != shape for image in images):
         raise ValueError(f"images of {[image.shape for image in images]}, expected one (H, W, 3)")
@@ -94,25 +94,28 @@ def filmstrip(
     return strip
 
 
-def _px(share: float, width: int) -> int:
-    return max(1, round(share * width))
+def _px(fraction: float, width: int) -> int:
+    """Return a fraction of an image's width, px, at least 1."""
+    return max(1, round(fraction * width))
 
 
 def _font_px(size: float, width: int) -> int:
+    """Return a font size, px, from a fraction of an image's width."""
     return max(_SMALLEST_FONT_PX, round(size * width))
 
 
 def _line_height(size: float, width: int) -> int:
+    """Return the height of a line of text, px."""
     return round(_LEADING * _font_px(size, width))
 
 
-def _fitting_font(text: str, size: float, width: int, room: int) -> FreeTypeFont | ImageFont:
-    """Return the font for a line of text: of `size`, or smaller where it would exceed `room`."""
+def _fitting_font(text: str, size: float, width: int, max_width: int) -> FreeTypeFont | ImageFont:
+    """Return a font of `size`, or a smaller one with which the text fits `max_width` px."""
     from PIL import ImageFont
 
     pixels = _font_px(size, width)
     font = ImageFont.load_default(size=pixels)
-    while font.getlength(text) > room and pixels > _SMALLEST_FONT_PX:
+    while font.getlength(text) > max_width and pixels > _SMALLEST_FONT_PX:
         pixels -= 1
         font = ImageFont.load_default(size=pixels)
     return font

@@ -1,4 +1,4 @@
-"""Rendered pictures as PNG files, atomically."""
+"""Rendered images as 8-bit images and PNG files."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 
 def to_image(pixels: NDArray[np.floating]) -> Image:
-    """Return display colours as an 8-bit picture.
+    """Convert display colours to an 8-bit image.
 
     Parameters
     ----------
     pixels : (H, W, 3) float
-        Clipped to [0, 1]; NaN is black.
+        Display colours, clipped to [0, 1]; NaN becomes black.
 
     Returns
     -------
     PIL.Image.Image
-        Mode RGB.
+        Image of mode RGB.
     """
     from PIL import Image
 
@@ -35,14 +35,14 @@ def to_image(pixels: NDArray[np.floating]) -> Image:
 
 
 def write_png(image: Image, path: Path, *, force: bool = False) -> int:
-    """Write a picture and return its bytes.
+    """Write an image as a PNG file, atomically; return the file's size in bytes.
 
     Raises
     ------
     StorageError
         See `atomic_write`, e.g. ``exists``.
     """
-    # In memory first: Pillow's own writing to files loses the reason of a failure.
+    # Encode in memory first: Pillow hides the cause of a failed write.
     page = io.BytesIO()
     image.save(page, format="PNG")
     with atomic_write(path, force=force) as file:

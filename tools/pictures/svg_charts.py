@@ -18,8 +18,8 @@ _RIGHT: Final = 196
 _TOP: Final = 54
 _BOTTOM: Final = 54
 
-# Okabe and Ito's colours, told apart by people who see red and green alike, without black, which
-# is for text, and four more for long legends.
+# The colour-blind-safe palette of Okabe and Ito without black, and four more colours for long
+# legends.
 _COLOURS: Final = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f", "#b8a800",
     "#8c510a", "#762a83",
@@ -40,17 +40,18 @@ _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 
 @dataclass(frozen=True)
 class Series:
-    """Named points of a chart, drawn as one line.
+    """A named series of points in a chart.
 
     Parameters
     ----------
     name : str
+        Name in the legend.
     points : tuple of (x, y)
-        x above 0.
+        Points with x above 0.
     look : int
-        Which colour and marker: the same name looks the same in every chart.
+        Index of the colour and marker.
     joined : bool
-        Whether a line goes through them.
+        Whether a line connects the points.
     """
 
     name: str
@@ -68,17 +69,18 @@ def line_chart(
     x_text: Callable[[float], str] = lambda x: f"{x:g}",
     note: str = "",
 ) -> str:
-    """Draw series over a logarithmic x axis.
+    """Draw a line chart with a logarithmic x axis.
 
     Parameters
     ----------
     title, x_label, y_label : str
+        Title of the chart, labels of the axes.
     series : sequence of Series
-        The first ones lie below the others.
+        Series, drawn in this order.
     x_text : callable
-        Names a tick of the x axis, a power of two.
+        Format a tick of the x axis, a power of two.
     note : str
-        A line under the title.
+        Line below the title; empty for none.
 
     Returns
     -------
@@ -122,14 +124,16 @@ def line_chart(
 
 
 def bar_chart(title: str, bars: Sequence[tuple[str, float]], *, unit: str) -> str:
-    """Draw named values as bars from zero, in the order given.
+    """Draw a horizontal bar chart.
 
     Parameters
     ----------
     title : str
+        Title of the chart.
     bars : sequence of (str, float)
+        Name and value of each bar, from top to bottom.
     unit : str
-        Behind the values.
+        Unit shown after each value.
 
     Returns
     -------
@@ -155,6 +159,7 @@ def bar_chart(title: str, bars: Sequence[tuple[str, float]], *, unit: str) -> st
 
 
 def _page(width: int, height: int) -> list[str]:
+    """Return the start of an SVG document with a white background."""
     return [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" '
         f'width="{width}" height="{height}" font-family="system-ui, sans-serif" '
@@ -164,21 +169,23 @@ def _page(width: int, height: int) -> list[str]:
 
 
 def _draw(one: Series, at: Callable[[float, float], tuple[float, float]]) -> list[str]:
+    """Return the line and the markers of a series; `at` maps a point to pixels."""
     colour, shape = _look(one.look)
-    places = [at(x, y) for x, y in one.points]
+    pixels = [at(x, y) for x, y in one.points]
     parts: list[str] = []
-    if one.joined and len(places) > 1:
-        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
+    if one.joined and len(pixels) > 1:
+        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in pixels)
         parts.append(
             f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="2" '
             'stroke-linejoin="round"/>'
         )
-    for x, y in places:
+    for x, y in pixels:
         parts.append(_marker(x, y, shape, colour))
     return parts
 
 
 def _legend(one: Series, index: int) -> list[str]:
+    """Return the legend's entry of a series."""
     colour, shape = _look(one.look)
     x, y = _WIDTH - _RIGHT + 24, _TOP + 8 + 20 * index
     dash = _line(x - 9, y, x + 9, y, colour, 2) if one.joined else ""
@@ -186,6 +193,7 @@ def _legend(one: Series, index: int) -> list[str]:
 
 
 def _look(look: int) -> tuple[str, str]:
+    """Return the colour and the marker's path of a look."""
     return _COLOURS[look % len(_COLOURS)], _SHAPES[look % len(_SHAPES)]
 
 
@@ -199,6 +207,7 @@ def _ticks(low: float, high: float) -> list[float]:
 
 
 def _marker(x: float, y: float, shape: str, colour: str) -> str:
+    """Return a marker at a pixel."""
     return (
         f'<path d="{shape}" transform="translate({x:.1f} {y:.1f})" fill="{colour}" '
         'stroke="#fff" stroke-width="1"/>'
@@ -206,6 +215,7 @@ def _marker(x: float, y: float, shape: str, colour: str) -> str:
 
 
 def _line(x1: float, y1: float, x2: float, y2: float, colour: str, width: int = 1) -> str:
+    """Return a line between two pixels."""
     return (
         f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{colour}" '
         f'stroke-width="{width}"/>'
@@ -213,9 +223,11 @@ def _line(x1: float, y1: float, x2: float, y2: float, colour: str, width: int = 
 
 
 def _escaped(text: str) -> str:
-    # XML has no controls, and UTF-8 no halves of characters; names of files may hold both.
+    """Escape text for XML."""
+    # File names may contain control characters and lone surrogates, which XML and UTF-8 forbid.
     return escape(printable(text))
 
 
 def _text(x: float, y: float, text: str, anchor: str, extra: str = "") -> str:
+    """Return a line of text at a pixel."""
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" {extra}>{_escaped(text)}</text>'

@@ -171,19 +171,19 @@ def test_views_are_planned_and_targets_met_alike(
     assert (tmp_path / "a.cogs").read_bytes() == (tmp_path / "b.cogs").read_bytes()
 
 
-def test_what_is_shared_is_brought_once_and_let_go_of() -> None:
+def test_shared_arguments_are_sent_once_and_freed() -> None:
     shared = np.ones(4)
     with connected("local", workers=1) as executor:
         # A number goes along with each task.
         assert list(executor.map(pow, [2, 3], 2)) == [4, 9]
-        assert not executor._brought
+        assert not executor._shared
         assert list(executor.map(np.dot, [2, 3], shared))[1].tolist() == [3.0] * 4
-        before = executor._brought[id(shared)][1].key
+        before = executor._shared[id(shared)][1].key
         assert len(list(executor.map(np.dot, [2, 3], shared))) == 2
-        assert executor._brought[id(shared)][1].key == before
+        assert executor._shared[id(shared)][1].key == before
         key = id(shared)
         del shared
-        assert key not in executor._brought
+        assert key not in executor._shared
 
 
 def test_few_items_of_a_small_scene_share_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -266,7 +266,7 @@ def test_workers_of_other_networks_work_and_end_as_those_of_this_machine(
     assert not (tmp_path / "b.cogs").exists()
 
 
-def test_what_the_only_worker_held_is_brought_again(
+def test_shared_arguments_of_a_dead_worker_are_sent_again(
     scene: tuple[Splats, list[Camera]], expected: bytes, tmp_path: Path
 ) -> None:
     with connected("local", workers=1) as executor:
@@ -288,16 +288,16 @@ def test_a_worker_that_begins_again_is_waited_for(monkeypatch: pytest.MonkeyPatc
         assert list(executor.map(abs, [-1, -2])) == [1, 2]
 
 
-def test_a_scheduler_whose_workers_stay_away_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_without_workers_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     with connected("local", workers=1) as executor:
-        monkeypatch.setattr(dask_executor, "_PATIENCE_S", 0.1)
+        monkeypatch.setattr(dask_executor, "_TIMEOUT_S", 0.1)
         monkeypatch.setattr(executor._client, "nthreads", dict)
         with pytest.raises(StorageError, match="no workers left") as error:
             list(executor.map(abs, [-1, -2]))
     assert error.value.code == "worker-lost"
 
 
-def test_a_scheduler_that_ends_is_told(
+def test_a_scheduler_that_ends_is_an_error(
     scene: tuple[Splats, list[Camera]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with cluster(tmp_path, 1) as (address, started), connected(address) as executor:
@@ -309,7 +309,7 @@ def test_a_scheduler_that_ends_is_told(
     assert not (tmp_path / "b.cogs").exists()
 
 
-def test_a_client_that_gave_up_is_told() -> None:
+def test_a_closed_client_is_an_error() -> None:
     with connected("local", workers=1) as executor:
         executor._client.close()
         with pytest.raises(StorageError) as error:
@@ -317,7 +317,7 @@ def test_a_client_that_gave_up_is_told() -> None:
     assert error.value.code == "scheduler-lost"
 
 
-def test_a_scheduler_that_cannot_be_connected_to_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_refuses_connections_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     def unanswered() -> None:
         raise OSError("Timed out trying to connect")
 
@@ -342,11 +342,11 @@ def test_cancelling_drops_what_waits(scene: tuple[Splats, list[Camera]], tmp_pat
     assert not (tmp_path / "b.cogs").exists()
 
 
-def test_no_scheduler_and_no_workers_are_told(
+def test_no_scheduler_and_no_workers_are_errors(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dask_executor, "_PATIENCE_S", 1.0)
-    with pytest.raises(StorageError, match="no answer") as error, connected("tcp://127.0.0.1:9"):
+    monkeypatch.setattr(dask_executor, "_TIMEOUT_S", 1.0)
+    with pytest.raises(StorageError, match="no response") as error, connected("tcp://127.0.0.1:9"):
         pass
     assert error.value.code == "scheduler-unreachable"
     with (

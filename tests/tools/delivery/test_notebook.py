@@ -17,7 +17,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.formats.storage.images import decode_image
-from cogsplat.tools.delivery.notebook import answer, bundle
+from cogsplat.tools.delivery.notebook import bundle, respond
 from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 if TYPE_CHECKING:
@@ -50,29 +50,29 @@ window.listeners = listeners;
 def test_it_answers_with_bytes_and_names(small: SmallScene) -> None:
     data = small.cogs.read_bytes()
     with cogsplat.open(small.cogs) as file:
-        opened, none = answer(file, {"type": "open"})
+        opened, none = respond(file, {"type": "open"})
         assert (opened["type"], opened["length"], none) == ("scene", len(data), [])
         assert opened["name"] == small.cogs.name
         programs = opened["programs"]
         assert isinstance(programs, list)
         assert all(len(program) > 1000 for program in programs)
         read = {"type": "read", "id": 7, "offset": 100, "length": 50}
-        assert answer(file, read) == ({"type": "bytes", "id": 7}, [data[100:150]])
-        behind = answer(file, {**read, "offset": len(data) - 10})
+        assert respond(file, read) == ({"type": "bytes", "id": 7}, [data[100:150]])
+        behind = respond(file, {**read, "offset": len(data) - 10})
         assert behind == ({"type": "bytes", "id": 7}, [data[-10:]])
         for wrong in (
             {**read, "offset": -1},
             {**read, "length": 1 << 40},
             {**read, "offset": 10**30},
         ):
-            assert answer(file, wrong)[0]["type"] == "failed"
+            assert respond(file, wrong)[0]["type"] == "failed"
         for other in (None, "read", {"type": "read"}, {**read, "offset": "0"}):
-            assert answer(file, other)[0] == {
+            assert respond(file, other)[0] == {
                 "type": "failed",
                 "id": -1,
-                "message": "not understood",
+                "message": "unknown message",
             }
-    assert answer(file, read)[0]["type"] == "failed"
+    assert respond(file, read)[0]["type"] == "failed"
 
 
 def test_bundle_is_a_widget_and_words(small: SmallScene) -> None:
@@ -115,7 +115,7 @@ def test_its_program_draws_in_a_browser(browser: Browser, small: SmallScene) -> 
     with cogsplat.open(small.cogs) as file:
 
         def kernel(message: object) -> tuple[dict[str, object], list[str]]:
-            content, buffers = answer(file, message)
+            content, buffers = respond(file, message)
             return content, [base64.b64encode(part).decode() for part in buffers]
 
         page = browser.new_page(viewport={"width": 336, "height": 400})

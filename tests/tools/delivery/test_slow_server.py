@@ -42,7 +42,7 @@ def test_files_and_ranges() -> None:
 
 
 def test_browsers_may_keep_what_the_server_says() -> None:
-    with running(SlowServer(FILES, kept=["viewer.js"])) as server:
+    with running(SlowServer(FILES, cached=["viewer.js"])) as server:
         assert ask(server, "/viewer.js")[1]["Cache-Control"] == "max-age=3600"
         assert ask(server, "/")[1]["Cache-Control"] == "no-store"
 

@@ -5,14 +5,14 @@ import hashlib
 import io
 import re
 
-from cogsplat.tools.delivery.viewer_pages import linked_page, write_lone_page
+from cogsplat.tools.delivery.viewer_pages import linked_page, write_standalone_page
 
 BLOCK = re.compile(r'<script type="application/x-cogs-base64">([^<]*)</script>')
 
 
 def lone_page(scene: bytes) -> str:
     out = io.BytesIO()
-    write_lone_page("a & b", io.BytesIO(scene), out)
+    write_standalone_page("a & b", io.BytesIO(scene), out)
     return out.getvalue().decode()
 
 

@@ -17,5 +17,5 @@ def test_three_pictures_side_by_side() -> None:
     np.testing.assert_array_equal(image[0, 3], [13, 64, 128])
     np.testing.assert_array_equal(image[0, 6], [51, 255, 255])
     assert not image[1].any()
-    with pytest.raises(ValueError, match="two alike"):
+    with pytest.raises(ValueError, match="equal shapes"):
         difference_image(first, second[:1])

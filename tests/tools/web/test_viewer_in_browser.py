@@ -24,7 +24,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.delivery.slow_server import Link, running
-from cogsplat.tools.delivery.viewer_pages import linked_page, write_lone_page
+from cogsplat.tools.delivery.viewer_pages import linked_page, write_standalone_page
 from cogsplat.tools.lab.conformance.folders import unpacked
 from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
@@ -265,7 +265,7 @@ def test_a_page_without_a_server_shows_its_scene(
 ) -> None:
     path = tmp_path / "page.html"
     with small.cogs.open("rb") as scene, path.open("wb") as out:
-        write_lone_page("scene", scene, out)
+        write_standalone_page("scene", scene, out)
     page.goto(path.as_uri())
     look_from(page, camera())
     wait_until(page, COMPLETE)

@@ -292,7 +292,7 @@ def run(
     # Programs are kept by the browser, so that links carry nothing but scenes.
     programs = page_files(node_modules)
     with (
-        running(SlowServer(programs, kept=programs)) as server,
+        running(SlowServer(programs, cached=programs)) as server,
         opened_page(server.url, "window.arrive !== undefined") as page,
     ):
         for contender in files:

@@ -117,7 +117,7 @@ def in_browser(
     programs = dict(files)
     files["scene.cogs"] = scene.read_bytes()
     with (
-        running(SlowServer(files, kept=programs)) as server,
+        running(SlowServer(files, cached=programs)) as server,
         opened_page(server.url, "window.visit !== undefined") as page,
     ):
         # Once without a link: programs are compiled, and workers have been started.
