@@ -1,9 +1,9 @@
 """Cloud-Optimized Gaussian Splats: encode, decode, read and write splat scenes.
 
-`read` and `write` move scenes between files of any format and arrays, `encode` and `decode`
-between scenes and COGS files, `open` gives a COGS file chunk by chunk, `unpack` and `pack` make a
-folder of a file and a file of a folder. What is written comes before the path that it is written
-to.
+`read` and `write` convert between arrays and files of any format, `encode` and `decode` between
+scenes and COGS files. `open` reads a COGS file chunk by chunk; `unpack` and `pack` convert between
+a file and a folder. `tune` and `layers` train a scene before they encode it; `render`, `score` and
+`compare` draw and measure scenes. Inputs come before outputs among the arguments.
 """
 
 from __future__ import annotations
@@ -11,11 +11,8 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, entry_points, version
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .codec.cameras import Camera
@@ -29,7 +26,7 @@ from .codec.errors import (
     TruncatedError,
     UnsupportedError,
 )
-from .codec.progress import OverallProgress, Progress, TimedProgress, silent
+from .codec.progress import OverallProgress, Progress, silent
 from .codec.splats import SceneInfo, Splats
 from .formats.cogs.between_levels import decode_between
 from .formats.cogs.folder_writer import Unpacked
@@ -41,12 +38,17 @@ from .formats.storage.limits import Limits
 from .formats.storage.source import Readable
 
 if TYPE_CHECKING:
+    from . import encoder_api
     from .codec.encode.config import EncodeConfig as EncodeConfig
     from .codec.encode.config import Target as Target
     from .codec.encode.encoded import EncodeReport as EncodeReport
-    from .codec.encode.preview_chunks import PreviewMaker
     from .codec.encode.request import EncodeRequest as EncodeRequest
-    from .codec.workspace import Workspace
+    from .codec.fit.level_training import LevelsConfig as LevelsConfig
+    from .codec.fit.tune_config import TuneConfig as TuneConfig
+    from .codec.scoring.contribution import ScoreConfig as ScoreConfig
+
+    compare, encode, layers = encoder_api.compare, encoder_api.encode, encoder_api.layers
+    render, score, tune = encoder_api.render, encoder_api.score, encoder_api.tune
 
 __all__ = [
     "Camera",
@@ -58,23 +60,31 @@ __all__ = [
     "EncodeReport",
     "EncodeRequest",
     "FormatError",
+    "LevelsConfig",
     "LimitError",
     "Limits",
     "NetworkOptions",
     "OverallProgress",
     "SceneInfo",
+    "ScoreConfig",
     "Splats",
     "StorageError",
     "Target",
     "TruncatedError",
+    "TuneConfig",
     "Unpacked",
     "UnsupportedError",
+    "compare",
     "decode",
     "encode",
+    "layers",
     "open",
     "pack",
     "read",
     "read_cameras",
+    "render",
+    "score",
+    "tune",
     "unpack",
     "write",
 ]
@@ -84,14 +94,16 @@ try:
 except PackageNotFoundError:  # a bare checkout on the path, never installed
     __version__ = "0+unknown"
 
-_WRITER = f"cogsplat {__version__}"
-
-# Names that only encoding needs are imported on first use: decoding needs the core alone.
+# Names that need the extra ``encode`` are imported on first use: decoding needs the core alone.
 _LATE = {
     "EncodeConfig": ".codec.encode.config",
     "EncodeReport": ".codec.encode.encoded",
     "EncodeRequest": ".codec.encode.request",
+    "LevelsConfig": ".codec.fit.level_training",
+    "ScoreConfig": ".codec.scoring.contribution",
     "Target": ".codec.encode.config",
+    "TuneConfig": ".codec.fit.tune_config",
+    **dict.fromkeys(("compare", "encode", "layers", "render", "score", "tune"), ".encoder_api"),
 }
 
 
@@ -99,6 +111,10 @@ def __getattr__(name: str) -> object:
     if name in _LATE:
         return getattr(import_module(_LATE[name], __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
 
 
 _Path = str | os.PathLike[str]
@@ -283,161 +299,6 @@ def decode(
         network=network,
         whole=refine and all(part is None for part in parts),
     )
-
-
-def encode(
-    scene: Splats | _Path,
-    path: _Path,
-    *,
-    cameras: Sequence[Camera] | _Path | None = None,
-    quality: float | None = None,
-    target: Target | int | str | None = None,
-    preset: str | None = None,
-    config: EncodeConfig | None = None,
-    request: EncodeRequest | None = None,
-    force: bool = False,
-    progress: Progress = silent,
-) -> EncodeReport:
-    """Encode a scene into a COGS file.
-
-    Parameters
-    ----------
-    scene : Splats or path
-        Scene in memory, or a file of any known format.
-    path : path
-        Output file; it appears once it is complete.
-    cameras : sequence of Camera or path, optional
-        Views to score in, or a file for `read_cameras`. Without them views are planned around the
-        splats.
-    quality : float, optional
-        Nominal PSNR, dB; it replaces `EncodeConfig.quality_db`.
-    target : Target, int or str, optional
-        File size to fill, as bytes or as text such as ``"500KiB"``, ``"12MB"`` or ``"20%"`` of the
-        scene's bytes; or mean PSNR in the test views, such as ``"38dB"``.
-    preset : str, optional
-        ``fast``, ``balanced`` (the default) or ``best``: numbers of views, effort of ordering and
-        of compensation.
-    config : EncodeConfig, optional
-        Contents of the file: profile, order, chunks, preview splats, threads and more.
-    request : EncodeRequest, optional
-        Inputs that are needed rarely: scores, test views, stored cameras, memory limit, executor.
-        The other arguments replace its fields.
-    force : bool
-        Replace an existing file.
-    progress : Progress
-        Called with a stage, its finished steps and all its steps. A `OverallProgress` is told the
-        expected cost of the stages first. Raising `Cancelled` stops the work and leaves no file.
-
-    Returns
-    -------
-    EncodeReport
-        Size of the file, time of every stage, views, and predicted quality.
-
-    Raises
-    ------
-    CogsplatError
-        The scene or the cameras cannot be used, the target is out of reach, or the file cannot be
-        written.
-    ValueError
-        Arguments that contradict each other: see `EncodeRequest` and `EncodeConfig`.
-
-    Examples
-    --------
-    >>> import cogsplat
-    >>> report = cogsplat.encode("scene.ply", "new.cogs", cameras="cameras.json", preset="fast")
-    >>> len(cogsplat.decode("new.cogs", size_bytes=report.size_bytes)) > 0
-    True
-    """
-    from .codec.encode import pipeline
-    from .codec.encode.request import EncodeRequest
-    from .codec.encode.stage_costs import stage_costs
-    from .formats.cogs.camera_segment import check_cameras
-    from .formats.cogs.metadata import FileMetadata
-    from .formats.scenes.memory_cap import working_memory
-    from .formats.scenes.registry import is_cogs, read_scene
-    from .formats.storage.atomic import check_output
-
-    if not isinstance(scene, Splats | str | os.PathLike):
-        raise TypeError(f"a {type(scene).__name__}, expected Splats or the path of a scene")
-    if quality is not None and target is not None:
-        raise ValueError("more than one of quality and target, expected one of them")
-    request = request or EncodeRequest()
-    config = config or request.config
-    request = replace(
-        request,
-        cameras=request.cameras if cameras is None else _views(cameras),
-        target=request.target if target is None else _target(target, scene),
-        preset=preset or request.preset,
-        config=config if quality is None else replace(config, quality_db=quality),
-    )
-    # Before minutes of work, not after.
-    inputs = [given for given in (scene, cameras) if isinstance(given, str | os.PathLike)]
-    check_output(path, force=force, inputs=inputs)
-    if request.stored_cameras:
-        check_cameras(request.stored_cameras)
-    metadata = FileMetadata(_WRITER, request.first_view, request.stored_cameras)
-    memory: AbstractContextManager[Workspace] = nullcontext(request.workspace)
-    if request.memory_bytes is not None:
-        folder = Path(path).absolute().parent
-        memory = working_memory(scene, request.config, request.memory_bytes, folder)
-    with memory as workspace:
-        request = replace(request, workspace=workspace)
-        if isinstance(scene, Splats):
-            splats = scene
-        else:
-            splats = decode(scene) if is_cogs(scene) else read_scene(scene, zeros=workspace.zeros)
-        if isinstance(progress, OverallProgress):
-            progress.plan(stage_costs(len(splats), request))
-        encoded = pipeline.encode(
-            splats,
-            request,
-            size_of=metadata.file_bytes,
-            preview=_preview_maker(request.config),
-            progress=progress,
-        )
-        writing = TimedProgress()
-        size_bytes = metadata.save(encoded, Path(path), force=force)
-    writing("write", 1, 1)
-    if isinstance(progress, OverallProgress):
-        progress.finish()
-    report = encoded.report
-    return replace(
-        report,
-        size_bytes=size_bytes,
-        seconds={**report.seconds, **writing.seconds},
-        cpu_seconds={**report.cpu_seconds, **writing.cpu_seconds},
-    )
-
-
-def _views(cameras: Sequence[Camera] | _Path) -> Sequence[Camera]:
-    """Return cameras, read from their file where a path is given."""
-    return read_cameras(cameras) if isinstance(cameras, str | os.PathLike) else cameras
-
-
-def _preview_maker(config: EncodeConfig) -> PreviewMaker | None:
-    """Return the trainer of preview splats, where a configuration has a preview."""
-    if config.preview is None:
-        return None
-    from .codec.fit.preview_training import PreviewConfig, TrainedPreview
-
-    return TrainedPreview(PreviewConfig(share=config.preview, threads=config.threads))
-
-
-def _target(target: Target | int | str, scene: Splats | _Path) -> Target:
-    """Return a target given as bytes, or as text of bytes, a share or a PSNR."""
-    from .codec.encode.config import Target
-    from .formats.scenes.registry import scene_bytes
-    from .formats.storage.byte_counts import parse_byte_count
-
-    if isinstance(target, Target):
-        return target
-    if isinstance(target, int):
-        return Target(size_bytes=target)
-    number = target.strip().lower().removesuffix("db")
-    if number != target.strip().lower():
-        return Target(psnr_db=float(number))
-    source_bytes = scene.nbytes if isinstance(scene, Splats) else scene_bytes(scene)
-    return Target(size_bytes=parse_byte_count(target).uncapped(source_bytes))
 
 
 def read(path: _Path, *, limits: Limits | None = None) -> Splats:

@@ -429,6 +429,32 @@ def test_the_facade_names_what_it_gives():
     assert cogsplat.__version__
 
 
+def test_the_namespace_is_what_it_exports():
+    assert dir(cogsplat) == cogsplat.__all__
+
+
+def test_results_have_short_reprs(made):
+    path, splats, scores = made
+    report = cogsplat.encode(splats, path, request=scored(scores), force=True)
+    found = cogsplat.compare(splats, path, ring())
+    with cogsplat.open(path) as file:
+        for result in (splats, scores, report, found, file):
+            assert len(repr(result)) < 200, repr(result)
+    for result in (report, found):
+        assert result._repr_html_().startswith("<table>")
+
+
+def test_configurations_need_no_compiler():
+    program = (
+        "import sys, cogsplat; cogsplat.EncodeConfig(); cogsplat.EncodeRequest(); "
+        "import cogsplat.codec.encode.presets; print('numba' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "False"
+
+
 def test_importing_it_needs_no_compiler():
     done = subprocess.run(
         [sys.executable, "-c", "import cogsplat, sys; print('numba' in sys.modules)"],

@@ -127,7 +127,7 @@ class EncodedLevel:
     scale: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class EncodeReport:
     """How a scene was encoded.
 
@@ -172,6 +172,26 @@ class EncodeReport:
     coverage: float = 0.0
     test_views: str = "none"
     test_psnr_db: tuple[float, ...] = ()
+
+    def __repr__(self) -> str:
+        facts = "; ".join(f"{name} {value}" for name, value in self._facts())
+        return f"EncodeReport({facts})"
+
+    def _repr_html_(self) -> str:
+        """Return a table for notebooks."""
+        rows = "".join(f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in self._facts())
+        return f"<table>{rows}</table>"
+
+    def _facts(self) -> list[tuple[str, str]]:
+        """Return name and text of each figure that was measured."""
+        facts = [("size", f"{self.size_bytes:,} B")] if self.size_bytes else []
+        if self.quality_db:
+            facts.append(("nominal quality", f"{self.quality_db:.2f} dB"))
+        if self.test_psnr_db:
+            mean = sum(self.test_psnr_db) / len(self.test_psnr_db)
+            facts.append(("PSNR", f"{mean:.2f} dB, lowest {min(self.test_psnr_db):.2f} dB"))
+        facts.append(("scored views", f"{self.scored_views} {self.views}"))
+        return [*facts, ("time", f"{sum(self.seconds.values()):.1f} s")]
 
 
 @dataclass(frozen=True, eq=False)

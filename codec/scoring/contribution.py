@@ -122,7 +122,7 @@ class ScoreConfig:
             )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scores:
     """Statistics of each splat's blending weights w = T·alpha over the pixels of a set of views.
 
@@ -174,6 +174,10 @@ class Scores:
     basis_spread: NDArray[np.float64]
     num_pixels: int
     sensitivities: Sensitivities | None = None
+
+    def __repr__(self) -> str:
+        seen = int(np.count_nonzero(self.seen))
+        return f"Scores({len(self.seen):,} splats, {seen:,} seen, {self.num_pixels:,} pixels)"
 
     def take(self, rows: NDArray[np.int64], gather: Gather = IN_MEMORY.gather) -> Scores:
         """Return the scores of the splats `rows`, copied by `gather` (see `Workspace.gather`)."""

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.encoded import EncodedScene
 
 from . import scene_writer as cogs
+
+try:
+    _WRITER = f"cogsplat {version('cogsplat')}"
+except PackageNotFoundError:  # a bare checkout on the path, never installed
+    _WRITER = "cogsplat 0+unknown"
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,17 +24,17 @@ class FileMetadata:
 
     Parameters
     ----------
-    writer : str
-        Name and version of the program.
     first_view : Camera or None
         Camera where a viewer starts.
     cameras : sequence of Camera
         Cameras stored for readers of the file.
+    writer : str
+        Name and version of the program.
     """
 
-    writer: str
     first_view: Camera | None = None
     cameras: Sequence[Camera] = ()
+    writer: str = _WRITER
 
     def file_bytes(self, scene: EncodedScene) -> int:
         """Return the size of the file that `save` would write, bytes.

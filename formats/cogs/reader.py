@@ -24,6 +24,12 @@ class CogsFile(ChunkDecoder):
     Opened by `open_cogs`. A context manager; safe to decode from several threads.
     """
 
+    def __repr__(self) -> str:
+        return (
+            f"CogsFile({self.name!r}, {self.root.splats:,} splats in {self.num_chunks:,} chunks, "
+            f"SH degree {self.root.sh_degree})"
+        )
+
     def stream(
         self,
         *,

@@ -99,7 +99,8 @@ def compare(
     PSNR and SSIM of rendered views, three figures each: the mean over held-out cameras, the worst
     of them, and the mean over roaming views, which stand back from those cameras and turn away.
     """
-    from cogsplat.tools.evaluation import object_quality, view_quality
+    from cogsplat.codec.scoring import view_quality
+    from cogsplat.tools.evaluation import object_quality
 
     if difference is not None:
         check_name(difference, PNG)

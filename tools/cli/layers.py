@@ -13,7 +13,7 @@ import cogsplat
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.colmap_points import find_points, read_points
-from cogsplat.formats.cogs import scene_writer as cogs
+from cogsplat.formats.cogs.metadata import FileMetadata
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.terminal.limits import current_limits, limits_option
@@ -194,13 +194,8 @@ def layers(
         encoding = LevelEncoding(quality_db=quality, threads=threads)
         encoded = encode_levels(trained, views, encoding, progress=stages)
         with stages.stage("write"):
-            size = cogs.save(
-                encoded,
-                out,
-                writer=f"cogsplat {cogsplat.__version__}",
-                first_view=views[0] if cameras is not None else None,
-                force=force,
-            )
+            metadata = FileMetadata(None if cameras is None else views[0])
+            size = metadata.save(encoded, out, force=force)
         found: list[tuple[LevelSizes, PictureFigures]] = []
         with cogsplat.open(out) as file:
             for sizes in level_sizes(file):

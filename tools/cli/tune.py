@@ -12,7 +12,7 @@ import numpy as np
 
 import cogsplat
 from cogsplat.codec.errors import DataError
-from cogsplat.formats.cogs import scene_writer as cogs
+from cogsplat.formats.cogs.metadata import FileMetadata
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.photos import read_photos
@@ -42,7 +42,6 @@ from cogsplat.tools.workflow.inputs import (
     given_cameras,
     given_files,
     measured_in,
-    planned_views,
     read_any,
     scoring_cameras,
     usable_rows,
@@ -194,9 +193,10 @@ def tune(
     """
     from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
     from cogsplat.codec.fit.trainer import TrainConfig
-    from cogsplat.codec.fit.training_views import held_out_views, make_training_views
+    from cogsplat.codec.fit.training_views import make_training_views
     from cogsplat.codec.fit.tune_config import TuneConfig
     from cogsplat.codec.fit.tuning import tune as tuned_scene
+    from cogsplat.codec.fit.tuning_views import choose_tuning_views
 
     if target_psnr is not None and target_size is not None:
         raise click.UsageError("--target-psnr and --target-size: expected one of them")
@@ -220,26 +220,23 @@ def tune(
             splats = usable_rows(given.splats, scene).without_extras()
             if not len(splats):
                 raise DataError("empty-scene", f"{scene}: 0 splats, expected some to train")
-        planned, held_out, covering = views is None, [], []
-        if views is None:
-            plan = planned_views(splats, threads=threads, progress=stages)
-            # Quality is not measured where the scene is trained: it is better there.
-            views, covering, tests = plan.views, plan.covering_views, plan.test_views
-        else:
-            assert cameras is not None
-            tests = held_out = held_out_views(views)
-            if not tests:
-                tests = measured_in(given_cameras(cameras), eval_every)
+        chosen = choose_tuning_views(
+            splats,
+            views,
+            test_views=measured_in(given_cameras(cameras), eval_every) if cameras else (),
+            threads=threads,
+            progress=stages,
+        )
         photos = None
         if images is not None:
-            taken = read_photos(images, splats, views, background, threads=threads)
+            taken = read_photos(images, splats, chosen.cameras, background, threads=threads)
             photos = [pixels.astype(np.float32) / np.float32(255) for pixels in taken.pictures]
         training_views = make_training_views(
             splats,
-            views,
+            chosen.cameras,
             photos=photos,
-            covering=covering,
-            held_out=held_out,
+            covering=chosen.covering,
+            held_out=chosen.held_out,
             background=background,
             threads=threads,
             device=device,
@@ -255,16 +252,13 @@ def tune(
             # Photos have errors of their own, and those of the worst are no fault of the scene.
             train=TrainConfig(worst_views=0.0 if photos else 1.0, seed=seed, threads=threads),
         )
-        writer = f"cogsplat {cogsplat.__version__}"
-        first_view = views[0] if cameras is not None else None
-
-        def size_of(encoded: EncodedScene) -> int:
-            return cogs.size_bytes(encoded, writer=writer, first_view=first_view)
-
+        metadata = FileMetadata(None if chosen.planned else chosen.cameras[0])
         first = None
         if preview is not None:
             first = TrainedPreview(PreviewConfig(share=preview, seed=seed, threads=threads))
-        of = fingerprint(splats, f"{target} {config} {preview} {[view.name for view in views]}")
+        of = fingerprint(
+            splats, f"{target} {config} {preview} {[view.name for view in chosen.cameras]}"
+        )
         if minutes is not None:
             # What was done until now is of these minutes as well.
             left = 60 * minutes - (time.monotonic() - begin)
@@ -280,12 +274,12 @@ def tune(
         made = tuned_scene(
             splats,
             training_views,
-            views,
+            chosen.cameras,
             target,
             config,
-            test_views=tests,
-            covering=covering,
-            size_of=size_of,
+            test_views=chosen.test_views,
+            covering=chosen.covering,
+            size_of=metadata.file_bytes,
             preview=first,
             resume=state,
             checkpoint=None if checkpoint is None else keep_state,
@@ -293,11 +287,11 @@ def tune(
             progress=stages,
         )
         with stages.stage("write"):
-            size = cogs.save(made.encoded, out, writer=writer, first_view=first_view, force=force)
+            size = metadata.save(made.encoded, out, force=force)
             if ply is not None:
                 cogsplat.write(made.splats, ply, force=force, format_name="ply")
     _report(
-        made.encoded, scene, out, size, given.file_bytes, given.file_splats, planned, stages,
+        made.encoded, scene, out, size, given.file_bytes, given.file_splats, chosen.planned, stages,
         quiet=quiet, as_json=as_json,
     )  # fmt: skip
 

@@ -11,9 +11,9 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import TruncatedError
 from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.scoring import view_quality
 from cogsplat.codec.splats import Splats, empty
 
-from . import view_quality
 from .photos import Photos
 
 SHARES: Final = (0.05, 0.1, 0.25, 0.5, 1.0)

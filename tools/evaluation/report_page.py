@@ -17,13 +17,13 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import printable
 from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.scoring import view_quality
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import atomic_write
 from cogsplat.tools.pictures.png import to_image
 from cogsplat.tools.pictures.svg_charts import Series, line_chart
 from cogsplat.tools.terminal.output import size_text, title_of
 
-from . import view_quality
 from .byte_inventory import ChunkSizes, StoredSize, chunk_sizes, stored_sizes
 from .photos import Photos
 from .prefix_quality import SHARES, Colour, PrefixQuality, decode_share

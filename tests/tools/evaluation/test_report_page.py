@@ -11,8 +11,8 @@ from running import SPLATS, Run, SmallScene
 
 import cogsplat
 from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.scoring import view_quality
 from cogsplat.codec.views.view_sets import hold_out
-from cogsplat.tools.evaluation import view_quality
 from cogsplat.tools.evaluation.byte_inventory import stored_sizes
 from cogsplat.tools.evaluation.prefix_quality import SHARES, decode_share, measure
 from cogsplat.tools.pictures.png import to_image, write_png

@@ -26,13 +26,13 @@ from typing import Final
 import click
 
 import cogsplat
+from cogsplat.codec.scoring.view_quality import mean_psnr_db, view_qualities
 from cogsplat.codec.splats import Splats, concatenate
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.scenes.ply.ply_scene import write_ply
 from cogsplat.formats.storage.atomic import atomic_write
-from cogsplat.tools.evaluation.view_quality import mean_psnr_db, view_qualities
 from cogsplat.tools.lab.crosscheck import converter
 from cogsplat.tools.terminal.standard_streams import PATH
 

@@ -15,9 +15,9 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.codec.metrics import PSNR_CAP_DB
 from cogsplat.codec.progress import Progress, StageCost, silent
+from cogsplat.codec.scoring import view_quality
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.scenes.registry import FORMATS, Format, read_scene
-from cogsplat.tools.evaluation import view_quality
 from cogsplat.tools.evaluation.measuring_costs import comparison_costs
 from cogsplat.tools.evaluation.photos import Photos
 from cogsplat.tools.terminal.standard_streams import call_file

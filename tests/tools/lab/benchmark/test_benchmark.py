@@ -21,11 +21,11 @@ from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
 from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import CogsplatError, DataError
 from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.scoring import view_quality
 from cogsplat.codec.scoring.contribution import ScoreConfig, Scores, score
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.inria import write_cameras_json
-from cogsplat.tools.evaluation import view_quality
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.lab.benchmark import c3dgs_npz, rate_distortion
 from cogsplat.tools.lab.benchmark.ablation import changes, equal_quality

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class ViewQuality:
     ssim: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """PSNR and SSIM between two scenes in several views.
 
@@ -49,6 +50,19 @@ class Comparison:
 
     held_out: tuple[ViewQuality, ...]
     roaming: tuple[ViewQuality, ...]
+
+    def __repr__(self) -> str:
+        worst = f"lowest {self.worst.psnr_db:.2f} dB in {self.worst.view!r}"
+        held_out = f"{mean_psnr_db(self.held_out):.2f} dB, SSIM {mean_ssim(self.held_out):.4f}"
+        return f"Comparison({held_out}, {worst}; roaming {mean_psnr_db(self.roaming):.2f} dB)"
+
+    def _repr_html_(self) -> str:
+        """Return a table of the given views for notebooks."""
+        rows = "".join(
+            f"<tr><td>{escape(one.view)}</td><td>{one.psnr_db:.2f}</td><td>{one.ssim:.4f}</td></tr>"
+            for one in self.held_out
+        )
+        return f"<table><tr><th>view</th><th>PSNR, dB</th><th>SSIM</th></tr>{rows}</table>"
 
     @property
     def worst(self) -> ViewQuality:

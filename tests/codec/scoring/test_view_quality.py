@@ -8,9 +8,9 @@ import pytest
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.scoring import view_quality
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import roam
-from cogsplat.tools.evaluation import view_quality
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 CAMERAS = synth_cameras(4, 48, 36)

@@ -1,0 +1,454 @@
+"""Facade functions that need the extra ``encode``: encode, tune, layers, compare, render, score."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .codec.cameras import Camera
+from .codec.encode.config import EncodeConfig, Target
+from .codec.encode.request import EncodeRequest
+from .codec.progress import OverallProgress, Progress, TimedProgress, silent
+from .codec.splats import Splats
+from .codec.workspace import IN_MEMORY, Workspace
+from .formats.cameras.camera_files import read_cameras
+from .formats.cogs.camera_segment import check_cameras
+from .formats.cogs.metadata import FileMetadata
+from .formats.cogs.open_file import open_scene
+from .formats.scenes.memory_cap import working_memory
+from .formats.scenes.registry import is_cogs, read_scene, scene_bytes
+from .formats.storage.atomic import check_output
+from .formats.storage.byte_counts import parse_byte_count
+
+if TYPE_CHECKING:
+    from .codec.encode.encoded import EncodeReport
+    from .codec.encode.preview_chunks import PreviewMaker
+    from .codec.fit.level_training import LevelsConfig
+    from .codec.fit.tune_config import TuneConfig
+    from .codec.scoring.contribution import ScoreConfig, Scores
+    from .codec.scoring.view_quality import Comparison
+
+_Path = str | os.PathLike[str]
+
+
+def encode(
+    scene: Splats | _Path,
+    path: _Path,
+    *,
+    cameras: Sequence[Camera] | _Path | None = None,
+    quality: float | None = None,
+    target: Target | int | str | None = None,
+    preset: str | None = None,
+    config: EncodeConfig | None = None,
+    request: EncodeRequest | None = None,
+    force: bool = False,
+    progress: Progress = silent,
+) -> EncodeReport:
+    """Encode a scene into a COGS file.
+
+    Parameters
+    ----------
+    scene : Splats or path
+        Scene in memory, or a file of any known format.
+    path : path
+        Output file; it appears once it is complete.
+    cameras : sequence of Camera or path, optional
+        Views to score in, or a file for `read_cameras`. Without them views are planned around the
+        splats.
+    quality : float, optional
+        Nominal PSNR, dB; it replaces `EncodeConfig.quality_db`.
+    target : Target, int or str, optional
+        File size to fill, as bytes or as text such as ``"500KiB"``, ``"12MB"`` or ``"20%"`` of the
+        scene's bytes; or mean PSNR in the test views, such as ``"38dB"``.
+    preset : str, optional
+        ``fast``, ``balanced`` (the default) or ``best``: numbers of views, effort of ordering and
+        of compensation.
+    config : EncodeConfig, optional
+        Contents of the file: profile, order, chunks, preview splats, threads and more.
+    request : EncodeRequest, optional
+        Inputs that are needed rarely: scores, test views, stored cameras, memory limit, executor.
+        The other arguments replace its fields.
+    force : bool
+        Replace an existing file.
+    progress : Progress
+        Called with a stage, its finished steps and all its steps. A `OverallProgress` is told the
+        expected cost of the stages first. Raising `Cancelled` stops the work and leaves no file.
+
+    Returns
+    -------
+    EncodeReport
+        Size of the file, time of every stage, views, and predicted quality.
+
+    Raises
+    ------
+    CogsplatError
+        The scene or the cameras cannot be used, the target is out of reach, or the file cannot be
+        written.
+    ValueError
+        Arguments that contradict each other: see `EncodeRequest` and `EncodeConfig`.
+
+    Examples
+    --------
+    >>> import cogsplat
+    >>> report = cogsplat.encode("scene.ply", "new.cogs", cameras="cameras.json", preset="fast")
+    >>> len(cogsplat.decode("new.cogs", size_bytes=report.size_bytes)) > 0
+    True
+    """
+    from .codec.encode import pipeline
+    from .codec.encode.stage_costs import stage_costs
+
+    _require_output(path, force, scene, cameras)
+    if quality is not None and target is not None:
+        raise ValueError("more than one of quality and target, expected one of them")
+    request = request or EncodeRequest()
+    config = config or request.config
+    request = replace(
+        request,
+        cameras=request.cameras if cameras is None else _views(cameras),
+        target=request.target if target is None else _target(target, scene),
+        preset=preset or request.preset,
+        config=config if quality is None else replace(config, quality_db=quality),
+    )
+    if request.stored_cameras:
+        check_cameras(request.stored_cameras)
+    metadata = FileMetadata(request.first_view, request.stored_cameras)
+    memory: AbstractContextManager[Workspace] = nullcontext(request.workspace)
+    if request.memory_bytes is not None:
+        folder = Path(path).absolute().parent
+        memory = working_memory(scene, request.config, request.memory_bytes, folder)
+    with memory as workspace:
+        request = replace(request, workspace=workspace)
+        splats = _splats(scene, workspace)
+        if isinstance(progress, OverallProgress):
+            progress.plan(stage_costs(len(splats), request))
+        encoded = pipeline.encode(
+            splats,
+            request,
+            size_of=metadata.file_bytes,
+            preview=_preview_maker(request.config),
+            progress=progress,
+        )
+        writing = TimedProgress()
+        size_bytes = metadata.save(encoded, Path(path), force=force)
+    writing("write", 1, 1)
+    if isinstance(progress, OverallProgress):
+        progress.finish()
+    report = encoded.report
+    return replace(
+        report,
+        size_bytes=size_bytes,
+        seconds={**report.seconds, **writing.seconds},
+        cpu_seconds={**report.cpu_seconds, **writing.cpu_seconds},
+    )
+
+
+def tune(
+    scene: Splats | _Path,
+    path: _Path,
+    *,
+    cameras: Sequence[Camera] | _Path | None = None,
+    target: Target | int | str = "40dB",
+    config: TuneConfig | None = None,
+    force: bool = False,
+    progress: Progress = silent,
+) -> EncodeReport:
+    """Train fewer splats to show what a scene shows, and encode them into a COGS file.
+
+    Parameters
+    ----------
+    scene : Splats or path
+        Scene in memory, or a file of any known format.
+    path : path
+        Output file; it appears once it is complete.
+    cameras : sequence of Camera or path, optional
+        Views to train in, or a file for `read_cameras`. Without them views are planned.
+    target : Target, int or str
+        File size or PSNR, as in `encode`; the PSNR is against renders of the source.
+    config : TuneConfig, optional
+        Steps of training, preset and profile.
+    force : bool
+        Replace an existing file.
+    progress : Progress
+        Called as in `encode`.
+
+    Returns
+    -------
+    EncodeReport
+        Size of the file, and PSNR against renders of the source in the test views.
+
+    Raises
+    ------
+    CogsplatError
+        As in `encode`.
+
+    Examples
+    --------
+    >>> import cogsplat
+    >>> config = cogsplat.TuneConfig(round_steps=1, recovery_steps=1, quantised_steps=1)
+    >>> report = cogsplat.tune(
+    ...     "scene.ply", "tuned.cogs", cameras="cameras.json", target="60%", config=config
+    ... )
+    >>> len(cogsplat.decode("tuned.cogs")) < len(cogsplat.read("scene.ply"))
+    True
+    """
+    from .codec.fit import tuning
+    from .codec.fit.training_views import make_training_views
+    from .codec.fit.tune_config import TuneConfig
+    from .codec.fit.tuning_views import choose_tuning_views
+
+    _require_output(path, force, scene, cameras)
+    config = config or TuneConfig()
+    threads = config.train.threads
+    splats = _splats(scene).without_extras()
+    given = None if cameras is None else _views(cameras)
+    views = choose_tuning_views(
+        splats, given, test_views=given or (), threads=threads, progress=progress
+    )
+    metadata = FileMetadata(None if views.planned else views.cameras[0])
+    training_views = make_training_views(
+        splats,
+        views.cameras,
+        covering=views.covering,
+        held_out=views.held_out,
+        threads=threads,
+        progress=progress,
+    )
+    tuned = tuning.tune(
+        splats,
+        training_views,
+        views.cameras,
+        _target(target, scene),
+        config,
+        test_views=views.test_views,
+        covering=views.covering,
+        size_of=metadata.file_bytes,
+        progress=progress,
+    )
+    size_bytes = metadata.save(tuned.encoded, Path(path), force=force)
+    return replace(tuned.encoded.report, size_bytes=size_bytes)
+
+
+def layers(
+    scene: Splats | _Path,
+    path: _Path,
+    *,
+    cameras: Sequence[Camera] | _Path | None = None,
+    quality: float = 40.0,
+    config: LevelsConfig | None = None,
+    force: bool = False,
+    progress: Progress = silent,
+) -> EncodeReport:
+    """Make a scene into levels for pictures of several sizes, in one COGS file.
+
+    Parameters
+    ----------
+    scene : Splats or path
+        Scene in memory, or a file of any known format.
+    path : path
+        Output file; it appears once it is complete.
+    cameras : sequence of Camera or path, optional
+        Views to train in, or a file for `read_cameras`. Without them views are planned.
+    quality : float
+        Nominal PSNR, dB.
+    config : LevelsConfig, optional
+        Scales, sizes and training steps of the levels.
+    force : bool
+        Replace an existing file.
+    progress : Progress
+        Called as in `encode`.
+
+    Returns
+    -------
+    EncodeReport
+        Size of the file.
+
+    Raises
+    ------
+    CogsplatError
+        As in `encode`.
+
+    Examples
+    --------
+    >>> import cogsplat
+    >>> config = cogsplat.LevelsConfig(scales=(2, 1), shares=(0.5, 1.0), steps=1)
+    >>> report = cogsplat.layers("scene.ply", "levels.cogs", cameras="cameras.json", config=config)
+    >>> len(cogsplat.decode("levels.cogs", level=0)) < len(cogsplat.decode("levels.cogs"))
+    True
+    """
+    from .codec.fit.level_encoding import LevelEncoding, encode_levels
+    from .codec.fit.level_training import LevelsConfig, train_levels
+    from .codec.views.planner import ViewPlanConfig, plan
+
+    _require_output(path, force, scene, cameras)
+    config = config or LevelsConfig()
+    splats = _splats(scene).without_extras()
+    if cameras is None:
+        planned = plan(splats, ViewPlanConfig(threads=config.threads), progress=progress)
+        views: Sequence[Camera] = planned.views + planned.covering_views
+    else:
+        views = _views(cameras)
+    levels = train_levels(splats, views, config, progress=progress)
+    encoding = LevelEncoding(quality_db=quality, threads=config.threads)
+    encoded = encode_levels(levels, views, encoding, progress=progress)
+    metadata = FileMetadata(None if cameras is None else views[0])
+    return replace(encoded.report, size_bytes=metadata.save(encoded, Path(path), force=force))
+
+
+def compare(
+    reference: Splats | _Path,
+    other: Splats | _Path,
+    cameras: Sequence[Camera] | _Path,
+    *,
+    threads: int = 0,
+    progress: Progress = silent,
+) -> Comparison:
+    """Measure PSNR and SSIM between renders of two scenes.
+
+    Parameters
+    ----------
+    reference, other : Splats or path
+        Scenes in memory, or files of any known format.
+    cameras : sequence of Camera or path
+        Views to render, or a file for `read_cameras`; views off their path are added.
+    threads : int
+        Number of threads, 0 for all cores.
+    progress : Progress
+        Called with the stages ``held-out`` and ``roam``.
+
+    Examples
+    --------
+    >>> import cogsplat
+    >>> found = cogsplat.compare("scene.ply", "scene.cogs", "cameras.json")
+    >>> 20 < found.worst.psnr_db < 100
+    True
+    """
+    from .codec.scoring import view_quality
+
+    return view_quality.compare(
+        _splats(reference), _splats(other), _views(cameras), threads=threads, progress=progress
+    )
+
+
+def render(
+    scene: Splats | _Path,
+    camera: Camera,
+    *,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    threads: int = 0,
+) -> NDArray[np.float32]:
+    """Render a scene and return the picture, (height, width, 3), RGB, unclamped.
+
+    Parameters
+    ----------
+    scene : Splats or path
+        Scene in memory, or a file of any known format.
+    camera : Camera
+        View to render.
+    background : tuple of float
+        RGB behind the splats, each 0 to 1.
+    threads : int
+        Number of threads, 0 for all cores.
+
+    Examples
+    --------
+    >>> import cogsplat
+    >>> cogsplat.render("scene.cogs", cogsplat.read_cameras("cameras.json")[0]).shape
+    (48, 64, 3)
+    """
+    from .codec.render.rasteriser import RenderConfig
+    from .codec.render.rasteriser import render as rasterise
+
+    splats = _splats(scene)
+    config = RenderConfig(
+        splats.info.kernel_px, splats.info.antialiased, background=background, threads=threads
+    )
+    return rasterise(splats, camera, config)
+
+
+def score(
+    scene: Splats | _Path,
+    cameras: Sequence[Camera] | _Path,
+    *,
+    config: ScoreConfig | None = None,
+    progress: Progress = silent,
+) -> Scores:
+    """Measure the contribution of each splat to the pictures of some views.
+
+    Parameters
+    ----------
+    scene : Splats or path
+        Scene in memory, or a file of any known format.
+    cameras : sequence of Camera or path
+        Views to score in, or a file for `read_cameras`.
+    config : ScoreConfig, optional
+        Weights that count, jittered views, device.
+    progress : Progress
+        Called with the stage ``score``.
+
+    Examples
+    --------
+    >>> import cogsplat
+    >>> scores = cogsplat.score("scene.ply", "cameras.json")
+    >>> scores.contribution.shape == (len(cogsplat.read("scene.ply")),)
+    True
+    """
+    from .codec.scoring import contribution
+
+    config = config or contribution.ScoreConfig()
+    return contribution.score(_splats(scene), _views(cameras), config, progress=progress)
+
+
+def _require_scene(scene: object) -> None:
+    if not isinstance(scene, Splats | str | os.PathLike):
+        raise TypeError(f"a {type(scene).__name__}, expected Splats or the path of a scene")
+
+
+def _require_output(path: _Path, force: bool, *inputs: object) -> None:
+    """Refuse an output that cannot be written, before minutes of work."""
+    _require_scene(inputs[0])
+    paths = [given for given in inputs if isinstance(given, str | os.PathLike)]
+    check_output(path, force=force, inputs=paths)
+
+
+def _splats(scene: Splats | _Path, workspace: Workspace | None = None) -> Splats:
+    """Return a scene, read from its file where a path is given."""
+    if isinstance(scene, Splats):
+        return scene
+    if is_cogs(scene):
+        with open_scene(scene) as file:
+            return file.decode()
+    return read_scene(scene, zeros=(workspace or IN_MEMORY).zeros)
+
+
+def _views(cameras: Sequence[Camera] | _Path) -> Sequence[Camera]:
+    """Return cameras, read from their file where a path is given."""
+    return read_cameras(cameras) if isinstance(cameras, str | os.PathLike) else cameras
+
+
+def _preview_maker(config: EncodeConfig) -> PreviewMaker | None:
+    """Return the trainer of preview splats, where a configuration has a preview."""
+    if config.preview is None:
+        return None
+    from .codec.fit.preview_training import PreviewConfig, TrainedPreview
+
+    return TrainedPreview(PreviewConfig(share=config.preview, threads=config.threads))
+
+
+def _target(target: Target | int | str, scene: Splats | _Path) -> Target:
+    """Return a target given as bytes, or as text of bytes, a share or a PSNR."""
+    if isinstance(target, Target):
+        return target
+    if isinstance(target, int):
+        return Target(size_bytes=target)
+    number = target.strip().lower().removesuffix("db")
+    if number != target.strip().lower():
+        return Target(psnr_db=float(number))
+    source_bytes = scene.nbytes if isinstance(scene, Splats) else scene_bytes(scene)
+    return Target(size_bytes=parse_byte_count(target).uncapped(source_bytes))
