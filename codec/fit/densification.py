@@ -103,7 +103,7 @@ class Densification:
         rows : (M,) int
             Rows of the splats that the view shows.
         by_centres : (M, 2) float64
-            Gradient of the loss by their image-space centres, 1/px (`ForwardPass.backward`).
+            Gradient of the loss w.r.t. their image-space centres, 1/px (`ForwardPass.backward`).
         count : int
             Number of splats of the scene.
         """

@@ -29,18 +29,18 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Gradients:
-    """Gradients of a loss by all values of a scene, in arrays named as in `Splats`.
+    """Gradients of a loss w.r.t. all values of a scene, in arrays named as in `Splats`.
 
     Parameters
     ----------
     means : (N, 3) float32
-        Gradient by means, per scene unit.
+        Gradient w.r.t. means, per scene unit.
     scales : (N, 3) float32
-        Gradient by log scales.
+        Gradient w.r.t. log scales.
     quats : (N, 4) float32
-        Gradient by quaternions as stored, not normalised; it is orthogonal to them.
+        Gradient w.r.t. quaternions as stored, not normalised; it is orthogonal to them.
     opacities : (N,) float32
-        Gradient by opacity logits.
+        Gradient w.r.t. opacity logits.
     sh0, shN : (N, 3) float32, (N, K-1, 3) float32
         Gradient by SH coefficients.
     """
@@ -127,20 +127,20 @@ class ForwardPass:
     on_device: CudaView | None = None
 
     def backward(self, by_picture: F32, gradients: Gradients) -> F64:
-        """Add the gradients of a loss by all splat values.
+        """Add the gradients of a loss w.r.t. all splat values.
 
         Parameters
         ----------
         by_picture : (H, W, 3) float32
-            Gradient of the loss by the picture.
+            Gradient of the loss w.r.t. the picture.
         gradients : Gradients
             Gradients of the scene, changed in place.
 
         Returns
         -------
         (M, 2) float64
-            Gradient by the image-space centre of each footprint, 1/px, which 3DGS densifies by. Row
-            k belongs to splat ``footprints.index[k]``.
+            Gradient w.r.t. the image-space centre of each footprint, 1/px, which 3DGS densifies by.
+            Row k belongs to splat ``footprints.index[k]``.
         """
         return self.add_gradients(self.footprint_sums(by_picture), gradients)
 
@@ -152,7 +152,7 @@ class ForwardPass:
         Parameters
         ----------
         by_picture : (H, W, 3) float32
-            Gradient of the loss by the picture.
+            Gradient of the loss w.r.t. the picture.
 
         Returns
         -------
@@ -198,7 +198,7 @@ class ForwardPass:
         Returns
         -------
         (M, 2) float64
-            Gradient by the image-space centre of each footprint, 1/px, as from `backward`.
+            Gradient w.r.t. the image-space centre of each footprint, 1/px, as from `backward`.
         """
         splats, camera, footprints = self.splats, self.camera, self.footprints
         centres = np.empty((len(footprints), 2), np.float64)

@@ -1,4 +1,4 @@
-"""Image losses: the error of a picture against ground truth, and its gradient by pixel."""
+"""Image losses: the error of a picture against ground truth, and its gradient."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _blurred(image: F32, weights: F32) -> F32:
 
 
 def _ssim(picture: F32, target: F32) -> tuple[float, F32]:
-    """Return SSIM summed over pixels and channels, and its gradient by the picture."""
+    """Return SSIM summed over pixels and channels, and its gradient w.r.t. the picture."""
     weights = _gaussian_window()
     mean_a, mean_b = _blurred(picture, weights), _blurred(target, weights)
     square_a = _blurred(picture * picture, weights)
@@ -86,7 +86,7 @@ def _ssim(picture: F32, target: F32) -> tuple[float, F32]:
     means = mean_a * mean_a + mean_b * mean_b + c1
     variances = (square_a - mean_a * mean_a) + (square_b - mean_b * mean_b) + c2
     ssim: F32 = np.divide(luminance * structure, means * variances)
-    # Gradients by the blurred picture, by its blurred square and by the blurred product.
+    # Gradients w.r.t. the blurred picture, its blurred square and the blurred product.
     by_mean = 2 * mean_b * (structure - luminance) / (means * variances)
     by_mean -= np.float32(2.0) * mean_a * ssim * (variances - means) / (means * variances)
     by_square: F32 = np.divide(-ssim, variances)

@@ -239,7 +239,7 @@ def grow_levels(
 
 
 class _LevelBuilder:
-    """Levels trained so far; starts the next one and appends it."""
+    """Builder of a scene with levels, one trained level at a time."""
 
     def __init__(self, scales: tuple[int, ...]) -> None:
         self._scales = scales

@@ -325,7 +325,7 @@ def _as_training_views(references: ReferenceViews, splats: Splats) -> TrainingVi
 
 
 def _mean_error(splats: Splats, references: ReferenceViews) -> float:
-    """Return the mean squared error of a scene in a sample of the reference views, weighted."""
+    """Return the weighted mean squared error of a scene over a sample of reference views."""
     sample = references.sample(_MEASURED_VIEWS, 0)
     views = _as_training_views(references, splats)
     weights = references.weights[sample] / references.weights[sample].sum()

@@ -389,7 +389,10 @@ class QuantisedTraining:
         return change_db if self._target.size_bytes is None else damping * change_db
 
     def _is_better(self, encoded: EncodedScene, best: EncodedScene) -> bool:
-        """Return whether a scene beats another: nearer to the target PSNR, or of higher PSNR."""
+        """Return whether `encoded` is a better result than `best`, both within the target size.
+
+        For a target PSNR, the nearer one is better; for a target size, the one of higher PSNR.
+        """
         quality, other = (self._finisher.evaluator.psnr_db(x.decoded) for x in (encoded, best))
         if self._target.psnr_db is None:
             return quality > other

@@ -128,7 +128,7 @@ class _Streams:
 
 
 def rate_gradients(encoded: EncodedScene, splats: Splats, rows: Sequence[I64]) -> Gradients:
-    """Return the gradient of the encoded size by all values of a scene, in bits.
+    """Return the gradient of the encoded size w.r.t. all values of a scene, in bits.
 
     It covers values that are entropy-coded on a grid of their chunk: opacities, differences of
     scales, and SH coefficients on the axes of the chunk or the scene. It is 0 for means and
@@ -169,7 +169,7 @@ def rate_gradients(encoded: EncodedScene, splats: Splats, rows: Sequence[I64]) -
 
 
 def _opacity_gradients(streams: _Streams, logits: F32) -> F32 | float:
-    """Return the gradient of a chunk's size by opacity logits, (n,), bits."""
+    """Return the gradient of a chunk's size w.r.t. opacity logits, (n,), bits."""
     stream = streams.of_kind(Attribute.OPACITIES, Kind.SCALAR)
     if stream is None or stream.flags & INFINITIES:
         return 0.0
@@ -178,7 +178,7 @@ def _opacity_gradients(streams: _Streams, logits: F32) -> F32 | float:
 
 
 def _scale_gradients(streams: _Streams, scales: F32) -> F32 | float:
-    """Return the gradient of a chunk's size by log scales, (n, 3), bits."""
+    """Return the gradient of a chunk's size w.r.t. log scales, (n, 3), bits."""
     stream = streams.of_kind(Attribute.SCALES, Kind.DIFFERENCES)
     if stream is None:
         return 0.0
@@ -193,7 +193,7 @@ def _scale_gradients(streams: _Streams, scales: F32) -> F32 | float:
 
 
 def _sh0_gradients(streams: _Streams, values: F32) -> F32 | float:
-    """Return the gradient of a chunk's size by DC coefficients, (n, 3), bits."""
+    """Return the gradient of a chunk's size w.r.t. DC coefficients, (n, 3), bits."""
     plain = streams.of_kind(Attribute.SH0, Kind.SCALAR)
     if plain is not None:
         return _grid_gradients(values, streams.finest(Attribute.SH0, scalar.parse(plain, 3)))
@@ -208,7 +208,7 @@ def _sh0_gradients(streams: _Streams, values: F32) -> F32 | float:
 
 
 def _shn_gradients(stream: StoredStream, basis: F32, values: F32) -> F32:
-    """Return the gradient of a chunk's size by higher SH coefficients, (n, K-1, 3), bits."""
+    """Return the gradient of a chunk's size w.r.t. higher SH coefficients, (n, K-1, 3), bits."""
     found = shn_transform.parse(stream, basis)
     rows = basis[: found.width].astype(np.float64)
     # The pseudo-inverse weighs all directions equally; the encoder weighs them by visibility.

@@ -1,4 +1,4 @@
-"""Per-splat kernels of the backward pass: from gradients by footprints to gradients by values.
+"""Per-splat kernels of the backward pass: gradients w.r.t. values from those w.r.t. footprints.
 
 They differentiate the EWA projection (Zwicker et al. 2001; Kerbl et al. 2023, appendix A) and the
 spherical harmonics, in float64.
@@ -27,7 +27,7 @@ F64 = NDArray[np.float64]
 def _direction_gradient(
     x: float, y: float, z: float, c: F64, degree: int
 ) -> tuple[float, float, float]:
-    """Return the gradient by (x, y, z) of a linear combination of the SH bases above DC.
+    """Return the gradient w.r.t. (x, y, z) of a linear combination of the SH bases above DC.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def add_colour_gradients(
     first: int,
     last: int,
 ) -> None:
-    """Add the gradients by SH coefficients, and by means through the viewing direction.
+    """Add the gradients w.r.t. SH coefficients, and w.r.t. means through the viewing direction.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def add_shape_gradients(
     first: int,
     last: int,
 ) -> None:
-    """Add the gradients by means, scales, quaternions and opacities.
+    """Add the gradients w.r.t. means, scales, quaternions and opacities.
 
     Parameters
     ----------
@@ -184,17 +184,17 @@ def add_shape_gradients(
     antialiased : bool
         Whether opacities were scaled down by the area that the kernel adds.
     by_means, by_scales, by_quats, by_opacities : (N, 3), (N, 3), (N, 4), (N,) float32
-        Gradients by means, log scales, quaternions and logits, changed in place.
+        Gradients w.r.t. means, log scales, quaternions and logits, changed in place.
     by_centres : (M, 2) float64
-        Output: gradients by the image-space centres of the footprints, 1/px.
+        Output: gradients w.r.t. the image-space centres of the footprints, 1/px.
     first, last : int
         Half-open range of footprints.
 
     Notes
     -----
     In (u, v) of `differentiate_tiles`, w = W·(pixel - centre) and the covariance's inverse is
-    2·Wᵀ·W. With M the second moments of g, the gradient by the centre is 2·Wᵀ·(Σ g·w), and the
-    gradient by the covariance is 2·Wᵀ·M·W.
+    2·Wᵀ·W. With M the second moments of g, the gradient w.r.t. the centre is 2·Wᵀ·(Σ g·w), and the
+    gradient w.r.t. the covariance is 2·Wᵀ·M·W.
     """
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     guard_x = GUARD * width / (2.0 * fx)
@@ -283,8 +283,8 @@ def add_shape_gradients(
                     + by_scaled[j, 2] * splat[k, 2]
                 )
 
-        # Gradient by small rotations δ about the axes of the splat, then by the quaternion, which
-        # changes by ½·q·(0, δ).
+        # Gradient w.r.t. small rotations δ about the axes of the splat, then w.r.t. the quaternion,
+        # which changes by ½·q·(0, δ).
         turn_x = by_scaled[0, 1] * bare[0, 2] - by_scaled[0, 2] * bare[0, 1]
         turn_x += by_scaled[1, 1] * bare[1, 2] - by_scaled[1, 2] * bare[1, 1]
         turn_y = by_scaled[0, 2] * bare[0, 0] - by_scaled[0, 0] * bare[0, 2]
@@ -296,7 +296,7 @@ def add_shape_gradients(
         by_quats[i, 2] += norm * (qw * turn_y + qz * turn_x - qx * turn_z)
         by_quats[i, 3] += norm * (qw * turn_z + qx * turn_y - qy * turn_x)
 
-        # Gradient by the mean in camera axes: through the centre, and through the Jacobian.
+        # Gradient w.r.t. the mean in camera axes: through the centre, and through the Jacobian.
         by_slope_x, by_slope_y, by_depth = by_x * fx, by_y * fy, 0.0
         through_x, through_y = 0.0, 0.0
         for k in range(3):

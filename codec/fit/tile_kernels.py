@@ -2,7 +2,7 @@
 
 Blending is that of `codec.render.blending`. Both passes blend a tile front to back. The backward
 pass subtracts each splat from the finished picture. The remainder is the colour behind the splat,
-on which the gradient by its alpha depends (Kerbl et al. 2023, appendix C).
+on which the gradient w.r.t. its alpha depends (Kerbl et al. 2023, appendix C).
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ _ONE = np.float32(1.0)
 
 BY_RED, BY_GREEN, BY_BLUE, G, GU, GV, GUU, GUV, GVV, DELETED = range(10)
 SUMS: Final = 10
-"""Number of columns of the output of `differentiate_tiles`: gradients by the colour, moments of g,
-and the deletion error."""
+"""Number of columns of the output of `differentiate_tiles`: gradients w.r.t. the colour, moments of
+g, and the deletion error."""
 
 # Offset of each column in the lanes of a tile row.
 _L_RED, _L_GREEN, _L_BLUE, _L_G, _L_GU, _L_GV, _L_GUU, _L_GUV, _L_GVV, _L_DELETED = (
     np.uintp(k * TILE) for k in range(SUMS)
 )
 
-# Planes of a tile's state with the gradient by the picture. Other kernels keep a target there.
+# Planes of a tile's state with the gradient w.r.t. the picture. Other kernels keep a target there.
 _D_RED, _D_GREEN, _D_BLUE = (np.uintp(k * PIXELS) for k in range(PLANES, PLANES_COMPARED))
 
 
@@ -155,7 +155,7 @@ def differentiate_tiles(
     """Sum the gradients of a loss over the pixels of each pair of a tile and a footprint.
 
     (u, v) is the offset from the centre, scaled so that alpha is ``opacity · exp(-u² - v²)``. With
-    g the gradient of the loss by ln alpha in one pixel, the moments are Σ over pixels of g·uᵖ·v^q.
+    g the gradient of the loss w.r.t. ln alpha in one pixel, moments are Σ over pixels of g·uᵖ·v^q.
 
     Parameters
     ----------
@@ -166,10 +166,11 @@ def differentiate_tiles(
     image : (H, W, 3) float32
         Output of `draw_tiles`, background included.
     by_image : (H, W, 3) float32
-        Gradient of the loss by the picture.
+        Gradient of the loss w.r.t. the picture.
     sums : (P, SUMS) float32
-        Output, by pair of a tile and a footprint: gradients by the three colour channels, then the
-        moments 1, u, v, uu, uv and vv, then the deletion error (`deletion_errors.deletion_errors`).
+        Output, by pair of a tile and a footprint: gradients w.r.t. the three colour channels, then
+        the moments 1, u, v, uu, uv and vv, then the deletion error
+        (`deletion_errors.deletion_errors`).
     first, last : int
         Half-open range of tiles, in row-major order.
     """
@@ -221,7 +222,7 @@ def differentiate_tiles(
                     by_red = state[at + _D_RED]
                     by_green = state[at + _D_GREEN]
                     by_blue = state[at + _D_BLUE]
-                    # Colour lost by deletion; equals the derivative of the colour by ln alpha.
+                    # Colour lost by deletion; equals the derivative of the colour w.r.t. ln alpha.
                     lost_red = shown_red - behind_red * odds
                     lost_green = shown_green - behind_green * odds
                     lost_blue = shown_blue - behind_blue * odds

@@ -155,8 +155,8 @@ def tune(
     notify : callable, optional
         Called with a progress report at the same times.
     progress : Progress
-        Receives ``search``, ``deletions``, ``train``, ``score``, ``train stored``, ``preview`` and
-        the stages of the encoder.
+        Receives ``search``, ``deletions``, ``train``, ``score``, ``train quantised``, ``preview``
+        and the stages of the encoder.
 
     Returns
     -------
@@ -443,7 +443,7 @@ class _TuningRun:
                     (planned - done) // interval, seconds, reserved
                 )
                 planned = done + cycles * interval
-            self._progress("train stored", done, planned)
+            self._progress("train quantised", done, planned)
             if (done // interval) % _CHECKPOINT_CYCLES == 0:
                 self._quantised = done, planned, quality_db
                 self._report_encode(quantised)
