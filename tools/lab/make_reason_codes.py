@@ -1,4 +1,4 @@
-"""Writes ``docs/reason-codes.md``, the index of all reason codes, from the source.
+"""Writes ``docs/reference/reason-codes.md``, the index of all reason codes, from the source.
 
 Run ``python -m cogsplat.tools.lab.make_reason_codes`` after adding a code. A code is found where it
 stands beside its message, as an argument of a call or in a tuple, or under a name that ends in
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-INDEX: Final = Path("docs") / "reason-codes.md"
+INDEX: Final = Path("docs") / "reference" / "reason-codes.md"
 
 _CODE: Final = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)+")
 
@@ -53,7 +53,7 @@ _TOP: Final = """# Reason codes
 Every refusal has a reason code, which stays the same when its message is reworded:
 `CogsplatError.code` in Python, in brackets behind the message on the command line, `error.code`
 with `--json`. Codes of the `.cogs` format are listed with their clauses in
-[section 12 of SPEC.md](../SPEC.md#12-reason-codes) and are the same in every implementation; the
+[section 12 of SPEC.md](../../SPEC.md#12-reason-codes) and are the same in every implementation; the
 others are of this library.
 
 The command line exits with the status of the class: 2 for misuse; 3 for invalid data
@@ -123,11 +123,10 @@ def page(root: Path = ROOT) -> str:
         groups[found.code in spec].append(found)
     lines = [_TOP]
     for of_spec, title in ((True, "Codes of SPEC.md"), (False, "Codes of this library")):
-        lines += [f"## {title}\n", "| code | class | exit | raised in |", "|---|---|---|---|"]
+        lines += [f"## {title}\n", "| code | class | exit |", "|---|---|---|"]
         for found in groups[of_spec]:
-            places = ", ".join(f"`{module}`" for module in found.modules)
             exits = ", ".join(map(str, found.exit_statuses))
-            row = (f"`{found.code}`", ", ".join(found.errors), exits, places)
+            row = (f"`{found.code}`", ", ".join(found.errors), exits)
             lines.append(f"| {' | '.join(row)} |")
         lines.append("")
     return "\n".join(lines)

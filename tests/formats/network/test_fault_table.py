@@ -23,7 +23,7 @@ from cogsplat.codec.errors import Cancelled, CogsplatError, CogsplatWarning
 from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.network.network_options import NetworkOptions
 
-DOCS = Path(__file__).resolve().parents[3] / "docs/network.md"
+DOCS = Path(__file__).resolve().parents[3] / "docs/reference/network-faults.md"
 
 QUICK = NetworkOptions(pause_seconds=0.01, idle_seconds=0.25, connect_seconds=5)
 

@@ -1,4 +1,4 @@
-"""Every command's JSON object: its keys are those of docs/json.md, and each means one thing."""
+"""JSON objects of all commands: their keys are those of docs/reference/json.md."""
 
 import json
 import re
@@ -17,7 +17,7 @@ from cogsplat.codec.order.objects import with_labels
 from cogsplat.tools.lab.cli import demonstration
 from cogsplat.tools.lab.synthetic import terrace as synthetic
 
-PAGE = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/reference/json.md").read_text(encoding="utf-8")
 
 # Below these, keys are names of stages, attributes, reasons and so on.
 NAMED = {

@@ -1,4 +1,4 @@
-"""Servers that people use, with the configurations of ``docs/hosting.md``, examined as they run."""
+"""The configurations of ``docs/guides/hosting.md``, in the servers they are for."""
 
 import functools
 import getpass
@@ -22,7 +22,7 @@ import cogsplat
 from cogsplat.formats.cogs.folder_writer import unpack_cogs
 from cogsplat.tools.hosting.doctor import Diagnosis, examine
 
-PAGE = (ROOT / "docs" / "hosting.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/guides/hosting.md").read_text(encoding="utf-8")
 COMPRESSING = "gzip on; gzip_types application/octet-stream; gzip_proxied any; gzip_min_length 1;"
 
 

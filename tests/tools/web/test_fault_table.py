@@ -1,6 +1,6 @@
 """What the loader of tools/web makes of every known fault of a network, in Node and in Chromium.
 
-Cases and outcomes are those of the table in docs/network.md.
+Cases and outcomes are those of the table in docs/reference/network-faults.md.
 """
 
 from __future__ import annotations
