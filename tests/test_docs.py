@@ -33,12 +33,12 @@ from cogsplat.tools.main import cli
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("tests/**/*.md")])
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-TRANSCRIPT = ("", "text")  # Pictures and dumps: nothing that could run.
+TRANSCRIPT = ("", "html", "text", "ts")  # Pictures, dumps, pages: nothing that runs here.
 
 # What is added to a command so that the scene it makes is small.
 SMALL = {"lab synth": ("--splats", "3000"), "demo": ("--splats", "2000")}
 # What belongs to the large scene in a command, and what stands for it with the small one.
-REPLACED = {"500KiB": "60KiB", "10000": "1500"}
+REPLACED = {"500KiB": "60KiB", "300KiB": "60KiB", "10000": "1500"}
 
 
 @pytest.fixture(autouse=True)

@@ -11,7 +11,7 @@ from .config_file import config_option
 
 _OTHERS: Final = "Input, output and progress"
 
-_KEY: Final = "cogsplat.help_all"
+HELP_ALL: Final = "cogsplat.help_all"
 
 
 class GroupedCommand(click.Command):
@@ -41,7 +41,7 @@ class GroupedCommand(click.Command):
                 records[_long_name(parameter)] = record
         first, *others = self._groups
         _write_group(formatter, first, [records.pop(name) for name in self._groups[first]])
-        if not ctx.meta.get(_KEY):
+        if not ctx.meta.get(HELP_ALL):
             if records:
                 formatter.write_paragraph()
                 formatter.write_text(
@@ -72,7 +72,7 @@ def _help_all_option() -> click.Option:
 
     def show(context: click.Context, parameter: click.Parameter, value: bool) -> None:
         if value and not context.resilient_parsing:
-            context.meta[_KEY] = True
+            context.meta[HELP_ALL] = True
             click.echo(context.get_help(), color=context.color)
             context.exit()
 
