@@ -21,8 +21,8 @@ PAGE: Final = Path("docs") / "reference" / "commands.md"
 _WIDTH: Final = 100
 _TOP: Final = """# Commands
 
-The help of every command, written by `python -m cogsplat.tools.lab.make_commands`. Options that only `--help-all` shows
-are listed as well.
+The help of every command, with the options that only `--help-all` shows.
+`python -m cogsplat.tools.lab.make_commands` writes this page.
 """
 
 
